@@ -1,0 +1,32 @@
+# Everything goes into .venv; PYTHON is what makes it.
+PYTHON ?= python3
+VENV := .venv
+BIN := $(VENV)/bin
+INSTALLED := $(VENV)/.installed
+CHECKED := .build/checked
+
+.PHONY: demo test check clean
+
+$(INSTALLED): pyproject.toml
+	$(PYTHON) -m venv $(VENV)
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable ".[dev]"
+	touch $@
+
+demo: $(INSTALLED)
+	$(BIN)/hierax launch deploy/tracking.yaml --epochs 60 --output demo-output
+
+test: $(INSTALLED)
+	$(BIN)/python -m pytest
+
+# mypy follows the namespace through an installed copy
+check: $(INSTALLED)
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+	rm -rf $(CHECKED)
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-deps --target $(CHECKED) .
+	cd $(CHECKED) && MYPYPATH=. $(CURDIR)/$(BIN)/mypy --config-file $(CURDIR)/pyproject.toml \
+		--explicit-package-bases --namespace-packages -p hierax
+	$(BIN)/lint-imports
+
+clean:
+	rm -rf $(VENV) .build build dist *.egg-info demo-output

@@ -1,0 +1,188 @@
+"""Operators as the core calls them: one calling convention, results checked.
+
+A user's operator may or may not take a ``tick``, and may be an ``async def``. Here
+both are settled once, when a node is built, so that nothing has to look again.
+"""
+
+from __future__ import annotations
+
+import inspect
+from collections.abc import Awaitable, Callable, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from hierax.runtime.core.errors import HierarchyError, OperatorError
+from hierax.runtime.core.node import Elements, Node, Value, World
+from hierax.runtime.core.tick import Tick
+
+Operator = Callable[..., Any]
+Waiter = Callable[[Awaitable[Any]], Any]
+"""Drives an awaitable to its result; the core itself has no event loop."""
+
+
+@dataclass(frozen=True)
+class Setting:
+    """What a run gives to every operator.
+
+    Attributes:
+        seed: of all random numbers.
+        wait: drives operators that are ``async def``; None refuses them.
+    """
+
+    seed: int = 0
+    wait: Waiter | None = None
+
+
+TAKES = {
+    "observe": ("observations", "belief"),
+    "select_policy": ("tasks",),
+    "predict": ("context", "actions", "belief"),
+    "policy": ("belief",),
+    "sense": ("belief",),
+    "task": ("actions",),
+    "context": ("belief",),
+}
+"""What the caller passes to each operator and edge function, beside the tick."""
+
+
+class Call:
+    """One operator of one node or edge: call it with the epoch, its time and its arguments."""
+
+    __slots__ = ("_above", "_below", "_function", "_seed", "_wants_tick", "operator", "subject")
+
+    def __init__(
+        self,
+        function: Operator,
+        subject: str,
+        operator: str,
+        setting: Setting,
+        *,
+        below: tuple[str, ...],
+        above: tuple[str, ...],
+        takes: str = "",
+    ) -> None:
+        self.subject = subject
+        self.operator = operator
+        self._seed = setting.seed
+        self._below = below
+        self._above = above
+        self._wants_tick = _wants_tick(function, subject, operator, TAKES[takes or operator])
+        self._function = _synchronous(function, setting, f"{subject}: {operator}")
+
+    def __call__(self, epoch: int, time_s: float, *arguments: Value) -> Any:
+        """Call the operator.
+
+        Raises:
+            OperatorError: it raised; the cause is chained.
+        """
+        try:
+            if not self._wants_tick:
+                return self._function(*arguments)
+            tick = Tick(self._seed, self.subject, self.operator, epoch, time_s, self._below, self._above)
+            return self._function(*arguments, tick=tick)
+        except Exception as error:
+            what = f"{type(error).__name__}: {error}"
+            raise OperatorError(self.subject, self.operator, epoch, what) from error
+
+    def elements(self, epoch: int, time_s: float, *arguments: Value) -> Elements:
+        """Call it for a set of elements, given as a tuple or list."""
+        result = self(epoch, time_s, *arguments)
+        if type(result) is tuple:
+            return result
+        if isinstance(result, (list, tuple)):
+            return tuple(result)
+        what = f"expected a tuple of elements, got {type(result).__name__}"
+        raise OperatorError(self.subject, self.operator, epoch, what)
+
+
+class BoundNode:
+    """A node with a name, its neighbours and the run's seed: all that its operators need.
+
+    Raises:
+        HierarchyError: an operator has a signature that cannot be called, or
+            λ(∅) ≠ π⁰, or π⁰ is none of the policies.
+    """
+
+    __slots__ = ("above", "below", "name", "node", "observe", "policies", "predict", "select_policy")
+
+    def __init__(self, name: str, node: Node, below: tuple[str, ...], above: tuple[str, ...], setting: Setting) -> None:
+        self.name = name
+        self.node = node
+        self.below = below
+        self.above = above
+
+        def bound(function: Operator, operator: str, takes: str = "") -> Call:
+            return Call(function, name, operator, setting, below=below, above=above, takes=takes)
+
+        self.observe = bound(node.observe, "observe")
+        self.select_policy = bound(node.select_policy, "select_policy")
+        self.predict = bound(node.predict, "predict")
+        self.policies: Mapping[str, Call] = {
+            policy: bound(function, f"policy {policy}", "policy") for policy, function in node.policies().items()
+        }
+        self._check_initial_policy()
+
+    def choose(self, epoch: int, time_s: float, tasks: Elements) -> str:
+        """λ, its result checked."""
+        policy = self.select_policy(epoch, time_s, tasks)
+        if policy not in self.policies:
+            known = ", ".join(sorted(self.policies))
+            raise OperatorError(self.name, "select_policy", epoch, f"{policy!r} is none of the policies {known}")
+        return str(policy)
+
+    def _check_initial_policy(self) -> None:
+        initial = self.node.initial_policy
+        if initial not in self.policies:
+            raise HierarchyError(
+                f"{self.name}: the initial policy {initial!r} is none of its policies {sorted(self.policies)}"
+            )
+        chosen = self.select_policy(0, 0.0, ())
+        if chosen != initial:
+            raise HierarchyError(
+                f"{self.name}: of no tasks, select_policy must give the initial policy {initial!r}, not {chosen!r}"
+            )
+
+
+def require_world(name: str, node: Node) -> World:
+    """The node as N₀.
+
+    Raises:
+        HierarchyError: its class does not derive from `World`.
+    """
+    if not isinstance(node, World):
+        raise HierarchyError(f"{name}: the world's class must derive from World, {type(node).__name__} does not")
+    return node
+
+
+def bind_edge(function: Operator | None, lower: str, upper: str, operator: str, setting: Setting) -> Call | None:
+    """An edge function as a call; none stands for the function that always gives the empty set."""
+    if function is None:
+        return None
+    return Call(function, f"{lower}->{upper}", operator, setting, below=(lower,), above=(upper,))
+
+
+def _wants_tick(function: Operator, subject: str, operator: str, takes: tuple[str, ...]) -> bool:
+    try:
+        signature = inspect.signature(function)
+    except (TypeError, ValueError):  # some callables written in C tell nothing
+        return False
+    wants = "tick" in signature.parameters
+    try:
+        signature.bind(*takes, **({"tick": None} if wants else {}))
+    except TypeError as error:
+        raise HierarchyError(
+            f"{subject}: {operator} must take ({', '.join(takes)}) and, if it likes, tick; it takes {signature}"
+        ) from error
+    return wants
+
+
+def _synchronous(function: Operator, setting: Setting, where: str) -> Operator:
+    is_async = inspect.iscoroutinefunction(function) or inspect.iscoroutinefunction(
+        getattr(function, "__call__", None)  # noqa: B004 - an edge function may be an object
+    )
+    if not is_async:
+        return function
+    wait = setting.wait
+    if wait is None:
+        raise HierarchyError(f"{where} is an async function, and nothing here can wait for it")
+    return lambda *arguments, **options: wait(function(*arguments, **options))

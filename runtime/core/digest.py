@@ -1,0 +1,55 @@
+"""Digests: equal digests are the meaning of "the same run".
+
+A node's digest of an epoch is BLAKE2b-256 over the encoding of [belief, policy,
+actions] and the digests of its parents, in name order. The epoch's digest chains the
+last one, the epoch's number, the roster's content and N₀'s digest, which, as the
+digests flow down every edge, covers all nodes.
+"""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Iterable
+from hashlib import blake2b
+
+from hierax.runtime.core.node import Elements, Value
+from hierax.runtime.core.process import ActiveHierarchy
+from hierax.schemas.messages import DIGEST_BYTES
+from hierax.schemas.values import encode_value
+
+NO_DIGEST = bytes(DIGEST_BYTES)
+"""What the first epoch's digest follows."""
+
+
+def encode_state(belief: Value, policy: str, actions: Elements) -> bytes:
+    """The bytes of an active node's state that digests and checkpoints are made of."""
+    return encode_value((belief, policy, actions))
+
+
+def node_digest(state: bytes, parents: Iterable[bytes]) -> bytes:
+    """The digest of a node: of its encoded state and its parents' digests, these in name order."""
+    return blake2b(b"".join((state, *parents)), digest_size=DIGEST_BYTES).digest()
+
+
+def epoch_digest(previous: bytes, epoch: int, roster: bytes, world: bytes) -> bytes:
+    """The digest of an epoch.
+
+    Args:
+        previous: the last epoch's digest, before the first one `NO_DIGEST`.
+        epoch: its number, hashed as 8 bytes, little-endian.
+        roster: hash of the roster's content.
+        world: N₀'s digest of this epoch.
+    """
+    data = b"".join((previous, struct.pack("<Q", epoch), roster, world))
+    return blake2b(data, digest_size=DIGEST_BYTES).digest()
+
+
+def formal_digest(active: ActiveHierarchy, previous: bytes, roster: bytes) -> bytes:
+    """The epoch's digest as the formal core has it, for comparison with the engine's."""
+    hierarchy = active.hierarchy
+    digests: dict[str, bytes] = {}
+    for name in reversed(hierarchy.order):
+        state = active.states[name]
+        encoded = encode_state(state.belief, state.policy, state.actions)
+        digests[name] = node_digest(encoded, (digests[upper] for upper in hierarchy.above(name)))
+    return epoch_digest(previous, active.epoch, roster, digests[hierarchy.world])

@@ -1,0 +1,27 @@
+"""Errors of the core, each saying whose fault it is."""
+
+from __future__ import annotations
+
+
+class HieraxError(Exception):
+    """Base of the errors that a user can cause and mend: one clear line each."""
+
+
+class HierarchyError(HieraxError):
+    """Nodes and edges do not form a cognitive hierarchy (definition 2)."""
+
+
+class OperatorError(HieraxError):
+    """An operator or edge function raised, or returned what it must not.
+
+    Attributes:
+        subject: the node, or the edge as ``lower->upper``.
+        operator: which one.
+        epoch: in which epoch; 0 before the first.
+    """
+
+    def __init__(self, subject: str, operator: str, epoch: int, what: str) -> None:
+        self.subject = subject
+        self.operator = operator
+        self.epoch = epoch
+        super().__init__(f"{subject}: {operator} in epoch {epoch}: {what}")

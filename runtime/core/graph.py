@@ -1,0 +1,106 @@
+"""When nodes and edges form a hierarchy (definition 2): pure checks on names."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from graphlib import CycleError, TopologicalSorter
+
+from hierax.runtime.core.errors import HierarchyError
+
+Pair = tuple[str, str]
+"""An edge by the names of its lower and upper node."""
+
+
+def check_graph(world: str, names: Iterable[str], pairs: Sequence[Pair]) -> None:
+    """Refuse what is no hierarchy.
+
+    Args:
+        world: name of N₀.
+        names: of all nodes.
+        pairs: (lower, upper) of all edges.
+
+    Raises:
+        HierarchyError: with the reason and the names: an unknown node, an edge from a
+            node to itself, a doubled edge, something below the world, a cycle, a
+            second source, a node that cannot be reached from the world.
+    """
+    known = sorted(names)
+    _check_world(world, known)
+    _check_edges(known, pairs)
+    below_world = sorted(lower for lower, upper in pairs if upper == world)
+    if below_world:
+        raise HierarchyError(f"nothing may be below the world {world!r}, but {_list(below_world)} is")
+    topological_order(known, pairs)
+    _check_sources(world, known, pairs)
+
+
+def topological_order(names: Iterable[str], pairs: Iterable[Pair]) -> tuple[str, ...]:
+    """The names from below to above, ties by name.
+
+    Raises:
+        HierarchyError: the edges form a cycle; it is printed.
+    """
+    sorter: TopologicalSorter[str] = TopologicalSorter(dict.fromkeys(names, ()))
+    for lower, upper in pairs:
+        sorter.add(upper, lower)
+    try:
+        sorter.prepare()
+    except CycleError as error:
+        raise HierarchyError(f"the edges form a cycle: {' -> '.join(error.args[1])}") from error
+    order: list[str] = []
+    while sorter.is_active():
+        ready = sorted(sorter.get_ready())
+        order += ready
+        sorter.done(*ready)
+    return tuple(order)
+
+
+def _check_world(world: str, known: Sequence[str]) -> None:
+    if world not in known:
+        raise HierarchyError(f"the world {world!r} is none of the nodes {_list(known)}")
+
+
+def _check_edges(known: Sequence[str], pairs: Sequence[Pair]) -> None:
+    seen: set[Pair] = set()
+    for lower, upper in pairs:
+        name = f"{lower}->{upper}"
+        for end in (lower, upper):
+            if end not in known:
+                raise HierarchyError(f"edge {name} names {end!r}, which is none of the nodes {_list(known)}")
+        if lower == upper:
+            raise HierarchyError(f"edge {name} joins a node to itself")
+        if (lower, upper) in seen:
+            raise HierarchyError(f"edge {name} is given twice")
+        seen.add((lower, upper))
+
+
+def _check_sources(world: str, known: Sequence[str], pairs: Sequence[Pair]) -> None:
+    reached = _above(world, pairs)
+    unreachable = [name for name in known if name not in reached]
+    if not unreachable:
+        return
+    sensing = {upper for _, upper in pairs}
+    acting = {lower for lower, _ in pairs}
+    alone = [name for name in unreachable if name not in sensing and name not in acting]
+    if alone:
+        raise HierarchyError(f"{_list(alone)} cannot be reached from the world {world!r}: no edge joins it")
+    sources = [name for name in unreachable if name not in sensing]
+    raise HierarchyError(
+        f"the world {world!r} must be the only source, but nothing is below {_list(sources)} either; "
+        f"unreachable from the world: {_list(unreachable)}"
+    )
+
+
+def _above(start: str, pairs: Sequence[Pair]) -> set[str]:
+    reached = {start}
+    frontier = [start]
+    while frontier:
+        lower = frontier.pop()
+        new = {upper for low, upper in pairs if low == lower} - reached
+        reached |= new
+        frontier += sorted(new)
+    return reached
+
+
+def _list(names: Iterable[str]) -> str:
+    return ", ".join(repr(name) for name in names)

@@ -1,0 +1,117 @@
+"""The hierarchy H = (nodes, N₀, F) of definition 2."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+
+from hierax.runtime.core.binding import BoundNode, Call, Setting, bind_edge, require_world
+from hierax.runtime.core.graph import Pair, check_graph, topological_order
+from hierax.runtime.core.node import Elements, Node, World
+
+
+@dataclass(frozen=True)
+class Edge:
+    """The triple ⟨φ, ψ, ϱ⟩ that joins a lower and an upper node; None is the function to the empty set.
+
+    Attributes:
+        lower, upper: names of the nodes.
+        sense: φ, from the lower node's belief to observations of the upper one.
+        task: ψ, from the upper node's actions to task parameters of the lower one.
+        context: ϱ, from the upper node's belief to context elements of the lower one.
+    """
+
+    lower: str
+    upper: str
+    sense: Callable[..., Elements] | None = None
+    task: Callable[..., Elements] | None = None
+    context: Callable[..., Elements] | None = None
+
+    @property
+    def pair(self) -> Pair:
+        """The names, lower first."""
+        return (self.lower, self.upper)
+
+
+@dataclass(frozen=True)
+class BoundEdge:
+    """An edge's functions as the core calls them."""
+
+    lower: str
+    upper: str
+    sense: Call | None
+    task: Call | None
+    context: Call | None
+
+    @staticmethod
+    def of(edge: Edge, setting: Setting, side: str = "both") -> BoundEdge:
+        """Bind an edge: φ for the ``lower`` side, ψ and ϱ for the ``upper``, or ``both``."""
+        low = side in ("lower", "both")
+        up = side in ("upper", "both")
+        return BoundEdge(
+            edge.lower,
+            edge.upper,
+            bind_edge(edge.sense if low else None, edge.lower, edge.upper, "sense", setting),
+            bind_edge(edge.task if up else None, edge.lower, edge.upper, "task", setting),
+            bind_edge(edge.context if up else None, edge.lower, edge.upper, "context", setting),
+        )
+
+
+@dataclass(frozen=True)
+class Hierarchy:
+    """Nodes and edges that form a cognitive hierarchy.
+
+    Args:
+        nodes: by name.
+        world: the name of N₀; its node derives from `World`.
+        edges: in any order.
+        setting: the run's seed, and what drives async operators.
+
+    Raises:
+        HierarchyError: they form none; with the reason and the names. See
+            `hierax.runtime.core.graph.check_graph` and `BoundNode`.
+    """
+
+    nodes: Mapping[str, Node]
+    world: str
+    edges: Sequence[Edge]
+    setting: Setting = Setting()
+    bound: Mapping[str, BoundNode] = field(init=False, repr=False)
+    bound_edges: Mapping[Pair, BoundEdge] = field(init=False, repr=False)
+    order: tuple[str, ...] = field(init=False, repr=False)
+
+    def __post_init__(self) -> None:
+        pairs = [edge.pair for edge in self.edges]
+        check_graph(self.world, self.nodes, pairs)
+        require_world(self.world, self.nodes[self.world])
+        bound = {
+            name: BoundNode(name, node, neighbours_below(name, pairs), neighbours_above(name, pairs), self.setting)
+            for name, node in sorted(self.nodes.items())
+        }
+        edges = {edge.pair: BoundEdge.of(edge, self.setting) for edge in self.edges}
+        object.__setattr__(self, "bound", bound)
+        object.__setattr__(self, "bound_edges", edges)
+        object.__setattr__(self, "order", topological_order(self.nodes, pairs))
+
+    def below(self, name: str) -> tuple[str, ...]:
+        """Names of the nodes that `name` senses, in order."""
+        return self.bound[name].below
+
+    def above(self, name: str) -> tuple[str, ...]:
+        """Names of the nodes that sense `name`, in order."""
+        return self.bound[name].above
+
+    @property
+    def world_node(self) -> World:
+        """N₀."""
+        return require_world(self.world, self.nodes[self.world])
+
+
+def neighbours_below(name: str, pairs: Sequence[Pair]) -> tuple[str, ...]:
+    """The lower ends of the edges into `name`, by name."""
+    return tuple(sorted(lower for lower, upper in pairs if upper == name))
+
+
+def neighbours_above(name: str, pairs: Sequence[Pair]) -> tuple[str, ...]:
+    """The upper ends of the edges out of `name`, by name."""
+    return tuple(sorted(upper for lower, upper in pairs if lower == name))

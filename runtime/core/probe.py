@@ -1,0 +1,55 @@
+"""Probes: they see what a node did in each epoch and write it somewhere; the run never depends on them."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from pathlib import Path
+from typing import NamedTuple
+
+from hierax.runtime.core.node import Elements, Value
+
+
+class Step(NamedTuple):
+    """One epoch of one node.
+
+    Attributes:
+        epoch: counts from 1.
+        attempt: which attempt of the epoch this was.
+        time_s: the epoch's time in seconds.
+        observations: O, what `observe` was given (empty for the world).
+        sensed: s after `observe`.
+        tasks, context: T and C, what came from above.
+        policy, actions: π and a.
+        belief: s after `predict`.
+    """
+
+    epoch: int
+    attempt: int
+    time_s: float
+    observations: Elements
+    sensed: Value
+    tasks: Elements
+    context: Elements
+    policy: str
+    actions: Elements
+    belief: Value
+
+
+class Probe(ABC):
+    """Watches one node, in the node's process. Named in the deployment file under ``probes``."""
+
+    def open(self, output: Path | None) -> None:
+        """Called once before the first epoch.
+
+        Args:
+            output: the run's output folder, which exists; None where none was asked for.
+        """
+        return
+
+    @abstractmethod
+    def record(self, step: Step) -> None:
+        """Called after each epoch, when the node's messages are sent. Nothing in `step` may be changed."""
+
+    def close(self) -> None:
+        """Called once after the last epoch."""
+        return

@@ -1,0 +1,127 @@
+"""The process model: sense up, then predict down (definitions 3 to 6), as pure functions.
+
+This is the reference. What runs is the engine (`hierax.runtime.engine`); that both
+agree is tested on random hierarchies.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from types import MappingProxyType
+
+from hierax.runtime.core.binding import Call
+from hierax.runtime.core.hierarchy import Hierarchy
+from hierax.runtime.core.node import Elements, Value
+
+
+@dataclass(frozen=True, slots=True)
+class ActiveNode:
+    """Q = (N, s, π, a) of definition 3, without N.
+
+    Attributes:
+        belief: s.
+        policy: π, by name.
+        actions: a.
+    """
+
+    belief: Value
+    policy: str
+    actions: Elements = ()
+
+
+@dataclass(frozen=True)
+class ActiveHierarchy:
+    """X = (H, 𝒬) of definition 3, and how many Updates have been done."""
+
+    hierarchy: Hierarchy
+    states: Mapping[str, ActiveNode]
+    epoch: int = 0
+
+    @staticmethod
+    def initial(hierarchy: Hierarchy) -> ActiveHierarchy:
+        """Every node with s⁰, π⁰ and no actions."""
+        states = {
+            name: ActiveNode(node.initial_belief(), node.initial_policy)
+            for name, node in sorted(hierarchy.nodes.items())
+        }
+        return ActiveHierarchy(hierarchy, MappingProxyType(states))
+
+    def with_state(self, name: str, state: ActiveNode) -> ActiveHierarchy:
+        """The same with one node's state replaced."""
+        return replace(self, states=MappingProxyType({**self.states, name: state}))
+
+
+def sensing_update(active: ActiveHierarchy, name: str, epoch: int, time_s: float) -> ActiveHierarchy:
+    """Definition 4 for one node: s ← τ(O, s), O the observations of all nodes below. N₀ senses nothing."""
+    hierarchy = active.hierarchy
+    if name == hierarchy.world:
+        return active
+    observations: Elements = ()
+    for lower in hierarchy.below(name):
+        sense = hierarchy.bound_edges[lower, name].sense
+        observations += _apply(sense, epoch, time_s, active.states[lower].belief)
+    state = active.states[name]
+    belief = hierarchy.bound[name].observe(epoch, time_s, observations, state.belief)
+    return active.with_state(name, replace(state, belief=belief))
+
+
+def prediction_update(active: ActiveHierarchy, name: str, epoch: int, time_s: float) -> ActiveHierarchy:
+    """Definition 5 for one node: π from the tasks, a from the belief before γ, then s ← γ(C, a, s)."""
+    hierarchy = active.hierarchy
+    bound = hierarchy.bound[name]
+    state = active.states[name]
+    tasks: Elements = ()
+    context: Elements = ()
+    for upper in bound.above:
+        edge = hierarchy.bound_edges[name, upper]
+        tasks += _apply(edge.task, epoch, time_s, active.states[upper].actions)
+        context += _apply(edge.context, epoch, time_s, active.states[upper].belief)
+    policy = bound.choose(epoch, time_s, tasks) if bound.above else state.policy
+    actions = bound.policies[policy].elements(epoch, time_s, state.belief)
+    belief = bound.predict(epoch, time_s, context, actions, state.belief)
+    return active.with_state(name, ActiveNode(belief, policy, actions))
+
+
+def update(
+    active: ActiveHierarchy,
+    sensing_order: Sequence[str] | None = None,
+    prediction_order: Sequence[str] | None = None,
+) -> ActiveHierarchy:
+    """Definition 6: the sensing update of all nodes, then the prediction update of all.
+
+    Args:
+        active: the active hierarchy before the epoch.
+        sensing_order: names from below to above; any order that respects the edges gives
+            the same result (the paper's lemma). By default ties go by name.
+        prediction_order: names from above to below; by default the first one's reverse.
+
+    Raises:
+        ValueError: an order leaves out a node or does not respect the edges.
+        OperatorError: an operator raised.
+    """
+    hierarchy = active.hierarchy
+    sensing = tuple(hierarchy.order if sensing_order is None else sensing_order)
+    prediction = tuple(reversed(hierarchy.order) if prediction_order is None else prediction_order)
+    _check_order(hierarchy, sensing)
+    _check_order(hierarchy, tuple(reversed(prediction)))
+    epoch = active.epoch + 1
+    time_s = hierarchy.world_node.time_s(active.states[hierarchy.world].belief, epoch)
+    for name in sensing:
+        active = sensing_update(active, name, epoch, time_s)
+    for name in prediction:
+        active = prediction_update(active, name, epoch, time_s)
+    return replace(active, epoch=epoch)
+
+
+def _apply(function: Call | None, epoch: int, time_s: float, argument: Value) -> Elements:
+    return () if function is None else function.elements(epoch, time_s, argument)
+
+
+def _check_order(hierarchy: Hierarchy, upward: Sequence[str]) -> None:
+    if sorted(upward) != sorted(hierarchy.nodes):
+        raise ValueError(f"an order must name every node once, got {list(upward)}")
+    place = {name: index for index, name in enumerate(upward)}
+    for lower, upper in hierarchy.bound_edges:
+        if place[lower] > place[upper]:
+            raise ValueError(f"the order puts {upper!r} before {lower!r}, which is below it")

@@ -1,0 +1,1 @@
+"""What travels: values, messages, arrays, keys and their limits. No input or output here."""

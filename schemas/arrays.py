@@ -1,0 +1,111 @@
+"""Numpy arrays as a msgpack extension type.
+
+The data of extension `ARRAY` (code 1) is a head and the raw elements::
+
+    offset  size  field
+    0       1     ndim
+    1       1     length n of the dtype string
+    2       2     length p of the padding, little-endian
+    4       n     dtype, numpy's string form, little-endian, e.g. "<f8"
+    4+n     8·ndim  shape, unsigned little-endian
+    ...     p     zeros
+    ...           elements, C order
+
+The padding (0 to 15) puts the elements on a multiple of 16, counted from the start
+of the data or, for an array behind the payload, of the message: numpy then reads
+them in place and aligned.
+"""
+
+from __future__ import annotations
+
+import struct
+from math import prod
+from typing import Any
+
+import numpy as np
+
+from hierax.schemas.errors import SchemaError
+from hierax.schemas.limits import MAX_ARRAY_BYTES, MAX_ARRAY_NDIM
+
+ARRAY = 1
+"""Extension code of an array given in place."""
+
+ALIGNMENT = 16
+
+_DTYPES = {code: np.dtype(code) for code in (["|b1", "|i1", "|u1", "<i2", "<u2", "<i4", "<u4", "<i8", "<u8", "<f2", "<f4", "<f8", "<c8", "<c16"])}
+_FIXED = struct.Struct("<BBH")
+
+
+def array_head(array: np.ndarray[Any, Any], offset: int = 0) -> bytes:
+    """The bytes that stand before an array's elements.
+
+    Args:
+        array: any shape, a dtype of the list above.
+        offset: where in its message the data begins, in bytes; the padding counts from there.
+
+    Raises:
+        SchemaError: the dtype cannot travel (objects, strings, records, dates).
+    """
+    code = array.dtype.newbyteorder("<").str
+    if code not in _DTYPES:
+        raise SchemaError(f"an array of dtype {array.dtype} cannot be sent; use a number or bool dtype")
+    if array.ndim > MAX_ARRAY_NDIM:
+        raise SchemaError(f"an array has {array.ndim} dimensions; at most {MAX_ARRAY_NDIM} are allowed")
+    if array.nbytes > MAX_ARRAY_BYTES:
+        raise SchemaError(f"an array has {array.nbytes} bytes; at most {MAX_ARRAY_BYTES} are allowed")
+    name = code.encode("ascii")
+    bare = _FIXED.size + len(name) + 8 * array.ndim
+    padding = -(offset + bare) % ALIGNMENT
+    shape = struct.pack(f"<{array.ndim}Q", *array.shape)
+    return b"".join((_FIXED.pack(array.ndim, len(name), padding), name, shape, bytes(padding)))
+
+
+def array_elements(array: np.ndarray[Any, Any]) -> memoryview:
+    """The elements in C order, little-endian, as a flat view of bytes (a copy only where needed)."""
+    little = array.astype(array.dtype.newbyteorder("<"), order="C", copy=False)
+    flat = np.ascontiguousarray(little).reshape(-1)
+    return flat.view(np.uint8).data
+
+
+def encode_array(array: np.ndarray[Any, Any]) -> bytes:
+    """The data of extension `ARRAY`: head and elements."""
+    return b"".join((array_head(array), array_elements(array)))
+
+
+def decode_array(data: bytes | memoryview, where: str = "array") -> np.ndarray[Any, Any]:
+    """Read an array in place: no copy, read-only.
+
+    Args:
+        data: the extension's data.
+        where: named in the error.
+
+    Raises:
+        SchemaError: the data is not an array as described above.
+    """
+    if len(data) < _FIXED.size:
+        raise SchemaError(f"{len(data)} bytes are too short for an array's head", where)
+    ndim, name_length, padding = _FIXED.unpack_from(data)
+    if ndim > MAX_ARRAY_NDIM:
+        raise SchemaError(f"{ndim} dimensions; at most {MAX_ARRAY_NDIM} are allowed", where)
+    shape_at = _FIXED.size + name_length
+    start = shape_at + 8 * ndim + padding
+    if padding >= ALIGNMENT or start > len(data):
+        raise SchemaError("the array's head is cut off or its padding is wrong", where)
+    code = bytes(data[_FIXED.size : shape_at]).decode("ascii", "replace")
+    dtype = _DTYPES.get(code)
+    if dtype is None:
+        raise SchemaError(f"unknown dtype {code!r}; expected one of {', '.join(_DTYPES)}", where)
+    shape = struct.unpack_from(f"<{ndim}Q", data, shape_at)
+    if prod(shape) * dtype.itemsize != len(data) - start:
+        raise SchemaError(
+            f"shape {shape} of {code} wants {prod(shape) * dtype.itemsize} bytes, {len(data) - start} are there",
+            where,
+        )
+    try:
+        array = np.frombuffer(data, dtype, offset=start, count=prod(shape)).reshape(shape)
+    except ValueError as error:  # a shape with a zero and numbers past what numpy counts
+        raise SchemaError(f"shape {shape} of {code} is no array: {error}", where) from error
+    if code == "|b1" and array.size and array.view(np.uint8).max() > 1:
+        raise SchemaError("a bool array holds bytes other than 0 and 1", where)
+    array.flags.writeable = False
+    return array

@@ -1,0 +1,63 @@
+"""Zenoh keys: one key for each kind and direction of an edge, control keys beside them.
+
+``hierax/{deployment}/{run}/{obs|task|ctx}/{from}/{to}``. One key has one writer, so
+that access-control lists follow from the roster.
+"""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+
+from hierax.schemas.errors import SchemaError
+from hierax.schemas.limits import MAX_NAME_CHARS
+
+_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.-]*")
+
+
+def check_name(name: str, what: str = "name") -> str:
+    """A name that may stand in a key, a file name and a deployment file.
+
+    Raises:
+        SchemaError: it is empty, too long, or has other characters.
+    """
+    if not isinstance(name, str) or len(name) > MAX_NAME_CHARS or not _NAME.fullmatch(name):
+        raise SchemaError(
+            f"{name!r} is no {what}: expected at most {MAX_NAME_CHARS} letters, digits, '_', '.' or '-', "
+            "beginning with a letter or a digit"
+        )
+    return name
+
+
+@dataclass(frozen=True, slots=True)
+class Keys:
+    """The keys of one run of one deployment."""
+
+    deployment: str
+    run: str
+
+    @property
+    def root(self) -> str:
+        """What all keys of the run begin with."""
+        return f"hierax/{self.deployment}/{self.run}"
+
+    def edge(self, kind: str, sender: str, receiver: str) -> str:
+        """Where `sender` puts messages of `kind` for `receiver`."""
+        return f"{self.root}/{kind}/{sender}/{receiver}"
+
+    def inbox(self, receiver: str) -> str:
+        """Matches every edge key that leads to `receiver`."""
+        return f"{self.root}/*/*/{receiver}"
+
+    def alive(self, name: str, instance: int | str = "*") -> str:
+        """The liveliness token of an instance of a node."""
+        return f"{self.root}/alive/{name}/{instance}"
+
+    def control(self, name: str) -> str:
+        """Where a process answers control queries."""
+        return f"{self.root}/control/{name}"
+
+    @property
+    def epochs(self) -> str:
+        """Where the world publishes the digest of each committed epoch."""
+        return f"{self.root}/epochs"

@@ -1,0 +1,231 @@
+"""The message that travels along an edge, and its bytes.
+
+A message is one msgpack array that any msgpack library reads::
+
+    [format, kind, sender, receiver, epoch, attempt, roster, instance, time_s, digest,
+     extensions, payload]
+
+Arrays inside the payload are extension `ARRAY` (see `hierax.schemas.arrays`). An array
+of `LARGE_ARRAY_BYTES` or more is extension `TAIL_ARRAY` in the payload, whose data is
+its number (unsigned 16 bits, big-endian); the array itself, extension `ARRAY`, follows
+the payload as a further element of the message, and after the last one stands the
+number of bytes of all that follows the payload (unsigned 32 bits). So large arrays are
+read in place, without a copy.
+"""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Mapping
+from typing import Any, NamedTuple
+
+import msgpack
+import numpy as np
+
+from hierax.schemas.arrays import ARRAY, array_elements, array_head, decode_array, encode_array
+from hierax.schemas.errors import SchemaError
+from hierax.schemas.limits import (
+    LARGE_ARRAY_BYTES,
+    MAX_EXTENSIONS,
+    MAX_MESSAGE_BYTES,
+    MAX_NAME_CHARS,
+)
+from hierax.schemas.values import Value, pack, replace_numpy, unpack
+
+FORMAT = 1
+TAIL_ARRAY = 2
+
+OBSERVATIONS = "obs"
+TASKS = "task"
+CONTEXT = "ctx"
+HELLO = "hello"
+KINDS = (OBSERVATIONS, TASKS, CONTEXT, HELLO)
+
+DIGEST_BYTES = 32
+NO_EXTENSIONS: Mapping[str, Value] = {}
+
+_KIND_CODES = {kind: code for code, kind in enumerate(KINDS)}
+_FIELDS = 12
+_FIXARRAY = bytes([0x90 | _FIELDS])
+_ARRAY16 = struct.Struct(">BH")
+_EXT32 = struct.Struct(">BIb")
+_TAIL_BYTES = struct.Struct(">BI")
+_INDEX = struct.Struct(">H")
+
+
+class Header(NamedTuple):
+    """What every message says of itself.
+
+    Attributes:
+        kind: one of `KINDS`.
+        sender, receiver: names of the nodes; the message travels along their edge.
+        epoch: counts from 1.
+        attempt: how often the epoch has been begun, from 0.
+        roster: version of the roster that the sender is in.
+        instance: the sender's instance number, new at every start of its process.
+        time_s: the epoch's time in seconds, as the world set it.
+        digest: the sender's digest of the epoch (downward messages), else empty.
+        extensions: open map; unknown keys are kept.
+    """
+
+    kind: str
+    sender: str
+    receiver: str
+    epoch: int
+    attempt: int = 0
+    roster: int = 0
+    instance: int = 0
+    time_s: float = 0.0
+    digest: bytes = b""
+    extensions: Mapping[str, Value] = NO_EXTENSIONS
+
+
+class Message(NamedTuple):
+    """A header and the elements: observations, task parameters or context."""
+
+    header: Header
+    payload: tuple[Value, ...]
+
+
+def encode_message(message: Message) -> bytes:
+    """The bytes of a message.
+
+    Raises:
+        SchemaError: the payload holds something that cannot travel.
+    """
+    head = message.header
+    large: list[np.ndarray[Any, Any]] = []
+
+    def default(value: Any) -> Any:
+        if not isinstance(value, np.ndarray):
+            return replace_numpy(value)
+        if value.nbytes < LARGE_ARRAY_BYTES:
+            return msgpack.ExtType(ARRAY, encode_array(value))
+        large.append(value)
+        return msgpack.ExtType(TAIL_ARRAY, _INDEX.pack(len(large) - 1))
+
+    fields = (
+        FORMAT,
+        _KIND_CODES[head.kind],
+        head.sender,
+        head.receiver,
+        head.epoch,
+        head.attempt,
+        head.roster,
+        head.instance,
+        head.time_s,
+        head.digest,
+        head.extensions,
+        message.payload,
+    )
+    packed = pack(fields, default)
+    data = _with_tail(packed, large) if large else packed
+    if len(data) > MAX_MESSAGE_BYTES:
+        raise SchemaError(f"the message has {len(data)} bytes; at most {MAX_MESSAGE_BYTES} are allowed")
+    return data
+
+
+def decode_message(data: bytes) -> Message:
+    """Read a message; its large arrays are views of `data`, read-only.
+
+    Raises:
+        SchemaError: the bytes are not a message of this format.
+    """
+    if data[:1] == _FIXARRAY:
+        fields = unpack(data, _no_tail, "message")
+    elif data[:1] == b"\xdc":
+        fields = _split_tail(data)
+    else:
+        raise SchemaError(f"does not begin like a message: {data[:4].hex() or 'empty'}", "message")
+    return Message(_header(fields), _payload(fields[-1]))
+
+
+def _with_tail(packed: bytes, large: list[np.ndarray[Any, Any]]) -> bytes:
+    parts: list[bytes | memoryview] = [_ARRAY16.pack(0xDC, _FIELDS + len(large) + 1), packed[1:]]
+    start = offset = _ARRAY16.size + len(packed) - 1
+    for array in large:
+        head = array_head(array, offset + _EXT32.size)
+        length = len(head) + array.nbytes
+        parts += (_EXT32.pack(0xC9, length, ARRAY), head, array_elements(array))
+        offset += _EXT32.size + length
+    parts.append(_TAIL_BYTES.pack(0xCE, offset + _TAIL_BYTES.size - start))
+    return b"".join(parts)
+
+
+def _split_tail(data: bytes) -> tuple[Value, ...]:
+    if len(data) < _ARRAY16.size + _TAIL_BYTES.size:
+        raise SchemaError(f"{len(data)} bytes are too short", "message")
+    count = _ARRAY16.unpack_from(data)[1] - _FIELDS - 1
+    marker, tail_bytes = _TAIL_BYTES.unpack_from(data, len(data) - _TAIL_BYTES.size)
+    start = len(data) - tail_bytes
+    if marker != 0xCE or count < 1 or start < _ARRAY16.size or tail_bytes < _TAIL_BYTES.size:
+        raise SchemaError("the arrays behind the payload are not laid out as expected", "message")
+    arrays = _tail_arrays(memoryview(data).toreadonly(), start, count)
+    unused = set(range(count))
+
+    def resolve(code: int, content: bytes) -> Value:
+        if code != TAIL_ARRAY:
+            return _no_tail(code, content)
+        index = _INDEX.unpack(content)[0] if len(content) == _INDEX.size else count
+        if index not in unused:
+            raise SchemaError(f"refers to array {content.hex()} behind the payload, which is not there or taken")
+        unused.remove(index)
+        return arrays[index]
+
+    fields: tuple[Value, ...] = unpack(_FIXARRAY + data[_ARRAY16.size : start], resolve, "message")
+    if unused:
+        raise SchemaError(f"nothing refers to {len(unused)} of the arrays behind the payload", "message")
+    return fields
+
+
+def _tail_arrays(view: memoryview, offset: int, count: int) -> list[np.ndarray[Any, Any]]:
+    end = len(view) - _TAIL_BYTES.size
+    arrays = []
+    for index in range(count):
+        where = f"message: array {index} behind the payload"
+        if offset + _EXT32.size > end:
+            raise SchemaError("cut off", where)
+        marker, length, code = _EXT32.unpack_from(view, offset)
+        offset += _EXT32.size
+        if marker != 0xC9 or code != ARRAY or offset + length > end:
+            raise SchemaError("not an array extension, or cut off", where)
+        arrays.append(decode_array(view[offset : offset + length], where))
+        offset += length
+    if offset != end:
+        raise SchemaError(f"{end - offset} bytes too many behind the payload", "message")
+    return arrays
+
+
+def _no_tail(code: int, data: bytes) -> Value:
+    if code == ARRAY:
+        return decode_array(data)
+    raise SchemaError(f"unknown extension type {code}")
+
+
+def _header(fields: Any) -> Header:
+    if type(fields) is not tuple or len(fields) != _FIELDS:
+        raise SchemaError(f"expected an array of {_FIELDS} fields", "message")
+    form, kind, sender, receiver, epoch, attempt, roster, instance, time_s, digest, extensions, _ = fields
+    if form != FORMAT or type(form) is not int:
+        raise SchemaError(f"format {form!r}; this version reads format {FORMAT}", "message.format")
+    if type(kind) is not int or not 0 <= kind < len(KINDS):
+        raise SchemaError(f"unknown kind {kind!r}; expected 0 to {len(KINDS) - 1}", "message.kind")
+    for name, text in (("sender", sender), ("receiver", receiver)):
+        if type(text) is not str or not 0 < len(text) <= MAX_NAME_CHARS:
+            raise SchemaError(f"expected a name of 1 to {MAX_NAME_CHARS} characters", f"message.{name}")
+    for name, number in (("epoch", epoch), ("attempt", attempt), ("roster", roster), ("instance", instance)):
+        if type(number) is not int or number < 0:
+            raise SchemaError(f"expected a whole number from 0, got {number!r:.40}", f"message.{name}")
+    if type(time_s) is not float:
+        raise SchemaError(f"expected seconds as a float, got {time_s!r:.40}", "message.time_s")
+    if type(digest) is not bytes or len(digest) not in (0, DIGEST_BYTES):
+        raise SchemaError(f"expected no or {DIGEST_BYTES} bytes", "message.digest")
+    if type(extensions) is not dict or len(extensions) > MAX_EXTENSIONS:
+        raise SchemaError(f"expected a map of at most {MAX_EXTENSIONS} entries", "message.extensions")
+    return Header(KINDS[kind], sender, receiver, epoch, attempt, roster, instance, time_s, digest, extensions)
+
+
+def _payload(payload: Any) -> tuple[Value, ...]:
+    if type(payload) is not tuple:
+        raise SchemaError(f"expected an array of elements, got {type(payload).__name__}", "message.payload")
+    return payload

@@ -1,0 +1,150 @@
+"""The roster: which nodes and edges a hierarchy has, as data that can travel.
+
+Its content (names, classes, parameters, edges) is what the epoch's digest covers;
+version and instance numbers are not, so that a run with restarts is still the same run.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from hashlib import blake2b
+from typing import Any
+
+from hierax.schemas.errors import SchemaError
+from hierax.schemas.keys import check_name
+from hierax.schemas.messages import DIGEST_BYTES
+from hierax.schemas.values import Value, encode_value
+
+
+@dataclass(frozen=True)
+class Reference:
+    """Code by name.
+
+    Attributes:
+        target: ``package.module:name``, a class or function.
+        parameters: keyword arguments: of the class, or beside the operator's own ones.
+    """
+
+    target: str
+    parameters: Mapping[str, Value] = field(default_factory=dict)
+
+    def plain(self) -> Value:
+        """As a value."""
+        return {"target": self.target, "parameters": dict(self.parameters)}
+
+    @staticmethod
+    def read(value: Value, where: str) -> Reference:
+        """From a value.
+
+        Raises:
+            SchemaError: it is no reference.
+        """
+        fields = _mapping(value, {"target", "parameters"}, where)
+        target, parameters = fields["target"], fields["parameters"]
+        if not isinstance(target, str) or target.count(":") != 1:
+            raise SchemaError(f"expected 'package.module:name', got {target!r}", f"{where}.target")
+        if not isinstance(parameters, dict):
+            raise SchemaError("expected a map", f"{where}.parameters")
+        return Reference(target, parameters)
+
+
+@dataclass(frozen=True)
+class RosterEdge:
+    """An edge by names; a function that is None gives the empty set."""
+
+    lower: str
+    upper: str
+    sense: Reference | None = None
+    task: Reference | None = None
+    context: Reference | None = None
+
+    @property
+    def name(self) -> str:
+        """``lower->upper``."""
+        return f"{self.lower}->{self.upper}"
+
+
+@dataclass(frozen=True)
+class Roster:
+    """The versioned list of nodes and edges.
+
+    Attributes:
+        world: name of N₀.
+        nodes: class and parameters by name.
+        edges: by name of the lower, then of the upper node.
+        version: totally ordered.
+        instances: per node, new whenever its process is.
+    """
+
+    world: str
+    nodes: Mapping[str, Reference]
+    edges: tuple[RosterEdge, ...]
+    version: int = 0
+    instances: Mapping[str, int] = field(default_factory=dict)
+
+    def content(self) -> Value:
+        """What the run's meaning depends on."""
+        return {
+            "world": self.world,
+            "nodes": {name: self.nodes[name].plain() for name in sorted(self.nodes)},
+            "edges": [_plain_edge(edge) for edge in sorted(self.edges, key=lambda edge: (edge.lower, edge.upper))],
+        }
+
+    def content_hash(self) -> bytes:
+        """BLAKE2b-256 over the encoding of the content."""
+        return blake2b(encode_value(self.content()), digest_size=DIGEST_BYTES).digest()
+
+    def instance(self, name: str) -> int:
+        """The instance number of a node."""
+        return self.instances.get(name, 0)
+
+    def plain(self) -> Value:
+        """The whole roster as a value."""
+        return {**self.content(), "version": self.version, "instances": dict(self.instances)}
+
+    @staticmethod
+    def read(value: Value) -> Roster:
+        """From a value.
+
+        Raises:
+            SchemaError: it is no roster; says which field and what was expected.
+        """
+        fields = _mapping(value, {"world", "nodes", "edges", "version", "instances"}, "roster")
+        if not isinstance(fields["edges"], (list, tuple)):
+            raise SchemaError("expected a list", "roster.edges")
+        if not isinstance(fields["nodes"], dict):
+            raise SchemaError("expected a map", "roster.nodes")
+        nodes = {
+            check_name(name, "node's name"): Reference.read(node, f"roster.nodes.{name}")
+            for name, node in fields["nodes"].items()
+        }
+        edges = tuple(_read_edge(edge, f"roster.edges[{index}]") for index, edge in enumerate(fields["edges"]))
+        version, instances = fields["version"], fields["instances"]
+        if not isinstance(version, int) or not isinstance(instances, dict):
+            raise SchemaError("expected a whole number and a map", "roster.version, roster.instances")
+        return Roster(check_name(fields["world"], "node's name"), nodes, edges, version, instances)
+
+
+def _plain_edge(edge: RosterEdge) -> Value:
+    functions = {"sense": edge.sense, "task": edge.task, "context": edge.context}
+    return {
+        "lower": edge.lower,
+        "upper": edge.upper,
+        **{kind: None if function is None else function.plain() for kind, function in functions.items()},
+    }
+
+
+def _read_edge(value: Value, where: str) -> RosterEdge:
+    fields = _mapping(value, {"lower", "upper", "sense", "task", "context"}, where)
+    functions = {
+        kind: None if fields[kind] is None else Reference.read(fields[kind], f"{where}.{kind}")
+        for kind in ("sense", "task", "context")
+    }
+    return RosterEdge(check_name(fields["lower"]), check_name(fields["upper"]), **functions)
+
+
+def _mapping(value: Value, keys: set[str], where: str) -> dict[str, Any]:
+    if not isinstance(value, dict) or set(value) != keys:
+        raise SchemaError(f"expected a map with the keys {', '.join(sorted(keys))}", where)
+    return value
