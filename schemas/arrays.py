@@ -32,8 +32,28 @@ ARRAY = 1
 
 ALIGNMENT = 16
 
-_DTYPES = {code: np.dtype(code) for code in (["|b1", "|i1", "|u1", "<i2", "<u2", "<i4", "<u4", "<i8", "<u8", "<f2", "<f4", "<f8", "<c8", "<c16"])}
+_CODES = ("|b1", "|i1", "|u1", "<i2", "<u2", "<i4", "<u4", "<i8", "<u8", "<f2", "<f4", "<f8", "<c8", "<c16")
+_DTYPES = {code: np.dtype(code) for code in _CODES}
+_BOOL = np.dtype(bool)
 _FIXED = struct.Struct("<BBH")
+
+
+def check_array(array: np.ndarray[Any, Any]) -> None:
+    """Refuse an array that cannot travel.
+
+    Raises:
+        SchemaError: its dtype (objects, strings, records, dates), mask, dimensions or size.
+    """
+    if _code(array) not in _DTYPES:
+        raise SchemaError(f"an array of dtype {array.dtype} cannot be sent; use a number or bool dtype")
+    if isinstance(array, np.ma.MaskedArray):
+        raise SchemaError("a masked array cannot be sent; send its data and its mask")
+    if array.ndim > MAX_ARRAY_NDIM:
+        raise SchemaError(f"an array has {array.ndim} dimensions; at most {MAX_ARRAY_NDIM} are allowed")
+    if array.nbytes > MAX_ARRAY_BYTES:
+        raise SchemaError(f"an array has {array.nbytes} bytes; at most {MAX_ARRAY_BYTES} are allowed")
+    if array.dtype == _BOOL and _is_bad_bool(np.ascontiguousarray(array)):
+        raise SchemaError("a bool array holds bytes other than 0 and 1; compare with != 0 instead of viewing")
 
 
 def array_head(array: np.ndarray[Any, Any], offset: int = 0) -> bytes:
@@ -44,16 +64,10 @@ def array_head(array: np.ndarray[Any, Any], offset: int = 0) -> bytes:
         offset: where in its message the data begins, in bytes; the padding counts from there.
 
     Raises:
-        SchemaError: the dtype cannot travel (objects, strings, records, dates).
+        SchemaError: see `check_array`.
     """
-    code = array.dtype.newbyteorder("<").str
-    if code not in _DTYPES:
-        raise SchemaError(f"an array of dtype {array.dtype} cannot be sent; use a number or bool dtype")
-    if array.ndim > MAX_ARRAY_NDIM:
-        raise SchemaError(f"an array has {array.ndim} dimensions; at most {MAX_ARRAY_NDIM} are allowed")
-    if array.nbytes > MAX_ARRAY_BYTES:
-        raise SchemaError(f"an array has {array.nbytes} bytes; at most {MAX_ARRAY_BYTES} are allowed")
-    name = code.encode("ascii")
+    check_array(array)
+    name = _code(array).encode("ascii")
     bare = _FIXED.size + len(name) + 8 * array.ndim
     padding = -(offset + bare) % ALIGNMENT
     shape = struct.pack(f"<{array.ndim}Q", *array.shape)
@@ -73,7 +87,7 @@ def encode_array(array: np.ndarray[Any, Any]) -> bytes:
 
 
 def decode_array(data: bytes | memoryview, where: str = "array") -> np.ndarray[Any, Any]:
-    """Read an array in place: no copy, read-only.
+    """Read an array in place: read-only, aligned, and no copy where the elements lie aligned.
 
     Args:
         data: the extension's data.
@@ -103,9 +117,19 @@ def decode_array(data: bytes | memoryview, where: str = "array") -> np.ndarray[A
         )
     try:
         array = np.frombuffer(data, dtype, offset=start, count=prod(shape)).reshape(shape)
-    except ValueError as error:  # a shape with a zero and numbers past what numpy counts
+    except (ValueError, OverflowError) as error:  # a shape with a zero and numbers past what numpy counts
         raise SchemaError(f"shape {shape} of {code} is no array: {error}", where) from error
-    if code == "|b1" and array.size and array.view(np.uint8).max() > 1:
+    if dtype == _BOOL and _is_bad_bool(array):
         raise SchemaError("a bool array holds bytes other than 0 and 1", where)
+    if not array.flags.aligned:  # a foreign sender's padding, or data that begins anywhere
+        array = array.copy()
     array.flags.writeable = False
     return array
+
+
+def _code(array: np.ndarray[Any, Any]) -> str:
+    return array.dtype.newbyteorder("<").str
+
+
+def _is_bad_bool(array: np.ndarray[Any, Any]) -> bool:
+    return bool(array.size) and int(array.view(np.uint8).max()) > 1

@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+from typing import Any
+
+SHOWN_CHARS = 40
+
 
 class SchemaError(ValueError):
     """Bytes or a value do not fit the wire format.
@@ -15,3 +19,12 @@ class SchemaError(ValueError):
         self.what = what
         self.where = where
         super().__init__(f"{where}: {what}" if where else what)
+
+
+def shown(value: Any) -> str:
+    """A value of foreign make for an error's text: short, whatever its size."""
+    if isinstance(value, (str, bytes)):
+        return repr(value[:SHOWN_CHARS]) + ("…" if len(value) > SHOWN_CHARS else "")
+    if value is None or isinstance(value, (bool, int, float)):
+        return repr(value)
+    return f"a {type(value).__name__}"

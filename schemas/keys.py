@@ -9,7 +9,7 @@ from __future__ import annotations
 import re
 from dataclasses import dataclass
 
-from hierax.schemas.errors import SchemaError
+from hierax.schemas.errors import SchemaError, shown
 from hierax.schemas.limits import MAX_NAME_CHARS
 
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.-]*")
@@ -23,7 +23,7 @@ def check_name(name: str, what: str = "name") -> str:
     """
     if not isinstance(name, str) or len(name) > MAX_NAME_CHARS or not _NAME.fullmatch(name):
         raise SchemaError(
-            f"{name!r} is no {what}: expected at most {MAX_NAME_CHARS} letters, digits, '_', '.' or '-', "
+            f"{shown(name)} is no {what}: expected at most {MAX_NAME_CHARS} letters, digits, '_', '.' or '-', "
             "beginning with a letter or a digit"
         )
     return name

@@ -11,6 +11,11 @@ MAX_ARRAY_BYTES = 256 * 1024 * 1024
 MAX_ARRAY_NDIM = 16
 MAX_DEPTH = 64
 MAX_ITEMS = 1 << 20
+"""Entries of one array or map."""
+
+MAX_CONTAINERS = 1 << 18
+"""Arrays and maps in one value: an empty map of one byte takes some ninety of memory."""
+
 MAX_NAME_CHARS = 128
 MAX_EXTENSIONS = 64
 

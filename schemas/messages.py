@@ -22,8 +22,8 @@ from typing import Any, NamedTuple
 import msgpack
 import numpy as np
 
-from hierax.schemas.arrays import ARRAY, array_elements, array_head, decode_array, encode_array
-from hierax.schemas.errors import SchemaError
+from hierax.schemas.arrays import ARRAY, array_elements, array_head, check_array, decode_array, encode_array
+from hierax.schemas.errors import SchemaError, shown
 from hierax.schemas.limits import (
     LARGE_ARRAY_BYTES,
     MAX_EXTENSIONS,
@@ -45,8 +45,31 @@ DIGEST_BYTES = 32
 NO_EXTENSIONS: Mapping[str, Value] = {}
 
 _KIND_CODES = {kind: code for code, kind in enumerate(KINDS)}
-_FIELDS = 12
-_FIXARRAY = bytes([0x90 | _FIELDS])
+_FIELDS = (
+    ("format", int),
+    ("kind", int),
+    ("sender", str),
+    ("receiver", str),
+    ("epoch", int),
+    ("attempt", int),
+    ("roster", int),
+    ("instance", int),
+    ("time_s", float),
+    ("digest", bytes),
+    ("extensions", dict),
+    ("payload", tuple),
+)
+_TYPE_NAMES = {
+    int: "a whole number",
+    str: "a string",
+    float: "a float",
+    bytes: "bytes",
+    dict: "a map",
+    tuple: "an array of elements",
+}
+_NAMES = tuple(name for name, _ in _FIELDS)
+_TYPES = tuple(kind for _, kind in _FIELDS)
+_FIXARRAY = bytes([0x90 | len(_FIELDS)])
 _ARRAY16 = struct.Struct(">BH")
 _EXT32 = struct.Struct(">BIb")
 _TAIL_BYTES = struct.Struct(">BI")
@@ -94,16 +117,7 @@ def encode_message(message: Message) -> bytes:
         SchemaError: the payload holds something that cannot travel.
     """
     head = message.header
-    large: list[np.ndarray[Any, Any]] = []
-
-    def default(value: Any) -> Any:
-        if not isinstance(value, np.ndarray):
-            return replace_numpy(value)
-        if value.nbytes < LARGE_ARRAY_BYTES:
-            return msgpack.ExtType(ARRAY, encode_array(value))
-        large.append(value)
-        return msgpack.ExtType(TAIL_ARRAY, _INDEX.pack(len(large) - 1))
-
+    tail = _Tail()
     fields = (
         FORMAT,
         _KIND_CODES[head.kind],
@@ -118,10 +132,10 @@ def encode_message(message: Message) -> bytes:
         head.extensions,
         message.payload,
     )
-    packed = pack(fields, default)
-    data = _with_tail(packed, large) if large else packed
+    packed = pack(fields, tail.default, "message", _NAMES)
+    data = _with_tail(packed, tail.arrays) if tail.arrays else packed
     if len(data) > MAX_MESSAGE_BYTES:
-        raise SchemaError(f"the message has {len(data)} bytes; at most {MAX_MESSAGE_BYTES} are allowed")
+        raise SchemaError(f"has {len(data)} bytes; at most {MAX_MESSAGE_BYTES} are allowed", "message")
     return data
 
 
@@ -132,16 +146,36 @@ def decode_message(data: bytes) -> Message:
         SchemaError: the bytes are not a message of this format.
     """
     if data[:1] == _FIXARRAY:
-        fields = unpack(data, _no_tail, "message")
+        fields = unpack(data, _no_tail, "message", _NAMES)
     elif data[:1] == b"\xdc":
         fields = _split_tail(data)
     else:
         raise SchemaError(f"does not begin like a message: {data[:4].hex() or 'empty'}", "message")
-    return Message(_header(fields), _payload(fields[-1]))
+    return Message(_header(fields), fields[-1])
+
+
+class _Tail:
+    """Takes the large arrays out of a payload while it is packed."""
+
+    def __init__(self) -> None:
+        self.arrays: list[np.ndarray[Any, Any]] = []
+        self._left = MAX_MESSAGE_BYTES
+
+    def default(self, value: Any) -> Any:
+        if not isinstance(value, np.ndarray):
+            return replace_numpy(value)
+        if value.nbytes < LARGE_ARRAY_BYTES:
+            return msgpack.ExtType(ARRAY, encode_array(value))
+        check_array(value)
+        self._left -= value.nbytes
+        if self._left < 0:
+            raise SchemaError(f"its arrays have more than the {MAX_MESSAGE_BYTES} bytes that are allowed")
+        self.arrays.append(value)
+        return msgpack.ExtType(TAIL_ARRAY, _INDEX.pack(len(self.arrays) - 1))
 
 
 def _with_tail(packed: bytes, large: list[np.ndarray[Any, Any]]) -> bytes:
-    parts: list[bytes | memoryview] = [_ARRAY16.pack(0xDC, _FIELDS + len(large) + 1), packed[1:]]
+    parts: list[bytes | memoryview] = [_ARRAY16.pack(0xDC, len(_FIELDS) + len(large) + 1), packed[1:]]
     start = offset = _ARRAY16.size + len(packed) - 1
     for array in large:
         head = array_head(array, offset + _EXT32.size)
@@ -155,7 +189,7 @@ def _with_tail(packed: bytes, large: list[np.ndarray[Any, Any]]) -> bytes:
 def _split_tail(data: bytes) -> tuple[Value, ...]:
     if len(data) < _ARRAY16.size + _TAIL_BYTES.size:
         raise SchemaError(f"{len(data)} bytes are too short", "message")
-    count = _ARRAY16.unpack_from(data)[1] - _FIELDS - 1
+    count = _ARRAY16.unpack_from(data)[1] - len(_FIELDS) - 1
     marker, tail_bytes = _TAIL_BYTES.unpack_from(data, len(data) - _TAIL_BYTES.size)
     start = len(data) - tail_bytes
     if marker != 0xCE or count < 1 or start < _ARRAY16.size or tail_bytes < _TAIL_BYTES.size:
@@ -168,11 +202,11 @@ def _split_tail(data: bytes) -> tuple[Value, ...]:
             return _no_tail(code, content)
         index = _INDEX.unpack(content)[0] if len(content) == _INDEX.size else count
         if index not in unused:
-            raise SchemaError(f"refers to array {content.hex()} behind the payload, which is not there or taken")
+            raise SchemaError(f"refers to array {content[:8].hex()} behind the payload, which is not there or taken")
         unused.remove(index)
         return arrays[index]
 
-    fields: tuple[Value, ...] = unpack(_FIXARRAY + data[_ARRAY16.size : start], resolve, "message")
+    fields: tuple[Value, ...] = unpack(_FIXARRAY + data[_ARRAY16.size : start], resolve, "message", _NAMES)
     if unused:
         raise SchemaError(f"nothing refers to {len(unused)} of the arrays behind the payload", "message")
     return fields
@@ -203,29 +237,29 @@ def _no_tail(code: int, data: bytes) -> Value:
 
 
 def _header(fields: Any) -> Header:
-    if type(fields) is not tuple or len(fields) != _FIELDS:
-        raise SchemaError(f"expected an array of {_FIELDS} fields", "message")
+    if type(fields) is not tuple or len(fields) != len(_FIELDS):
+        raise SchemaError(f"expected an array of {len(_FIELDS)} fields", "message")
+    if tuple(map(type, fields)) != _TYPES:
+        raise _wrong_type(fields)
     form, kind, sender, receiver, epoch, attempt, roster, instance, time_s, digest, extensions, _ = fields
-    if form != FORMAT or type(form) is not int:
-        raise SchemaError(f"format {form!r}; this version reads format {FORMAT}", "message.format")
-    if type(kind) is not int or not 0 <= kind < len(KINDS):
-        raise SchemaError(f"unknown kind {kind!r}; expected 0 to {len(KINDS) - 1}", "message.kind")
-    for name, text in (("sender", sender), ("receiver", receiver)):
-        if type(text) is not str or not 0 < len(text) <= MAX_NAME_CHARS:
-            raise SchemaError(f"expected a name of 1 to {MAX_NAME_CHARS} characters", f"message.{name}")
-    for name, number in (("epoch", epoch), ("attempt", attempt), ("roster", roster), ("instance", instance)):
-        if type(number) is not int or number < 0:
-            raise SchemaError(f"expected a whole number from 0, got {number!r:.40}", f"message.{name}")
-    if type(time_s) is not float:
-        raise SchemaError(f"expected seconds as a float, got {time_s!r:.40}", "message.time_s")
-    if type(digest) is not bytes or len(digest) not in (0, DIGEST_BYTES):
-        raise SchemaError(f"expected no or {DIGEST_BYTES} bytes", "message.digest")
-    if type(extensions) is not dict or len(extensions) > MAX_EXTENSIONS:
-        raise SchemaError(f"expected a map of at most {MAX_EXTENSIONS} entries", "message.extensions")
+    if form != FORMAT:
+        raise SchemaError(f"format {form}; this version reads format {FORMAT}", "message.format")
+    if not 0 <= kind < len(KINDS):
+        raise SchemaError(f"unknown kind {kind}; expected 0 to {len(KINDS) - 1}", "message.kind")
+    if not (0 < len(sender) <= MAX_NAME_CHARS and 0 < len(receiver) <= MAX_NAME_CHARS):
+        raise SchemaError(f"expected names of 1 to {MAX_NAME_CHARS} characters", "message.sender, message.receiver")
+    if min(epoch, attempt, roster, instance) < 0:
+        raise SchemaError("expected whole numbers from 0", "message.epoch, .attempt, .roster, .instance")
+    if len(digest) not in (0, DIGEST_BYTES):
+        raise SchemaError(f"expected no or {DIGEST_BYTES} bytes, got {len(digest)}", "message.digest")
+    if len(extensions) > MAX_EXTENSIONS:
+        raise SchemaError(f"expected at most {MAX_EXTENSIONS} entries, got {len(extensions)}", "message.extensions")
     return Header(KINDS[kind], sender, receiver, epoch, attempt, roster, instance, time_s, digest, extensions)
 
 
-def _payload(payload: Any) -> tuple[Value, ...]:
-    if type(payload) is not tuple:
-        raise SchemaError(f"expected an array of elements, got {type(payload).__name__}", "message.payload")
-    return payload
+def _wrong_type(fields: tuple[Value, ...]) -> SchemaError:
+    wrong = (
+        (name, kind, field) for (name, kind), field in zip(_FIELDS, fields, strict=True) if type(field) is not kind
+    )
+    name, kind, field = next(wrong)
+    return SchemaError(f"expected {_TYPE_NAMES[kind]}, got {shown(field)}", f"message.{name}")

@@ -11,7 +11,7 @@ from dataclasses import dataclass, field
 from hashlib import blake2b
 from typing import Any
 
-from hierax.schemas.errors import SchemaError
+from hierax.schemas.errors import SchemaError, shown
 from hierax.schemas.keys import check_name
 from hierax.schemas.messages import DIGEST_BYTES
 from hierax.schemas.values import Value, encode_value
@@ -43,10 +43,18 @@ class Reference:
         fields = _mapping(value, {"target", "parameters"}, where)
         target, parameters = fields["target"], fields["parameters"]
         if not isinstance(target, str) or target.count(":") != 1:
-            raise SchemaError(f"expected 'package.module:name', got {target!r}", f"{where}.target")
+            raise SchemaError(f"expected 'package.module:name', got {shown(target)}", f"{where}.target")
         if not isinstance(parameters, dict):
             raise SchemaError("expected a map", f"{where}.parameters")
         return Reference(target, parameters)
+
+
+@dataclass(frozen=True)
+class ProbeSpec:
+    """A probe of a node: no part of the roster, as the run does not depend on it."""
+
+    node: str
+    reference: Reference
 
 
 @dataclass(frozen=True)
@@ -116,14 +124,20 @@ class Roster:
         if not isinstance(fields["nodes"], dict):
             raise SchemaError("expected a map", "roster.nodes")
         nodes = {
-            check_name(name, "node's name"): Reference.read(node, f"roster.nodes.{name}")
+            _name(name, "roster.nodes"): Reference.read(node, f"roster.nodes.{name}")
             for name, node in fields["nodes"].items()
         }
         edges = tuple(_read_edge(edge, f"roster.edges[{index}]") for index, edge in enumerate(fields["edges"]))
-        version, instances = fields["version"], fields["instances"]
-        if not isinstance(version, int) or not isinstance(instances, dict):
-            raise SchemaError("expected a whole number and a map", "roster.version, roster.instances")
-        return Roster(check_name(fields["world"], "node's name"), nodes, edges, version, instances)
+        instances = fields["instances"]
+        if not isinstance(instances, dict):
+            raise SchemaError("expected a map", "roster.instances")
+        return Roster(
+            _name(fields["world"], "roster.world"),
+            nodes,
+            edges,
+            _whole(fields["version"], "roster.version"),
+            {_name(name, "roster.instances"): _whole(n, f"roster.instances.{name}") for name, n in instances.items()},
+        )
 
 
 def _plain_edge(edge: RosterEdge) -> Value:
@@ -141,7 +155,20 @@ def _read_edge(value: Value, where: str) -> RosterEdge:
         kind: None if fields[kind] is None else Reference.read(fields[kind], f"{where}.{kind}")
         for kind in ("sense", "task", "context")
     }
-    return RosterEdge(check_name(fields["lower"]), check_name(fields["upper"]), **functions)
+    return RosterEdge(_name(fields["lower"], f"{where}.lower"), _name(fields["upper"], f"{where}.upper"), **functions)
+
+
+def _name(value: Value, where: str) -> str:
+    try:
+        return check_name(value, "node's name")
+    except SchemaError as error:
+        raise SchemaError(error.what, where) from error
+
+
+def _whole(value: Value, where: str) -> int:
+    if type(value) is not int or value < 0:
+        raise SchemaError(f"expected a whole number from 0, got {shown(value)}", where)
+    return value
 
 
 def _mapping(value: Value, keys: set[str], where: str) -> dict[str, Any]:

@@ -9,6 +9,8 @@ from __future__ import annotations
 import inspect
 from collections.abc import Awaitable, Callable, Mapping
 from dataclasses import dataclass
+from functools import partial
+from math import isfinite
 from typing import Any
 
 from hierax.runtime.core.errors import HierarchyError, OperatorError
@@ -34,6 +36,7 @@ class Setting:
 
 
 TAKES = {
+    "initial_belief": (),
     "observe": ("observations", "belief"),
     "select_policy": ("tasks",),
     "predict": ("context", "actions", "belief"),
@@ -95,17 +98,41 @@ class Call:
         raise OperatorError(self.subject, self.operator, epoch, what)
 
 
+class Policies(dict[str, Call]):
+    """Π as calls, by name.
+
+    Π may be infinite, one policy for each task: those that the node's mapping knows but
+    does not list are bound when they are asked for, and not kept.
+    """
+
+    def __init__(self, policies: Mapping[str, Operator], bind: Callable[[Operator, str], Call]) -> None:
+        super().__init__({name: bind(function, f"policy {name}") for name, function in policies.items()})
+        self._policies = policies
+        self._bind = bind
+
+    def __contains__(self, name: object) -> bool:
+        """Whether the node has such a policy."""
+        return super().__contains__(name) or name in self._policies
+
+    def __missing__(self, name: str) -> Call:
+        """One that is not listed."""
+        return self._bind(self._policies[name], f"policy {name}")
+
+
 class BoundNode:
     """A node with a name, its neighbours and the run's seed: all that its operators need.
 
     Raises:
-        HierarchyError: an operator has a signature that cannot be called, or
-            λ(∅) ≠ π⁰, or π⁰ is none of the policies.
+        HierarchyError: it is no node, an operator has a signature that cannot be
+            called, a policy's name is no string, π⁰ is none of the policies, or
+            λ(∅) ≠ π⁰.
     """
 
-    __slots__ = ("above", "below", "name", "node", "observe", "policies", "predict", "select_policy")
+    __slots__ = ("above", "below", "initial_belief", "name", "node", "observe", "policies", "predict", "select_policy")
 
     def __init__(self, name: str, node: Node, below: tuple[str, ...], above: tuple[str, ...], setting: Setting) -> None:
+        if not isinstance(node, Node):
+            raise HierarchyError(f"{name}: expected an object whose class derives from Node, got {node!r:.60}")
         self.name = name
         self.node = node
         self.below = below
@@ -114,23 +141,25 @@ class BoundNode:
         def bound(function: Operator, operator: str, takes: str = "") -> Call:
             return Call(function, name, operator, setting, below=below, above=above, takes=takes)
 
+        self.initial_belief = bound(node.initial_belief, "initial_belief")
         self.observe = bound(node.observe, "observe")
         self.select_policy = bound(node.select_policy, "select_policy")
         self.predict = bound(node.predict, "predict")
-        self.policies: Mapping[str, Call] = {
-            policy: bound(function, f"policy {policy}", "policy") for policy, function in node.policies().items()
-        }
+        self.policies = Policies(node.policies(), partial(bound, takes="policy"))
         self._check_initial_policy()
 
     def choose(self, epoch: int, time_s: float, tasks: Elements) -> str:
         """λ, its result checked."""
         policy = self.select_policy(epoch, time_s, tasks)
-        if policy not in self.policies:
+        if not isinstance(policy, str) or policy not in self.policies:
             known = ", ".join(sorted(self.policies))
-            raise OperatorError(self.name, "select_policy", epoch, f"{policy!r} is none of the policies {known}")
-        return str(policy)
+            raise OperatorError(self.name, "select_policy", epoch, f"{policy!r:.60} is none of the policies {known}")
+        return str.__str__(policy)  # the characters also of a str-Enum's member
 
     def _check_initial_policy(self) -> None:
+        nameless = [policy for policy in self.policies if not isinstance(policy, str)]
+        if nameless:
+            raise HierarchyError(f"{self.name}: a policy's name must be a string, not {nameless[0]!r:.60}")
         initial = self.node.initial_policy
         if initial not in self.policies:
             raise HierarchyError(
@@ -141,6 +170,21 @@ class BoundNode:
             raise HierarchyError(
                 f"{self.name}: of no tasks, select_policy must give the initial policy {initial!r}, not {chosen!r}"
             )
+
+
+def epoch_time_s(name: str, world: World, belief: Value, epoch: int) -> float:
+    """The time of an epoch, as the world sets it, checked.
+
+    Raises:
+        OperatorError: the world's `time_s` raised, or gave no finite number.
+    """
+    try:
+        time_s = float(world.time_s(belief, epoch))
+    except Exception as error:
+        raise OperatorError(name, "time_s", epoch, f"{type(error).__name__}: {error}") from error
+    if not isfinite(time_s):
+        raise OperatorError(name, "time_s", epoch, f"expected seconds, got {time_s}")
+    return time_s
 
 
 def require_world(name: str, node: Node) -> World:

@@ -6,6 +6,8 @@ from collections.abc import Iterable, Sequence
 from graphlib import CycleError, TopologicalSorter
 
 from hierax.runtime.core.errors import HierarchyError
+from hierax.schemas.errors import SchemaError
+from hierax.schemas.keys import check_name
 
 Pair = tuple[str, str]
 """An edge by the names of its lower and upper node."""
@@ -20,11 +22,12 @@ def check_graph(world: str, names: Iterable[str], pairs: Sequence[Pair]) -> None
         pairs: (lower, upper) of all edges.
 
     Raises:
-        HierarchyError: with the reason and the names: an unknown node, an edge from a
-            node to itself, a doubled edge, something below the world, a cycle, a
-            second source, a node that cannot be reached from the world.
+        HierarchyError: with the reason and the names: a name that cannot stand in a key
+            or file name, an unknown node, an edge from a node to itself, a doubled
+            edge, something below the world, a cycle, a second source, a node that
+            cannot be reached from the world.
     """
-    known = sorted(names)
+    known = _checked_names(names)
     _check_world(world, known)
     _check_edges(known, pairs)
     below_world = sorted(lower for lower, upper in pairs if upper == world)
@@ -53,6 +56,13 @@ def topological_order(names: Iterable[str], pairs: Iterable[Pair]) -> tuple[str,
         order += ready
         sorter.done(*ready)
     return tuple(order)
+
+
+def _checked_names(names: Iterable[str]) -> list[str]:
+    try:
+        return sorted(check_name(name, "node's name") for name in names)
+    except SchemaError as error:
+        raise HierarchyError(str(error)) from error
 
 
 def _check_world(world: str, known: Sequence[str]) -> None:

@@ -75,7 +75,7 @@ class Hierarchy:
     nodes: Mapping[str, Node]
     world: str
     edges: Sequence[Edge]
-    setting: Setting = Setting()
+    setting: Setting = field(default_factory=Setting)
     bound: Mapping[str, BoundNode] = field(init=False, repr=False)
     bound_edges: Mapping[Pair, BoundEdge] = field(init=False, repr=False)
     order: tuple[str, ...] = field(init=False, repr=False)

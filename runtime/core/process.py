@@ -10,7 +10,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from types import MappingProxyType
 
-from hierax.runtime.core.binding import Call
+from hierax.runtime.core.binding import Call, epoch_time_s
 from hierax.runtime.core.hierarchy import Hierarchy
 from hierax.runtime.core.node import Elements, Value
 
@@ -40,10 +40,14 @@ class ActiveHierarchy:
 
     @staticmethod
     def initial(hierarchy: Hierarchy) -> ActiveHierarchy:
-        """Every node with s⁰, π⁰ and no actions."""
+        """Every node with s⁰, π⁰ and no actions.
+
+        Raises:
+            OperatorError: an `initial_belief` raised.
+        """
         states = {
-            name: ActiveNode(node.initial_belief(), node.initial_policy)
-            for name, node in sorted(hierarchy.nodes.items())
+            name: ActiveNode(bound.initial_belief(0, 0.0), bound.node.initial_policy)
+            for name, bound in hierarchy.bound.items()
         }
         return ActiveHierarchy(hierarchy, MappingProxyType(states))
 
@@ -106,7 +110,8 @@ def update(
     _check_order(hierarchy, sensing)
     _check_order(hierarchy, tuple(reversed(prediction)))
     epoch = active.epoch + 1
-    time_s = hierarchy.world_node.time_s(active.states[hierarchy.world].belief, epoch)
+    world = active.states[hierarchy.world]
+    time_s = epoch_time_s(hierarchy.world, hierarchy.world_node, world.belief, epoch)
     for name in sensing:
         active = sensing_update(active, name, epoch, time_s)
     for name in prediction:

@@ -1,1 +1,6 @@
-"""deployment"""
+"""Deployment files: reading them, and what they say. `read` has the reader; it alone needs pydantic."""
+
+from hierax.runtime.deployment.deployment import Deployment
+from hierax.runtime.deployment.errors import DeploymentError
+
+__all__ = ["Deployment", "DeploymentError"]

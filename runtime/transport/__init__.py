@@ -1,1 +1,1 @@
-"""transport"""
+"""Transports: they carry messages along edges and know nothing of epochs."""

@@ -1,0 +1,195 @@
+"""The photographs of a cube in Debian's package visp-images-data, as a BOP scene; and how well it was tracked.
+
+    python benchmarks/visp_cube.py OUT_DIR [--every N] [--images DIR]
+    hierax launch deploy/tracking.yaml --set scene=OUT_DIR/test/000001 --set output=poses.csv
+    python benchmarks/visp_cube.py --score poses.csv
+
+The package is under the GPL: nothing of it is part of hierax; what is written to OUT_DIR
+is. The cube slides on a table before a still camera. So its bottom centre stays in one
+plane and its up axis keeps its direction: the score is how far the poses are from that.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from hierax.nodes.tracking.bop import read_results
+from hierax.nodes.tracking.errors import DataError
+from hierax.nodes.tracking.geometry import Array, Floats, exp_so3, make_pose, transform
+from hierax.nodes.tracking.models import Mesh, write_ply
+
+PACKAGE_FOLDER = Path("/usr/share/visp-images-data/ViSP-images/mbt")
+FRAMES = 218
+
+# From a bundle adjustment over the sequence (residual 0.37 px); the calibration in the package is off.
+INTRINSICS = (525.80, 525.79, 313.06, 223.59)
+RADIAL = 0.104
+FIRST_TRANSLATION_M = (0.045578, 0.119824, 0.498405)
+FIRST_ROTATION = (2.072485, 1.158159, -0.520008)
+
+# The corners 0 to 3 of the model are the face that lies on the table.
+BOTTOM_CENTRE_M = (-0.042, 0.042, 0.0)
+
+
+def read_cao(path: Path) -> Mesh:
+    """Vertices and faces of a CAO model that consists of faces from points.
+
+    Raises:
+        DataError: the file is missing or is not laid out so.
+    """
+    try:
+        text = path.read_text(encoding="utf-8", errors="replace")
+    except OSError as error:
+        raise DataError(f"{path}: cannot be read: {error.strerror}; is visp-images-data installed?") from error
+    rows = [line.split("#")[0].split() for line in text.splitlines()]
+    rows = [row for row in rows if row]
+    try:
+        count = int(rows[1][0])
+        vertices = np.array([[float(part) for part in row] for row in rows[2 : 2 + count]]).reshape(-1, 3)
+        at = 2 + count
+        lines, line_faces, faces = (int(rows[at + step][0]) for step in range(3))
+        if lines or line_faces:
+            raise ValueError("lines")
+        polygons = [[int(part) for part in row] for row in rows[at + 3 : at + 3 + faces]]
+        quads = [row[1:] for row in polygons if len(row) == row[0] + 1]
+        triangles = [(face[0], face[at], face[at + 1]) for face in quads for at in range(1, len(face) - 1)]
+    except (IndexError, ValueError) as error:
+        raise DataError(f"{path}: expected points, no lines, and faces from points") from error
+    return Mesh(vertices, outward(vertices, np.array(triangles, dtype=np.int32)))
+
+
+def outward(vertices: Floats, faces: Array) -> Array:
+    """The triangles of a convex body, each turned to be counter-clockwise seen from outside."""
+    corners = vertices[faces]
+    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    inward = np.sum(normals * (corners.mean(axis=1) - vertices.mean(axis=0)), axis=1) < 0
+    return np.where(inward[:, None], faces[:, ::-1], faces)
+
+
+def camera_matrix() -> Floats:
+    """The 3 × 3 matrix of the camera."""
+    fx, fy, cx, cy = INTRINSICS
+    return np.array([[fx, 0.0, cx], [0.0, fy, cy], [0.0, 0.0, 1.0]])
+
+
+def first_pose() -> Floats:
+    """camera_from_object in the first frame."""
+    return make_pose(exp_so3(np.array(FIRST_ROTATION)), np.array(FIRST_TRANSLATION_M))
+
+
+def convert(images: Path, out: Path, every: int) -> int:
+    """Write the BOP dataset; how many frames it has.
+
+    Args:
+        images: the package's folder ``mbt``.
+        out: the dataset's folder; its scene is ``test/000001``.
+        every: take every n-th photograph.
+    """
+    mesh = read_cao(images / "cube.cao")
+    scene = out / "test" / "000001"
+    models = out / "models"
+    (scene / "gray").mkdir(parents=True, exist_ok=True)
+    models.mkdir(parents=True, exist_ok=True)
+    for old in (scene / "gray").glob("*.png"):
+        old.unlink()
+    write_ply(models / "obj_000001.ply", mesh)
+    write_json(models / "models_info.json", {"1": model_info(mesh)})
+    cameras = {}
+    for number in range(0, FRAMES, every):
+        source = images / "cube" / f"image{number:04d}.pgm"
+        image = cv2.imread(str(source), cv2.IMREAD_GRAYSCALE)
+        if image is None:
+            raise DataError(f"{source}: missing or damaged; is visp-images-data installed?")
+        straight = cv2.undistort(image, camera_matrix(), np.array([RADIAL, 0.0, 0.0, 0.0]))
+        cv2.imwrite(str(scene / "gray" / f"{number:06d}.png"), straight)
+        cameras[str(number)] = {"cam_K": camera_matrix().ravel().tolist(), "depth_scale": 1.0}
+    write_json(scene / "scene_camera.json", cameras)
+    pose = first_pose()
+    truth = {
+        "cam_R_m2c": pose[:3, :3].ravel().tolist(),
+        "cam_t_m2c": (pose[:3, 3] * 1000.0).tolist(),
+        "obj_id": 1,
+    }
+    write_json(scene / "scene_gt.json", {"0": [truth]})
+    return len(cameras)
+
+
+def model_info(mesh: Mesh) -> dict[str, float]:
+    """An entry of ``models_info.json``, millimetres."""
+    corners = mesh.vertices * 1000.0
+    low, size = corners.min(axis=0), np.ptp(corners, axis=0)
+    spread = np.linalg.norm(corners[:, None] - corners[None], axis=-1)
+    info = {"diameter": float(spread.max())}
+    info.update({f"min_{axis}": float(part) for axis, part in zip("xyz", low, strict=True)})
+    info.update({f"size_{axis}": float(part) for axis, part in zip("xyz", size, strict=True)})
+    return info
+
+
+def write_json(path: Path, content: object) -> None:
+    """Write a JSON file."""
+    path.write_text(json.dumps(content, indent=1) + "\n")
+
+
+def planarity(poses: Floats) -> tuple[float, float]:
+    """How far a sliding cube's poses are from sliding.
+
+    Args:
+        poses: (n, 4, 4) camera_from_object.
+
+    Returns:
+        The bottom centre's distance from its best plane (mm rms), the up axis's angle to
+        its mean direction (degrees rms).
+    """
+    centres = np.array([transform(pose, np.array(BOTTOM_CENTRE_M)) for pose in poses])
+    around = centres - centres.mean(axis=0)
+    normal = np.linalg.svd(around)[2][-1]
+    residual = float(np.sqrt(np.mean((around @ normal) ** 2)))
+    ups = poses[:, :3, 2]
+    mean = ups.mean(axis=0)
+    cosine = np.clip(ups @ (mean / np.linalg.norm(mean)), -1.0, 1.0)
+    tilt = float(np.sqrt(np.mean(np.arccos(cosine) ** 2)))
+    return residual * 1000.0, float(np.degrees(tilt))
+
+
+def score(path: Path, frames: int) -> None:
+    """Print how many frames a results file reports and how planar the motion in it is."""
+    results = read_results(path)
+    reported = len({result.im_id for result in results})
+    print(f"frames reported     {reported} of {frames} ({100.0 * reported / frames:.1f} %)")
+    if reported < 4:
+        raise DataError(f"{path}: {reported} frames are too few for a plane")
+    residual, tilt = planarity(np.array([result.pose for result in results]))
+    print(f"plane residual      {residual:.3f} mm rms")
+    print(f"tilt of the up axis {tilt:.3f} degrees rms")
+
+
+def main() -> int:
+    """The command line."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("out", nargs="?", type=Path, metavar="OUT_DIR", help="folder of the BOP dataset to write")
+    parser.add_argument("--every", type=int, default=1, metavar="N", help="take every N-th photograph")
+    parser.add_argument("--images", type=Path, default=PACKAGE_FOLDER, metavar="DIR", help="the folder 'mbt'")
+    parser.add_argument("--score", type=Path, metavar="CSV", help="score this results file")
+    arguments = parser.parse_args()
+    if (arguments.out is None) == (arguments.score is None) or arguments.every < 1:
+        parser.error("give either OUT_DIR or --score, and an N of at least 1")
+    try:
+        if arguments.score is not None:
+            score(arguments.score, len(range(0, FRAMES, arguments.every)))
+        else:
+            count = convert(arguments.images, arguments.out, arguments.every)
+            print(f"{count} frames in {arguments.out / 'test' / '000001'}")
+    except DataError as error:
+        print(f"error: {error}", file=sys.stderr)
+        return 1
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,224 @@
+"""Letters under a word: perceptual context by belief propagation (example 1 of arXiv 1801.02270).
+
+The paper embeds Pearl's belief propagation (Pearl 1988, chapter 4) in a cognitive
+hierarchy: a belief holds diagnostic parts, which come from below, and causal support,
+which comes from above. It is built here so that one Update is exact for any likelihoods:
+slots are keyed by the child's name, a missing part is uniform, and the context for a
+letter leaves out what that letter said itself.
+
+A belief is ``{"diagnostic": …, "causal": …, "posterior": …}``, each part by hypothesis
+and of sum 1; the posterior follows from the other two and is kept to be read.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+from hierax.nodes.letters.messages import Weights, product, uniform, weights
+from hierax.nodes.letters.words import check_words, letters_at, letters_given_word, words_given_letter
+from hierax.runtime import NO_TICK, Elements, Node, Tick, Value, World
+
+UNKNOWN = "?"
+"""In a string of letters, the one of which the sign tells nothing."""
+
+
+class SymbolWorld(World):
+    """N₀: a row of signs, given by what each of them tells of its letter.
+
+    Belief: ``{"likelihoods": ({letter: p, …}, …)}``, p(sign | letter) by place, up to a factor.
+
+    Args:
+        words: the vocabulary; place i has the letters that the words have there, in their order.
+        likelihoods: for each place, one number per letter.
+        letters: signs by name instead, such as ``C?T``: a letter is seen without doubt, ``?`` tells nothing.
+
+    Raises:
+        ValueError: they do not fit the words.
+    """
+
+    def __init__(
+        self, words: Sequence[str], likelihoods: Sequence[Sequence[float]], letters: str | None = None
+    ) -> None:
+        self._words = check_words(words)
+        if letters is not None:
+            likelihoods = self._likelihoods_of(letters)
+        if len(likelihoods) != len(self._words[0]):
+            raise ValueError(f"likelihoods: expected {len(self._words[0])} lists, got {len(likelihoods)}")
+        self._likelihoods = tuple(
+            weights(letters_at(self._words, place), values, f"likelihoods: letter {place}")
+            for place, values in enumerate(likelihoods, start=1)
+        )
+
+    def initial_belief(self) -> Value:
+        """What the signs tell; it stays."""
+        return {"likelihoods": self._likelihoods}
+
+    def _likelihoods_of(self, letters: str) -> list[list[float]]:
+        if not isinstance(letters, str) or len(letters) != len(self._words[0]):
+            raise ValueError(f"letters: expected {len(self._words[0])} letters, got {letters!r}")
+        result = []
+        for place, sign in enumerate(letters, start=1):
+            known = letters_at(self._words, place)
+            if sign != UNKNOWN and sign not in known:
+                raise ValueError(f"letters: expected one of {', '.join(known)} or {UNKNOWN} at {place}, got {sign!r}")
+            result.append([float(sign in (name, UNKNOWN)) for name in known])
+        return result
+
+
+def symbol_seen(belief: Value, letter: int) -> Elements:
+    """φ from the world to a letter node: the likelihoods of the sign at a place (from 1)."""
+    return (belief["likelihoods"][letter - 1],)
+
+
+class LetterNode(Node):
+    """N₁, N₂, N₃: which letter a sign is.
+
+    ``diagnostic`` is p(sign | letter), ``causal`` what the word expects there; both are
+    uniform until something is known.
+
+    Args:
+        words: the vocabulary.
+        letter: the place, from 1.
+    """
+
+    def __init__(self, words: Sequence[str], letter: int) -> None:
+        self.names = letters_at(words, letter)
+
+    def initial_belief(self) -> Value:
+        """No evidence, no expectation."""
+        return self._belief(uniform(self.names), uniform(self.names))
+
+    def observe(self, observations: Elements, belief: Value) -> Value:
+        """τ: the sign's likelihoods take the diagnostic part's place; without any it stays.
+
+        Args:
+            observations: each a likelihood by letter, all of the same sign, independent.
+            belief: as above.
+
+        Raises:
+            ImpossibleEvidenceError: they leave no letter.
+        """
+        if not observations:
+            return belief
+        diagnostic = product(self.names, (self.likelihood(seen) for seen in observations), "the sign")
+        return self._belief(diagnostic, belief["causal"])
+
+    def likelihood(self, observation: Value) -> Weights:
+        """p(observation | letter) by letter, up to a factor: here the observation itself.
+
+        Raises:
+            ValueError: it is not about this node's letters.
+        """
+        if not isinstance(observation, Mapping) or set(observation) != set(self.names):
+            raise ValueError(f"expected the likelihoods of {', '.join(self.names)}, got {observation!r}")
+        return observation
+
+    def predict(self, context: Elements, actions: Elements, belief: Value) -> Value:
+        """γ: the context takes the causal support's place; without any it stays.
+
+        Raises:
+            ImpossibleEvidenceError: the context leaves nothing of what was seen.
+        """
+        if not context:
+            return belief
+        return self._belief(belief["diagnostic"], product(self.names, context, "the context"))
+
+    def metrics(self, belief: Value) -> Mapping[str, float]:
+        """The posterior, by letter."""
+        return dict(belief["posterior"])
+
+    def _belief(self, diagnostic: Weights, causal: Weights) -> Value:
+        posterior = product(self.names, (diagnostic, causal), "the sign in its context")
+        return {"diagnostic": diagnostic, "causal": causal, "posterior": posterior}
+
+
+class WordNode(Node):
+    """N₄: which word the letters are.
+
+    ``diagnostic`` has a part for each letter node, by its name; ``causal`` is the prior.
+
+    Args:
+        words: the vocabulary.
+        priors: one number of 0 or more for each word, up to a factor; by default all equal.
+
+    Raises:
+        ValueError: these are no words or no priors.
+    """
+
+    def __init__(self, words: Sequence[str], priors: Sequence[float] | None = None) -> None:
+        self.names = check_words(words)
+        self._priors = uniform(self.names) if priors is None else weights(self.names, priors, "priors")
+
+    def initial_belief(self) -> Value:
+        """No evidence: the posterior is the prior."""
+        return self._belief({})
+
+    def observe(self, observations: Elements, belief: Value) -> Value:
+        """τ: what a letter node reports takes the place of its part; the others stay.
+
+        Args:
+            observations: ``{"from": node, "likelihood": {word: p, …}}`` each.
+            belief: as above.
+
+        Raises:
+            ImpossibleEvidenceError: the letters leave no word that has a prior.
+        """
+        reported = {seen["from"]: seen["likelihood"] for seen in observations}
+        return self._belief({**belief["diagnostic"], **reported})
+
+    def metrics(self, belief: Value) -> Mapping[str, float]:
+        """The posterior, by word."""
+        return dict(belief["posterior"])
+
+    def _belief(self, diagnostic: Mapping[str, Weights]) -> Value:
+        what = f"{', '.join(diagnostic)} together" if diagnostic else "the prior"
+        posterior = product(self.names, (*diagnostic.values(), self._priors), what)
+        return {"diagnostic": diagnostic, "causal": self._priors, "posterior": posterior}
+
+
+class LetterEvidence:
+    """φ from a letter node to the word: η·M·L, its diagnostic part as one over the words.
+
+    Args:
+        words: the vocabulary.
+        letter: the place, from 1.
+    """
+
+    def __init__(self, words: Sequence[str], letter: int) -> None:
+        letters_at(words, letter)
+        self._words = check_words(words)
+        self._letter = letter
+
+    def __call__(self, belief: Value, tick: Tick = NO_TICK) -> Elements:
+        """One observation, signed with the letter node's name."""
+        likelihood = words_given_letter(self._words, self._letter, belief["diagnostic"])
+        return ({"from": _lower_name(tick), "likelihood": likelihood},)
+
+
+class WordSupport:
+    """ϱ from the word to a letter node: η·(c ∘ all parts but the letter's own)·M.
+
+    Args:
+        words: the vocabulary.
+        letter: the place, from 1.
+    """
+
+    def __init__(self, words: Sequence[str], letter: int) -> None:
+        letters_at(words, letter)
+        self._words = check_words(words)
+        self._letter = letter
+
+    def __call__(self, belief: Value, tick: Tick = NO_TICK) -> Elements:
+        """One context element: what the rest of the word expects at the place, by letter.
+
+        Raises:
+            ImpossibleEvidenceError: the other letters leave no word.
+        """
+        own = _lower_name(tick)
+        others = [part for name, part in belief["diagnostic"].items() if name != own]
+        expected = product(self._words, (*others, belief["causal"]), f"all letters but {own}")
+        return (letters_given_word(self._words, self._letter, expected),)
+
+
+def _lower_name(tick: Tick) -> str:
+    return tick.below[0] if tick.below else ""

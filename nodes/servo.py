@@ -1,0 +1,187 @@
+"""Visual servoing: a camera follows a sliding object (example 2 of arXiv 1801.02270).
+
+An object slides from rest down a frictionless plane of 60°: x(t) = ½kt². A camera node
+filters what it sees of it and moves the camera there; a node above knows how things
+slide and predicts where the object will be. That prediction is the context.
+
+All positions are in metres along the plane, from where the object starts.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping
+
+from hierax.runtime import NO_TICK, Elements, Node, Tick, Value, World
+from hierax.runtime.core.node import Policy, do_nothing
+
+ACCELERATION = 8.49
+"""k, in m/s²: g · sin 60°."""
+
+STEP_S = 0.05
+"""δt: how much time an epoch takes, in seconds."""
+
+NOISE = 0.1
+"""Standard deviation of the camera's measurement, in metres."""
+
+GAIN = 0.25
+"""How much of a measurement the camera node believes; of its expectation it believes the rest."""
+
+HOLD = "hold"
+MOVE = "move"
+
+
+def position_at(time_s: float) -> float:
+    """x(t) = ½kt², in metres."""
+    return 0.5 * ACCELERATION * time_s**2
+
+
+class CameraPolicies(Mapping[str, Policy]):
+    """Π₀: ``hold``, and for every position x the policy ``move x``, whose action is {x}."""
+
+    def __getitem__(self, name: str) -> Policy:
+        if name == HOLD:
+            return do_nothing
+        order, _, target = name.partition(" ")
+        if order != MOVE:
+            raise KeyError(name)
+        try:
+            command = (float(target),)
+        except ValueError:
+            raise KeyError(name) from None
+        return lambda belief: command
+
+    def __iter__(self) -> Iterator[str]:
+        return iter((HOLD,))
+
+    def __len__(self) -> int:
+        return 1
+
+
+class SlidingWorld(World):
+    """N₀: the object on the plane, and the camera.
+
+    Belief: ``epochs`` that have passed (the time is δt times that), ``camera``: the
+    position last commanded, and sums over the epochs: ``error_sum`` of the errors
+    |x(t) - camera|, in metres, ``square_sum`` of their squares. The error of an epoch is
+    between the object at the time of that epoch's observation and the position that is
+    commanded in the same epoch.
+    """
+
+    initial_policy = HOLD
+
+    def initial_belief(self) -> Value:
+        """Object and camera at 0, at time 0."""
+        return {"epochs": 0, "camera": 0.0, "error_sum": 0.0, "square_sum": 0.0}
+
+    def select_policy(self, tasks: Elements) -> str:
+        """λ: of a task {x}, to move there; the name has x to the bit."""
+        return f"{MOVE} {float(tasks[0])!r}" if tasks else HOLD
+
+    def policies(self) -> Mapping[str, Policy]:
+        """Π: leave the camera, or move it, wherever to."""
+        return CameraPolicies()
+
+    def predict(self, context: Elements, actions: Elements, belief: Value) -> Value:
+        """γ: the camera moves to where it is told, the error is read, δt passes.
+
+        Args:
+            context: not used.
+            actions: the commanded position, in metres; of none, the camera stays.
+            belief: as above.
+        """
+        camera = actions[0] if actions else belief["camera"]
+        error = abs(position_at(self.time_s(belief, 0)) - camera)
+        return {
+            "epochs": belief["epochs"] + 1,
+            "camera": camera,
+            "error_sum": belief["error_sum"] + error,
+            "square_sum": belief["square_sum"] + error**2,
+        }
+
+    def time_s(self, belief: Value, epoch: int) -> float:
+        """t, in seconds; 0 in the first epoch."""
+        return float(belief["epochs"] * STEP_S)
+
+    def metrics(self, belief: Value) -> Mapping[str, float]:
+        """Mean and root mean square of the error over all epochs, in metres; none before the first."""
+        epochs = belief["epochs"]
+        if not epochs:
+            return {}
+        return {
+            "tracking_error_mean": belief["error_sum"] / epochs,
+            "tracking_error_rms": math.sqrt(belief["square_sum"] / epochs),
+        }
+
+
+class CameraNode(Node):
+    """N₁: where the object is in the camera's eyes. Belief: ``position`` x, in metres."""
+
+    def initial_belief(self) -> Value:
+        """x = 0."""
+        return {"position": 0.0}
+
+    def observe(self, observations: Elements, belief: Value) -> Value:
+        """τ₁({x}, y) = 0.75y + 0.25x; of no observation, y."""
+        if not observations:
+            return belief
+        return {"position": (1.0 - GAIN) * belief["position"] + GAIN * observations[0]}
+
+    def policies(self) -> Mapping[str, Policy]:
+        """π₁(x) = {x}: move the camera to the object."""
+        return {self.initial_policy: position}
+
+    def predict(self, context: Elements, actions: Elements, belief: Value) -> Value:
+        """γ₁: of a context {x}, that x; without one, the commanded action."""
+        return {"position": context[0] if context else actions[0]}
+
+
+class MotionNode(Node):
+    """N₂: how the object moves. Belief: ``position`` x in metres, ``velocity`` v in m/s."""
+
+    def initial_belief(self) -> Value:
+        """⟨0, 0⟩: at rest."""
+        return {"position": 0.0, "velocity": 0.0}
+
+    def observe(self, observations: Elements, belief: Value) -> Value:
+        """τ₂({x}, ⟨y, v⟩) = ⟨x, v⟩; of no observation, ⟨y, v⟩."""
+        if not observations:
+            return belief
+        return {**belief, "position": observations[0]}
+
+    def predict(self, context: Elements, actions: Elements, belief: Value) -> Value:
+        """γ₂ = ⟨x + vδt + ½kδt², v + kδt⟩."""
+        x, v = belief["position"], belief["velocity"]
+        return {"position": x + v * STEP_S + position_at(STEP_S), "velocity": v + ACCELERATION * STEP_S}
+
+
+class MeasuredPosition:
+    """φ from the world to N₁: {½kt² + ν}.
+
+    Args:
+        noise: the standard deviation of ν, which is normal, in metres.
+
+    Raises:
+        ValueError: it is no number of 0 or more.
+    """
+
+    def __init__(self, noise: float = NOISE) -> None:
+        is_number = isinstance(noise, (int, float)) and math.isfinite(noise)
+        if not is_number or noise < 0:
+            raise ValueError(f"noise: expected a number of metres, at least 0, got {noise!r}")
+        self._noise = float(noise)
+
+    def __call__(self, belief: Value, tick: Tick = NO_TICK) -> Elements:
+        """One observation, in metres; its noise is keyed by the run's seed and the epoch."""
+        true = position_at(belief["epochs"] * STEP_S)
+        return (true + self._noise * float(tick.rng.standard_normal()),)
+
+
+def position(belief: Value) -> Elements:
+    """φ₁₂, ϱ₂₁ and π₁: the belief's position, {x}."""
+    return (belief["position"],)
+
+
+def camera_task(actions: Elements) -> Elements:
+    """ψ₁₀: the commanded positions are the world's task."""
+    return actions

@@ -1,0 +1,292 @@
+"""Scene folders and results files of the BOP benchmark (https://bop.felk.cvut.cz).
+
+A scene is ``DATASET/SPLIT/000001`` with ``scene_camera.json``, ``scene_gt.json`` and
+``rgb/`` or ``gray/``; its models are ``DATASET/models/obj_000001.ply`` and
+``models_info.json``. Lengths in the files are millimetres, here metres. Of
+``scene_gt.json`` nothing but the first frame is ever read.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from types import TracebackType
+from typing import Any, NamedTuple
+
+import cv2
+import numpy as np
+
+from hierax.nodes.tracking.errors import DataError
+from hierax.nodes.tracking.geometry import Array, Floats, invert, make_pose, orthonormal
+from hierax.nodes.tracking.models import BOP_UNIT_M, Mesh, read_ply
+
+cv2.setNumThreads(1)
+
+RESULTS_HEADER = "scene_id,im_id,obj_id,score,R,t,time"
+
+_IMAGE_FOLDERS = ("rgb", "gray")
+_IMAGE_SUFFIXES = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".pgm", ".ppm", ".bmp")
+_ROTATION_TOLERANCE = 1e-2
+
+
+class Frame(NamedTuple):
+    """One image of a scene.
+
+    Attributes:
+        im_id: its number in the scene.
+        image: the file.
+        intrinsics: (4,) fx, fy, cx, cy in pixels.
+        camera: world_from_camera; the identity where the scene gives no camera pose.
+    """
+
+    im_id: int
+    image: Path
+    intrinsics: Floats
+    camera: Floats
+
+
+class SceneObject(NamedTuple):
+    """An object of the first frame.
+
+    Attributes:
+        id: label in this scene, from 1 in the file's order.
+        obj_id: number of its model.
+        pose: camera_from_object in the first frame.
+    """
+
+    id: int
+    obj_id: int
+    pose: Floats
+
+
+class BopScene:
+    """A scene folder. Reading the constructor's files checks them; images and models are read when asked for.
+
+    Args:
+        folder: ``DATASET/SPLIT/000001``.
+
+    Raises:
+        DataError: a file is missing or damaged; it is named.
+    """
+
+    def __init__(self, folder: str | Path) -> None:
+        self.folder = Path(folder)
+        if not self.folder.is_dir():
+            raise DataError(f"{self.folder}: no such folder; expected a BOP scene, DATASET/SPLIT/000001")
+        self.scene_id = int(self.folder.name) if self.folder.name.isdigit() else 0
+        self.frames = self._read_frames()
+
+    def first_objects(self) -> tuple[SceneObject, ...]:
+        """The objects of the first frame with their true poses there: the only truth that tracking starts from.
+
+        Raises:
+            DataError: ``scene_gt.json`` is missing or damaged.
+        """
+        path = self.folder / "scene_gt.json"
+        first = str(self.frames[0].im_id)
+        entries = _read_json(path).get(first)
+        if not isinstance(entries, list) or not entries:
+            raise DataError(f"{path}: frame {first}: expected a list of objects for the first frame")
+        return tuple(_scene_object(path, first, at, entry) for at, entry in enumerate(entries))
+
+    def model(self, obj_id: int) -> Mesh:
+        """The mesh of a model, in metres.
+
+        Raises:
+            DataError: the model or ``models_info.json`` is missing or damaged.
+        """
+        folder = self.folder.parent.parent / "models"
+        info = folder / "models_info.json"
+        if str(obj_id) not in _read_json(info):
+            raise DataError(f"{info}: no entry {str(obj_id)!r} for the object of that number")
+        return read_ply(folder / f"obj_{obj_id:06d}.ply", BOP_UNIT_M)
+
+    def _read_frames(self) -> tuple[Frame, ...]:
+        path = self.folder / "scene_camera.json"
+        cameras = _read_json(path)
+        if not cameras:
+            raise DataError(f"{path}: no frames")
+        wrong = [key for key in cameras if not key.isdigit()]
+        if wrong:
+            raise DataError(f"{path}: {wrong[0]!r} is no frame number")
+        images = _image_files(self.folder)
+        frames = []
+        for key in sorted(cameras, key=int):
+            im_id = int(key)
+            if im_id not in images:
+                raise DataError(
+                    f"{self.folder}: no image for frame {im_id}; expected rgb/{im_id:06d}.png or gray/{im_id:06d}.png "
+                    f"({', '.join(suffix[1:] for suffix in _IMAGE_SUFFIXES)})"
+                )
+            frames.append(_frame(path, key, cameras[key], images[im_id]))
+        return tuple(frames)
+
+
+def read_image(path: Path) -> Array:
+    """An image as uint8, (h, w) gray or (h, w, 3) RGB.
+
+    Raises:
+        DataError: the file is missing, damaged, or has other than 8 bits.
+    """
+    if not path.is_file():
+        raise DataError(f"{path}: no such file; expected an image")
+    image = cv2.imread(str(path), cv2.IMREAD_UNCHANGED)
+    if image is None:
+        raise DataError(f"{path}: cannot be decoded; expected an image")
+    if image.dtype != np.uint8 or image.ndim > 3:
+        raise DataError(f"{path}: {image.dtype} pixels; expected 8 bits")
+    if image.ndim == 2:
+        return image
+    return np.ascontiguousarray(image[:, :, 2::-1]) if image.shape[2] >= 3 else np.ascontiguousarray(image[:, :, 0])
+
+
+class ResultsFile:
+    """Writes a BOP results file: ``scene_id,im_id,obj_id,score,R,t,time``, one pose a line, after that header.
+
+    R is nine numbers, row by row, and t three in millimetres, separated by spaces; time is
+    the image's in seconds, -1 where it is not known. Lines are on disk when `write`
+    returns. An object that is lost has no line in that frame.
+
+    Args:
+        path: the file; its folder is created.
+        scene_id: the scene's number.
+    """
+
+    def __init__(self, path: str | Path, scene_id: int) -> None:
+        self.path = Path(path)
+        self._scene_id = scene_id
+        try:
+            self.path.parent.mkdir(parents=True, exist_ok=True)
+            self._file = self.path.open("w", encoding="ascii", newline="\n")
+        except OSError as error:
+            raise DataError(f"{self.path}: cannot be written: {error.strerror}") from error
+        self._file.write(RESULTS_HEADER + "\n")
+
+    def write(self, im_id: int, objects: Sequence[Mapping[str, Any]], time_s: float = -1.0) -> None:
+        """One image's poses.
+
+        Args:
+            im_id: the image's number.
+            objects: with "obj_id", "pose" (camera_from_object, metres), "score" and "status".
+            time_s: how long the image took.
+        """
+        for item in objects:
+            if item["status"] == "lost":
+                continue
+            pose = item["pose"]
+            rotation = " ".join(repr(float(part)) for part in pose[:3, :3].ravel())
+            translation = " ".join(repr(float(part) / BOP_UNIT_M) for part in pose[:3, 3])
+            head = f"{self._scene_id},{im_id},{item['obj_id']},{float(item['score'])!r}"
+            self._file.write(f"{head},{rotation},{translation},{time_s!r}\n")
+        self._file.flush()
+
+    def close(self) -> None:
+        """End the file."""
+        self._file.close()
+
+    def __enter__(self) -> ResultsFile:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+
+class Result(NamedTuple):
+    """One line of a results file; the pose is camera_from_object in metres."""
+
+    scene_id: int
+    im_id: int
+    obj_id: int
+    score: float
+    pose: Floats
+    time_s: float
+
+
+def read_results(path: str | Path) -> list[Result]:
+    """The lines of a BOP results file, in the file's order.
+
+    Raises:
+        DataError: it is missing or a line is damaged.
+    """
+    path = Path(path)
+    try:
+        lines = path.read_text(encoding="ascii", errors="replace").splitlines()
+    except OSError as error:
+        raise DataError(f"{path}: cannot be read: {error.strerror}; expected a BOP results file") from error
+    rows = []
+    for number, line in enumerate(lines, start=1):
+        if (number == 1 and line == RESULTS_HEADER) or not line.strip():
+            continue
+        fields = line.split(",")
+        try:
+            scene_id, im_id, obj_id = (int(part) for part in fields[:3])
+            score, time_s = float(fields[3]), float(fields[6])
+            rotation = np.array(fields[4].split(), dtype=np.float64).reshape(3, 3)
+            translation = np.array(fields[5].split(), dtype=np.float64).reshape(3) * BOP_UNIT_M
+        except (ValueError, IndexError) as error:
+            raise DataError(f"{path}, line {number}: expected {RESULTS_HEADER}") from error
+        rows.append(Result(scene_id, im_id, obj_id, score, make_pose(rotation, translation), time_s))
+    return rows
+
+
+def _read_json(path: Path) -> dict[str, Any]:
+    try:
+        content = json.loads(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise DataError(f"{path}: cannot be read: {error.strerror}") from error
+    except UnicodeDecodeError as error:
+        raise DataError(f"{path}: not a text file; expected JSON") from error
+    except json.JSONDecodeError as error:
+        raise DataError(f"{path}, line {error.lineno}, column {error.colno}: {error.msg}; expected JSON") from error
+    if not isinstance(content, dict):
+        raise DataError(f"{path}: expected a JSON object with an entry for each number")
+    return content
+
+
+def _image_files(folder: Path) -> dict[int, Path]:
+    for name in _IMAGE_FOLDERS:
+        if not (folder / name).is_dir():
+            continue
+        found = sorted(path for path in (folder / name).iterdir() if path.suffix.lower() in _IMAGE_SUFFIXES)
+        return {int(path.stem): path for path in reversed(found) if path.stem.isdigit()}
+    raise DataError(f"{folder}: neither rgb/ nor gray/; expected a folder of images")
+
+
+def _frame(path: Path, key: str, entry: Any, image: Path) -> Frame:
+    where = f"{path}: frame {key}"
+    matrix = _numbers(where, entry, "cam_K", 9).reshape(3, 3)
+    if matrix[0, 0] <= 0 or matrix[1, 1] <= 0 or abs(matrix[0, 1]) > 1e-6 * matrix[0, 0]:
+        raise DataError(f"{where}: cam_K: expected positive focal lengths and no skew")
+    intrinsics = np.array([matrix[0, 0], matrix[1, 1], matrix[0, 2], matrix[1, 2]])
+    camera = np.eye(4)
+    if "cam_R_w2c" in entry or "cam_t_w2c" in entry:
+        camera = invert(_pose(where, entry, "cam_R_w2c", "cam_t_w2c"))
+    return Frame(int(key), image, intrinsics, camera)
+
+
+def _scene_object(path: Path, frame: str, at: int, entry: Any) -> SceneObject:
+    where = f"{path}: frame {frame}, object {at}"
+    obj_id = entry.get("obj_id") if isinstance(entry, dict) else None
+    if not isinstance(obj_id, int) or obj_id < 0:
+        raise DataError(f"{where}: obj_id: expected the number of a model")
+    return SceneObject(at + 1, obj_id, _pose(where, entry, "cam_R_m2c", "cam_t_m2c"))
+
+
+def _pose(where: str, entry: Any, rotation_key: str, translation_key: str) -> Floats:
+    rotation = _numbers(where, entry, rotation_key, 9).reshape(3, 3)
+    translation = _numbers(where, entry, translation_key, 3) * BOP_UNIT_M
+    off = float(np.abs(rotation @ rotation.T - np.eye(3)).max())
+    if off > _ROTATION_TOLERANCE or np.linalg.det(rotation) < 0:
+        raise DataError(f"{where}: {rotation_key}: expected a rotation matrix, row by row")
+    return orthonormal(make_pose(rotation, translation))
+
+
+def _numbers(where: str, entry: Any, key: str, count: int) -> Floats:
+    values = entry.get(key) if isinstance(entry, dict) else None
+    plain = isinstance(values, list) and all(type(value) in (int, float) for value in values)
+    if not plain or len(values) != count or not np.all(np.isfinite(values)):
+        raise DataError(f"{where}: {key}: expected {count} numbers")
+    return np.array(values, dtype=np.float64)

@@ -1,0 +1,66 @@
+"""N₀ over a BOP scene folder: recorded images, one an epoch."""
+
+from __future__ import annotations
+
+from functools import lru_cache
+
+from hierax.nodes.tracking.bop import BopScene, read_image
+from hierax.runtime import NO_TICK, Elements, Tick, Value, World
+
+
+class BopWorld(World):
+    """Shows the frames of a scene in order; nothing acts on it.
+
+    The belief is {"scene": the folder, "index": which frame is seen next}.
+
+    Args:
+        scene: ``DATASET/SPLIT/000001``.
+        fps: frames per second; an epoch's time is its frame's place divided by it.
+
+    Raises:
+        DataError: a file of the scene is missing or damaged.
+        ValueError: `fps` is not positive.
+    """
+
+    def __init__(self, scene: str, fps: float = 30.0) -> None:
+        if not fps > 0:
+            raise ValueError(f"fps must be positive, got {fps}")
+        self._scene = str(scene)
+        self._fps = float(fps)
+        self._count = len(_scene(self._scene).frames)
+
+    def initial_belief(self) -> Value:
+        """The first frame is yet to be seen."""
+        return {"scene": self._scene, "index": 0}
+
+    def predict(self, context: Elements, actions: Elements, belief: Value, tick: Tick = NO_TICK) -> Value:
+        """Time passes: the next frame; after the last one it stays."""
+        return {**belief, "index": min(belief["index"] + 1, self._count)}
+
+    def time_s(self, belief: Value, epoch: int) -> float:
+        """The frame's place over the frames per second."""
+        return float(belief["index"]) / self._fps
+
+    def finished(self, belief: Value) -> bool:
+        """Whether all frames have been seen."""
+        return bool(belief["index"] >= self._count)
+
+
+def frame_seen(belief: Value) -> Elements:
+    """φ of a `BopWorld`: the frame and what its camera is known to be.
+
+    Returns:
+        One element {"image": uint8 (h, w) or (h, w, 3) RGB; "camera": world_from_camera;
+        "intrinsics": (4,) fx, fy, cx, cy; "frame": im_id}; none after the last frame.
+    """
+    frames = _scene(belief["scene"]).frames
+    if belief["index"] >= len(frames):
+        return ()
+    frame = frames[belief["index"]]
+    image = read_image(frame.image)
+    return ({"image": image, "camera": frame.camera, "intrinsics": frame.intrinsics, "frame": frame.im_id},)
+
+
+@lru_cache(maxsize=4)
+def _scene(folder: str) -> BopScene:
+    return BopScene(folder)

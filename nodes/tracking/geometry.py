@@ -1,0 +1,166 @@
+"""Rigid poses and the pinhole camera.
+
+A pose ``a_from_b`` is a 4 × 4 float64 matrix that takes homogeneous coordinates in frame
+b to coordinates in frame a. A twist is (translation, rotation): metres, then radians. An
+uncertainty of a pose is the 6 × 6 covariance of the twist ξ in ``pose @ exp_se3(ξ)``: it
+stands in the *object's* frame, so it is the same for a pose in the camera's frame and in
+the world's. Cameras are OpenCV's: x right, y down, z forward, pixel centres at integers.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+Floats = NDArray[np.float64]
+Array = NDArray[Any]
+
+_SMALL_ANGLE = 1e-5
+
+
+def make_pose(rotation: Array, translation: Array) -> Floats:
+    """A pose from a 3 × 3 rotation matrix and a translation (3,) in metres."""
+    pose = np.eye(4)
+    pose[:3, :3] = rotation
+    pose[:3, 3] = translation
+    return pose
+
+
+def invert(pose: Floats) -> Floats:
+    """``b_from_a`` of ``a_from_b``."""
+    rotation = pose[:3, :3].T
+    return make_pose(rotation, -rotation @ pose[:3, 3])
+
+
+def transform(pose: Floats, points: Floats) -> Floats:
+    """Points (..., 3) of frame b in frame a."""
+    moved: Floats = points @ pose[:3, :3].T + pose[:3, 3]
+    return moved
+
+
+def hat(vector: Array) -> Floats:
+    """The skew-symmetric matrix of a cross product: ``hat(a) @ b = a × b``."""
+    x, y, z = (float(part) for part in vector)
+    return np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+
+
+def exp_so3(rotation: Array) -> Floats:
+    """The rotation matrix of a rotation vector (axis times angle, radians)."""
+    first, second, _ = _series(float(np.linalg.norm(rotation)))
+    cross = hat(rotation)
+    return np.eye(3) + first * cross + second * cross @ cross
+
+
+def log_so3(rotation: Array) -> Floats:
+    """The rotation vector (angle in [0, π]) of a rotation matrix."""
+    quaternion = quaternion_of(rotation)
+    vector = quaternion[:3]
+    length = float(np.linalg.norm(vector))
+    angle = 2.0 * np.arctan2(length, quaternion[3])
+    scale = 2.0 if length < 1e-12 else angle / length
+    result: Floats = scale * vector
+    return result
+
+
+def exp_se3(twist: Array) -> Floats:
+    """The rigid motion of a twist (6,): translation part, then rotation part."""
+    rotation = np.asarray(twist[3:], dtype=np.float64)
+    first, second, third = _series(float(np.linalg.norm(rotation)))
+    cross = hat(rotation)
+    square = cross @ cross
+    left = np.eye(3) + second * cross + third * square
+    return make_pose(np.eye(3) + first * cross + second * square, left @ twist[:3])
+
+
+def log_se3(pose: Floats) -> Floats:
+    """The twist (6,) of a rigid motion: inverse of `exp_se3` for angles below π."""
+    rotation = log_so3(pose[:3, :3])
+    _, second, third = _series(float(np.linalg.norm(rotation)))
+    cross = hat(rotation)
+    left = np.eye(3) + second * cross + third * cross @ cross
+    return np.concatenate((np.linalg.solve(left, pose[:3, 3]), rotation))
+
+
+def adjoint(pose: Floats) -> Floats:
+    """The 6 × 6 matrix that takes a twist of frame b to frame a: ``a_from_b exp(ξ) = exp(Ad ξ) a_from_b``."""
+    rotation = pose[:3, :3]
+    result = np.zeros((6, 6))
+    result[:3, :3] = rotation
+    result[3:, 3:] = rotation
+    result[:3, 3:] = hat(pose[:3, 3]) @ rotation
+    return result
+
+
+def orthonormal(pose: Floats) -> Floats:
+    """The same pose with its rotation made exactly orthonormal (nearest in the least-squares sense)."""
+    left, _, right = np.linalg.svd(pose[:3, :3])
+    sign = np.diag([1.0, 1.0, np.sign(np.linalg.det(left @ right))])
+    return make_pose(left @ sign @ right, pose[:3, 3])
+
+
+def quaternion_of(rotation: Array) -> Floats:
+    """The unit quaternion (x, y, z, w), w ≥ 0, of a rotation matrix."""
+    r = np.asarray(rotation, dtype=np.float64)
+    # Each row is the quaternion times four times one of its parts; the largest part is the safe one.
+    rows = np.array(
+        [
+            [1 + r[0, 0] - r[1, 1] - r[2, 2], r[0, 1] + r[1, 0], r[0, 2] + r[2, 0], r[2, 1] - r[1, 2]],
+            [r[0, 1] + r[1, 0], 1 - r[0, 0] + r[1, 1] - r[2, 2], r[1, 2] + r[2, 1], r[0, 2] - r[2, 0]],
+            [r[0, 2] + r[2, 0], r[1, 2] + r[2, 1], 1 - r[0, 0] - r[1, 1] + r[2, 2], r[1, 0] - r[0, 1]],
+            [r[2, 1] - r[1, 2], r[0, 2] - r[2, 0], r[1, 0] - r[0, 1], 1 + r[0, 0] + r[1, 1] + r[2, 2]],
+        ]
+    )
+    row = rows[int(np.argmax(np.diag(rows)))]
+    quaternion: Floats = row / np.linalg.norm(row)
+    return -quaternion if quaternion[3] < 0 else quaternion
+
+
+def rotation_of(quaternion: Array) -> Floats:
+    """The rotation matrix of a quaternion (x, y, z, w), which is normalised first."""
+    x, y, z, w = (float(part) for part in np.asarray(quaternion) / np.linalg.norm(quaternion))
+    return np.array(
+        [
+            [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
+            [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
+            [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
+        ]
+    )
+
+
+def pose_error(first: Floats, second: Floats) -> tuple[float, float]:
+    """How far two poses of one frame are apart: metres between the origins, radians between the axes."""
+    distance = float(np.linalg.norm(first[:3, 3] - second[:3, 3]))
+    angle = float(np.linalg.norm(log_so3(first[:3, :3].T @ second[:3, :3])))
+    return distance, angle
+
+
+def project(points: Floats, intrinsics: Array) -> Floats:
+    """Pixels (..., 2) of points (..., 3) in the camera's frame, z > 0.
+
+    Args:
+        points: metres.
+        intrinsics: (4,) fx, fy, cx, cy in pixels.
+    """
+    fx, fy, cx, cy = (float(part) for part in intrinsics)
+    inverse = 1.0 / points[..., 2]
+    return np.stack((fx * points[..., 0] * inverse + cx, fy * points[..., 1] * inverse + cy), axis=-1)
+
+
+def rays(pixels: Array, intrinsics: Array) -> Floats:
+    """Directions (..., 3) with z = 1 through pixels (..., 2): times the depth they are points in the camera's frame."""
+    fx, fy, cx, cy = (float(part) for part in intrinsics)
+    pixels = np.asarray(pixels, dtype=np.float64)
+    x = (pixels[..., 0] - cx) / fx
+    return np.stack((x, (pixels[..., 1] - cy) / fy, np.ones_like(x)), axis=-1)
+
+
+def _series(angle: float) -> tuple[float, float, float]:
+    """sin θ/θ, (1 − cos θ)/θ², (θ − sin θ)/θ³."""
+    square = angle * angle
+    if angle < _SMALL_ANGLE:
+        return 1.0 - square / 6.0, 0.5 - square / 24.0, 1.0 / 6.0 - square / 120.0
+    sine = float(np.sin(angle))
+    half = float(np.sin(0.5 * angle))
+    return sine / angle, 2.0 * half * half / square, (angle - sine) / (square * angle)

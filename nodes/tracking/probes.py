@@ -1,0 +1,234 @@
+"""What a tracking run leaves behind: poses as BOP results files, and pictures to look at."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from hierax.nodes.tracking.bop import ResultsFile, read_image
+from hierax.nodes.tracking.errors import DataError
+from hierax.nodes.tracking.geometry import Array, Floats, invert, project, transform
+from hierax.runtime import Probe, Step, Value
+
+cv2.setNumThreads(1)
+
+POSES_FILE = "poses.csv"
+TRUTH_FILE = "truth.csv"
+PICTURES_FOLDER = "pictures"
+CONTACT_SHEET = "contact-sheet.png"
+
+EXPECTED = (235, 60, 50)
+CORRECTED = (60, 235, 80)
+"""RGB of edges where they were expected, and where the arm's correction puts them."""
+
+_STATUSES = ("tracked", "expected", "lost")
+_NEAREST_M = 0.02
+_SHIFT = 4
+_SHEET_COLUMNS = 3
+_SHEET_PICTURES = 9
+_SHEET_WIDTH_PX = 480
+
+
+class BopResults(Probe):
+    """The arm's corrected poses as BOP results files, written through at every epoch.
+
+    They go to `file` and, where the run has an output folder, to ``poses.csv`` in it.
+
+    Args:
+        file: path, relative to the folder that the run was started in; None for none.
+        scene: the scene's folder, whose name is the scene's number; None gives number 0.
+    """
+
+    def __init__(self, file: str | None = None, scene: str | None = None) -> None:
+        self._file = file
+        self._scene_id = scene_number(scene)
+        self._results: list[ResultsFile] = []
+
+    def open(self, output: Path | None) -> None:
+        """Begin the files.
+
+        Raises:
+            DataError: one cannot be written.
+        """
+        paths = [Path(self._file)] if self._file is not None else []
+        paths += [output / POSES_FILE] if output is not None else []
+        self._results = [ResultsFile(path, self._scene_id) for path in paths]
+
+    def record(self, step: Step) -> None:
+        """One frame's poses, as the arm has them after its observation."""
+        belief = step.sensed
+        if belief["frame"] is None:
+            return
+        for results in self._results:
+            results.write(belief["frame"], belief["objects"])
+
+    def close(self) -> None:
+        """End the files."""
+        for results in self._results:
+            results.close()
+        self._results = []
+
+
+class Truth(Probe):
+    """The simulated world's true poses, seen by its camera, as a BOP results file ``truth.csv`` in the output folder.
+
+    Of a scene folder's world nothing is written: it knows no truth.
+    """
+
+    def __init__(self) -> None:
+        self._results: ResultsFile | None = None
+        self._output: Path | None = None
+
+    def open(self, output: Path | None) -> None:
+        """Remember the folder; the file begins with the first true pose."""
+        self._output = output
+
+    def record(self, step: Step) -> None:
+        """One frame's true poses."""
+        belief = step.sensed
+        if self._output is None or "bodies" not in belief:
+            return
+        if self._results is None:
+            self._results = ResultsFile(self._output / TRUTH_FILE, 0)
+        camera_from_world = invert(belief["camera"])
+        objects = [
+            {"obj_id": body["obj_id"], "pose": camera_from_world @ body["pose"], "score": 1.0, "status": "true"}
+            for body in belief["bodies"]
+        ]
+        self._results.write(belief["frame"], objects)
+
+    def close(self) -> None:
+        """End the file."""
+        if self._results is not None:
+            self._results.close()
+        self._results = None
+
+
+class Pictures(Probe):
+    """Draws the arm's edges over the camera's images, into ``pictures/`` in the output folder.
+
+    Red are the edges where they were expected, before the image was seen; green where the
+    correction puts them; objects that are not tracked have no green. The first frame,
+    every `every`-th and the last one are written, and a contact sheet of them at the end.
+
+    Args:
+        every: from one picture to the next, in frames.
+
+    Raises:
+        ValueError: `every` is below 1.
+    """
+
+    def __init__(self, every: int = 10) -> None:
+        if every < 1:
+            raise ValueError(f"every is {every}; expected at least 1 frame")
+        self._every = every
+        self._folder: Path | None = None
+        self._written: list[Path] = []
+        self._expected: Value = None
+        self._last: tuple[int, Array, Value, Value] | None = None
+
+    def open(self, output: Path | None) -> None:
+        """Make the folder; without an output folder nothing is drawn."""
+        self._written = []
+        self._folder = None if output is None else output / PICTURES_FOLDER
+        if self._folder is not None:
+            self._folder.mkdir(exist_ok=True)
+
+    def record(self, step: Step) -> None:
+        """Draw the frame, if it is one to be drawn."""
+        if self._folder is None or not step.observations:
+            return
+        shown = (step.sensed["frame"], step.observations[0]["image"], self._expected, step.sensed)
+        due = (step.epoch - 1) % self._every == 0
+        self._expected = step.belief
+        self._last = None if due else shown
+        if due:
+            self._write(*shown)
+
+    def close(self) -> None:
+        """Draw the last frame and the contact sheet."""
+        if self._folder is None:
+            return
+        if self._last is not None:
+            self._write(*self._last)
+        self._last = None
+        if self._written:
+            write_picture(self._folder / CONTACT_SHEET, contact_sheet(self._written))
+
+    def _write(self, frame: int, image: Array, expected: Value, corrected: Value) -> None:
+        assert self._folder is not None
+        path = self._folder / f"frame-{frame:06d}.png"
+        write_picture(path, overlay(image, expected, corrected))
+        self._written.append(path)
+
+
+def overlay(image: Array, expected: Value, corrected: Value) -> Array:
+    """An image with the edges of an arm's beliefs over it.
+
+    Args:
+        image: uint8, (h, w) gray or (h, w, 3) RGB.
+        expected: the arm's belief as predicted, before the image; None for none.
+        corrected: its belief after the image.
+
+    Returns:
+        uint8 RGB (h, w, 3).
+    """
+    picture: Array = cv2.cvtColor(image, cv2.COLOR_GRAY2RGB) if image.ndim == 2 else np.array(image)
+    camera, intrinsics = corrected["camera"], corrected["intrinsics"]
+    before = () if expected is None or expected["camera"] is None else expected["objects"]
+    for item in before:
+        moved = invert(camera) @ expected["camera"] @ item["pose"]
+        _draw_edges(picture, item["edges"], moved, intrinsics, EXPECTED)
+    for item in corrected["objects"]:
+        if item["status"] == "tracked":
+            _draw_edges(picture, item["edges"], item["pose"], intrinsics, CORRECTED)
+    counts = {status: sum(item["status"] == status for item in corrected["objects"]) for status in _STATUSES}
+    text = "  ".join(f"{count} {status}" for status, count in counts.items() if count)
+    _write_text(picture, f"frame {corrected['frame']}   {text}", (8, picture.shape[0] - 10))
+    return picture
+
+
+def contact_sheet(pictures: Sequence[Path]) -> Array:
+    """Up to nine of the pictures, evenly chosen, the first and the last among them, side by side and smaller."""
+    count = min(_SHEET_PICTURES, len(pictures))
+    chosen = [pictures[round(at)] for at in np.linspace(0, len(pictures) - 1, count)]
+    tiles = []
+    for path in chosen:
+        picture = read_image(path)
+        height = round(picture.shape[0] * _SHEET_WIDTH_PX / picture.shape[1])
+        tiles.append(cv2.resize(picture, (_SHEET_WIDTH_PX, height), interpolation=cv2.INTER_AREA))
+    tiles += [np.zeros_like(tiles[0])] * (-count % min(_SHEET_COLUMNS, count))
+    columns = min(_SHEET_COLUMNS, count)
+    rows = [np.hstack(tiles[start : start + columns]) for start in range(0, len(tiles), columns)]
+    return np.vstack(rows)
+
+
+def write_picture(path: Path, picture: Array) -> None:
+    """Write an RGB picture as PNG.
+
+    Raises:
+        DataError: it cannot be written.
+    """
+    if not cv2.imwrite(str(path), np.ascontiguousarray(picture[..., ::-1])):
+        raise DataError(f"{path}: cannot be written")
+
+
+def _draw_edges(picture: Array, edges: Floats, pose: Floats, intrinsics: Array, colour: tuple[int, int, int]) -> None:
+    points = transform(pose, np.asarray(edges))
+    ahead = points[points[..., 2].min(axis=1) > _NEAREST_M] if len(points) else points
+    pixels = np.rint(np.clip(project(ahead, intrinsics), -4096, 8192) * (1 << _SHIFT)).astype(np.int32)
+    cv2.polylines(picture, list(pixels), False, colour, 1, cv2.LINE_AA, _SHIFT)
+
+
+def _write_text(picture: Array, text: str, at: tuple[int, int]) -> None:
+    for colour, thickness in (((0, 0, 0), 3), ((255, 255, 255), 1)):
+        cv2.putText(picture, text, at, cv2.FONT_HERSHEY_SIMPLEX, 0.5, colour, thickness, cv2.LINE_AA)
+
+
+def scene_number(scene: str | None) -> int:
+    """A BOP scene's number: its folder's name, where that is one; else 0."""
+    name = Path(scene).name if scene is not None else ""
+    return int(name) if name.isdigit() else 0

@@ -1,0 +1,175 @@
+"""The spatial node: a physics simulator as mental imagery (example 3 of the paper)."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from hierax.nodes.tracking.geometry import Array, Floats, exp_so3, invert, exp_se3, log_se3, log_so3, make_pose
+from hierax.nodes.tracking.physics import Motion, Simulator, Solid
+from hierax.runtime import NO_TICK, Elements, Node, Tick, Value
+
+Body = dict[str, Any]
+
+DENSITY_KG_M3 = 500.0
+DEFAULT_INTERVAL_S = 1.0 / 30.0
+UNSEEN = np.diag([0.01**2] * 3 + [0.1**2] * 3)
+"""The covariance of a body's pose before the first observation (m², rad²)."""
+
+
+class SpatialNode(Node):
+    """Knows where bodies are in the world, how they move, and what physics lets them do next.
+
+    τ moves the bodies to the poses that the arm corrected and learns their velocities
+    from how far these are from the predicted ones (an alpha-beta filter with alpha = 1).
+    γ lets one frame interval pass: over a table, with gravity and contacts (bodies that
+    interpenetrate are pushed apart, things settle); without one, at constant velocity.
+
+    The belief: ``camera`` (world_from_camera, 4x4; None before the first observation),
+    ``intrinsics`` [fx, fy, cx, cy], ``size`` (w, h), ``frame``, ``time_s`` and
+    ``interval_s`` of the last observation, and ``bodies``, a tuple of ``id``,
+    ``obj_id``, ``pose`` (world_from_object, 4x4), ``velocity`` (6,: m/s of the object's
+    origin and rad/s, world frame), ``covariance`` (6, 6; m, rad, object frame),
+    ``status``, ``model`` (``vertices`` (n, 3) m, ``faces`` (m, 3)) and ``mass`` (kg).
+
+    Args:
+        objects: the bodies to begin with: each with ``id``, ``obj_id``, ``pose`` and ``model``.
+        table: whether the plane z = 0 of the world carries them, z pointing up.
+        velocity_gain: beta, the part of a surprise per interval that goes into the velocity, 0 to 1.
+        damping: how fast a body without a table slows down, 1/s.
+        max_sigmas: how far physics may move a tracked body from where it goes by itself,
+            in standard deviations of the arm's pose.
+        friction: of the bodies.
+    """
+
+    def __init__(
+        self,
+        objects: Sequence[Mapping[str, Any]],
+        table: bool = False,
+        velocity_gain: float = 0.4,
+        damping: float = 0.1,
+        max_sigmas: float = 3.0,
+        friction: float = 0.5,
+    ) -> None:
+        if not 0.0 <= velocity_gain <= 1.0:
+            raise ValueError(f"velocity_gain is {velocity_gain}; expected a number from 0 to 1")
+        for name, number in (("damping", damping), ("max_sigmas", max_sigmas), ("friction", friction)):
+            if number < 0.0:
+                raise ValueError(f"{name} is {number}; expected a number not below 0")
+        self._bodies = tuple(_body(item) for item in objects)
+        self._table = table
+        self._velocity_gain = velocity_gain
+        self._damping = damping
+        self._max_sigmas = max_sigmas
+        self._simulator = Simulator()
+        self._solids = {
+            body["id"]: Solid(body["model"]["vertices"], body["mass"], friction) for body in self._bodies
+        }
+
+    def initial_belief(self) -> Value:
+        """The bodies at their first poses, at rest; no camera yet."""
+        return {
+            "camera": None,
+            "intrinsics": None,
+            "size": None,
+            "frame": None,
+            "time_s": None,
+            "interval_s": DEFAULT_INTERVAL_S,
+            "bodies": self._bodies,
+        }
+
+    def observe(self, observations: Elements, belief: Value, tick: Tick = NO_TICK) -> Value:
+        """τ: the bodies where the arm saw them, the camera where it was."""
+        seen = {item["id"]: item for item in observations if "pose" in item}
+        cameras = [item for item in observations if "camera" in item]
+        earlier = belief["time_s"]
+        interval_s = tick.time_s - earlier if earlier is not None and tick.time_s > earlier else None
+        bodies = tuple(
+            self._moved(body, seen[body["id"]], interval_s) if body["id"] in seen else body for body in belief["bodies"]
+        )
+        sensed = {**belief, "bodies": bodies, "time_s": tick.time_s}
+        if interval_s is not None:
+            sensed["interval_s"] = interval_s
+        for camera in cameras:
+            sensed.update({name: camera[name] for name in ("camera", "intrinsics", "size", "frame")})
+        return sensed
+
+    def predict(self, context: Elements, actions: Elements, belief: Value) -> Value:
+        """γ: one frame interval of physics."""
+        bodies, interval_s = belief["bodies"], belief["interval_s"]
+        coasting = [self._coasted(Motion(body["pose"], body["velocity"]), interval_s) for body in bodies]
+        if not self._table:
+            return {**belief, "bodies": tuple(_at(body, to) for body, to in zip(bodies, coasting, strict=True))}
+        solids = [self._solids[body["id"]] for body in bodies]
+        settled = self._simulator.run(solids, [Motion(body["pose"], body["velocity"]) for body in bodies], interval_s)
+        after = tuple(
+            _at(body, self._bounded(body, free, physical))
+            for body, free, physical in zip(bodies, coasting, settled, strict=True)
+        )
+        return {**belief, "bodies": after}
+
+    def metrics(self, belief: Value) -> Mapping[str, float]:
+        """How many bodies the arm tracks and has lost, and the fastest one's speed in mm/s."""
+        bodies = belief["bodies"]
+        speeds = [float(np.linalg.norm(body["velocity"][:3])) for body in bodies]
+        return {
+            "tracked": float(sum(body["status"] == "tracked" for body in bodies)),
+            "lost": float(sum(body["status"] == "lost" for body in bodies)),
+            "max_speed_mm_s": 1000.0 * max(speeds, default=0.0),
+        }
+
+    def _moved(self, body: Body, seen: Mapping[str, Any], interval_s: float | None) -> Body:
+        """The body with what the arm says of it; one that it has lost stays where it was predicted."""
+        heard = {**body, "status": seen["status"], "covariance": seen["covariance"]}
+        if seen["status"] != "tracked":
+            return heard
+        pose, velocity = seen["pose"], body["velocity"]
+        if interval_s is not None:
+            surprise = _displacement(body["pose"], pose)
+            velocity = velocity + self._velocity_gain * surprise / interval_s
+        return {**heard, "pose": pose, "velocity": velocity}
+
+    def _coasted(self, motion: Motion, interval_s: float) -> Motion:
+        """Constant velocity, slowly dying down."""
+        pose, velocity = motion
+        step = velocity * interval_s
+        moved = make_pose(exp_so3(step[3:]) @ pose[:3, :3], pose[:3, 3] + step[:3])
+        return Motion(moved, velocity * np.exp(-self._damping * interval_s))
+
+    def _bounded(self, body: Body, free: Motion, physical: Motion) -> Motion:
+        """What physics says, drawn back towards the free motion as far as the arm's certainty of the pose asks."""
+        if body["status"] != "tracked":
+            return physical
+        twist = log_se3(invert(free.pose) @ physical.pose)
+        sigmas = float(np.sqrt(max(0.0, twist @ np.linalg.solve(body["covariance"], twist))))
+        if sigmas <= self._max_sigmas:
+            return physical
+        part = self._max_sigmas / sigmas
+        velocity = free.velocity + part * (physical.velocity - free.velocity)
+        return Motion(free.pose @ exp_se3(part * twist), velocity)
+
+
+def _body(item: Mapping[str, Any]) -> Body:
+    vertices = np.asarray(item["model"]["vertices"], dtype=np.float64)
+    model = {"vertices": vertices, "faces": np.asarray(item["model"]["faces"], dtype=np.int32)}
+    return {
+        "id": item["id"],
+        "obj_id": item["obj_id"],
+        "pose": np.asarray(item["pose"], dtype=np.float64),
+        "velocity": np.zeros(6),
+        "covariance": UNSEEN,
+        "status": "expected",
+        "model": model,
+        "mass": DENSITY_KG_M3 * float(np.prod(np.ptp(vertices, axis=0))),
+    }
+
+
+def _at(body: Body, motion: Motion) -> Body:
+    return {**body, "pose": motion.pose, "velocity": motion.velocity}
+
+
+def _displacement(start: Floats, end: Array) -> Floats:
+    """How the origin moved (m) and the axes turned (rad), both in the world frame, (6,)."""
+    return np.concatenate((end[:3, 3] - start[:3, 3], log_so3(end[:3, :3] @ start[:3, :3].T)))

@@ -1,0 +1,98 @@
+"""One deployment for both worlds: simulated cubes, or a scene folder of photographs in the BOP format.
+
+Each function takes ``scene``: None for the simulated world, else the path of the folder.
+What the nodes may know at the start is settled here: both get the objects' first poses,
+the spatial node their models too, the arm none.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from hierax.nodes.tracking.arm import ArmNode
+from hierax.nodes.tracking.bop import BopScene
+from hierax.nodes.tracking.bop_world import BopWorld, frame_seen
+from hierax.nodes.tracking.geometry import Floats, invert
+from hierax.nodes.tracking.models import Mesh, box_mesh
+from hierax.nodes.tracking.sim_world import SCENE, SimWorld, picture_seen
+from hierax.nodes.tracking.spatial import SpatialNode
+from hierax.runtime import NO_TICK, Elements, Tick, Value, World
+
+
+def world(
+    scene: str | None = None,
+    cubes: int = len(SCENE),
+    frames: int = 60,
+    noise: float = 2.0,
+    blur_px: float = 0.7,
+    fps: float = 30.0,
+) -> World:
+    """N₀: a `BopWorld` where a scene is given, else a `SimWorld`.
+
+    Args:
+        scene: folder of a BOP scene, or None.
+        cubes, frames, noise, blur_px: of the simulated world.
+        fps: frames per second, of either.
+
+    Raises:
+        DataError: a file of the scene is missing or damaged.
+        ValueError: a number is out of its range.
+    """
+    if scene is not None:
+        return BopWorld(scene, fps)
+    return SimWorld(cubes=cubes, frames=frames, noise=noise, blur_px=blur_px, fps=fps)
+
+
+def seen(belief: Value, tick: Tick = NO_TICK) -> Elements:
+    """φ of either world: one element with ``image``, ``camera``, ``intrinsics`` and ``frame``."""
+    return frame_seen(belief) if "scene" in belief else picture_seen(belief, tick)
+
+
+def arm(scene: str | None = None, cubes: int = len(SCENE), **options: Any) -> ArmNode:
+    """The arm node with the objects' first poses and nothing of their shapes.
+
+    Args:
+        scene, cubes: as for `world`.
+        options: further ones of `ArmNode`.
+    """
+    return ArmNode(_first_objects(scene, cubes)[0], **options)
+
+
+def spatial(
+    scene: str | None = None, cubes: int = len(SCENE), table: bool | None = None, **options: Any
+) -> SpatialNode:
+    """The spatial node with the objects' first poses and their models.
+
+    Args:
+        scene, cubes: as for `world`.
+        table: whether the world's plane z = 0 carries the objects; None for yes in the
+            simulated world, no in a scene folder, where nobody says which way is up.
+        options: further ones of `SpatialNode`.
+    """
+    objects, camera = _first_objects(scene, cubes)
+    placed = [
+        {**item, "pose": camera @ item["pose"], "model": {"vertices": mesh.vertices, "faces": mesh.faces}}
+        for item, mesh in zip(objects, _models(scene, objects), strict=True)
+    ]
+    return SpatialNode(placed, table=scene is None if table is None else table, **options)
+
+
+def _first_objects(scene: str | None, cubes: int) -> tuple[list[dict[str, Any]], Floats]:
+    """``id``, ``obj_id`` and ``pose`` (camera_from_object) of all objects in the first frame; its world_from_camera."""
+    if scene is not None:
+        folder = BopScene(scene)
+        return [item._asdict() for item in folder.first_objects()], folder.frames[0].camera
+    belief = SimWorld(cubes=cubes).initial_belief()
+    camera = belief["camera"]
+    objects = [
+        {"id": body["id"], "obj_id": body["obj_id"], "pose": invert(camera) @ body["pose"]} for body in belief["bodies"]
+    ]
+    return objects, camera
+
+
+def _models(scene: str | None, objects: Sequence[Mapping[str, Any]]) -> list[Mesh]:
+    if scene is not None:
+        folder = BopScene(scene)
+        return [folder.model(item["obj_id"]) for item in objects]
+    return [box_mesh([SCENE[item["obj_id"] - 1].side_m] * 3) for item in objects]

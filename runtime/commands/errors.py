@@ -1,0 +1,57 @@
+"""One error handler for all commands, and the exit codes."""
+
+from __future__ import annotations
+
+import os
+import sys
+import traceback
+from collections.abc import Callable
+
+from hierax.runtime.core.errors import HieraxError
+from hierax.schemas.errors import SchemaError
+
+OK = 0
+FAILED = 1
+USAGE = 2
+BUG = 3
+INTERRUPTED = 130
+
+TRACEBACK_VARIABLE = "HIERAX_TRACEBACK"
+"""Set to anything, expected failures show where in the code they arose, too."""
+
+
+class CommandError(HieraxError):
+    """What a command was told to do cannot be done on this machine."""
+
+
+def exit_code(command: Callable[[], int]) -> int:
+    """Do a command; say on standard error what failed.
+
+    Returns:
+        What the command returned; 1 for an expected failure, told in one line; 3 for a
+        bug, told with its traceback; 130 after Ctrl-C.
+    """
+    try:
+        code = command()
+        sys.stdout.flush()
+        return code
+    except (HieraxError, SchemaError) as error:
+        if os.environ.get(TRACEBACK_VARIABLE):
+            traceback.print_exc()
+        _say(f"error: {' '.join(str(error).split())}")
+        return FAILED
+    except KeyboardInterrupt:
+        _say("interrupted")
+        return INTERRUPTED
+    except BrokenPipeError:
+        # the reader of our output has gone: nothing is left to be told, nor to be flushed at the end
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return FAILED
+    except Exception:
+        traceback.print_exc()
+        _say("error: this is a bug, in hierax or in a node: please report it with the lines above")
+        return BUG
+
+
+def _say(line: str) -> None:
+    print(line, file=sys.stderr, flush=True)

@@ -1,0 +1,84 @@
+"""The command ``hierax``."""
+
+from __future__ import annotations
+
+import functools
+import sys
+from collections.abc import Callable, Sequence
+from typing import Annotated
+
+import typer
+
+from hierax.runtime.commands.errors import OK, exit_code
+from hierax.runtime.commands.graph import graph
+from hierax.runtime.commands.launch import launch
+from hierax.runtime.commands.run import run
+from hierax.runtime.commands.validate import validate
+
+COMMANDS: tuple[Callable[..., int], ...] = (run, launch, validate, graph)
+
+app = typer.Typer(
+    name="hierax",
+    help="Run cognitive hierarchies with perceptual context.",
+    epilog="Exit codes: 0 fine, 1 an expected failure, 2 usage, 3 a bug, 130 Ctrl-C. "
+    "With HIERAX_TRACEBACK=1 failures are shown with the traceback.",
+    add_completion=False,
+    no_args_is_help=True,
+    pretty_exceptions_enable=False,
+    rich_markup_mode=None,
+    context_settings={"help_option_names": ["-h", "--help"]},
+)
+
+
+def main(arguments: Sequence[str]) -> int:
+    """Do what the command line says.
+
+    Args:
+        arguments: without the program's name.
+
+    Returns:
+        The exit code.
+    """
+    return exit_code(lambda: _dispatch(arguments))
+
+
+def entry() -> None:
+    """The console script."""
+    sys.exit(main(sys.argv[1:]))
+
+
+def _dispatch(arguments: Sequence[str]) -> int:
+    try:
+        typer.main.get_command(app).main(args=list(arguments), prog_name="hierax")
+    except SystemExit as finished:
+        return finished.code if isinstance(finished.code, int) else OK
+    return OK
+
+
+def _print_version(wanted: bool) -> None:
+    if wanted:
+        from importlib.metadata import version
+
+        print(f"hierax {version('hierax')}")
+        raise typer.Exit
+
+
+@app.callback()
+def _options(
+    version: Annotated[
+        bool, typer.Option("--version", help="Print the version.", callback=_print_version, is_eager=True)
+    ] = False,
+) -> None:
+    """Run cognitive hierarchies with perceptual context."""
+
+
+def _register(command: Callable[..., int]) -> None:
+    @functools.wraps(command)
+    def guarded(*arguments: object, **options: object) -> None:
+        raise typer.Exit(exit_code(lambda: command(*arguments, **options)))
+
+    app.command(command.__name__)(guarded)
+
+
+for _command in COMMANDS:
+    _register(_command)

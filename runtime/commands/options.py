@@ -1,0 +1,53 @@
+"""Arguments and options that several commands share."""
+
+from __future__ import annotations
+
+from enum import Enum
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+
+class Format(str, Enum):
+    """How a result is printed."""
+
+    text = "text"
+    json = "json"
+
+
+File = Annotated[
+    str,
+    typer.Argument(metavar="FILE", help="A deployment file, or the name of a shipped deployment.", show_default=False),
+]
+Settings = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--set",
+        metavar="PATH=VALUE",
+        help="Change a value of the file: a name in its parameters, or a path such as "
+        "nodes.arm.parameters.gain. The value is read as YAML. May be given several times.",
+        show_default=False,
+    ),
+]
+OutputFormat = Annotated[Format, typer.Option("--format", help="How the result is printed.")]
+Epochs = Annotated[
+    int | None,
+    typer.Option(
+        "--epochs",
+        min=1,
+        metavar="N",
+        help="How many epochs; by default what the file says, or until the world has finished.",
+        show_default=False,
+    ),
+]
+Seed = Annotated[int, typer.Option("--seed", min=0, metavar="S", help="Of all random numbers.")]
+Output = Annotated[
+    Path | None,
+    typer.Option(
+        "--output",
+        metavar="DIR",
+        help="A folder for states, digests, the report and what probes write; made where it lacks.",
+        show_default=False,
+    ),
+]

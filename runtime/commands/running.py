@@ -1,0 +1,92 @@
+"""What ``run`` and ``launch`` have in common: options to a report, printed and kept."""
+
+from __future__ import annotations
+
+import json
+import sys
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+from hierax.runtime.commands.errors import CommandError
+from hierax.runtime.commands.options import Format
+from hierax.runtime.commands.show import print_json, print_report
+from hierax.runtime.core.errors import HieraxError
+from hierax.runtime.deployment.read import read_deployment
+from hierax.runtime.loading import extend_import_path
+from hierax.runtime.report import Report
+
+SUMMARY = "summary.json"
+"""The report as JSON, in the output folder."""
+
+Runner = Callable[..., Report]
+"""`hierax.runtime.single.run` or `hierax.runtime.launch.supervisor.launch`."""
+
+
+def run_deployment(
+    runner: Runner,
+    file: str,
+    settings: Sequence[str],
+    *,
+    epochs: int | None,
+    seed: int,
+    output: Path | None,
+    output_format: Format,
+) -> int:
+    """Read a deployment, run it, print its report.
+
+    Raises:
+        HieraxError: the file is wrong, the output folder cannot be made, or the run failed.
+    """
+    deployment = read_deployment(file, settings)
+    extend_import_path(deployment.import_paths)
+    if output is not None:
+        _make_folder(output)
+    limit = deployment.epochs if epochs is None else epochs
+    try:
+        with _progress(deployment.name, limit) as progress:
+            report = runner(deployment, epochs=limit, seed=seed, output=output, progress=progress)
+    except HieraxError as error:
+        raise deployment.explain(error) from error
+    if output is not None:
+        _write_summary(output / SUMMARY, report)
+    if output_format is Format.json:
+        print_json(report.plain())
+    else:
+        print_report(report)
+    return 0
+
+
+def _make_folder(output: Path) -> None:
+    try:
+        output.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise CommandError(f"--output {output}: the folder cannot be made: {error.strerror or error}") from error
+
+
+def _write_summary(path: Path, report: Report) -> None:
+    start: dict[str, Any] = {} if report.start_s is None else {"start_s": report.start_s}
+    try:
+        path.write_text(json.dumps({**report.plain(), **start}, indent=2, allow_nan=False) + "\n", encoding="utf-8")
+    except OSError as error:
+        raise CommandError(f"{path}: cannot be written: {error.strerror or error}") from error
+
+
+@contextmanager
+def _progress(name: str, limit: int | None) -> Iterator[Callable[[int], None] | None]:
+    """A progress bar on standard error, where that is a terminal."""
+    if not sys.stderr.isatty():
+        yield None
+        return
+    from rich.console import Console
+    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+
+    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
+    with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
+        task = bar.add_task(name, total=limit)
+
+        def show(epoch: int) -> None:
+            bar.update(task, completed=epoch)
+
+        yield show

@@ -1,0 +1,82 @@
+"""A deployment file as read: its values, and where each one comes from."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Any
+
+from hierax.runtime.deployment.errors import DeploymentError
+from hierax.runtime.deployment.paths import Keys, field_text, longest_key, normal_path
+
+
+@dataclass
+class Document:
+    """The values of a deployment file after ``--set``, and the places they come from.
+
+    Attributes:
+        place: the file's name, as errors show it.
+        root: the map at the top.
+        lines: of every value in the file, by path.
+        changed: the ``--set`` that a value comes from, by path.
+        origins: the parameter that a value was taken from, by path.
+    """
+
+    place: str
+    root: dict[str, Any]
+    lines: dict[Keys, int]
+    changed: dict[Keys, str] = field(default_factory=dict)
+    origins: dict[Keys, str] = field(default_factory=dict)
+
+    def error(self, keys: Keys, what: str) -> DeploymentError:
+        """An error about the value at a path, or the one that lacks there."""
+        return DeploymentError(f"{what}{self._origin(keys)}", self.where(keys), field_text(keys))
+
+    def where(self, keys: Keys) -> str:
+        """``file:line`` of the nearest value on the path that was given, or its ``--set``."""
+        changed = self._changed(keys)
+        if changed is not None:
+            return f"--set {changed}"
+        line = self._line(keys)
+        return f"{self.place}:{line}" if line else self.place
+
+    def rank(self, keys: Keys) -> int:
+        """For sorting errors: the line, 0 for what a ``--set`` gave."""
+        return 0 if self._changed(keys) is not None else self._line(keys)
+
+    def keys(self, text: str) -> Keys:
+        """A path given as text, as far as there is anything on it: ``edges.world -> arm.sense.function``.
+
+        A node's name may have dots; the longest key that fits is taken.
+        """
+        keys: Keys = ()
+        rest = normal_path(text)
+        value: Any = self.root
+        while rest:
+            key = longest_key(value, rest)
+            if key is None:
+                break
+            value = value[key]
+            keys, rest = (*keys, key), rest[len(str(key)) + 1 :]
+        if rest and (value is None or isinstance(value, (dict, list))):  # what lacks is named, too
+            keys = (*keys, rest)
+        return keys
+
+    def _changed(self, keys: Keys) -> str | None:
+        """The ``--set`` that a value comes from: what it changed has no line any more."""
+        for length in range(len(keys), 0, -1):
+            if keys[:length] in self.changed:
+                return self.changed[keys[:length]]
+        return None
+
+    def _line(self, keys: Keys) -> int:
+        for length in range(len(keys), -1, -1):
+            if keys[:length] in self.lines:
+                return self.lines[keys[:length]]
+        return 0
+
+    def _origin(self, keys: Keys) -> str:
+        for length in range(len(keys), -1, -1):
+            name = self.origins.get(keys[:length])
+            if name is not None:
+                return f" (from ${{{name}}}, {self.where(('parameters', name, *keys[length:]))})"
+        return ""

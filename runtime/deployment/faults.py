@@ -1,0 +1,89 @@
+"""Pydantic's errors in our words: the first in the file's order, as one line."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from pydantic import ValidationError
+
+from hierax.runtime.deployment.document import Document
+from hierax.runtime.deployment.errors import DeploymentError
+from hierax.runtime.deployment.models import field_meaning, field_names
+from hierax.runtime.deployment.paths import Keys
+from hierax.runtime.nearest import did_you_mean
+
+_EXPECTED = {
+    "int_type": "a whole number",
+    "int_from_float": "a whole number",
+    "float_type": "a number",
+    "finite_number": "a finite number",
+    "bool_type": "true or false",
+    "string_type": "text",
+    "dict_type": "a map",
+    "model_type": "a map",
+    "model_attributes_type": "a map",
+    "list_type": "a list",
+    "greater_than": "more than {gt:g}",
+    "greater_than_equal": "at least {ge}",
+}
+
+
+def first_error(error: ValidationError, document: Document, root: dict[str, Any]) -> DeploymentError:
+    """The fault that comes first in the file, or in a ``--set``.
+
+    Args:
+        error: what pydantic found.
+        document: for the places.
+        root: the values that were validated.
+    """
+    found = [(_keys(details["loc"], root), details) for details in error.errors(include_url=False)]
+    misspelt = {keys[:-1] for keys, details in found if details["type"] == "extra_forbidden"}
+    faults = [
+        (document.rank(keys), index)
+        for index, (keys, details) in enumerate(found)
+        if details["type"] != "missing" or keys[:-1] not in misspelt  # the wrong name is the fault, not the lack
+    ]
+    keys, details = found[min(faults)[1]]
+    return document.error(keys, _what(keys, details))
+
+
+def _keys(loc: tuple[int | str, ...], root: dict[str, Any]) -> Keys:
+    """Pydantic's path as one of the document: it may go on below a short form, or name a key."""
+    keys: Keys = ()
+    value: Any = root
+    for key in loc:
+        if key == "[key]" or not isinstance(value, (dict, list)):
+            break
+        keys = (*keys, key)
+        if isinstance(value, list) and isinstance(key, int):
+            value = value[key]
+        else:
+            value = value.get(key) if isinstance(value, dict) else None
+    return keys
+
+
+def _what(keys: Keys, details: Any) -> str:
+    kind = details["type"]
+    context = details.get("ctx", {})
+    if kind == "missing":
+        return f"missing; expected {field_meaning(keys)}"
+    if kind == "extra_forbidden":
+        return f"unknown field{did_you_mean(str(keys[-1]), field_names(keys[:-1]))}"
+    if kind == "value_error":
+        return str(context["error"])
+    expected = _EXPECTED.get(kind)
+    if expected is None:
+        return f"{details['msg']}, got {details['input']!r:.60}"
+    return f"expected {expected.format(**context)}, got {_given(details['input'])}"
+
+
+def _given(value: Any) -> str:
+    if isinstance(value, dict):
+        return "a map"
+    if isinstance(value, list):
+        return "a list"
+    if value is None:
+        return "nothing"
+    if isinstance(value, bool):
+        return "true" if value else "false"
+    return f"{value!r:.60}"

@@ -1,0 +1,246 @@
+"""YAML as values that remember their lines.
+
+The core schema of YAML 1.2 is read (``1e-3`` is a number, ``on`` and ``no`` are text),
+with merge keys; a number that begins with a superfluous zero (``000001``) is text.
+Unlike YAML allows, keys are text and no map holds a key twice.
+"""
+
+from __future__ import annotations
+
+import base64
+import binascii
+import re
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Any
+
+import yaml
+
+from hierax.runtime.deployment.errors import DeploymentError
+from hierax.runtime.deployment.paths import Keys, edge_name, field_text
+from hierax.schemas.limits import MAX_DEPTH
+
+MAX_TEXT_CHARS = 1 << 22
+MAX_PARTS = 1 << 18
+"""Values in a document, aliases counted wherever they stand."""
+
+_TAG = "tag:yaml.org,2002:"
+_INTEGERS = range(-(1 << 63), 1 << 64)
+_BOOLS = {"true": True, "false": False}
+
+
+class _Loader(yaml.SafeLoader):
+    yaml_implicit_resolvers: dict[str, list[tuple[str, re.Pattern[str]]]] = {}  # noqa: RUF012 - the base class's name
+
+
+for _kind, _pattern, _first in (
+    ("null", r"~|null|Null|NULL|", ["~", "n", "N", ""]),
+    ("bool", r"true|True|TRUE|false|False|FALSE", list("tTfF")),
+    ("int", r"[-+]?(0|[1-9][0-9]*)|0o[0-7]+|0x[0-9a-fA-F]+", list("-+0123456789")),
+    (
+        "float",
+        r"[-+]?(\.[0-9]+|[0-9]+\.[0-9]*)([eE][-+]?[0-9]+)?|[-+]?[0-9]+[eE][-+]?[0-9]+"
+        r"|[-+]?\.(inf|Inf|INF)|\.(nan|NaN|NAN)",
+        list("-+.0123456789"),
+    ),
+    ("merge", r"<<", ["<"]),
+):
+    _Loader.add_implicit_resolver(_TAG + _kind, re.compile(rf"(?:{_pattern})\Z"), _first)
+
+
+@dataclass
+class Tree:
+    """Values read from YAML.
+
+    Attributes:
+        place: what errors name: the file, or the ``--set``.
+        has_lines: whether errors name the line, too.
+        value: the root.
+        lines: of every value, by path, counted from 1; of a map's entry, its key's.
+    """
+
+    place: str
+    has_lines: bool = True
+    value: Any = None
+    lines: dict[Keys, int] = field(default_factory=dict)
+
+    def at(self, line: int) -> str:
+        """A line's place, for errors."""
+        return f"{self.place}:{line}" if self.has_lines else self.place
+
+
+def read_tree(text: str, place: str, has_lines: bool = True) -> Tree:
+    """Read a YAML document.
+
+    Args:
+        text: the document.
+        place: the file's name, or the ``--set``: named in errors.
+        has_lines: whether errors name the line, too.
+
+    Raises:
+        DeploymentError: it is no YAML, or more than is allowed here.
+    """
+    tree = Tree(place, has_lines)
+    if len(text) > MAX_TEXT_CHARS:
+        raise DeploymentError(f"has {len(text)} characters; at most {MAX_TEXT_CHARS} are allowed", place)
+    try:
+        root = yaml.compose(text, Loader=_Loader)
+    except yaml.reader.ReaderError as error:
+        line = text.count("\n", 0, error.position) + 1
+        raise DeploymentError(
+            f"character {_character(error.character)!r} is not allowed in YAML", tree.at(line)
+        ) from error
+    except yaml.MarkedYAMLError as error:
+        raise _syntax_error(error, tree) from error
+    except RecursionError as error:
+        raise DeploymentError(f"nested deeper than {MAX_DEPTH} levels", place) from error
+    if root is not None:
+        tree.value = _Builder(tree).build(root, ())
+    return tree
+
+
+def _syntax_error(error: yaml.MarkedYAMLError, tree: Tree) -> DeploymentError:
+    problem = (error.problem or "").replace("'<stream end>'", "the end of the text")
+    context = ""
+    if error.context:
+        since = error.context_mark
+        begun = f" that begins in line {since.line + 1}" if since is not None and tree.has_lines else ""
+        context = f" {error.context}{begun}"
+    mark = error.problem_mark or error.context_mark
+    if mark is None:
+        return DeploymentError(f"no valid YAML: {problem}{context}", tree.place)
+    what = f"no valid YAML: {problem}{context} (column {mark.column + 1})"
+    return DeploymentError(what, tree.at(mark.line + 1))
+
+
+class _Builder:
+    """Makes values of YAML's nodes; fills in the tree's lines."""
+
+    def __init__(self, tree: Tree) -> None:
+        self.tree = tree
+        self.parts = 0
+
+    def build(self, node: yaml.Node, keys: Keys) -> Any:
+        self.parts += 1
+        if self.parts > MAX_PARTS:
+            raise self.error(node, keys, f"the document has more than {MAX_PARTS} values")
+        if len(keys) > MAX_DEPTH:
+            raise self.error(node, keys[:4], f"nested deeper than {MAX_DEPTH} levels")
+        self.tree.lines.setdefault(keys, node.start_mark.line + 1)
+        if isinstance(node, yaml.MappingNode) and node.tag == f"{_TAG}map":
+            return self.mapping(node, keys)
+        if isinstance(node, yaml.SequenceNode) and node.tag == f"{_TAG}seq":
+            return [self.build(item, (*keys, index)) for index, item in enumerate(node.value)]
+        if isinstance(node, yaml.ScalarNode):
+            return self.scalar(node, keys)
+        raise self.error(node, keys, f"the tag {_short(node.tag)} cannot be used here")
+
+    def mapping(self, node: yaml.MappingNode, keys: Keys) -> dict[str, Any]:
+        result: dict[str, Any] = {}
+        seen: dict[str, int] = {}
+        merged: list[tuple[yaml.Node, yaml.Node]] = []
+        for key_node, value_node in node.value:
+            if key_node.tag == f"{_TAG}merge":
+                merged += self.merged(value_node, keys)
+                continue
+            key = self.key(key_node, keys)
+            line = key_node.start_mark.line + 1
+            if key in seen:
+                what = f"given twice, in line {seen[key]} and in line {line}"
+                raise self.error(key_node, (*keys, key), what)
+            seen[key] = line
+            self.entry(result, key_node, value_node, (*keys, key))
+        for key_node, value_node in merged:
+            key = self.key(key_node, keys)
+            if key not in result:
+                self.entry(result, key_node, value_node, (*keys, key))
+        return result
+
+    def entry(self, result: dict[str, Any], key_node: yaml.Node, value_node: yaml.Node, keys: Keys) -> None:
+        self.tree.lines[keys] = key_node.start_mark.line + 1
+        result[str(keys[-1])] = self.build(value_node, keys)
+
+    def key(self, node: yaml.Node, keys: Keys) -> str:
+        if not isinstance(node, yaml.ScalarNode) or node.tag != f"{_TAG}str":
+            given = node.value if isinstance(node, yaml.ScalarNode) else "a list or a map"
+            raise self.error(node, keys, f"a key must be text, not {given}; put quotes around it")
+        key = str(self.scalar(node, keys))
+        return edge_name(key) if keys == ("edges",) else key
+
+    def merged(self, node: yaml.Node, keys: Keys) -> list[tuple[yaml.Node, yaml.Node]]:
+        """The entries that a merge key brings in, nearest first."""
+        sources = node.value if isinstance(node, yaml.SequenceNode) else [node]
+        entries: list[tuple[yaml.Node, yaml.Node]] = []
+        for source in sources:
+            if not isinstance(source, yaml.MappingNode):
+                raise self.error(source, keys, "'<<' takes a map, or a list of maps")
+            entries += source.value
+        if any(key_node.tag == f"{_TAG}merge" for key_node, _ in entries):
+            raise self.error(node, keys, "'<<' takes a map that has no '<<' itself")
+        return entries
+
+    def scalar(self, node: yaml.ScalarNode, keys: Keys) -> Any:
+        read = _SCALARS.get(node.tag)
+        if read is None:
+            raise self.error(node, keys, f"the tag {_short(node.tag)} cannot be used here")
+        try:
+            return read(node.value)
+        except (ValueError, binascii.Error) as error:
+            given = node.value if len(node.value) <= 40 else f"{node.value[:40]}…"
+            raise self.error(node, keys, f"{given!r} is no {_short(node.tag)}: {error}") from error
+
+    def error(self, node: yaml.Node, keys: Keys, what: str) -> DeploymentError:
+        return DeploymentError(what, self.tree.at(node.start_mark.line + 1), field_text(keys))
+
+
+def _character(given: int | str) -> str:
+    return chr(given) if isinstance(given, int) else given
+
+
+def _short(tag: str) -> str:
+    return tag.replace(_TAG, "!!")
+
+
+def _null(text: str) -> None:
+    if text not in ("", "~", "null", "Null", "NULL"):
+        raise ValueError("expected null")
+
+
+def _bool(text: str) -> bool:
+    if text.lower() not in _BOOLS:
+        raise ValueError("expected true or false")
+    return _BOOLS[text.lower()]
+
+
+def _int(text: str) -> int:
+    if len(text) > 100:
+        raise ValueError("expected a whole number of 64 bits")
+    base = {"0o": 8, "0x": 16}.get(text[:2], 10)
+    number = int(text, base)
+    if number not in _INTEGERS:
+        raise ValueError("expected a whole number of 64 bits")
+    return number
+
+
+def _float(text: str) -> float:
+    return float(text.lower().replace(".inf", "inf").replace(".nan", "nan"))
+
+
+def _text(text: str) -> str:
+    text.encode()  # half of a surrogate pair, written as an escape, cannot travel
+    return text
+
+
+def _binary(text: str) -> bytes:
+    return base64.b64decode("".join(text.split()), validate=True)
+
+
+_SCALARS: dict[str, Callable[[str], Any]] = {
+    f"{_TAG}null": _null,
+    f"{_TAG}bool": _bool,
+    f"{_TAG}int": _int,
+    f"{_TAG}float": _float,
+    f"{_TAG}str": _text,
+    f"{_TAG}merge": _text,
+    f"{_TAG}binary": _binary,
+}

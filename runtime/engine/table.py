@@ -1,0 +1,86 @@
+"""The protocol of one node as a table.
+
+An epoch of node i has two halves. With *children* the nodes below it and *parents*
+those above:
+
+1. SENSE    waits for one observation message of this epoch from every child; then
+            s ← τ(O, s), and one observation message φ(s) goes to every parent.
+2. PREDICT  waits for one task and one context message of this epoch from every parent
+            (at a root: for nothing); then π ← λ(T), a ← π(s), s ← γ(C, a, s), and one
+            task message ψ(a) and one context message ϱ(s) go to every child.
+
+The world waits in IDLE until it is told to begin an epoch: it has no children, so it
+sends φ(s) at once and goes to PREDICT; when it has predicted, the epoch is committed.
+Every other node goes from PREDICT to SENSE of the next epoch by itself. As the world
+is the only source of the observations and the only sink of what comes down, an epoch
+ends when every node is done with it: the world is the barrier.
+
+A message is judged by its header before its content is looked at. The first row that
+fits decides:
+
+    verdict          when                                               action
+    ---------------  -------------------------------------------------  ------
+    FOREIGN          not for this node, or along no edge of its roster  REFUSE
+    OLD_ROSTER       of an older roster                                 REFUSE
+    NEW_ROSTER       of a roster that this node does not have yet       HOLD
+    OTHER_INSTANCE   not from the instance that the roster names        REFUSE
+    INCOMPLETE       downward, but without its sender's digest          REFUSE
+    LATE             of an epoch or attempt that is past                DROP
+    EARLY            of an epoch or attempt that is still to come       HOLD
+    DOUBLE           already in hand                                    DROP
+    CURRENT          anything else                                      TAKE
+
+HOLD keeps the message until its time comes, a bounded number for each sender and kind;
+more than that are refused. REFUSE and DROP change nothing; REFUSE is reported.
+"""
+
+from __future__ import annotations
+
+from enum import Enum
+
+
+class Phase(Enum):
+    """What a node waits for."""
+
+    IDLE = "idle"
+    SENSE = "sense"
+    PREDICT = "predict"
+
+
+class Verdict(Enum):
+    """What a message is to the node that receives it."""
+
+    FOREIGN = "not along an edge of this node"
+    OLD_ROSTER = "of an older roster"
+    NEW_ROSTER = "of a roster that is not here yet"
+    OTHER_INSTANCE = "from another instance of its sender"
+    INCOMPLETE = "without its sender's digest"
+    LATE = "of an epoch or attempt that is past"
+    EARLY = "of an epoch or attempt to come"
+    DOUBLE = "already in hand"
+    CURRENT = "current"
+
+
+class Action(Enum):
+    """What is done with a message."""
+
+    TAKE = "take"
+    HOLD = "hold"
+    DROP = "drop"
+    REFUSE = "refuse"
+
+
+ACTIONS = {
+    Verdict.FOREIGN: Action.REFUSE,
+    Verdict.OLD_ROSTER: Action.REFUSE,
+    Verdict.NEW_ROSTER: Action.HOLD,
+    Verdict.OTHER_INSTANCE: Action.REFUSE,
+    Verdict.INCOMPLETE: Action.REFUSE,
+    Verdict.LATE: Action.DROP,
+    Verdict.EARLY: Action.HOLD,
+    Verdict.DOUBLE: Action.DROP,
+    Verdict.CURRENT: Action.TAKE,
+}
+
+HELD_MESSAGES = 8
+"""How many messages of one sender and kind are held at most."""

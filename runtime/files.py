@@ -1,0 +1,43 @@
+"""What a run writes into its output folder, and who writes what.
+
+    roster.msgpack        the roster's content, encoded; the supervisor or `run`
+    digests.msgpack       stream of [epoch, digest]; the world's process
+    states/NAME.msgpack   stream of [epoch, attempt, state, digest]; each node's process
+    summary.json          the report; the command
+
+and whatever the deployment's probes write.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+from hierax.runtime.core.probe import Probe
+from hierax.runtime.loading import build_probe
+from hierax.runtime.runner import Log
+from hierax.schemas.roster import ProbeSpec, Roster
+from hierax.schemas.values import encode_value
+
+ROSTER = "roster.msgpack"
+DIGESTS = "digests.msgpack"
+STATES = "states"
+
+
+def write_roster(output: Path, roster: Roster) -> None:
+    """Write the content that the digests cover."""
+    output.mkdir(parents=True, exist_ok=True)
+    (output / ROSTER).write_bytes(encode_value(roster.content()))
+
+
+def state_log(output: Path | None, name: str) -> Log | None:
+    """Where a node's states go."""
+    return None if output is None else Log(output / STATES / f"{name}.msgpack")
+
+
+def open_probes(specs: Sequence[ProbeSpec], name: str, output: Path | None) -> tuple[Probe, ...]:
+    """The probes of a node, open."""
+    probes = tuple(build_probe(spec.reference, f"probes[{i}]") for i, spec in enumerate(specs) if spec.node == name)
+    for probe in probes:
+        probe.open(output)
+    return probes

@@ -1,0 +1,32 @@
+"""The nearest valid name, for errors about a wrong one."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from difflib import get_close_matches
+
+SHOWN = 8
+"""How many valid names an error lists where none is near."""
+
+
+def did_you_mean(wrong: str, valid: Iterable[str], what: str = "expected one of") -> str:
+    """The end of an error message about a name that is none of the valid ones.
+
+    Args:
+        wrong: the name as it was given.
+        valid: the names that would have been right.
+        what: stands before the list of valid names where none is near.
+
+    Returns:
+        ``"; did you mean 'x'?"``, or a list of valid names; empty where there are none.
+    """
+    names = sorted(set(valid))
+    if not names:
+        return ""
+    lower = {name.lower(): name for name in names}
+    near = get_close_matches(wrong, names, n=1) or get_close_matches(wrong.lower(), list(lower), n=1)
+    if near:
+        return f"; did you mean {lower.get(near[0], near[0])!r}?"
+    shown = ", ".join(names[:SHOWN])
+    more = f" and {len(names) - SHOWN} more" if len(names) > SHOWN else ""
+    return f"; {what} {shown}{more}"

@@ -1,0 +1,109 @@
+"""What a run has come to."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from hierax.runtime.core.node import Elements, Value
+from hierax.runtime.plain import Json, plain
+
+
+@dataclass(frozen=True)
+class NodeReport:
+    """A node after the last epoch.
+
+    Attributes:
+        belief, policy, actions: its state.
+        metrics: figures that it reports of its belief, by name.
+    """
+
+    belief: Value
+    policy: str
+    actions: Elements
+    metrics: Mapping[str, float]
+
+    def plain(self) -> Json:
+        """As plain JSON."""
+        return {
+            "belief": plain(self.belief),
+            "policy": self.policy,
+            "actions": plain(self.actions),
+            "metrics": plain(dict(self.metrics)),
+        }
+
+
+@dataclass(frozen=True)
+class Report:
+    """A run after its last epoch.
+
+    Attributes:
+        hierarchy: its name.
+        mode: ``run`` or ``launch``.
+        epochs: how many were committed.
+        seed: of all random numbers.
+        digest: of the last epoch, hexadecimal.
+        wall_s: from the beginning of the first epoch to the commit of the last, in seconds.
+        p50_us, p99_us: median and 99th percentile of an epoch's time, in microseconds;
+            None where there was no epoch.
+        nodes: by name.
+        output: the folder that states and results were written to, or None.
+        start_s: from the start of the processes to the first epoch, in seconds; None in
+            a single process.
+    """
+
+    hierarchy: str
+    mode: str
+    epochs: int
+    seed: int
+    digest: str
+    wall_s: float
+    p50_us: float | None
+    p99_us: float | None
+    nodes: Mapping[str, NodeReport]
+    output: Path | None = None
+    start_s: float | None = None
+
+    @property
+    def epochs_per_s(self) -> float | None:
+        """The mean rate; None where there was no epoch."""
+        return self.epochs / self.wall_s if self.wall_s > 0 else None
+
+    def plain(self) -> Json:
+        """As plain JSON."""
+        return {
+            "hierarchy": self.hierarchy,
+            "mode": self.mode,
+            "epochs": self.epochs,
+            "seed": self.seed,
+            "digest": self.digest,
+            "wall_s": self.wall_s,
+            "epoch_us": {"p50": self.p50_us, "p99": self.p99_us},
+            "nodes": {name: self.nodes[name].plain() for name in sorted(self.nodes)},
+        }
+
+
+def make_report(
+    hierarchy: str,
+    mode: str,
+    seed: int,
+    epochs: int,
+    digest: bytes,
+    wall_s: float,
+    epochs_s: Sequence[float],
+    nodes: Mapping[str, NodeReport],
+    output: Path | None = None,
+    start_s: float | None = None,
+) -> Report:
+    """A report of what was measured.
+
+    Args:
+        hierarchy, mode, seed, epochs, wall_s, nodes, output, start_s: see `Report`.
+        digest: of the last epoch.
+        epochs_s: how long each epoch took, in seconds.
+    """
+    p50_us, p99_us = (float(q) for q in np.percentile(epochs_s, (50, 99)) * 1e6) if len(epochs_s) else (None, None)
+    return Report(hierarchy, mode, epochs, seed, digest.hex(), wall_s, p50_us, p99_us, nodes, output, start_s)

@@ -1,0 +1,130 @@
+"""`check_transport`: what every transport has to do, as one function to call from a test."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable, Mapping, Sequence
+
+import numpy as np
+
+from hierax.runtime.transport.port import Port, TransportError
+from hierax.schemas.errors import SchemaError
+from hierax.schemas.messages import CONTEXT, OBSERVATIONS, TASKS, Header, Message, encode_message
+
+Edges = Sequence[tuple[str, str]]
+OpenPorts = Callable[[Edges], Mapping[str, Port]]
+
+EDGES: Edges = (("world", "left"), ("world", "right"), ("left", "top"), ("right", "top"))
+TIMEOUT_S = 20.0
+LANE_MESSAGES = 500
+BURST = 50
+
+
+def check_transport(open_ports: OpenPorts) -> None:
+    """Check a transport.
+
+    Args:
+        open_ports: given edges (lower, upper), opens a port for each node and connects them;
+            they are closed here.
+
+    Raises:
+        AssertionError: the transport does not do what `Port` promises; says what.
+    """
+    for check in (
+        _carries_everything,
+        _keeps_order,
+        _refuses_strangers,
+        _refuses_what_cannot_travel,
+        _can_be_interrupted,
+        _closes,
+    ):
+        ports = open_ports(EDGES)
+        try:
+            check(ports)
+        finally:
+            for port in ports.values():
+                port.close()
+
+
+def receive(port: Port, timeout_s: float = TIMEOUT_S) -> Message | None:
+    """The next message, or None where none came in time."""
+    watchdog = threading.Timer(timeout_s, port.interrupt)
+    watchdog.start()
+    try:
+        return port.receive()
+    finally:
+        watchdog.cancel()
+
+
+def _carries_everything(ports: Mapping[str, Port]) -> None:
+    picture = np.random.default_rng(0).integers(0, 255, (480, 640, 8), np.uint8)
+    payloads = ((), ("small", 1.5, None), ({"picture": picture, "line": np.arange(3.0)}, picture[:100]))
+    sent: dict[str, list[bytes]] = {name: [] for name in ports}
+    for number, payload in enumerate(payloads, start=1):
+        for lower, upper in EDGES:
+            for kind, sender, receiver in (
+                (OBSERVATIONS, lower, upper),
+                (TASKS, upper, lower),
+                (CONTEXT, upper, lower),
+            ):
+                header = Header(kind, sender, receiver, number, 2, 3, 0, 0.25, bytes(range(32)), {"trace": number})
+                ports[sender].send(Message(header, payload))
+                sent[receiver].append(encode_message(Message(header, payload)))
+    for name, port in ports.items():
+        got = [receive(port) for _ in sent[name]]
+        came = sorted(encode_message(message) for message in got if message is not None)
+        assert came == sorted(sent[name]), f"{name}: {len(came)} of {len(sent[name])} messages came, or came changed"
+
+
+def _keeps_order(ports: Mapping[str, Port]) -> None:
+    came: dict[str, list[int]] = {"left": [], "right": []}
+    for start in range(0, LANE_MESSAGES, BURST):
+        for number in range(start, start + BURST):
+            for sender in came:
+                ports[sender].send(Message(Header(OBSERVATIONS, sender, "top", number), (number,)))
+        for _ in range(BURST * len(came)):
+            message = receive(ports["top"])
+            assert message is not None, f"messages were lost: {[len(numbers) for numbers in came.values()]} came"
+            came[message.header.sender].append(message.payload[0])
+    for sender, numbers in came.items():
+        assert numbers == list(range(LANE_MESSAGES)), f"{sender}: lost, doubled or out of order"
+
+
+def _refuses_strangers(ports: Mapping[str, Port]) -> None:
+    try:
+        ports["world"].send(Message(Header(OBSERVATIONS, "world", "nobody", 1), ()))
+    except TransportError as error:
+        assert "nobody" in str(error), "the error does not name the receiver"
+    else:
+        raise AssertionError("a message to nobody was taken")
+
+
+def _refuses_what_cannot_travel(ports: Mapping[str, Port]) -> None:
+    try:
+        ports["left"].send(Message(Header(OBSERVATIONS, "left", "top", 1), ({"bad": {1, 2}},)))
+    except SchemaError as error:
+        assert "bad" in str(error), "the error does not say where"
+    else:
+        raise AssertionError("a set was sent")
+    ports["left"].send(Message(Header(OBSERVATIONS, "left", "top", 2), ()))
+    message = receive(ports["top"])
+    assert message is not None, "the message after a refused one was lost"
+    assert message.header.epoch == 2, "a refused message was delivered"
+
+
+def _can_be_interrupted(ports: Mapping[str, Port]) -> None:
+    port = ports["top"]
+    threading.Timer(0.01, port.interrupt).start()
+    assert receive(port) is None, "interrupted, but something came"
+
+
+def _closes(ports: Mapping[str, Port]) -> None:
+    port = ports["left"]
+    port.close()
+    port.close()
+    assert receive(port) is None, "closed, but something came"
+    try:
+        port.send(Message(Header(OBSERVATIONS, "left", "top", 1), ()))
+    except TransportError:
+        return
+    raise AssertionError("a closed port took a message")

@@ -1,0 +1,103 @@
+"""All ports in one process, delivered in an order that a seed decides."""
+
+from __future__ import annotations
+
+from collections import deque
+
+import numpy as np
+
+from hierax.runtime.transport.port import Port, TransportError
+from hierax.schemas.messages import Message, decode_message, encode_message
+
+Lane = tuple[str, str]
+"""Sender and kind: what of one receiver's messages stays in order."""
+
+QUEUE_SIZE = 1024
+"""How many messages a lane holds at most."""
+
+
+class MemoryNetwork:
+    """Ports that reach one another in memory; messages travel as bytes, as they do over Zenoh.
+
+    Args:
+        seed: decides which of the messages under way is delivered next.
+        queue_size: how many messages of one sender, receiver and kind may be under way.
+    """
+
+    def __init__(self, seed: int = 0, queue_size: int = QUEUE_SIZE) -> None:
+        self._random = np.random.Generator(np.random.PCG64(seed))
+        self._queue_size = queue_size
+        self._ports: dict[str, MemoryPort] = {}
+
+    def open_port(self, name: str) -> MemoryPort:
+        """A port for the node of this name.
+
+        Raises:
+            TransportError: there is one already.
+        """
+        if name in self._ports:
+            raise TransportError(f"{name}: its port is open already")
+        port = MemoryPort(self, name)
+        self._ports[name] = port
+        return port
+
+    def next_receiver(self) -> str | None:
+        """A node that has a message to receive, by the seed; None where nothing is under way."""
+        waiting = [name for name in sorted(self._ports) if self._ports[name].lanes]
+        return waiting[self.draw(len(waiting))] if waiting else None
+
+    def draw(self, count: int) -> int:
+        """A number below `count`."""
+        return 0 if count == 1 else int(self._random.integers(count))
+
+    def put(self, message: Message) -> None:
+        """Put a message on its way."""
+        header = message.header
+        port = self._ports.get(header.receiver)
+        if port is None:
+            raise TransportError(f"{header.sender}: no node {header.receiver!r} to send to")
+        lane = port.lanes.setdefault((header.sender, header.kind), deque())
+        if len(lane) >= self._queue_size:
+            raise TransportError(
+                f"{header.sender}: {len(lane)} {header.kind} messages to {header.receiver} are not received yet"
+            )
+        lane.append(encode_message(message))
+
+    def forget(self, name: str) -> None:
+        """Take a port out."""
+        self._ports.pop(name, None)
+
+
+class MemoryPort(Port):
+    """A port of a `MemoryNetwork`."""
+
+    def __init__(self, network: MemoryNetwork, name: str) -> None:
+        self._network = network
+        self._name = name
+        self._interrupted = False
+        self._closed = False
+        self.lanes: dict[Lane, deque[bytes]] = {}
+
+    def send(self, message: Message) -> None:
+        if self._closed:
+            raise TransportError(f"{self._name}: its port is closed")
+        self._network.put(message)
+
+    def receive(self) -> Message | None:
+        if self._interrupted or self._closed or not self.lanes:
+            self._interrupted = False
+            return None
+        names = sorted(self.lanes)
+        lane = names[self._network.draw(len(names))]
+        data = self.lanes[lane].popleft()
+        if not self.lanes[lane]:
+            del self.lanes[lane]
+        return decode_message(data)
+
+    def interrupt(self) -> None:
+        self._interrupted = True
+
+    def close(self) -> None:
+        self._closed = True
+        self.lanes.clear()
+        self._network.forget(self._name)

@@ -1,0 +1,89 @@
+"""The handshake on the real keys that makes sure nothing is lost at the start; no input or output.
+
+What is put on a Zenoh key before its subscriber is known at the sender is lost in
+silence, and a liveliness token says only that a process is there. So the two ends of
+an edge say hello to each other on every key of the edge, again and again, each time
+with what they have heard of the other, until both have heard all: from then on the
+keys carry whatever is put on them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+
+from hierax.schemas.errors import SchemaError
+from hierax.schemas.messages import CONTEXT, HELLO, OBSERVATIONS, TASKS, Header, Message
+
+UP = (OBSERVATIONS,)
+DOWN = (TASKS, CONTEXT)
+"""The kinds of messages along an edge, by direction."""
+
+
+class Rendezvous:
+    """One node's side of the handshakes with all its neighbours.
+
+    Args:
+        name: of the node.
+        below, above: names of its neighbours.
+        instances: instance numbers, of the node and of its neighbours.
+        roster: the roster's version.
+    """
+
+    def __init__(
+        self, name: str, below: Iterable[str], above: Iterable[str], instances: Mapping[str, int], roster: int
+    ) -> None:
+        self._name = name
+        self._instances = instances
+        self._roster = roster
+        self.sends: dict[str, tuple[str, ...]] = {**dict.fromkeys(above, UP), **dict.fromkeys(below, DOWN)}
+        self.hears: dict[str, tuple[str, ...]] = {**dict.fromkeys(above, DOWN), **dict.fromkeys(below, UP)}
+        # replaced, never changed in place: another thread may be reading them
+        self._heard: dict[str, frozenset[str]] = dict.fromkeys(self.sends, frozenset())
+        self._confirmed: set[str] = set()
+
+    @property
+    def ready(self) -> bool:
+        """Whether every neighbour hears this node and is heard."""
+        return not self.missing
+
+    @property
+    def missing(self) -> tuple[str, ...]:
+        """The neighbours that the handshake is not done with."""
+        return tuple(peer for peer in sorted(self.sends) if not self._done(peer))
+
+    def hello(self, peer: str) -> list[tuple[str, Message]]:
+        """The greeting for a neighbour: by kind of key, what to put there."""
+        payload = ({"heard": sorted(self._heard[peer]), "done": self._done(peer)},)
+        header = Header(HELLO, self._name, peer, 0, roster=self._roster, instance=self._instances.get(self._name, 0))
+        return [(kind, Message(header, payload)) for kind in self.sends[peer]]
+
+    def heard(self, kind: str, message: Message) -> list[tuple[str, Message]]:
+        """Take in a greeting that came on the key of `kind`.
+
+        Returns:
+            The answer; nothing where the neighbour is done, or is not the instance of the roster.
+
+        Raises:
+            SchemaError: it is no greeting from a neighbour.
+        """
+        header = message.header
+        peer = header.sender
+        if peer not in self.hears or kind not in self.hears[peer]:
+            raise SchemaError(f"a greeting from {peer!r}, which sends no {kind} to {self._name!r}", "message.sender")
+        if header.instance != self._instances.get(peer, 0) or header.roster != self._roster:
+            return []
+        heard, done = _read(message)
+        self._heard[peer] |= {kind}
+        if set(self.sends[peer]) <= heard:
+            self._confirmed.add(peer)
+        return [] if done and self._done(peer) else self.hello(peer)
+
+    def _done(self, peer: str) -> bool:
+        return peer in self._confirmed and len(self._heard[peer]) == len(self.hears[peer])
+
+
+def _read(message: Message) -> tuple[set[str], bool]:
+    body = message.payload[0] if len(message.payload) == 1 else None
+    if not isinstance(body, dict) or not isinstance(body.get("heard"), tuple) or not isinstance(body.get("done"), bool):
+        raise SchemaError("expected one map with 'heard' and 'done'", "message.payload")
+    return {kind for kind in body["heard"] if isinstance(kind, str)}, body["done"]

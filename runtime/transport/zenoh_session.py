@@ -1,0 +1,134 @@
+"""Opening and closing Zenoh sessions, and what they leave behind."""
+
+from __future__ import annotations
+
+import fcntl
+import json
+import os
+import socket
+import threading
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any, TypeAlias
+
+import zenoh
+
+from hierax.runtime.transport.port import TransportError
+
+LOOPBACK = "tcp/127.0.0.1:0"
+"""Where a session listens unless told otherwise: a free port that no other machine reaches."""
+
+Settings: TypeAlias = "str | Mapping[str, Any] | None"
+"""Zenoh's own settings: the path of a JSON5 file, JSON5 text in braces, or a map."""
+
+LEASE_MS = 1000
+CLOSE_TIMEOUT_S = 1.0
+
+_SHARED_MEMORY = Path("/dev/shm")
+
+
+def open_session(
+    listen: Sequence[str] = (LOOPBACK,),
+    connect: Sequence[str] = (),
+    settings: Settings = None,
+    shared_memory: bool = True,
+) -> zenoh.Session:
+    """Open a session as a peer that links directly to every peer it hears of.
+
+    Args:
+        listen, connect: Zenoh endpoints.
+        settings: Zenoh's own; they win over ours, and over the file that ZENOH_CONFIG names.
+        shared_memory: whether large messages may go through shared memory.
+
+    Raises:
+        TransportError: Zenoh refuses the settings or cannot listen.
+    """
+    zenoh.init_log_from_env_or("error")
+    ours: dict[str, Any] = {
+        "mode": "peer",
+        "listen/endpoints": list(listen),
+        "connect/endpoints": list(connect),
+        "connect/timeout_ms": 10_000,
+        "connect/retry": {"period_init_ms": 10, "period_max_ms": 200, "period_increase_factor": 2},
+        "scouting/multicast/enabled": False,
+        "scouting/gossip/enabled": True,
+        # one of two peers opens the link: else both do, and one of the two links is closed again
+        "scouting/gossip/autoconnect_strategy": {"peer": {"to_router": "always", "to_peer": "greater-zid"}},
+        "scouting/delay": 0,
+        "transport/link/tx/lease": LEASE_MS,
+        "transport/shared_memory/enabled": shared_memory,
+    }
+    try:
+        config = _configured(ours, settings)
+        return zenoh.open(config)
+    except zenoh.ZError as error:
+        raise TransportError(f"Zenoh: {error}") from error
+
+
+def close_session(session: zenoh.Session) -> bool:
+    """Close a session, but wait no longer than `CLOSE_TIMEOUT_S`.
+
+    Returns:
+        Whether it closed in time. Closing can hang beside a peer that is stopped; the
+        process may then end all the same.
+    """
+    closer = threading.Thread(target=session.close, name="zenoh-close", daemon=True)
+    closer.start()
+    closer.join(CLOSE_TIMEOUT_S)
+    return not closer.is_alive()
+
+
+def free_endpoint() -> str:
+    """An endpoint on loopback that is free now."""
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        return f"tcp/127.0.0.1:{probe.getsockname()[1]}"
+
+
+def remove_orphaned_segments() -> int:
+    """Remove the shared-memory segments of sessions that are gone.
+
+    Zenoh holds a shared lock on each segment in use and removes orphans only when the next
+    session opens, so the last one would stay.
+
+    Returns:
+        How many were removed.
+    """
+    removed = 0
+    for path in sorted(_SHARED_MEMORY.glob("*.zenoh")):
+        removed += _remove_if_orphaned(path)
+    return removed
+
+
+def _remove_if_orphaned(path: Path) -> bool:
+    try:
+        descriptor = os.open(path, os.O_RDWR | os.O_CLOEXEC)
+    except OSError:
+        return False  # gone already, or another user's
+    try:
+        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        path.unlink()
+    except OSError:
+        return False  # in use
+    finally:
+        os.close(descriptor)
+    return True
+
+
+def _configured(ours: Mapping[str, Any], settings: Settings) -> zenoh.Config:
+    """The user's configuration, with ours where it says nothing."""
+    config = _given(settings)
+    default = zenoh.Config()
+    for path, value in ours.items():
+        if config.get_json(path) == default.get_json(path):
+            config.insert_json5(path, json.dumps(value))
+    return config
+
+
+def _given(settings: Settings) -> zenoh.Config:
+    if isinstance(settings, Mapping):
+        return zenoh.Config.from_json5(json.dumps(settings))
+    if settings is not None:
+        is_text = settings.lstrip().startswith("{")
+        return zenoh.Config.from_json5(settings) if is_text else zenoh.Config.from_file(settings)
+    return zenoh.Config.from_env() if os.environ.get("ZENOH_CONFIG") else zenoh.Config()

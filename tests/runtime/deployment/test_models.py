@@ -1,0 +1,38 @@
+from __future__ import annotations
+
+import pytest
+
+from hierax.runtime.deployment.models import check_target, field_meaning, field_names, split_edge
+
+
+@pytest.mark.parametrize("target", ["a:b", "a.b.c:D", "a_1:B.of", "_a:_b"])
+def test_targets(target: str) -> None:
+    assert check_target(target) == target
+
+
+@pytest.mark.parametrize(
+    "target", ["", "a", "a.b", "a:", ":b", "a:b:c", "a b:c", "a:b\n", "1a:b", "a..b:c", "a:b()", "../a:b"]
+)
+def test_what_is_no_target(target: str) -> None:
+    with pytest.raises(ValueError, match=r"expected 'package\.module:name', got"):
+        check_target(target)
+
+
+@pytest.mark.parametrize("edge", ["a -> b.c", "a->b.c", " a  ->b.c "])
+def test_edges(edge: str) -> None:
+    assert split_edge(edge) == ("a", "b.c")
+
+
+@pytest.mark.parametrize("edge", ["a", "a ->", "-> b", "a - b", "a -> b -> c", "a b -> c", "a/b -> c"])
+def test_what_is_no_edge(edge: str) -> None:
+    with pytest.raises(ValueError, match="expected"):
+        split_edge(edge)
+
+
+def test_fields_by_path() -> None:
+    assert field_names(("nodes", "world")) == ("class", "parameters")
+    assert field_names(("nodes",)) == ()
+    assert field_names(("nodes", "world", "parameters")) == ()
+    assert field_meaning(("world",)) == "which node is the external world"
+    assert field_meaning(("nodes", "world", "class")).startswith("module:name")
+    assert field_meaning(("nodes", "world", "other")) == ""

@@ -1,0 +1,311 @@
+from __future__ import annotations
+
+import json
+import random
+from pathlib import Path
+
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+from support.deployments import TOYS, line_of, replaced, write
+
+from hierax.runtime.core.errors import HieraxError
+from hierax.runtime.deployment import DeploymentError
+from hierax.runtime.deployment.read import read_deployment
+from hierax.schemas.roster import ProbeSpec, Reference, Roster, RosterEdge
+
+SEEN = Reference("support.toy_nodes:seen")
+
+
+def test_a_deployment_in_full(tmp_path: Path) -> None:
+    path = write(tmp_path)
+    deployment = read_deployment(path)
+    assert (deployment.path, deployment.name, deployment.epochs) == (path, "toys", 3)
+    assert deployment.description == "a counter and two that sum"
+    assert deployment.start_timeout_s == 30.0
+    assert deployment.zenoh is None
+    assert deployment.import_paths == (str(tmp_path), str(Path.cwd()))
+    assert deployment.probes == (ProbeSpec("left", Reference("support.toy_nodes:Keeper", {"file": "2.csv"})),)
+    assert deployment.roster == Roster(
+        "world",
+        {
+            "world": Reference("support.toy_nodes:Counter", {"step": 2}),
+            "left": Reference("support.toy_nodes:Summer"),
+            "top.most": Reference("support.toy_nodes:Summer", {"scale": 0.5, "weights": (1, 2.5)}),
+        },
+        (
+            RosterEdge("left", "top.most", SEEN, None, Reference("support.toy_nodes:Scale", {"factor": 2})),
+            RosterEdge("world", "left", SEEN),
+            RosterEdge("world", "top.most", Reference("support.toy_nodes:seen", {"offset": 1})),
+        ),
+    )
+
+
+def test_the_least_that_is_needed(tmp_path: Path) -> None:
+    deployment = read_deployment(write(tmp_path, "hierarchy: one\nworld: w\nnodes:\n  w: {class: a:b}\n"))
+    assert (deployment.epochs, deployment.description, deployment.probes) == (None, "", ())
+    assert deployment.roster == Roster("w", {"w": Reference("a:b")}, ())
+
+
+def test_what_is_given_as_nothing_is_as_left_out(tmp_path: Path) -> None:
+    bare = "hierarchy: one\nworld: w\nnodes:\n  w: {class: a:b}\n"
+    full = "parameters:\nepochs:\nedges:\nprobes:\nzenoh:\nhierarchy: one\nworld: w\nnodes:\n  w: {class: a:b, parameters: }\n"
+    assert read_deployment(write(tmp_path, bare)) == read_deployment(write(tmp_path, full))
+
+
+def test_overrides(tmp_path: Path) -> None:
+    deployment = read_deployment(
+        write(tmp_path), ["step=5", "context=false", "epochs=9", "nodes.left.parameters.scale=7", "world=world"]
+    )
+    assert deployment.roster.nodes["world"].parameters == {"step": 5}
+    assert deployment.roster.nodes["left"].parameters == {"scale": 7}
+    assert deployment.roster.edges[0].context is None
+    assert deployment.epochs == 9
+    assert deployment.probes[0].reference.parameters == {"file": "5.csv"}
+
+
+def test_probes_and_order_are_no_part_of_the_content(tmp_path: Path) -> None:
+    deployment = read_deployment(write(tmp_path))
+    without = read_deployment(write(tmp_path), ["probes=[]"])
+    swapped = TOYS.replace("  left: {class: support.toy_nodes:Summer}\n", "")
+    swapped = swapped.replace("nodes:\n", "nodes:\n  left: {class: support.toy_nodes:Summer}\n", 1)
+    assert list(read_deployment(write(tmp_path, swapped)).roster.nodes) != list(deployment.roster.nodes)
+    assert without.roster.content_hash() == deployment.roster.content_hash()
+    assert read_deployment(write(tmp_path, swapped)).roster.content_hash() == deployment.roster.content_hash()
+    assert read_deployment(write(tmp_path), ["step=3"]).roster.content_hash() != deployment.roster.content_hash()
+
+
+def test_zenohs_own_settings(tmp_path: Path) -> None:
+    (tmp_path / "zenoh.json5").write_text("{}")
+    path = write(tmp_path)
+    assert read_deployment(path, ["zenoh={listen: {endpoints: [x]}}"]).zenoh == {"listen": {"endpoints": ["x"]}}
+    assert read_deployment(path, ["zenoh='{mode: \"peer\"}'"]).zenoh == '{mode: "peer"}'
+    assert read_deployment(path, ["zenoh=zenoh.json5"]).zenoh == str(tmp_path / "zenoh.json5")
+
+
+MISTAKES = [
+    # a part of the right file, what stands there instead, the mistake's line, the message after file and line
+    ("hierarchy: toys", "hierarchie: toys", "hierarchie:", "hierarchie: unknown field; did you mean 'hierarchy'?"),
+    ("hierarchy: toys\n", "", "description", "hierarchy: missing; expected the hierarchy's name"),
+    ("hierarchy: toys", "hierarchy: 12", "hierarchy", "hierarchy: expected text, got 12"),
+    ("hierarchy: toys", "hierarchy: to ys", "hierarchy", "hierarchy: 'to ys' is no hierarchy's name: expected"),
+    ("description: a counter and two that sum", "description: [a]", "descr", "description: expected text, got a list"),
+    ("epochs: 3", "epochs: three", "epochs", "epochs: expected a whole number, got 'three'"),
+    ("epochs: 3", "epochs: 3.5", "epochs", "epochs: expected a whole number, got 3.5"),
+    ("epochs: 3", "epochs: true", "epochs", "epochs: expected a whole number, got true"),
+    ("epochs: 3", "epochs: 0", "epochs", "epochs: expected at least 1, got 0"),
+    ("epochs: 3", "start_timeout_s: 0", "start", "start_timeout_s: expected more than 0, got 0"),
+    ("epochs: 3", "start_timeout_s: .inf", "start", "start_timeout_s: expected a finite number, got inf"),
+    ("epochs: 3", "start_timeout_s: soon", "start", "start_timeout_s: expected a number, got 'soon'"),
+    ("epochs: 3", "zenoh: [a]", "zenoh", "zenoh: expected the path of a file, JSON5 text or a map, got ['a']"),
+    ("epochs: 3", "zenoh: nowhere.json5", "zenoh", "zenoh: there is no file '"),
+    ("epochs: 3", "restart_policy: always", "restart", "restart_policy: unknown field; "),
+    ("world: world\nparam", "param", "hierarchy", "world: missing; expected which node is the external world"),
+    ("world: world\nparam", "world: wrld\nparam", "world: wrld", "world: there is no node 'wrld'; did you mean 'world'?"),
+    ("step: 2", "step: 2\n  step: 3", "step: 3", "parameters.step: given twice, in line 6 and in line 7"),
+    ('"${step}"}', '"${stop}"}', "    parameters: {step", "nodes.world.parameters.step: unknown parameter ${stop}; did"),
+    ("  context: true", "  context: 1", "      enabled", "edges.left -> top.most.context.enabled: expected true or false, "
+     "got 1 (from ${context}, FILE:8)"),
+    ("  world:\n    class", "  wor ld:\n    class", "  wor ld", "nodes.wor ld: 'wor ld' is no node's name: expected at most"),
+    ("    class: support.toy_nodes:Counter", "    clas: support.toy_nodes:Counter", "    clas:",
+     "nodes.world.clas: unknown field; did you mean 'class'?"),
+    ("    class: support.toy_nodes:Counter\n", "", "  world:\n", "nodes.world.class: missing; expected module:name of a class"),
+    ("support.toy_nodes:Counter", "support.toy_nodes.Counter", "    class", "nodes.world.class: expected "
+     "'package.module:name', got 'support.toy_nodes.Counter'"),
+    ("{class: support.toy_nodes:Summer}", "support.toy_nodes:Summer", "  left:", "nodes.left: expected a map, got 'support."),
+    ("{class: support.toy_nodes:Summer}", "", "  left:", "nodes.left: expected a map, got nothing"),
+    ("{class: support.toy_nodes:Summer}", "{class: a:b, noise: 1}", "  left:", "nodes.left.noise: unknown field; expected "
+     "one of class, parameters"),
+    ("{class: support.toy_nodes:Summer}", "{class: a:b, parameters: [1]}", "  left:", "nodes.left.parameters: expected a map, "
+     "got a list"),
+    ("  world -> left:", "  world - left:", "  world - left:", "edges.world - left: 'world - left' is no edge: expected "
+     "'lower -> upper', two names of nodes"),
+    ("  world -> left:", "  world -> lift:", "  world -> lift:", "edges.world -> lift: there is no node 'lift'; did you mean "
+     "'left'?"),
+    ("  world -> left:", "  world -> left -> right:", "  world -> left ->", "edges.world -> left -> right: 'world -> left -> "
+     "right' is no edge"),
+    ("  world -> left:", "  left->top.most:", "  left -> top.most", "edges.left -> top.most: given twice, in line"),
+    ("  world -> left:", "  left -> left:", "edges:", "edges: edge left->left joins a node to itself"),
+    ("  world -> left:", "  left -> world:", "edges:", "edges: nothing may be below the world 'world', but 'left' is"),
+    ("  world -> left:", "  top.most -> left:", "edges:", "edges: the edges form a cycle: "),
+    ("    task: null", "    tusk: null", "    tusk", "edges.left -> top.most.tusk: unknown field; did you mean 'task'?"),
+    ("    task: null", "    task: toy", "    task", "edges.left -> top.most.task: expected 'package.module:name', got 'toy'"),
+    ("    task: null", "    task: [a]", "    task", "edges.left -> top.most.task: expected a map, got a list"),
+    ("      parameters: {factor: 2}", "      params: {factor: 2}", "      params", "edges.left -> top.most.context.params: "
+     "unknown field; did you mean 'parameters'?"),
+    ("      function: support.toy_nodes:Scale\n", "", "    context:", "edges.left -> top.most.context.function: missing; "
+     "expected module:name of a function"),
+    ("  - node: left", "  - node: lift", "  - node", "probes[0].node: there is no node 'lift'; did you mean 'left'?"),
+    ("  - node: left\n    class", "  - class", "  - class", "probes[0].node: missing; expected the node that it watches"),
+    ("  - node: left\n", "  node: left\n", "probes", "probes: "),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "part", "message"), MISTAKES, ids=[f"{new[:30]!r}" for _, new, _, _ in MISTAKES]
+)
+def test_a_mistake_is_told_in_one_line(tmp_path: Path, old: str, new: str, part: str, message: str) -> None:
+    if new == "  node: left\n":
+        text = TOYS[: TOYS.index("  - node")] + "  node: left\n"
+        message = "probes: expected a list, got a map"
+    else:
+        text = replaced(old, new)
+    path = write(tmp_path, text)
+    with pytest.raises(DeploymentError) as caught:
+        read_deployment(path)
+    assert str(caught.value).startswith(f"{path}:{line_of(part, text)}: {message.replace('FILE', str(path))}")
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("override", "message"),
+    [
+        ("epochs=0", "--set epochs=0: epochs: expected at least 1, got 0"),
+        ("nodes.left.class=toys", "--set nodes.left.class=toys: nodes.left.class: expected 'package.module:name'"),
+        (
+            "context=2",
+            "edges.left -> top.most.context.enabled: expected true or false, got 2 (from ${context}, --set context=2)",
+        ),
+        ("step=${stop}", "--set step=${stop}: parameters.step: unknown parameter ${stop}"),
+        ("edges=null", "--set edges=null: edges: 'left', 'top.most' cannot be reached from the world 'world'"),
+        ("nodes.left.parameters.x=${scale}${y}", "nodes.left.parameters.x: unknown parameter ${y}"),
+        ("parameters=3", "--set parameters=3: parameters: expected a map from names to values, got 3"),
+    ],
+)
+def test_a_mistake_in_an_override(tmp_path: Path, override: str, message: str) -> None:
+    with pytest.raises(DeploymentError) as caught:
+        read_deployment(write(tmp_path), [override])
+    assert message in str(caught.value)
+
+
+def test_the_first_mistake_is_told(tmp_path: Path) -> None:
+    text = (
+        TOYS.replace("task: null", "tusk: null")
+        .replace("epochs: 3", "epochs: 0")
+        .replace("- node: left", "- nude: left")
+    )
+    with pytest.raises(DeploymentError, match=":3: epochs: expected at least 1"):
+        read_deployment(write(tmp_path, text))
+
+
+@pytest.mark.parametrize(
+    ("content", "message"),
+    [
+        (b"", "toys.yaml: is empty; expected a map with hierarchy"),
+        (b"# only a comment\n", "toys.yaml: is empty"),
+        (b"- a\n- b\n", "toys.yaml:1: expected a map with hierarchy, world, nodes and edges, got a list"),
+        (b"just text", "toys.yaml:1: expected a map with hierarchy, world, nodes and edges, got 'just text'"),
+        (b"a: 1\nb: \xff\xfe\n", "toys.yaml:2: byte 0xff is not UTF-8; save the file as UTF-8"),
+    ],
+)
+def test_what_is_no_deployment_at_all(tmp_path: Path, content: bytes, message: str) -> None:
+    path = tmp_path / "toys.yaml"
+    path.write_bytes(content)
+    with pytest.raises(DeploymentError) as caught:
+        read_deployment(path)
+    assert message in str(caught.value)
+
+
+def test_places_and_errors_of_later_stages(tmp_path: Path) -> None:
+    class Misfit(HieraxError):
+        where = "nodes.top.most.parameters.scale"
+
+    path = write(tmp_path)
+    deployment = read_deployment(path, ["nodes.left.parameters.scale=3"])
+    assert deployment.place("nodes.world.class") == f"{path}:{line_of('class: support.toy_nodes:Counter')}"
+    assert deployment.place("nodes.left.parameters.scale") == "--set nodes.left.parameters.scale=3"
+    line = line_of('scale: "${scale}"')
+    assert str(deployment.explain(Misfit(f"{Misfit.where}: too much"))) == (
+        f"{path}:{line}: nodes.top.most.parameters.scale: too much (from ${{scale}}, {path}:7)"
+    )
+    other = HieraxError("the link is down")
+    assert deployment.explain(other) is other
+
+
+LINES = TOYS.splitlines()
+SCRAPS = [
+    "",
+    "[",
+    "]",
+    "{",
+    "}",
+    ":",
+    "- ",
+    "'",
+    '"',
+    "${",
+    "${step}",
+    "&a",
+    "*a",
+    "!!int ",
+    "<<: ",
+    "\t",
+    "null",
+    "1e3",
+    "->",
+]
+
+
+def mutated(seed: int) -> str:
+    """The right file with some lines dropped, doubled, swapped, indented or filled with scraps."""
+    draw = random.Random(seed)
+    lines = list(LINES)
+    for _ in range(draw.randint(1, 4)):
+        at = draw.randrange(len(lines))
+        other = draw.randrange(len(lines))
+        match draw.randrange(6):
+            case 0:
+                del lines[at]
+            case 1:
+                lines.insert(other, lines[at])
+            case 2:
+                lines[at], lines[other] = lines[other], lines[at]
+            case 3:
+                lines[at] = " " * draw.randint(1, 4) + lines[at]
+            case 4:
+                lines[at] = lines[at].lstrip()
+            case _:
+                column = draw.randint(0, len(lines[at]))
+                lines[at] = lines[at][:column] + draw.choice(SCRAPS) + lines[at][column + draw.randint(0, 3) :]
+    return "\n".join(lines)
+
+
+@settings(suppress_health_check=[HealthCheck.function_scoped_fixture], deadline=None, max_examples=300)
+@given(
+    seed=st.integers(0, 1 << 32), overrides=st.lists(st.sampled_from(["step=1", "epochs=2", "nodes.left.class=a:b"]))
+)
+def test_a_spoilt_file_gives_one_clear_error(tmp_path: Path, seed: int, overrides: list[str]) -> None:
+    path = write(tmp_path, mutated(seed))
+    try:
+        read_deployment(path, overrides)
+    except DeploymentError as error:
+        assert str(error).startswith((str(path), "--set"))
+        assert "\n" not in str(error)
+
+
+PATHS = [
+    "hierarchy", "description", "epochs", "world", "parameters", "nodes", "edges", "probes", "start_timeout_s", "zenoh",
+    "step", "nodes.world", "nodes.left.class", "nodes.left.parameters", "edges.world -> left", "edges.world -> left.sense",
+    "edges.left -> top.most.context.enabled", "edges.left -> top.most.context.parameters", "probes[0]", "probes[0].node",
+]  # fmt: skip
+VALUES = st.recursive(
+    st.none()
+    | st.booleans()
+    | st.integers(-3, 1 << 70)
+    | st.floats()
+    | st.sampled_from(["a", "a:b", "left", "${step}", "{"]),
+    lambda inner: (
+        st.lists(inner, max_size=2) | st.dictionaries(st.sampled_from(["class", "node", "x"]), inner, max_size=2)
+    ),
+    max_leaves=4,
+)
+
+
+@settings(suppress_health_check=[HealthCheck.function_scoped_fixture], deadline=None, max_examples=300)
+@given(changes=st.lists(st.tuples(st.sampled_from(PATHS), VALUES), min_size=1, max_size=3))
+def test_any_value_anywhere_is_taken_or_refused(tmp_path: Path, changes: list[tuple[str, object]]) -> None:
+    overrides = [f"{path}={json.dumps(value)}" for path, value in changes]
+    try:
+        read_deployment(write(tmp_path), overrides)
+    except DeploymentError as error:
+        assert "\n" not in str(error)

@@ -1,0 +1,123 @@
+"""Both transports pass the kit that is shipped for them."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Mapping, Sequence
+from secrets import token_hex
+
+import pytest
+
+from hierax.runtime.core.hierarchy import neighbours_above, neighbours_below
+from hierax.runtime.testing.transport import check_transport, receive
+from hierax.runtime.transport.memory import MemoryNetwork
+from hierax.runtime.transport.port import Port, TransportError
+from hierax.runtime.transport.zenoh_port import ZenohPort
+from hierax.runtime.transport.zenoh_session import LOOPBACK, free_endpoint, open_session
+from hierax.schemas.errors import SchemaError
+from hierax.schemas.keys import Keys
+from hierax.schemas.messages import CONTEXT, HELLO, OBSERVATIONS, Header, Message, encode_message
+
+
+def open_memory(edges: Sequence[tuple[str, str]]) -> Mapping[str, Port]:
+    network = MemoryNetwork(seed=1)
+    return {name: network.open_port(name) for name in sorted({name for edge in edges for name in edge})}
+
+
+def open_zenoh(edges: Sequence[tuple[str, str]], keys: Keys | None = None) -> dict[str, ZenohPort]:
+    """A session for each node; the first one is what the others find one another through."""
+    keys = keys or Keys("conformance", token_hex(4))
+    hub = free_endpoint()
+    ports = {}
+    for number, name in enumerate(sorted({name for edge in edges for name in edge})):
+        session = open_session([LOOPBACK if number else hub], [hub] if number else [])
+        ports[name] = ZenohPort(session, keys, name, neighbours_below(name, edges), neighbours_above(name, edges))
+    connect(ports)
+    return ports
+
+
+def connect(ports: Mapping[str, ZenohPort]) -> None:
+    """As processes do it: each port answers its neighbours' greetings, also when it is done itself."""
+
+    def answer(port: ZenohPort) -> None:
+        port.connect()
+        while port.receive() is not None:
+            pytest.fail("a message before anybody sent one")
+
+    threads = [threading.Thread(target=answer, args=[port], daemon=True) for port in ports.values()]
+    for thread in threads:
+        thread.start()
+    while not all(port.rendezvous.ready for port in ports.values()):
+        for port in ports.values():
+            port.greet()
+        threads[0].join(0.02)
+    for port in ports.values():
+        port.interrupt()
+    for thread in threads:
+        thread.join()
+
+
+def test_memory() -> None:
+    check_transport(open_memory)
+
+
+def test_zenoh() -> None:
+    check_transport(open_zenoh)
+
+
+def test_memory_is_bounded() -> None:
+    network = MemoryNetwork(queue_size=3)
+    port = network.open_port("a")
+    network.open_port("b")
+    for _ in range(3):
+        port.send(Message(Header(OBSERVATIONS, "a", "b", 1), ()))
+    with pytest.raises(TransportError, match="3 obs messages to b are not received yet"):
+        port.send(Message(Header(OBSERVATIONS, "a", "b", 1), ()))
+
+
+def test_memory_order_is_the_seed_s() -> None:
+    def order(seed: int) -> list[str]:
+        network = MemoryNetwork(seed)
+        ports = {name: network.open_port(name) for name in "abcd"}
+        for sender in "bcd":
+            for epoch in range(5):
+                ports[sender].send(Message(Header(OBSERVATIONS, sender, "a", epoch), ()))
+        messages = [ports["a"].receive() for _ in range(15)]
+        return [message.header.sender for message in messages if message is not None]
+
+    assert order(1) == order(1)
+    assert len({tuple(order(seed)) for seed in range(20)}) > 15
+
+
+@pytest.fixture
+def pair() -> dict[str, ZenohPort]:
+    return open_zenoh([("low", "up")], Keys("conformance", "pair" + token_hex(4)))
+
+
+def put(port: ZenohPort, kind: str, data: bytes) -> None:
+    """What somebody who holds a publisher could put there."""
+    port._publishers[kind, "up"].put(data)
+
+
+@pytest.mark.parametrize(
+    ("data", "what"),
+    [
+        (b"\xc1\x00", "does not begin like a message"),
+        (encode_message(Message(Header(OBSERVATIONS, "other", "up", 1), ())), "'other' on key .* has nothing to say"),
+        (encode_message(Message(Header(CONTEXT, "low", "up", 1), ())), "a ctx message on key"),
+        (encode_message(Message(Header(HELLO, "low", "up", 0), ("hi",))), "expected one map"),
+    ],
+)
+def test_zenoh_drops_what_is_no_message(pair: dict[str, ZenohPort], data: bytes, what: str) -> None:
+    low, up = pair["low"], pair["up"]
+    try:
+        put(low, OBSERVATIONS, data)
+        with pytest.raises(SchemaError, match=what):
+            receive(up)
+        low.send(Message(Header(OBSERVATIONS, "low", "up", 7), ()))
+        message = receive(up)
+        assert message is not None
+        assert message.header.epoch == 7
+    finally:
+        low.close()
+        up.close()

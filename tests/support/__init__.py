@@ -1,0 +1,1 @@
+"""What tests share; pytest puts `tests` on the path, so: ``from support.hierarchies import …``."""
