@@ -12,12 +12,12 @@ import pkgutil
 import re
 import sys
 import traceback
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from types import ModuleType
 from typing import Any
 
 from hierax.runtime.core.binding import BoundNode, Setting
-from hierax.runtime.core.errors import HierarchyError, HieraxError
+from hierax.runtime.core.errors import HieraxError
 from hierax.runtime.core.graph import Pair
 from hierax.runtime.core.hierarchy import BoundEdge, Edge, Hierarchy, neighbours_above, neighbours_below
 from hierax.runtime.core.node import Node, World
@@ -133,14 +133,39 @@ def build_hierarchy(roster: Roster, setting: Setting) -> Hierarchy:
     nodes = {name: build_node(reference, f"nodes.{name}") for name, reference in roster.nodes.items()}
     edges = [build_edge(edge) for edge in roster.edges]
     pairs = [edge.pair for edge in edges]
-    if not isinstance(nodes[roster.world], World):
-        what = f"the world's class must derive from World, {type(nodes[roster.world]).__name__} does not"
-        raise LoadError(what, f"nodes.{roster.world}.class")
-    for name, node in nodes.items():
-        _check_node(name, node, pairs, setting)
+    for name, node in nodes.items():  # each by itself first: these errors know their place
+        bind_node(name, node, roster.world, pairs, setting)
     for edge in edges:
-        _check_edge(edge, setting)
+        bind_edge(edge, setting)
     return Hierarchy(nodes, roster.world, edges, setting)
+
+
+def bind_node(name: str, node: Node, world: str, pairs: Sequence[Pair], setting: Setting) -> BoundNode:
+    """A node with its neighbours, ready to be called.
+
+    Raises:
+        LoadError: an operator cannot be called, λ(∅) is not π⁰, or N₀ is no world.
+    """
+    where = f"nodes.{name}"
+    if name == world and not isinstance(node, World):
+        raise LoadError(f"the world's class must derive from World, {type(node).__name__} does not", f"{where}.class")
+    try:
+        return BoundNode(name, node, neighbours_below(name, pairs), neighbours_above(name, pairs), setting)
+    except HieraxError as error:
+        raise LoadError(str(error).removeprefix(f"{name}: "), where) from error
+
+
+def bind_edge(edge: Edge, setting: Setting, side: str = "both") -> BoundEdge:
+    """An edge's functions on one side or both, ready to be called.
+
+    Raises:
+        LoadError: one of them cannot be called.
+    """
+    name = f"{edge.lower}->{edge.upper}"
+    try:
+        return BoundEdge.of(edge, setting, side)
+    except HieraxError as error:
+        raise LoadError(str(error).removeprefix(f"{name}: "), f"edges.{edge.lower} -> {edge.upper}") from error
 
 
 def check_initial_belief(name: str, node: Node) -> None:
@@ -156,21 +181,6 @@ def check_initial_belief(name: str, node: Node) -> None:
         raise LoadError(f"the initial belief is no value: {error}", where) from error
     except Exception as error:
         raise LoadError(f"initial_belief raised {_told(error)}", where) from error
-
-
-def _check_node(name: str, node: Node, pairs: list[Pair], setting: Setting) -> None:
-    try:
-        BoundNode(name, node, neighbours_below(name, pairs), neighbours_above(name, pairs), setting)
-    except HieraxError as error:
-        raise LoadError(str(error).removeprefix(f"{name}: "), f"nodes.{name}") from error
-
-
-def _check_edge(edge: Edge, setting: Setting) -> None:
-    name = f"{edge.lower}->{edge.upper}"
-    try:
-        BoundEdge.of(edge, setting)
-    except HierarchyError as error:
-        raise LoadError(str(error).removeprefix(f"{name}: "), f"edges.{edge.lower} -> {edge.upper}") from error
 
 
 def _load_function(reference: Reference, where: str) -> Callable[..., Any]:

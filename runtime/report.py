@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
@@ -51,6 +51,7 @@ class Report:
             None where there was no epoch.
         nodes: by name.
         output: the folder that states and results were written to, or None.
+        epochs_us: how long each epoch took, in microseconds.
         start_s: from the start of the processes to the first epoch, in seconds; None in
             a single process.
     """
@@ -66,6 +67,7 @@ class Report:
     nodes: Mapping[str, NodeReport]
     output: Path | None = None
     start_s: float | None = None
+    epochs_us: Sequence[float] = field(default=(), repr=False)
 
     @property
     def epochs_per_s(self) -> float | None:
@@ -105,5 +107,8 @@ def make_report(
         digest: of the last epoch.
         epochs_s: how long each epoch took, in seconds.
     """
-    p50_us, p99_us = (float(q) for q in np.percentile(epochs_s, (50, 99)) * 1e6) if len(epochs_s) else (None, None)
-    return Report(hierarchy, mode, epochs, seed, digest.hex(), wall_s, p50_us, p99_us, nodes, output, start_s)
+    epochs_us = [1e6 * epoch_s for epoch_s in epochs_s]
+    p50_us, p99_us = (float(q) for q in np.percentile(epochs_us, (50, 99))) if epochs_us else (None, None)
+    return Report(
+        hierarchy, mode, epochs, seed, digest.hex(), wall_s, p50_us, p99_us, nodes, output, start_s, epochs_us
+    )

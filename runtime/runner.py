@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import logging
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import BinaryIO
@@ -94,7 +94,7 @@ class NodeRunner:
             new = self._send(self.engine.begin())
             rest += new
 
-    def _send(self, outputs: list[Output]) -> list[Output]:
+    def _send(self, outputs: Iterable[Output]) -> list[Output]:
         """Send what is to be sent; give back the rest."""
         rest: list[Output] = []
         for output in outputs:

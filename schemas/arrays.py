@@ -128,7 +128,8 @@ def decode_array(data: bytes | memoryview, where: str = "array") -> np.ndarray[A
 
 
 def _code(array: np.ndarray[Any, Any]) -> str:
-    return array.dtype.newbyteorder("<").str
+    code: str = array.dtype.newbyteorder("<").str
+    return code
 
 
 def _is_bad_bool(array: np.ndarray[Any, Any]) -> bool:

@@ -116,22 +116,9 @@ def encode_message(message: Message) -> bytes:
     Raises:
         SchemaError: the payload holds something that cannot travel.
     """
-    head = message.header
+    header, payload = message
     tail = _Tail()
-    fields = (
-        FORMAT,
-        _KIND_CODES[head.kind],
-        head.sender,
-        head.receiver,
-        head.epoch,
-        head.attempt,
-        head.roster,
-        head.instance,
-        head.time_s,
-        head.digest,
-        head.extensions,
-        message.payload,
-    )
+    fields = (FORMAT, _KIND_CODES[header[0]], *header[1:], payload)
     packed = pack(fields, tail.default, "message", _NAMES)
     data = _with_tail(packed, tail.arrays) if tail.arrays else packed
     if len(data) > MAX_MESSAGE_BYTES:

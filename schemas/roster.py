@@ -72,6 +72,11 @@ class RosterEdge:
         """``lower->upper``."""
         return f"{self.lower}->{self.upper}"
 
+    @property
+    def pair(self) -> tuple[str, str]:
+        """The names, lower first."""
+        return (self.lower, self.upper)
+
 
 @dataclass(frozen=True)
 class Roster:

@@ -22,10 +22,14 @@ from hierax.schemas.limits import MAX_CONTAINERS, MAX_DEPTH, MAX_ITEMS, MAX_MESS
 Value = Any
 ExtHook = Callable[[int, bytes], Value]
 Names = tuple[str, ...]
+Types = frozenset[type]
 
 _PRESCAN_BYTES = 1024
 _PATH_CHARS = 200
-_LEAVES = frozenset({NoneType, bool, int, float, str, bytes, np.ndarray})
+_SURE = frozenset({NoneType, bool, float, bytes})
+_NO_CONTAINERS = bytes(byte for byte in range(256) if not (0x80 <= byte <= 0x9F or 0xDC <= byte <= 0xDF))
+_TIME_STAMPS = (b"\xd6\xff", b"\xd7\xff", b"\xc7\x0c\xff")
+_LEAVES = _SURE | {int, str, np.ndarray}
 
 
 def encode_value(value: Value) -> bytes:
@@ -59,13 +63,13 @@ def pack(value: Value, default: Callable[[Any], Any], where: str = "value", name
         SchemaError: something cannot travel; it says where and what.
     """
     if not _is_sound(value, 0):
-        raise _fault(value, where, names)
+        raise _fault(value, where, names, _LEAVES)
     try:
         packed: bytes = msgpack.packb(value, default=default)
     except SchemaError as error:
-        raise _fault(value, where, names, error.what) from error
+        raise _fault(value, where, names, _SURE, error.what) from error
     except (TypeError, ValueError, OverflowError, RecursionError) as error:
-        raise _fault(value, where, names, f"cannot be sent: {error}") from error
+        raise _fault(value, where, names, _SURE, f"cannot be sent: {error}") from error
     if len(packed) > MAX_MESSAGE_BYTES:
         raise SchemaError(f"has {len(packed)} bytes; at most {MAX_MESSAGE_BYTES} are allowed", where)
     if len(packed) > MAX_CONTAINERS and _containers(value) > MAX_CONTAINERS:
@@ -106,7 +110,7 @@ def unpack(data: bytes | memoryview, ext_hook: ExtHook, where: str, names: Names
     except (ValueError, TypeError, OverflowError, msgpack.exceptions.UnpackException) as error:
         raise SchemaError(f"not one msgpack value: {str(error) or type(error).__name__}", where) from error
     if not _is_sound(value, 0):
-        raise _fault(value, where, names)
+        raise _fault(value, where, names, _LEAVES)
     return value
 
 
@@ -174,6 +178,14 @@ def _prescan(data: bytes) -> None:
     unpacker.skip()
 
 
+def _looks_sound(data: bytes) -> bool:
+    """Whether bytes that msgpack could read need no second look: no time stamps, and too few containers to nest deep."""
+    short, long, longest = _TIME_STAMPS
+    if short in data or long in data or longest in data:
+        return False
+    return len(data.translate(None, _NO_CONTAINERS)) <= MAX_DEPTH
+
+
 def _is_sound(value: Any, depth: int) -> bool:
     """What msgpack lets through and we don't, in either direction; `_flaw` says what. Runs for every message."""
     if isinstance(value, dict):
@@ -228,30 +240,38 @@ def _key_flaw(key: Any) -> str:
     return ""
 
 
-def _fault(value: Value, where: str, names: Names, otherwise: str = "") -> SchemaError:
-    """The first part that cannot travel, as an error; says `otherwise` of the whole if none is found."""
+def _fault(value: Value, where: str, names: Names, sure: Types, otherwise: str = "") -> SchemaError:
+    """The first part that cannot travel, as an error.
+
+    Args:
+        value, where, names: as `pack` and `unpack` have them.
+        sure: types that need no look.
+        otherwise: said of the whole if nothing is found.
+    """
     named = type(value) is tuple and len(value) == len(names)
     roots = zip(names, value, strict=True) if named else [(where, value)]
     for name, root in roots:
-        for path, depth, item in _walk(name, int(named), root):
+        for path, depth, item in _walk(name, int(named), root, sure):
             flaw = _flaw(item, depth)
             if flaw:
                 return SchemaError(flaw, path if len(path) <= _PATH_CHARS else path[:_PATH_CHARS] + "…")
     return SchemaError(otherwise, where)
 
 
-def _walk(path: str, depth: int, value: Value) -> Iterator[tuple[str, int, Any]]:
-    """Every part of a value with its path and depth, in order."""
+def _walk(path: str, depth: int, value: Value, sure: Types) -> Iterator[tuple[str, int, Any]]:
+    """A value and its parts, but those of `sure` types, with path and depth, in order."""
     yield path, depth, value
     if depth > MAX_DEPTH:
         return
     if isinstance(value, dict):
         for key, part in value.items():
-            yield from _walk(f"{path}.{key}", depth + 1, part)
+            if type(part) not in sure:
+                yield from _walk(f"{path}.{key}", depth + 1, part, sure)
     elif isinstance(value, (tuple, list)):
         for index, part in enumerate(value):
-            yield from _walk(f"{path}[{index}]", depth + 1, part)
+            if type(part) not in sure:
+                yield from _walk(f"{path}[{index}]", depth + 1, part, sure)
 
 
 def _containers(value: Value) -> int:
-    return sum(isinstance(item, (dict, tuple, list)) for _, _, item in _walk("", 0, value))
+    return sum(isinstance(item, (dict, tuple, list)) for _, _, item in _walk("", 0, value, _LEAVES))

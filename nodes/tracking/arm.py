@@ -12,13 +12,21 @@ from typing import Any
 import numpy as np
 
 from hierax.nodes.tracking.edges import NO_EDGES, visible_edges
-from hierax.nodes.tracking.geometry import Array, Floats, invert, transform
-from hierax.nodes.tracking.matching import Image, Match, match, smoothed
+from hierax.nodes.tracking.geometry import Array, Floats, exp_se3, invert, log_se3, transform
+from hierax.nodes.tracking.matching import WIDE, Image, Match, match, smoothed
 from hierax.runtime import Elements, Node, Value
 
 TRACKED = "tracked"
 EXPECTED = "expected"
 LOST = "lost"
+
+_WIDER_STARTS = (1.0, 0.0, 0.5, 1.5, 2.0)
+_WIDER_VARIANCE = 9.0
+_BETTER = 0.05
+
+_SURPRISED = 1.5
+_CALMING = 0.85
+_LEAST_UNREST = 0.1
 
 Tracked = dict[str, Any]
 
@@ -31,10 +39,11 @@ class ArmNode(Node):
     number) and ``objects``, a tuple of
 
     - ``id``: label in this scene, 1 to 255; ``obj_id``: number of the model;
-    - ``pose``: camera_from_object, seen from ``camera``; ``covariance``: (6, 6) of its error as a
-      twist in the object's frame (m², rad²);
+    - ``pose``: camera_from_object, seen from ``camera``; ``before``: the same an image earlier;
+      ``covariance``: (6, 6) of the pose's error as a twist in the object's frame (m², rad²);
     - ``score``: 0 to 1; ``status``: ``tracked`` (the newest image supports the pose),
       ``expected`` (known from prediction alone) or ``lost``; ``misses``: images in a row without support;
+      ``unrest``: 0.1 to 1, how much of `motion_m` and `motion_rad` its latest motion asks for;
     - ``edges``: (n, 2, 3) ends of the edges expected to be seen, object's frame, metres;
       ``kinds``: (n,) uint8, see `hierax.nodes.tracking.edges`.
 
@@ -42,6 +51,9 @@ class ArmNode(Node):
         objects: ``id``, ``obj_id`` and ``pose`` (camera_from_object in the first frame) of each.
         start_m, start_rad: standard deviation of the first poses, in each axis.
         motion_m, motion_rad: of the objects' deviation from their prediction within a frame.
+        error_px: standard deviation of a match, as if its control points erred by this independently; they
+            err together, along an edge and from image to image, so it is larger than one of them errs.
+        sure_score: a match that scores less is also looked for farther away.
         kept_score: an image that scores a pose below this does not support it.
         found_score: a lost object is found again at this score.
         patience: images in a row without support until an object is lost.
@@ -57,11 +69,14 @@ class ArmNode(Node):
         start_rad: float = 0.035,
         motion_m: float = 0.010,
         motion_rad: float = 0.06,
+        error_px: float = 0.5,
+        sure_score: float = 0.8,
         kept_score: float = 0.35,
         found_score: float = 0.6,
         patience: int = 10,
     ) -> None:
         deviations = {"start_m": start_m, "start_rad": start_rad, "motion_m": motion_m, "motion_rad": motion_rad}
+        deviations["error_px"] = error_px
         for name, number in deviations.items():
             if not number > 0.0:
                 raise ValueError(f"{name} is {number}; expected a positive number")
@@ -75,6 +90,8 @@ class ArmNode(Node):
         if len(set(ids)) != len(ids) or not all(1 <= number <= 255 for number in ids):
             raise ValueError(f"ids must be different and from 1 to 255, got {ids}")
         self._motion = _covariance(motion_m, motion_rad)
+        self._error_px = error_px
+        self._sure_score = sure_score
         self._kept_score = kept_score
         self._found_score = found_score
         self._patience = patience
@@ -98,10 +115,10 @@ class ArmNode(Node):
         moved = np.eye(4) if belief["camera"] is None else invert(camera) @ belief["camera"]
         wanted = any(len(item["edges"]) for item in belief["objects"])
         soft = smoothed(image) if wanted else None
-        objects = tuple(
-            self._corrected({**item, "pose": moved @ item["pose"]}, soft, seen["intrinsics"])
-            for item in belief["objects"]
-        )
+        predicted = [
+            {**item, "pose": moved @ item["pose"], "before": moved @ item["before"]} for item in belief["objects"]
+        ]
+        objects = tuple(self._corrected(item, soft, seen["intrinsics"]) for item in predicted)
         height, width = image.shape[:2]
         return {
             "camera": camera,
@@ -140,20 +157,49 @@ class ArmNode(Node):
         }
 
     def _corrected(self, item: Tracked, image: Image | None, intrinsics: Array) -> Tracked:
-        """One object after the image."""
+        """One object after the image: matched with a prior that allows for any motion, then filtered."""
         if image is None:
             return item
-        found = match(image, item["edges"], item["pose"], item["covariance"], intrinsics)
+        found = self._matched(item, image, intrinsics)
         needed = self._found_score if item["status"] == LOST else self._kept_score
         if found is None or found.score < needed:
             return self._missed(item, found)
+        return {**item, **self._filtered(item, found), "score": found.score, "status": TRACKED, "misses": 0}
+
+    def _matched(self, item: Tracked, image: Image, intrinsics: Array) -> Match | None:
+        """The best match near the prediction or, where that is not sure, farther along its motion."""
+        loose = item["covariance"] + self._motion
+        best = match(image, item["edges"], item["pose"], loose, intrinsics)
+        if (best is not None and best.score >= self._sure_score) or not len(item["edges"]):
+            return best
+        motion = log_se3(invert(item["before"]) @ item["pose"])
+        for part in _WIDER_STARTS:
+            start = item["before"] @ exp_se3(part * motion)
+            found = match(image, item["edges"], start, _WIDER_VARIANCE * loose, intrinsics, WIDE)
+            if found is not None and (best is None or found.score > best.score + _BETTER):
+                best = found
+        return best
+
+    def _filtered(self, item: Tracked, found: Match) -> Tracked:
+        """The prediction and the match, each as far as it is certain (a Kalman filter's update).
+
+        How far an object may leave its prediction is learned from how far it did: something
+        at rest is averaged over many images, something that is pushed is believed at once.
+        """
+        twist = log_se3(invert(item["pose"]) @ found.pose)
+        error = np.linalg.inv(found.information) * self._error_px**2
+        unrest = item["unrest"]
+        predicted = item["covariance"] + unrest**2 * self._motion
+        surprise = float(np.sqrt(twist @ np.linalg.solve(predicted + error, twist) / 6.0))
+        if surprise > _SURPRISED:
+            unrest = 1.0
+            predicted = item["covariance"] + self._motion
+        gain = np.linalg.solve(predicted + error, predicted).T
+        covariance = (np.eye(6) - gain) @ predicted
         return {
-            **item,
-            "pose": found.pose,
-            "covariance": found.covariance,
-            "score": found.score,
-            "status": TRACKED,
-            "misses": 0,
+            "pose": item["pose"] @ exp_se3(gain @ twist),
+            "covariance": 0.5 * (covariance + covariance.T),
+            "unrest": float(np.clip(unrest * max(_CALMING, surprise), _LEAST_UNREST, 1.0)),
         }
 
     def _missed(self, item: Tracked, found: Match | None) -> Tracked:
@@ -161,7 +207,14 @@ class ArmNode(Node):
         misses = item["misses"] + 1
         lost = item["status"] == LOST or misses >= self._patience
         score = 0.0 if lost or found is None else found.score
-        return {**item, "score": score, "status": LOST if lost else EXPECTED, "misses": misses}
+        return {
+            **item,
+            "score": score,
+            "status": LOST if lost else EXPECTED,
+            "misses": misses,
+            "unrest": 1.0,
+            "covariance": item["covariance"] + self._motion,
+        }
 
     def _imagined(self, item: Tracked, expected: Mapping[str, Any], seen: Mapping[str, Any], camera: Floats) -> Tracked:
         """One object's prediction and its visible edges."""
@@ -169,8 +222,9 @@ class ArmNode(Node):
         edges = visible_edges(seen["depth"], seen["labels"], item["id"], seen["intrinsics"])
         return {
             **item,
+            "before": item["pose"],
             "pose": invert(camera) @ expected["pose"],
-            "covariance": expected["covariance"] + self._motion,
+            "covariance": expected["covariance"],
             "edges": transform(invert(drawn_from), edges.segments),
             "kinds": edges.kinds,
         }
@@ -188,9 +242,7 @@ def poses_seen(belief: Value) -> Elements:
     if camera is None:
         return ()
     kept = ("id", "obj_id", "covariance", "score", "status")
-    objects = tuple(
-        {**{key: item[key] for key in kept}, "pose": camera @ item["pose"]} for item in belief["objects"]
-    )
+    objects = tuple({**{key: item[key] for key in kept}, "pose": camera @ item["pose"]} for item in belief["objects"])
     return (*objects, {key: belief[key] for key in ("camera", "intrinsics", "size", "frame")})
 
 
@@ -202,10 +254,12 @@ def _first_belief(item: Mapping[str, Any], covariance: Floats) -> Tracked:
         "id": int(item["id"]),
         "obj_id": int(item["obj_id"]),
         "pose": pose,
+        "before": pose,
         "covariance": covariance,
         "score": 1.0,
         "status": EXPECTED,
         "misses": 0,
+        "unrest": 1.0,
         **_no_edges(),
     }
 

@@ -19,7 +19,8 @@ import numpy as np
 
 from hierax.nodes.tracking.errors import DataError
 from hierax.nodes.tracking.geometry import Array, Floats, invert, make_pose, orthonormal
-from hierax.nodes.tracking.models import BOP_UNIT_M, Mesh, read_ply
+from hierax.nodes.tracking.models import Mesh
+from hierax.nodes.tracking.ply import BOP_UNIT_M, read_ply
 
 cv2.setNumThreads(1)
 
@@ -286,7 +287,8 @@ def _pose(where: str, entry: Any, rotation_key: str, translation_key: str) -> Fl
 
 def _numbers(where: str, entry: Any, key: str, count: int) -> Floats:
     values = entry.get(key) if isinstance(entry, dict) else None
-    plain = isinstance(values, list) and all(type(value) in (int, float) for value in values)
-    if not plain or len(values) != count or not np.all(np.isfinite(values)):
-        raise DataError(f"{where}: {key}: expected {count} numbers")
-    return np.array(values, dtype=np.float64)
+    if isinstance(values, list) and len(values) == count and all(type(value) in (int, float) for value in values):
+        numbers = np.array(values, dtype=np.float64)
+        if np.all(np.isfinite(numbers)):
+            return numbers
+    raise DataError(f"{where}: {key}: expected {count} numbers")

@@ -1,11 +1,9 @@
 """The visible edges of an object, with depth, from a segmented depth image (theory, example 3).
 
-What a plane looks like in inverse depth w = 1/z is affine in the pixel: w = a·u + b·v + c.
-So the Laplacian of w vanishes inside a planar facet. Facets are grown from there; each
-pixel then belongs to the facet whose plane predicts it. Two facets that meet do so in a
-line that their planes give exactly; where a facet ends before something farther away, the
-line is fitted to the cracks between its last pixels and what is behind. Where something
-nearer hides the facet, no edge of it is to be seen, and none is expected.
+Two planar facets that meet do so in a line that their planes give exactly. Where a facet
+ends before something farther away, the line is fitted to the cracks between its last
+pixels and what is behind. Where something nearer hides the facet, no edge of it is to be
+seen, and none is expected.
 """
 
 from __future__ import annotations
@@ -16,6 +14,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from hierax.nodes.tracking.facets import Facets, Patch, angle_between, facets_of, facing, patch_of, predicted
 from hierax.nodes.tracking.geometry import Array, Floats, rays
 
 cv2.setNumThreads(1)
@@ -23,14 +22,6 @@ cv2.setNumThreads(1)
 OUTLINE = 0
 CREASE = 1
 
-_FLAT = 2e-5
-"""Largest Laplacian inside a facet, relative to w: ten times the renderer's rounding."""
-
-_ON_PLANE = 4e-5
-"""How far a facet's pixel may be from its plane, relative to w."""
-
-_FACET_PX = 12
-_FACETS_MAX = 48
 _CREASE_RADIANS = 0.3
 _CONTACT = 0.006
 """Two objects whose inverse depths differ by less than this share touch; the boundary is nobody's for sure."""
@@ -59,23 +50,6 @@ class Edges(NamedTuple):
 NO_EDGES = Edges(np.zeros((0, 2, 3)), np.zeros(0, dtype=np.uint8))
 
 
-class _Patch(NamedTuple):
-    """The part of the images around one object; its first pixel stands at `left`, `top` in the image."""
-
-    inverse: Floats
-    labels: Array
-    mine: NDArray[np.bool_]
-    left: int
-    top: int
-
-
-class _Facets(NamedTuple):
-    """Facets of one object: a number per pixel (0 where none, counted from 1) and (n, 3) planes a, b, c."""
-
-    numbers: NDArray[np.int32]
-    planes: Floats
-
-
 class _Cracks(NamedTuple):
     """Boundaries between a pixel of a facet and its neighbour: (n, 2) middle, facet, neighbour's facet, direction."""
 
@@ -97,10 +71,10 @@ def visible_edges(depth: Array, labels: Array, label: int, intrinsics: Array) ->
     Returns:
         Segments in the frame of the camera that the image was rendered from.
     """
-    patch = _patch(depth, labels, label)
+    patch = patch_of(depth, labels, label)
     if patch is None:
         return NO_EDGES
-    facets = _facets(patch)
+    facets = facets_of(patch)
     outline, crease = _classified(patch, facets)
     segments: list[Floats] = []
     kinds: list[int] = []
@@ -115,88 +89,7 @@ def visible_edges(depth: Array, labels: Array, label: int, intrinsics: Array) ->
     return Edges(np.stack(segments), np.array(kinds, dtype=np.uint8))
 
 
-def _patch(depth: Array, labels: Array, label: int) -> _Patch | None:
-    left, top, width, height = cv2.boundingRect((labels == label).view(np.uint8))
-    if width == 0:
-        return None
-    right, bottom = min(left + width + 1, labels.shape[1]), min(top + height + 1, labels.shape[0])
-    left, top = max(left - 1, 0), max(top - 1, 0)
-    view = np.s_[top:bottom, left:right]
-    near = depth[view].astype(np.float64)
-    inverse = np.divide(1.0, near, out=np.zeros_like(near), where=near > 0)
-    return _Patch(inverse, labels[view], labels[view] == label, left, top)
-
-
-def _facets(patch: _Patch) -> _Facets:
-    """Planar parts of the object, each pixel to the plane that predicts it."""
-    w, mine = patch.inverse, patch.mine
-    flat = np.zeros_like(mine)
-    core = w[1:-1, 1:-1]
-    bend = np.maximum(
-        np.abs(w[1:-1, 2:] + w[1:-1, :-2] - 2.0 * core), np.abs(w[2:, 1:-1] + w[:-2, 1:-1] - 2.0 * core)
-    )
-    around = mine[1:-1, 1:-1] & mine[1:-1, 2:] & mine[1:-1, :-2] & mine[2:, 1:-1] & mine[:-2, 1:-1]
-    flat[1:-1, 1:-1] = around & (bend < _FLAT * core)
-    count, numbers, stats, _ = cv2.connectedComponentsWithStats(flat.view(np.uint8), connectivity=4)
-    sizes = stats[1:, cv2.CC_STAT_AREA]
-    largest = 1 + np.argsort(-sizes, kind="stable")[:_FACETS_MAX]
-    planes = [_plane(w, numbers == at) for at in largest if stats[at, cv2.CC_STAT_AREA] >= _FACET_PX]
-    distinct = _distinct([plane for plane in planes if plane is not None])
-    return _assign(patch, distinct)
-
-
-def _plane(w: Floats, where: NDArray[np.bool_]) -> Floats | None:
-    """a, b, c of w = a·u + b·v + c over the pixels; None where they are not in one plane."""
-    rows, columns = np.nonzero(where)
-    design = np.stack((columns, rows, np.ones_like(rows)), axis=1).astype(np.float64)
-    values = w[rows, columns]
-    middle = design.mean(axis=0) * (1.0, 1.0, 0.0)
-    plane: Floats = np.linalg.lstsq(design - middle, values, rcond=None)[0]
-    off = np.abs((design - middle) @ plane - values).max()
-    plane[2] -= plane[:2] @ middle[:2]
-    return plane if off < _ON_PLANE * values.mean() else None
-
-
-def _distinct(planes: list[Floats]) -> Floats:
-    """Without the doubles of a facet that something cuts in two."""
-    kept: list[Floats] = []
-    for plane in planes:
-        scale = abs(plane[2]) + 1e-9
-        if all(np.abs(plane - other) @ (200.0, 200.0, 1.0) > 10 * _ON_PLANE * scale for other in kept):
-            kept.append(plane)
-    return np.array(kept).reshape(-1, 3)
-
-
-def _assign(patch: _Patch, planes: Floats) -> _Facets:
-    numbers = np.zeros(patch.mine.shape, dtype=np.int32)
-    rows, columns = np.nonzero(patch.mine)
-    if not len(planes):
-        numbers[rows, columns] = 1
-        return _Facets(numbers, planes)
-    values = patch.inverse[rows, columns]
-    best = np.full(len(rows), np.inf)
-    owner = np.full(len(rows), len(planes) + 1, dtype=np.int32)
-    for number, plane in enumerate(planes, start=1):
-        off = np.abs(plane[0] * columns + plane[1] * rows + plane[2] - values)
-        better = (off < best) & (off < _ON_PLANE * values)
-        best[better] = off[better]
-        owner[better] = number
-    # What no plane predicts (a curved surface) is one more facet, which has no plane.
-    numbers[rows, columns] = owner
-    return _Facets(numbers, planes)
-
-
-def _predicted(facets: _Facets, numbers: NDArray[np.int32], points: Floats, otherwise: Floats) -> Floats:
-    """Inverse depth of the facets at points; of facets without a plane, `otherwise`."""
-    if not len(facets.planes):
-        return otherwise
-    curved = numbers > len(facets.planes)
-    planes = facets.planes[np.where(curved, 0, numbers - 1)]
-    values = planes[:, 0] * points[:, 0] + planes[:, 1] * points[:, 1] + planes[:, 2]
-    return np.where(curved, otherwise, values)
-
-
-def _classified(patch: _Patch, facets: _Facets) -> tuple[_Cracks, _Cracks]:
+def _classified(patch: Patch, facets: Facets) -> tuple[_Cracks, _Cracks]:
     """All cracks that are edges of the object: where it ends before something farther, and where facets meet."""
     outlines, creases = [], []
     for dx, dy in _STEPS:
@@ -208,9 +101,9 @@ def _classified(patch: _Patch, facets: _Facets) -> tuple[_Cracks, _Cracks]:
         w_there = patch.inverse[there][rows, columns]
         label = patch.labels[there][rows, columns]
         start = np.stack((columns + max(-dx, 0), rows + max(-dy, 0)), axis=1).astype(np.float64)
-        middles = start + (0.5 * dx, 0.5 * dy)
-        expected = _predicted(facets, own, middles, w_here)
-        met = _predicted(facets, np.maximum(other, 1), middles, w_there)
+        middles = start + np.array([0.5 * dx, 0.5 * dy])
+        expected = predicted(facets, own, middles, w_here)
+        met = predicted(facets, np.maximum(other, 1), middles, w_there)
         behind = np.where(other > 0, met, w_there)
         touching = other > 0
         touching[touching] = _close(facets, own[touching], other[touching], expected[touching], behind[touching])
@@ -222,7 +115,7 @@ def _classified(patch: _Patch, facets: _Facets) -> tuple[_Cracks, _Cracks]:
 
 
 def _close(
-    facets: _Facets, own: NDArray[np.int32], other: NDArray[np.int32], first: Floats, second: Floats
+    facets: Facets, own: NDArray[np.int32], other: NDArray[np.int32], first: Floats, second: Floats
 ) -> NDArray[np.bool_]:
     """Whether two facets of the object meet within a pixel of where their depths are given."""
     planar = (own <= len(facets.planes)) & (other <= len(facets.planes))
@@ -255,33 +148,32 @@ def _joined(parts: list[_Cracks]) -> _Cracks:
     return _Cracks(*(np.concatenate(columns) for columns in zip(*parts, strict=True)))
 
 
-def _crease_lines(cracks: _Cracks, facets: _Facets, intrinsics: Array, patch: _Patch) -> list[Floats]:
+def _crease_lines(cracks: _Cracks, facets: Facets, intrinsics: Array, patch: Patch) -> list[Floats]:
     """Segments where two planar facets meet, on the planes' intersection."""
     found: list[Floats] = []
     count = len(facets.planes)
     keys = cracks.facets * (count + 2) + cracks.others
     for key in np.unique(keys):
         first, second = divmod(int(key), count + 2)
-        if second > count or _angle(facets.planes[[first - 1, second - 1]], intrinsics, patch) < _CREASE_RADIANS:
+        if second > count or angle_between(facets.planes[[first - 1, second - 1]], intrinsics, patch) < _CREASE_RADIANS:
             continue
         plane = facets.planes[first - 1]
         difference = plane - facets.planes[second - 1]
         slope = float(np.linalg.norm(difference[:2]))
         normal, offset = difference[:2] / slope, difference[2] / slope
         points = cracks.middles[keys == key]
-        for ends in _runs(points, normal, -offset):
-            found.append(_lifted(ends, plane, intrinsics, patch))
+        found += [_lifted(ends, plane, intrinsics, patch) for ends in _runs(points, normal, -offset)]
     return found
 
 
-def _outline_lines(cracks: _Cracks, facets: _Facets, intrinsics: Array, patch: _Patch) -> list[Floats]:
+def _outline_lines(cracks: _Cracks, facets: Facets, intrinsics: Array, patch: Patch) -> list[Floats]:
     """Segments where a facet ends before something farther away."""
     found: list[Floats] = []
     for number in np.unique(cracks.facets):
         chosen = cracks.facets == number
         middles, upright = cracks.middles[chosen], cracks.upright[chosen]
         planar = number <= len(facets.planes)
-        if planar and _facing(facets.planes[number - 1], middles, intrinsics, patch) < _GRAZING:
+        if planar and facing(facets.planes[number - 1], middles, intrinsics, patch) < _GRAZING:
             continue
         for start, end in _sides((facets.numbers == number).view(np.uint8)):
             line = _fitted(start, end, middles, upright)
@@ -350,7 +242,7 @@ def _runs(points: Floats, normal: Floats, offset: float) -> list[Floats]:
     return runs
 
 
-def _plane_beside(ends: Floats, patch: _Patch, where: NDArray[np.bool_]) -> Floats:
+def _plane_beside(ends: Floats, patch: Patch, where: NDArray[np.bool_]) -> Floats:
     """A stand-in for the plane of a curved surface: inverse depth along a line on its border, level across it."""
     places = np.linspace(ends[0], ends[1], 12)
     rows, columns = np.nonzero(where)
@@ -362,29 +254,8 @@ def _plane_beside(ends: Floats, patch: _Patch, where: NDArray[np.bool_]) -> Floa
     return np.array([slope * along[0], slope * along[1], level - slope * (along @ ends[0])])
 
 
-def _lifted(ends: Floats, plane: Floats, intrinsics: Array, patch: _Patch) -> Floats:
+def _lifted(ends: Floats, plane: Floats, intrinsics: Array, patch: Patch) -> Floats:
     """End points in the camera's frame, on a facet's plane."""
     inverse = ends @ plane[:2] + plane[2]
-    lifted: Floats = rays(ends + (patch.left, patch.top), intrinsics) / inverse[:, None]
+    lifted: Floats = rays(ends + patch.corner, intrinsics) / inverse[:, None]
     return lifted
-
-
-def _normals(planes: Floats, intrinsics: Array, patch: _Patch) -> Floats:
-    """Unit normals (n, 3) of planes of the patch in the camera's frame, pointing away from the camera."""
-    fx, fy, cx, cy = (float(part) for part in intrinsics)
-    a, b, c = planes.T
-    normals = np.stack((a * fx, b * fy, a * (cx - patch.left) + b * (cy - patch.top) + c), axis=1)
-    unit: Floats = normals / np.linalg.norm(normals, axis=1, keepdims=True)
-    return unit
-
-
-def _angle(planes: Floats, intrinsics: Array, patch: _Patch) -> float:
-    """The angle between the normals of two facets, radians."""
-    first, second = _normals(planes, intrinsics, patch)
-    return float(np.arccos(np.clip(first @ second, -1.0, 1.0)))
-
-
-def _facing(plane: Floats, points: Floats, intrinsics: Array, patch: _Patch) -> float:
-    """The sine of the angle at which a facet is seen around the middle of points: 1 from straight above."""
-    ray = rays(points.mean(axis=0) + (patch.left, patch.top), intrinsics)
-    return float(_normals(plane[None], intrinsics, patch)[0] @ ray / np.linalg.norm(ray))

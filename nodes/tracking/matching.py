@@ -15,7 +15,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from hierax.nodes.tracking.geometry import Array, Floats, exp_se3, log_se3, project, transform
+from hierax.nodes.tracking.geometry import Array, Floats, exp_se3, invert, log_se3, project, transform
 
 cv2.setNumThreads(1)
 
@@ -26,6 +26,11 @@ _MARGIN_PX = 3.0
 _POINTS_MAX = 400
 _SEGMENT_POINTS_MAX = 60
 _NEAREST_M = 0.02
+_LEAST_INFORMATION = 0.01
+"""Share of the prior that is counted as seen, so that what no edge shows stays finite."""
+
+_USUAL_SHARPNESS = 0.7
+"""Quantile of the control points' sharpness that counts as an edge in focus."""
 
 
 class Search(NamedTuple):
@@ -38,15 +43,24 @@ class Search(NamedTuple):
         contrast: smallest slope that counts as an edge, grey levels per pixel.
         noise_px: what a control point's residual is worth; neighbours on an edge err alike,
             so this is more than one of them errs.
+        blur_power: how strongly blurred peaks lose weight.
         support_px: how near a hypothesis must be in the end to support a control point.
     """
 
     reach_px: tuple[int, ...] = (14, 8, 4)
-    scale_px: tuple[tuple[float, float], ...] = ((14.0, 8.0), (8.0, 4.0), (4.0, 2.5))
+    scale_px: tuple[tuple[float, float], ...] = ((14.0, 8.0), (8.0, 3.0), (3.0, 0.7))
     iterations: int = 6
     contrast: float = 2.0
     noise_px: float = 1.0
     support_px: float = 1.5
+    blur_power: float = 4.0
+
+
+NEAR = Search()
+"""How an image is searched for an object that is about where it was expected."""
+
+WIDE = Search(reach_px=(40, 20, 9, 4), scale_px=((40.0, 20.0), (20.0, 8.0), (8.0, 3.0), (3.0, 0.7)))
+"""How it is searched for one that is not."""
 
 
 class Match(NamedTuple):
@@ -54,7 +68,8 @@ class Match(NamedTuple):
 
     Attributes:
         pose: camera_from_object, corrected.
-        covariance: (6, 6) of the twist ξ in ``pose @ exp_se3(ξ)``.
+        information: (6, 6) about the twist ξ in ``pose @ exp_se3(ξ)`` that the image alone gives, for control points
+            that err by one pixel independently.
         score: 0 to 1: the share of control points that the image supports, beyond chance.
         residual_px: root mean square of the supported control points.
         points: (n, 3) the control points, object's frame.
@@ -62,19 +77,53 @@ class Match(NamedTuple):
     """
 
     pose: Floats
-    covariance: Floats
+    information: Floats
     score: float
     residual_px: float
     points: Floats
     supported: NDArray[np.bool_]
 
 
+class Controls(NamedTuple):
+    """Control points on an object.
+
+    Attributes:
+        points: (n, 2, 3) each point and one a little further along its edge, object's frame, metres.
+        owners: (n,) which edge each is on.
+    """
+
+    points: Floats
+    owners: NDArray[np.intp]
+
+
 class _Lines(NamedTuple):
-    """Control points seen from one pose: pixels (n, 2), normals (n, 2), points (n, 3) in the object's frame."""
+    """Control points seen from one pose: pixels (n, 2), normals (n, 2), points (n, 3) in the object's frame, edges."""
 
     pixels: Floats
     normals: Floats
     points: Floats
+    owners: NDArray[np.intp]
+
+
+class _Peaks(NamedTuple):
+    """Extremes of the gradient along the normals.
+
+    Attributes:
+        places: (n, m) pixels along the normal, inf where there is none.
+        sharpness: (n, m) curvature over height, 1/px²: what a blurred step has more of than a shadow.
+    """
+
+    places: Floats
+    sharpness: Floats
+
+
+class _Residuals(NamedTuple):
+    """Of each control point: pixels from its nearest hypothesis (inf where none), that one's sharpness, the point
+    in the camera's frame."""
+
+    pixels: Floats
+    sharpness: Floats
+    seen: Floats
 
 
 def smoothed(image: Array) -> Image:
@@ -83,7 +132,7 @@ def smoothed(image: Array) -> Image:
     Args:
         image: uint8, (h, w) gray or (h, w, 3) RGB.
     """
-    soft: Image = cv2.GaussianBlur(image.astype(np.float32), (5, 5), 0.9)
+    soft = np.asarray(cv2.GaussianBlur(image.astype(np.float32), (5, 5), 0.9), dtype=np.float32)
     return soft[:, :, None] if soft.ndim == 2 else soft
 
 
@@ -93,7 +142,7 @@ def match(
     predicted: Floats,
     covariance: Floats,
     intrinsics: Array,
-    search: Search = Search(),
+    search: Search = NEAR,
 ) -> Match | None:
     """Correct a predicted pose.
 
@@ -108,29 +157,25 @@ def match(
     Returns:
         The corrected pose; None where too few of the edges are in the image.
     """
-    prior = np.linalg.inv(covariance)
+    prior = np.asarray(np.linalg.inv(covariance), dtype=np.float64)
     pose = predicted
-    points = control_points(segments, predicted, intrinsics)
+    controls = control_points(segments, predicted, intrinsics)
     for reach, scales in zip(search.reach_px, search.scale_px, strict=True):
-        lines = _lines(points, pose, intrinsics, image.shape)
+        lines = _lines(controls, pose, intrinsics, image.shape)
         if lines is None:
             return None
         peaks = _peaks(image, lines, reach, search.contrast)
         for scale in np.linspace(*scales, search.iterations):
             pose = _step(pose, predicted, prior, lines, peaks, float(scale), intrinsics, search)
-    return _judged(image, pose, prior, points, intrinsics, search)
+    return _judged(image, pose, prior, controls, intrinsics, search)
 
 
-def control_points(segments: Floats, pose: Floats, intrinsics: Array) -> Floats:
-    """Points along segments, evenly spaced as the pose shows them.
-
-    Returns:
-        (n, 2, 3): each point, and one a little further along its edge, object's frame.
-    """
+def control_points(segments: Floats, pose: Floats, intrinsics: Array) -> Controls:
+    """Points along segments, evenly spaced as the pose shows them."""
     ends = transform(pose, segments)
     seen = ends[:, :, 2].min(axis=1) > _NEAREST_M
     if not seen.any():
-        return np.zeros((0, 2, 3))
+        return Controls(np.zeros((0, 2, 3)), np.zeros(0, dtype=np.intp))
     segments = segments[seen]
     pixels = project(ends[seen], intrinsics)
     lengths = np.linalg.norm(pixels[:, 1] - pixels[:, 0], axis=1)
@@ -143,11 +188,11 @@ def control_points(segments: Floats, pose: Floats, intrinsics: Array) -> Floats:
     share = margin[owner] + (1.0 - 2.0 * margin[owner]) * (order + 0.5) / np.maximum(counts[owner], 1)
     step = (segments[:, 1] - segments[:, 0])[owner]
     start = segments[owner, 0] + share[:, None] * step
-    return np.stack((start, start + 0.02 * step), axis=1)
+    return Controls(np.stack((start, start + 0.02 * step), axis=1), owner)
 
 
-def _lines(points: Floats, pose: Floats, intrinsics: Array, shape: tuple[int, ...]) -> _Lines | None:
-    seen = transform(pose, points)
+def _lines(controls: Controls, pose: Floats, intrinsics: Array, shape: tuple[int, ...]) -> _Lines | None:
+    seen = transform(pose, controls.points)
     ahead = seen[:, :, 2].min(axis=1) > _NEAREST_M if len(seen) else np.zeros(0, dtype=bool)
     pixels = project(seen[ahead], intrinsics)
     along = pixels[:, 1] - pixels[:, 0]
@@ -160,11 +205,11 @@ def _lines(points: Floats, pose: Floats, intrinsics: Array, shape: tuple[int, ..
         return None
     along = along[inside] / lengths[inside, None]
     normals = np.stack((-along[:, 1], along[:, 0]), axis=1)
-    return _Lines(first[inside], normals, points[ahead][inside, 0])
+    return _Lines(first[inside], normals, controls.points[ahead][inside, 0], controls.owners[ahead][inside])
 
 
-def _peaks(image: Image, lines: _Lines, reach: int, contrast: float) -> Floats:
-    """All extremes of the gradient along the normals: (n, 2 reach + 1) places in pixels, inf where there is none."""
+def _peaks(image: Image, lines: _Lines, reach: int, contrast: float) -> _Peaks:
+    """All extremes of the gradient along the normals, to `reach` pixels on both sides."""
     offsets = np.arange(-reach - 2, reach + 3, dtype=np.float64)
     where = lines.pixels[:, None, :] + offsets[None, :, None] * lines.normals[:, None, :]
     grid = where.astype(np.float32)
@@ -180,15 +225,17 @@ def _peaks(image: Image, lines: _Lines, reach: int, contrast: float) -> Floats:
     top = (middle > contrast) & (middle >= before) & (middle > after)
     bend = np.where(top, 2.0 * middle - before - after, 1.0)
     shift = 0.5 * (after - before) / bend
-    return np.where(top, offsets[2:-2] + np.clip(shift, -0.5, 0.5), np.inf)
+    places = np.where(top, offsets[2:-2] + np.clip(shift, -0.5, 0.5), np.inf)
+    return _Peaks(places, np.where(top, bend / np.maximum(middle, contrast), 0.0))
 
 
-def _residuals(pose: Floats, lines: _Lines, peaks: Floats, intrinsics: Array) -> tuple[Floats, Floats]:
-    """Where each point is along its normal, less its nearest hypothesis (inf where none); and points in the camera."""
+def _residuals(pose: Floats, lines: _Lines, peaks: _Peaks, intrinsics: Array) -> _Residuals:
+    """Where each point is along its normal, less its nearest hypothesis."""
     seen = transform(pose, lines.points)
     moved = np.sum((project(seen, intrinsics) - lines.pixels) * lines.normals, axis=1)
-    nearest = np.abs(peaks - moved[:, None]).argmin(axis=1)
-    return moved - peaks[np.arange(len(peaks)), nearest], seen
+    nearest = np.abs(peaks.places - moved[:, None]).argmin(axis=1)
+    rows = np.arange(len(nearest))
+    return _Residuals(moved - peaks.places[rows, nearest], peaks.sharpness[rows, nearest], seen)
 
 
 def _step(
@@ -196,21 +243,39 @@ def _step(
     predicted: Floats,
     prior: Floats,
     lines: _Lines,
-    peaks: Floats,
+    peaks: _Peaks,
     scale: float,
     intrinsics: Array,
     search: Search,
 ) -> Floats:
     """One Gauss-Newton step."""
-    residuals, seen = _residuals(pose, lines, peaks, intrinsics)
-    weights = _tukey(residuals, scale) / search.noise_px**2
+    residuals = _residuals(pose, lines, peaks, intrinsics)
+    weights = _weights(residuals, lines.owners, scale, search)
     used = weights > 0
-    jacobian = _jacobian(pose, lines.points[used], lines.normals[used], seen[used], intrinsics)
+    jacobian = _jacobian(pose, lines.points[used], lines.normals[used], residuals.seen[used], intrinsics)
     weighted = jacobian * weights[used, None]
-    off = log_se3(np.linalg.inv(predicted) @ pose)
+    off = log_se3(invert(predicted) @ pose)
     information = jacobian.T @ weighted + prior
-    gradient = weighted.T @ residuals[used] + prior @ off
+    gradient = weighted.T @ residuals.pixels[used] + prior @ off
     return pose @ exp_se3(-np.linalg.solve(information, gradient))
+
+
+def _weights(residuals: _Residuals, owners: NDArray[np.intp], scale: float, search: Search) -> Floats:
+    """1/px² of each control point: Tukey's function of the distance, less on edges blurred beside the others.
+
+    The blur of a shadow beside the foot of an object draws the peak away from the edge, all along it.
+    """
+    weights = _tukey(residuals.pixels, scale) / search.noise_px**2
+    near = weights > 0
+    if not near.any():
+        return weights
+    count = np.bincount(owners, weights=near)
+    total = np.bincount(owners, weights=np.where(near, residuals.sharpness, 0.0))
+    sharpness = (total / np.maximum(count, 1.0))[owners]
+    usual = float(np.quantile(sharpness[near], _USUAL_SHARPNESS))
+    relative = np.minimum(sharpness / max(usual, 1e-9), 1.0)
+    blurred: Floats = weights * relative**search.blur_power
+    return blurred
 
 
 def _tukey(residuals: Floats, scale: float) -> Floats:
@@ -230,23 +295,23 @@ def _jacobian(pose: Floats, points: Floats, normals: Floats, seen: Floats, intri
 
 
 def _judged(
-    image: Image, pose: Floats, prior: Floats, points: Floats, intrinsics: Array, search: Search
+    image: Image, pose: Floats, prior: Floats, controls: Controls, intrinsics: Array, search: Search
 ) -> Match | None:
     """The pose with its covariance and its score."""
-    lines = _lines(points, pose, intrinsics, image.shape)
+    lines = _lines(controls, pose, intrinsics, image.shape)
     if lines is None:
         return None
     reach = search.reach_px[-1]
     peaks = _peaks(image, lines, 2 * reach, search.contrast)
-    residuals, seen = _residuals(pose, lines, peaks, intrinsics)
-    supported = np.abs(residuals) < search.support_px
+    residuals = _residuals(pose, lines, peaks, intrinsics)
+    supported = np.abs(residuals.pixels) < search.support_px
     share = float(supported.mean())
     # A peak anywhere: the share of places along the normals that are as near to one.
-    dense = np.isfinite(peaks).sum(axis=1) * 2.0 * search.support_px / peaks.shape[1]
+    dense = np.isfinite(peaks.places).sum(axis=1) * 2.0 * search.support_px / peaks.places.shape[1]
     chance = float(np.minimum(dense, 0.95).mean())
     score = max(0.0, (share - chance) / (1.0 - chance))
-    jacobian = _jacobian(pose, lines.points[supported], lines.normals[supported], seen[supported], intrinsics)
-    covariance = np.linalg.inv(jacobian.T @ jacobian / search.noise_px**2 + prior)
-    squares = residuals[supported] ** 2
+    jacobian = _jacobian(pose, lines.points[supported], lines.normals[supported], residuals.seen[supported], intrinsics)
+    information = jacobian.T @ jacobian + _LEAST_INFORMATION * prior
+    squares = residuals.pixels[supported] ** 2
     residual = float(np.sqrt(squares.mean())) if len(squares) else float("inf")
-    return Match(pose, 0.5 * (covariance + covariance.T), score, residual, lines.points, supported)
+    return Match(pose, information, score, residual, lines.points, supported)

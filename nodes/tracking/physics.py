@@ -8,19 +8,21 @@ bit however often and in whichever process it is done.
 
 from __future__ import annotations
 
+import weakref
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from math import ceil
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
-import pybullet
 
+from hierax.nodes.tracking.bullet import load_pybullet
 from hierax.nodes.tracking.geometry import Floats, make_pose, quaternion_of, rotation_of
 
 GRAVITY_M_S2 = 9.81
 STEP_S = 1.0 / 240.0
 MAX_STEPS = 480
+TABLE_HALF_M = 10.0
 HULL_DIRECTIONS = 240
 
 
@@ -71,6 +73,7 @@ class Simulator:
     """Contacts and gravity over a horizontal table, the plane z = 0; its client is a cache."""
 
     def __init__(self) -> None:
+        self._pybullet = load_pybullet()
         self._client: int | None = None
 
     def run(
@@ -86,7 +89,8 @@ class Simulator:
             solids, motions: of each body, in the same order.
             duration_s: how long, in seconds; done in equal steps of at most `STEP_S`, at
                 most `MAX_STEPS` of them.
-            drives: by index of a body, the horizontal velocity (2,), m/s, at which it is drawn along.
+            drives: by index of a body, the horizontal velocity (2,), m/s, to which a thread
+                draws it; it pulls against the friction of that body alone.
 
         Returns:
             The motions afterwards.
@@ -94,7 +98,8 @@ class Simulator:
         if not solids or duration_s <= 0.0:
             return list(motions)
         if self._client is None:
-            self._client = pybullet.connect(pybullet.DIRECT)
+            self._client = self._pybullet.connect(self._pybullet.DIRECT)
+            weakref.finalize(self, self._pybullet.disconnect, self._client)
         steps = min(MAX_STEPS, max(1, ceil(duration_s / STEP_S - 1e-6)))
         step_s = duration_s / steps
         self._prepare(step_s)
@@ -102,20 +107,26 @@ class Simulator:
         for _ in range(steps):
             for index, drive in (drives or {}).items():
                 self._draw_along(handles[index], solids[index], drive, step_s)
-            pybullet.stepSimulation(physicsClientId=self._client)
+            self._pybullet.stepSimulation(physicsClientId=self._client)
         return [self._read(handle, solid) for handle, solid in zip(handles, solids, strict=True)]
 
+    @property
+    def _here(self) -> dict[str, Any]:
+        return {"physicsClientId": self._client}
+
     def _prepare(self, step_s: float) -> None:
-        client = {"physicsClientId": self._client}
+        pybullet, client = self._pybullet, self._here
         pybullet.resetSimulation(**client)
         pybullet.setPhysicsEngineParameter(fixedTimeStep=step_s, deterministicOverlappingPairs=1, **client)
         pybullet.setGravity(0.0, 0.0, -GRAVITY_M_S2, **client)
-        plane = pybullet.createCollisionShape(pybullet.GEOM_PLANE, **client)
-        table = pybullet.createMultiBody(0.0, plane, **client)
+        # A box, not a plane: against a plane a box has one contact in its first step, and rocks.
+        half = [TABLE_HALF_M] * 3
+        slab = pybullet.createCollisionShape(pybullet.GEOM_BOX, halfExtents=half, **client)
+        table = pybullet.createMultiBody(0.0, slab, basePosition=[0.0, 0.0, -TABLE_HALF_M], **client)
         pybullet.changeDynamics(table, -1, lateralFriction=1.0, **client)
 
     def _create(self, solid: Solid, motion: Motion) -> int:
-        client = {"physicsClientId": self._client}
+        pybullet, client = self._pybullet, self._here
         if solid.is_box:
             shape = pybullet.createCollisionShape(pybullet.GEOM_BOX, halfExtents=solid.half.tolist(), **client)
         else:
@@ -132,7 +143,7 @@ class Simulator:
 
     def _draw_along(self, handle: int, solid: Solid, drive: Floats, step_s: float) -> None:
         """Pull at the centre, hard enough to reach the velocity in one step against the table's friction."""
-        client = {"physicsClientId": self._client}
+        pybullet, client = self._pybullet, self._here
         linear = np.array(pybullet.getBaseVelocity(handle, **client)[0][:2])
         speed = float(np.linalg.norm(drive))
         against_friction = solid.friction * GRAVITY_M_S2 * drive / speed if speed > 0.0 else np.zeros(2)
@@ -141,7 +152,7 @@ class Simulator:
         pybullet.applyExternalForce(handle, -1, [*force.tolist(), 0.0], centre, pybullet.WORLD_FRAME, **client)
 
     def _read(self, handle: int, solid: Solid) -> Motion:
-        client = {"physicsClientId": self._client}
+        pybullet, client = self._pybullet, self._here
         position, quaternion = pybullet.getBasePositionAndOrientation(handle, **client)
         linear, angular = (np.array(part) for part in pybullet.getBaseVelocity(handle, **client))
         rotation = rotation_of(quaternion)

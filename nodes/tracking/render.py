@@ -9,10 +9,11 @@ from __future__ import annotations
 
 import atexit
 from collections.abc import Mapping, Sequence
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
+from hierax.nodes.tracking.bullet import load_pybullet
 from hierax.nodes.tracking.geometry import Array, Floats, invert, project, quaternion_of, transform
 from hierax.runtime import Elements, Value
 
@@ -106,8 +107,7 @@ class DepthRenderer:
         """End the client; the next image starts a new one."""
         if self._client is None:
             return
-        import pybullet
-
+        pybullet = load_pybullet()
         atexit.unregister(self.close)
         if pybullet.isConnected(self._client):
             pybullet.disconnect(self._client)
@@ -120,8 +120,7 @@ class DepthRenderer:
         if self._client is not None and self._holds(items):
             return
         self.close()
-        import pybullet
-
+        pybullet = load_pybullet()
         self._client = pybullet.connect(pybullet.DIRECT)
         atexit.register(self.close)
         for item in items:
@@ -139,8 +138,7 @@ class DepthRenderer:
     def _draw(
         self, items: Sequence[Item], intrinsics: Array, window: Window, z_range: tuple[float, float]
     ) -> tuple[Array, Array]:
-        import pybullet
-
+        pybullet = load_pybullet()
         for item, parts in zip(items, self._bodies, strict=True):
             position = item.pose[:3, 3].tolist()
             quaternion = quaternion_of(item.pose[:3, :3]).tolist()
@@ -211,8 +209,7 @@ def _item(body: Mapping[str, Value], camera_from_world: Floats) -> Item:
 
 def _create_bodies(client: int, item: Item) -> list[int]:
     """The bodies that show one mesh; the numbers pybullet gives them count from 0 in a new client."""
-    import pybullet
-
+    pybullet = load_pybullet()
     parts = []
     for start in range(0, len(item.faces), _FACES_PER_SHAPE):
         used, faces = np.unique(item.faces[start : start + _FACES_PER_SHAPE], return_inverse=True)

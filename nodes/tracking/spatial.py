@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from hierax.nodes.tracking.geometry import Array, Floats, exp_so3, invert, exp_se3, log_se3, log_so3, make_pose
+from hierax.nodes.tracking.geometry import Array, Floats, exp_se3, exp_so3, invert, log_se3, log_so3, make_pose
 from hierax.nodes.tracking.physics import Motion, Simulator, Solid
 from hierax.runtime import NO_TICK, Elements, Node, Tick, Value
 
@@ -64,9 +64,7 @@ class SpatialNode(Node):
         self._damping = damping
         self._max_sigmas = max_sigmas
         self._simulator = Simulator()
-        self._solids = {
-            body["id"]: Solid(body["model"]["vertices"], body["mass"], friction) for body in self._bodies
-        }
+        self._solids = {body["id"]: Solid(body["model"]["vertices"], body["mass"], friction) for body in self._bodies}
 
     def initial_belief(self) -> Value:
         """The bodies at their first poses, at rest; no camera yet."""
@@ -139,16 +137,18 @@ class SpatialNode(Node):
         return Motion(moved, velocity * np.exp(-self._damping * interval_s))
 
     def _bounded(self, body: Body, free: Motion, physical: Motion) -> Motion:
-        """What physics says, drawn back towards the free motion as far as the arm's certainty of the pose asks."""
+        """What physics says, drawn back towards the free motion as far as the arm's certainty of the pose asks.
+
+        Where that is needed, something holds or drives the body that physics does not know
+        of, so its velocity stays the observed one.
+        """
         if body["status"] != "tracked":
             return physical
         twist = log_se3(invert(free.pose) @ physical.pose)
         sigmas = float(np.sqrt(max(0.0, twist @ np.linalg.solve(body["covariance"], twist))))
         if sigmas <= self._max_sigmas:
             return physical
-        part = self._max_sigmas / sigmas
-        velocity = free.velocity + part * (physical.velocity - free.velocity)
-        return Motion(free.pose @ exp_se3(part * twist), velocity)
+        return Motion(free.pose @ exp_se3(self._max_sigmas / sigmas * twist), free.velocity)
 
 
 def _body(item: Mapping[str, Any]) -> Body:

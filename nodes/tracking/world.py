@@ -15,7 +15,7 @@ from hierax.nodes.tracking.bop import BopScene
 from hierax.nodes.tracking.bop_world import BopWorld, frame_seen
 from hierax.nodes.tracking.geometry import Floats, invert
 from hierax.nodes.tracking.models import Mesh, box_mesh
-from hierax.nodes.tracking.sim_world import SCENE, SimWorld, picture_seen
+from hierax.nodes.tracking.sim_world import SCENE, SimWorld, camera_at, first_bodies, picture_seen
 from hierax.nodes.tracking.spatial import SpatialNode
 from hierax.runtime import NO_TICK, Elements, Tick, Value, World
 
@@ -83,10 +83,10 @@ def _first_objects(scene: str | None, cubes: int) -> tuple[list[dict[str, Any]],
     if scene is not None:
         folder = BopScene(scene)
         return [item._asdict() for item in folder.first_objects()], folder.frames[0].camera
-    belief = SimWorld(cubes=cubes).initial_belief()
-    camera = belief["camera"]
+    camera = camera_at(0.0)
     objects = [
-        {"id": body["id"], "obj_id": body["obj_id"], "pose": invert(camera) @ body["pose"]} for body in belief["bodies"]
+        {"id": body["id"], "obj_id": body["obj_id"], "pose": invert(camera) @ body["pose"]}
+        for body in first_bodies(cubes)
     ]
     return objects, camera
 

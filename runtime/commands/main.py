@@ -9,6 +9,7 @@ from typing import Annotated
 
 import typer
 
+from hierax.runtime.commands.bench import epoch
 from hierax.runtime.commands.errors import OK, exit_code
 from hierax.runtime.commands.graph import graph
 from hierax.runtime.commands.launch import launch
@@ -72,13 +73,23 @@ def _options(
     """Run cognitive hierarchies with perceptual context."""
 
 
-def _register(command: Callable[..., int]) -> None:
+def _register(command: Callable[..., int], group: typer.Typer) -> None:
     @functools.wraps(command)
     def guarded(*arguments: object, **options: object) -> None:
         raise typer.Exit(exit_code(lambda: command(*arguments, **options)))
 
-    app.command(command.__name__)(guarded)
+    group.command(command.__name__)(guarded)
 
 
 for _command in COMMANDS:
-    _register(_command)
+    _register(_command, app)
+
+bench = typer.Typer(name="bench", help="Time hierax beside a rival, in the same run.", no_args_is_help=True)
+app.add_typer(bench)
+# with a callback, a single benchmark still needs its name
+bench.callback()(lambda: None)
+_register(epoch, bench)
+
+
+if __name__ == "__main__":
+    entry()

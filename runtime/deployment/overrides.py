@@ -69,8 +69,9 @@ def _next_key(document: Document, keys: Keys, value: Any, rest: str, text: str) 
     if token in fields or not (fields or closed):
         return token
     names = [*fields, *(value if closed and isinstance(value, dict) else ())]
-    if not keys and isinstance(value.get("parameters"), dict):
-        names += value["parameters"]
+    parameters = document.root.get("parameters")
+    if not keys and isinstance(parameters, dict):
+        names += parameters
     wrong = rest if keys == ("edges",) else token
     inside = f" in {field_text(keys)}" if keys else ""
     raise DeploymentError(f"there is no {wrong!r}{inside}{did_you_mean(wrong, names)}", f"--set {text}")

@@ -44,8 +44,10 @@ def schema_text() -> str:
 
 
 def _close(value: dict[str, Any]) -> None:
-    """Let a map have no other names than those of its pattern."""
+    """Let a map have no other names than those of its pattern; leave out what is the default anyway."""
     for part in (value, *value.get("anyOf", ())):
+        if part.get("additionalProperties") is True:
+            del part["additionalProperties"]
         if "patternProperties" in part:
             part["additionalProperties"] = False
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 
 from hierax.runtime.core.binding import BoundNode, Call, epoch_time_s
@@ -49,8 +49,9 @@ class Engine:
         place: the roster that it is in.
         events: whether every call of an operator or edge function gives an event.
 
-    Every method returns what is to be done, in order; nothing else happens. Not for
-    two threads at once.
+    `begin` and `receive` yield what is to be done as soon as it is known: a task message
+    before the belief is predicted, one node's context before the next one's. They must be
+    run to their end. Not for two threads at once.
     """
 
     def __init__(
@@ -61,16 +62,16 @@ class Engine:
         self.place = place or Place()
         self._events = events
         self._world = node.node if isinstance(node.node, World) and not node.below else None
-        self._sense = {edge.upper: edge.sense for edge in edges if edge.lower == node.name}
-        self._task = {edge.lower: edge.task for edge in edges if edge.upper == node.name}
-        self._context = {edge.lower: edge.context for edge in edges if edge.upper == node.name}
+        by_pair = {(edge.lower, edge.upper): edge for edge in edges}
+        upward = {upper: by_pair[node.name, upper] for upper in node.above}
+        downward = {lower: by_pair[lower, node.name] for lower in node.below}
+        self._sense = {upper: edge.sense for upper, edge in upward.items()}
+        self._task = {lower: edge.task for lower, edge in downward.items()}
+        self._context = {lower: edge.context for lower, edge in downward.items()}
         self._instance = self.place.instance(node.name)
-        self._awaited: Mapping[Phase, frozenset[Slot]] = {
-            Phase.IDLE: frozenset(),
-            Phase.SENSE: frozenset((name, OBSERVATIONS) for name in node.below),
-            Phase.PREDICT: frozenset((name, kind) for name in node.above for kind in (TASKS, CONTEXT)),
-        }
-        self._edges = self._awaited[Phase.SENSE] | self._awaited[Phase.PREDICT]
+        self._from_below = frozenset((name, OBSERVATIONS) for name in node.below)
+        self._from_above = frozenset((name, kind) for name in node.above for kind in (TASKS, CONTEXT))
+        self._edges = self._from_below | self._from_above
         self._senders = {name: self.place.instance(name) for name in (*node.below, *node.above)}
         self._inbox: dict[Slot, Message] = {}
         self._held: dict[Slot, list[Message]] = {}
@@ -81,7 +82,7 @@ class Engine:
         self.time_s = 0.0
         self.attempt = 0
         self.epoch = 0 if self._world else 1
-        self.phase = Phase.IDLE if self._world else Phase.SENSE
+        self._enter(Phase.IDLE if self._world else Phase.SENSE)
         self._encoded()
 
     @property
@@ -97,9 +98,9 @@ class Engine:
     @property
     def waits_for(self) -> tuple[Slot, ...]:
         """From whom which messages are missing, in order."""
-        return tuple(sorted(self._awaited[self.phase] - self._inbox.keys()))
+        return tuple(sorted(self._awaited - self._inbox.keys()))
 
-    def begin(self) -> list[Output]:
+    def begin(self) -> Iterator[Output]:
         """Begin the next epoch; only the world, when idle.
 
         Raises:
@@ -109,20 +110,23 @@ class Engine:
             raise ValueError(f"{self.name}: only a world that is idle begins an epoch")
         self.epoch += 1
         self.time_s = epoch_time_s(self.name, self._world, self.state.belief, self.epoch)
-        self.phase = Phase.SENSE
-        out: list[Output] = []
-        self._advance(out)
-        return out
+        self._enter(Phase.SENSE)
+        return self._advance()
 
-    def receive(self, message: Message) -> list[Output]:
+    def receive(self, message: Message) -> Iterator[Output]:
         """Take a message in, by the table.
 
         Raises:
             OperatorError: an operator failed.
         """
-        out: list[Output] = []
-        self._judge(message, out)
-        return out
+        verdict = self.judge(message.header)
+        action = ACTIONS[verdict]
+        if action is Action.TAKE:
+            header = message.header
+            self._inbox[header.sender, header.kind] = message
+            yield from self._advance()
+        elif action is Action.REFUSE or (action is Action.HOLD and not self._hold(message)):
+            yield Refused(message.header, verdict)
 
     def judge(self, header: Header) -> Verdict:
         """What a message with this header is to the node now."""
@@ -134,28 +138,16 @@ class Engine:
             return Verdict.OLD_ROSTER if roster < self.place.roster else Verdict.NEW_ROSTER
         if instance != self._senders[sender]:
             return Verdict.OTHER_INSTANCE
-        if kind != OBSERVATIONS and not digest:
+        if kind == CONTEXT and not digest:
             return Verdict.INCOMPLETE
         if epoch != self.epoch or attempt != self.attempt:
             return Verdict.LATE if (epoch, attempt) < (self.epoch, self.attempt) else Verdict.EARLY
         if slot in self._inbox:
             return Verdict.DOUBLE
-        if slot in self._awaited[self.phase]:
+        if slot in self._awaited:
             return Verdict.CURRENT
         # the other half's: what came for SENSE is behind us, what comes for PREDICT is ahead
         return Verdict.EARLY if self.phase is Phase.SENSE else Verdict.DOUBLE
-
-    def _judge(self, message: Message, out: list[Output]) -> None:
-        verdict = self.judge(message.header)
-        action = ACTIONS[verdict]
-        if action is Action.TAKE:
-            header = message.header
-            self._inbox[header.sender, header.kind] = message
-            self._advance(out)
-        elif action is Action.HOLD and self._hold(message):
-            return
-        elif action is not Action.DROP:
-            out.append(Refused(message.header, verdict))
 
     def _hold(self, message: Message) -> bool:
         held = self._held.setdefault((message.header.sender, message.header.kind), [])
@@ -164,38 +156,46 @@ class Engine:
         held.append(message)
         return True
 
-    def _release(self, out: list[Output]) -> None:
+    def _release(self) -> Iterator[Output]:
         """Judge again what was held, as the epoch or its half has changed."""
         held, self._held = self._held, {}
         for slot in sorted(held):
             for message in held[slot]:
-                self._judge(message, out)
+                yield from self.receive(message)
 
-    def _advance(self, out: list[Output]) -> None:
+    def _enter(self, phase: Phase) -> None:
+        self.phase = phase
+        if phase is Phase.SENSE:
+            self._awaited = self._from_below
+        elif phase is Phase.PREDICT:
+            self._awaited = self._from_above
+        else:
+            self._awaited = frozenset()
+
+    def _advance(self) -> Iterator[Output]:
         """Go on as far as what is in hand allows."""
-        while self.phase is not Phase.IDLE and len(self._inbox) == len(self._awaited[self.phase]):
+        while self.phase is not Phase.IDLE and len(self._inbox) == len(self._awaited):
             if self.phase is Phase.SENSE:
-                self._do_sense(out)
+                yield from self._do_sense()
             else:
-                self._do_predict(out)
+                yield from self._do_predict()
             if self._held:
-                self._release(out)
+                yield from self._release()
 
-    def _do_sense(self, out: list[Output]) -> None:
+    def _do_sense(self) -> Iterator[Output]:
         inbox, self._inbox = self._inbox, {}
         belief = self.state.belief
         if self._world is None:
             self.time_s = inbox[self.node.below[0], OBSERVATIONS].header.time_s
             self._observations = _union(inbox, self.node.below, OBSERVATIONS)
             belief = self.node.observe(self.epoch, self.time_s, self._observations, belief)
-            self._called(out, self.node.observe, belief)
+            yield from self._called(self.node.observe, belief)
         self._sensed = belief
-        self.phase = Phase.PREDICT
-        for upper in self.node.above:
-            payload = self._elements(self._sense[upper], belief, out)
-            out.append(Send(Message(self._header(OBSERVATIONS, upper, b""), payload)))
+        self._enter(Phase.PREDICT)
+        for upper, sense in self._sense.items():
+            yield from self._send(OBSERVATIONS, upper, sense, belief)
 
-    def _do_predict(self, out: list[Output]) -> None:
+    def _do_predict(self) -> Iterator[Output]:
         inbox, self._inbox = self._inbox, {}
         node, epoch, time_s = self.node, self.epoch, self.time_s
         tasks = _union(inbox, node.above, TASKS)
@@ -203,61 +203,45 @@ class Engine:
         policy = self.state.policy
         if node.above:
             policy = node.choose(epoch, time_s, tasks)
-            self._called(out, node.select_policy, policy)
+            yield from self._called(node.select_policy, policy)
         act = node.policies[policy]
         actions = act.elements(epoch, time_s, self._sensed)
-        self._called(out, act, actions)
+        yield from self._called(act, actions)
+        for lower, task in self._task.items():
+            yield from self._send(TASKS, lower, task, actions)
         belief = node.predict(epoch, time_s, context, actions, self._sensed)
-        self._called(out, node.predict, belief)
+        yield from self._called(node.predict, belief)
         self.state = ActiveNode(belief, policy, actions)
         encoded = self._encoded()
         self.digest = node_digest(encoded, [inbox[upper, CONTEXT].header.digest for upper in node.above])
-        self._send_down(out)
+        for lower, enrich in self._context.items():
+            yield from self._send(CONTEXT, lower, enrich, belief, self.digest)
         step = Step(
             epoch, self.attempt, time_s, self._observations, self._sensed, tasks, context, policy, actions, belief
         )
-        out.append(Completed(step, encoded, self.digest))
-        self._close_epoch(out)
-
-    def _send_down(self, out: list[Output]) -> None:
-        for lower in self.node.below:
-            task = self._elements(self._task[lower], self.state.actions, out)
-            out.append(Send(Message(self._header(TASKS, lower, self.digest), task)))
-            context = self._elements(self._context[lower], self.state.belief, out)
-            out.append(Send(Message(self._header(CONTEXT, lower, self.digest), context)))
-
-    def _close_epoch(self, out: list[Output]) -> None:
+        yield Completed(step, encoded, self.digest)
         if self._world is None:
             self.epoch += 1
             self.attempt = 0
-            self.phase = Phase.SENSE
-            return
-        out.append(Committed(self.epoch, self.attempt, self.digest))
-        self.phase = Phase.IDLE
+            self._enter(Phase.SENSE)
+        else:
+            self._enter(Phase.IDLE)
+            yield Committed(epoch, self.attempt, self.digest)
 
-    def _elements(self, function: Call | None, argument: Value, out: list[Output]) -> Elements:
-        if function is None:
-            return ()
-        elements = function.elements(self.epoch, self.time_s, argument)
-        self._called(out, function, elements)
-        return elements
+    def _send(
+        self, kind: str, receiver: str, function: Call | None, argument: Value, digest: bytes = b""
+    ) -> Iterator[Output]:
+        """Apply an edge function, and send what it gives."""
+        elements: Elements = ()
+        if function is not None:
+            elements = function.elements(self.epoch, self.time_s, argument)
+            yield from self._called(function, elements)
+        roster, instance = self.place.roster, self._instance
+        header = Header(kind, self.name, receiver, self.epoch, self.attempt, roster, instance, self.time_s, digest)
+        yield Send(Message(header, elements))
 
-    def _called(self, out: list[Output], call: Call, result: Value) -> None:
-        if self._events:
-            out.append(Called(self.epoch, self.attempt, call.subject, call.operator, result))
-
-    def _header(self, kind: str, receiver: str, digest: bytes) -> Header:
-        return Header(
-            kind,
-            self.name,
-            receiver,
-            self.epoch,
-            self.attempt,
-            self.place.roster,
-            self._instance,
-            self.time_s,
-            digest,
-        )
+    def _called(self, call: Call, result: Value) -> tuple[Output, ...]:
+        return (Called(self.epoch, self.attempt, call.subject, call.operator, result),) if self._events else ()
 
     def _encoded(self) -> bytes:
         """The state's bytes; a state that cannot be encoded is the operator's fault."""

@@ -24,7 +24,7 @@ fits decides:
     OLD_ROSTER       of an older roster                                 REFUSE
     NEW_ROSTER       of a roster that this node does not have yet       HOLD
     OTHER_INSTANCE   not from the instance that the roster names        REFUSE
-    INCOMPLETE       downward, but without its sender's digest          REFUSE
+    INCOMPLETE       context, but without its sender's digest           REFUSE
     LATE             of an epoch or attempt that is past                DROP
     EARLY            of an epoch or attempt that is still to come       HOLD
     DOUBLE           already in hand                                    DROP
@@ -39,7 +39,13 @@ from __future__ import annotations
 from enum import Enum
 
 
-class Phase(Enum):
+class _Quick(Enum):
+    """Hashed by identity: members are singletons, and the usual hash is computed in Python."""
+
+    __hash__ = object.__hash__
+
+
+class Phase(_Quick):
     """What a node waits for."""
 
     IDLE = "idle"
@@ -47,7 +53,7 @@ class Phase(Enum):
     PREDICT = "predict"
 
 
-class Verdict(Enum):
+class Verdict(_Quick):
     """What a message is to the node that receives it."""
 
     FOREIGN = "not along an edge of this node"
@@ -61,7 +67,7 @@ class Verdict(Enum):
     CURRENT = "current"
 
 
-class Action(Enum):
+class Action(_Quick):
     """What is done with a message."""
 
     TAKE = "take"

@@ -12,6 +12,7 @@ import os
 import signal
 import sys
 import threading
+import traceback
 from collections.abc import Awaitable
 from typing import Any
 
@@ -19,13 +20,12 @@ import anyio
 import anyio.from_thread
 import anyio.to_thread
 
-from hierax.runtime.core.binding import BoundNode, Setting, require_world
+from hierax.runtime.core.binding import Setting
 from hierax.runtime.core.errors import HieraxError
-from hierax.runtime.core.hierarchy import BoundEdge, neighbours_above, neighbours_below
 from hierax.runtime.engine.engine import DigestChain, Engine, Place
 from hierax.runtime.files import DIGESTS, open_probes, state_log
 from hierax.runtime.launch.pipe import FAILED, FINISHED, REPORT, STOP, UP, Frames, NodeOrder, frame
-from hierax.runtime.loading import LoadError, build_edge, build_node, extend_import_path
+from hierax.runtime.loading import LoadError, bind_edge, bind_node, build_edge, build_node, extend_import_path
 from hierax.runtime.runner import Log, NodeRunner, Pacemaker
 from hierax.runtime.transport.zenoh_port import EpochPublisher, ZenohPort
 from hierax.runtime.transport.zenoh_session import open_session
@@ -36,6 +36,9 @@ from hierax.schemas.values import Value
 GREETING_INTERVAL_S = 0.05
 STUCK_S = 1.0
 """How long an operator may go on when the process is to end."""
+
+BUG = 3
+"""Exit code where a process ends with a traceback."""
 
 _log = logging.getLogger("hierax")
 
@@ -64,10 +67,13 @@ class NodeProcess:
         return not port.rendezvous.ready
 
     def say(self, status: str, **fields: Value) -> None:
-        """Tell the supervisor."""
+        """Tell the supervisor, if it is still there."""
         data = memoryview(frame({"status": status, **fields}))
-        while data:
-            data = data[os.write(self._status, data) :]
+        try:
+            while data:
+                data = data[os.write(self._status, data) :]
+        except BrokenPipeError:
+            self._stopping.set()
 
     def live(self) -> int:
         """The node's thread: load, connect, run, report.
@@ -108,16 +114,15 @@ class NodeProcess:
     def _build_engine(self) -> Engine:
         order, roster, name = self._order, self._order.roster, self._order.name
         setting = Setting(order.seed, _wait_in_event_loop)
-        pairs = [(edge.lower, edge.upper) for edge in roster.edges]
+        pairs = [edge.pair for edge in roster.edges]
         node = build_node(roster.nodes[name], f"nodes.{name}")
-        bound = BoundNode(name, node, neighbours_below(name, pairs), neighbours_above(name, pairs), setting)
-        if name == roster.world:
-            require_world(name, node)
-        edges = []
-        for edge in roster.edges:
-            if name in (edge.lower, edge.upper):
-                side = "lower" if name == edge.lower else "upper"
-                edges.append(BoundEdge.of(build_edge(edge, side), setting, side))
+        bound = bind_node(name, node, roster.world, pairs, setting)
+        sides = {edge.pair: "lower" if name == edge.lower else "upper" for edge in roster.edges if name in edge.pair}
+        edges = [
+            bind_edge(build_edge(edge, sides[edge.pair]), setting, sides[edge.pair])
+            for edge in roster.edges
+            if name in edge.pair
+        ]
         return Engine(bound, edges, Place(roster.version, roster.content_hash(), roster.instances))
 
     def _build_runner(self, engine: Engine, port: ZenohPort, epochs: EpochPublisher | None) -> NodeRunner:
@@ -175,11 +180,16 @@ def main() -> None:
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is the supervisor's to handle
     status = os.dup(sys.stdout.fileno())
     os.dup2(sys.stderr.fileno(), sys.stdout.fileno())  # what a node prints must not mix with the frames
-    code = anyio.run(_main, status)
-    sys.stdout.flush()
-    sys.stderr.flush()
-    # Zenoh's threads may hold the interpreter up, or hang beside a stopped peer
-    os._exit(code)
+    code = BUG
+    try:
+        code = anyio.run(_main, status)
+    except Exception:
+        traceback.print_exc()
+    finally:
+        sys.stdout.flush()
+        sys.stderr.flush()
+        # Zenoh's threads may hold the interpreter up, or hang beside a stopped peer
+        os._exit(code)
 
 
 async def _main(status: int) -> int:

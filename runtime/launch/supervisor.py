@@ -7,7 +7,7 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import AsyncIterator, Callable, Mapping
+from collections.abc import AsyncIterator, Callable
 from contextlib import asynccontextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -38,7 +38,7 @@ class Interrupted(Exception):  # noqa: N818 - no error: somebody pressed Ctrl-C
     """The run was broken off by a signal."""
 
 
-class NodeFailed(HieraxError):
+class NodeFailedError(HieraxError):
     """A node's process failed or ended before the run was over.
 
     Attributes:
@@ -52,13 +52,26 @@ class NodeFailed(HieraxError):
 
 @dataclass
 class Child:
-    """A node's process and what it has said."""
+    """A node's process and what it has said.
+
+    Attributes:
+        name: of the node.
+        process: its process.
+        handle: a file descriptor that stands for it; signals go through it, as it never means
+            another process, and as asyncio's own way competes with its wait for the exit code.
+        up: set when it and its neighbours hear each other.
+        heard: set when all that it had to say is taken in and it has ended.
+        report: its last word.
+        failure: why it cannot go on.
+    """
 
     name: str
     process: anyio.abc.Process
+    handle: int
     up: anyio.Event = field(default_factory=anyio.Event)
+    heard: anyio.Event = field(default_factory=anyio.Event)
     report: dict[str, Value] | None = None
-    failure: NodeFailed | None = None
+    failure: NodeFailedError | None = None
 
 
 def launch(
@@ -120,14 +133,16 @@ class Supervisor:
                 try:
                     await self._start_all(tasks, hub.endpoint)
                     start_s = await self._until_finished(begun)
-                    reports = await self._collect()
+                    await self._collect()
                 finally:
                     with anyio.CancelScope(shield=True):
                         await self._end_all()
                     tasks.cancel_scope.cancel()
         finally:
             hub.close()
-        return self._make_report(reports, start_s)
+        if self._why is not None:
+            raise self._why
+        return self._make_report(start_s)
 
     async def _start_all(self, tasks: anyio.abc.TaskGroup, hub: str) -> None:
         for name in sorted(self._deployment.roster.nodes):
@@ -138,7 +153,7 @@ class Supervisor:
                 stderr=None,
                 start_new_session=True,
             )
-            child = self._children[name] = Child(name, process)
+            child = self._children[name] = Child(name, process, os.pidfd_open(process.pid))
             tasks.start_soon(self._listen, child)
             await self._tell(child, self._order(name, hub).plain())
 
@@ -154,7 +169,7 @@ class Supervisor:
             hub=hub,
             settings=deployment.zenoh,
             output="" if self._output is None else str(self._output),
-            probes=tuple(probe for probe in deployment.probes if probe.node == name),
+            probes=deployment.probes,
             import_paths=tuple(deployment.import_paths),
         )
 
@@ -163,7 +178,7 @@ class Supervisor:
         try:
             await child.process.stdin.send(frame(value))
         except (anyio.BrokenResourceError, anyio.ClosedResourceError, OSError):
-            self._break(NodeFailed(f"{child.name}: its process does not listen any more"))
+            self._break(NodeFailedError(f"{child.name}: its process does not listen any more"))
 
     async def _listen(self, child: Child) -> None:
         """Take in what a child says until its process ends."""
@@ -173,8 +188,9 @@ class Supervisor:
             for value in frames.feed(data):
                 self._take(child, value)
         code = await child.process.wait()
+        child.heard.set()
         if child.report is None and not self._ending:
-            self._break(child.failure or NodeFailed(f"{child.name}: its process ended {_describe(code)}"))
+            self._break(child.failure or NodeFailedError(f"{child.name}: its process ended {_describe(code)}"))
 
     def _take(self, child: Child, value: dict[str, Any]) -> None:
         status = value["status"]
@@ -185,7 +201,7 @@ class Supervisor:
         elif status == REPORT:
             child.report = value
         elif status == FAILED:
-            child.failure = NodeFailed(value["message"], value["where"])
+            child.failure = NodeFailedError(value["message"], value["where"])
             self._break(child.failure)
 
     def _break(self, why: Exception) -> None:
@@ -209,37 +225,34 @@ class Supervisor:
             Seconds from the launch until all were up.
         """
         timeout_s = self._deployment.start_timeout_s
+        start_s = 0.0
         async with self._unless_broken():
-            with anyio.move_on_after(timeout_s) as patience:
+            with anyio.move_on_after(timeout_s):
                 for child in self._children.values():
                     await child.up.wait()
-            if patience.cancelled_caught:
-                late = ", ".join(name for name, child in self._children.items() if not child.up.is_set())
-                raise NodeFailed(f"not up within {timeout_s:g} s (start_timeout_s): {late}")
+            late = [name for name, child in self._children.items() if not child.up.is_set()]
+            if late:
+                self._break(NodeFailedError(f"not up within {timeout_s:g} s (start_timeout_s): {', '.join(late)}"))
             start_s = time.perf_counter() - begun
             await self._finished.wait()
         return start_s
 
-    async def _collect(self) -> Mapping[str, dict[str, Value]]:
+    async def _collect(self) -> None:
         """Have every process report and end."""
         async with self._unless_broken():
-            with anyio.move_on_after(REPORT_TIMEOUT_S) as patience:
+            with anyio.move_on_after(REPORT_TIMEOUT_S):
                 for child in self._children.values():
                     await self._tell(child, STOP)
                 for child in self._children.values():
                     await child.process.wait()
-        silent = [name for name, child in self._children.items() if child.report is None]
-        if patience.cancelled_caught or silent:
-            raise NodeFailed(f"no report within {REPORT_TIMEOUT_S:g} s: {', '.join(silent)}")
-        return {name: child.report for name, child in self._children.items() if child.report is not None}
+                    await child.heard.wait()
+            silent = [name for name, child in self._children.items() if child.report is None]
+            if silent:
+                self._break(NodeFailedError(f"no report within {REPORT_TIMEOUT_S:g} s: {', '.join(silent)}"))
 
     @asynccontextmanager
     async def _unless_broken(self) -> AsyncIterator[None]:
-        """Break off what is waited for inside when the run breaks.
-
-        Raises:
-            Exception: why it broke.
-        """
+        """Break off what is waited for inside when the run breaks; nothing is done in there when it has."""
         async with anyio.create_task_group() as tasks:
 
             async def watch() -> None:
@@ -247,10 +260,10 @@ class Supervisor:
                 tasks.cancel_scope.cancel()
 
             tasks.start_soon(watch)
+            if self._broken.is_set():
+                tasks.cancel_scope.cancel()
             yield
             tasks.cancel_scope.cancel()
-        if self._why is not None:
-            raise self._why
 
     async def _end_all(self) -> None:
         """End every process that is left: first kindly, then not."""
@@ -264,12 +277,14 @@ class Supervisor:
         for child in self._children.values():
             await child.process.wait()
             await child.process.aclose()
+            os.close(child.handle)
 
     def _kill_all(self) -> None:
         for child in self._children.values():
             _signal(child, signal.SIGKILL)
 
-    def _make_report(self, reports: Mapping[str, dict[str, Value]], start_s: float) -> Report:
+    def _make_report(self, start_s: float) -> Report:
+        reports = {name: child.report for name, child in self._children.items() if child.report is not None}
         epochs, digest, wall_s, epochs_s = reports[self._deployment.roster.world]["run"]
         nodes = {
             name: NodeReport(said["belief"], said["policy"], said["actions"], said["metrics"])
@@ -290,11 +305,10 @@ class Supervisor:
 
 
 def _signal(child: Child, number: signal.Signals) -> None:
-    if child.process.returncode is None:
-        try:
-            child.process.send_signal(number)
-        except ProcessLookupError:
-            return  # it has just ended by itself
+    try:
+        signal.pidfd_send_signal(child.handle, number)
+    except ProcessLookupError:
+        return  # it has ended by itself
 
 
 def _describe(code: int) -> str:

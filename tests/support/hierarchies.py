@@ -176,9 +176,9 @@ def random_hierarchy(seed: int, nodes: int | None = None, setting: Setting = PLA
     names = [f"n{index:02}" for index in range(count)]
     rng.shuffle(names)  # so that an order by name is no order of the graph
     world = names[0]
-    members: dict[str, Node] = {world: MixingWorld(world, rng.randint(1, 3))}
+    members: dict[str, Node] = {world: MixingWorld(world, rng.randint(2, 4))}
     for name in names[1:]:
-        members[name] = rng.choice((MixingNode, DrawingNode))(name, rng.randint(1, 3))
+        members[name] = rng.choice((MixingNode, DrawingNode))(name, rng.randint(2, 4))
     density = rng.choice((0.0, 0.2, 0.5, 1.0))
     edges = [_edge(rng, lower, upper) for lower, upper in random_pairs(rng, names, density)]
     rng.shuffle(edges)

@@ -1,5 +1,7 @@
 from __future__ import annotations
 
+from itertools import pairwise
+
 import pytest
 
 from hierax.runtime.deployment.document import Document
@@ -70,6 +72,6 @@ def test_what_is_refused(text: str, message: str) -> None:
 @pytest.mark.parametrize("double", ["'${NAME}${NAME}'", "['${NAME}', '${NAME}']"])
 def test_parameters_do_not_grow_without_bounds(double: str) -> None:
     names = [f"a{i}" for i in range(60)]
-    lines = [f"  {name}: {double.replace('NAME', before)}" for before, name in zip(names, names[1:], strict=False)]
+    lines = [f"  {name}: {double.replace('NAME', before)}" for before, name in pairwise(names)]
     with pytest.raises(DeploymentError, match="the parameters make the document too large"):
         substitute(document("parameters:\n  a0: 0123456789\n" + "\n".join(lines)))

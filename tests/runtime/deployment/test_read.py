@@ -49,7 +49,7 @@ def test_the_least_that_is_needed(tmp_path: Path) -> None:
 
 def test_what_is_given_as_nothing_is_as_left_out(tmp_path: Path) -> None:
     bare = "hierarchy: one\nworld: w\nnodes:\n  w: {class: a:b}\n"
-    full = "parameters:\nepochs:\nedges:\nprobes:\nzenoh:\nhierarchy: one\nworld: w\nnodes:\n  w: {class: a:b, parameters: }\n"
+    full = f"parameters:\nepochs:\nedges:\nprobes:\nzenoh:\n{bare[:-2]}, parameters: }}\n"
     assert read_deployment(write(tmp_path, bare)) == read_deployment(write(tmp_path, full))
 
 
@@ -101,60 +101,141 @@ MISTAKES = [
     ("epochs: 3", "zenoh: nowhere.json5", "zenoh", "zenoh: there is no file '"),
     ("epochs: 3", "restart_policy: always", "restart", "restart_policy: unknown field; "),
     ("world: world\nparam", "param", "hierarchy", "world: missing; expected which node is the external world"),
-    ("world: world\nparam", "world: wrld\nparam", "world: wrld", "world: there is no node 'wrld'; did you mean 'world'?"),
+    (
+        "world: world\nparam",
+        "world: wrld\nparam",
+        "world: wrld",
+        "world: there is no node 'wrld'; did you mean 'world'?",
+    ),
     ("step: 2", "step: 2\n  step: 3", "step: 3", "parameters.step: given twice, in line 6 and in line 7"),
-    ('"${step}"}', '"${stop}"}', "    parameters: {step", "nodes.world.parameters.step: unknown parameter ${stop}; did"),
-    ("  context: true", "  context: 1", "      enabled", "edges.left -> top.most.context.enabled: expected true or false, "
-     "got 1 (from ${context}, FILE:8)"),
-    ("  world:\n    class", "  wor ld:\n    class", "  wor ld", "nodes.wor ld: 'wor ld' is no node's name: expected at most"),
-    ("    class: support.toy_nodes:Counter", "    clas: support.toy_nodes:Counter", "    clas:",
-     "nodes.world.clas: unknown field; did you mean 'class'?"),
-    ("    class: support.toy_nodes:Counter\n", "", "  world:\n", "nodes.world.class: missing; expected module:name of a class"),
-    ("support.toy_nodes:Counter", "support.toy_nodes.Counter", "    class", "nodes.world.class: expected "
-     "'package.module:name', got 'support.toy_nodes.Counter'"),
-    ("{class: support.toy_nodes:Summer}", "support.toy_nodes:Summer", "  left:", "nodes.left: expected a map, got 'support."),
+    (
+        '"${step}"}',
+        '"${stop}"}',
+        "    parameters: {step",
+        "nodes.world.parameters.step: unknown parameter ${stop}; did",
+    ),
+    (
+        "  context: true",
+        "  context: 1",
+        "      enabled",
+        "edges.left -> top.most.context.enabled: expected true or false, got 1 (from ${context}, FILE:8)",
+    ),
+    (
+        "  world:\n    class",
+        "  wor ld:\n    class",
+        "  wor ld",
+        "nodes.wor ld: 'wor ld' is no node's name: expected at most",
+    ),
+    (
+        "    class: support.toy_nodes:Counter",
+        "    clas: support.toy_nodes:Counter",
+        "    clas:",
+        "nodes.world.clas: unknown field; did you mean 'class'?",
+    ),
+    (
+        "    class: support.toy_nodes:Counter\n",
+        "",
+        "  world:\n",
+        "nodes.world.class: missing; expected module:name of a class",
+    ),
+    (
+        "support.toy_nodes:Counter",
+        "support.toy_nodes.Counter",
+        "    class",
+        "nodes.world.class: expected 'package.module:name', got 'support.toy_nodes.Counter'",
+    ),
+    (
+        "{class: support.toy_nodes:Summer}",
+        "support.toy_nodes:Summer",
+        "  left:",
+        "nodes.left: expected a map, got 'support.",
+    ),
     ("{class: support.toy_nodes:Summer}", "", "  left:", "nodes.left: expected a map, got nothing"),
-    ("{class: support.toy_nodes:Summer}", "{class: a:b, noise: 1}", "  left:", "nodes.left.noise: unknown field; expected "
-     "one of class, parameters"),
-    ("{class: support.toy_nodes:Summer}", "{class: a:b, parameters: [1]}", "  left:", "nodes.left.parameters: expected a map, "
-     "got a list"),
-    ("  world -> left:", "  world - left:", "  world - left:", "edges.world - left: 'world - left' is no edge: expected "
-     "'lower -> upper', two names of nodes"),
-    ("  world -> left:", "  world -> lift:", "  world -> lift:", "edges.world -> lift: there is no node 'lift'; did you mean "
-     "'left'?"),
-    ("  world -> left:", "  world -> left -> right:", "  world -> left ->", "edges.world -> left -> right: 'world -> left -> "
-     "right' is no edge"),
+    (
+        "{class: support.toy_nodes:Summer}",
+        "{class: a:b, noise: 1}",
+        "  left:",
+        "nodes.left.noise: unknown field; expected one of class, parameters",
+    ),
+    (
+        "{class: support.toy_nodes:Summer}",
+        "{class: a:b, parameters: [1]}",
+        "  left:",
+        "nodes.left.parameters: expected a map, got a list",
+    ),
+    (
+        "  world -> left:",
+        "  world - left:",
+        "  world - left:",
+        "edges.world - left: 'world - left' is no edge: expected 'lower -> upper', two names of nodes",
+    ),
+    (
+        "  world -> left:",
+        "  world -> lift:",
+        "  world -> lift:",
+        "edges.world -> lift: there is no node 'lift'; did you mean 'left'?",
+    ),
+    (
+        "  world -> left:",
+        "  world -> left -> right:",
+        "  world -> left ->",
+        "edges.world -> left -> right: 'world -> left -> right' is no edge",
+    ),
     ("  world -> left:", "  left->top.most:", "  left -> top.most", "edges.left -> top.most: given twice, in line"),
     ("  world -> left:", "  left -> left:", "edges:", "edges: edge left->left joins a node to itself"),
     ("  world -> left:", "  left -> world:", "edges:", "edges: nothing may be below the world 'world', but 'left' is"),
     ("  world -> left:", "  top.most -> left:", "edges:", "edges: the edges form a cycle: "),
-    ("    task: null", "    tusk: null", "    tusk", "edges.left -> top.most.tusk: unknown field; did you mean 'task'?"),
-    ("    task: null", "    task: toy", "    task", "edges.left -> top.most.task: expected 'package.module:name', got 'toy'"),
+    (
+        "    task: null",
+        "    tusk: null",
+        "    tusk",
+        "edges.left -> top.most.tusk: unknown field; did you mean 'task'?",
+    ),
+    (
+        "    task: null",
+        "    task: toy",
+        "    task",
+        "edges.left -> top.most.task: expected 'package.module:name', got 'toy'",
+    ),
     ("    task: null", "    task: [a]", "    task", "edges.left -> top.most.task: expected a map, got a list"),
-    ("      parameters: {factor: 2}", "      params: {factor: 2}", "      params", "edges.left -> top.most.context.params: "
-     "unknown field; did you mean 'parameters'?"),
-    ("      function: support.toy_nodes:Scale\n", "", "    context:", "edges.left -> top.most.context.function: missing; "
-     "expected module:name of a function"),
+    (
+        "      parameters: {factor: 2}",
+        "      params: {factor: 2}",
+        "      params",
+        "edges.left -> top.most.context.params: unknown field; did you mean 'parameters'?",
+    ),
+    (
+        "      function: support.toy_nodes:Scale\n",
+        "",
+        "    context:",
+        "edges.left -> top.most.context.function: missing; expected module:name of a function",
+    ),
     ("  - node: left", "  - node: lift", "  - node", "probes[0].node: there is no node 'lift'; did you mean 'left'?"),
-    ("  - node: left\n    class", "  - class", "  - class", "probes[0].node: missing; expected the node that it watches"),
-    ("  - node: left\n", "  node: left\n", "probes", "probes: "),
-]  # fmt: skip
+    (
+        "  - node: left\n    class",
+        "  - class",
+        "  - class",
+        "probes[0].node: missing; expected the node that it watches",
+    ),
+]
 
 
 @pytest.mark.parametrize(
     ("old", "new", "part", "message"), MISTAKES, ids=[f"{new[:30]!r}" for _, new, _, _ in MISTAKES]
 )
 def test_a_mistake_is_told_in_one_line(tmp_path: Path, old: str, new: str, part: str, message: str) -> None:
-    if new == "  node: left\n":
-        text = TOYS[: TOYS.index("  - node")] + "  node: left\n"
-        message = "probes: expected a list, got a map"
-    else:
-        text = replaced(old, new)
+    text = replaced(old, new)
     path = write(tmp_path, text)
     with pytest.raises(DeploymentError) as caught:
         read_deployment(path)
     assert str(caught.value).startswith(f"{path}:{line_of(part, text)}: {message.replace('FILE', str(path))}")
     assert "\n" not in str(caught.value)
+
+
+def test_probes_that_are_no_list(tmp_path: Path) -> None:
+    text = TOYS.replace("  - node: left", "    node: left")
+    with pytest.raises(DeploymentError, match=r"\.yaml:31: probes: expected a list, got a map$"):
+        read_deployment(write(tmp_path, text))
 
 
 @pytest.mark.parametrize(
@@ -207,7 +288,7 @@ def test_what_is_no_deployment_at_all(tmp_path: Path, content: bytes, message: s
 
 
 def test_places_and_errors_of_later_stages(tmp_path: Path) -> None:
-    class Misfit(HieraxError):
+    class MisfitError(HieraxError):
         where = "nodes.top.most.parameters.scale"
 
     path = write(tmp_path)
@@ -215,7 +296,7 @@ def test_places_and_errors_of_later_stages(tmp_path: Path) -> None:
     assert deployment.place("nodes.world.class") == f"{path}:{line_of('class: support.toy_nodes:Counter')}"
     assert deployment.place("nodes.left.parameters.scale") == "--set nodes.left.parameters.scale=3"
     line = line_of('scale: "${scale}"')
-    assert str(deployment.explain(Misfit(f"{Misfit.where}: too much"))) == (
+    assert str(deployment.explain(MisfitError(f"{MisfitError.where}: too much"))) == (
         f"{path}:{line}: nodes.top.most.parameters.scale: too much (from ${{scale}}, {path}:7)"
     )
     other = HieraxError("the link is down")
@@ -244,6 +325,15 @@ SCRAPS = [
     "1e3",
     "->",
 ]
+
+
+def refusal(path: Path, overrides: list[str]) -> str | None:
+    """The message of the error that reading raises; None where it raises none."""
+    try:
+        read_deployment(path, overrides)
+    except DeploymentError as error:
+        return str(error)
+    return None
 
 
 def mutated(seed: int) -> str:
@@ -276,18 +366,32 @@ def mutated(seed: int) -> str:
 )
 def test_a_spoilt_file_gives_one_clear_error(tmp_path: Path, seed: int, overrides: list[str]) -> None:
     path = write(tmp_path, mutated(seed))
-    try:
-        read_deployment(path, overrides)
-    except DeploymentError as error:
-        assert str(error).startswith((str(path), "--set"))
-        assert "\n" not in str(error)
+    message = refusal(path, overrides)
+    assert message is None or (message.startswith((str(path), "--set")) and "\n" not in message)
 
 
 PATHS = [
-    "hierarchy", "description", "epochs", "world", "parameters", "nodes", "edges", "probes", "start_timeout_s", "zenoh",
-    "step", "nodes.world", "nodes.left.class", "nodes.left.parameters", "edges.world -> left", "edges.world -> left.sense",
-    "edges.left -> top.most.context.enabled", "edges.left -> top.most.context.parameters", "probes[0]", "probes[0].node",
-]  # fmt: skip
+    "hierarchy",
+    "description",
+    "epochs",
+    "world",
+    "parameters",
+    "nodes",
+    "edges",
+    "probes",
+    "start_timeout_s",
+    "zenoh",
+    "step",
+    "nodes.world",
+    "nodes.left.class",
+    "nodes.left.parameters",
+    "edges.world -> left",
+    "edges.world -> left.sense",
+    "edges.left -> top.most.context.enabled",
+    "edges.left -> top.most.context.parameters",
+    "probes[0]",
+    "probes[0].node",
+]
 VALUES = st.recursive(
     st.none()
     | st.booleans()
@@ -305,7 +409,5 @@ VALUES = st.recursive(
 @given(changes=st.lists(st.tuples(st.sampled_from(PATHS), VALUES), min_size=1, max_size=3))
 def test_any_value_anywhere_is_taken_or_refused(tmp_path: Path, changes: list[tuple[str, object]]) -> None:
     overrides = [f"{path}={json.dumps(value)}" for path, value in changes]
-    try:
-        read_deployment(write(tmp_path), overrides)
-    except DeploymentError as error:
-        assert "\n" not in str(error)
+    message = refusal(write(tmp_path), overrides)
+    assert message is None or "\n" not in message

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import random
+from collections.abc import Iterator
 
 import pytest
 from hypothesis import given, settings
@@ -53,7 +54,7 @@ class Network:
         self._delivered.append(message)
         return message
 
-    def _take(self, name: str, outputs: list[Output], epochs: int) -> None:
+    def _take(self, name: str, outputs: Iterator[Output], epochs: int) -> None:
         for output in outputs:
             if isinstance(output, Send):
                 self._under_way.append(decode_message(encode_message(output.message)))

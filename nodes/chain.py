@@ -1,0 +1,62 @@
+"""A chain of three nodes that do next to nothing: what an epoch costs by itself."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from hierax.runtime import Elements, Node, Value, World
+
+
+class Counter(World):
+    """N₀: counts what its actions add up to."""
+
+    def initial_belief(self) -> Value:
+        """Nothing counted, nothing seen."""
+        return {"count": 0, "seen": 0.0}
+
+    def predict(self, context: Elements, actions: Elements, belief: Value) -> Value:
+        """Count, and keep what came down."""
+        return {"count": belief["count"] + 1, "seen": context[0]["level"]}
+
+
+class Relay(Node):
+    """Keeps the level that it observes, or that its context gives."""
+
+    def initial_belief(self) -> Value:
+        """No level."""
+        return {"level": 0.0}
+
+    def observe(self, observations: Elements, belief: Value) -> Value:
+        """The level seen."""
+        return {"level": observations[0]["level"]}
+
+    def predict(self, context: Elements, actions: Elements, belief: Value) -> Value:
+        """The level expected, where something is."""
+        return {"level": context[0]["level"]} if context else belief
+
+
+def count(belief: Value) -> Elements:
+    """φ of the counter."""
+    return ({"level": 0.5 * belief["count"]},)
+
+
+def level(belief: Value) -> Elements:
+    """φ and ϱ of a relay."""
+    return ({"level": belief["level"]},)
+
+
+class LevelWithPicture:
+    """ϱ of a relay, with a picture beside the level.
+
+    Args:
+        size: of the picture, in bytes; 0: none.
+    """
+
+    def __init__(self, size: int = 0) -> None:
+        self._picture = np.zeros(size, np.uint8)
+
+    def __call__(self, belief: Value) -> Elements:
+        """The level, and the picture as a view of the same bytes in every epoch."""
+        if not self._picture.size:
+            return level(belief)
+        return ({"level": belief["level"], "picture": self._picture},)

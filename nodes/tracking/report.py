@@ -1,0 +1,168 @@
+"""How well a simulated run was tracked: ``python -m hierax.nodes.tracking.report OUTPUT``.
+
+Reads ``poses.csv`` and ``truth.csv`` of a run's output folder (see `probes`), which are
+written by different nodes: the one that tracks never sees the truth. Prints each object's
+errors and draws them over the frames, into ``errors.png``.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+from typing import NamedTuple
+
+import cv2
+import numpy as np
+
+from hierax.nodes.tracking.bop import read_results
+from hierax.nodes.tracking.errors import DataError
+from hierax.nodes.tracking.geometry import Array, Floats, pose_error
+from hierax.nodes.tracking.probes import POSES_FILE, TRUTH_FILE, write_picture
+
+PLOT_FILE = "errors.png"
+
+_COLOURS = ((200, 55, 45), (45, 95, 190), (55, 150, 70), (205, 155, 20), (120, 70, 160), (226, 120, 40))
+_WIDTH, _PANEL, _LEFT, _RIGHT, _TOP, _BOTTOM = 900, 260, 64, 130, 40, 34
+_INK, _RULE, _PAPER = (60, 60, 60), (222, 222, 222), 255
+
+
+class ObjectErrors(NamedTuple):
+    """An object's errors.
+
+    Attributes:
+        obj_id: the object.
+        frames: (n,) the frames in which it has a true pose.
+        distance_mm, angle_deg: (n,) between estimated and true pose; nan where no pose was given.
+    """
+
+    obj_id: int
+    frames: Array
+    distance_mm: Floats
+    angle_deg: Floats
+
+    @property
+    def missing(self) -> int:
+        """In how many frames there is no pose."""
+        return int(np.isnan(self.distance_mm).sum())
+
+
+def read_errors(output: Path) -> list[ObjectErrors]:
+    """Compare a run's poses with the truth.
+
+    Args:
+        output: the run's output folder.
+
+    Raises:
+        DataError: one of the files is missing or damaged, or there is no true pose.
+    """
+    truth_file = output / TRUTH_FILE
+    if not truth_file.is_file():
+        raise DataError(f"{truth_file}: no such file; only a run of the simulated world writes the true poses")
+    given = {(row.obj_id, row.im_id): row.pose for row in read_results(output / POSES_FILE)}
+    truth = {(row.obj_id, row.im_id): row.pose for row in read_results(truth_file)}
+    if not truth:
+        raise DataError(f"{truth_file}: no poses")
+    result = []
+    for obj_id in sorted({number for number, _ in truth}):
+        frames = sorted(frame for number, frame in truth if number == obj_id)
+        errors = np.full((len(frames), 2), np.nan)
+        for at, frame in enumerate(frames):
+            if (obj_id, frame) in given:
+                errors[at] = pose_error(given[obj_id, frame], truth[obj_id, frame])
+        result.append(ObjectErrors(obj_id, np.array(frames), errors[:, 0] * 1000.0, np.degrees(errors[:, 1])))
+    return result
+
+
+def table(errors: Sequence[ObjectErrors]) -> str:
+    """The errors as text, one line an object."""
+    lines = ["object  frames  without pose    median       max    median       max"]
+    for item in errors:
+        known = ~np.isnan(item.distance_mm)
+        figures = [
+            f"{function(part[known]):7.2f} {unit}" if known.any() else f"      – {unit}"
+            for part, unit in ((item.distance_mm, "mm"), (item.angle_deg, "° "))
+            for function in (np.median, np.max)
+        ]
+        lines.append(f"{item.obj_id:6}  {len(item.frames):6}  {item.missing:12}" + "".join(figures))
+    return "\n".join(lines)
+
+
+def plot(errors: Sequence[ObjectErrors]) -> Array:
+    """The errors over the frames, as an RGB picture: distances above, angles below."""
+    picture = np.full((2 * _PANEL, _WIDTH, 3), _PAPER, np.uint8)
+    distances = [item.distance_mm for item in errors]
+    angles = [item.angle_deg for item in errors]
+    _draw_panel(picture[:_PANEL], "position error, mm", errors, distances)
+    _draw_panel(picture[_PANEL:], "rotation error, degrees", errors, angles)
+    for place, item in enumerate(errors):
+        x, y = _WIDTH - _RIGHT + 18, _TOP + 8 + 20 * place
+        cv2.line(picture, (x, y), (x + 22, y), _colour(place), 2, cv2.LINE_AA)
+        _write(picture, f"object {item.obj_id}", (x + 30, y + 4))
+    return picture
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Print the errors and draw the plot.
+
+    Returns:
+        The exit code: 0, or 1 where a file is missing or damaged.
+    """
+    parser = argparse.ArgumentParser(prog="python -m hierax.nodes.tracking.report", description=__doc__)
+    parser.add_argument("output", type=Path, help="the run's output folder")
+    output: Path = parser.parse_args(arguments).output
+    try:
+        errors = read_errors(output)
+        write_picture(output / PLOT_FILE, plot(errors))
+    except DataError as error:
+        print(f"error: {error}", file=sys.stderr)
+        return 1
+    print(table(errors))
+    print(f"drawn in {output / PLOT_FILE}")
+    return 0
+
+
+def _draw_panel(panel: Array, title: str, errors: Sequence[ObjectErrors], series: Sequence[Floats]) -> None:
+    values = np.concatenate(series)
+    highest = float(np.nanmax(values)) if np.isfinite(values).any() else 1.0
+    step = _tick_step(max(highest, 1e-3) / 4)
+    top = step * np.ceil(max(highest, 1e-3) / step)
+    first, last = (float(function([function(item.frames) for item in errors])) for function in (np.min, np.max))
+    right, bottom = _WIDTH - _RIGHT, _PANEL - _BOTTOM
+    _write(panel, title, (_LEFT, _TOP - 14))
+    for level in np.arange(0.0, top + step / 2, step):
+        y = round(bottom - (bottom - _TOP) * level / top)
+        cv2.line(panel, (_LEFT, y), (right, y), _RULE, 1)
+        _write(panel, f"{level:g}", (_LEFT - 46, y + 4))
+    span = max(last - first, 1.0)
+    for frame in np.arange(first, last + 1e-9, max(1.0, _tick_step(span / 8))):
+        x = round(_LEFT + (right - _LEFT) * (frame - first) / span)
+        cv2.line(panel, (x, bottom), (x, bottom + 4), _INK, 1)
+        _write(panel, f"{frame:g}", (x - 8, bottom + 18))
+    _write(panel, "frame", (right + 8, bottom + 18))
+    for place, (item, numbers) in enumerate(zip(errors, series, strict=True)):
+        x_px = _LEFT + (right - _LEFT) * (item.frames - first) / span
+        points = np.rint(16 * np.stack((x_px, bottom - (bottom - _TOP) * numbers / top), axis=1))
+        known = ~np.isnan(numbers)
+        for start in np.nonzero(known[1:] & known[:-1])[0]:
+            line = points[start : start + 2].astype(np.int32)
+            cv2.polylines(panel, [line], False, _colour(place), 2, cv2.LINE_AA, 4)
+
+
+def _tick_step(least: float) -> float:
+    """The smallest of 1, 2, 5, 10, 20, … (and their tenths) that is not below a number."""
+    power = 10.0 ** np.floor(np.log10(least))
+    return float(next(factor * power for factor in (1.0, 2.0, 5.0, 10.0) if factor * power >= least * (1 - 1e-9)))
+
+
+def _colour(place: int) -> tuple[int, int, int]:
+    return _COLOURS[place % len(_COLOURS)]
+
+
+def _write(picture: Array, text: str, at: tuple[int, int]) -> None:
+    cv2.putText(picture, text, at, cv2.FONT_HERSHEY_SIMPLEX, 0.42, _INK, 1, cv2.LINE_AA)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,129 @@
+"""`hierax bench epoch`: an epoch of a chain of three processes, beside the same chain in bare Zenoh."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from collections.abc import Callable, Sequence
+from contextlib import ExitStack
+from dataclasses import dataclass
+
+import numpy as np
+
+from hierax.runtime.core.errors import HieraxError
+from hierax.runtime.deployment.read import read_deployment
+from hierax.runtime.launch.supervisor import launch
+from hierax.runtime.plain import Json
+from hierax.runtime.transport.zenoh_session import free_endpoint
+
+PICTURE_BYTES = 2_400_000
+WARM_UP = 0.1
+"""Share of the epochs, at the beginning of each run, that is not counted."""
+
+TIMEOUT_S = 120.0
+
+
+@dataclass(frozen=True)
+class Row:
+    """One kind of work, ours and bare.
+
+    Attributes:
+        name: what is sent.
+        ours_us, bare_us: for each round, the counted epochs, in microseconds.
+    """
+
+    name: str
+    ours_us: Sequence[np.ndarray]
+    bare_us: Sequence[np.ndarray]
+
+    @property
+    def ratios(self) -> np.ndarray:
+        """Of the medians, round by round."""
+        return np.array([np.median(a) / np.median(b) for a, b in zip(self.ours_us, self.bare_us, strict=True)])
+
+    @property
+    def ratio(self) -> float:
+        """The median of the rounds' ratios."""
+        return float(np.median(self.ratios))
+
+    def plain(self) -> dict[str, Json]:
+        """As plain JSON."""
+        low, high = float(self.ratios.min()), float(self.ratios.max())
+        return {
+            "name": self.name,
+            "ours_us": _quantiles(self.ours_us),
+            "bare_us": _quantiles(self.bare_us),
+            "ratio": self.ratio,
+            "ratio_range": [low, high],
+        }
+
+
+def bench_epoch(epochs: int, rounds: int, told: Callable[[str], None]) -> list[Row]:
+    """Time the chain with small messages and with a picture, and the bare chain against a bare round trip.
+
+    Args:
+        epochs: in each round.
+        rounds: of ours and the rival in turn, so that a machine that changes its pace changes it for both.
+        told: told what is going on.
+
+    Raises:
+        HieraxError: a process failed.
+    """
+    rows = []
+    for name, picture in (("small messages", 0), (f"{PICTURE_BYTES / 1e6:g} MB in the context", PICTURE_BYTES)):
+        ours, bare = [], []
+        for number in range(rounds):
+            told(f"{name}, round {number + 1} of {rounds}")
+            bare.append(_counted(_bare(epochs, picture)))
+            ours.append(_counted(_ours(epochs, picture)))
+        rows.append(Row(name, ours, bare))
+    trips = []
+    for number in range(rounds):
+        told(f"bare round trip, round {number + 1} of {rounds}")
+        trips.append(_counted(_bare_trip(epochs)))
+    rows.append(Row("bare chain (ours) against a bare round trip", rows[0].bare_us, trips))
+    return rows
+
+
+def _ours(epochs: int, picture: int) -> Sequence[float]:
+    deployment = read_deployment("chain", [f"picture={picture}"])
+    return launch(deployment, epochs=epochs, seed=0).epochs_us
+
+
+def _bare(epochs: int, picture: int) -> Sequence[float]:
+    low, high = free_endpoint(), free_endpoint()
+    return _times(
+        ["world", "--listen", low, "--epochs", str(epochs)],
+        ["arm", "--connect", low, "--listen", high],
+        ["spatial", "--connect", high, "--picture", str(picture)],
+    )
+
+
+def _bare_trip(epochs: int) -> Sequence[float]:
+    low = free_endpoint()
+    return _times(["world", "--listen", low, "--epochs", str(epochs)], ["echo", "--connect", low])
+
+
+def _times(world: list[str], *others: list[str]) -> Sequence[float]:
+    """Run the processes of a bare chain; what the world prints."""
+    module = [sys.executable, "-m", "hierax.runtime.bench.bare_chain"]
+    with ExitStack() as stack:
+        for other in others:
+            process = stack.enter_context(subprocess.Popen([*module, *other], stdin=subprocess.PIPE))
+            stack.callback(process.stdin.close if process.stdin else process.kill)
+        try:
+            done = subprocess.run([*module, *world], stdout=subprocess.PIPE, timeout=TIMEOUT_S, check=True)
+        except (subprocess.TimeoutExpired, subprocess.CalledProcessError) as error:
+            raise HieraxError(f"the bare chain failed: {error}") from error
+    times: list[float] = json.loads(done.stdout)
+    return times
+
+
+def _counted(epochs_us: Sequence[float]) -> np.ndarray:
+    return np.array(epochs_us[int(WARM_UP * len(epochs_us)) :])
+
+
+def _quantiles(rounds_us: Sequence[np.ndarray]) -> dict[str, float]:
+    p50, p99 = np.percentile(np.concatenate(list(rounds_us)), (50, 99))
+    return {"p50": float(p50), "p99": float(p99)}

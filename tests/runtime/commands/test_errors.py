@@ -1,0 +1,69 @@
+from __future__ import annotations
+
+import subprocess
+import sys
+
+import pytest
+
+from hierax.runtime.commands.errors import TRACEBACK_VARIABLE, CommandError, exit_code
+from hierax.schemas.errors import SchemaError
+
+
+def failing(error: BaseException) -> int:
+    raise error
+
+
+def test_the_commands_own_code() -> None:
+    assert exit_code(lambda: 0) == 0
+    assert exit_code(lambda: 1) == 1
+
+
+@pytest.mark.parametrize("error", [CommandError("the disk\n  is full"), SchemaError("is full", "the disk")])
+def test_an_expected_failure_is_one_line(
+    error: Exception, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.delenv(TRACEBACK_VARIABLE, raising=False)
+    assert exit_code(lambda: failing(error)) == 1
+    out, err = capsys.readouterr()
+    assert (out, err.replace(":", "")) == ("", "error the disk is full\n")
+
+
+def test_the_traceback_of_a_failure_on_demand(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv(TRACEBACK_VARIABLE, "1")
+    assert exit_code(lambda: failing(CommandError("the disk is full"))) == 1
+    err = capsys.readouterr().err
+    assert "Traceback" in err
+    assert err.endswith("error: the disk is full\n")
+
+
+def test_a_bug_has_its_traceback(capsys: pytest.CaptureFixture[str]) -> None:
+    assert exit_code(lambda: failing(ZeroDivisionError("by zero"))) == 3
+    err = capsys.readouterr().err
+    assert "Traceback" in err
+    assert "ZeroDivisionError: by zero" in err
+    assert err.endswith("error: this is a bug, in hierax or in a node: please report it with the lines above\n")
+
+
+def test_ctrl_c(capsys: pytest.CaptureFixture[str]) -> None:
+    assert exit_code(lambda: failing(KeyboardInterrupt())) == 130
+    assert capsys.readouterr().err == "interrupted\n"
+
+
+def test_a_reader_that_has_gone_is_no_bug() -> None:
+    script = """
+from hierax.runtime.commands.errors import exit_code
+def talk():
+    for _ in range(100_000):
+        print("a line")
+    return 0
+raise SystemExit(exit_code(talk))
+"""
+    with subprocess.Popen([sys.executable, "-c", script], stdout=subprocess.PIPE, stderr=subprocess.PIPE) as process:
+        assert process.stdout is not None
+        assert process.stderr is not None
+        process.stdout.readline()
+        process.stdout.close()
+        assert process.stderr.read() == b""
+        assert process.wait() == 1

@@ -1,0 +1,218 @@
+"""Launches: the same run as in one process, and processes that always end."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import pytest
+from support.recompute_digest import main as recompute_digest
+
+HIERAX = [sys.executable, "-m", "hierax.runtime.commands.main"]
+TESTS = Path(__file__).parents[2]
+TIMEOUT_S = 60.0
+ENDED_S = 2.0
+
+
+def hierax(*arguments: str) -> subprocess.CompletedProcess[str]:
+    return subprocess.run(
+        [*HIERAX, *arguments], capture_output=True, text=True, timeout=TIMEOUT_S, env=environment(), check=False
+    )
+
+
+def environment() -> dict[str, str]:
+    return {**os.environ, "PYTHONPATH": str(TESTS)}
+
+
+def processes_of(parent: int) -> list[int]:
+    """The children of a process."""
+    found = subprocess.run(["ps", "-o", "pid=", "--ppid", str(parent)], capture_output=True, text=True, check=False)
+    return [int(pid) for pid in found.stdout.split()]
+
+
+def is_alive(pid: int) -> bool:
+    try:
+        return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] != "Z"
+    except FileNotFoundError:
+        return False
+
+
+def until(condition: Callable[[], bool], timeout_s: float = TIMEOUT_S) -> float:
+    """Seconds until a condition holds."""
+    begun = time.monotonic()
+    while not condition():
+        assert time.monotonic() - begun < timeout_s, "it did not come to that"
+        time.sleep(0.005)
+    return time.monotonic() - begun
+
+
+def segments() -> set[Path]:
+    return set(Path("/dev/shm").glob("*.zenoh"))
+
+
+@pytest.mark.parametrize(
+    ("deployment", "options"),
+    [
+        ("letters", ["--epochs", "20"]),
+        ("letters", ["--epochs", "3", "--set", "letters='T?E'"]),
+        ("letters-image", ["--epochs", "5"]),
+        ("servo", ["--set", "context=true"]),
+        ("servo", ["--set", "context=false"]),
+        ("chain", ["--epochs", "50", "--set", "picture=100000"]),
+    ],
+)
+@pytest.mark.parametrize("seed", ["0", "7"])
+def test_launch_is_run(deployment: str, options: list[str], seed: str, tmp_path: Path) -> None:
+    """Equal digests and states, which an independent script takes again."""
+    reports = {}
+    for mode in ("run", "launch"):
+        output = str(tmp_path / mode)
+        done = hierax(mode, deployment, "--seed", seed, "--format", "json", "--output", output, *options)
+        assert done.returncode == 0, done.stderr
+        assert recompute_digest([output]) == 0
+        reports[mode] = json.loads(done.stdout)
+    assert reports["launch"]["digest"] == reports["run"]["digest"]
+    assert reports["launch"]["nodes"] == reports["run"]["nodes"]
+    assert not segments()
+
+
+def test_seeds_make_a_difference() -> None:
+    digests = {json.loads(hierax("run", "servo", "--seed", seed, "--format", "json").stdout)["digest"] for seed in "012"}
+    assert len(digests) == 3
+
+
+TWO_NODES = """
+hierarchy: two
+world: clock
+nodes:
+  clock: {{class: "support.slow_nodes:Clock"}}
+  node: {node}
+edges:
+  clock -> node: {{sense: "support.slow_nodes:number"}}
+"""
+
+
+@pytest.fixture
+def two(tmp_path: Path) -> Callable[[str], str]:
+    def write(node: str) -> str:
+        path = tmp_path / "two.yaml"
+        path.write_text(TWO_NODES.format(node=node))
+        return str(path)
+
+    return write
+
+
+@pytest.mark.parametrize("mode", ["run", "launch"])
+def test_an_operator_may_wait_for_the_outside(two: Callable[[str], str], mode: str) -> None:
+    done = hierax(mode, two('{class: "support.slow_nodes:Waiting"}'), "--epochs", "4", "--format", "json")
+    assert done.returncode == 0, done.stderr
+    assert json.loads(done.stdout)["nodes"]["node"]["belief"] == 0 + 1 + 2 + 3
+
+
+@pytest.mark.parametrize("mode", ["run", "launch"])
+def test_a_failing_operator_ends_it_with_one_line(two: Callable[[str], str], mode: str) -> None:
+    done = hierax(mode, two('{class: "support.slow_nodes:Failing", parameters: {epoch: 3}}'), "--epochs", "9")
+    assert done.returncode == 1
+    assert done.stderr.splitlines() == ["error: node: predict in epoch 3: RuntimeError: out of luck"]
+
+
+@pytest.mark.parametrize("mode", ["run", "launch"])
+def test_a_node_that_cannot_be_built_is_named_with_its_line(two: Callable[[str], str], mode: str) -> None:
+    done = hierax(mode, two('{class: "support.slow_nodes:Failing", parameters: {epok: 3}}'), "--epochs", "9")
+    assert done.returncode == 1
+    assert len(done.stderr.splitlines()) == 1
+    assert "two.yaml:6: nodes.node.parameters.epok" in done.stderr
+    assert "did you mean 'epoch'?" in done.stderr
+
+
+class Launched:
+    """A launch under way, and its nodes' processes."""
+
+    def __init__(self, path: str) -> None:
+        self.process = subprocess.Popen(
+            [*HIERAX, "launch", path],
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            text=True,
+            env=environment(),
+            start_new_session=True,
+        )
+        until(lambda: len(processes_of(self.process.pid)) == 2)
+        self.nodes = processes_of(self.process.pid)
+
+    def until_stuck(self) -> None:
+        assert self.process.stderr is not None
+        assert self.process.stderr.readline() == "stuck\n"
+
+    def until_gone(self) -> float:
+        return until(lambda: not any(map(is_alive, [self.process.pid, *self.nodes])))
+
+    def end(self) -> tuple[str, str]:
+        return self.process.communicate(timeout=TIMEOUT_S)
+
+
+@pytest.fixture
+def launched(two: Callable[[str], str]) -> Iterator[Launched]:
+    launch = Launched(two('{class: "support.slow_nodes:Stuck", parameters: {epoch: 50}}'))
+    yield launch
+    for pid in (launch.process.pid, *launch.nodes):
+        if is_alive(pid):
+            os.kill(pid, signal.SIGKILL)
+    launch.process.communicate(timeout=TIMEOUT_S)
+
+
+def test_every_node_has_a_process_of_its_own(launched: Launched) -> None:
+    assert len({launched.process.pid, os.getpid(), *launched.nodes}) == 4
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_a_signal_ends_all(launched: Launched, number: signal.Signals) -> None:
+    launched.until_stuck()
+    launched.process.send_signal(number)
+    assert launched.until_gone() < ENDED_S
+    out, err = launched.end()
+    assert launched.process.returncode == 130
+    assert out == ""
+    assert "Traceback" not in err
+    assert err.splitlines()[-1] == "interrupted"
+    assert not segments()
+
+
+def test_a_signal_while_starting_ends_all(two: Callable[[str], str]) -> None:
+    launch = Launched(two('{class: "support.slow_nodes:Stuck", parameters: {epoch: 1}}'))
+    launch.process.send_signal(signal.SIGINT)
+    assert launch.until_gone() < ENDED_S
+    _, err = launch.end()
+    assert launch.process.returncode == 130
+    assert "Traceback" not in err
+
+
+def test_a_second_signal_kills(launched: Launched) -> None:
+    launched.until_stuck()
+    launched.process.send_signal(signal.SIGINT)
+    until(lambda: launched.process.poll() is not None or any(map(is_alive, launched.nodes)))
+    launched.process.send_signal(signal.SIGINT)
+    assert launched.until_gone() < ENDED_S
+    launched.end()
+    assert launched.process.returncode == 130
+
+
+def test_a_node_that_dies_is_named(launched: Launched) -> None:
+    launched.until_stuck()
+    os.kill(launched.nodes[1], signal.SIGKILL)
+    assert launched.until_gone() < ENDED_S
+    _, err = launched.end()
+    assert launched.process.returncode == 1
+    assert err.splitlines()[-1] == "error: node: its process ended by signal SIGKILL"
+
+
+def test_nodes_do_not_outlive_their_supervisor(launched: Launched) -> None:
+    launched.until_stuck()
+    launched.process.kill()
+    assert launched.until_gone() < ENDED_S
