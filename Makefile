@@ -18,15 +18,16 @@ demo: $(INSTALLED)
 test: $(INSTALLED)
 	$(BIN)/python -m pytest
 
-# mypy follows the namespace through an installed copy
+# mypy and the import contracts follow the namespace through an installed copy
 check: $(INSTALLED)
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
-	rm -rf $(CHECKED)
+	rm -rf $(CHECKED) build
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-deps --target $(CHECKED) .
+	rm -rf build
 	cd $(CHECKED) && MYPYPATH=. $(CURDIR)/$(BIN)/mypy --config-file $(CURDIR)/pyproject.toml \
 		--explicit-package-bases --namespace-packages -p hierax
-	$(BIN)/lint-imports
+	cd $(CHECKED) && PYTHONPATH=. $(CURDIR)/$(BIN)/lint-imports --config $(CURDIR)/.importlinter --no-cache
 
 clean:
 	rm -rf $(VENV) .build build dist *.egg-info demo-output

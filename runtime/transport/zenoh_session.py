@@ -126,9 +126,12 @@ def _configured(ours: Mapping[str, Any], settings: Settings) -> zenoh.Config:
 
 
 def _given(settings: Settings) -> zenoh.Config:
+    config: zenoh.Config
     if isinstance(settings, Mapping):
-        return zenoh.Config.from_json5(json.dumps(settings))
-    if settings is not None:
+        config = zenoh.Config.from_json5(json.dumps(settings))
+    elif settings is not None:
         is_text = settings.lstrip().startswith("{")
-        return zenoh.Config.from_json5(settings) if is_text else zenoh.Config.from_file(settings)
-    return zenoh.Config.from_env() if os.environ.get("ZENOH_CONFIG") else zenoh.Config()
+        config = zenoh.Config.from_json5(settings) if is_text else zenoh.Config.from_file(settings)
+    else:
+        config = zenoh.Config.from_env() if os.environ.get("ZENOH_CONFIG") else zenoh.Config()
+    return config
