@@ -30,7 +30,7 @@ from hierax.schemas.limits import (
     MAX_MESSAGE_BYTES,
     MAX_NAME_CHARS,
 )
-from hierax.schemas.values import Value, pack, replace_numpy, unpack
+from hierax.schemas.values import Value, fault, is_sound, pack, replace_numpy, unpack
 
 FORMAT = 1
 TAIL_ARRAY = 2
@@ -117,10 +117,31 @@ def encode_message(message: Message) -> bytes:
         SchemaError: the payload holds something that cannot travel.
     """
     header, payload = message
-    tail = _Tail()
     fields = (FORMAT, _KIND_CODES[header[0]], *header[1:], payload)
-    packed = pack(fields, tail.default, "message", _NAMES)
-    data = _with_tail(packed, tail.arrays) if tail.arrays else packed
+    extensions = header[9]
+    if not is_sound(payload, 1) or (extensions and not is_sound(extensions, 1)):
+        raise fault(fields, "message", _NAMES)
+    try:
+        return pack(fields, _in_place, "message", _NAMES)
+    except _LargeArray:
+        return _encode_large(fields)
+
+
+class _LargeArray(Exception):  # noqa: N818 - no error: the other way of encoding is wanted
+    """An array is too large to be encoded in place."""
+
+
+def _in_place(value: Any) -> Any:
+    if not isinstance(value, np.ndarray):
+        return replace_numpy(value)
+    if value.nbytes >= LARGE_ARRAY_BYTES:
+        raise _LargeArray
+    return msgpack.ExtType(ARRAY, encode_array(value))
+
+
+def _encode_large(fields: tuple[Value, ...]) -> bytes:
+    tail = _Tail()
+    data = _with_tail(pack(fields, tail.default, "message", _NAMES), tail.arrays)
     if len(data) > MAX_MESSAGE_BYTES:
         raise SchemaError(f"has {len(data)} bytes; at most {MAX_MESSAGE_BYTES} are allowed", "message")
     return data
@@ -149,10 +170,8 @@ class _Tail:
         self._left = MAX_MESSAGE_BYTES
 
     def default(self, value: Any) -> Any:
-        if not isinstance(value, np.ndarray):
-            return replace_numpy(value)
-        if value.nbytes < LARGE_ARRAY_BYTES:
-            return msgpack.ExtType(ARRAY, encode_array(value))
+        if not isinstance(value, np.ndarray) or value.nbytes < LARGE_ARRAY_BYTES:
+            return _in_place(value)
         check_array(value)
         self._left -= value.nbytes
         if self._left < 0:

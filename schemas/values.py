@@ -28,7 +28,7 @@ _PRESCAN_BYTES = 1024
 _PATH_CHARS = 200
 _SURE = frozenset({NoneType, bool, float, bytes})
 _NO_CONTAINERS = bytes(byte for byte in range(256) if not (0x80 <= byte <= 0x9F or 0xDC <= byte <= 0xDF))
-_TIME_STAMPS = (b"\xd6\xff", b"\xd7\xff", b"\xc7\x0c\xff")
+_STAMP = b"\xff"
 _LEAVES = _SURE | {int, str, np.ndarray}
 
 
@@ -38,6 +38,8 @@ def encode_value(value: Value) -> bytes:
     Raises:
         SchemaError: the value holds something that cannot travel; it says where and what.
     """
+    if not is_sound(value, 0):
+        raise fault(value, "value", ())
     return pack(value, _array_in_place)
 
 
@@ -51,7 +53,7 @@ def decode_value(data: bytes | memoryview, where: str = "value") -> Value:
 
 
 def pack(value: Value, default: Callable[[Any], Any], where: str = "value", names: Names = ()) -> bytes:
-    """Pack a value.
+    """Pack a value that `is_sound`.
 
     Args:
         value: what to pack.
@@ -62,14 +64,12 @@ def pack(value: Value, default: Callable[[Any], Any], where: str = "value", name
     Raises:
         SchemaError: something cannot travel; it says where and what.
     """
-    if not _is_sound(value, 0):
-        raise _fault(value, where, names, _LEAVES)
     try:
         packed: bytes = msgpack.packb(value, default=default)
     except SchemaError as error:
-        raise _fault(value, where, names, _SURE, error.what) from error
+        raise fault(value, where, names, _SURE, error.what) from error
     except (TypeError, ValueError, OverflowError, RecursionError) as error:
-        raise _fault(value, where, names, _SURE, f"cannot be sent: {error}") from error
+        raise fault(value, where, names, _SURE, f"cannot be sent: {error}") from error
     if len(packed) > MAX_MESSAGE_BYTES:
         raise SchemaError(f"has {len(packed)} bytes; at most {MAX_MESSAGE_BYTES} are allowed", where)
     if len(packed) > MAX_CONTAINERS and _containers(value) > MAX_CONTAINERS:
@@ -92,26 +92,35 @@ def unpack(data: bytes | memoryview, ext_hook: ExtHook, where: str, names: Names
     if len(data) > MAX_MESSAGE_BYTES:
         raise SchemaError(f"{len(data)} bytes; at most {MAX_MESSAGE_BYTES} are allowed", where)
     data = bytes(data)
-    hooks = _Hooks() if len(data) > MAX_CONTAINERS else None
     try:
-        if len(data) > _PRESCAN_BYTES:
-            _prescan(data)
-        value = msgpack.unpackb(
-            data,
-            use_list=False,
-            ext_hook=ext_hook,
-            object_pairs_hook=hooks.mapping if hooks else _mapping,
-            list_hook=hooks.array if hooks else None,
-            max_array_len=min(len(data), MAX_ITEMS),
-            max_map_len=min(len(data), MAX_ITEMS),
-        )
+        if len(data) <= _PRESCAN_BYTES:
+            value = msgpack.unpackb(data, use_list=False, ext_hook=ext_hook, object_pairs_hook=_mapping)
+        else:
+            value = _unpack_large(data, ext_hook)
     except SchemaError as error:
         raise SchemaError(error.what, f"{where}: {error.where}" if error.where else where) from error
     except (ValueError, TypeError, OverflowError, msgpack.exceptions.UnpackException) as error:
         raise SchemaError(f"not one msgpack value: {str(error) or type(error).__name__}", where) from error
-    if not _is_sound(value, 0):
-        raise _fault(value, where, names, _LEAVES)
+    if not _looks_sound(data) and not is_sound(value, 0):
+        raise fault(value, where, names)
     return value
+
+
+def _unpack_large(data: bytes, ext_hook: ExtHook) -> Value:
+    """Unpack what is large enough to lie about lengths, or to hold too many containers."""
+    unpacker = msgpack.Unpacker(max_buffer_size=len(data))
+    unpacker.feed(data)
+    unpacker.skip()  # walks the structure without building it: lengths that lie end here, before they take memory
+    hooks = _Hooks() if len(data) > MAX_CONTAINERS else None
+    return msgpack.unpackb(
+        data,
+        use_list=False,
+        ext_hook=ext_hook,
+        object_pairs_hook=hooks.mapping if hooks else _mapping,
+        list_hook=hooks.array if hooks else None,
+        max_array_len=min(len(data), MAX_ITEMS),
+        max_map_len=min(len(data), MAX_ITEMS),
+    )
 
 
 def replace_numpy(value: Any) -> Any:
@@ -171,22 +180,16 @@ class _Hooks:
             raise SchemaError(f"more than {MAX_CONTAINERS} arrays and maps")
 
 
-def _prescan(data: bytes) -> None:
-    """Walk the structure without building it: lengths that lie end here, before they take memory."""
-    unpacker = msgpack.Unpacker(max_buffer_size=len(data))
-    unpacker.feed(data)
-    unpacker.skip()
-
-
 def _looks_sound(data: bytes) -> bool:
-    """Whether bytes that msgpack could read need no second look: no time stamps, and too few containers to nest deep."""
-    short, long, longest = _TIME_STAMPS
-    if short in data or long in data or longest in data:
-        return False
-    return len(data.translate(None, _NO_CONTAINERS)) <= MAX_DEPTH
+    """Whether bytes that msgpack could read need no second look.
+
+    A time stamp has the byte 255, extension type -1, somewhere; deep nesting takes many
+    containers. Either may be there for a better reason: then a second look tells.
+    """
+    return _STAMP not in data and len(data.translate(None, _NO_CONTAINERS)) <= MAX_DEPTH
 
 
-def _is_sound(value: Any, depth: int) -> bool:
+def is_sound(value: Any, depth: int) -> bool:
     """What msgpack lets through and we don't, in either direction; `_flaw` says what. Runs for every message."""
     if isinstance(value, dict):
         for key in value:
@@ -200,7 +203,7 @@ def _is_sound(value: Any, depth: int) -> bool:
     if depth > MAX_DEPTH or len(parts) > MAX_ITEMS:
         return False
     for part in parts:  # noqa: SIM110 - a loop takes half the time of all()
-        if type(part) not in _LEAVES and not _is_sound(part, depth + 1):
+        if type(part) not in _LEAVES and not is_sound(part, depth + 1):
             return False
     return True
 
@@ -240,7 +243,7 @@ def _key_flaw(key: Any) -> str:
     return ""
 
 
-def _fault(value: Value, where: str, names: Names, sure: Types, otherwise: str = "") -> SchemaError:
+def fault(value: Value, where: str, names: Names, sure: Types = _LEAVES, otherwise: str = "") -> SchemaError:
     """The first part that cannot travel, as an error.
 
     Args:

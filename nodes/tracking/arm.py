@@ -13,7 +13,7 @@ import numpy as np
 
 from hierax.nodes.tracking.edges import NO_EDGES, visible_edges
 from hierax.nodes.tracking.geometry import Array, Floats, exp_se3, invert, log_se3, transform
-from hierax.nodes.tracking.matching import WIDE, Image, Match, match, smoothed
+from hierax.nodes.tracking.matching import Image, Match, match, shifted, smoothed
 from hierax.runtime import Elements, Node, Value
 
 TRACKED = "tracked"
@@ -174,8 +174,8 @@ class ArmNode(Node):
             return best
         motion = log_se3(invert(item["before"]) @ item["pose"])
         for part in _WIDER_STARTS:
-            start = item["before"] @ exp_se3(part * motion)
-            found = match(image, item["edges"], start, _WIDER_VARIANCE * loose, intrinsics, WIDE)
+            start = shifted(image, item["edges"], item["before"] @ exp_se3(part * motion), intrinsics)
+            found = match(image, item["edges"], start, _WIDER_VARIANCE * loose, intrinsics)
             if found is not None and (best is None or found.score > best.score + _BETTER):
                 best = found
         return best

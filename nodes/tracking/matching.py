@@ -29,6 +29,14 @@ _NEAREST_M = 0.02
 _LEAST_INFORMATION = 0.01
 """Share of the prior that is counted as seen, so that what no edge shows stays finite."""
 
+_LEAST_RARITY = 0.3
+"""Where edges are so dense that more than the rest of the places are near one, to be near one proves little."""
+
+_SHIFT_PX = 2
+_VOTE_PX = 5
+_REACH_FACTOR = 3
+"""Halves of how far a shift along both axes can move a control point along its normal: a little over √2."""
+
 _USUAL_SHARPNESS = 0.7
 """Quantile of the control points' sharpness that counts as an edge in focus."""
 
@@ -58,9 +66,6 @@ class Search(NamedTuple):
 
 NEAR = Search()
 """How an image is searched for an object that is about where it was expected."""
-
-WIDE = Search(reach_px=(40, 20, 9, 4), scale_px=((40.0, 20.0), (20.0, 8.0), (8.0, 3.0), (3.0, 0.7)))
-"""How it is searched for one that is not."""
 
 
 class Match(NamedTuple):
@@ -168,6 +173,39 @@ def match(
         for scale in np.linspace(*scales, search.iterations):
             pose = _step(pose, predicted, prior, lines, peaks, float(scale), intrinsics, search)
     return _judged(image, pose, prior, controls, intrinsics, search)
+
+
+def shifted(image: Image, segments: Floats, pose: Floats, intrinsics: Array, reach_px: int = 40) -> Floats:
+    """A pose moved parallel to the image to where most of its edges are found: a start for `match`.
+
+    Each control point votes for the shifts that bring it onto an edge, whichever way the
+    edge is along itself (a Hough transform over the shift).
+
+    Args:
+        image, segments, intrinsics: as for `match`.
+        pose: camera_from_object.
+        reach_px: the largest shift, each way.
+
+    Returns:
+        camera_from_object; the same pose where too few of the edges are in the image.
+    """
+    lines = _lines(control_points(segments, pose, intrinsics), pose, intrinsics, image.shape)
+    if lines is None:
+        return pose
+    peaks = np.isfinite(_peaks(image, lines, _REACH_FACTOR * reach_px // 2, NEAR.contrast).places)
+    # A vote reaches a little to both sides; many peaks along a normal say little, so they share one vote.
+    spread = cv2.blur(peaks.astype(np.float32), (_VOTE_PX, 1), borderType=cv2.BORDER_CONSTANT) > 0
+    votes = spread / (1.0 + spread.sum(axis=1, keepdims=True))
+    steps = np.arange(-reach_px, reach_px + 1, _SHIFT_PX)
+    grid = np.stack(np.meshgrid(steps, steps), axis=-1).reshape(-1, 2)
+    along = np.rint(lines.normals @ grid.T).astype(np.intp) + peaks.shape[1] // 2
+    total = votes[np.arange(len(votes))[:, None], along].sum(axis=0)
+    # Of equals, the smallest shift.
+    best = grid[int(np.argmax(total - 1e-6 * np.linalg.norm(grid, axis=1)))]
+    depth = float(transform(pose, lines.points)[:, 2].mean())
+    moved: Floats = pose.copy()
+    moved[:2, 3] += best * depth / intrinsics[:2]
+    return moved
 
 
 def control_points(segments: Floats, pose: Floats, intrinsics: Array) -> Controls:
@@ -306,10 +344,11 @@ def _judged(
     residuals = _residuals(pose, lines, peaks, intrinsics)
     supported = np.abs(residuals.pixels) < search.support_px
     share = float(supported.mean())
-    # A peak anywhere: the share of places along the normals that are as near to one.
-    dense = np.isfinite(peaks.places).sum(axis=1) * 2.0 * search.support_px / peaks.places.shape[1]
-    chance = float(np.minimum(dense, 0.95).mean())
-    score = max(0.0, (share - chance) / (1.0 - chance))
+    # By chance: the share of places along the normals that are as near to a peak.
+    places = np.arange(-2.0 * reach, 2.0 * reach + 1.0)
+    nearest = np.abs(peaks.places[:, None, :] - places[None, :, None]).min(axis=2)
+    chance = float((nearest < search.support_px).mean())
+    score = max(0.0, (share - chance) / max(1.0 - chance, _LEAST_RARITY))
     jacobian = _jacobian(pose, lines.points[supported], lines.normals[supported], residuals.seen[supported], intrinsics)
     information = jacobian.T @ jacobian + _LEAST_INFORMATION * prior
     squares = residuals.pixels[supported] ** 2

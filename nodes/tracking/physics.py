@@ -168,4 +168,5 @@ def _support_points(vertices: Floats) -> Floats:
     turn = index * np.pi * (3.0 - np.sqrt(5.0))
     radius = np.sqrt(1.0 - height**2)
     directions = np.stack((radius * np.cos(turn), radius * np.sin(turn), height))
-    return vertices[np.unique((vertices @ directions).argmax(axis=0))]
+    outermost: Floats = vertices[np.unique((vertices @ directions).argmax(axis=0))]
+    return outermost

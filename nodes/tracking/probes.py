@@ -26,6 +26,8 @@ CORRECTED = (60, 235, 80)
 
 _STATUSES = ("tracked", "expected", "lost")
 _NEAREST_M = 0.02
+_WHITE = (255, 255, 255)
+_STRIP_PX = 24
 _SHIFT = 4
 _SHEET_COLUMNS = 3
 _SHEET_PICTURES = 9
@@ -121,7 +123,7 @@ class Pictures(Probe):
         ValueError: `every` is below 1.
     """
 
-    def __init__(self, every: int = 10) -> None:
+    def __init__(self, every: int = 8) -> None:
         if every < 1:
             raise ValueError(f"every is {every}; expected at least 1 frame")
         self._every = every
@@ -187,21 +189,24 @@ def overlay(image: Array, expected: Value, corrected: Value) -> Array:
             _draw_edges(picture, item["edges"], item["pose"], intrinsics, CORRECTED)
     counts = {status: sum(item["status"] == status for item in corrected["objects"]) for status in _STATUSES}
     text = "  ".join(f"{count} {status}" for status, count in counts.items() if count)
-    _write_text(picture, f"frame {corrected['frame']}   {text}", (8, picture.shape[0] - 10))
+    height, width = picture.shape[:2]
+    picture[height - _STRIP_PX :] //= 4
+    _write_text(picture, f"frame {corrected['frame']}   {text}", (8, height - 8), _WHITE)
+    _write_text(picture, "expected", (width - 160, height - 8), EXPECTED)
+    _write_text(picture, "corrected", (width - 82, height - 8), CORRECTED)
     return picture
 
 
 def contact_sheet(pictures: Sequence[Path]) -> Array:
-    """Up to nine of the pictures, evenly chosen, the first and the last among them, side by side and smaller."""
-    count = min(_SHEET_PICTURES, len(pictures))
+    """Up to nine of the pictures, evenly chosen, the first and the last among them, smaller and in full rows."""
+    columns = min(_SHEET_COLUMNS, len(pictures))
+    count = min(_SHEET_PICTURES, len(pictures) - len(pictures) % columns)
     chosen = [pictures[round(at)] for at in np.linspace(0, len(pictures) - 1, count)]
     tiles = []
     for path in chosen:
         picture = read_image(path)
         height = round(picture.shape[0] * _SHEET_WIDTH_PX / picture.shape[1])
         tiles.append(cv2.resize(picture, (_SHEET_WIDTH_PX, height), interpolation=cv2.INTER_AREA))
-    tiles += [np.zeros_like(tiles[0])] * (-count % min(_SHEET_COLUMNS, count))
-    columns = min(_SHEET_COLUMNS, count)
     rows = [np.hstack(tiles[start : start + columns]) for start in range(0, len(tiles), columns)]
     return np.vstack(rows)
 
@@ -223,9 +228,8 @@ def _draw_edges(picture: Array, edges: Floats, pose: Floats, intrinsics: Array, 
     cv2.polylines(picture, list(pixels), False, colour, 1, cv2.LINE_AA, _SHIFT)
 
 
-def _write_text(picture: Array, text: str, at: tuple[int, int]) -> None:
-    for colour, thickness in (((0, 0, 0), 3), ((255, 255, 255), 1)):
-        cv2.putText(picture, text, at, cv2.FONT_HERSHEY_SIMPLEX, 0.5, colour, thickness, cv2.LINE_AA)
+def _write_text(picture: Array, text: str, at: tuple[int, int], colour: tuple[int, int, int]) -> None:
+    cv2.putText(picture, text, at, cv2.FONT_HERSHEY_SIMPLEX, 0.5, colour, 1, cv2.LINE_AA)
 
 
 def scene_number(scene: str | None) -> int:

@@ -59,7 +59,8 @@ class Face(NamedTuple):
     def normal(self) -> Floats:
         """Unit vector that points outwards."""
         normal = np.cross(self.right, self.up)
-        return normal / np.linalg.norm(normal)
+        unit: Floats = normal / np.linalg.norm(normal)
+        return unit
 
 
 def cube_corners(side_m: float) -> Floats:
@@ -156,4 +157,5 @@ def _lamp() -> Floats:
     index = np.arange(LAMP_POINTS)
     radius = LAMP_RADIUS * np.sqrt((index + 0.5) / LAMP_POINTS)
     turn = index * np.pi * (3.0 - np.sqrt(5.0))
-    return LIGHT + np.outer(radius * np.cos(turn), across) + np.outer(radius * np.sin(turn), down)
+    lamp: Floats = LIGHT + np.outer(radius * np.cos(turn), across) + np.outer(radius * np.sin(turn), down)
+    return lamp

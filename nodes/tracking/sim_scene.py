@@ -220,4 +220,5 @@ def _streaks(rng: np.random.Generator, shape: tuple[int, int], width_px: int) ->
     coarse = (rows // width_px + 2, columns // (width_px * 12) + 2)
     noise = rng.standard_normal(coarse).astype(np.float32)
     smooth: Array = cv2.resize(noise, (columns, rows), interpolation=cv2.INTER_CUBIC)
-    return smooth / smooth.std()
+    even: Array = smooth / smooth.std()
+    return even

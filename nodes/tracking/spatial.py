@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from math import sqrt
 from typing import Any
 
 import numpy as np
@@ -23,7 +24,8 @@ class SpatialNode(Node):
     """Knows where bodies are in the world, how they move, and what physics lets them do next.
 
     τ moves the bodies to the poses that the arm corrected and learns their velocities
-    from how far these are from the predicted ones (an alpha-beta filter with alpha = 1).
+    from the differences of these, filtered. Not from how far they are from the predicted
+    ones: a body that is held in the air would seem to move up as fast as physics has it fall.
     γ lets one frame interval pass: over a table, with gravity and contacts (bodies that
     interpenetrate are pushed apart, things settle); without one, at constant velocity.
 
@@ -32,12 +34,13 @@ class SpatialNode(Node):
     ``interval_s`` of the last observation, and ``bodies``, a tuple of ``id``,
     ``obj_id``, ``pose`` (world_from_object, 4x4), ``velocity`` (6,: m/s of the object's
     origin and rad/s, world frame), ``covariance`` (6, 6; m, rad, object frame),
-    ``status``, ``model`` (``vertices`` (n, 3) m, ``faces`` (m, 3)) and ``mass`` (kg).
+    ``status``, ``seen`` (the pose that the last observation gave it, None where it was not
+    tracked), ``model`` (``vertices`` (n, 3) m, ``faces`` (m, 3)) and ``mass`` (kg).
 
     Args:
         objects: the bodies to begin with: each with ``id``, ``obj_id``, ``pose`` and ``model``.
         table: whether the plane z = 0 of the world carries them, z pointing up.
-        velocity_gain: beta, the part of a surprise per interval that goes into the velocity, 0 to 1.
+        velocity_gain: how far the velocity follows the last observed one, 0 to 1.
         damping: how fast a body without a table slows down, 1/s.
         max_sigmas: how far physics may move a tracked body from where it goes by itself,
             in standard deviations of the arm's pose.
@@ -120,14 +123,14 @@ class SpatialNode(Node):
 
     def _moved(self, body: Body, seen: Mapping[str, Any], interval_s: float | None) -> Body:
         """The body with what the arm says of it; one that it has lost stays where it was predicted."""
-        heard = {**body, "status": seen["status"], "covariance": seen["covariance"]}
+        heard = {**body, "status": seen["status"], "covariance": seen["covariance"], "seen": None}
         if seen["status"] != "tracked":
             return heard
         pose, velocity = seen["pose"], body["velocity"]
-        if interval_s is not None:
-            surprise = _displacement(body["pose"], pose)
-            velocity = velocity + self._velocity_gain * surprise / interval_s
-        return {**heard, "pose": pose, "velocity": velocity}
+        if interval_s is not None and body["seen"] is not None:
+            observed = _displacement(body["seen"], pose) / interval_s
+            velocity = velocity + self._velocity_gain * (observed - velocity)
+        return {**heard, "pose": pose, "velocity": velocity, "seen": pose}
 
     def _coasted(self, motion: Motion, interval_s: float) -> Motion:
         """Constant velocity, slowly dying down."""
@@ -145,7 +148,8 @@ class SpatialNode(Node):
         if body["status"] != "tracked":
             return physical
         twist = log_se3(invert(free.pose) @ physical.pose)
-        sigmas = float(np.sqrt(max(0.0, twist @ np.linalg.solve(body["covariance"], twist))))
+        square = float(twist @ np.linalg.solve(body["covariance"], twist))
+        sigmas = sqrt(max(0.0, square))
         if sigmas <= self._max_sigmas:
             return physical
         return Motion(free.pose @ exp_se3(self._max_sigmas / sigmas * twist), free.velocity)
@@ -161,6 +165,7 @@ def _body(item: Mapping[str, Any]) -> Body:
         "velocity": np.zeros(6),
         "covariance": UNSEEN,
         "status": "expected",
+        "seen": None,
         "model": model,
         "mass": DENSITY_KG_M3 * float(np.prod(np.ptp(vertices, axis=0))),
     }

@@ -77,7 +77,9 @@ class Engine:
         self._held: dict[Slot, list[Message]] = {}
         self._observations: Elements = ()
         self._sensed: Value = None
-        self.state = ActiveNode(node.initial_belief(0, 0.0), node.node.initial_policy)
+        self._belief: Value = node.initial_belief(0, 0.0)
+        self._policy = node.node.initial_policy
+        self._actions: Elements = ()
         self.digest = NO_DIGEST
         self.time_s = 0.0
         self.attempt = 0
@@ -93,7 +95,12 @@ class Engine:
     @property
     def finished(self) -> bool:
         """Whether the world has nothing left to observe; never, for other nodes."""
-        return self._world is not None and self._world.finished(self.state.belief)
+        return self._world is not None and self._world.finished(self._belief)
+
+    @property
+    def state(self) -> ActiveNode:
+        """The node's state now."""
+        return ActiveNode(self._belief, self._policy, self._actions)
 
     @property
     def waits_for(self) -> tuple[Slot, ...]:
@@ -109,7 +116,7 @@ class Engine:
         if self._world is None or self.phase is not Phase.IDLE:
             raise ValueError(f"{self.name}: only a world that is idle begins an epoch")
         self.epoch += 1
-        self.time_s = epoch_time_s(self.name, self._world, self.state.belief, self.epoch)
+        self.time_s = epoch_time_s(self.name, self._world, self._belief, self.epoch)
         self._enter(Phase.SENSE)
         return self._advance()
 
@@ -184,38 +191,51 @@ class Engine:
 
     def _do_sense(self) -> Iterator[Output]:
         inbox, self._inbox = self._inbox, {}
-        belief = self.state.belief
+        belief = self._belief
         if self._world is None:
             self.time_s = inbox[self.node.below[0], OBSERVATIONS].header.time_s
             self._observations = _union(inbox, self.node.below, OBSERVATIONS)
             belief = self.node.observe(self.epoch, self.time_s, self._observations, belief)
-            yield from self._called(self.node.observe, belief)
+            if self._events:
+                yield self._called(self.node.observe, belief)
         self._sensed = belief
         self._enter(Phase.PREDICT)
         for upper, sense in self._sense.items():
-            yield from self._send(OBSERVATIONS, upper, sense, belief)
+            elements = sense.elements(self.epoch, self.time_s, belief) if sense else ()
+            if self._events and sense:
+                yield self._called(sense, elements)
+            yield self._send(OBSERVATIONS, upper, elements)
 
     def _do_predict(self) -> Iterator[Output]:
         inbox, self._inbox = self._inbox, {}
         node, epoch, time_s = self.node, self.epoch, self.time_s
         tasks = _union(inbox, node.above, TASKS)
         context = _union(inbox, node.above, CONTEXT)
-        policy = self.state.policy
+        policy = self._policy
         if node.above:
             policy = node.choose(epoch, time_s, tasks)
-            yield from self._called(node.select_policy, policy)
+            if self._events:
+                yield self._called(node.select_policy, policy)
         act = node.policies[policy]
         actions = act.elements(epoch, time_s, self._sensed)
-        yield from self._called(act, actions)
+        if self._events:
+            yield self._called(act, actions)
         for lower, task in self._task.items():
-            yield from self._send(TASKS, lower, task, actions)
+            elements = task.elements(epoch, time_s, actions) if task else ()
+            if self._events and task:
+                yield self._called(task, elements)
+            yield self._send(TASKS, lower, elements)
         belief = node.predict(epoch, time_s, context, actions, self._sensed)
-        yield from self._called(node.predict, belief)
-        self.state = ActiveNode(belief, policy, actions)
+        if self._events:
+            yield self._called(node.predict, belief)
+        self._belief, self._policy, self._actions = belief, policy, actions
         encoded = self._encoded()
         self.digest = node_digest(encoded, [inbox[upper, CONTEXT].header.digest for upper in node.above])
         for lower, enrich in self._context.items():
-            yield from self._send(CONTEXT, lower, enrich, belief, self.digest)
+            elements = enrich.elements(epoch, time_s, belief) if enrich else ()
+            if self._events and enrich:
+                yield self._called(enrich, elements)
+            yield self._send(CONTEXT, lower, elements, self.digest)
         step = Step(
             epoch, self.attempt, time_s, self._observations, self._sensed, tasks, context, policy, actions, belief
         )
@@ -228,26 +248,18 @@ class Engine:
             self._enter(Phase.IDLE)
             yield Committed(epoch, self.attempt, self.digest)
 
-    def _send(
-        self, kind: str, receiver: str, function: Call | None, argument: Value, digest: bytes = b""
-    ) -> Iterator[Output]:
-        """Apply an edge function, and send what it gives."""
-        elements: Elements = ()
-        if function is not None:
-            elements = function.elements(self.epoch, self.time_s, argument)
-            yield from self._called(function, elements)
-        roster, instance = self.place.roster, self._instance
-        header = Header(kind, self.name, receiver, self.epoch, self.attempt, roster, instance, self.time_s, digest)
-        yield Send(Message(header, elements))
+    def _send(self, kind: str, receiver: str, elements: Elements, digest: bytes = b"") -> Send:
+        epoch, attempt, time_s = self.epoch, self.attempt, self.time_s
+        header = Header(kind, self.name, receiver, epoch, attempt, self.place.roster, self._instance, time_s, digest)
+        return Send(Message(header, elements))
 
-    def _called(self, call: Call, result: Value) -> tuple[Output, ...]:
-        return (Called(self.epoch, self.attempt, call.subject, call.operator, result),) if self._events else ()
+    def _called(self, call: Call, result: Value) -> Called:
+        return Called(self.epoch, self.attempt, call.subject, call.operator, result)
 
     def _encoded(self) -> bytes:
         """The state's bytes; a state that cannot be encoded is the operator's fault."""
-        state = self.state
         try:
-            return encode_state(state.belief, state.policy, state.actions)
+            return encode_state(self._belief, self._policy, self._actions)
         except SchemaError as error:
             what = f"its belief or actions {error}"
             raise OperatorError(self.name, "predict" if self.epoch else "initial_belief", self.epoch, what) from error

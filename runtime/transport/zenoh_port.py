@@ -13,7 +13,7 @@ from hierax.runtime.transport.rendezvous import Rendezvous
 from hierax.runtime.transport.zenoh_session import close_session
 from hierax.schemas.errors import SchemaError
 from hierax.schemas.keys import Keys
-from hierax.schemas.messages import HELLO, Message, decode_message, encode_message
+from hierax.schemas.messages import HELLO, TASKS, Message, decode_message, encode_message
 from hierax.schemas.values import encode_value
 
 QUEUE_SIZE = 256
@@ -112,7 +112,8 @@ class ZenohPort(Port):
                 congestion_control=zenoh.CongestionControl.BLOCK,
                 priority=zenoh.Priority.REAL_TIME,
                 reliability=zenoh.Reliability.RELIABLE,
-                express=True,
+                # a task message is followed by context, and leaves in the same batch
+                express=kind != TASKS,
             )
             for peer, kinds in self.rendezvous.sends.items()
             for kind in kinds

@@ -82,13 +82,14 @@ def test_the_tail_says_how_long_it_is() -> None:
 
 
 @pytest.fixture(scope="session")
-def javascript_library(request: pytest.FixtureRequest) -> Path:
+def javascript_library(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The folder of @msgpack/msgpack, installed once; skips where there is no Node.js or no registry."""
     node, npm = shutil.which("node"), shutil.which("npm")
     if node is None or npm is None:
         pytest.skip("there is no Node.js here")
-    cache = request.config.cache
-    prefix = Path(cache.mkdir("npm")) / NPM_PACKAGE.replace("/", "-")
+    cache = getattr(request.config, "cache", None)
+    folder = tmp_path_factory.mktemp("npm") if cache is None else Path(cache.mkdir("npm"))
+    prefix = folder / NPM_PACKAGE.replace("/", "-")
     library = prefix / "node_modules" / "@msgpack" / "msgpack"
     if not (library / "package.json").exists():
         prefix.mkdir(parents=True, exist_ok=True)

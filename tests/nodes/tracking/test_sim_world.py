@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -62,7 +63,7 @@ def test_the_camera_looks_at_the_scene_and_moves_smoothly() -> None:
         np.testing.assert_allclose(ahead[:2], 0.0, atol=1e-12)
         assert 0.4 < ahead[2] < 0.7
         assert rotation[2, 1] < 0
-    steps = [pose_error(first, second) for first, second in zip(poses, poses[1:], strict=False)]
+    steps = [pose_error(first, second) for first, second in pairwise(poses)]
     assert max(angle for _, angle in steps) < np.radians(1.5)
     assert max(distance for distance, _ in steps) < 0.015
 
@@ -70,6 +71,7 @@ def test_the_camera_looks_at_the_scene_and_moves_smoothly() -> None:
 @pytest.mark.parametrize("frame", [0, 30, 59])
 def test_all_cubes_are_in_the_picture(frame: int) -> None:
     belief = after(SimWorld(), frame)
+    np.testing.assert_array_equal(belief["camera"], camera_at(frame / 30))
     for body in belief["bodies"]:
         seen = invert(belief["camera"]) @ body["pose"]
         corners = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)]) * body["side_m"] / 2

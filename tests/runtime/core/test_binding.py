@@ -144,7 +144,7 @@ def test_the_policy_chosen_must_be_one() -> None:
     choices: dict[Elements, Any] = {(): "default", (1,): "fly", (2,): None, (3,): ["default"]}
     node = bound(with_operator("select_policy", lambda self, tasks: choices[tasks]))
     for tasks in [(1,), (2,), (3,)]:
-        with pytest.raises(OperatorError, match="arm: select_policy in epoch 6: .* is none of the policies default"):
+        with pytest.raises(OperatorError, match=r"arm: select_policy in epoch 6: .* is none of the policies default"):
             node.choose(6, 0.0, tasks)
 
 
@@ -164,7 +164,7 @@ def test_what_an_operator_raises_is_named_and_chained() -> None:
         raise KeyError("pose")
 
     node = bound(with_operator("observe", fail))
-    with pytest.raises(OperatorError, match="^arm: observe in epoch 9: KeyError: 'pose'$") as raised:
+    with pytest.raises(OperatorError, match=r"^arm: observe in epoch 9: KeyError: 'pose'$") as raised:
         node.observe(9, 0.0, (), 0)
     error = raised.value
     assert (error.subject, error.operator, error.epoch) == ("arm", "observe", 9)
@@ -175,7 +175,7 @@ def test_a_failing_initial_policy_is_an_operators_error_before_the_first_epoch()
     def fail(self: Node, tasks: Elements) -> str:
         return tasks[0]
 
-    with pytest.raises(OperatorError, match="^arm: select_policy in epoch 0: IndexError"):
+    with pytest.raises(OperatorError, match=r"^arm: select_policy in epoch 0: IndexError"):
         bound(with_operator("select_policy", fail))
 
 
@@ -221,9 +221,9 @@ def test_an_async_operator_is_waited_for() -> None:
 
 
 def test_an_async_operator_is_refused_where_nothing_waits() -> None:
-    with pytest.raises(HierarchyError, match="^arm: observe is an async function, and nothing here can wait for it$"):
+    with pytest.raises(HierarchyError, match=r"^arm: observe is an async function, and nothing here can wait for it$"):
         bound(Asks())
-    with pytest.raises(HierarchyError, match="^world->arm: sense is an async function"):
+    with pytest.raises(HierarchyError, match=r"^world->arm: sense is an async function"):
         bind_edge(AsyncEdge(), "world", "arm", "sense", SETTING)
 
 
@@ -242,7 +242,7 @@ def test_the_worlds_time_is_a_finite_float() -> None:
     assert type(epoch_time_s("world", Clock(lambda belief, epoch: np.float32(epoch)), None, 3)) is float
     assert epoch_time_s("world", Clock(lambda belief, epoch: 2 * epoch), None, 3) == 6.0
     for time in (lambda b, e: float("nan"), lambda b, e: None, lambda b, e: 1 / 0):
-        with pytest.raises(OperatorError, match="^world: time_s in epoch 3: "):
+        with pytest.raises(OperatorError, match=r"^world: time_s in epoch 3: "):
             epoch_time_s("world", Clock(time), None, 3)
 
 
@@ -256,5 +256,5 @@ def test_by_default_an_epoch_takes_a_second_and_the_world_never_ends() -> None:
 
 
 def test_the_world_must_be_a_world() -> None:
-    with pytest.raises(HierarchyError, match="^sea: the world's class must derive from World, Still does not$"):
+    with pytest.raises(HierarchyError, match=r"^sea: the world's class must derive from World, Still does not$"):
         require_world("sea", Still())

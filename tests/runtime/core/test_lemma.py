@@ -74,7 +74,7 @@ def test_another_seed_of_the_run_gives_another_run(seed: int) -> None:
 
 def pair(**functions: Callable[[Value], Elements]) -> Hierarchy:
     """Two nodes and one edge; so many policies that any other tasks choose another one."""
-    nodes = {"w": MixingWorld("w", 1 << 20), "n": MixingNode("n", 2)}
+    nodes = {"w": MixingWorld("w", 1000), "n": MixingNode("n", 2)}
     return Hierarchy(nodes, "w", [Edge("w", "n", **functions)])
 
 

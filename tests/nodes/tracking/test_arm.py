@@ -1,0 +1,139 @@
+"""The arm node: corrected by images, shaped by context, honest about what it has lost."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+from support.boxes import INTRINSICS, SIZE, Box, photograph
+
+from hierax.nodes.tracking.arm import ArmNode, poses_seen
+from hierax.nodes.tracking.geometry import exp_so3, invert, make_pose, pose_error
+from hierax.nodes.tracking.models import box_mesh
+from hierax.nodes.tracking.render import SegmentedDepth
+from hierax.schemas.values import decode_value, encode_value
+
+CUBE = (0.08, 0.07, 0.09)
+MESH = box_mesh(CUBE)
+WORLD_FROM_OBJECT = make_pose(exp_so3(np.array([0.5, 0.6, 0.1])), [0.02, -0.01, 0.5])
+FIRST_CAMERA = np.eye(4)
+NEXT_CAMERA = make_pose(exp_so3(np.array([0.02, -0.03, 0.01])), [0.03, 0.01, 0.0])
+
+
+def picture(camera: np.ndarray, pose: np.ndarray | None, seed: int, frame: int = 0) -> dict[str, Any]:
+    boxes = [] if pose is None else [Box(3, CUBE, invert(camera) @ pose)]
+    image = photograph(boxes, 2.0, np.random.default_rng(seed))
+    return {"image": image, "camera": camera, "intrinsics": INTRINSICS, "frame": frame}
+
+
+def imagined(camera: np.ndarray, pose: np.ndarray, covariance: np.ndarray) -> tuple[Any, ...]:
+    body = {"id": 3, "obj_id": 1, "pose": pose, "covariance": covariance, "status": "tracked"}
+    body["model"] = {"vertices": MESH.vertices, "faces": MESH.faces}
+    return SegmentedDepth()({"camera": camera, "intrinsics": INTRINSICS, "size": SIZE, "bodies": (body,)})
+
+
+def node(**options: Any) -> ArmNode:
+    first = invert(FIRST_CAMERA) @ WORLD_FROM_OBJECT
+    return ArmNode([{"id": 3, "obj_id": 1, "pose": first}], **options)
+
+
+def after_first_epoch(arm: ArmNode, predicted: np.ndarray = WORLD_FROM_OBJECT) -> Any:
+    belief = arm.observe((picture(FIRST_CAMERA, WORLD_FROM_OBJECT, 1),), arm.initial_belief())
+    return arm.predict(imagined(FIRST_CAMERA, predicted, belief["objects"][0]["covariance"]), (), belief)
+
+
+def test_the_first_frame_is_as_given() -> None:
+    arm = node()
+    assert poses_seen(arm.initial_belief()) == ()
+    belief = arm.observe((picture(FIRST_CAMERA, WORLD_FROM_OBJECT, 1, 12),), arm.initial_belief())
+    seen, camera = poses_seen(belief)
+    assert seen["status"] == "expected"
+    assert np.array_equal(seen["pose"], WORLD_FROM_OBJECT)
+    assert (camera["frame"], camera["size"]) == (12, SIZE)
+
+
+def test_a_prediction_is_corrected_while_the_camera_moves() -> None:
+    arm = node()
+    wrong = WORLD_FROM_OBJECT @ make_pose(exp_so3(np.array([0.02, -0.02, 0.03])), [0.004, -0.003, 0.004])
+    belief = after_first_epoch(arm, wrong)
+    assert len(belief["objects"][0]["edges"]) >= 6
+    belief = arm.observe((picture(NEXT_CAMERA, WORLD_FROM_OBJECT, 2),), belief)
+    seen, camera = poses_seen(belief)
+    assert seen["status"] == "tracked"
+    assert seen["score"] > 0.9
+    distance, angle = pose_error(seen["pose"], WORLD_FROM_OBJECT)
+    assert distance < 0.001
+    assert angle < np.radians(0.4)
+    assert np.array_equal(camera["camera"], NEXT_CAMERA)
+    assert np.linalg.eigvalsh(seen["covariance"]).min() > 0
+
+
+def test_without_context_everything_is_lost() -> None:
+    arm = node()
+    belief = arm.observe((picture(FIRST_CAMERA, WORLD_FROM_OBJECT, 1),), arm.initial_belief())
+    belief = arm.predict((), (), belief)
+    belief = arm.observe((picture(FIRST_CAMERA, WORLD_FROM_OBJECT, 2),), belief)
+    assert [(item["status"], item["score"]) for item in belief["objects"]] == [("lost", 0.0)]
+    assert arm.metrics(belief) == {"tracked": 0.0, "lost": 1.0, "score_mean": 0.0}
+
+
+def test_what_vanishes_is_lost_and_what_returns_is_found() -> None:
+    arm = node(patience=3)
+    belief = after_first_epoch(arm)
+    statuses = []
+    for epoch, there in enumerate([True, False, False, False, False, True, True]):
+        shown = WORLD_FROM_OBJECT if there else None
+        belief = arm.observe((picture(FIRST_CAMERA, shown, epoch),), belief)
+        statuses.append(belief["objects"][0]["status"])
+        covariance = belief["objects"][0]["covariance"]
+        belief = arm.predict(imagined(FIRST_CAMERA, WORLD_FROM_OBJECT, covariance), (), belief)
+    assert statuses == ["tracked", "expected", "expected", "lost", "lost", "tracked", "tracked"]
+
+
+def test_a_pose_that_nothing_shows_becomes_less_certain() -> None:
+    arm = node()
+    belief = arm.observe((picture(FIRST_CAMERA, WORLD_FROM_OBJECT, 1),), after_first_epoch(arm))
+    before = belief["objects"][0]["covariance"]
+    belief = arm.predict(imagined(FIRST_CAMERA, WORLD_FROM_OBJECT, before), (), belief)
+    belief = arm.observe((picture(FIRST_CAMERA, None, 1),), belief)
+    assert np.linalg.eigvalsh(belief["objects"][0]["covariance"] - before).min() > 0
+
+
+def test_operators_are_pure_and_beliefs_are_values() -> None:
+    arm = node()
+    belief = after_first_epoch(arm)
+    kept = encode_value(belief)
+    seen = picture(NEXT_CAMERA, WORLD_FROM_OBJECT, 2)
+    first = encode_value(arm.observe((seen,), belief))
+    again = encode_value(node().observe((seen,), decode_value(kept)))
+    assert first == again
+    assert encode_value(belief) == kept
+    assert len(kept) < 20_000
+
+
+def test_no_observation_changes_nothing() -> None:
+    arm = node()
+    belief = after_first_epoch(arm)
+    assert arm.observe((), belief) is belief
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"motion_m": 0.0}, "motion_m is 0.0; expected a positive"),
+        ({"kept_score": 0.7, "found_score": 0.5}, "expected 0 <= kept_score <= found_score"),
+        ({"patience": 0}, "patience is 0"),
+    ],
+)
+def test_bad_options(options: dict[str, float], message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        node(**options)
+
+
+def test_bad_objects() -> None:
+    pose = np.eye(4)
+    with pytest.raises(ValueError, match="from 1 to 255"):
+        ArmNode([{"id": 1, "obj_id": 1, "pose": pose}, {"id": 1, "obj_id": 1, "pose": pose}])
+    with pytest.raises(ValueError, match="object 4: pose"):
+        ArmNode([{"id": 4, "obj_id": 1, "pose": np.eye(3)}])

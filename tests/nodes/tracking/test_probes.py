@@ -1,0 +1,176 @@
+"""What a run leaves behind: poses, truth, pictures."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+
+from hierax.nodes.tracking.bop import RESULTS_HEADER, read_results
+from hierax.nodes.tracking.errors import DataError
+from hierax.nodes.tracking.geometry import Floats, invert, make_pose
+from hierax.nodes.tracking.probes import (
+    CONTACT_SHEET,
+    CORRECTED,
+    EXPECTED,
+    BopResults,
+    Pictures,
+    Truth,
+    overlay,
+    scene_number,
+)
+from hierax.nodes.tracking.sim_world import SimWorld
+from hierax.runtime import Step, Value
+
+INTRINSICS = np.array([200.0, 200.0, 79.5, 59.5])
+SQUARE = np.array([[-1.0, -1.0, 0.0], [1.0, -1.0, 0.0], [1.0, 1.0, 0.0], [-1.0, 1.0, 0.0]]) * 0.05
+EDGES = np.stack((SQUARE, np.roll(SQUARE, -1, axis=0)), axis=1)
+
+
+def placed(x: float) -> Floats:
+    return make_pose(np.eye(3), np.array([x, 0.0, 0.4]))
+
+
+def arm_belief(frame: int | None, x: float = 0.0, status: str = "tracked") -> dict[str, Any]:
+    item = {"id": 1, "obj_id": 7, "pose": placed(x), "score": 0.75, "status": status, "edges": EDGES}
+    return {"camera": np.eye(4), "intrinsics": INTRINSICS, "size": (160, 120), "frame": frame, "objects": (item,)}
+
+
+def step(epoch: int, sensed: Value, image: Any = None, belief: Value = None) -> Step:
+    observations = () if image is None else ({"image": image},)
+    return Step(
+        epoch, 0, 0.1 * epoch, observations, sensed, (), (), "default", (), sensed if belief is None else belief
+    )
+
+
+def grey() -> Any:
+    return np.full((120, 160), 90, np.uint8)
+
+
+def test_results_are_on_disk_after_every_epoch(tmp_path: Path) -> None:
+    probe = BopResults(str(tmp_path / "poses" / "mine.csv"), scene="data/test/000012/")
+    probe.open(tmp_path)
+    for frame in (3, 4):
+        probe.record(step(frame, arm_belief(frame, x=0.01 * frame)))
+        for path in (tmp_path / "poses" / "mine.csv", tmp_path / "poses.csv"):
+            assert path.read_text().splitlines()[0] == RESULTS_HEADER
+            rows = read_results(path)
+            assert rows[-1].im_id == frame
+            assert (rows[-1].scene_id, rows[-1].obj_id, rows[-1].score) == (12, 7, 0.75)
+            np.testing.assert_allclose(rows[-1].pose, placed(0.01 * frame), atol=1e-12)
+    probe.close()
+
+
+def test_what_is_lost_or_not_yet_seen_is_not_written(tmp_path: Path) -> None:
+    probe = BopResults()
+    probe.open(tmp_path)
+    probe.record(step(1, arm_belief(None)))
+    probe.record(step(2, arm_belief(1, status="lost")))
+    probe.close()
+    assert read_results(tmp_path / "poses.csv") == []
+
+
+def test_without_a_file_and_a_folder_nothing_is_written(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    for probe in (BopResults(), Truth(), Pictures()):
+        probe.open(None)
+        probe.record(step(1, {**arm_belief(0), "bodies": ()}, grey()))
+        probe.close()
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_file_that_cannot_be_written_is_named(tmp_path: Path) -> None:
+    (tmp_path / "taken").mkdir()
+    with pytest.raises(DataError, match="taken"):
+        BopResults(str(tmp_path / "taken")).open(None)
+
+
+def test_the_truth_of_the_simulated_world_is_seen_by_its_camera(tmp_path: Path) -> None:
+    belief = SimWorld(cubes=2).initial_belief()
+    probe = Truth()
+    probe.open(tmp_path)
+    probe.record(step(1, belief))
+    probe.close()
+    rows = read_results(tmp_path / "truth.csv")
+    assert [row.obj_id for row in rows] == [1, 2]
+    for row, body in zip(rows, belief["bodies"], strict=True):
+        np.testing.assert_allclose(row.pose, invert(belief["camera"]) @ body["pose"], atol=1e-12)
+
+
+def test_a_world_of_photographs_knows_no_truth(tmp_path: Path) -> None:
+    probe = Truth()
+    probe.open(tmp_path)
+    probe.record(step(1, {"scene": "data/test/000001", "index": 0}))
+    probe.close()
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_pictures_are_drawn_first_every_so_often_and_last(tmp_path: Path) -> None:
+    probe = Pictures(every=4)
+    probe.open(tmp_path)
+    for epoch in range(1, 8):
+        probe.record(step(epoch, arm_belief(epoch - 1), grey()))
+    probe.close()
+    names = sorted(path.name for path in (tmp_path / "pictures").iterdir())
+    assert names == [CONTACT_SHEET, "frame-000000.png", "frame-000004.png", "frame-000006.png"]
+    sheet = cv2.imread(str(tmp_path / "pictures" / CONTACT_SHEET))
+    assert sheet.shape == (360, 3 * 480, 3)
+
+
+def test_a_run_that_saw_nothing_leaves_no_pictures(tmp_path: Path) -> None:
+    probe = Pictures()
+    probe.open(tmp_path)
+    probe.close()
+    assert list((tmp_path / "pictures").iterdir()) == []
+
+
+def test_expected_edges_are_red_where_they_were_expected_and_corrected_ones_green() -> None:
+    picture = overlay(grey(), arm_belief(0, x=0.0), arm_belief(1, x=0.06))
+    assert picture.shape == (120, 160, 3)
+    # The left side at x - 0.05, 0.4 away; the camera's middle row.
+    expected, corrected = (round(200.0 * (x - 0.05) / 0.4 + 79.5) for x in (0.0, 0.06))
+    row = picture[50].astype(int)
+    assert abs(_most(row, EXPECTED) - expected) <= 1
+    assert abs(_most(row, CORRECTED) - corrected) <= 1
+
+
+def test_an_object_that_is_not_tracked_has_no_green() -> None:
+    picture = overlay(grey(), arm_belief(0), arm_belief(1, x=0.06, status="lost")).astype(int)
+    green = (picture[:100, :, 1] - picture[:100, :, 0]) > 40
+    assert not green.any()
+    assert ((picture[:100, :, 0] - picture[:100, :, 1]) > 40).any()
+
+
+def test_the_camera_moves_what_was_expected() -> None:
+    moved = {**arm_belief(1), "camera": make_pose(np.eye(3), np.array([0.04, 0.0, 0.0]))}
+    picture = overlay(np.zeros((120, 160, 3), np.uint8), arm_belief(0), moved)
+    expected = round(200.0 * (-0.05 - 0.04) / 0.4 + 79.5)
+    assert abs(_most(picture[50].astype(int), EXPECTED) - expected) <= 1
+
+
+def _most(row: Any, colour: tuple[int, int, int]) -> int:
+    """The leftmost pixel of a row whose colour is about the given one."""
+    return int(np.argmax(np.abs(row - np.array(colour)).sum(axis=1) < 120))
+
+
+def test_nothing_of_a_step_is_changed(tmp_path: Path) -> None:
+    image = np.full((120, 160, 3), 90, np.uint8)
+    image.flags.writeable = False
+    probe = Pictures(every=1)
+    probe.open(tmp_path)
+    probe.record(step(1, arm_belief(0), image))
+    probe.close()
+    assert (image == 90).all()
+
+
+@pytest.mark.parametrize(("folder", "number"), [(None, 0), ("a/b/000021", 21), ("a/b/cubes", 0), ("000003/", 3)])
+def test_a_scene_is_numbered_by_its_folder(folder: str | None, number: int) -> None:
+    assert scene_number(folder) == number
+
+
+def test_every_must_be_positive() -> None:
+    with pytest.raises(ValueError, match="every"):
+        Pictures(every=0)

@@ -1,0 +1,114 @@
+"""TinyRenderer against exact ray casting, and as a pure function."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from support.boxes import INTRINSICS, SIZE, Box, cast
+
+from hierax.nodes.tracking.geometry import exp_so3, invert, make_pose
+from hierax.nodes.tracking.models import box_mesh
+from hierax.nodes.tracking.render import DepthRenderer, Item, SegmentedDepth
+
+
+def some_boxes(rng: np.random.Generator, count: int) -> list[Box]:
+    poses = [
+        make_pose(
+            exp_so3(rng.normal(size=3)), [rng.uniform(-0.25, 0.25), rng.uniform(-0.2, 0.2), rng.uniform(0.3, 0.8)]
+        )
+        for _ in range(count)
+    ]
+    return [Box(7 * at + 1, tuple(rng.uniform(0.03, 0.1, 3)), pose) for at, pose in enumerate(poses)]
+
+
+def items(boxes: list[Box]) -> list[Item]:
+    return [Item(box.label, *box_mesh(box.size), box.pose) for box in boxes]
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_equal_to_ray_casting(seed: int) -> None:
+    boxes = some_boxes(np.random.default_rng(seed), 3)
+    renderer = DepthRenderer()
+    depth, labels = renderer.render(items(boxes), INTRINSICS, SIZE)
+    renderer.close()
+    exact = cast(boxes)
+    # A pixel centre within rounding of an edge may fall to either side.
+    assert (labels != exact.labels).sum() <= 3
+    both = (labels == exact.labels) & (labels > 0)
+    assert both.any()
+    # Where two boxes cut through each other, or a face is seen edge-on, the depth of one pixel may differ.
+    assert np.quantile(np.abs(depth[both] - exact.depth[both]), 0.999) < 5e-6
+    assert (depth[labels == 0] == 0).all()
+
+
+def test_an_image_depends_on_its_arguments_alone() -> None:
+    boxes = some_boxes(np.random.default_rng(9), 4)
+    others = some_boxes(np.random.default_rng(10), 4)
+    used, fresh = DepthRenderer(), DepthRenderer()
+    moved = [box._replace(pose=other.pose) for box, other in zip(boxes, others, strict=True)]
+    for earlier in (items(moved), items(others[:2]), items(moved)):
+        used.render(earlier, INTRINSICS, SIZE)
+    first = used.render(items(boxes)[::-1], INTRINSICS, SIZE)
+    second = fresh.render(items(boxes), INTRINSICS, SIZE)
+    assert np.array_equal(first[0], second[0])
+    assert np.array_equal(first[1], second[1])
+    used.close()
+    fresh.close()
+
+
+def test_what_is_behind_or_beside_the_camera_is_not_drawn() -> None:
+    renderer = DepthRenderer()
+    mesh = box_mesh((0.05, 0.05, 0.05))
+    for translation in ([0.0, 0.0, -0.5], [5.0, 0.0, 0.5]):
+        depth, labels = renderer.render([Item(1, *mesh, make_pose(np.eye(3), translation))], INTRINSICS, SIZE)
+        assert not labels.any()
+        assert not depth.any()
+    renderer.close()
+
+
+def test_a_large_mesh_is_drawn_whole() -> None:
+    # A sphere of 45 000 triangles, more than one shape of pybullet takes.
+    rows, columns = 150, 150
+    theta = np.linspace(0, np.pi, rows + 1)[:, None]
+    phi = np.linspace(0, 2 * np.pi, columns, endpoint=False)[None]
+    grid = [np.sin(theta) * np.cos(phi), np.sin(theta) * np.sin(phi), np.cos(theta) + 0 * phi]
+    vertices = 0.05 * np.stack(grid, axis=-1).reshape(-1, 3)
+    faces = []
+    for row in range(rows):
+        for column in range(columns):
+            a, b = row * columns + column, row * columns + (column + 1) % columns
+            faces += [(a, a + columns, b), (b, a + columns, b + columns)]
+    renderer = DepthRenderer()
+    pose = make_pose(np.eye(3), [0.0, 0.0, 0.5])
+    depth, labels = renderer.render([Item(3, vertices, np.array(faces), pose)], INTRINSICS, SIZE)
+    renderer.close()
+    expected = np.pi * 525.0 * 530.0 * 0.05**2 / (0.5**2 - 0.05**2)
+    assert (labels == 3).sum() == pytest.approx(expected, rel=0.01)
+    assert depth[224, 313] == pytest.approx(0.45, abs=1e-4)
+
+
+def test_labels_must_be_different_and_fit() -> None:
+    mesh = box_mesh((0.1, 0.1, 0.1))
+    pose = make_pose(np.eye(3), [0.0, 0.0, 0.5])
+    for labels in ((1, 1), (0, 1), (1, 256)):
+        with pytest.raises(ValueError, match="from 1 to 255"):
+            DepthRenderer().render([Item(label, *mesh, pose) for label in labels], INTRINSICS, SIZE)
+
+
+def test_context_is_the_scene_as_the_camera_sees_it() -> None:
+    mesh = box_mesh((0.05, 0.05, 0.05))
+    camera = make_pose(exp_so3(np.array([0.3, -0.2, 0.1])), [0.1, 0.2, -0.4])
+    pose = make_pose(np.eye(3), [0.05, 0.1, 0.2])
+    body = {"id": 5, "obj_id": 2, "pose": pose, "velocity": np.zeros(6), "covariance": np.eye(6), "status": "tracked"}
+    body["model"] = {"vertices": mesh.vertices, "faces": mesh.faces}
+    belief = {"camera": camera, "intrinsics": INTRINSICS, "size": SIZE, "frame": 3, "bodies": (body,)}
+    context = SegmentedDepth()
+    assert context({**belief, "camera": None}) == ()
+    (element,) = context(belief)
+    exact = cast([Box(5, (0.05, 0.05, 0.05), invert(camera) @ pose)])
+    assert element["labels"].dtype == np.uint8
+    assert element["depth"].dtype == np.float32
+    assert (element["labels"] != exact.labels).sum() <= 2
+    assert np.array_equal(element["camera"], camera)
+    assert element["poses"][0]["id"] == 5
+    assert np.array_equal(element["poses"][0]["pose"], pose)
