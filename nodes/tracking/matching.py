@@ -29,7 +29,7 @@ _NEAREST_M = 0.02
 _LEAST_INFORMATION = 0.01
 """Share of the prior that is counted as seen, so that what no edge shows stays finite."""
 
-_LEAST_RARITY = 0.3
+_LEAST_RARITY = 0.4
 """Where edges are so dense that more than the rest of the places are near one, to be near one proves little."""
 
 _SHIFT_PX = 2
@@ -59,7 +59,7 @@ class Search(NamedTuple):
     scale_px: tuple[tuple[float, float], ...] = ((14.0, 8.0), (8.0, 3.0), (3.0, 0.7))
     iterations: int = 6
     contrast: float = 2.0
-    noise_px: float = 1.0
+    noise_px: float = 1.5
     support_px: float = 1.5
     blur_power: float = 4.0
 

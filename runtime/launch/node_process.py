@@ -7,6 +7,7 @@ event loop: it greets the neighbours until they answer, and listens to the super
 
 from __future__ import annotations
 
+import gc
 import logging
 import os
 import signal
@@ -101,6 +102,8 @@ class NodeProcess:
         self._port = port
         epochs = EpochPublisher(session, keys) if engine.is_world else None
         runner = self._build_runner(engine, port, epochs)
+        gc.collect()
+        gc.freeze()  # what is loaded stays; the collector need not look at it again in the middle of an epoch
         try:
             if port.connect() and not self._stopping.is_set():
                 self.say(UP)

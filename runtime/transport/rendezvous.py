@@ -53,7 +53,7 @@ class Rendezvous:
 
     def hello(self, peer: str) -> list[tuple[str, Message]]:
         """The greeting for a neighbour: by kind of key, what to put there."""
-        payload = ({"heard": sorted(self._heard[peer]), "done": self._done(peer)},)
+        payload = ({"heard": tuple(sorted(self._heard[peer])), "done": self._done(peer)},)
         header = Header(HELLO, self._name, peer, 0, roster=self._roster, instance=self._instances.get(self._name, 0))
         return [(kind, Message(header, payload)) for kind in self.sends[peer]]
 

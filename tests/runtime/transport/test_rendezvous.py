@@ -1,0 +1,73 @@
+"""The handshake: done on both sides exactly when every key has carried a greeting and its answer."""
+
+from __future__ import annotations
+
+import random
+
+import pytest
+
+from hierax.runtime.transport.rendezvous import Rendezvous
+from hierax.schemas.errors import SchemaError
+from hierax.schemas.messages import CONTEXT, HELLO, OBSERVATIONS, TASKS, Header, Message
+
+Greeting = tuple[str, Message]
+
+
+def pair() -> dict[str, Rendezvous]:
+    instances = {"low": 3, "up": 5}
+    return {"low": Rendezvous("low", [], ["up"], instances, 2), "up": Rendezvous("up", ["low"], [], instances, 2)}
+
+
+def shake(sides: dict[str, Rendezvous], loss: float, rng: random.Random, dead: frozenset[str] = frozenset()) -> int:
+    """Greet, lose, answer, in any order, until both are done; how many rounds of greetings it took."""
+    for rounds in range(1, 1000):
+        under_way: list[Greeting] = []
+        for name, peer in (("low", "up"), ("up", "low")):
+            if sides[name].missing:
+                under_way += sides[name].hello(peer)
+        while under_way:
+            kind, message = under_way.pop(rng.randrange(len(under_way)))
+            if kind not in dead and rng.random() >= loss:
+                under_way += sides[message.header.receiver].heard(kind, message)
+        if sides["low"].ready and sides["up"].ready:
+            return rounds
+    return 0
+
+
+@pytest.mark.parametrize("seed", range(50))
+@pytest.mark.parametrize("loss", [0.0, 0.3, 0.7])
+def test_both_sides_come_to_an_end(seed: int, loss: float) -> None:
+    assert shake(pair(), loss, random.Random(seed)) >= 1
+
+
+def test_without_loss_one_round_is_enough() -> None:
+    assert shake(pair(), 0.0, random.Random(0)) == 1
+
+
+@pytest.mark.parametrize("dead", [OBSERVATIONS, TASKS, CONTEXT])
+def test_a_key_that_carries_nothing_is_noticed_on_both_sides(dead: str) -> None:
+    sides = pair()
+    assert shake(sides, 0.0, random.Random(0), frozenset({dead})) == 0
+    assert sides["low"].missing == ("up",)
+    assert sides["up"].missing == ("low",)
+
+
+@pytest.mark.parametrize("change", [{"instance": 4}, {"roster": 1}])
+def test_a_greeting_of_another_instance_or_roster_counts_for_nothing(change: dict[str, int]) -> None:
+    sides = pair()
+    kind, message = sides["low"].hello("up")[0]
+    assert sides["up"].heard(kind, Message(message.header._replace(**change), message.payload)) == []
+    assert sides["up"].missing == ("low",)
+
+
+@pytest.mark.parametrize(
+    ("kind", "message", "what"),
+    [
+        (OBSERVATIONS, Message(Header(HELLO, "stranger", "up", 0), ()), "'stranger', which sends no obs"),
+        (TASKS, Message(Header(HELLO, "low", "up", 0), ()), "'low', which sends no task"),
+        (OBSERVATIONS, Message(Header(HELLO, "low", "up", 0, roster=2, instance=3), ({"heard": 1},)), "one map with"),
+    ],
+)
+def test_what_is_no_greeting_is_refused(kind: str, message: Message, what: str) -> None:
+    with pytest.raises(SchemaError, match=what):
+        pair()["up"].heard(kind, message)
