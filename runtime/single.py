@@ -85,7 +85,7 @@ def _runners(
     output: Path | None,
 ) -> Mapping[str, NodeRunner]:
     roster = deployment.roster
-    place = Place(roster.version, roster.content_hash(), roster.instances)
+    place = Place.of(roster)
     edges = tuple(hierarchy.bound_edges.values())
     return {
         name: NodeRunner(

@@ -30,7 +30,7 @@ from hierax.schemas.limits import (
     MAX_MESSAGE_BYTES,
     MAX_NAME_CHARS,
 )
-from hierax.schemas.values import Value, fault, is_sound, pack, replace_numpy, unpack
+from hierax.schemas.values import Packers, Value, fault, is_sound, pack, replace_numpy, unpack
 
 FORMAT = 1
 TAIL_ARRAY = 2
@@ -68,7 +68,6 @@ _TYPE_NAMES = {
     tuple: "an array of elements",
 }
 _NAMES = tuple(name for name, _ in _FIELDS)
-_TYPES = tuple(kind for _, kind in _FIELDS)
 _FIXARRAY = bytes([0x90 | len(_FIELDS)])
 _ARRAY16 = struct.Struct(">BH")
 _EXT32 = struct.Struct(">BIb")
@@ -122,7 +121,7 @@ def encode_message(message: Message) -> bytes:
     if not is_sound(payload, 1) or (extensions and not is_sound(extensions, 1)):
         raise fault(fields, "message", _NAMES)
     try:
-        return pack(fields, _in_place, "message", _NAMES)
+        return pack(fields, _PACKERS, "message", _NAMES)
     except _LargeArray:
         return _encode_large(fields)
 
@@ -139,9 +138,12 @@ def _in_place(value: Any) -> Any:
     return msgpack.ExtType(ARRAY, encode_array(value))
 
 
+_PACKERS = Packers(_in_place)
+
+
 def _encode_large(fields: tuple[Value, ...]) -> bytes:
     tail = _Tail()
-    data = _with_tail(pack(fields, tail.default, "message", _NAMES), tail.arrays)
+    data = _with_tail(pack(fields, Packers(tail.default), "message", _NAMES), tail.arrays)
     if len(data) > MAX_MESSAGE_BYTES:
         raise SchemaError(f"has {len(data)} bytes; at most {MAX_MESSAGE_BYTES} are allowed", "message")
     return data
@@ -245,16 +247,23 @@ def _no_tail(code: int, data: bytes) -> Value:
 def _header(fields: Any) -> Header:
     if type(fields) is not tuple or len(fields) != len(_FIELDS):
         raise SchemaError(f"expected an array of {len(_FIELDS)} fields", "message")
-    if tuple(map(type, fields)) != _TYPES:
+    form, kind, sender, receiver, epoch, attempt, roster, instance, time_s, digest, extensions, payload = fields
+    if not (
+        type(form) is type(kind) is type(epoch) is type(attempt) is type(roster) is type(instance) is int
+        and type(sender) is type(receiver) is str
+        and type(time_s) is float
+        and type(digest) is bytes
+        and type(extensions) is dict
+        and type(payload) is tuple
+    ):
         raise _wrong_type(fields)
-    form, kind, sender, receiver, epoch, attempt, roster, instance, time_s, digest, extensions, _ = fields
     if form != FORMAT:
         raise SchemaError(f"format {form}; this version reads format {FORMAT}", "message.format")
     if not 0 <= kind < len(KINDS):
         raise SchemaError(f"unknown kind {kind}; expected 0 to {len(KINDS) - 1}", "message.kind")
     if not (0 < len(sender) <= MAX_NAME_CHARS and 0 < len(receiver) <= MAX_NAME_CHARS):
         raise SchemaError(f"expected names of 1 to {MAX_NAME_CHARS} characters", "message.sender, message.receiver")
-    if min(epoch, attempt, roster, instance) < 0:
+    if epoch < 0 or attempt < 0 or roster < 0 or instance < 0:
         raise SchemaError("expected whole numbers from 0", "message.epoch, .attempt, .roster, .instance")
     if len(digest) not in (0, DIGEST_BYTES):
         raise SchemaError(f"expected no or {DIGEST_BYTES} bytes, got {len(digest)}", "message.digest")

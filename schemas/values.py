@@ -26,10 +26,31 @@ Types = frozenset[type]
 
 _PRESCAN_BYTES = 1024
 _PATH_CHARS = 200
+_KEPT_BYTES = 1 << 16
 _SURE = frozenset({NoneType, bool, float, bytes})
 _NO_CONTAINERS = bytes(byte for byte in range(256) if not (0x80 <= byte <= 0x9F or 0xDC <= byte <= 0xDF))
 _STAMP = b"\xff"
 _LEAVES = _SURE | {int, str, np.ndarray}
+
+
+class Packers:
+    """Packers kept for reuse: one takes longer to make than to pack a small value with.
+
+    Args:
+        default: gives for what msgpack does not know something that it does.
+    """
+
+    def __init__(self, default: Callable[[Any], Any]) -> None:
+        self._default = default
+        self._idle: list[Any] = []
+
+    def pack(self, value: Value) -> bytes:
+        """Pack a value; any thread may call it, also while another one does."""
+        packer = self._idle.pop() if self._idle else msgpack.Packer(default=self._default)
+        packed: bytes = packer.pack(value)
+        if len(packed) <= _KEPT_BYTES:  # its buffer stays as large as the largest value was
+            self._idle.append(packer)
+        return packed
 
 
 def encode_value(value: Value) -> bytes:
@@ -40,7 +61,7 @@ def encode_value(value: Value) -> bytes:
     """
     if not is_sound(value, 0):
         raise fault(value, "value", ())
-    return pack(value, _array_in_place)
+    return pack(value, _PACKERS)
 
 
 def decode_value(data: bytes | memoryview, where: str = "value") -> Value:
@@ -52,12 +73,12 @@ def decode_value(data: bytes | memoryview, where: str = "value") -> Value:
     return unpack(data, _ext_in_place, where)
 
 
-def pack(value: Value, default: Callable[[Any], Any], where: str = "value", names: Names = ()) -> bytes:
+def pack(value: Value, packers: Packers, where: str = "value", names: Names = ()) -> bytes:
     """Pack a value that `is_sound`.
 
     Args:
         value: what to pack.
-        default: gives for what msgpack does not know something that it does.
+        packers: know what to do with what msgpack does not know.
         where: what the value is called in errors.
         names: for errors, what the entries of `value`, a tuple, are called.
 
@@ -65,7 +86,7 @@ def pack(value: Value, default: Callable[[Any], Any], where: str = "value", name
         SchemaError: something cannot travel; it says where and what.
     """
     try:
-        packed: bytes = msgpack.packb(value, default=default)
+        packed = packers.pack(value)
     except SchemaError as error:
         raise fault(value, where, names, _SURE, error.what) from error
     except (TypeError, ValueError, OverflowError, RecursionError) as error:
@@ -142,6 +163,9 @@ def _array_in_place(value: Any) -> Any:
     if isinstance(value, np.ndarray):
         return msgpack.ExtType(ARRAY, encode_array(value))
     return replace_numpy(value)
+
+
+_PACKERS = Packers(_array_in_place)
 
 
 def _ext_in_place(code: int, data: bytes) -> Value:

@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 from hierax.runtime.core.binding import BoundNode, Call, epoch_time_s
 from hierax.runtime.core.digest import NO_DIGEST, encode_state, epoch_digest, node_digest
 from hierax.runtime.core.errors import OperatorError
+from hierax.runtime.core.graph import Pair
 from hierax.runtime.core.hierarchy import BoundEdge
 from hierax.runtime.core.node import Elements, Value, World
 from hierax.runtime.core.probe import Step
@@ -16,6 +17,7 @@ from hierax.runtime.engine.outputs import Called, Committed, Completed, Output, 
 from hierax.runtime.engine.table import ACTIONS, HELD_MESSAGES, Action, Phase, Verdict
 from hierax.schemas.errors import SchemaError
 from hierax.schemas.messages import CONTEXT, OBSERVATIONS, TASKS, Header, Message
+from hierax.schemas.roster import Roster
 
 Slot = tuple[str, str]
 """A sender and a kind: from each, one message comes in an epoch."""
@@ -29,11 +31,19 @@ class Place:
         roster: the roster's version.
         roster_hash: hash of its content.
         instances: instance numbers, of the node itself and of its neighbours.
+        tasking: the edges (lower, upper) that have a task function ψ.
     """
 
     roster: int = 0
     roster_hash: bytes = NO_DIGEST
     instances: Mapping[str, int] = field(default_factory=dict)
+    tasking: frozenset[Pair] = frozenset()
+
+    @staticmethod
+    def of(roster: Roster) -> Place:
+        """The place of any node of a roster."""
+        tasking = frozenset(edge.pair for edge in roster.edges if edge.task is not None)
+        return Place(roster.version, roster.content_hash(), roster.instances, tasking)
 
     def instance(self, name: str) -> int:
         """The instance number of a node."""
@@ -66,13 +76,16 @@ class Engine:
         upward = {upper: by_pair[node.name, upper] for upper in node.above}
         downward = {lower: by_pair[lower, node.name] for lower in node.below}
         self._sense = {upper: edge.sense for upper, edge in upward.items()}
-        self._task = {lower: edge.task for lower, edge in downward.items()}
+        self._task = {lower: edge.task for lower, edge in downward.items() if edge.task}
         self._context = {lower: edge.context for lower, edge in downward.items()}
+        self._roster = self.place.roster
         self._instance = self.place.instance(node.name)
-        self._from_below = frozenset((name, OBSERVATIONS) for name in node.below)
-        self._from_above = frozenset((name, kind) for name in node.above for kind in (TASKS, CONTEXT))
-        self._edges = self._from_below | self._from_above
-        self._senders = {name: self.place.instance(name) for name in (*node.below, *node.above)}
+        tasking = [upper for upper in node.above if (node.name, upper) in self.place.tasking]
+        self._from_below = {(name, OBSERVATIONS): self.place.instance(name) for name in node.below}
+        self._from_above = {(name, CONTEXT): self.place.instance(name) for name in node.above}
+        self._from_above.update({(name, TASKS): self.place.instance(name) for name in tasking})
+        self._tasking = tuple(tasking)
+        self._edges: Mapping[Slot, int] = {**self._from_below, **self._from_above}
         self._inbox: dict[Slot, Message] = {}
         self._held: dict[Slot, list[Message]] = {}
         self._observations: Elements = ()
@@ -105,7 +118,7 @@ class Engine:
     @property
     def waits_for(self) -> tuple[Slot, ...]:
         """From whom which messages are missing, in order."""
-        return tuple(sorted(self._awaited - self._inbox.keys()))
+        return tuple(sorted(self._awaited.keys() - self._inbox.keys()))
 
     def begin(self) -> Iterator[Output]:
         """Begin the next epoch; only the world, when idle.
@@ -127,12 +140,14 @@ class Engine:
             OperatorError: an operator failed.
         """
         verdict = self.judge(message.header)
-        action = ACTIONS[verdict]
-        if action is Action.TAKE:
+        if verdict is Verdict.CURRENT:  # ACTIONS has this row, too; it is the one that epochs are made of
             header = message.header
             self._inbox[header.sender, header.kind] = message
-            yield from self._advance()
-        elif action is Action.REFUSE or (action is Action.HOLD and not self._hold(message)):
+            if len(self._inbox) == len(self._awaited):
+                yield from self._advance()
+            return
+        action = ACTIONS[verdict]
+        if action is Action.REFUSE or (action is Action.HOLD and not self._hold(message)):
             yield Refused(message.header, verdict)
 
     def judge(self, header: Header) -> Verdict:
@@ -141,9 +156,9 @@ class Engine:
         slot = (sender, kind)
         if slot not in self._edges or receiver != self.name:
             return Verdict.FOREIGN
-        if roster != self.place.roster:
-            return Verdict.OLD_ROSTER if roster < self.place.roster else Verdict.NEW_ROSTER
-        if instance != self._senders[sender]:
+        if roster != self._roster:
+            return Verdict.OLD_ROSTER if roster < self._roster else Verdict.NEW_ROSTER
+        if instance != self._edges[slot]:
             return Verdict.OTHER_INSTANCE
         if kind == CONTEXT and not digest:
             return Verdict.INCOMPLETE
@@ -172,12 +187,13 @@ class Engine:
 
     def _enter(self, phase: Phase) -> None:
         self.phase = phase
+        self._awaited: Mapping[Slot, int]
         if phase is Phase.SENSE:
             self._awaited = self._from_below
         elif phase is Phase.PREDICT:
             self._awaited = self._from_above
         else:
-            self._awaited = frozenset()
+            self._awaited = {}
 
     def _advance(self) -> Iterator[Output]:
         """Go on as far as what is in hand allows."""
@@ -209,8 +225,8 @@ class Engine:
     def _do_predict(self) -> Iterator[Output]:
         inbox, self._inbox = self._inbox, {}
         node, epoch, time_s = self.node, self.epoch, self.time_s
-        tasks = _union(inbox, node.above, TASKS)
-        context = _union(inbox, node.above, CONTEXT)
+        tasks = _union(inbox, self._tasking, TASKS) if self._tasking else ()
+        context = _union(inbox, node.above, CONTEXT) if node.above else ()
         policy = self._policy
         if node.above:
             policy = node.choose(epoch, time_s, tasks)
@@ -221,8 +237,8 @@ class Engine:
         if self._events:
             yield self._called(act, actions)
         for lower, task in self._task.items():
-            elements = task.elements(epoch, time_s, actions) if task else ()
-            if self._events and task:
+            elements = task.elements(epoch, time_s, actions)
+            if self._events:
                 yield self._called(task, elements)
             yield self._send(TASKS, lower, elements)
         belief = node.predict(epoch, time_s, context, actions, self._sensed)
@@ -250,7 +266,7 @@ class Engine:
 
     def _send(self, kind: str, receiver: str, elements: Elements, digest: bytes = b"") -> Send:
         epoch, attempt, time_s = self.epoch, self.attempt, self.time_s
-        header = Header(kind, self.name, receiver, epoch, attempt, self.place.roster, self._instance, time_s, digest)
+        header = Header(kind, self.name, receiver, epoch, attempt, self._roster, self._instance, time_s, digest)
         return Send(Message(header, elements))
 
     def _called(self, call: Call, result: Value) -> Called:
@@ -282,6 +298,6 @@ class DigestChain:
 
 def _union(inbox: Mapping[Slot, Message], senders: Sequence[str], kind: str) -> Elements:
     """The elements of all senders, in name order; doubles are kept."""
-    if len(senders) == 1:
+    if len(senders) == 1:  # as it mostly is
         return inbox[senders[0], kind].payload
     return tuple(element for sender in senders for element in inbox[sender, kind].payload)

@@ -5,9 +5,15 @@ those above:
 
 1. SENSE    waits for one observation message of this epoch from every child; then
             s ← τ(O, s), and one observation message φ(s) goes to every parent.
-2. PREDICT  waits for one task and one context message of this epoch from every parent
-            (at a root: for nothing); then π ← λ(T), a ← π(s), s ← γ(C, a, s), and one
-            task message ψ(a) and one context message ϱ(s) go to every child.
+2. PREDICT  waits for one context message of this epoch from every parent, and one task
+            message from every parent whose edge has a task function (at a root: for
+            nothing); then π ← λ(T), a ← π(s), one task message ψ(a) goes to every child
+            whose edge has a task function, s ← γ(C, a, s), and one context message ϱ(s)
+            goes to every child.
+
+An observation or context message always goes, with the empty set if need be: it is the
+barrier's token. Where the roster says that an edge has no task function, both its ends
+know that it gives the empty set, and no message says so.
 
 The world waits in IDLE until it is told to begin an epoch: it has no children, so it
 sends φ(s) at once and goes to PREDICT; when it has predicted, the epoch is committed.

@@ -126,7 +126,7 @@ class NodeProcess:
             for edge in roster.edges
             if name in edge.pair
         ]
-        return Engine(bound, edges, Place(roster.version, roster.content_hash(), roster.instances))
+        return Engine(bound, edges, Place.of(roster))
 
     def _build_runner(self, engine: Engine, port: ZenohPort, epochs: EpochPublisher | None) -> NodeRunner:
         order = self._order

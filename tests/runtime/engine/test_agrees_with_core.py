@@ -26,8 +26,9 @@ class Network:
     """Engines whose messages are delivered in any order, some of them more than once."""
 
     def __init__(self, hierarchy: Hierarchy, seed: int, doubling: float, events: bool = False) -> None:
-        place = Place(roster_hash=ROSTER_HASH)
         edges = tuple(hierarchy.bound_edges.values())
+        tasking = frozenset(pair for pair, edge in hierarchy.bound_edges.items() if edge.task)
+        place = Place(roster_hash=ROSTER_HASH, tasking=tasking)
         self.world = hierarchy.world
         self.engines = {name: Engine(node, edges, place, events=events) for name, node in hierarchy.bound.items()}
         self.chain = DigestChain(ROSTER_HASH)
