@@ -14,6 +14,8 @@ $(INSTALLED): pyproject.toml
 
 demo: $(INSTALLED)
 	$(BIN)/hierax launch deploy/tracking.yaml --epochs 60 --output demo-output
+	$(BIN)/python -m hierax.nodes.tracking.report demo-output
+	@echo "Look at demo-output/pictures/contact-sheet.png and demo-output/errors.png"
 
 test: $(INSTALLED)
 	$(BIN)/python -m pytest

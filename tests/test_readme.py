@@ -11,7 +11,7 @@ from pathlib import Path
 
 README = Path(__file__).parents[1] / "README.md"
 
-REST_OF_THE_HOUSE = '''
+REST_OF_THE_HOUSE = """
 from hierax.runtime import NO_TICK, Tick, World
 
 
@@ -38,7 +38,7 @@ def temperature(belief: Value) -> Elements:
 
 def expected(belief: Value) -> Elements:
     return (belief,)
-'''
+"""
 
 
 def block(language: str) -> str:

@@ -83,7 +83,9 @@ def test_launch_is_run(deployment: str, options: list[str], seed: str, tmp_path:
 
 
 def test_seeds_make_a_difference() -> None:
-    digests = {json.loads(hierax("run", "servo", "--seed", seed, "--format", "json").stdout)["digest"] for seed in "012"}
+    digests = {
+        json.loads(hierax("run", "servo", "--seed", seed, "--format", "json").stdout)["digest"] for seed in "012"
+    }
     assert len(digests) == 3
 
 

@@ -22,7 +22,9 @@ def test_it_listens_on_loopback_only() -> None:
 
 def listening() -> set[str]:
     """Local addresses of this process's and others' listening TCP sockets, as the kernel writes them."""
-    lines = [line.split() for path in ("/proc/net/tcp", "/proc/net/tcp6") for line in Path(path).read_text().splitlines()]
+    lines = [
+        line.split() for path in ("/proc/net/tcp", "/proc/net/tcp6") for line in Path(path).read_text().splitlines()
+    ]
     return {fields[1] for fields in lines if fields[3] == "0A"}
 
 
