@@ -51,9 +51,15 @@ class Rendezvous:
         """The neighbours that the handshake is not done with."""
         return tuple(peer for peer in sorted(self.sends) if not self._done(peer))
 
-    def hello(self, peer: str) -> list[tuple[str, Message]]:
-        """The greeting for a neighbour: by kind of key, what to put there."""
-        payload = ({"heard": tuple(sorted(self._heard[peer])), "done": self._done(peer)},)
+    def hello(self, peer: str, asks: bool = True) -> list[tuple[str, Message]]:
+        """The greeting for a neighbour: by kind of key, what to put there.
+
+        Args:
+            peer: the neighbour.
+            asks: whether it wants an answer; an answer wants none, or two that miss the same
+                key would answer each other for ever.
+        """
+        payload = ({"heard": tuple(sorted(self._heard[peer])), "asks": asks and not self._done(peer)},)
         header = Header(HELLO, self._name, peer, 0, roster=self._roster, instance=self._instances.get(self._name, 0))
         return [(kind, Message(header, payload)) for kind in self.sends[peer]]
 
@@ -61,7 +67,7 @@ class Rendezvous:
         """Take in a greeting that came on the key of `kind`.
 
         Returns:
-            The answer; nothing where the neighbour is done, or is not the instance of the roster.
+            The answer, if one is asked for; none to what is not the instance of the roster.
 
         Raises:
             SchemaError: it is no greeting from a neighbour.
@@ -72,11 +78,11 @@ class Rendezvous:
             raise SchemaError(f"a greeting from {peer!r}, which sends no {kind} to {self._name!r}", "message.sender")
         if header.instance != self._instances.get(peer, 0) or header.roster != self._roster:
             return []
-        heard, done = _read(message)
+        heard, asks = _read(message)
         self._heard[peer] |= {kind}
         if set(self.sends[peer]) <= heard:
             self._confirmed.add(peer)
-        return [] if done and self._done(peer) else self.hello(peer)
+        return self.hello(peer, asks=False) if asks else []
 
     def _done(self, peer: str) -> bool:
         return peer in self._confirmed and len(self._heard[peer]) == len(self.hears[peer])
@@ -84,6 +90,6 @@ class Rendezvous:
 
 def _read(message: Message) -> tuple[set[str], bool]:
     body = message.payload[0] if len(message.payload) == 1 else None
-    if not isinstance(body, dict) or not isinstance(body.get("heard"), tuple) or not isinstance(body.get("done"), bool):
-        raise SchemaError("expected one map with 'heard' and 'done'", "message.payload")
-    return {kind for kind in body["heard"] if isinstance(kind, str)}, body["done"]
+    if not isinstance(body, dict) or not isinstance(body.get("heard"), tuple) or not isinstance(body.get("asks"), bool):
+        raise SchemaError("expected one map with 'heard' and 'asks'", "message.payload")
+    return {kind for kind in body["heard"] if isinstance(kind, str)}, body["asks"]

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-import time
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
@@ -59,13 +60,21 @@ def test_settings_that_zenoh_refuses_are_one_clear_error(settings: str) -> None:
 
 
 def test_orphaned_segments_are_removed_and_those_in_use_are_not() -> None:
-    session = open_session()
-    used = set(Path("/dev/shm").glob("*.zenoh"))
+    module = "hierax.runtime.transport.zenoh_session"
+    code = f"import sys; from {module} import open_session; s = open_session(); print(flush=True); sys.stdin.read()"
+    child = subprocess.Popen([sys.executable, "-c", code], stdin=subprocess.PIPE, stdout=subprocess.PIPE)
+    before = segments()
+    assert child.stdout is not None
+    child.stdout.readline()
+    used = segments() - before
     assert used
     remove_orphaned_segments()
-    assert used <= set(Path("/dev/shm").glob("*.zenoh"))
-    close_session(session)
-    deadline = time.monotonic() + 10
-    while used & set(Path("/dev/shm").glob("*.zenoh")):
-        assert time.monotonic() < deadline, "still there"
-        remove_orphaned_segments()
+    assert used <= segments()
+    child.kill()
+    child.communicate()
+    remove_orphaned_segments()
+    assert not used & segments()
+
+
+def segments() -> set[Path]:
+    return set(Path("/dev/shm").glob("*.zenoh"))
