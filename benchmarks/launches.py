@@ -39,9 +39,8 @@ def main() -> int:
         summary = hierax("launch", options.deployment, options.options)
         walls_s.append(time.perf_counter() - begun)
         starts_s.append(summary["start_s"])
-        for key in ("digest", "epochs"):
-            if summary[key] != wanted[key]:
-                faults.append(f"launch {number}: {key} {summary[key]}, not {wanted[key]}")
+        differing = [key for key in ("digest", "epochs") if summary[key] != wanted[key]]
+        faults += [f"launch {number}: {key} {summary[key]}, not {wanted[key]}" for key in differing]
         faults += [f"launch {number}: left behind: {trace}" for trace in sorted(traces() - before)]
     print(f"{options.deployment}: {options.times} launches of {wanted['epochs']} epochs, digest {wanted['digest']}")
     print(f"start to first epoch  median {statistics.median(starts_s):.3f} s, longest {max(starts_s):.3f} s")
