@@ -5,7 +5,8 @@
 
 What stands behind `--` goes to `hierax run` (once, for the digest that all have to equal) and
 to every `hierax launch`. Looks for processes, listening sockets and shared-memory segments
-that were not there before. Exit code 1 where anything is not as it should be.
+that were not there before, so nothing else of the kind should be running meanwhile. Exit code
+1 where anything is not as it should be.
 """
 
 from __future__ import annotations

@@ -13,6 +13,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
+from hierax.runtime.core.errors import ProbeError
 from hierax.runtime.core.probe import Probe
 from hierax.runtime.loading import build_probe
 from hierax.runtime.runner import Log
@@ -36,8 +37,20 @@ def state_log(output: Path | None, name: str) -> Log | None:
 
 
 def open_probes(specs: Sequence[ProbeSpec], name: str, output: Path | None) -> tuple[Probe, ...]:
-    """The probes of a node, open."""
+    """The probes of a node, open.
+
+    Raises:
+        LoadError: one cannot be built.
+        ProbeError: one cannot be opened.
+    """
     probes = tuple(build_probe(spec.reference, f"probes[{i}]") for i, spec in enumerate(specs) if spec.node == name)
     for probe in probes:
-        probe.open(output)
+        _open(probe, name, output)
     return probes
+
+
+def _open(probe: Probe, name: str, output: Path | None) -> None:
+    try:
+        probe.open(output)
+    except Exception as error:
+        raise ProbeError(name, probe, "open", error) from error

@@ -8,14 +8,17 @@ from __future__ import annotations
 
 import logging
 import time
-from collections.abc import Callable, Iterable, Sequence
+from collections import deque
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import BinaryIO
 
 import msgpack
 
-from hierax.runtime.core.errors import OperatorError
+from hierax.runtime.core.binding import metrics_of
+from hierax.runtime.core.errors import HieraxError, OperatorError, ProbeError
 from hierax.runtime.core.probe import Probe
 from hierax.runtime.engine.engine import DigestChain, Engine
 from hierax.runtime.engine.outputs import Committed, Completed, Output, Refused, Send
@@ -26,6 +29,9 @@ from hierax.schemas.errors import SchemaError
 from hierax.schemas.messages import Message
 
 Clock = Callable[[], float]
+
+EPOCHS_TIMED = 1_000_000
+"""Of how many epochs, the last ones, the times are kept."""
 
 _log = logging.getLogger("hierax")
 
@@ -54,45 +60,59 @@ class NodeRunner:
 
     def start(self) -> None:
         """Begin the first epoch, if this is the world and there is one to run."""
-        self._record(self._go_on([]))
+        self._finish([])
 
     def step(self, message: Message) -> None:
         """Take a message in and do all that follows from it.
 
         Raises:
             OperatorError: an operator failed, or gave what cannot travel.
+            ProbeError: a probe raised.
         """
-        self._record(self._go_on(self._send(self.engine.receive(message))))
+        self._finish(self._send(self.engine.receive(message)))
 
     def close(self) -> None:
-        """Close the probes and the state log."""
-        for probe in self.probes:
-            probe.close()
+        """Close the state log and all probes.
+
+        Raises:
+            ProbeError: a probe raised.
+        """
         if self.states is not None:
             self.states.close()
+        with ExitStack() as closing:  # one that raises keeps none from being closed
+            for probe in reversed(self.probes):
+                closing.callback(self._close, probe)
 
     def report(self) -> NodeReport:
-        """The node's state and what it reports of it."""
-        state = self.engine.state
-        metrics = self.engine.node.node.metrics(state.belief)
-        return NodeReport(
-            state.belief, state.policy, state.actions, {name: float(value) for name, value in metrics.items()}
-        )
+        """The node's state and what it reports of it.
 
-    def _go_on(self, rest: list[Output]) -> list[Output]:
-        """The world begins the next epoch before anything else is done."""
+        Raises:
+            OperatorError: the node's `metrics` failed.
+        """
+        engine = self.engine
+        state = engine.state
+        completed = engine.epoch if engine.is_world else engine.epoch - 1
+        metrics = metrics_of(engine.name, engine.node.node, state.belief, completed)
+        return NodeReport(state.belief, state.policy, state.actions, metrics)
+
+    def _finish(self, rest: list[Output]) -> None:
+        """Do what follows; the world begins the next epoch before anything else is done."""
         pacemaker = self.pacemaker
         if pacemaker is None:
-            return rest
-        new = rest
+            self._record(rest)
+            return
         while True:
-            if any(isinstance(output, Committed) for output in new):
+            if any(isinstance(output, Committed) for output in rest):
                 pacemaker.stop()
-            if not pacemaker.may_begin(self.engine):
-                return rest
-            pacemaker.start()
-            new = self._send(self.engine.begin())
-            rest += new
+            begins = pacemaker.may_begin(self.engine)
+            new: list[Output] = []
+            if begins:
+                pacemaker.start()
+                new = self._send(self.engine.begin())
+            self._record(rest)
+            if not begins:
+                return
+            rest = new
 
     def _send(self, outputs: Iterable[Output]) -> list[Output]:
         """Send what is to be sent; give back the rest."""
@@ -119,7 +139,7 @@ class NodeRunner:
                     step = output.step
                     self.states.write(step.epoch, step.attempt, output.state, output.digest)
                 for probe in self.probes:
-                    probe.record(output.step)
+                    self._show(probe, output)
             elif isinstance(output, Committed) and self.pacemaker is not None:
                 self.pacemaker.commit(output)
             elif isinstance(output, Refused):
@@ -133,6 +153,18 @@ class NodeRunner:
                     output.verdict.value,
                 )
 
+    def _close(self, probe: Probe) -> None:
+        try:
+            probe.close()
+        except Exception as error:
+            raise ProbeError(self.engine.name, probe, "close", error) from error
+
+    def _show(self, probe: Probe, completed: Completed) -> None:
+        try:
+            probe.record(completed.step)
+        except Exception as error:
+            raise ProbeError(self.engine.name, probe, f"record in epoch {completed.step.epoch}", error) from error
+
 
 @dataclass
 class Pacemaker:
@@ -143,14 +175,14 @@ class Pacemaker:
         limit: how many epochs; None: until the world has finished.
         on_commit: told each epoch and its digest, after the next one has begun.
         clock: seconds.
-        epochs_s: how long each epoch took, from its beginning to its commit.
+        epochs_s: how long each epoch took, from its beginning to its commit; of the last `EPOCHS_TIMED`.
     """
 
     chain: DigestChain
     limit: int | None
     on_commit: Callable[[int, bytes], None]
     clock: Clock = time.perf_counter
-    epochs_s: list[float] = field(default_factory=list)
+    epochs_s: deque[float] = field(default_factory=lambda: deque(maxlen=EPOCHS_TIMED))
     first_s: float | None = None
     last_s: float = 0.0
     done: bool = False
@@ -185,16 +217,36 @@ class Pacemaker:
 
 
 class Log:
-    """A file as a stream of msgpack arrays."""
+    """A file as a stream of msgpack arrays.
+
+    Raises:
+        HieraxError: it cannot be written, now or later.
+    """
 
     def __init__(self, path: Path) -> None:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        self._file: BinaryIO = path.open("wb")
+        self._path = path
+        with self._mapped():
+            path.parent.mkdir(parents=True, exist_ok=True)
+            self._file: BinaryIO = path.open("wb")
 
     def write(self, *fields: int | bytes) -> None:
         """Append an array."""
-        self._file.write(msgpack.packb(fields))
+        try:  # not `_mapped`, as this runs in every epoch
+            self._file.write(msgpack.packb(fields))
+        except OSError as error:
+            raise self._error(error) from error
 
     def close(self) -> None:
         """Write out what is buffered."""
-        self._file.close()
+        with self._mapped():
+            self._file.close()
+
+    @contextmanager
+    def _mapped(self) -> Iterator[None]:
+        try:
+            yield
+        except OSError as error:
+            raise self._error(error) from error
+
+    def _error(self, error: OSError) -> HieraxError:
+        return HieraxError(f"{self._path}: cannot be written: {error.strerror or error}")

@@ -10,12 +10,16 @@ from contextlib import ExitStack
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from hierax.runtime.core.errors import HieraxError
 from hierax.runtime.deployment.read import read_deployment
 from hierax.runtime.launch.supervisor import launch
 from hierax.runtime.plain import Json
 from hierax.runtime.transport.zenoh_session import free_endpoint
+
+Times = NDArray[np.float64]
+"""How long epochs took, in microseconds."""
 
 PICTURE_BYTES = 2_400_000
 WARM_UP = 0.1
@@ -34,11 +38,11 @@ class Row:
     """
 
     name: str
-    ours_us: Sequence[np.ndarray]
-    bare_us: Sequence[np.ndarray]
+    ours_us: Sequence[Times]
+    bare_us: Sequence[Times]
 
     @property
-    def ratios(self) -> np.ndarray:
+    def ratios(self) -> Times:
         """Of the medians, round by round."""
         return np.array([np.median(a) / np.median(b) for a, b in zip(self.ours_us, self.bare_us, strict=True)])
 
@@ -120,10 +124,10 @@ def _times(world: list[str], *others: list[str]) -> Sequence[float]:
     return times
 
 
-def _counted(epochs_us: Sequence[float]) -> np.ndarray:
+def _counted(epochs_us: Sequence[float]) -> Times:
     return np.array(epochs_us[int(WARM_UP * len(epochs_us)) :])
 
 
-def _quantiles(rounds_us: Sequence[np.ndarray]) -> dict[str, float]:
+def _quantiles(rounds_us: Sequence[Times]) -> dict[str, float]:
     p50, p99 = np.percentile(np.concatenate(list(rounds_us)), (50, 99))
     return {"p50": float(p50), "p99": float(p99)}

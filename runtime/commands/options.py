@@ -9,6 +9,10 @@ from typing import Annotated
 import typer
 
 
+LARGEST = 2**63 - 1
+"""What a message can carry."""
+
+
 class Format(str, Enum):
     """How a result is printed."""
 
@@ -36,12 +40,13 @@ Epochs = Annotated[
     typer.Option(
         "--epochs",
         min=1,
+        max=LARGEST,
         metavar="N",
         help="How many epochs; by default what the file says, or until the world has finished.",
         show_default=False,
     ),
 ]
-Seed = Annotated[int, typer.Option("--seed", min=0, metavar="S", help="Of all random numbers.")]
+Seed = Annotated[int, typer.Option("--seed", min=0, max=LARGEST, metavar="S", help="Of all random numbers.")]
 Output = Annotated[
     Path | None,
     typer.Option(

@@ -83,7 +83,7 @@ class Call:
                 return self._function(*arguments)
             tick = Tick(self._seed, self.subject, self.operator, epoch, time_s, self._below, self._above)
             return self._function(*arguments, tick=tick)
-        except Exception as error:
+        except (Exception, SystemExit) as error:  # an operator that exits fails: it would end all nodes in silence
             what = f"{type(error).__name__}: {error}"
             raise OperatorError(self.subject, self.operator, epoch, what) from error
 
@@ -145,7 +145,7 @@ class BoundNode:
         self.observe = bound(node.observe, "observe")
         self.select_policy = bound(node.select_policy, "select_policy")
         self.predict = bound(node.predict, "predict")
-        self.policies = Policies(node.policies(), partial(bound, takes="policy"))
+        self.policies = Policies(_policies_of(name, node), partial(bound, takes="policy"))
         self._check_initial_policy()
 
     def choose(self, epoch: int, time_s: float, tasks: Elements) -> str:
@@ -172,6 +172,34 @@ class BoundNode:
             )
 
 
+def is_finished(name: str, world: World, belief: Value, epoch: int) -> bool:
+    """Whether the world has nothing left to observe.
+
+    Raises:
+        OperatorError: the world's `finished` raised.
+    """
+    try:
+        return bool(world.finished(belief))
+    except Exception as error:
+        raise OperatorError(name, "finished", epoch, f"{type(error).__name__}: {error}") from error
+
+
+def metrics_of(name: str, node: Node, belief: Value, epoch: int) -> dict[str, float]:
+    """The figures that a node reports of its belief, checked.
+
+    Raises:
+        OperatorError: its `metrics` raised, or gave no numbers by name.
+    """
+    try:
+        metrics = {metric: float(value) for metric, value in node.metrics(belief).items()}
+    except Exception as error:
+        raise OperatorError(name, "metrics", epoch, f"{type(error).__name__}: {error}") from error
+    nameless = [metric for metric in metrics if not isinstance(metric, str)]
+    if nameless:
+        raise OperatorError(name, "metrics", epoch, f"expected figures by name, {nameless[0]!r:.60} is no string")
+    return metrics
+
+
 def epoch_time_s(name: str, world: World, belief: Value, epoch: int) -> float:
     """The time of an epoch, as the world sets it, checked.
 
@@ -185,6 +213,16 @@ def epoch_time_s(name: str, world: World, belief: Value, epoch: int) -> float:
     if not isfinite(time_s):
         raise OperatorError(name, "time_s", epoch, f"expected seconds, got {time_s}")
     return time_s
+
+
+def _policies_of(name: str, node: Node) -> Mapping[str, Operator]:
+    try:
+        policies = node.policies()
+    except Exception as error:
+        raise HierarchyError(f"{name}: policies raised {type(error).__name__}: {error}") from error
+    if not isinstance(policies, Mapping):
+        raise HierarchyError(f"{name}: policies must give a mapping of names to functions, not {policies!r:.60}")
+    return policies
 
 
 def require_world(name: str, node: Node) -> World:

@@ -11,6 +11,14 @@ class HierarchyError(HieraxError):
     """Nodes and edges do not form a cognitive hierarchy (definition 2)."""
 
 
+class ProbeError(HieraxError):
+    """A probe raised; the cause is chained."""
+
+    def __init__(self, subject: str, probe: object, operation: str, error: Exception) -> None:
+        what = f"{type(error).__name__}: {error}"
+        super().__init__(f"{subject}: {operation} of its probe {type(probe).__name__}: {what}")
+
+
 class OperatorError(HieraxError):
     """An operator or edge function raised, or returned what it must not.
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 
-from hierax.runtime.core.binding import BoundNode, Call, epoch_time_s
+from hierax.runtime.core.binding import BoundNode, Call, epoch_time_s, is_finished
 from hierax.runtime.core.digest import NO_DIGEST, encode_state, epoch_digest, node_digest
 from hierax.runtime.core.errors import OperatorError
 from hierax.runtime.core.graph import Pair
@@ -108,7 +108,7 @@ class Engine:
     @property
     def finished(self) -> bool:
         """Whether the world has nothing left to observe; never, for other nodes."""
-        return self._world is not None and self._world.finished(self._belief)
+        return self._world is not None and is_finished(self.name, self._world, self._belief, self.epoch)
 
     @property
     def state(self) -> ActiveNode:

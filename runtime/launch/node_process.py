@@ -15,11 +15,12 @@ import sys
 import threading
 import traceback
 from collections.abc import Awaitable
-from typing import Any
+from typing import Any, NoReturn
 
 import anyio
 import anyio.from_thread
 import anyio.to_thread
+import numpy as np
 
 from hierax.runtime.core.binding import Setting
 from hierax.runtime.core.errors import HieraxError
@@ -28,6 +29,7 @@ from hierax.runtime.files import DIGESTS, open_probes, state_log
 from hierax.runtime.launch.pipe import FAILED, FINISHED, REPORT, STOP, UP, Frames, NodeOrder, frame
 from hierax.runtime.loading import LoadError, bind_edge, bind_node, build_edge, build_node, extend_import_path
 from hierax.runtime.runner import Log, NodeRunner, Pacemaker
+from hierax.runtime.transport.port import TransportError
 from hierax.runtime.transport.zenoh_port import EpochPublisher, ZenohPort
 from hierax.runtime.transport.zenoh_session import open_session
 from hierax.schemas.errors import SchemaError
@@ -51,6 +53,7 @@ class NodeProcess:
         self._order = order
         self._status = status
         self._port: ZenohPort | None = None
+        self._digests: Log | None = None
         self._stopping = threading.Event()
 
     def stop(self) -> None:
@@ -64,8 +67,15 @@ class NodeProcess:
         port = self._port
         if port is None:
             return True
+        if self._stopping.is_set():
+            return False
         port.greet()
         return not port.rendezvous.ready
+
+    def close(self) -> None:
+        """Close the port, when no other thread uses it any more."""
+        if self._port is not None:
+            self._port.close()
 
     def say(self, status: str, **fields: Value) -> None:
         """Tell the supervisor, if it is still there."""
@@ -86,7 +96,10 @@ class NodeProcess:
             return self._live()
         except (HieraxError, SchemaError) as error:
             place = error.where if isinstance(error, LoadError) else ""
-            self.say(FAILED, message=str(error), where=place)
+            message = str(error)
+            if isinstance(error, (TransportError, SchemaError)):  # the others name the node themselves
+                message = f"{self._order.name}: {message.removeprefix(f'{self._order.name}: ')}"
+            self.say(FAILED, message=message.encode(errors="backslashreplace").decode(), where=place)
             return 1
 
     def _live(self) -> int:
@@ -105,13 +118,15 @@ class NodeProcess:
         gc.collect()
         gc.freeze()  # what is loaded stays; the collector need not look at it again in the middle of an epoch
         try:
-            if port.connect() and not self._stopping.is_set():
+            # asked before, as `stop` interrupts only a port that is there
+            if not self._stopping.is_set() and port.connect() and not self._stopping.is_set():
                 self.say(UP)
                 self._run(runner, port)
         finally:
+            if self._digests is not None:
+                self._digests.close()
             runner.close()
         self._report(runner)
-        port.close()
         return 0
 
     def _build_engine(self) -> Engine:
@@ -151,8 +166,6 @@ class NodeProcess:
         while not self._stopping.is_set():
             if runner.pacemaker is not None and runner.pacemaker.done and not told:
                 told = True
-                if self._digests is not None:
-                    self._digests.close()
                 self.say(FINISHED)
             try:
                 message = port.receive()
@@ -173,7 +186,7 @@ class NodeProcess:
         pacemaker = runner.pacemaker
         if pacemaker is not None:
             chain = pacemaker.chain
-            fields["run"] = [chain.epoch, chain.digest, pacemaker.wall_s, pacemaker.epochs_s]
+            fields["run"] = [chain.epoch, chain.digest, pacemaker.wall_s, np.array(pacemaker.epochs_s)]
         self.say(REPORT, **fields)
 
 
@@ -183,40 +196,54 @@ def main() -> None:
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is the supervisor's to handle
     status = os.dup(sys.stdout.fileno())
     os.dup2(sys.stderr.fileno(), sys.stdout.fileno())  # what a node prints must not mix with the frames
+    orders = os.dup(sys.stdin.fileno())
+    with open(os.devnull, "rb") as nothing:  # nor may a node, or a program that it starts, read them
+        os.dup2(nothing.fileno(), sys.stdin.fileno())
     code = BUG
     try:
-        code = anyio.run(_main, status)
-    except Exception:
+        code = anyio.run(_main, orders, status)
+    except BaseException:
         traceback.print_exc()
     finally:
+        _exit(code)
+
+
+def _exit(code: int) -> NoReturn:
+    """End the process, and the programs that its node has started and left running."""
+    try:
         sys.stdout.flush()
         sys.stderr.flush()
+        if os.getpgrp() == os.getpid():
+            signal.signal(signal.SIGTERM, signal.SIG_IGN)
+            os.killpg(0, signal.SIGTERM)
+    finally:
         # Zenoh's threads may hold the interpreter up, or hang beside a stopped peer
         os._exit(code)
 
 
-async def _main(status: int) -> int:
+async def _main(orders: int, status: int) -> int:
     frames = Frames()
-    commands = await _next_frames(frames)
+    commands = await _next_frames(orders, frames)
     if not commands:
         return 0
     process = NodeProcess(NodeOrder.read(commands.pop(0)), status)
     code = 0
     async with anyio.create_task_group() as tasks:
-        tasks.start_soon(_obey, process, frames, commands)
+        tasks.start_soon(_obey, process, orders, frames, commands)
         tasks.start_soon(_obey_signals, process)
         tasks.start_soon(_greet, process)
         code = await anyio.to_thread.run_sync(process.live, abandon_on_cancel=True)
         tasks.cancel_scope.cancel()
+    process.close()
     return code
 
 
-async def _obey(process: NodeProcess, frames: Frames, commands: list[Value]) -> None:
+async def _obey(process: NodeProcess, orders: int, frames: Frames, commands: list[Value]) -> None:
     """Stop when the supervisor says so, at once when it is gone."""
     while True:
         if STOP in commands:
             process.stop()
-        commands = await _next_frames(frames)
+        commands = await _next_frames(orders, frames)
         if not commands:
             await _end(process)
 
@@ -233,7 +260,7 @@ async def _end(process: NodeProcess) -> None:
     process.stop()
     await anyio.sleep(STUCK_S)
     _log.warning("an operator did not come to its end; the process exits")
-    os._exit(1)
+    _exit(1)
 
 
 async def _greet(process: NodeProcess) -> None:
@@ -241,12 +268,11 @@ async def _greet(process: NodeProcess) -> None:
         await anyio.sleep(GREETING_INTERVAL_S)
 
 
-async def _next_frames(frames: Frames) -> list[Value]:
-    """At least one frame from standard input; none at its end."""
-    descriptor = sys.stdin.fileno()
+async def _next_frames(orders: int, frames: Frames) -> list[Value]:
+    """At least one frame from the supervisor; none when it is gone."""
     while True:
-        await anyio.wait_readable(descriptor)
-        data = os.read(descriptor, 1 << 16)
+        await anyio.wait_readable(orders)
+        data = os.read(orders, 1 << 16)
         if not data:
             return []
         values = frames.feed(data)

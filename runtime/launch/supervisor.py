@@ -30,6 +30,9 @@ from hierax.schemas.values import Value
 END_TIMEOUT_S = 1.5
 """How long processes may take to end when the run is broken off."""
 
+CLOSED = -1
+"""A child's handle when the child is gone."""
+
 REPORT_TIMEOUT_S = 60.0
 """How long they may take for their reports, and their probes to close, when it is over."""
 
@@ -94,7 +97,7 @@ def launch(
 
     Raises:
         HieraxError: a node cannot be loaded, did not come up in time, or failed.
-        KeyboardInterrupt: broken off by SIGINT or SIGTERM; all processes are gone.
+        KeyboardInterrupt: broken off by SIGINT, SIGTERM or SIGHUP; all processes are gone.
     """
     if output is not None:
         write_roster(output, deployment.roster)
@@ -156,6 +159,8 @@ class Supervisor:
             child = self._children[name] = Child(name, process, os.pidfd_open(process.pid))
             tasks.start_soon(self._listen, child)
             await self._tell(child, self._order(name, hub).plain())
+            if self._broken.is_set():
+                return
 
     def _order(self, name: str, hub: str) -> NodeOrder:
         deployment = self._deployment
@@ -184,10 +189,15 @@ class Supervisor:
         """Take in what a child says until its process ends."""
         assert child.process.stdout is not None
         frames = Frames()
-        async for data in child.process.stdout:
-            for value in frames.feed(data):
-                self._take(child, value)
-        code = await child.process.wait()
+        async with anyio.create_task_group() as tasks:
+            tasks.start_soon(_cut_off, child, tasks.cancel_scope)
+            async for data in child.process.stdout:
+                for value in frames.feed(data):
+                    self._take(child, value)
+            with anyio.move_on_after(END_TIMEOUT_S):
+                await child.process.wait()
+            tasks.cancel_scope.cancel()
+        code = child.process.returncode
         child.heard.set()
         if child.report is None and not self._ending:
             self._break(child.failure or NodeFailedError(f"{child.name}: its process ended {_describe(code)}"))
@@ -211,7 +221,10 @@ class Supervisor:
 
     async def _watch_signals(self) -> None:
         """The first signal ends the run in good order, the second one at once."""
-        with anyio.open_signal_receiver(signal.SIGINT, signal.SIGTERM) as signals:
+        numbers = [signal.SIGINT, signal.SIGTERM]
+        if signal.getsignal(signal.SIGHUP) is not signal.SIG_IGN:  # as nohup has it
+            numbers.append(signal.SIGHUP)
+        with anyio.open_signal_receiver(*numbers) as signals:
             async for _ in signals:
                 if self._broken.is_set() or self._ending:
                     self._kill_all()
@@ -244,7 +257,6 @@ class Supervisor:
                 for child in self._children.values():
                     await self._tell(child, STOP)
                 for child in self._children.values():
-                    await child.process.wait()
                     await child.heard.wait()
             silent = [name for name, child in self._children.items() if child.report is None]
             if silent:
@@ -270,17 +282,27 @@ class Supervisor:
         self._ending = True
         for child in self._children.values():
             _signal(child, signal.SIGTERM)
+        await self._wait_for_all()
+        self._kill_all()
+        await self._wait_for_all()
+        for child in self._children.values():
+            for stream in (child.process.stdin, child.process.stdout):
+                if stream is not None:
+                    await stream.aclose()
+        for child in self._children.values():
+            os.close(child.handle)
+            child.handle = CLOSED
+
+    async def _wait_for_all(self) -> None:
+        """Bounded, as a program that a node has started may hold its pipes open when the node is gone."""
         with anyio.move_on_after(END_TIMEOUT_S):
             for child in self._children.values():
                 await child.process.wait()
-        self._kill_all()
-        for child in self._children.values():
-            await child.process.wait()
-            await child.process.aclose()
-            os.close(child.handle)
 
     def _kill_all(self) -> None:
         for child in self._children.values():
+            if child.process.returncode is None:  # it still stands for its group
+                _signal_group(child, signal.SIGKILL)
             _signal(child, signal.SIGKILL)
 
     def _make_report(self, start_s: float) -> Report:
@@ -305,11 +327,31 @@ class Supervisor:
 
 
 def _signal(child: Child, number: signal.Signals) -> None:
+    if child.handle == CLOSED:
+        return
     try:
         signal.pidfd_send_signal(child.handle, number)
     except ProcessLookupError:
         return  # it has ended by itself
 
 
-def _describe(code: int) -> str:
+def _signal_group(child: Child, number: signal.Signals) -> None:
+    """A node's process leads a group, with the programs that the node has started."""
+    try:
+        os.killpg(child.process.pid, number)
+    except ProcessLookupError:
+        return  # all have ended by themselves
+
+
+async def _cut_off(child: Child, listening: anyio.CancelScope) -> None:
+    """End what a node has started with the node: it may hold the pipes open, so that no end of them comes."""
+    await anyio.wait_readable(child.handle)  # the process has ended
+    _signal_group(child, signal.SIGKILL)
+    await anyio.sleep(END_TIMEOUT_S)
+    listening.cancel()
+
+
+def _describe(code: int | None) -> str:
+    if code is None:
+        return "without an exit code"
     return f"by signal {signal.Signals(-code).name}" if code < 0 else f"with exit code {code}"

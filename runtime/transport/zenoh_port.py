@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import os
 from collections import deque
 from collections.abc import Iterable, Mapping
@@ -16,6 +17,8 @@ from hierax.schemas.errors import SchemaError
 from hierax.schemas.keys import Keys
 from hierax.schemas.messages import HELLO, TASKS, Message, decode_message, encode_message
 from hierax.schemas.values import encode_value
+
+_log = logging.getLogger("hierax")
 
 QUEUE_SIZE = 256
 """How many messages wait in a port; when it is full, the senders wait."""
@@ -77,7 +80,11 @@ class ZenohPort(Port):
             Whether it was done; not so where the port was interrupted.
         """
         while not self.rendezvous.ready:
-            message = self._next(connecting=True)
+            try:
+                message = self._next(connecting=True)
+            except SchemaError as error:
+                _log.warning("%s: dropped what is no message of ours: %s", self._name, error)
+                continue
             if message is not None:
                 self._early.append(message)
             elif not self.rendezvous.ready:

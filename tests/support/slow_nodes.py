@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+import os
+import signal
+import subprocess
+import sys
 import threading
 
 from hierax.runtime import NO_TICK, Elements, Node, Tick, Value, World
@@ -46,6 +50,50 @@ class Failing(Node):
         if tick.epoch == self._epoch:
             raise RuntimeError("out of luck")
         return belief
+
+
+class Starting(Node):
+    """Starts a program in its first epoch, prints its process id, and leaves it running."""
+
+    def initial_belief(self) -> Value:
+        return None
+
+    def observe(self, observations: Elements, belief: Value, tick: Tick = NO_TICK) -> Value:
+        if tick.epoch == 1:
+            program = subprocess.Popen([sys.executable, "-c", "import time; time.sleep(600)"])
+            print(program.pid, file=sys.stderr, flush=True)
+        return belief
+
+
+class Forking(Node):
+    """Forks in its first epoch; the fork, which has all its descriptors, goes on for long.
+
+    Args:
+        dies: the node's process is killed then.
+    """
+
+    def __init__(self, dies: bool) -> None:
+        self._dies = dies
+
+    def initial_belief(self) -> Value:
+        return None
+
+    def observe(self, observations: Elements, belief: Value, tick: Tick = NO_TICK) -> Value:
+        if tick.epoch == 1 and os.fork() == 0:
+            threading.Event().wait()
+        if self._dies:
+            os.kill(os.getpid(), signal.SIGKILL)
+        return belief
+
+
+class Reading(Node):
+    """Reads its standard input."""
+
+    def initial_belief(self) -> Value:
+        return None
+
+    def observe(self, observations: Elements, belief: Value) -> Value:
+        return sys.stdin.read()
 
 
 class Waiting(Node):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import fcntl
 import json
 import os
 import signal
@@ -52,8 +53,18 @@ def until(condition: Callable[[], bool], timeout_s: float = TIMEOUT_S) -> float:
     return time.monotonic() - begun
 
 
-def segments() -> set[Path]:
-    return set(Path("/dev/shm").glob("*.zenoh"))
+def orphans() -> set[Path]:
+    """Shared-memory segments that nobody holds; those of other people's runs are held."""
+    return {path for path in Path("/dev/shm").glob("*.zenoh") if is_free(path)}
+
+
+def is_free(path: Path) -> bool:
+    try:
+        with path.open("rb+") as segment:
+            fcntl.flock(segment, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except (BlockingIOError, FileNotFoundError):
+        return False
+    return True
 
 
 @pytest.mark.parametrize(
@@ -79,7 +90,7 @@ def test_launch_is_run(deployment: str, options: list[str], seed: str, tmp_path:
         reports[mode] = json.loads(done.stdout)
     assert reports["launch"]["digest"] == reports["run"]["digest"]
     assert reports["launch"]["nodes"] == reports["run"]["nodes"]
-    assert not segments()
+    assert not orphans()
 
 
 def test_seeds_make_a_difference() -> None:
@@ -133,6 +144,54 @@ def test_a_node_that_cannot_be_built_is_named_with_its_line(two: Callable[[str],
     assert "did you mean 'epoch'?" in done.stderr
 
 
+def test_a_program_that_a_node_leaves_running_ends_with_it(two: Callable[[str], str]) -> None:
+    done = hierax("launch", two('{class: "support.slow_nodes:Starting"}'), "--epochs", "2")
+    assert done.returncode == 0, done.stderr
+    until(lambda: not is_alive(int(done.stderr)), ENDED_S)
+
+
+@pytest.mark.parametrize(("dies", "code"), [("false", 0), ("true", 1)])
+def test_a_fork_that_holds_the_pipes_holds_nothing_up(two: Callable[[str], str], dies: str, code: int) -> None:
+    node = f'{{class: "support.slow_nodes:Forking", parameters: {{dies: {dies}}}}}'
+    done = hierax("launch", two(node), "--epochs", "2")
+    assert done.returncode == code, done.stderr
+    if code:
+        assert done.stderr.splitlines()[-1] == "error: node: its process ended by signal SIGKILL"
+
+
+def test_what_a_node_reads_from_standard_input_is_empty(two: Callable[[str], str]) -> None:
+    done = hierax("launch", two('{class: "support.slow_nodes:Reading"}'), "--epochs", "2", "--format", "json")
+    assert done.returncode == 0, done.stderr
+    assert json.loads(done.stdout)["nodes"]["node"]["belief"] == ""
+
+
+@pytest.mark.parametrize("mode", ["run", "launch"])
+def test_a_world_alone_is_a_hierarchy(mode: str, tmp_path: Path) -> None:
+    path = tmp_path / "one.yaml"
+    path.write_text('hierarchy: one\nworld: clock\nnodes:\n  clock: {class: "support.slow_nodes:Clock"}\n')
+    done = hierax(mode, str(path), "--epochs", "5", "--format", "json")
+    assert done.returncode == 0, done.stderr
+    assert json.loads(done.stdout)["nodes"]["clock"]["belief"] == 5
+
+
+@pytest.mark.parametrize(
+    ("settings", "what"),
+    [
+        ("{scouting: {gossip: {enabled: false}}}", "error: not up within 2 s (start_timeout_s): clock, node"),
+        ('{listen: {endpoints: ["tcp/127.0.0.1:1x"]}}', "error: Zenoh: "),
+    ],
+)
+def test_settings_that_keep_nodes_apart_end_it_with_one_line(
+    two: Callable[[str], str], settings: str, what: str
+) -> None:
+    path = two('{class: "support.slow_nodes:Waiting"}')
+    with open(path, "a") as file:
+        file.write(f"start_timeout_s: 2\nzenoh: {settings}\n")
+    done = hierax("launch", path, "--epochs", "2")
+    assert done.returncode == 1
+    assert done.stderr.splitlines()[-1].startswith(what)
+
+
 class Launched:
     """A launch under way, and its nodes' processes."""
 
@@ -173,7 +232,7 @@ def test_every_node_has_a_process_of_its_own(launched: Launched) -> None:
     assert len({launched.process.pid, os.getpid(), *launched.nodes}) == 4
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
 def test_a_signal_ends_all(launched: Launched, number: signal.Signals) -> None:
     launched.until_stuck()
     launched.process.send_signal(number)
@@ -183,7 +242,7 @@ def test_a_signal_ends_all(launched: Launched, number: signal.Signals) -> None:
     assert out == ""
     assert "Traceback" not in err
     assert err.splitlines()[-1] == "interrupted"
-    assert not segments()
+    assert not orphans()
 
 
 def test_a_signal_while_starting_ends_all(two: Callable[[str], str]) -> None:

@@ -12,7 +12,7 @@ from hierax.runtime.core.hierarchy import neighbours_above, neighbours_below
 from hierax.runtime.testing.transport import check_transport, receive
 from hierax.runtime.transport.memory import MemoryNetwork
 from hierax.runtime.transport.port import Port, TransportError
-from hierax.runtime.transport.zenoh_port import ZenohPort
+from hierax.runtime.transport.zenoh_port import INTERRUPT, ZenohPort
 from hierax.runtime.transport.zenoh_session import LOOPBACK, free_endpoint, open_session
 from hierax.schemas.errors import SchemaError
 from hierax.schemas.keys import Keys
@@ -24,14 +24,25 @@ def open_memory(edges: Sequence[tuple[str, str]]) -> Mapping[str, Port]:
     return {name: network.open_port(name) for name in sorted({name for edge in edges for name in edge})}
 
 
-def open_zenoh(edges: Sequence[tuple[str, str]], keys: Keys | None = None) -> dict[str, ZenohPort]:
-    """A session for each node; the first one is what the others find one another through."""
+def open_zenoh(
+    edges: Sequence[tuple[str, str]], keys: Keys | None = None, early: Sequence[bytes] = ()
+) -> dict[str, ZenohPort]:
+    """A session for each node; the first one is what the others find one another through.
+
+    Args:
+        edges: (lower, upper).
+        keys: of the run.
+        early: what somebody puts on keys of each port before it connects.
+    """
     keys = keys or Keys("conformance", token_hex(4))
     hub = free_endpoint()
     ports = {}
     for number, name in enumerate(sorted({name for edge in edges for name in edge})):
         session = open_session([LOOPBACK if number else hub], [hub] if number else [])
         ports[name] = ZenohPort(session, keys, name, neighbours_below(name, edges), neighbours_above(name, edges))
+        for data in early:
+            for kind in (OBSERVATIONS, CONTEXT, INTERRUPT):
+                session.put(keys.edge(kind, name, name), data)
     connect(ports)
     return ports
 
@@ -121,3 +132,10 @@ def test_zenoh_drops_what_is_no_message(pair: dict[str, ZenohPort], data: bytes,
     finally:
         low.close()
         up.close()
+
+
+def test_zenoh_connects_whatever_comes_before_a_greeting() -> None:
+    hello = encode_message(Message(Header(HELLO, "low", "up", 0), ("hi",)))
+    for port in open_zenoh([("low", "up")], early=[b"", b"\xc1\x00", hello]).values():
+        assert port.rendezvous.ready
+        port.close()
