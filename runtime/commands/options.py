@@ -8,7 +8,6 @@ from typing import Annotated
 
 import typer
 
-
 LARGEST = 2**63 - 1
 """What a message can carry."""
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import sys
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, redirect_stdout
 from pathlib import Path
 from typing import Any
 
@@ -45,10 +45,14 @@ def run_deployment(
         _make_folder(output)
     limit = deployment.epochs if epochs is None else epochs
     try:
-        with _progress(deployment.name, limit) as progress:
+        # what a node prints must not mix with the report
+        with _progress(deployment.name, limit) as progress, redirect_stdout(sys.stderr):
             report = runner(deployment, epochs=limit, seed=seed, output=output, progress=progress)
     except HieraxError as error:
-        raise deployment.explain(error) from error
+        explained = deployment.explain(error)
+        if explained is error:
+            raise
+        raise explained from error
     if output is not None:
         _write_summary(output / SUMMARY, report)
     if output_format is Format.json:

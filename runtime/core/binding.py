@@ -84,7 +84,7 @@ class Call:
             tick = Tick(self._seed, self.subject, self.operator, epoch, time_s, self._below, self._above)
             return self._function(*arguments, tick=tick)
         except (Exception, SystemExit) as error:  # an operator that exits fails: it would end all nodes in silence
-            what = f"{type(error).__name__}: {error}"
+            what = f"{type(error).__name__}: {error}{_raised_at(error)}"
             raise OperatorError(self.subject, self.operator, epoch, what) from error
 
     def elements(self, epoch: int, time_s: float, *arguments: Value) -> Elements:
@@ -96,6 +96,17 @@ class Call:
             return tuple(result)
         what = f"expected a tuple of elements, got {type(result).__name__}"
         raise OperatorError(self.subject, self.operator, epoch, what)
+
+
+def _raised_at(error: BaseException) -> str:
+    """The line that raised, for the user who wrote it."""
+    last = error.__traceback__
+    while last is not None and last.tb_next is not None:
+        last = last.tb_next
+    if last is None or last.tb_frame.f_code is Call.__call__.__code__:  # it could not even be called
+        return ""
+    code = last.tb_frame.f_code
+    return f" ({code.co_filename}:{last.tb_lineno}, in {code.co_name})"
 
 
 class Policies(dict[str, Call]):

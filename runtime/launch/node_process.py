@@ -55,6 +55,8 @@ class NodeProcess:
         self._port: ZenohPort | None = None
         self._digests: Log | None = None
         self._stopping = threading.Event()
+        # then the session is not closed: what still comes from its peers would be reported as errors
+        self.hurried = False
 
     def stop(self) -> None:
         """Make the node's thread come to its end; any thread may call it."""
@@ -234,7 +236,8 @@ async def _main(orders: int, status: int) -> int:
         tasks.start_soon(_greet, process)
         code = await anyio.to_thread.run_sync(process.live, abandon_on_cancel=True)
         tasks.cancel_scope.cancel()
-    process.close()
+    if not process.hurried:
+        process.close()
     return code
 
 
@@ -257,6 +260,7 @@ async def _obey_signals(process: NodeProcess) -> None:
 
 async def _end(process: NodeProcess) -> None:
     """Stop, and do not wait for long."""
+    process.hurried = True
     process.stop()
     await anyio.sleep(STUCK_S)
     _log.warning("an operator did not come to its end; the process exits")

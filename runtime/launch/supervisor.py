@@ -228,6 +228,8 @@ class Supervisor:
             async for _ in signals:
                 if self._broken.is_set() or self._ending:
                     self._kill_all()
+                    await self._wait_for_all()
+                    remove_orphaned_segments()
                     os._exit(130)
                 self._break(Interrupted())
 

@@ -107,8 +107,10 @@ class ZenohPort(Port):
 
     def interrupt(self) -> None:
         self._interrupted = True
-        if not self._closed:
+        try:
             self._session.put(self._own_key, b"", express=True)
+        except zenoh.ZError:
+            return  # closed, and so nobody waits
 
     def close(self) -> None:
         if not self._closed:
@@ -138,8 +140,12 @@ class ZenohPort(Port):
     def _on_alive(self, sample: zenoh.Sample) -> None:
         """Greet a neighbour as soon as its process is there; what is lost is said again by `greet`."""
         peer = str(sample.key_expr).split("/")[-2]
-        if sample.kind == zenoh.SampleKind.PUT and peer in self.rendezvous.missing:
+        if sample.kind != zenoh.SampleKind.PUT or peer not in self.rendezvous.missing:
+            return
+        try:
             self._put_all(self.rendezvous.hello(peer))
+        except TransportError:
+            return  # closing: nobody is to be greeted any more
 
     def _next(self, connecting: bool = False) -> Message | None:
         """The next message; None when interrupted, closed, or, while connecting, after a greeting that was the last."""

@@ -163,7 +163,7 @@ def test_an_operator_that_exits_fails() -> None:
         def predict(self, context: Any, actions: Any, belief: Value) -> Value:
             raise SystemExit(4)
 
-    with pytest.raises(OperatorError, match=r"^w: predict in epoch 1: SystemExit: 4$"):
+    with pytest.raises(OperatorError, match=r"^w: predict in epoch 1: SystemExit: 4 \(\S+\.py:\d+, in predict\)$"):
         alone(Exiting(), 1).start()
 
 

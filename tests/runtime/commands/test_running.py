@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import io
 import json
+import re
 import sys
 from collections.abc import Callable
 from pathlib import Path
@@ -128,4 +129,5 @@ def test_a_run_until_the_world_has_finished(tmp_path: Path, capsys: pytest.Captu
 def test_a_node_that_fails_is_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["run", str(write(tmp_path)), "--set", "nodes.left.class=support.toy_nodes:Failing"]) == 1
     err = capsys.readouterr().err
-    assert err == "error: left: observe in epoch 1: RuntimeError: the camera is gone\n"
+    told = r"error: left: observe in epoch 1: RuntimeError: the camera is gone \(\S+toy_nodes\.py:\d+, in observe\)\n"
+    assert re.fullmatch(told, err)

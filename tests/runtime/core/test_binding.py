@@ -164,7 +164,9 @@ def test_what_an_operator_raises_is_named_and_chained() -> None:
         raise KeyError("pose")
 
     node = bound(with_operator("observe", fail))
-    with pytest.raises(OperatorError, match=r"^arm: observe in epoch 9: KeyError: 'pose'$") as raised:
+    with pytest.raises(
+        OperatorError, match=r"^arm: observe in epoch 9: KeyError: 'pose' \(\S+\.py:\d+, in fail\)$"
+    ) as raised:
         node.observe(9, 0.0, (), 0)
     error = raised.value
     assert (error.subject, error.operator, error.epoch) == ("arm", "observe", 9)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Mapping
 from typing import Any
 
@@ -252,12 +253,16 @@ def failing(operator: str) -> ActiveHierarchy:
 def test_an_error_says_which_operator_of_what_in_which_epoch(operator: str, subject: str) -> None:
     with pytest.raises(OperatorError) as raised:
         update(failing(operator))
-    assert str(raised.value) == f"{subject}: {operator} in epoch 1: RuntimeError: out of order"
+    what, _, place = str(raised.value).partition(" (")
+    assert what == f"{subject}: {operator} in epoch 1: RuntimeError: out of order"
+    assert re.fullmatch(r"\S+test_process\.py:\d+, in \w+\)", place)
     assert (raised.value.subject, raised.value.operator, raised.value.epoch) == (subject, operator, 1)
 
 
 def test_an_error_of_an_initial_belief_is_of_epoch_0() -> None:
-    with pytest.raises(OperatorError, match=r"^n: initial_belief in epoch 0: RuntimeError: out of order$"):
+    with pytest.raises(
+        OperatorError, match=r"^n: initial_belief in epoch 0: RuntimeError: out of order \(\S+\.py:\d+, in \w+\)$"
+    ):
         failing("initial_belief")
 
 
