@@ -31,6 +31,10 @@ _IMAGE_SUFFIXES = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".pgm", ".ppm", ".b
 _ROTATION_TOLERANCE = 1e-2
 
 
+_TRAILING_BYTES = 1024
+"""Some cameras write a little behind an image's end."""
+
+
 class Frame(NamedTuple):
     """One image of a scene.
 
@@ -75,7 +79,7 @@ class BopScene:
         self.folder = Path(folder)
         if not self.folder.is_dir():
             raise DataError(f"{self.folder}: no such folder; expected a BOP scene, DATASET/SPLIT/000001")
-        self.scene_id = int(self.folder.name) if self.folder.name.isdigit() else 0
+        self.scene_id = int(self.folder.name) if self.folder.name.isdecimal() else 0
         self.frames = self._read_frames()
 
     def first_objects(self) -> tuple[SceneObject, ...]:
@@ -108,7 +112,7 @@ class BopScene:
         cameras = _read_json(path)
         if not cameras:
             raise DataError(f"{path}: no frames")
-        wrong = [key for key in cameras if not key.isdigit()]
+        wrong = [key for key in cameras if not key.isdecimal()]
         if wrong:
             raise DataError(f"{path}: {wrong[0]!r} is no frame number")
         images = _image_files(self.folder)
@@ -132,6 +136,7 @@ def read_image(path: Path) -> Array:
     """
     if not path.is_file():
         raise DataError(f"{path}: no such file; expected an image")
+    _check_end(path)
     image = cv2.imread(str(path), cv2.IMREAD_UNCHANGED)
     if image is None:
         raise DataError(f"{path}: cannot be decoded; expected an image")
@@ -140,6 +145,14 @@ def read_image(path: Path) -> Array:
     if image.ndim == 2:
         return image
     return np.ascontiguousarray(image[:, :, 2::-1]) if image.shape[2] >= 3 else np.ascontiguousarray(image[:, :, 0])
+
+
+def _check_end(path: Path) -> None:
+    """Refuse what is cut off: decoders fill in what is missing of a JPEG, and print of a PNG what they think of it."""
+    data = path.read_bytes()
+    for begin, end, name in ((b"\xff\xd8", b"\xff\xd9", "JPEG"), (b"\x89PNG", b"IEND\xaeB`\x82", "PNG")):
+        if data.startswith(begin) and end not in data[-_TRAILING_BYTES:]:
+            raise DataError(f"{path}: cut off; expected a whole {name} image")
 
 
 class ResultsFile:
@@ -252,7 +265,7 @@ def _image_files(folder: Path) -> dict[int, Path]:
         if not (folder / name).is_dir():
             continue
         found = sorted(path for path in (folder / name).iterdir() if path.suffix.lower() in _IMAGE_SUFFIXES)
-        return {int(path.stem): path for path in reversed(found) if path.stem.isdigit()}
+        return {int(path.stem): path for path in reversed(found) if path.stem.isdecimal()}
     raise DataError(f"{folder}: neither rgb/ nor gray/; expected a folder of images")
 
 

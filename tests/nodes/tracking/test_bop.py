@@ -178,3 +178,16 @@ def test_damaged_results_are_named(tmp_path: Path) -> None:
         read_results(path)
     with pytest.raises(DataError, match="cannot be read"):
         read_results(tmp_path / "none.csv")
+
+
+@pytest.mark.parametrize("ending", ["png", "jpg"])
+def test_an_image_that_is_cut_off_is_named(ending: str, tmp_path: Path) -> None:
+    path = tmp_path / f"000000.{ending}"
+    picture = np.random.default_rng(3).integers(0, 255, (48, 64), np.uint8)
+    assert cv2.imwrite(str(path), picture)
+    assert read_image(path).shape == (48, 64)
+    whole = path.read_bytes()
+    for share in (0.3, 0.6, 0.95):
+        path.write_bytes(whole[: int(share * len(whole))])
+        with pytest.raises(DataError, match=rf"000000\.{ending}: cut off"):
+            read_image(path)
