@@ -22,7 +22,7 @@ from typing import Any, NamedTuple
 import msgpack
 import numpy as np
 
-from hierax.schemas.arrays import ARRAY, array_elements, array_head, check_array, decode_array, encode_array
+from hierax.schemas.arrays import ARRAY, array_elements, array_head, check_array, decode_array
 from hierax.schemas.errors import SchemaError, shown
 from hierax.schemas.limits import (
     LARGE_ARRAY_BYTES,
@@ -30,7 +30,7 @@ from hierax.schemas.limits import (
     MAX_MESSAGE_BYTES,
     MAX_NAME_CHARS,
 )
-from hierax.schemas.values import Packers, Value, fault, is_sound, pack, replace_numpy, unpack
+from hierax.schemas.values import Packers, Value, array_in_place, fault, is_sound, pack, read_extension, unpack
 
 FORMAT = 1
 TAIL_ARRAY = 2
@@ -131,11 +131,9 @@ class _LargeArray(Exception):  # noqa: N818 - no error: the other way of encodin
 
 
 def _in_place(value: Any) -> Any:
-    if not isinstance(value, np.ndarray):
-        return replace_numpy(value)
-    if value.nbytes >= LARGE_ARRAY_BYTES:
+    if isinstance(value, np.ndarray) and value.nbytes >= LARGE_ARRAY_BYTES:
         raise _LargeArray
-    return msgpack.ExtType(ARRAY, encode_array(value))
+    return array_in_place(value)
 
 
 _PACKERS = Packers(_in_place)
@@ -156,7 +154,7 @@ def decode_message(data: bytes) -> Message:
         SchemaError: the bytes are not a message of this format.
     """
     if data[:1] == _FIXARRAY:
-        fields = unpack(data, _no_tail, "message", _NAMES)
+        fields = unpack(data, read_extension, "message", _NAMES)
     elif data[:1] == b"\xdc":
         fields = _split_tail(data)
     else:
@@ -207,7 +205,7 @@ def _split_tail(data: bytes) -> tuple[Value, ...]:
 
     def resolve(code: int, content: bytes) -> Value:
         if code != TAIL_ARRAY:
-            return _no_tail(code, content)
+            return read_extension(code, content)
         index = _INDEX.unpack(content)[0] if len(content) == _INDEX.size else count
         if index not in unused:
             raise SchemaError(f"refers to array {content[:8].hex()} behind the payload, which is not there or taken")
@@ -236,12 +234,6 @@ def _tail_arrays(view: memoryview, offset: int, count: int) -> list[np.ndarray[A
     if offset != end:
         raise SchemaError(f"{end - offset} bytes too many behind the payload", "message")
     return arrays
-
-
-def _no_tail(code: int, data: bytes) -> Value:
-    if code == ARRAY:
-        return decode_array(data)
-    raise SchemaError(f"unknown extension type {code}")
 
 
 def _header(fields: Any) -> Header:

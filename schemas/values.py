@@ -70,7 +70,7 @@ def decode_value(data: bytes | memoryview, where: str = "value") -> Value:
     Raises:
         SchemaError: the bytes are not exactly one value.
     """
-    return unpack(data, _ext_in_place, where)
+    return unpack(data, read_extension, where)
 
 
 def pack(value: Value, packers: Packers, where: str = "value", names: Names = ()) -> bytes:
@@ -159,16 +159,26 @@ def replace_numpy(value: Any) -> Any:
     raise SchemaError(f"a {type(value).__name__} cannot be sent; see hierax.schemas.values for what can")
 
 
-def _array_in_place(value: Any) -> Any:
+def array_in_place(value: Any) -> Any:
+    """What msgpack does not know, as something that it does: an array as extension `ARRAY`.
+
+    Raises:
+        SchemaError: it is something that cannot travel.
+    """
     if isinstance(value, np.ndarray):
         return msgpack.ExtType(ARRAY, encode_array(value))
     return replace_numpy(value)
 
 
-_PACKERS = Packers(_array_in_place)
+_PACKERS = Packers(array_in_place)
 
 
-def _ext_in_place(code: int, data: bytes) -> Value:
+def read_extension(code: int, data: bytes) -> Value:
+    """The array that extension `ARRAY` holds.
+
+    Raises:
+        SchemaError: it is another extension, or no array.
+    """
     if code == ARRAY:
         return decode_array(data)
     raise SchemaError(f"unknown extension type {code}; expected {ARRAY} (an array)")

@@ -176,7 +176,16 @@ class WordNode(Node):
         return {"diagnostic": diagnostic, "causal": self._priors, "posterior": posterior}
 
 
-class LetterEvidence:
+class _Place:
+    """A place in the words of a vocabulary, checked; places count from 1."""
+
+    def __init__(self, words: Sequence[str], letter: int) -> None:
+        letters_at(words, letter)
+        self._words = check_words(words)
+        self._letter = letter
+
+
+class LetterEvidence(_Place):
     """φ from a letter node to the word: η·M·L, its diagnostic part as one over the words.
 
     Args:
@@ -184,29 +193,19 @@ class LetterEvidence:
         letter: the place, from 1.
     """
 
-    def __init__(self, words: Sequence[str], letter: int) -> None:
-        letters_at(words, letter)
-        self._words = check_words(words)
-        self._letter = letter
-
     def __call__(self, belief: Value, tick: Tick = NO_TICK) -> Elements:
         """One observation, signed with the letter node's name."""
         likelihood = words_given_letter(self._words, self._letter, belief["diagnostic"])
         return ({"from": _lower_name(tick), "likelihood": likelihood},)
 
 
-class WordSupport:
+class WordSupport(_Place):
     """ϱ from the word to a letter node: η·(c ∘ all parts but the letter's own)·M.
 
     Args:
         words: the vocabulary.
         letter: the place, from 1.
     """
-
-    def __init__(self, words: Sequence[str], letter: int) -> None:
-        letters_at(words, letter)
-        self._words = check_words(words)
-        self._letter = letter
 
     def __call__(self, belief: Value, tick: Tick = NO_TICK) -> Elements:
         """One context element: what the rest of the word expects at the place, by letter.
