@@ -5,7 +5,7 @@ BIN := $(VENV)/bin
 INSTALLED := $(VENV)/.installed
 CHECKED := .build/checked
 
-.PHONY: demo test check clean
+.PHONY: demo test check model sim clean
 
 $(INSTALLED): pyproject.toml
 	$(PYTHON) -m venv $(VENV)
@@ -19,6 +19,17 @@ demo: $(INSTALLED)
 
 test: $(INSTALLED)
 	$(BIN)/python -m pytest
+
+# docs/model.md; Debian's spin is installed where it is missing, if root may
+model: $(INSTALLED)
+	@command -v spin > /dev/null || test "$$(id -u)" != 0 || ! command -v apt-get > /dev/null || \
+		{ apt-get update -qq && apt-get install -y -qq spin > /dev/null; }
+	@command -v spin > /dev/null && command -v gcc > /dev/null || { echo "the model needs spin and gcc" >&2; exit 1; }
+	$(BIN)/python -m pytest tests/model
+
+# the nightly-sized simulation: about five minutes on two cores
+sim: $(INSTALLED)
+	$(BIN)/hierax sim --seeds 0:20000
 
 # mypy and the import contracts follow the namespace through an installed copy
 check: $(INSTALLED)

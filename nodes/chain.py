@@ -16,7 +16,7 @@ class Counter(World):
 
     def predict(self, context: Elements, actions: Elements, belief: Value) -> Value:
         """Count, and keep what came down."""
-        return {"count": belief["count"] + 1, "seen": context[0]["level"]}
+        return {"count": belief["count"] + 1, "seen": context[0]["level"] if context else belief["seen"]}
 
 
 class Relay(Node):

@@ -31,13 +31,19 @@ def write_roster(output: Path, roster: Roster) -> None:
     (output / ROSTER).write_bytes(encode_value(roster.content()))
 
 
-def state_log(output: Path | None, name: str) -> Log | None:
-    """Where a node's states go."""
-    return None if output is None else Log(output / STATES / f"{name}.msgpack")
+def state_log(output: Path | None, name: str, append: bool = False) -> Log | None:
+    """Where a node's states go; behind what is there, for a process that comes in the place of another."""
+    return None if output is None else Log(output / STATES / f"{name}.msgpack", append)
 
 
-def open_probes(specs: Sequence[ProbeSpec], name: str, output: Path | None) -> tuple[Probe, ...]:
+def open_probes(specs: Sequence[ProbeSpec], name: str, output: Path | None, again: bool = False) -> tuple[Probe, ...]:
     """The probes of a node, open.
+
+    Args:
+        specs: of all nodes.
+        name: of the node.
+        output: the run's output folder.
+        again: another process of the node has had them open before in this run.
 
     Raises:
         LoadError: one cannot be built.
@@ -45,12 +51,15 @@ def open_probes(specs: Sequence[ProbeSpec], name: str, output: Path | None) -> t
     """
     probes = tuple(build_probe(spec.reference, f"probes[{i}]") for i, spec in enumerate(specs) if spec.node == name)
     for probe in probes:
-        _open(probe, name, output)
+        _open(probe, name, output, again)
     return probes
 
 
-def _open(probe: Probe, name: str, output: Path | None) -> None:
+def _open(probe: Probe, name: str, output: Path | None, again: bool) -> None:
     try:
-        probe.open(output)
+        if again:
+            probe.open_again(output)
+        else:
+            probe.open(output)
     except Exception as error:
         raise ProbeError(name, probe, "open", error) from error

@@ -7,6 +7,7 @@ one in each process.
 from __future__ import annotations
 
 import logging
+import os
 import time
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Sequence
@@ -19,14 +20,18 @@ import msgpack
 
 from hierax.runtime.core.binding import metrics_of
 from hierax.runtime.core.errors import HieraxError, OperatorError, ProbeError
+from hierax.runtime.core.node import Elements
 from hierax.runtime.core.probe import Probe
 from hierax.runtime.engine.engine import DigestChain, Engine
-from hierax.runtime.engine.outputs import Committed, Completed, Output, Refused, Send
-from hierax.runtime.engine.table import Phase
+from hierax.runtime.engine.loose import BARRIER, LooseEngine, Staleness
+from hierax.runtime.engine.outlet import Committed, Completed, Outlet, Saved
+from hierax.runtime.engine.table import Phase, Verdict
+from hierax.runtime.engine.wiring import Wiring
 from hierax.runtime.report import NodeReport
 from hierax.runtime.transport.port import Port
 from hierax.schemas.errors import SchemaError
-from hierax.schemas.messages import Message
+from hierax.schemas.limits import MAX_MESSAGE_BYTES
+from hierax.schemas.messages import Header, Message
 
 Clock = Callable[[], float]
 
@@ -36,31 +41,54 @@ EPOCHS_TIMED = 1_000_000
 _log = logging.getLogger("hierax")
 
 
-@dataclass
-class NodeRunner:
+class NodeRunner(Outlet):
     """Moves messages between a node's engine and its port.
 
     Sends go out first; probes and the state log are served when nobody waits for this node.
 
-    Attributes:
-        engine: of the node.
+    Args:
+        wiring: of the node; None: `wire` gives it later.
         port: of the node, open.
         probes: of the node, open.
         states: where of every completed epoch [epoch, attempt, state, digest] is written; None:
             nowhere. The state is the encoding of (belief, policy, actions) that the digest is
             taken over, so that anyone can take it again.
         pacemaker: the world's; None for other nodes.
+
+    Attributes:
+        engine: of the node.
+        staleness: of the deployment; to be set before `wire`.
     """
 
-    engine: Engine
-    port: Port
-    probes: Sequence[Probe] = ()
-    states: Log | None = None
-    pacemaker: Pacemaker | None = None
+    staleness: Staleness = BARRIER
+
+    def __init__(
+        self,
+        wiring: Wiring | None,
+        port: Port,
+        probes: Sequence[Probe] = (),
+        states: Log | None = None,
+        pacemaker: Pacemaker | None = None,
+    ) -> None:
+        self.port = port
+        self.probes = probes
+        self.states = states
+        self.pacemaker = pacemaker
+        self._completed: list[Completed] = []
+        self._committed: Committed | None = None
+        if wiring is not None:
+            self.wire(wiring)
+
+    def wire(self, wiring: Wiring, saved: Saved | None = None, joins: bool = False) -> None:
+        """Make the engine; its arguments are those of `Engine`."""
+        if self.staleness.barrier:
+            self.engine = Engine(wiring, self, saved=saved, joins=joins)
+        else:
+            self.engine = LooseEngine(wiring, self, saved=saved, joins=joins, staleness=self.staleness)
 
     def start(self) -> None:
         """Begin the first epoch, if this is the world and there is one to run."""
-        self._finish([])
+        self._finish()
 
     def step(self, message: Message) -> None:
         """Take a message in and do all that follows from it.
@@ -69,7 +97,26 @@ class NodeRunner:
             OperatorError: an operator failed, or gave what cannot travel.
             ProbeError: a probe raised.
         """
-        self._finish(self._send(self.engine.receive(message)))
+        self.engine.receive(message)
+        self._finish()
+
+    def poll(self) -> bool:
+        """In free running: take part in the next epoch, if there is one; whether there was.
+
+        Raises:
+            OperatorError: an operator failed, or gave what cannot travel.
+            ProbeError: a probe raised.
+        """
+        engine = self.engine
+        if self.pacemaker is None:
+            did = isinstance(engine, LooseEngine) and engine.poll()
+        else:
+            before = engine.epoch
+            if self.pacemaker.may_begin(engine):
+                self._begin_next(self.pacemaker)
+            did = engine.epoch != before
+        self._finish()
+        return did
 
     def close(self) -> None:
         """Close the state log and all probes.
@@ -91,40 +138,12 @@ class NodeRunner:
         """
         engine = self.engine
         state = engine.state
-        completed = engine.epoch if engine.is_world else engine.epoch - 1
-        metrics = metrics_of(engine.name, engine.node.node, state.belief, completed)
+        metrics = metrics_of(engine.name, engine.node.node, state.belief, engine.epoch)
+        if isinstance(engine, LooseEngine):
+            metrics.update(engine.ages.metrics())
         return NodeReport(state.belief, state.policy, state.actions, metrics)
 
-    def _finish(self, rest: list[Output]) -> None:
-        """Do what follows; the world begins the next epoch before anything else is done."""
-        pacemaker = self.pacemaker
-        if pacemaker is None:
-            self._record(rest)
-            return
-        while True:
-            if any(isinstance(output, Committed) for output in rest):
-                pacemaker.stop()
-            begins = pacemaker.may_begin(self.engine)
-            new: list[Output] = []
-            if begins:
-                pacemaker.start()
-                new = self._send(self.engine.begin())
-            self._record(rest)
-            if not begins:
-                return
-            rest = new
-
-    def _send(self, outputs: Iterable[Output]) -> list[Output]:
-        """Send what is to be sent; give back the rest."""
-        rest: list[Output] = []
-        for output in outputs:
-            if type(output) is Send:
-                self._send_one(output.message)
-            else:
-                rest.append(output)
-        return rest
-
-    def _send_one(self, message: Message) -> None:
+    def send(self, message: Message) -> None:
         try:
             self.port.send(message)
         except SchemaError as error:
@@ -132,26 +151,70 @@ class NodeRunner:
             what = f"its elements for {header.receiver} {error}"
             raise OperatorError(header.sender, header.kind, header.epoch, what) from error
 
-    def _record(self, rest: list[Output]) -> None:
-        for output in rest:
-            if isinstance(output, Completed):
-                if self.states is not None:
-                    step = output.step
-                    self.states.write(step.epoch, step.attempt, output.state, output.digest)
-                for probe in self.probes:
-                    self._show(probe, output)
-            elif isinstance(output, Committed) and self.pacemaker is not None:
-                self.pacemaker.commit(output)
-            elif isinstance(output, Refused):
-                header = output.header
-                _log.warning(
-                    "%s: refused a %s message from %s of epoch %d: %s",
-                    self.engine.name,
-                    header.kind,
-                    header.sender,
-                    header.epoch,
-                    output.verdict.value,
-                )
+    def completed(self, completed: Completed) -> None:
+        self._completed.append(completed)
+
+    def act(self, epoch: int, actions: Elements) -> None:
+        act = self.engine.node.act
+        if act is not None:
+            act(epoch, self.engine.time_s, actions)
+
+    def committed(self, committed: Committed) -> None:
+        self._committed = committed
+        if self.pacemaker is not None:
+            self.pacemaker.stop()
+
+    def refused(self, header: Header, verdict: Verdict) -> None:
+        _log.warning(
+            "%s: refused a %s message from %s of epoch %d: %s",
+            self.engine.name,
+            header.kind,
+            header.sender,
+            header.epoch,
+            verdict.value,
+        )
+
+    def _finish(self) -> None:
+        """Do what follows; the world begins the next epoch before anything else is done."""
+        while self._completed or self._may_begin():
+            committed, self._committed = self._committed, None
+            completed, self._completed = self._completed, []
+            pacemaker = self.pacemaker
+            if pacemaker is not None:
+                if committed is not None:
+                    pacemaker.chain.commit(committed)
+                digest = pacemaker.chain.digest
+                self._go_on(committed)
+                if committed is not None:
+                    pacemaker.on_commit(committed.epoch, digest)
+            self._serve(completed)
+
+    def _may_begin(self) -> bool:
+        return not self.staleness.free and self.pacemaker is not None and self.pacemaker.may_begin(self.engine)
+
+    def _go_on(self, committed: Committed | None) -> None:
+        """An epoch may be begun."""
+        if self.pacemaker is not None and self._may_begin():
+            self._begin_next(self.pacemaker)
+
+    def _begin_next(self, pacemaker: Pacemaker) -> None:
+        self.drain(pacemaker.limit == self.engine.epoch + 1)
+        pacemaker.start()
+        self.engine.begin()
+
+    def drain(self, drains: bool) -> None:
+        """Whether the world's next epoch is a drained one; the last one is, so that every node has a part in it."""
+        if isinstance(self.engine, LooseEngine):
+            self.engine.drains = drains
+
+    def _serve(self, completed: Iterable[Completed]) -> None:
+        for each in completed:
+            if self.states is not None:
+                step = each.step
+                self.states.write(step.epoch, step.attempt, each.state, each.digest)
+                self.states.flush()
+            for probe in self.probes:
+                self._show(probe, each)
 
     def _close(self, probe: Probe) -> None:
         try:
@@ -190,7 +253,7 @@ class Pacemaker:
 
     def may_begin(self, engine: Engine) -> bool:
         """Whether the world, when it is idle, has an epoch to begin; else the run is done."""
-        if engine.phase is not Phase.IDLE or self.done:
+        if engine.phase is not Phase.DONE or self.done:
             return False
         self.done = (self.limit is not None and engine.epoch >= self.limit) or engine.finished
         return not self.done
@@ -206,10 +269,6 @@ class Pacemaker:
         self.last_s = self.clock()
         self.epochs_s.append(self.last_s - self._started)
 
-    def commit(self, committed: Committed) -> None:
-        """Chain the epoch's digest and tell it."""
-        self.on_commit(committed.epoch, self.chain.commit(committed))
-
     @property
     def wall_s(self) -> float:
         """From the beginning of the first epoch to the commit of the last."""
@@ -219,20 +278,33 @@ class Pacemaker:
 class Log:
     """A file as a stream of msgpack arrays.
 
+    Args:
+        path: of the file.
+        append: go on behind what is there, but for an entry that was cut off.
+
     Raises:
         HieraxError: it cannot be written, now or later.
     """
 
-    def __init__(self, path: Path) -> None:
+    def __init__(self, path: Path, append: bool = False) -> None:
         self._path = path
         with self._mapped():
             path.parent.mkdir(parents=True, exist_ok=True)
-            self._file: BinaryIO = path.open("wb")
+            if append and path.exists():
+                os.truncate(path, _whole_bytes(path))
+            self._file: BinaryIO = path.open("ab" if append else "wb")
 
     def write(self, *fields: int | bytes) -> None:
         """Append an array."""
         try:  # not `_mapped`, as this runs in every epoch
             self._file.write(msgpack.packb(fields))
+        except OSError as error:
+            raise self._error(error) from error
+
+    def flush(self) -> None:
+        """Give what is buffered to the system: then it outlives the process."""
+        try:
+            self._file.flush()
         except OSError as error:
             raise self._error(error) from error
 
@@ -250,3 +322,16 @@ class Log:
 
     def _error(self, error: OSError) -> HieraxError:
         return HieraxError(f"{self._path}: cannot be written: {error.strerror or error}")
+
+
+def _whole_bytes(path: Path) -> int:
+    """Up to where a stream of msgpack arrays holds whole ones."""
+    with path.open("rb") as file:
+        unpacker = msgpack.Unpacker(file, max_buffer_size=MAX_MESSAGE_BYTES)
+        whole = 0
+        try:
+            while True:
+                unpacker.skip()
+                whole = unpacker.tell()
+        except (msgpack.OutOfData, ValueError):
+            return whole

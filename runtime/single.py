@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Awaitable, Callable, Mapping
+from collections.abc import Awaitable, Callable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -10,14 +10,22 @@ import anyio
 
 from hierax.runtime.core.binding import Setting
 from hierax.runtime.core.errors import HieraxError
-from hierax.runtime.core.hierarchy import Hierarchy
 from hierax.runtime.deployment import Deployment
-from hierax.runtime.engine.engine import DigestChain, Engine, Place
+from hierax.runtime.engine.engine import DigestChain
+from hierax.runtime.engine.outlet import Committed, Saved
+from hierax.runtime.free import run_freely
 from hierax.runtime.files import DIGESTS, open_probes, state_log, write_roster
 from hierax.runtime.loading import build_hierarchy
+from hierax.runtime.member import taken_over
+from hierax.runtime.node_loader import NodeLoader
+from hierax.runtime.owner.changes import ChangeError, apply
 from hierax.runtime.report import Report, make_report
 from hierax.runtime.runner import Log, NodeRunner, Pacemaker
 from hierax.runtime.transport.memory import MemoryNetwork
+from hierax.schemas.changes import Change, Replace
+
+Schedule = Sequence[tuple[int, Change]]
+"""Changes of the roster, and the first epoch under each."""
 
 
 def run(
@@ -27,6 +35,7 @@ def run(
     seed: int,
     output: Path | None = None,
     progress: Callable[[int], None] | None = None,
+    schedule: Schedule = (),
 ) -> Report:
     """Run a deployment in this process.
 
@@ -36,12 +45,13 @@ def run(
         seed: of all random numbers, and of the order in which messages are delivered.
         output: folder for the states, digests and what probes write; None: nothing is written.
         progress: told the number of each epoch that is committed.
+        schedule: what changes when, in order.
 
     Raises:
-        HieraxError: a node cannot be loaded or failed.
+        HieraxError: a node cannot be loaded or failed, or a change is refused.
     """
-    hierarchy = build_hierarchy(deployment.roster, Setting(seed, _wait))
-    network = MemoryNetwork(seed)
+    if output is not None:
+        write_roster(output, deployment.roster)
     digests = None if output is None else Log(output / DIGESTS)
 
     def on_commit(epoch: int, digest: bytes) -> None:
@@ -50,20 +60,18 @@ def run(
         if progress is not None:
             progress(epoch)
 
-    limit = deployment.epochs if epochs is None else epochs
     chain = DigestChain(deployment.roster.content_hash())
-    pacemaker = Pacemaker(chain, limit, on_commit)
-    if output is not None:
-        write_roster(output, deployment.roster)
-    runners = _runners(deployment, hierarchy, network, pacemaker, output)
+    pacemaker = Pacemaker(chain, deployment.epochs if epochs is None else epochs, on_commit)
+    nodes = _Nodes(deployment, seed, pacemaker, output, schedule)
     try:
-        _deliver_all(runners, hierarchy.world, network)
+        if deployment.staleness.free:
+            run_freely(nodes.runners, deployment, seed, pacemaker)
+        else:
+            nodes.deliver_all()
     finally:
-        for runner in runners.values():
-            runner.close()
+        nodes.close()
         if digests is not None:
             digests.close()
-    nodes = {name: runner.report() for name, runner in runners.items()}
     return make_report(
         deployment.name,
         "run",
@@ -72,42 +80,119 @@ def run(
         chain.digest,
         pacemaker.wall_s,
         pacemaker.epochs_s,
-        nodes,
+        {name: runner.report() for name, runner in sorted(nodes.runners.items())},
         output,
     )
 
 
-def _runners(
-    deployment: Deployment,
-    hierarchy: Hierarchy,
-    network: MemoryNetwork,
-    pacemaker: Pacemaker,
-    output: Path | None,
-) -> Mapping[str, NodeRunner]:
-    roster = deployment.roster
-    place = Place.of(roster)
-    edges = tuple(hierarchy.bound_edges.values())
-    return {
-        name: NodeRunner(
-            Engine(bound, edges, place),
-            network.open_port(name),
-            open_probes(deployment.probes, name, output),
-            state_log(output, name),
-            pacemaker if name == hierarchy.world else None,
-        )
-        for name, bound in hierarchy.bound.items()
-    }
+class _WorldRunner(NodeRunner):
+    """The world's runner: before an epoch begins, the roster may change.
+
+    Attributes:
+        due: the epochs before which it does.
+        change: makes it do so.
+    """
+
+    due: Sequence[int] = ()
+    change: Callable[[int], None]
+
+    def _begin_next(self, pacemaker: Pacemaker) -> None:
+        epoch = self.engine.epoch + 1
+        if epoch in self.due:
+            self.change(epoch)
+        super()._begin_next(pacemaker)
+
+    def drain(self, drains: bool) -> None:
+        super().drain(drains or self.engine.epoch + 2 in self.due)
 
 
-def _deliver_all(runners: Mapping[str, NodeRunner], world: str, network: MemoryNetwork) -> None:
-    runners[world].start()
-    while (name := network.next_receiver()) is not None:
-        message = runners[name].port.receive()
-        if message is not None:
-            runners[name].step(message)
-    waiting = {name: runner.engine.waits_for for name, runner in runners.items()}
-    if runners[world].engine.waits_for:
-        raise HieraxError(f"nothing is under way any more, but nodes wait: {waiting}")
+class _Nodes:
+    """The runners of all nodes, and the network between them."""
+
+    def __init__(
+        self, deployment: Deployment, seed: int, pacemaker: Pacemaker, output: Path | None, schedule: Schedule
+    ) -> None:
+        self._deployment = deployment
+        self._setting = Setting(seed, _wait)
+        self._pacemaker = pacemaker
+        self._output = output
+        self._schedule = list(schedule)
+        self._roster = deployment.roster
+        self._world = deployment.roster.world
+        self._network = MemoryNetwork(seed)
+        build_hierarchy(self._roster, self._setting)  # that it is one, and what is wrong with the first node that is
+        self._loaders = {name: NodeLoader(name, self._setting) for name in self._roster.nodes}
+        self.runners: dict[str, NodeRunner] = {}
+        for name in sorted(self._roster.nodes):
+            self.runners[name] = self._runner(name)
+            self.runners[name].wire(self._loaders[name].wiring(self._roster))
+
+    def deliver_all(self) -> None:
+        """Run until nothing is under way any more."""
+        runners, network = self.runners, self._network
+        runners[self._world].start()
+        while (name := network.next_receiver()) is not None:
+            message = runners[name].port.receive()
+            if message is not None:
+                runners[name].step(message)
+        if not self._pacemaker.done:
+            waiting = {name: runner.engine.waits_for for name, runner in runners.items()}
+            raise HieraxError(f"nothing is under way any more, but nodes wait: {waiting}")
+
+    def close(self) -> None:
+        """Close all probes and logs."""
+        for runner in self.runners.values():
+            runner.close()
+
+    def _runner(self, name: str, append: bool = False) -> NodeRunner:
+        port = self._network.open_port(name)
+        probes = open_probes(self._deployment.probes, name, self._output, append)
+        states = state_log(self._output, name, append)
+        runner = NodeRunner(None, port, probes, states)
+        if name == self._world:
+            runner = _WorldRunner(None, port, probes, states, self._pacemaker)
+            runner.due = [epoch for epoch, _ in self._schedule]
+            runner.change = self._change
+        runner.staleness = self._deployment.staleness
+        return runner
+
+    def _change(self, epoch: int) -> None:
+        while self._schedule and self._schedule[0][0] <= epoch:
+            self._apply(epoch, self._schedule.pop(0)[1])
+
+    def _apply(self, epoch: int, change: Change) -> None:
+        """Every node is done with the last epoch, so that nothing is under way."""
+        old, version = self._roster, self._roster.version + 1
+        roster = self._roster = apply(old, change, version, lambda _: version)
+        for name in sorted(old.nodes.keys() - roster.nodes.keys()):
+            self._close(name)
+        for name in sorted(roster.nodes):
+            if roster.instance(name) == version:
+                self._come(name, epoch, isinstance(change, Replace))
+            else:
+                self.runners[name].engine.prepare(self._loaders[name].wiring(roster))
+        self.runners[self._world].engine.rewire(version)
+        self._pacemaker.chain.roster_hash = roster.content_hash()
+
+    def _come(self, name: str, epoch: int, replaces: bool) -> None:
+        """A node is attached, or takes the place of another."""
+        loader = self._loaders[name] = NodeLoader(name, self._setting)
+        wiring = loader.wiring(self._roster)
+        saved: Saved | None = None
+        if replaces:
+            try:
+                state = taken_over(wiring.node, self.runners[name].engine.encoded)
+            except HieraxError as error:
+                raise ChangeError(f"cannot replace {name!r}: {error}") from error
+            saved = Saved(epoch - 1, 0, state, state)
+            self._close(name)
+        self.runners[name] = self._runner(name, append=replaces)
+        self.runners[name].wire(wiring, saved, joins=saved is None)
+
+    def _close(self, name: str) -> None:
+        runner = self.runners.pop(name)
+        runner.close()
+        runner.port.close()
 
 
 def _wait(awaitable: Awaitable[Any]) -> Any:

@@ -19,13 +19,14 @@ them in place and aligned.
 from __future__ import annotations
 
 import struct
+from functools import lru_cache
 from math import prod
 from typing import Any
 
 import numpy as np
 
 from hierax.schemas.errors import SchemaError
-from hierax.schemas.limits import MAX_ARRAY_BYTES, MAX_ARRAY_NDIM
+from hierax.schemas.limits import LARGE_ARRAY_BYTES, MAX_ARRAY_BYTES, MAX_ARRAY_NDIM
 
 ARRAY = 1
 """Extension code of an array given in place."""
@@ -34,7 +35,9 @@ ALIGNMENT = 16
 
 _CODES = ("|b1", "|i1", "|u1", "<i2", "<u2", "<i4", "<u4", "<i8", "<u8", "<f2", "<f4", "<f8", "<c8", "<c16")
 _DTYPES = {code: np.dtype(code) for code in _CODES}
-_BOOL = np.dtype(bool)
+_BOOL = _DTYPES["|b1"]
+_LITTLE_NUMBERS = {dtype: code for code, dtype in _DTYPES.items() if dtype != _BOOL}
+_KEPT_HEADS = 256
 _FIXED = struct.Struct("<BBH")
 
 
@@ -67,11 +70,7 @@ def array_head(array: np.ndarray[Any, Any], offset: int = 0) -> bytes:
         SchemaError: see `check_array`.
     """
     check_array(array)
-    name = _code(array).encode("ascii")
-    bare = _FIXED.size + len(name) + 8 * array.ndim
-    padding = -(offset + bare) % ALIGNMENT
-    shape = struct.pack(f"<{array.ndim}Q", *array.shape)
-    return b"".join((_FIXED.pack(array.ndim, len(name), padding), name, shape, bytes(padding)))
+    return _head(_code(array), array.shape, offset)
 
 
 def array_elements(array: np.ndarray[Any, Any]) -> memoryview:
@@ -82,7 +81,19 @@ def array_elements(array: np.ndarray[Any, Any]) -> memoryview:
 
 
 def encode_array(array: np.ndarray[Any, Any]) -> bytes:
-    """The data of extension `ARRAY`: head and elements."""
+    """The data of extension `ARRAY`: head and elements.
+
+    Raises:
+        SchemaError: see `check_array`.
+    """
+    code = _LITTLE_NUMBERS.get(array.dtype)
+    if (
+        code is not None
+        and type(array) is np.ndarray
+        and array.nbytes < LARGE_ARRAY_BYTES
+        and array.ndim <= MAX_ARRAY_NDIM
+    ):  # nothing else to check, and a copy takes less than a view
+        return _kept_head(code, array.shape) + array.tobytes()
     return b"".join((array_head(array), array_elements(array)))
 
 
@@ -105,26 +116,54 @@ def decode_array(data: bytes | memoryview, where: str = "array") -> np.ndarray[A
     start = shape_at + 8 * ndim + padding
     if padding >= ALIGNMENT or start > len(data):
         raise SchemaError("the array's head is cut off or its padding is wrong", where)
-    code = bytes(data[_FIXED.size : shape_at]).decode("ascii", "replace")
-    dtype = _DTYPES.get(code)
+    dtype, shape, size = _layout(bytes(data[: start - padding]))
     if dtype is None:
+        code = bytes(data[_FIXED.size : shape_at]).decode("ascii", "replace")
         raise SchemaError(f"unknown dtype {code!r}; expected one of {', '.join(_DTYPES)}", where)
-    shape = struct.unpack_from(f"<{ndim}Q", data, shape_at)
-    if prod(shape) * dtype.itemsize != len(data) - start:
-        raise SchemaError(
-            f"shape {shape} of {code} wants {prod(shape) * dtype.itemsize} bytes, {len(data) - start} are there",
-            where,
-        )
+    if size != len(data) - start:
+        raise SchemaError(f"shape {shape} of {dtype.str} wants {size} bytes, {len(data) - start} are there", where)
     try:
-        array = np.frombuffer(data, dtype, offset=start, count=prod(shape)).reshape(shape)
+        array = _view(data, dtype, shape, start)
     except (ValueError, OverflowError) as error:  # a shape with a zero and numbers past what numpy counts
-        raise SchemaError(f"shape {shape} of {code} is no array: {error}", where) from error
-    if dtype == _BOOL and _is_bad_bool(array):
+        raise SchemaError(f"shape {shape} of {dtype.str} is no array: {error}", where) from error
+    if dtype is _BOOL and _is_bad_bool(array):
         raise SchemaError("a bool array holds bytes other than 0 and 1", where)
     if not array.flags.aligned:  # a foreign sender's padding, or data that begins anywhere
         array = array.copy()
-    array.flags.writeable = False
+    if array.flags.writeable:
+        array.flags.writeable = False
     return array
+
+
+def _view(data: bytes | memoryview, dtype: np.dtype[Any], shape: tuple[int, ...], start: int) -> np.ndarray[Any, Any]:
+    if type(data) is bytes:
+        array: np.ndarray[Any, Any] = np.ndarray(shape, dtype, data, start)
+        return array
+    # a constructed array would not keep other memory than that of bytes from being given back
+    return np.frombuffer(data, dtype, offset=start, count=prod(shape)).reshape(shape)
+
+
+def _head(code: str, shape: tuple[int, ...], offset: int) -> bytes:
+    bare = _FIXED.size + len(code) + 8 * len(shape)
+    padding = -(offset + bare) % ALIGNMENT
+    sizes = struct.pack(f"<{len(shape)}Q", *shape)
+    return b"".join((_FIXED.pack(len(shape), len(code), padding), code.encode("ascii"), sizes, bytes(padding)))
+
+
+@lru_cache(_KEPT_HEADS)
+def _kept_head(code: str, shape: tuple[int, ...]) -> bytes:
+    """A head at offset 0: one node's arrays look alike from message to message."""
+    return _head(code, shape, 0)
+
+
+@lru_cache(_KEPT_HEADS)
+def _layout(head: bytes) -> tuple[np.dtype[Any] | None, tuple[int, ...], int]:
+    """Dtype (None if unknown), shape and bytes of the elements, from a head without its padding."""
+    ndim, name_length, _ = _FIXED.unpack_from(head)
+    shape_at = _FIXED.size + name_length
+    dtype = _DTYPES.get(head[_FIXED.size : shape_at].decode("ascii", "replace"))
+    shape = struct.unpack_from(f"<{ndim}Q", head, shape_at)
+    return dtype, shape, 0 if dtype is None else prod(shape) * dtype.itemsize
 
 
 def _code(array: np.ndarray[Any, Any]) -> str:

@@ -53,9 +53,9 @@ class Keys:
         """The liveliness token of an instance of a node."""
         return f"{self.root}/alive/{name}/{instance}"
 
-    def control(self, name: str) -> str:
-        """Where a process answers control queries."""
-        return f"{self.root}/control/{name}"
+    def control(self, address: str) -> str:
+        """Where a process, by its token, or the roster's owner is told something."""
+        return f"{self.root}/control/{address}"
 
     @property
     def epochs(self) -> str:

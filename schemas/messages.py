@@ -67,6 +67,9 @@ _TYPE_NAMES = {
     dict: "a map",
     tuple: "an array of elements",
 }
+_new = tuple.__new__
+_FIELD_COUNT = len(_FIELDS)
+_KIND_COUNT = len(KINDS)
 _NAMES = tuple(name for name, _ in _FIELDS)
 _FIXARRAY = bytes([0x90 | len(_FIELDS)])
 _ARRAY16 = struct.Struct(">BH")
@@ -115,9 +118,9 @@ def encode_message(message: Message) -> bytes:
     Raises:
         SchemaError: the payload holds something that cannot travel.
     """
-    header, payload = message
-    fields = (FORMAT, _KIND_CODES[header[0]], *header[1:], payload)
-    extensions = header[9]
+    (kind, sender, receiver, epoch, attempt, roster, instance, time_s, digest, extensions), payload = message
+    code = _KIND_CODES[kind]
+    fields = (FORMAT, code, sender, receiver, epoch, attempt, roster, instance, time_s, digest, extensions, payload)
     if not is_sound(payload, 1) or (extensions and not is_sound(extensions, 1)):
         raise fault(fields, "message", _NAMES)
     try:
@@ -159,7 +162,7 @@ def decode_message(data: bytes) -> Message:
         fields = _split_tail(data)
     else:
         raise SchemaError(f"does not begin like a message: {data[:4].hex() or 'empty'}", "message")
-    return Message(_header(fields), fields[-1])
+    return _message(fields)
 
 
 class _Tail:
@@ -236,37 +239,54 @@ def _tail_arrays(view: memoryview, offset: int, count: int) -> list[np.ndarray[A
     return arrays
 
 
-def _header(fields: Any) -> Header:
-    if type(fields) is not tuple or len(fields) != len(_FIELDS):
-        raise SchemaError(f"expected an array of {len(_FIELDS)} fields", "message")
+def _message(fields: Any) -> Message:
+    if type(fields) is not tuple or len(fields) != _FIELD_COUNT:
+        raise SchemaError(f"expected an array of {_FIELD_COUNT} fields", "message")
     form, kind, sender, receiver, epoch, attempt, roster, instance, time_s, digest, extensions, payload = fields
     if not (
-        type(form) is type(kind) is type(epoch) is type(attempt) is type(roster) is type(instance) is int
-        and type(sender) is type(receiver) is str
+        type(form) is int
+        and type(kind) is int
+        and type(sender) is str
+        and type(receiver) is str
+        and type(epoch) is int
+        and type(attempt) is int
+        and type(roster) is int
+        and type(instance) is int
         and type(time_s) is float
         and type(digest) is bytes
         and type(extensions) is dict
         and type(payload) is tuple
+        and form == FORMAT
+        and 0 <= kind < _KIND_COUNT
+        and 0 < len(sender) <= MAX_NAME_CHARS
+        and 0 < len(receiver) <= MAX_NAME_CHARS
+        and epoch >= 0
+        and attempt >= 0
+        and roster >= 0
+        and instance >= 0
+        and (not digest or len(digest) == DIGEST_BYTES)
+        and (not extensions or len(extensions) <= MAX_EXTENSIONS)
     ):
-        raise _wrong_type(fields)
+        raise _wrong_field(fields)
+    # the named tuples' own constructors take twice as long
+    header = _new(Header, (KINDS[kind], sender, receiver, epoch, attempt, roster, instance, time_s, digest, extensions))
+    return _new(Message, (header, payload))
+
+
+def _wrong_field(fields: tuple[Value, ...]) -> SchemaError:
+    """What is wrong with fields that make no message."""
+    for (name, expected), field in zip(_FIELDS, fields, strict=True):
+        if type(field) is not expected:
+            return SchemaError(f"expected {_TYPE_NAMES[expected]}, got {shown(field)}", f"message.{name}")
+    form, kind, sender, receiver, epoch, attempt, roster, instance, _, digest, extensions, _ = fields
     if form != FORMAT:
-        raise SchemaError(f"format {form}; this version reads format {FORMAT}", "message.format")
-    if not 0 <= kind < len(KINDS):
-        raise SchemaError(f"unknown kind {kind}; expected 0 to {len(KINDS) - 1}", "message.kind")
+        return SchemaError(f"format {form}; this version reads format {FORMAT}", "message.format")
+    if not 0 <= kind < _KIND_COUNT:
+        return SchemaError(f"unknown kind {kind}; expected 0 to {_KIND_COUNT - 1}", "message.kind")
     if not (0 < len(sender) <= MAX_NAME_CHARS and 0 < len(receiver) <= MAX_NAME_CHARS):
-        raise SchemaError(f"expected names of 1 to {MAX_NAME_CHARS} characters", "message.sender, message.receiver")
-    if epoch < 0 or attempt < 0 or roster < 0 or instance < 0:
-        raise SchemaError("expected whole numbers from 0", "message.epoch, .attempt, .roster, .instance")
+        return SchemaError(f"expected names of 1 to {MAX_NAME_CHARS} characters", "message.sender, message.receiver")
+    if min(epoch, attempt, roster, instance) < 0:
+        return SchemaError("expected whole numbers from 0", "message.epoch, .attempt, .roster, .instance")
     if len(digest) not in (0, DIGEST_BYTES):
-        raise SchemaError(f"expected no or {DIGEST_BYTES} bytes, got {len(digest)}", "message.digest")
-    if len(extensions) > MAX_EXTENSIONS:
-        raise SchemaError(f"expected at most {MAX_EXTENSIONS} entries, got {len(extensions)}", "message.extensions")
-    return Header(KINDS[kind], sender, receiver, epoch, attempt, roster, instance, time_s, digest, extensions)
-
-
-def _wrong_type(fields: tuple[Value, ...]) -> SchemaError:
-    wrong = (
-        (name, kind, field) for (name, kind), field in zip(_FIELDS, fields, strict=True) if type(field) is not kind
-    )
-    name, kind, field = next(wrong)
-    return SchemaError(f"expected {_TYPE_NAMES[kind]}, got {shown(field)}", f"message.{name}")
+        return SchemaError(f"expected no or {DIGEST_BYTES} bytes, got {len(digest)}", "message.digest")
+    return SchemaError(f"expected at most {MAX_EXTENSIONS} entries, got {len(extensions)}", "message.extensions")

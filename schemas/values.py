@@ -28,9 +28,13 @@ _PRESCAN_BYTES = 1024
 _PATH_CHARS = 200
 _KEPT_BYTES = 1 << 16
 _SURE = frozenset({NoneType, bool, float, bytes})
-_NO_CONTAINERS = bytes(byte for byte in range(256) if not (0x80 <= byte <= 0x9F or 0xDC <= byte <= 0xDF))
-_STAMP = b"\xff"
+_CONTAINER = 1
+_MARKS = bytes(_CONTAINER * (0x80 <= byte <= 0x9F or 0xDC <= byte <= 0xDF) for byte in range(256))
+_STAMP = 0xFF
 _LEAVES = _SURE | {int, str, np.ndarray}
+_NOTHING = ()
+
+_unpackb = msgpack.unpackb
 
 
 class Packers:
@@ -42,15 +46,11 @@ class Packers:
 
     def __init__(self, default: Callable[[Any], Any]) -> None:
         self._default = default
-        self._idle: list[Any] = []
+        self.idle: list[Any] = []
 
-    def pack(self, value: Value) -> bytes:
-        """Pack a value; any thread may call it, also while another one does."""
-        packer = self._idle.pop() if self._idle else msgpack.Packer(default=self._default)
-        packed: bytes = packer.pack(value)
-        if len(packed) <= _KEPT_BYTES:  # its buffer stays as large as the largest value was
-            self._idle.append(packer)
-        return packed
+    def new(self) -> Any:
+        """A packer, to be put among the idle ones after use."""
+        return msgpack.Packer(default=self._default)
 
 
 def encode_value(value: Value) -> bytes:
@@ -85,12 +85,20 @@ def pack(value: Value, packers: Packers, where: str = "value", names: Names = ()
     Raises:
         SchemaError: something cannot travel; it says where and what.
     """
+    idle = packers.idle
     try:
-        packed = packers.pack(value)
+        packer = idle.pop()
+    except IndexError:  # asking first would be too early: other threads take packers, too
+        packer = packers.new()
+    try:
+        packed: bytes = packer.pack(value)
     except SchemaError as error:
         raise fault(value, where, names, _SURE, error.what) from error
     except (TypeError, ValueError, OverflowError, RecursionError) as error:
         raise fault(value, where, names, _SURE, f"cannot be sent: {error}") from error
+    if len(packed) <= _KEPT_BYTES:  # a packer's buffer stays as large as its largest value was
+        idle.append(packer)
+        return packed
     if len(packed) > MAX_MESSAGE_BYTES:
         raise SchemaError(f"has {len(packed)} bytes; at most {MAX_MESSAGE_BYTES} are allowed", where)
     if len(packed) > MAX_CONTAINERS and _containers(value) > MAX_CONTAINERS:
@@ -110,19 +118,24 @@ def unpack(data: bytes | memoryview, ext_hook: ExtHook, where: str, names: Names
     Raises:
         SchemaError: the bytes are not exactly one value.
     """
-    if len(data) > MAX_MESSAGE_BYTES:
-        raise SchemaError(f"{len(data)} bytes; at most {MAX_MESSAGE_BYTES} are allowed", where)
-    data = bytes(data)
+    size = len(data)
+    if size > MAX_MESSAGE_BYTES:
+        raise SchemaError(f"{size} bytes; at most {MAX_MESSAGE_BYTES} are allowed", where)
+    if type(data) is not bytes:
+        data = bytes(data)
     try:
-        if len(data) <= _PRESCAN_BYTES:
-            value = msgpack.unpackb(data, use_list=False, ext_hook=ext_hook, object_pairs_hook=_mapping)
+        if size <= _PRESCAN_BYTES:
+            value = _unpackb(data, use_list=False, ext_hook=ext_hook, object_pairs_hook=_mapping)
         else:
             value = _unpack_large(data, ext_hook)
     except SchemaError as error:
         raise SchemaError(error.what, f"{where}: {error.where}" if error.where else where) from error
     except (ValueError, TypeError, OverflowError, msgpack.exceptions.UnpackException) as error:
         raise SchemaError(f"not one msgpack value: {str(error) or type(error).__name__}", where) from error
-    if not _looks_sound(data) and not is_sound(value, 0):
+    # A time stamp, extension type -1, has the byte 255 somewhere, and deep nesting takes many
+    # containers. Either may be there for a better reason: then a second look tells.
+    suspect = _STAMP in data or (size > MAX_DEPTH and data.translate(_MARKS).count(_CONTAINER) > MAX_DEPTH)
+    if suspect and not is_sound(value, 0):
         raise fault(value, where, names)
     return value
 
@@ -185,6 +198,12 @@ def read_extension(code: int, data: bytes) -> Value:
 
 
 def _mapping(pairs: list[tuple[Any, Any]]) -> dict[str, Any]:
+    if not pairs:  # the extensions of nearly every header
+        return {}
+    if len(pairs) == 1:  # a small payload
+        key, value = pairs[0]
+        if type(key) is str:
+            return {key: value}
     result = dict(pairs)
     if len(result) != len(pairs):
         raise SchemaError("a map holds a key twice")
@@ -214,21 +233,40 @@ class _Hooks:
             raise SchemaError(f"more than {MAX_CONTAINERS} arrays and maps")
 
 
-def _looks_sound(data: bytes) -> bool:
-    """Whether bytes that msgpack could read need no second look.
-
-    A time stamp has the byte 255, extension type -1, somewhere; deep nesting takes many
-    containers. Either may be there for a better reason: then a second look tells.
-    """
-    return _STAMP not in data and len(data.translate(None, _NO_CONTAINERS)) <= MAX_DEPTH
-
-
 def is_sound(value: Any, depth: int) -> bool:
-    """What msgpack lets through and we don't, in either direction; `_flaw` says what. Runs for every message."""
+    """What msgpack lets through and we don't, in either direction; `_flaw` says what.
+
+    Runs for every message and state: maps are looked into from where they stand, as a call takes longer.
+    """
+    kind = type(value)
+    if kind is tuple or kind is list:
+        parts: Collection[Any] = value
+    elif kind is dict and _are_keys(value):
+        parts = value.values()
+    else:
+        return _is_other_sound(value, depth)
+    if depth >= MAX_DEPTH or len(parts) > MAX_ITEMS:
+        return _is_other_sound(value, depth)
+    for part in parts:
+        kind = type(part)
+        if kind in _LEAVES or part is _NOTHING:
+            continue
+        if kind is dict and len(part) <= MAX_ITEMS:
+            for key, entry in part.items():
+                if type(key) is not str and not isinstance(key, str):
+                    return False
+                if type(entry) not in _LEAVES and not is_sound(entry, depth + 2):
+                    return False
+        elif not is_sound(part, depth + 1):
+            return False
+    return True
+
+
+def _is_other_sound(value: Any, depth: int) -> bool:
+    """The same for a value of any type, at any depth; what it holds is looked at in the quick way again."""
     if isinstance(value, dict):
-        for key in value:
-            if type(key) is not str and not isinstance(key, str):
-                return False
+        if not _are_keys(value):
+            return False
         parts: Collection[Any] = value.values()
     elif isinstance(value, (tuple, list)) and not isinstance(value, msgpack.ExtType):
         parts = value
@@ -236,8 +274,12 @@ def is_sound(value: Any, depth: int) -> bool:
         return not isinstance(value, (msgpack.Timestamp, msgpack.ExtType))
     if depth > MAX_DEPTH or len(parts) > MAX_ITEMS:
         return False
-    for part in parts:  # noqa: SIM110 - a loop takes half the time of all()
-        if type(part) not in _LEAVES and not is_sound(part, depth + 1):
+    return all(type(part) in _LEAVES or is_sound(part, depth + 1) for part in parts)
+
+
+def _are_keys(names: Collection[Any]) -> bool:
+    for name in names:  # noqa: SIM110 - a loop takes half the time of all()
+        if type(name) is not str and not isinstance(name, str):
             return False
     return True
 

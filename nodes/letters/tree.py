@@ -17,6 +17,7 @@ from collections.abc import Mapping, Sequence
 from hierax.nodes.letters.messages import Weights, product, uniform, weights
 from hierax.nodes.letters.words import check_words, letters_at, letters_given_word, words_given_letter
 from hierax.runtime import NO_TICK, Elements, Node, Tick, Value, World
+from hierax.runtime.core.node import structural_difference
 
 UNKNOWN = "?"
 """In a string of letters, the one of which the sign tells nothing."""
@@ -165,6 +166,20 @@ class WordNode(Node):
         """
         reported = {seen["from"]: seen["likelihood"] for seen in observations}
         return self._belief({**belief["diagnostic"], **reported})
+
+    def take_over(self, belief: Value) -> Value:
+        """What the letter nodes have reported to another word node, under this one's prior.
+
+        Raises:
+            ValueError: it is no belief over these words.
+            ImpossibleEvidenceError: the reports leave no word that has a prior.
+        """
+        parts = belief.get("diagnostic") if isinstance(belief, dict) else None
+        reported = parts if isinstance(parts, dict) else {}
+        difference = structural_difference(self._belief(dict.fromkeys(reported, uniform(self.names))), belief)
+        if difference:
+            raise ValueError(difference)
+        return self._belief(reported)
 
     def metrics(self, belief: Value) -> Mapping[str, float]:
         """The posterior, by word."""

@@ -9,7 +9,9 @@ A scene is ``DATASET/SPLIT/000001`` with ``scene_camera.json``, ``scene_gt.json`
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping, Sequence
+from collections import deque
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from types import TracebackType
 from typing import Any, NamedTuple
@@ -30,6 +32,8 @@ _IMAGE_FOLDERS = ("rgb", "gray")
 _IMAGE_SUFFIXES = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".pgm", ".ppm", ".bmp")
 _ROTATION_TOLERANCE = 1e-2
 
+_FRAMES_AGAIN = 16
+"""How many of its last frames a results file can take back."""
 
 _TRAILING_BYTES = 1024
 """Some cameras write a little behind an image's end."""
@@ -159,23 +163,37 @@ class ResultsFile:
     """Writes a BOP results file: ``scene_id,im_id,obj_id,score,R,t,time``, one pose a line, after that header.
 
     R is nine numbers, row by row, and t three in millimetres, separated by spaces; time is
-    the image's in seconds, -1 where it is not known. Lines are on disk when `write`
-    returns. An object that is lost has no line in that frame.
+    the image's in seconds, -1 where it is not known. An object that is lost has no line in
+    that frame. A frame's lines are given to the system at once, and before `write` returns,
+    so that they outlive the process.
+
+    A frame that is written again takes the place of its earlier lines and of all behind
+    them: whoever tells a frame again tells those after it again, too.
 
     Args:
         path: the file; its folder is created.
         scene_id: the scene's number.
+        again: go on behind what another process has left there; a line that it did not
+            finish is cut off. Else, or where there is no such file, one is begun.
+
+    Raises:
+        DataError: the file cannot be written, now or later, or what is there is no results file.
     """
 
-    def __init__(self, path: str | Path, scene_id: int) -> None:
+    def __init__(self, path: str | Path, scene_id: int, again: bool = False) -> None:
         self.path = Path(path)
         self._scene_id = scene_id
-        try:
+        with self._mapped():
             self.path.parent.mkdir(parents=True, exist_ok=True)
-            self._file = self.path.open("w", encoding="ascii", newline="\n")
-        except OSError as error:
-            raise DataError(f"{self.path}: cannot be written: {error.strerror}") from error
-        self._file.write(RESULTS_HEADER + "\n")
+            written = self.path.read_bytes() if again and self.path.is_file() else b""
+        self._end = written.rfind(b"\n") + 1
+        self._begins = _last_frames(self.path, written[: self._end])
+        with self._mapped():
+            self._file = self.path.open("ab" if self._end else "wb", buffering=0)
+            if 0 < self._end < len(written):
+                self._cut(self._end)
+            if not self._end:
+                self._append(f"{RESULTS_HEADER}\n".encode("ascii"))
 
     def write(self, im_id: int, objects: Sequence[Mapping[str, Any]], time_s: float = -1.0) -> None:
         """One image's poses.
@@ -184,16 +202,15 @@ class ResultsFile:
             im_id: the image's number.
             objects: with "obj_id", "pose" (camera_from_object, metres), "score" and "status".
             time_s: how long the image took.
+
+        Raises:
+            DataError: the file cannot be written.
         """
-        for item in objects:
-            if item["status"] == "lost":
-                continue
-            pose = item["pose"]
-            rotation = " ".join(repr(float(part)) for part in pose[:3, :3].ravel())
-            translation = " ".join(repr(float(part) / BOP_UNIT_M) for part in pose[:3, 3])
-            head = f"{self._scene_id},{im_id},{item['obj_id']},{float(item['score'])!r}"
-            self._file.write(f"{head},{rotation},{translation},{time_s!r}\n")
-        self._file.flush()
+        lines = [self._line(im_id, item, time_s) for item in objects if item["status"] != "lost"]
+        with self._mapped():
+            self._go_back(im_id)
+            self._begins.append((im_id, self._end))
+            self._append("".join(lines).encode("ascii"))
 
     def close(self) -> None:
         """End the file."""
@@ -206,6 +223,66 @@ class ResultsFile:
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         self.close()
+
+    def _line(self, im_id: int, item: Mapping[str, Any], time_s: float) -> str:
+        pose = item["pose"]
+        rotation = " ".join(repr(float(part)) for part in pose[:3, :3].ravel())
+        translation = " ".join(repr(float(part) / BOP_UNIT_M) for part in pose[:3, 3])
+        head = f"{self._scene_id},{im_id},{item['obj_id']},{float(item['score'])!r}"
+        return f"{head},{rotation},{translation},{time_s!r}\n"
+
+    def _go_back(self, im_id: int) -> None:
+        if all(frame != im_id for frame, _ in self._begins):
+            return
+        frame, begin = self._begins.pop()
+        while frame != im_id:
+            frame, begin = self._begins.pop()
+        self._cut(begin)
+
+    def _cut(self, end: int) -> None:
+        self._file.truncate(end)
+        self._file.seek(end)
+        self._end = end
+
+    def _append(self, lines: bytes) -> None:
+        rest = memoryview(lines)
+        try:
+            while rest:
+                rest = rest[self._file.write(rest) :]
+        except OSError:
+            self._cut(self._end)  # no half line is left for readers
+            raise
+        self._end += len(lines)
+
+    @contextmanager
+    def _mapped(self) -> Iterator[None]:
+        try:
+            yield
+        except OSError as error:
+            raise DataError(f"{self.path}: cannot be written: {error.strerror}") from error
+
+
+def _last_frames(path: Path, lines: bytes) -> deque[tuple[int, int]]:
+    """Of a results file's last frames the number, and the offset in bytes at which each begins."""
+    begins: deque[tuple[int, int]] = deque(maxlen=_FRAMES_AGAIN)
+    offset = 0
+    for number, line in enumerate(lines.splitlines(keepends=True), start=1):
+        try:
+            im_id = _frame_of(line, number == 1)
+        except (ValueError, IndexError) as error:
+            raise DataError(f"{path}, line {number}: expected {RESULTS_HEADER}") from error
+        if im_id is not None and (not begins or begins[-1][0] != im_id):
+            begins.append((im_id, offset))
+        offset += len(line)
+    return begins
+
+
+def _frame_of(line: bytes, first: bool) -> int | None:
+    if not first:
+        return int(line.split(b",")[1])
+    if line.rstrip() != RESULTS_HEADER.encode("ascii"):
+        raise ValueError(line)
+    return None
 
 
 class Result(NamedTuple):

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import os
+import re
 from collections.abc import Sequence
 from pathlib import Path
+from typing import NamedTuple
 
 import cv2
 import numpy as np
@@ -32,12 +35,17 @@ _SHIFT = 4
 _SHEET_COLUMNS = 3
 _SHEET_PICTURES = 9
 _SHEET_WIDTH_PX = 480
+_PICTURE = re.compile(r"frame-(\d{6,})\.png")
+_UNFINISHED = ".part"
+_EPOCHS_AGAIN = 4
+"""How many of the last epochs can be told again with their expected edges still known."""
 
 
 class BopResults(Probe):
     """The arm's corrected poses as BOP results files, written through at every epoch.
 
-    They go to `file` and, where the run has an output folder, to ``poses.csv`` in it.
+    They go to `file` and, where the run has an output folder, to ``poses.csv`` in it. A
+    frame that is told again replaces what was written of it.
 
     Args:
         file: path, relative to the folder that the run was started in; None for none.
@@ -55,9 +63,15 @@ class BopResults(Probe):
         Raises:
             DataError: one cannot be written.
         """
-        paths = [Path(self._file)] if self._file is not None else []
-        paths += [output / POSES_FILE] if output is not None else []
-        self._results = [ResultsFile(path, self._scene_id) for path in paths]
+        self._begin(output, again=False)
+
+    def open_again(self, output: Path | None) -> None:
+        """Go on behind what is in the files.
+
+        Raises:
+            DataError: one cannot be written, or is no results file.
+        """
+        self._begin(output, again=True)
 
     def record(self, step: Step) -> None:
         """One frame's poses, as the arm has them after its observation."""
@@ -73,11 +87,20 @@ class BopResults(Probe):
             results.close()
         self._results = []
 
+    def _begin(self, output: Path | None, again: bool) -> None:
+        paths = [Path(self._file)] if self._file is not None else []
+        paths += [output / POSES_FILE] if output is not None else []
+        different = {path.resolve(): path for path in paths}
+        self._results = []
+        for path in different.values():
+            self._results.append(ResultsFile(path, self._scene_id, again))
+
 
 class Truth(Probe):
     """The simulated world's true poses, seen by its camera, as a BOP results file ``truth.csv`` in the output folder.
 
-    Of a scene folder's world nothing is written: it knows no truth.
+    Of a scene folder's world nothing is written: it knows no truth. A frame that is told
+    again replaces what was written of it.
     """
 
     def __init__(self) -> None:
@@ -85,8 +108,23 @@ class Truth(Probe):
         self._output: Path | None = None
 
     def open(self, output: Path | None) -> None:
-        """Remember the folder; the file begins with the first true pose."""
+        """Remember the folder; the file begins with the first true pose.
+
+        One that another run left there is removed: it is not this run's truth.
+        """
         self._output = output
+        if output is not None:
+            (output / TRUTH_FILE).unlink(missing_ok=True)
+
+    def open_again(self, output: Path | None) -> None:
+        """Go on behind what is in the file.
+
+        Raises:
+            DataError: it cannot be written, or is no results file.
+        """
+        self._output = output
+        if output is not None and (output / TRUTH_FILE).exists():
+            self._results = ResultsFile(output / TRUTH_FILE, 0, again=True)
 
     def record(self, step: Step) -> None:
         """One frame's true poses."""
@@ -109,12 +147,24 @@ class Truth(Probe):
         self._results = None
 
 
+class _Shown(NamedTuple):
+    """What is seen in one epoch."""
+
+    frame: int
+    image: Array
+    expected: Value
+    corrected: Value
+
+
 class Pictures(Probe):
     """Draws the arm's edges over the camera's images, into ``pictures/`` in the output folder.
 
     Red are the edges where they were expected, before the image was seen; green where the
     correction puts them; objects that are not tracked have no green. The first frame,
     every `every`-th and the last one are written, and a contact sheet of them at the end.
+
+    A frame that is told again is drawn again. The first frame that a new process of the arm
+    is told has no red: what was expected died with the process before.
 
     Args:
         every: from one picture to the next, in frames.
@@ -128,43 +178,64 @@ class Pictures(Probe):
             raise ValueError(f"every is {every}; expected at least 1 frame")
         self._every = every
         self._folder: Path | None = None
-        self._written: list[Path] = []
-        self._expected: Value = None
-        self._last: tuple[int, Array, Value, Value] | None = None
+        self._frames: set[int] = set()
+        self._beliefs: dict[int, Value] = {}
+        self._last: _Shown | None = None
 
     def open(self, output: Path | None) -> None:
         """Make the folder; without an output folder nothing is drawn."""
-        self._written = []
+        self._frames = set()
         self._folder = None if output is None else output / PICTURES_FOLDER
         if self._folder is not None:
             self._folder.mkdir(exist_ok=True)
 
+    def open_again(self, output: Path | None) -> None:
+        """Find the pictures that are there, for the contact sheet; a half one is removed."""
+        self.open(output)
+        if self._folder is None:
+            return
+        for path in self._folder.iterdir():
+            if path.name.endswith(_UNFINISHED):
+                path.unlink()
+            elif found := _PICTURE.fullmatch(path.name):
+                self._frames.add(int(found[1]))
+
     def record(self, step: Step) -> None:
         """Draw the frame, if it is one to be drawn."""
-        if self._folder is None or not step.observations:
+        if self._folder is None:
             return
-        shown = (step.sensed["frame"], step.observations[0]["image"], self._expected, step.sensed)
-        due = (step.epoch - 1) % self._every == 0
-        self._expected = step.belief
+        epoch = step.epoch
+        expected = self._beliefs.get(epoch - 1)
+        kept = {at: belief for at, belief in self._beliefs.items() if epoch - _EPOCHS_AGAIN <= at < epoch}
+        self._beliefs = {**kept, epoch: step.belief}
+        if not step.observations:
+            return
+        shown = _Shown(step.sensed["frame"], step.observations[0]["image"], expected, step.sensed)
+        due = (epoch - 1) % self._every == 0
         self._last = None if due else shown
         if due:
-            self._write(*shown)
+            self._write(shown)
 
     def close(self) -> None:
         """Draw the last frame and the contact sheet."""
         if self._folder is None:
             return
         if self._last is not None:
-            self._write(*self._last)
+            self._write(self._last)
         self._last = None
-        if self._written:
-            write_picture(self._folder / CONTACT_SHEET, contact_sheet(self._written))
+        if self._frames:
+            pictures = [self._path(self._folder, frame) for frame in sorted(self._frames)]
+            write_picture(self._folder / CONTACT_SHEET, contact_sheet(pictures))
 
-    def _write(self, frame: int, image: Array, expected: Value, corrected: Value) -> None:
+    def _write(self, shown: _Shown) -> None:
         assert self._folder is not None
-        path = self._folder / f"frame-{frame:06d}.png"
-        write_picture(path, overlay(image, expected, corrected))
-        self._written.append(path)
+        path = self._path(self._folder, shown.frame)
+        write_picture(path, overlay(shown.image, shown.expected, shown.corrected))
+        self._frames.add(shown.frame)
+
+    @staticmethod
+    def _path(folder: Path, frame: int) -> Path:
+        return folder / f"frame-{frame:06d}.png"
 
 
 def overlay(image: Array, expected: Value, corrected: Value) -> Array:
@@ -212,13 +283,18 @@ def contact_sheet(pictures: Sequence[Path]) -> Array:
 
 
 def write_picture(path: Path, picture: Array) -> None:
-    """Write an RGB picture as PNG.
+    """Write an RGB picture as PNG. The file is whole at every moment at which it is there.
 
     Raises:
         DataError: it cannot be written.
     """
-    if not cv2.imwrite(str(path), np.ascontiguousarray(picture[..., ::-1])):
-        raise DataError(f"{path}: cannot be written")
+    _, content = cv2.imencode(".png", np.ascontiguousarray(picture[..., ::-1]))
+    unfinished = path.with_name(path.name + _UNFINISHED)
+    try:
+        unfinished.write_bytes(content.tobytes())
+        os.replace(unfinished, path)
+    except OSError as error:
+        raise DataError(f"{path}: cannot be written: {error.strerror}") from error
 
 
 def _draw_edges(picture: Array, edges: Floats, pose: Floats, intrinsics: Array, colour: tuple[int, int, int]) -> None:

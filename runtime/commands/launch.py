@@ -2,21 +2,94 @@
 
 from __future__ import annotations
 
-from hierax.runtime.commands.options import Epochs, File, Format, Output, OutputFormat, Seed, Settings
+import functools
+import sys
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from hierax.runtime.commands.errors import CommandError
+from hierax.runtime.commands.options import Epochs, Format, Output, OutputFormat, Seed, Settings
 
 
 def launch(
-    file: File,
+    file: Annotated[
+        str | None,
+        typer.Argument(
+            metavar="FILE",
+            help="A deployment file, or the name of a shipped deployment; none with --resume.",
+            show_default=False,
+        ),
+    ] = None,
     epochs: Epochs = None,
     seed: Seed = 0,
     settings: Settings = None,
     output_format: OutputFormat = Format.text,
     output: Output = None,
+    state: Annotated[
+        Path | None,
+        typer.Option(
+            "--state",
+            metavar="DIR",
+            help="A folder for the nodes' checkpoints; it stays, for --resume. By default it goes with the run.",
+            show_default=False,
+        ),
+    ] = None,
+    resume: Annotated[
+        Path | None,
+        typer.Option(
+            "--resume",
+            metavar="DIR",
+            help="Go on with the run whose checkpoints are in this folder, at its next epoch.",
+            show_default=False,
+        ),
+    ] = None,
+    host: Annotated[
+        str | None,
+        typer.Option(
+            "--host",
+            metavar="ADDRESS",
+            help="An address of this machine at which processes on others may join; by default none may.",
+            show_default=False,
+        ),
+    ] = None,
+    faults: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--fault",
+            metavar="NODE:INSTANT:N",
+            help="Have a node's process kill itself the N-th time it comes to an instant; its next process takes the "
+            "node's next one. For tests.",
+            hidden=True,
+        ),
+    ] = None,
 ) -> int:
     """Run a deployment with each node in a process of its own, over Zenoh."""
     from hierax.runtime.commands.running import run_deployment
     from hierax.runtime.launch import supervisor
+    from hierax.runtime.launch.faults import read_faults
+    from hierax.runtime.launch.run_file import read_run
 
+    run = None
+    if resume is not None:
+        if file is not None or settings or state is not None:
+            raise CommandError("--resume: the run knows its deployment file and settings; give neither, nor --state")
+        state, run = resume, read_run(resume)
+        file, settings, seed = run.deployment, list(run.settings), run.seed
+        epochs = run.epochs if epochs is None else epochs
+        output = output or (Path(run.output) if run.output else None)
+    if file is None:
+        raise CommandError("expected a deployment file, or --resume DIR")
+    runner = functools.partial(
+        supervisor.launch,
+        tell=lambda what: print(f"hierax: {what}", file=sys.stderr, flush=True),
+        state=None if state is None else state.resolve(),
+        run=run,
+        host=host,
+        settings=tuple(settings or ()),
+        faults=read_faults(faults or ()),
+    )
     return run_deployment(
-        supervisor.launch, file, settings or (), epochs=epochs, seed=seed, output=output, output_format=output_format
+        runner, file, settings or (), epochs=epochs, seed=seed, output=output, output_format=output_format
     )

@@ -10,13 +10,15 @@ from typing import Annotated
 import typer
 
 from hierax.runtime.commands.bench import epoch
+from hierax.runtime.commands.changes import attach, detach, ps, replace
 from hierax.runtime.commands.errors import OK, exit_code
 from hierax.runtime.commands.graph import graph
 from hierax.runtime.commands.launch import launch
 from hierax.runtime.commands.run import run
+from hierax.runtime.commands.sim import sim
 from hierax.runtime.commands.validate import validate
 
-COMMANDS: tuple[Callable[..., int], ...] = (run, launch, validate, graph)
+COMMANDS: tuple[Callable[..., int], ...] = (run, launch, attach, detach, replace, ps, validate, graph, sim)
 
 app = typer.Typer(
     name="hierax",

@@ -40,6 +40,7 @@ TAKES = {
     "observe": ("observations", "belief"),
     "select_policy": ("tasks",),
     "predict": ("context", "actions", "belief"),
+    "act": ("actions",),
     "policy": ("belief",),
     "sense": ("belief",),
     "task": ("actions",),
@@ -81,15 +82,19 @@ class Call:
         try:
             if not self._wants_tick:
                 return self._function(*arguments)
-            tick = Tick(self._seed, self.subject, self.operator, epoch, time_s, self._below, self._above)
-            return self._function(*arguments, tick=tick)
+            return self._function(*arguments, tick=self._tick(epoch, time_s))
         except (Exception, SystemExit) as error:  # an operator that exits fails: it would end all nodes in silence
-            what = f"{type(error).__name__}: {error}{_raised_at(error)}"
-            raise OperatorError(self.subject, self.operator, epoch, what) from error
+            raise self._failed(epoch, error) from error
 
-    def elements(self, epoch: int, time_s: float, *arguments: Value) -> Elements:
+    def elements(self, epoch: int, time_s: float, argument: Value) -> Elements:
         """Call it for a set of elements, given as a tuple or list."""
-        result = self(epoch, time_s, *arguments)
+        try:  # as `__call__` does, which would be one more call for every edge of every epoch
+            if not self._wants_tick:
+                result = self._function(argument)
+            else:
+                result = self._function(argument, tick=self._tick(epoch, time_s))
+        except (Exception, SystemExit) as error:
+            raise self._failed(epoch, error) from error
         if type(result) is tuple:
             return result
         if isinstance(result, (list, tuple)):
@@ -97,13 +102,23 @@ class Call:
         what = f"expected a tuple of elements, got {type(result).__name__}"
         raise OperatorError(self.subject, self.operator, epoch, what)
 
+    def _tick(self, epoch: int, time_s: float) -> Tick:
+        return Tick(self._seed, self.subject, self.operator, epoch, time_s, self._below, self._above)
+
+    def _failed(self, epoch: int, error: BaseException) -> OperatorError:
+        what = f"{type(error).__name__}: {error}{_raised_at(error)}"
+        return OperatorError(self.subject, self.operator, epoch, what)
+
+
+_CALLS = (Call.__call__.__code__, Call.elements.__code__)
+
 
 def _raised_at(error: BaseException) -> str:
     """The line that raised, for the user who wrote it."""
     last = error.__traceback__
     while last is not None and last.tb_next is not None:
         last = last.tb_next
-    if last is None or last.tb_frame.f_code is Call.__call__.__code__:  # it could not even be called
+    if last is None or last.tb_frame.f_code in _CALLS:  # it could not even be called
         return ""
     code = last.tb_frame.f_code
     return f" ({code.co_filename}:{last.tb_lineno}, in {code.co_name})"
@@ -120,6 +135,9 @@ class Policies(dict[str, Call]):
         super().__init__({name: bind(function, f"policy {name}") for name, function in policies.items()})
         self._policies = policies
         self._bind = bind
+
+    lists = dict.__contains__
+    """Whether a policy is listed."""
 
     def __contains__(self, name: object) -> bool:
         """Whether the node has such a policy."""
@@ -139,7 +157,18 @@ class BoundNode:
             λ(∅) ≠ π⁰.
     """
 
-    __slots__ = ("above", "below", "initial_belief", "name", "node", "observe", "policies", "predict", "select_policy")
+    __slots__ = (
+        "above",
+        "act",
+        "below",
+        "initial_belief",
+        "name",
+        "node",
+        "observe",
+        "policies",
+        "predict",
+        "select_policy",
+    )
 
     def __init__(self, name: str, node: Node, below: tuple[str, ...], above: tuple[str, ...], setting: Setting) -> None:
         if not isinstance(node, Node):
@@ -156,12 +185,16 @@ class BoundNode:
         self.observe = bound(node.observe, "observe")
         self.select_policy = bound(node.select_policy, "select_policy")
         self.predict = bound(node.predict, "predict")
+        acts = isinstance(node, World) and type(node).act is not World.act
+        self.act = bound(node.act, "act") if isinstance(node, World) and acts else None
         self.policies = Policies(_policies_of(name, node), partial(bound, takes="policy"))
         self._check_initial_policy()
 
     def choose(self, epoch: int, time_s: float, tasks: Elements) -> str:
         """λ, its result checked."""
         policy = self.select_policy(epoch, time_s, tasks)
+        if type(policy) is str and self.policies.lists(policy):
+            return policy
         if not isinstance(policy, str) or policy not in self.policies:
             known = ", ".join(sorted(self.policies))
             raise OperatorError(self.name, "select_policy", epoch, f"{policy!r:.60} is none of the policies {known}")

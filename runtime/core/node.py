@@ -6,6 +6,10 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
 from typing import Any, ClassVar
 
+import numpy as np
+
+from hierax.runtime.core.tick import NO_TICK, Tick
+
 Value = Any
 """A value as `hierax.schemas.values` describes it; never mutated."""
 
@@ -13,6 +17,24 @@ Elements = tuple[Value, ...]
 """A set of the theory (observations, actions, task parameters, context), in a fixed order."""
 
 Policy = Callable[..., Elements]
+
+
+def structural_difference(expected: Value, given: Value, where: str = "belief") -> str:
+    """The first place where two values are built differently; empty where they are not."""
+    if isinstance(expected, np.ndarray) and isinstance(given, np.ndarray):
+        if (expected.dtype, expected.ndim) != (given.dtype, given.ndim):
+            wanted, got = f"{expected.dtype}, {expected.ndim}-d", f"{given.dtype}, {given.ndim}-d"
+            return f"{where}: expected an array of {wanted}, got one of {got}"
+        return ""
+    kinds = [list if isinstance(value, (list, tuple)) else type(value) for value in (expected, given)]
+    if kinds[0] is not kinds[1]:
+        return f"{where}: expected {type(expected).__name__}, got {type(given).__name__}"
+    if isinstance(expected, dict):
+        if expected.keys() != given.keys():
+            return f"{where}: expected the keys {sorted(expected)}, got {sorted(given)}"
+        parts = (structural_difference(expected[key], given[key], f"{where}.{key}") for key in expected)
+        return next(filter(None, parts), "")
+    return ""
 
 
 def do_nothing(belief: Value) -> Elements:
@@ -78,6 +100,24 @@ class Node(ABC):
         """
         return belief
 
+    def take_over(self, belief: Value) -> Value:
+        """The belief to go on with where this node replaces another one in a running hierarchy.
+
+        Args:
+            belief: the other node's.
+
+        Returns:
+            By default the same, if it is built like this node's initial belief: the same
+            types, keys of maps and dtypes of arrays. Lengths may differ.
+
+        Raises:
+            ValueError: it cannot be taken over; says why.
+        """
+        difference = structural_difference(self.initial_belief(), belief)
+        if difference:
+            raise ValueError(difference)
+        return belief
+
     def metrics(self, belief: Value) -> Mapping[str, float]:
         """Figures about the belief, by name, for the report of a run. None by default."""
         return {}
@@ -89,6 +129,16 @@ class World(Node):
     def time_s(self, belief: Value, epoch: int) -> float:
         """The time of an epoch that begins in `belief`, in seconds. By default the epoch's number less one."""
         return float(epoch - 1)
+
+    def act(self, actions: Elements, tick: Tick = NO_TICK) -> None:
+        """Move real actuators; called once an epoch, when its actions stand, before it is committed.
+
+        Not for a world whose act is a function of its belief: that is done by `predict`.
+        Where a process dies in the middle of an act, ``on_uncertain_act`` in the deployment
+        file says whether it is repeated; ``tick.epoch`` is the key by which a device can
+        tell a repeated act.
+        """
+        return
 
     def finished(self, belief: Value) -> bool:
         """Whether there is nothing left to observe; asked before each epoch. By default never."""

@@ -46,6 +46,15 @@ class Probe(ABC):
         """
         return
 
+    def open_again(self, output: Path | None) -> None:
+        """Called in place of `open` where a process of the node comes in the place of one that died.
+
+        What is in the folder was written in this run, and the last epochs may be told again
+        (with a later attempt). By default what `open` does, which suits what writes one file
+        for each epoch.
+        """
+        self.open(output)
+
     @abstractmethod
     def record(self, step: Step) -> None:
         """Called after each epoch, when the node's messages are sent. Nothing in `step` may be changed."""

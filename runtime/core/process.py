@@ -9,14 +9,14 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from types import MappingProxyType
+from typing import NamedTuple
 
 from hierax.runtime.core.binding import Call, epoch_time_s
 from hierax.runtime.core.hierarchy import Hierarchy
 from hierax.runtime.core.node import Elements, Value
 
 
-@dataclass(frozen=True, slots=True)
-class ActiveNode:
+class ActiveNode(NamedTuple):
     """Q = (N, s, π, a) of definition 3, without N.
 
     Attributes:
@@ -67,7 +67,7 @@ def sensing_update(active: ActiveHierarchy, name: str, epoch: int, time_s: float
         observations += _apply(sense, epoch, time_s, active.states[lower].belief)
     state = active.states[name]
     belief = hierarchy.bound[name].observe(epoch, time_s, observations, state.belief)
-    return active.with_state(name, replace(state, belief=belief))
+    return active.with_state(name, state._replace(belief=belief))
 
 
 def prediction_update(active: ActiveHierarchy, name: str, epoch: int, time_s: float) -> ActiveHierarchy:

@@ -19,6 +19,7 @@ class Document:
         lines: of every value in the file, by path.
         changed: the ``--set`` that a value comes from, by path.
         origins: the parameter that a value was taken from, by path.
+        outer: the document whose parameters are meant, where it is another one.
     """
 
     place: str
@@ -26,6 +27,12 @@ class Document:
     lines: dict[Keys, int]
     changed: dict[Keys, str] = field(default_factory=dict)
     origins: dict[Keys, str] = field(default_factory=dict)
+    outer: Document | None = None
+
+    @property
+    def parameters(self) -> Any:
+        """The map of parameters as it was given, if it is one."""
+        return (self.outer or self).root.get("parameters")
 
     def error(self, keys: Keys, what: str) -> DeploymentError:
         """An error about the value at a path, or the one that lacks there."""
@@ -78,5 +85,6 @@ class Document:
         for length in range(len(keys), -1, -1):
             name = self.origins.get(keys[:length])
             if name is not None:
-                return f" (from ${{{name}}}, {self.where(('parameters', name, *keys[length:]))})"
+                place = (self.outer or self).where(("parameters", name, *keys[length:]))
+                return f" (from ${{{name}}}, {place})"
         return ""

@@ -8,7 +8,7 @@ from pydantic import ValidationError
 
 from hierax.runtime.deployment.document import Document
 from hierax.runtime.deployment.errors import DeploymentError
-from hierax.runtime.deployment.models import field_meaning, field_names
+from hierax.runtime.deployment.models import DeploymentModel, TopModel, field_meaning, field_names
 from hierax.runtime.deployment.paths import Keys
 from hierax.runtime.nearest import did_you_mean
 
@@ -23,18 +23,22 @@ _EXPECTED = {
     "model_type": "a map",
     "model_attributes_type": "a map",
     "list_type": "a list",
+    "literal_error": "{expected}",
     "greater_than": "more than {gt:g}",
-    "greater_than_equal": "at least {ge}",
+    "greater_than_equal": "at least {ge:g}",
 }
 
 
-def first_error(error: ValidationError, document: Document, root: dict[str, Any]) -> DeploymentError:
+def first_error(
+    error: ValidationError, document: Document, root: dict[str, Any], top: TopModel = DeploymentModel
+) -> DeploymentError:
     """The fault that comes first in the file, or in a ``--set``.
 
     Args:
         error: what pydantic found.
         document: for the places.
         root: the values that were validated.
+        top: the model that they were validated by.
     """
     found = [(_keys(details["loc"], root), details) for details in error.errors(include_url=False)]
     misspelt = {keys[:-1] for keys, details in found if details["type"] == "extra_forbidden"}
@@ -44,7 +48,7 @@ def first_error(error: ValidationError, document: Document, root: dict[str, Any]
         if details["type"] != "missing" or keys[:-1] not in misspelt  # the wrong name is the fault, not the lack
     ]
     keys, details = found[min(faults)[1]]
-    return document.error(keys, _what(keys, details))
+    return document.error(keys, _what(keys, details, top))
 
 
 def _keys(loc: tuple[int | str, ...], root: dict[str, Any]) -> Keys:
@@ -62,13 +66,13 @@ def _keys(loc: tuple[int | str, ...], root: dict[str, Any]) -> Keys:
     return keys
 
 
-def _what(keys: Keys, details: Any) -> str:
+def _what(keys: Keys, details: Any, top: TopModel) -> str:
     kind = details["type"]
     context = details.get("ctx", {})
     if kind == "missing":
-        return f"missing; expected {field_meaning(keys)}"
+        return f"missing; expected {field_meaning(keys, top)}"
     if kind == "extra_forbidden":
-        return f"unknown field{did_you_mean(str(keys[-1]), field_names(keys[:-1]))}"
+        return f"unknown field{did_you_mean(str(keys[-1]), field_names(keys[:-1], top))}"
     if kind == "value_error":
         return str(context["error"])
     expected = _EXPECTED.get(kind)

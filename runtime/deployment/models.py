@@ -7,18 +7,24 @@ is checked in `hierax.runtime.deployment.read`.
 from __future__ import annotations
 
 import re
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field, WithJsonSchema
 
+from hierax.runtime.deployment.deployment import EPOCH_DEADLINE_S, RestartPolicy
 from hierax.runtime.deployment.paths import Keys
 from hierax.schemas.keys import check_name
 
 NAME_PATTERN = r"^[A-Za-z0-9][A-Za-z0-9_.-]*$"
 TARGET_PATTERN = r"^[A-Za-z_]\w*(\.[A-Za-z_]\w*)*:[A-Za-z_]\w*(\.[A-Za-z_]\w*)*$"
+MODULES_PATTERN = r"^[A-Za-z_]\w*(\.[A-Za-z_]\w*)*(\.\*)?$"
 EDGE_PATTERN = r"^\s*\S+\s*->\s*\S+\s*$"
 
+MAX_STALENESS = 8
+"""Held messages bound it; more would only be a longer wait for what comes."""
+
 _TARGET = re.compile(TARGET_PATTERN)
+_MODULES = re.compile(MODULES_PATTERN)
 
 
 def check_target(target: str) -> str:
@@ -30,6 +36,17 @@ def check_target(target: str) -> str:
     if not _TARGET.match(target) or target.endswith("\n"):
         raise ValueError(f"expected 'package.module:name', got {target!r}")
     return target
+
+
+def check_modules_pattern(pattern: str) -> str:
+    """A module as ``package.module``, or a package with all that is inside it as ``package.*``.
+
+    Raises:
+        ValueError: it is written otherwise.
+    """
+    if not _MODULES.match(pattern) or pattern.endswith("\n"):
+        raise ValueError(f"expected 'package.module' or 'package.*', got {pattern!r:.60}")
+    return pattern
 
 
 def split_edge(name: str) -> tuple[str, str]:
@@ -79,6 +96,9 @@ NodeName = Annotated[
     WithJsonSchema({"type": "string", "pattern": NAME_PATTERN}),
 ]
 EdgeName = Annotated[str, AfterValidator(_edge), WithJsonSchema({"type": "string", "pattern": EDGE_PATTERN})]
+Modules = Annotated[
+    str, AfterValidator(check_modules_pattern), WithJsonSchema({"type": "string", "pattern": MODULES_PATTERN})
+]
 Target = Annotated[str, AfterValidator(check_target), WithJsonSchema({"type": "string", "pattern": TARGET_PATTERN})]
 Parameters = Annotated[dict[str, Any], BeforeValidator(_none_as_map, json_schema_input_type=dict[str, Any] | None)]
 
@@ -87,11 +107,62 @@ class _Model(BaseModel):
     model_config = ConfigDict(extra="forbid", strict=True, frozen=True)
 
 
-class NodeModel(_Model):
-    """A node: the class, and what it is made with."""
+class RestartModel(_Model):
+    """What is done when a node's process ends or cannot be reached; durations are in seconds."""
+
+    restart_policy: Literal["never", "on-failure", "always"] = Field(
+        default=RestartPolicy.restart_policy,
+        description="after which end of a process another one is started: none, one by a failure or signal, any",
+    )
+    max_restarts: int = Field(
+        default=RestartPolicy.max_restarts, ge=0, description="how often within restart_window; 0: no limit"
+    )
+    restart_delay_s: float = Field(
+        default=RestartPolicy.restart_delay_s,
+        alias="restart_delay",
+        ge=0,
+        allow_inf_nan=False,
+        description="before the first restart; twice as long before each further one within restart_window",
+    )
+    max_restart_delay_s: float = Field(
+        default=RestartPolicy.max_restart_delay_s,
+        alias="max_restart_delay",
+        ge=0,
+        allow_inf_nan=False,
+        description="the longest that restart_delay grows to",
+    )
+    restart_window_s: float | None = Field(
+        default=RestartPolicy.restart_window_s,
+        alias="restart_window",
+        gt=0,
+        allow_inf_nan=False,
+        description="restarts longer ago than this are forgotten; null: none ever is",
+    )
+    rejoin_timeout_s: float = Field(
+        default=RestartPolicy.rejoin_timeout_s,
+        alias="rejoin_timeout",
+        gt=0,
+        allow_inf_nan=False,
+        description="how long the epoch waits for a lost node to come back, before on_loss",
+    )
+    on_loss: Literal["restart", "detach", "stop"] = Field(
+        default=RestartPolicy.on_loss,
+        description="a node that does not come back: wait on while it is being restarted, else stop; "
+        "or detach it, and what only it joins to the world; or stop the run",
+    )
+
+
+class NodeModel(RestartModel):
+    """A node: the class, and what it is made with. For its restarts, what is left out is as 'restart' at the top."""
 
     target: Target = Field(alias="class", description="module:name of a class, or of what returns a node")
     parameters: Parameters = Field(default={}, description="keyword arguments of the class")
+    rate_hz: float | None = Field(
+        default=None,
+        gt=0,
+        allow_inf_nan=False,
+        description="in free running (staleness: null), how often at most it takes part in an epoch; null: as it can",
+    )
 
 
 class FunctionModel(_Model):
@@ -142,6 +213,40 @@ class DeploymentModel(_Model):
     probes: Annotated[
         list[ProbeModel], BeforeValidator(_none_as_list, json_schema_input_type=list[ProbeModel] | None)
     ] = Field(default=[], description="side outputs, no part of the run")
+    modules: Annotated[list[Modules], BeforeValidator(_none_as_list, json_schema_input_type=list[Modules] | None)] = (
+        Field(
+            default=[],
+            description="whose classes and functions may join the running hierarchy, beside what this file names: "
+            "package.module, or package.* for all inside it",
+        )
+    )
+    restart: Annotated[RestartModel, BeforeValidator(_none_as_map, json_schema_input_type=RestartModel | None)] = Field(
+        default=RestartModel(), description="of all nodes that say nothing else"
+    )
+    durability: Literal["process", "host"] = Field(
+        default="process",
+        description="what checkpoints outlive: the death of a process, or also that of the machine (slower)",
+    )
+    epoch_deadline_s: float | None = Field(
+        default=EPOCH_DEADLINE_S,
+        gt=0,
+        allow_inf_nan=False,
+        description="how long an epoch may take before who holds it up counts as lost, in seconds; null: for ever",
+    )
+    on_uncertain_act: Literal["repeat", "skip"] = Field(
+        default="repeat",
+        description="the world's process died, and nobody knows whether it acted: "
+        "act again (at least once) or not (at most once)",
+    )
+    staleness: int | None = Field(
+        default=0,
+        ge=0,
+        le=MAX_STALENESS,
+        description="by how many epochs inputs from above may be older than the node's own; null: free running",
+    )
+    exact: bool = Field(
+        default=False, description="with a staleness: they are exactly so old, and the run can be repeated to the bit"
+    )
     start_timeout_s: float = Field(
         default=30.0, gt=0, allow_inf_nan=False, description="how long launch waits for all nodes to come up"
     )
@@ -152,25 +257,38 @@ class DeploymentModel(_Model):
     ] = Field(default=None, description="Zenoh's own settings: a file (relative to this one), JSON5 text, or a map")
 
 
-def field_names(keys: Keys) -> tuple[str, ...]:
+class SnippetModel(_Model):
+    """Nodes for a running hierarchy, and the edges that join them to it."""
+
+    nodes: dict[NodeName, NodeModel] = Field(description="by name")
+    edges: dict[EdgeName, EdgeModel] | None = Field(
+        default=None, description="by 'lower -> upper'; one end may be a node that is running"
+    )
+
+
+TopModel = type[DeploymentModel] | type[SnippetModel]
+"""What a whole file is read as."""
+
+
+def field_names(keys: Keys, top: TopModel = DeploymentModel) -> tuple[str, ...]:
     """The names of the fields that the map at a path may have; none where it is open."""
-    model = _model_at(keys)
+    model = _model_at(keys, top)
     if model is None:
         return ()
     return tuple(info.alias or name for name, info in model.model_fields.items())
 
 
-def field_meaning(keys: Keys) -> str:
+def field_meaning(keys: Keys, top: TopModel = DeploymentModel) -> str:
     """What the field at a path is."""
-    model = _model_at(keys[:-1])
+    model = _model_at(keys[:-1], top)
     infos = model.model_fields.items() if model is not None else ()
     return next((info.description or "" for name, info in infos if keys[-1] in (name, info.alias)), "")
 
 
-def _model_at(keys: Keys) -> type[_Model] | None:
+def _model_at(keys: Keys, top: TopModel) -> type[_Model] | None:
     match keys:
         case ():
-            return DeploymentModel
+            return top
         case ("nodes", _):
             return NodeModel
         case ("edges", _):
@@ -179,5 +297,7 @@ def _model_at(keys: Keys) -> type[_Model] | None:
             return FunctionModel
         case ("probes", _):
             return ProbeModel
+        case ("restart",):
+            return RestartModel
         case _:
             return None

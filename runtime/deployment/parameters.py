@@ -29,7 +29,7 @@ def substitute(document: Document) -> dict[str, Any]:
             would have to stand within text, or the document grows out of bounds.
     """
     substitution = _Substitution(document)
-    parameters = document.root.get("parameters")
+    parameters = document.parameters
     if parameters is None:
         parameters = {}
     if not isinstance(parameters, dict):

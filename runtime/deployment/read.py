@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -10,22 +10,19 @@ from pydantic import ValidationError
 
 from hierax.runtime.core.errors import HierarchyError
 from hierax.runtime.core.graph import check_graph
-from hierax.runtime.deployment.deployment import Deployment
+from hierax.runtime.deployment.deployment import Deployment, RestartPolicy
 from hierax.runtime.deployment.document import Document
 from hierax.runtime.deployment.errors import DeploymentError
 from hierax.runtime.deployment.faults import first_error
 from hierax.runtime.deployment.files import find_file, import_paths, read_text
-from hierax.runtime.deployment.models import DeploymentModel, FunctionModel, split_edge
+from hierax.runtime.deployment.models import DeploymentModel, split_edge
 from hierax.runtime.deployment.overrides import apply_override
 from hierax.runtime.deployment.parameters import substitute
+from hierax.runtime.deployment.parts import KINDS, check_known, reference, restart_policy, roster_edges, roster_nodes
 from hierax.runtime.deployment.paths import Keys
 from hierax.runtime.deployment.tree import read_tree
-from hierax.runtime.nearest import did_you_mean
-from hierax.schemas.errors import SchemaError
-from hierax.schemas.roster import ProbeSpec, Reference, Roster, RosterEdge
-from hierax.schemas.values import decode_value, encode_value
-
-_KINDS = ("sense", "task", "context")
+from hierax.runtime.engine.loose import Staleness
+from hierax.schemas.roster import ProbeSpec, Roster
 
 
 def read_deployment(file: str | Path, overrides: Sequence[str] = ()) -> Deployment:
@@ -42,7 +39,7 @@ def read_deployment(file: str | Path, overrides: Sequence[str] = ()) -> Deployme
             expected, and the nearest valid name.
     """
     path = find_file(file)
-    document = _read_document(path)
+    document = read_document(path, "hierarchy, world, nodes and edges")
     for override in overrides:
         apply_override(document, override)
     root = substitute(document)
@@ -52,6 +49,7 @@ def read_deployment(file: str | Path, overrides: Sequence[str] = ()) -> Deployme
         raise first_error(error, document, root) from error
     roster = _roster(model, document)
     _check_structure(roster, document)
+    restart = restart_policy(model.restart, RestartPolicy(), document, ("restart",))
     return Deployment(
         path=path,
         name=model.hierarchy,
@@ -59,6 +57,14 @@ def read_deployment(file: str | Path, overrides: Sequence[str] = ()) -> Deployme
         epochs=model.epochs,
         roster=roster,
         probes=_probes(model, document),
+        modules=_modules(model),
+        restarts={name: restart_policy(node, restart, document, ("nodes", name)) for name, node in model.nodes.items()},
+        restart=restart,
+        durability=model.durability,
+        epoch_deadline_s=model.epoch_deadline_s,
+        on_uncertain_act=model.on_uncertain_act,
+        staleness=_staleness(model, document),
+        rates_hz={name: node.rate_hz for name, node in model.nodes.items() if node.rate_hz is not None},
         start_timeout_s=model.start_timeout_s,
         zenoh=_zenoh(model.zenoh, path, document),
         import_paths=import_paths(path),
@@ -66,60 +72,50 @@ def read_deployment(file: str | Path, overrides: Sequence[str] = ()) -> Deployme
     )
 
 
-def _read_document(path: Path) -> Document:
+def read_document(path: Path, fields: str) -> Document:
+    """A YAML file whose root is a map.
+
+    Args:
+        path: the file.
+        fields: what errors say should be in the map.
+
+    Raises:
+        DeploymentError: it cannot be read, or is something else.
+    """
     tree = read_tree(read_text(path), str(path))
     if tree.value is None:
-        raise DeploymentError("is empty; expected a map with hierarchy, world, nodes and edges", str(path))
+        raise DeploymentError(f"is empty; expected a map with {fields}", str(path))
     if not isinstance(tree.value, dict):
         given = "a list" if isinstance(tree.value, list) else f"{tree.value!r:.60}"
-        what = f"expected a map with hierarchy, world, nodes and edges, got {given}"
-        raise DeploymentError(what, f"{path}:{tree.lines[()]}")
+        raise DeploymentError(f"expected a map with {fields}, got {given}", f"{path}:{tree.lines[()]}")
     return Document(str(path), tree.value, tree.lines)
 
 
 def _roster(model: DeploymentModel, document: Document) -> Roster:
-    nodes = {
-        name: _reference(node.target, node.parameters, document, ("nodes", name)) for name, node in model.nodes.items()
-    }
-    _check_name(model.world, nodes, document, ("world",))
-    edges = []
-    for name, edge in model.edges.items():
-        lower, upper = split_edge(name)
-        for end in (lower, upper):
-            _check_name(end, nodes, document, ("edges", name))
-        functions = {kind: _function(getattr(edge, kind), document, ("edges", name, kind)) for kind in _KINDS}
-        edges.append(RosterEdge(lower, upper, **functions))
-    edges.sort(key=lambda edge: (edge.lower, edge.upper))
-    return Roster(model.world, nodes, tuple(edges))
-
-
-def _function(model: FunctionModel | None, document: Document, keys: Keys) -> Reference | None:
-    if model is None or not model.enabled:
-        return None
-    return _reference(model.function, model.parameters, document, keys)
+    nodes = roster_nodes(model.nodes, document)
+    check_known(model.world, nodes, document, ("world",))
+    for name in model.edges:
+        for end in split_edge(name):
+            check_known(end, nodes, document, ("edges", name))
+    return Roster(model.world, nodes, roster_edges(model.edges, document))
 
 
 def _probes(model: DeploymentModel, document: Document) -> tuple[ProbeSpec, ...]:
     specs = []
     for index, probe in enumerate(model.probes):
         keys: Keys = ("probes", index)
-        _check_name(probe.node, model.nodes, document, (*keys, "node"))
-        specs.append(ProbeSpec(probe.node, _reference(probe.target, probe.parameters, document, keys)))
+        check_known(probe.node, model.nodes, document, (*keys, "node"))
+        specs.append(ProbeSpec(probe.node, reference(probe.target, probe.parameters, document, keys)))
     return tuple(specs)
 
 
-def _reference(target: str, parameters: Mapping[str, Any], document: Document, keys: Keys) -> Reference:
-    """A reference whose parameters are as they are after travelling: lists have become tuples."""
-    try:
-        travelled = decode_value(encode_value(parameters))
-    except SchemaError as error:
-        raise document.error((*keys, "parameters"), str(error)) from error
-    return Reference(target, travelled)
-
-
-def _check_name(name: str, nodes: Iterable[str], document: Document, keys: Keys) -> None:
-    if name not in nodes:
-        raise document.error(keys, f"there is no node {name!r}{did_you_mean(name, nodes, 'the nodes are')}")
+def _modules(model: DeploymentModel) -> tuple[str, ...]:
+    """What the file names, in functions that are not enabled too, and what it lists."""
+    targets = [node.target for node in model.nodes.values()] + [probe.target for probe in model.probes]
+    for edge in model.edges.values():
+        functions = [getattr(edge, kind) for kind in KINDS]
+        targets += [function.function for function in functions if function is not None]
+    return tuple(sorted({*model.modules, *(target.partition(":")[0] for target in targets)}))
 
 
 def _check_structure(roster: Roster, document: Document) -> None:
@@ -128,6 +124,16 @@ def _check_structure(roster: Roster, document: Document) -> None:
         check_graph(roster.world, roster.nodes, pairs)
     except HierarchyError as error:
         raise document.error(("edges",), str(error)) from error
+
+
+def _staleness(model: DeploymentModel, document: Document) -> Staleness:
+    staleness = Staleness(model.staleness, model.exact)
+    if model.exact and (staleness.barrier or staleness.free):
+        raise document.error(("exact",), "means something only with a staleness of 1 or more")
+    for name, node in model.nodes.items():
+        if node.rate_hz is not None and not staleness.free:
+            raise document.error(("nodes", name, "rate_hz"), "nodes have rates only in free running (staleness: null)")
+    return staleness
 
 
 def _zenoh(value: str | dict[str, Any] | None, path: Path, document: Document) -> dict[str, Any] | str | None:

@@ -10,7 +10,7 @@ import sys
 from pathlib import Path
 from typing import Any
 
-from hierax.runtime.deployment.models import DeploymentModel
+from hierax.runtime.deployment.models import DeploymentModel, field_names
 
 SCHEMA_FILE = Path(__file__).with_name("deployment.schema.json")
 
@@ -33,6 +33,8 @@ def deployment_schema() -> dict[str, Any]:
             _close(value)
             if name not in literal:
                 properties[name] = _or_reference(value)
+    for name in field_names(("restart",)):  # of a node, it is what `restart` at the top says
+        del schema["$defs"]["NodeModel"]["properties"][name]["default"]
     schema["$defs"]["Reference"] = _REFERENCE
     schema["title"] = "hierax deployment"
     return {"$schema": "https://json-schema.org/draft/2020-12/schema", **schema}
@@ -44,8 +46,10 @@ def schema_text() -> str:
 
 
 def _close(value: dict[str, Any]) -> None:
-    """Let a map have no other names than those of its pattern; leave out what is the default anyway."""
+    """Let a map have no other names than its pattern says, a list references; leave out what is the default anyway."""
     for part in (value, *value.get("anyOf", ())):
+        if "pattern" in part.get("items", ()):
+            part["items"] = _or_reference(part["items"])
         if part.get("additionalProperties") is True:
             del part["additionalProperties"]
         if "patternProperties" in part:
@@ -54,7 +58,7 @@ def _close(value: dict[str, Any]) -> None:
 
 def _or_reference(value: dict[str, Any]) -> dict[str, Any]:
     """A field's schema that also lets a ``${NAME}`` stand for the value."""
-    if value.get("type") == "string" and "pattern" not in value:
+    if value.get("type") == "string" and not value.keys() & {"pattern", "enum"}:
         return value
     rest = {key: part for key, part in value.items() if key not in ("default", "description")}
     kinds = rest["anyOf"] if set(rest) == {"anyOf"} else [rest]

@@ -2,103 +2,69 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Mapping, Sequence
 
-from hierax.runtime.core.binding import BoundNode, Call, epoch_time_s, is_finished
+from hierax.runtime.core.binding import Call, epoch_time_s, is_finished
 from hierax.runtime.core.digest import NO_DIGEST, encode_state, epoch_digest, node_digest
 from hierax.runtime.core.errors import OperatorError
-from hierax.runtime.core.graph import Pair
-from hierax.runtime.core.hierarchy import BoundEdge
 from hierax.runtime.core.node import Elements, Value, World
 from hierax.runtime.core.probe import Step
 from hierax.runtime.core.process import ActiveNode
-from hierax.runtime.engine.outputs import Called, Committed, Completed, Output, Refused, Send
-from hierax.runtime.engine.table import ACTIONS, HELD_MESSAGES, Action, Phase, Verdict
+from hierax.runtime.engine.outlet import Called, Committed, Completed, Outlet, Saved
+from hierax.runtime.engine.table import ACTIONS, HELD_MESSAGES, HELD_SLOTS, Action, Phase, Verdict
+from hierax.runtime.engine.wiring import Slot, Wiring
 from hierax.schemas.errors import SchemaError
-from hierax.schemas.messages import CONTEXT, OBSERVATIONS, TASKS, Header, Message
-from hierax.schemas.roster import Roster
+from hierax.schemas.messages import CONTEXT, NO_EXTENSIONS, OBSERVATIONS, TASKS, Header, Message
 
-Slot = tuple[str, str]
-"""A sender and a kind: from each, one message comes in an epoch."""
-
-
-@dataclass(frozen=True)
-class Place:
-    """Where a node stands in its roster.
-
-    Attributes:
-        roster: the roster's version.
-        roster_hash: hash of its content.
-        instances: instance numbers, of the node itself and of its neighbours.
-        tasking: the edges (lower, upper) that have a task function ψ.
-    """
-
-    roster: int = 0
-    roster_hash: bytes = NO_DIGEST
-    instances: Mapping[str, int] = field(default_factory=dict)
-    tasking: frozenset[Pair] = frozenset()
-
-    @staticmethod
-    def of(roster: Roster) -> Place:
-        """The place of any node of a roster."""
-        tasking = frozenset(edge.pair for edge in roster.edges if edge.task is not None)
-        return Place(roster.version, roster.content_hash(), roster.instances, tasking)
-
-    def instance(self, name: str) -> int:
-        """The instance number of a node."""
-        return self.instances.get(name, 0)
+_NOTHING: Mapping[Slot, int] = {}
 
 
 class Engine:
     """One node's part in every epoch.
 
     Args:
-        node: the node, bound to its name and neighbours.
-        edges: of the node; of each at least the functions that run on its side.
-        place: the roster that it is in.
+        wiring: the node, bound to its name and neighbours, and its edges.
+        outlet: called with all that is to be done, as soon as it is known: a task message
+            before the belief is predicted, one node's context before the next one's.
+        saved: where a crashed process of the node goes on; None: at the beginning.
+        joins: whether it comes into a run that may have begun: then it begins with the
+            first epoch that it hears of.
         events: whether every call of an operator or edge function gives an event.
 
-    `begin` and `receive` yield what is to be done as soon as it is known: a task message
-    before the belief is predicted, one node's context before the next one's. They must be
-    run to their end. Not for two threads at once.
+    Attributes:
+        begun: whether this engine has begun an epoch or attempt; one that was restored has not, yet.
+
+    Not for two threads at once.
     """
 
     def __init__(
-        self, node: BoundNode, edges: Sequence[BoundEdge], place: Place | None = None, *, events: bool = False
+        self,
+        wiring: Wiring,
+        outlet: Outlet,
+        *,
+        saved: Saved | None = None,
+        joins: bool = False,
+        events: bool = False,
     ) -> None:
-        self.node = node
-        self.name = node.name
-        self.place = place or Place()
+        self._outlet = outlet
         self._events = events
-        self._world = node.node if isinstance(node.node, World) and not node.below else None
-        by_pair = {(edge.lower, edge.upper): edge for edge in edges}
-        upward = {upper: by_pair[node.name, upper] for upper in node.above}
-        downward = {lower: by_pair[lower, node.name] for lower in node.below}
-        self._sense = {upper: edge.sense for upper, edge in upward.items()}
-        self._task = {lower: edge.task for lower, edge in downward.items() if edge.task}
-        self._context = {lower: edge.context for lower, edge in downward.items()}
-        self._roster = self.place.roster
-        self._instance = self.place.instance(node.name)
-        tasking = [upper for upper in node.above if (node.name, upper) in self.place.tasking]
-        self._from_below = {(name, OBSERVATIONS): self.place.instance(name) for name in node.below}
-        self._from_above = {(name, CONTEXT): self.place.instance(name) for name in node.above}
-        self._from_above.update({(name, TASKS): self.place.instance(name) for name in tasking})
-        self._tasking = tuple(tasking)
-        self._edges: Mapping[Slot, int] = {**self._from_below, **self._from_above}
-        self._inbox: dict[Slot, Message] = {}
+        self._joins = joins
+        self.begun = False
+        self._prepared: dict[int, Wiring] = {}
         self._held: dict[Slot, list[Message]] = {}
+        self._inbox: dict[Slot, Message] = {}
+        self._sent: dict[Slot, Message] = {}
         self._observations: Elements = ()
         self._sensed: Value = None
-        self._belief: Value = node.initial_belief(0, 0.0)
-        self._policy = node.node.initial_policy
-        self._actions: Elements = ()
         self.digest = NO_DIGEST
         self.time_s = 0.0
-        self.attempt = 0
-        self.epoch = 0 if self._world else 1
-        self._enter(Phase.IDLE if self._world else Phase.SENSE)
-        self._encoded()
+        self._wire(wiring)
+        self._fresh = saved is None and self._world is None
+        self.epoch = 0
+        if saved is None:
+            state = ActiveNode(wiring.node.initial_belief(0, 0.0), wiring.node.node.initial_policy)
+            saved = Saved(0, 0, state, state)
+        self.restore(saved)
 
     @property
     def is_world(self) -> bool:
@@ -112,56 +78,153 @@ class Engine:
 
     @property
     def state(self) -> ActiveNode:
-        """The node's state now."""
-        return ActiveNode(self._belief, self._policy, self._actions)
+        """The node's state now: of the last epoch that it has finished, or of the start of the one under way."""
+        return self._state
+
+    @property
+    def start(self) -> ActiveNode:
+        """The node's state at the start of the epoch that it has begun last."""
+        return self._start
+
+    @property
+    def encoded(self) -> bytes:
+        """The encoding of `state`."""
+        return self._encoded_now
+
+    @property
+    def prepared(self) -> frozenset[int]:
+        """The versions that can be taken up."""
+        return frozenset(self._prepared)
+
+    @property
+    def encoded_start(self) -> bytes:
+        """The encoding of `start`."""
+        return self._encoded_start
 
     @property
     def waits_for(self) -> tuple[Slot, ...]:
         """From whom which messages are missing, in order."""
+        if self.phase is Phase.DONE:
+            return tuple(sorted(self.wiring.below))
         return tuple(sorted(self._awaited.keys() - self._inbox.keys()))
 
-    def begin(self) -> Iterator[Output]:
-        """Begin the next epoch; only the world, when idle.
+    def restore(self, saved: Saved) -> None:
+        """Go on from here: after a crash, or with the state of a node that this one replaces."""
+        self.epoch = saved.epoch
+        self.attempt = saved.attempt
+        self._start = saved.start
+        self._state = saved.now
+        self._belief: Value = saved.now.belief
+        self._encoded_start = self._encoded(saved.start)
+        self._encoded_now = self._encoded(saved.now)
+        self._inbox.clear()
+        self._enter(Phase.DONE)
+
+    def begin(self, attempt: int = 0) -> None:
+        """Begin the next epoch; only the world, when it is done with the last one.
+
+        Args:
+            attempt: its first number; not 0 where the world's process has died at this epoch.
 
         Raises:
             OperatorError: an operator failed.
         """
-        if self._world is None or self.phase is not Phase.IDLE:
-            raise ValueError(f"{self.name}: only a world that is idle begins an epoch")
-        self.epoch += 1
-        self.time_s = epoch_time_s(self.name, self._world, self._belief, self.epoch)
-        self._enter(Phase.SENSE)
-        return self._advance()
+        if self._world is None or self.phase is not Phase.DONE:
+            raise ValueError(f"{self.name}: only a world that is done with an epoch begins the next one")
+        self._turn(self.epoch + 1, attempt)
+        self._begin(self._world)
 
-    def receive(self, message: Message) -> Iterator[Output]:
+    def begin_again(self, attempt: int) -> None:
+        """Do the epoch under way again, from its start; only the world.
+
+        Args:
+            attempt: later than any before.
+
+        Raises:
+            OperatorError: an operator failed.
+        """
+        if self._world is None or self.phase is Phase.DONE or attempt <= self.attempt:
+            raise ValueError(f"{self.name}: only a world that has begun an epoch begins it again, as a later attempt")
+        self._undo(attempt)
+        self._begin(self._world)
+
+    def prepare(self, wiring: Wiring) -> None:
+        """Have the wiring of a roster's version at hand, for when a message of it comes; it may be held already.
+
+        Raises:
+            OperatorError: an operator failed.
+        """
+        if wiring.roster <= self.wiring.roster:
+            return
+        self._prepared[wiring.roster] = wiring
+        if self._held:
+            self._release()
+
+    def rewire(self, version: int) -> None:
+        """Take up a prepared version: the world, before it begins an epoch or attempt of it."""
+        self._wire(self._prepared[version])
+        self._outlet.rewired(version)
+        self._prepared = {later: wiring for later, wiring in self._prepared.items() if later > version}
+
+    def resend(self, receivers: Sequence[str]) -> None:
+        """Send once more what these neighbours were sent of the epoch's attempt."""
+        for receiver, kind in sorted(self._sent):
+            if receiver in receivers:
+                self._outlet.send(self._sent[receiver, kind])
+
+    def receive(self, message: Message) -> None:
         """Take a message in, by the table.
 
         Raises:
             OperatorError: an operator failed.
         """
-        verdict = self.judge(message.header)
-        if verdict is Verdict.CURRENT:  # ACTIONS has this row, too; it is the one that epochs are made of
-            header = message.header
-            self._inbox[header.sender, header.kind] = message
-            if len(self._inbox) == len(self._awaited):
-                yield from self._advance()
+        header = message.header
+        kind, sender, receiver, epoch, attempt, roster, instance, _, digest, _ = header
+        slot = (sender, kind)
+        if (  # CURRENT: what epochs are made of
+            epoch == self.epoch
+            and attempt == self.attempt
+            and self._awaited.get(slot) == instance
+            and roster == self._roster
+            and slot not in self._inbox
+            and receiver == self.name
+            and (digest or kind != CONTEXT)
+        ):
+            self._take(slot, message)
             return
-        action = ACTIONS[verdict]
-        if action is Action.REFUSE or (action is Action.HOLD and not self._hold(message)):
-            yield Refused(message.header, verdict)
+        verdict = self.judge(header)
+        if verdict is Verdict.NEXT:
+            self._turn(epoch, attempt)
+            self._take(slot, message)
+        elif verdict is Verdict.AGAIN:
+            self._undo(attempt)
+            self._take(slot, message)
+        elif verdict is Verdict.NEW_ROSTER and self._takes_up(header):
+            self.rewire(roster)
+            self.receive(message)
+        elif ACTIONS[verdict] is Action.REFUSE or (ACTIONS[verdict] is Action.HOLD and not self._hold(message)):
+            self._outlet.refused(header, verdict)
+        elif verdict is Verdict.NEW_ROSTER and roster not in self._prepared:
+            self._outlet.lacks(roster)
 
     def judge(self, header: Header) -> Verdict:
         """What a message with this header is to the node now."""
         kind, sender, receiver, epoch, attempt, roster, instance, _, digest, _ = header
         slot = (sender, kind)
-        if slot not in self._edges or receiver != self.name:
+        wiring = self.wiring
+        if roster != wiring.roster:
+            return Verdict.OLD_ROSTER if roster < wiring.roster else Verdict.NEW_ROSTER
+        from_below = slot in wiring.below
+        if not (from_below or slot in wiring.above) or receiver != self.name:
             return Verdict.FOREIGN
-        if roster != self._roster:
-            return Verdict.OLD_ROSTER if roster < self._roster else Verdict.NEW_ROSTER
-        if instance != self._edges[slot]:
+        if instance != (wiring.below if from_below else wiring.above)[slot]:
             return Verdict.OTHER_INSTANCE
         if kind == CONTEXT and not digest:
             return Verdict.INCOMPLETE
+        if from_below and self._moves_on(epoch):
+            return Verdict.NEXT
+        if from_below and epoch == self.epoch > 0 and attempt > self.attempt:
+            return Verdict.AGAIN
         if epoch != self.epoch or attempt != self.attempt:
             return Verdict.LATE if (epoch, attempt) < (self.epoch, self.attempt) else Verdict.EARLY
         if slot in self._inbox:
@@ -171,111 +234,206 @@ class Engine:
         # the other half's: what came for SENSE is behind us, what comes for PREDICT is ahead
         return Verdict.EARLY if self.phase is Phase.SENSE else Verdict.DOUBLE
 
-    def _hold(self, message: Message) -> bool:
-        held = self._held.setdefault((message.header.sender, message.header.kind), [])
-        if len(held) >= HELD_MESSAGES:
+    def _moves_on(self, epoch: int) -> bool:
+        if self.phase is not Phase.DONE:
             return False
-        held.append(message)
+        return epoch == self.epoch + 1 or (self._joins and epoch > self.epoch)
+
+    def _takes_up(self, header: Header) -> bool:
+        """Whether a message is the one with which its roster takes effect here."""
+        wiring = self._prepared.get(header.roster)
+        if wiring is None or header.receiver != self.name:
+            return False
+        if wiring.below.get((header.sender, header.kind)) != header.instance:
+            return False
+        return self._moves_on(header.epoch) or (header.epoch == self.epoch > 0 and header.attempt > self.attempt)
+
+    def _hold(self, message: Message) -> bool:
+        slot = (message.header.sender, message.header.kind)
+        held = self._held.get(slot, [])
+        if any(other.header == message.header for other in held):
+            return True  # a double
+        if len(held) >= HELD_MESSAGES or (not held and len(self._held) >= HELD_SLOTS):
+            return False
+        self._held[slot] = [*held, message]
         return True
 
-    def _release(self) -> Iterator[Output]:
-        """Judge again what was held, as the epoch or its half has changed."""
+    def _release(self) -> None:
+        """Judge again what was held, as the epoch, its half or the roster has changed."""
         held, self._held = self._held, {}
         for slot in sorted(held):
             for message in held[slot]:
-                yield from self.receive(message)
+                self.receive(message)
+
+    def _wire(self, wiring: Wiring) -> None:
+        node = wiring.node
+        self.wiring = wiring
+        self.name = node.name
+        self.node = node
+        self._roster = wiring.roster
+        self._world = node.node if isinstance(node.node, World) and not node.below else None
+
+    def _turn(self, epoch: int, attempt: int) -> None:
+        """An epoch begins: the last one was committed."""
+        if self._fresh:  # a process without a checkpoint has never taken part in an epoch: its start is the initial one
+            self._fresh = False
+            self._outlet.save(epoch - 1, 0, self._encoded_now, self._encoded_now)
+        self._joins = False
+        self._start = self._state
+        self._encoded_start = self._encoded_now
+        self.epoch = epoch
+        self._restart(attempt)
+
+    def _undo(self, attempt: int) -> None:
+        """The epoch is done again, from its start."""
+        self._state = self._start
+        self._encoded_now = self._encoded_start
+        self._restart(attempt)
+
+    def _restart(self, attempt: int) -> None:
+        self._belief = self._state.belief
+        self.attempt = attempt
+        self.begun = True
+        self._inbox = {}
+        self._sent.clear()
+        self._enter(Phase.SENSE)
 
     def _enter(self, phase: Phase) -> None:
         self.phase = phase
-        self._awaited: Mapping[Slot, int]
         if phase is Phase.SENSE:
-            self._awaited = self._from_below
+            self._awaited = self.wiring.below
         elif phase is Phase.PREDICT:
-            self._awaited = self._from_above
+            self._awaited = self.wiring.above
         else:
-            self._awaited = {}
+            self._awaited = _NOTHING
 
-    def _advance(self) -> Iterator[Output]:
-        """Go on as far as what is in hand allows."""
-        while self.phase is not Phase.IDLE and len(self._inbox) == len(self._awaited):
-            if self.phase is Phase.SENSE:
-                yield from self._do_sense()
-            else:
-                yield from self._do_predict()
-            if self._held:
-                yield from self._release()
+    def _begin(self, world: World) -> None:
+        self.time_s = epoch_time_s(self.name, world, self._belief, self.epoch)
+        self._sensed = self._belief
+        self._send_up()
 
-    def _do_sense(self) -> Iterator[Output]:
+    def _take(self, slot: Slot, message: Message) -> None:
+        self._inbox[slot] = message
+        if len(self._inbox) < len(self._awaited):
+            return
+        if self.phase is Phase.SENSE:
+            self._sense()
+        else:
+            self._predict()
+
+    def _sense(self) -> None:
         inbox, self._inbox = self._inbox, {}
-        belief = self._belief
-        if self._world is None:
-            self.time_s = inbox[self.node.below[0], OBSERVATIONS].header.time_s
-            self._observations = _union(inbox, self.node.below, OBSERVATIONS)
-            belief = self.node.observe(self.epoch, self.time_s, self._observations, belief)
-            if self._events:
-                yield self._called(self.node.observe, belief)
-        self._sensed = belief
+        node = self.node
+        self.time_s = time_s = inbox[node.below[0], OBSERVATIONS].header.time_s
+        self._observations = observations = _union(inbox, node.below, OBSERVATIONS)
+        self._sensed = node.observe(self.epoch, time_s, observations, self._belief)
+        if self._events:
+            self._called(node.observe, self._sensed)
+        self._send_up()
+
+    def _send_up(self) -> None:
         self._enter(Phase.PREDICT)
-        for upper, sense in self._sense.items():
-            elements = sense.elements(self.epoch, self.time_s, belief) if sense else ()
-            if self._events and sense:
-                yield self._called(sense, elements)
-            yield self._send(OBSERVATIONS, upper, elements)
+        epoch, time_s, belief = self.epoch, self.time_s, self._sensed
+        for upper, sense in self.wiring.sense:
+            elements: Elements = ()
+            if sense is not None:
+                elements = sense.elements(epoch, time_s, belief)
+                if self._events:
+                    self._called(sense, elements)
+            self._send(OBSERVATIONS, upper, elements, b"")
+        if not self._awaited:
+            self._predict()
+        elif self._held:
+            self._release()
 
-    def _do_predict(self) -> Iterator[Output]:
+    def _predict(self) -> None:
         inbox, self._inbox = self._inbox, {}
-        node, epoch, time_s = self.node, self.epoch, self.time_s
-        tasks = _union(inbox, self._tasking, TASKS) if self._tasking else ()
-        context = _union(inbox, node.above, CONTEXT) if node.above else ()
-        policy = self._policy
-        if node.above:
+        wiring, node, epoch, time_s, sensed = self.wiring, self.node, self.epoch, self.time_s, self._sensed
+        above = node.above
+        tasks = _union(inbox, wiring.tasking, TASKS) if wiring.tasking else ()
+        context = _union(inbox, above, CONTEXT) if above else ()
+        policy = self._state.policy
+        if above:
             policy = node.choose(epoch, time_s, tasks)
             if self._events:
-                yield self._called(node.select_policy, policy)
+                self._called(node.select_policy, policy)
         act = node.policies[policy]
-        actions = act.elements(epoch, time_s, self._sensed)
+        actions = act.elements(epoch, time_s, sensed)
         if self._events:
-            yield self._called(act, actions)
-        for lower, task in self._task.items():
-            elements = task.elements(epoch, time_s, actions)
+            self._called(act, actions)
+        self._send_tasks(actions)
+        belief = node.predict(epoch, time_s, context, actions, sensed)
+        if self._events:
+            self._called(node.predict, belief)
+        self._state = state = ActiveNode(belief, policy, actions)
+        self._belief = belief
+        self._encoded_now = encoded = self._encoded(state)
+        self.digest = node_digest(encoded, [inbox[upper, CONTEXT].header.digest for upper in above])
+        self._enter(Phase.DONE)
+        self._hand_on(tasks, context)
+
+    def _send_tasks(self, actions: Elements) -> None:
+        for lower, task in self.wiring.task:
+            elements = task.elements(self.epoch, self.time_s, actions)
             if self._events:
-                yield self._called(task, elements)
-            yield self._send(TASKS, lower, elements)
-        belief = node.predict(epoch, time_s, context, actions, self._sensed)
-        if self._events:
-            yield self._called(node.predict, belief)
-        self._belief, self._policy, self._actions = belief, policy, actions
-        encoded = self._encoded()
-        self.digest = node_digest(encoded, [inbox[upper, CONTEXT].header.digest for upper in node.above])
-        for lower, enrich in self._context.items():
-            elements = enrich.elements(epoch, time_s, belief) if enrich else ()
-            if self._events and enrich:
-                yield self._called(enrich, elements)
-            yield self._send(CONTEXT, lower, elements, self.digest)
-        step = Step(
-            epoch, self.attempt, time_s, self._observations, self._sensed, tasks, context, policy, actions, belief
-        )
-        yield Completed(step, encoded, self.digest)
+                self._called(task, elements)
+            self._send(TASKS, lower, elements, b"")
+
+    def _hand_on(self, tasks: Elements, context: Elements) -> None:
+        """What follows the prediction."""
+        epoch, attempt, time_s, state, outlet = self.epoch, self.attempt, self.time_s, self._state, self._outlet
         if self._world is None:
-            self.epoch += 1
-            self.attempt = 0
-            self._enter(Phase.SENSE)
-        else:
-            self._enter(Phase.IDLE)
-            yield Committed(epoch, self.attempt, self.digest)
+            outlet.save(epoch, attempt, self._encoded_start, self._encoded_now)
+        for lower, enrich in self.wiring.context:
+            elements: Elements = ()
+            if enrich is not None:
+                elements = enrich.elements(epoch, time_s, state.belief)
+                if self._events:
+                    self._called(enrich, elements)
+            self._send(CONTEXT, lower, elements, self.digest)
+        if self._world is not None:
+            outlet.act(epoch, state.actions)
+            outlet.committed(Committed(epoch, attempt, self.digest))
+        step = Step(
+            epoch,
+            attempt,
+            time_s,
+            self._observations,
+            self._sensed,
+            tasks,
+            context,
+            state.policy,
+            state.actions,
+            state.belief,
+        )
+        outlet.completed(Completed(step, self._encoded_now, self.digest))
+        if self._held:
+            self._release()
 
-    def _send(self, kind: str, receiver: str, elements: Elements, digest: bytes = b"") -> Send:
-        epoch, attempt, time_s = self.epoch, self.attempt, self.time_s
-        header = Header(kind, self.name, receiver, epoch, attempt, self._roster, self._instance, time_s, digest)
-        return Send(Message(header, elements))
+    def _send(self, kind: str, receiver: str, elements: Elements, digest: bytes) -> None:
+        wiring = self.wiring
+        header = Header(
+            kind, self.name, receiver, self.epoch, self.attempt, wiring.roster, wiring.instance, self.time_s, digest
+        )
+        if self._extends:
+            header = header._replace(extensions=self._extensions(kind))
+        message = Message(header, elements)
+        self._sent[receiver, kind] = message
+        self._outlet.send(message)
 
-    def _called(self, call: Call, result: Value) -> Called:
-        return Called(self.epoch, self.attempt, call.subject, call.operator, result)
+    _extends = False
 
-    def _encoded(self) -> bytes:
+    def _extensions(self, kind: str) -> Mapping[str, Value]:
+        """What a message's header says beside its fields."""
+        return NO_EXTENSIONS
+
+    def _called(self, call: Call, result: Value) -> None:
+        self._outlet.called(Called(self.epoch, self.attempt, call.subject, call.operator, result))
+
+    def _encoded(self, state: ActiveNode) -> bytes:
         """The state's bytes; a state that cannot be encoded is the operator's fault."""
         try:
-            return encode_state(self._belief, self._policy, self._actions)
+            return encode_state(state.belief, state.policy, state.actions)
         except SchemaError as error:
             what = f"its belief or actions {error}"
             raise OperatorError(self.name, "predict" if self.epoch else "initial_belief", self.epoch, what) from error
@@ -284,15 +442,15 @@ class Engine:
 class DigestChain:
     """The digests of committed epochs, each over the last one."""
 
-    def __init__(self, roster_hash: bytes) -> None:
-        self._roster_hash = roster_hash
-        self.epoch = 0
-        self.digest = NO_DIGEST
+    def __init__(self, roster_hash: bytes, epoch: int = 0, digest: bytes = NO_DIGEST) -> None:
+        self.roster_hash = roster_hash
+        self.epoch = epoch
+        self.digest = digest
 
     def commit(self, committed: Committed) -> bytes:
         """The digest of the next epoch."""
         self.epoch = committed.epoch
-        self.digest = epoch_digest(self.digest, committed.epoch, self._roster_hash, committed.digest)
+        self.digest = epoch_digest(self.digest, committed.epoch, self.roster_hash, committed.digest)
         return self.digest
 
 

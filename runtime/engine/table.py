@@ -9,35 +9,40 @@ those above:
             message from every parent whose edge has a task function (at a root: for
             nothing); then π ← λ(T), a ← π(s), one task message ψ(a) goes to every child
             whose edge has a task function, s ← γ(C, a, s), and one context message ϱ(s)
-            goes to every child.
+            goes to every child. Then the node is DONE.
 
 An observation or context message always goes, with the empty set if need be: it is the
 barrier's token. Where the roster says that an edge has no task function, both its ends
 know that it gives the empty set, and no message says so.
 
-The world waits in IDLE until it is told to begin an epoch: it has no children, so it
-sends φ(s) at once and goes to PREDICT; when it has predicted, the epoch is committed.
-Every other node goes from PREDICT to SENSE of the next epoch by itself. As the world
-is the only source of the observations and the only sink of what comes down, an epoch
-ends when every node is done with it: the world is the barrier.
+The world begins an epoch when it is told to: it has no children, so it sends φ(s) at
+once and goes to PREDICT; when it has predicted, the epoch is committed. Every other node
+goes on when an observation message says so: from DONE to the next epoch, from anywhere
+to a later attempt of the epoch that it has begun. As the world is the only source of the
+observations and the only sink of what comes down, an epoch ends when every node is done
+with it: the world is the barrier.
 
 A message is judged by its header before its content is looked at. The first row that
 fits decides:
 
     verdict          when                                               action
     ---------------  -------------------------------------------------  ------
-    FOREIGN          not for this node, or along no edge of its roster  REFUSE
     OLD_ROSTER       of an older roster                                 REFUSE
     NEW_ROSTER       of a roster that this node does not have yet       HOLD
+    FOREIGN          not for this node, or along no edge of its roster  REFUSE
     OTHER_INSTANCE   not from the instance that the roster names        REFUSE
     INCOMPLETE       context, but without its sender's digest           REFUSE
+    NEXT             observations of the next epoch, and this one is    TAKE
+                     DONE (of any epoch, for a node that joins)
+    AGAIN            observations of a later attempt of this epoch      TAKE
     LATE             of an epoch or attempt that is past                DROP
     EARLY            of an epoch or attempt that is still to come       HOLD
     DOUBLE           already in hand                                    DROP
     CURRENT          anything else                                      TAKE
 
 HOLD keeps the message until its time comes, a bounded number for each sender and kind;
-more than that are refused. REFUSE and DROP change nothing; REFUSE is reported.
+more than that are refused. REFUSE and DROP change nothing; REFUSE is reported. NEXT makes
+the state of now that of the epoch's start, AGAIN the other way round.
 """
 
 from __future__ import annotations
@@ -54,19 +59,21 @@ class _Quick(Enum):
 class Phase(_Quick):
     """What a node waits for."""
 
-    IDLE = "idle"
-    SENSE = "sense"
-    PREDICT = "predict"
+    SENSE = "observations"
+    PREDICT = "tasks and context"
+    DONE = "the next epoch"
 
 
 class Verdict(_Quick):
     """What a message is to the node that receives it."""
 
-    FOREIGN = "not along an edge of this node"
     OLD_ROSTER = "of an older roster"
     NEW_ROSTER = "of a roster that is not here yet"
+    FOREIGN = "not along an edge of this node"
     OTHER_INSTANCE = "from another instance of its sender"
     INCOMPLETE = "without its sender's digest"
+    NEXT = "of the next epoch"
+    AGAIN = "of a later attempt of this epoch"
     LATE = "of an epoch or attempt that is past"
     EARLY = "of an epoch or attempt to come"
     DOUBLE = "already in hand"
@@ -83,11 +90,13 @@ class Action(_Quick):
 
 
 ACTIONS = {
-    Verdict.FOREIGN: Action.REFUSE,
     Verdict.OLD_ROSTER: Action.REFUSE,
     Verdict.NEW_ROSTER: Action.HOLD,
+    Verdict.FOREIGN: Action.REFUSE,
     Verdict.OTHER_INSTANCE: Action.REFUSE,
     Verdict.INCOMPLETE: Action.REFUSE,
+    Verdict.NEXT: Action.TAKE,
+    Verdict.AGAIN: Action.TAKE,
     Verdict.LATE: Action.DROP,
     Verdict.EARLY: Action.HOLD,
     Verdict.DOUBLE: Action.DROP,
@@ -96,3 +105,6 @@ ACTIONS = {
 
 HELD_MESSAGES = 8
 """How many messages of one sender and kind are held at most."""
+
+HELD_SLOTS = 256
+"""Of how many senders and kinds: of a roster that is not here yet, anybody may be one."""

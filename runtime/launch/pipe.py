@@ -8,9 +8,13 @@ supervisor is gone. What a child says is a map with ``"status"``.
 from __future__ import annotations
 
 import struct
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
+from hierax.runtime.owner.outlet import OwnerSettings
+from hierax.runtime.recovery.disk import Durability
+from hierax.runtime.world_member import OnUncertainAct
 from hierax.schemas.errors import SchemaError
 from hierax.schemas.limits import MAX_MESSAGE_BYTES
 from hierax.schemas.roster import ProbeSpec, Reference, Roster
@@ -19,16 +23,31 @@ from hierax.schemas.values import Value, decode_value, encode_value
 _LENGTH = struct.Struct("<I")
 
 STOP = "stop"
-"""Command: finish, report, exit."""
+"""Command: finish, report, exit. Any other command is a control message for the roster's owner, as bytes."""
 
 UP = "up"
 """Status: every neighbour hears this node and is heard."""
 FINISHED = "finished"
-"""Status of the world: the last epoch is committed."""
+"""Status of the world: the last epoch is committed; the roster, and its processes."""
 REPORT = "report"
 """Status: the node's final state; the last one before its process exits."""
 FAILED = "failed"
 """Status: the node cannot go on."""
+DISMISSED = "dismissed"
+"""Status: the owner has told the process to exit, and why; the last one."""
+ANSWER = "answer"
+"""Status of the world: what became of a change that somebody asked for."""
+END = "end"
+"""Status of the world: a process hangs, and is to be killed."""
+HALT = "halt"
+"""Status of the world: the run cannot go on, and why."""
+BEAT = "beat"
+"""Status of the world, again and again and when its roster changes: the epoch, and the roster's processes."""
+NOTE = "note"
+"""Status of the world: people should know."""
+
+BEGIN, COME_BACK, NEWCOMER, TO_REPORT = "begin", "come back", "newcomer", "to report"
+"""How a process comes into a run: with it, in the place of a lost one, for a change of the roster, or after its end."""
 
 
 @dataclass(frozen=True)
@@ -37,28 +56,58 @@ class NodeOrder:
 
     Attributes:
         name: of the node.
+        process: the process's token.
+        life: `BEGIN`, `COME_BACK`, `NEWCOMER` or `TO_REPORT`.
+        request: of a newcomer, the change that it is started for.
         deployment, run: what the keys begin with.
-        roster: who else there is.
+        roster: of a process that begins with the run, who else there is.
+        preload: modules that are imported before anything else.
         seed: of the run.
         epochs: how many; None: until the world has finished.
+        staleness: how old inputs from above may be, in epochs; None: free running.
+        exact: whether they are exactly so old.
+        rate_hz: in free running, how often at most the node takes part in an epoch; None: as it can.
         hub: endpoint of the supervisor, through which the processes find one another.
+        host: address of the process's machine at which others may link; empty: this machine's processes only.
         settings: Zenoh's own.
         output: folder for states and probes; empty: none.
         probes: of this node.
         import_paths: where modules of the deployment's own are looked for.
+        checkpoint: path of the node's checkpoint, without the slot's ending.
+        durability: of the checkpoint.
+        owner: of the world's process: what the deployment says on recovery.
+        on_uncertain_act: of the world's process.
+        processes: of the world's process: those of the other nodes that live.
+        proposals: of the world's process that comes back: control messages for the owner.
+        fault: where the process kills itself, as `hierax.runtime.launch.faults` has it; empty: nowhere.
     """
 
     name: str
+    process: str
+    life: str
+    request: str
     deployment: str
     run: str
-    roster: Roster
+    roster: Roster | None
+    preload: tuple[str, ...]
     seed: int
     epochs: int | None
+    staleness: int | None
+    exact: bool
+    rate_hz: float | None
     hub: str
+    host: str
     settings: Value
     output: str
     probes: tuple[ProbeSpec, ...]
     import_paths: tuple[str, ...]
+    checkpoint: str
+    durability: Durability
+    owner: OwnerSettings | None
+    on_uncertain_act: OnUncertainAct
+    processes: Mapping[str, str]
+    proposals: tuple[bytes, ...]
+    fault: str = ""
 
     @property
     def output_path(self) -> Path | None:
@@ -69,15 +118,18 @@ class NodeOrder:
         """As a value."""
         return {
             **self.__dict__,
-            "roster": self.roster.plain(),
+            "roster": None if self.roster is None else self.roster.plain(),
             "probes": [[probe.node, probe.reference.plain()] for probe in self.probes],
+            "owner": None if self.owner is None else self.owner.__dict__,
         }
 
     @staticmethod
     def read(value: Value) -> NodeOrder:
         """From a value; it comes from our own supervisor, so only the roster is checked in full."""
         probes = tuple(ProbeSpec(node, Reference.read(ref, f"probes.{node}")) for node, ref in value["probes"])
-        return NodeOrder(**{**value, "roster": Roster.read(value["roster"]), "probes": probes})
+        roster = None if value["roster"] is None else Roster.read(value["roster"])
+        owner = None if value["owner"] is None else OwnerSettings(**value["owner"])
+        return NodeOrder(**{**value, "roster": roster, "probes": probes, "owner": owner})
 
 
 def frame(value: Value) -> bytes:

@@ -1,15 +1,13 @@
-"""Launching a deployment: each node its own process, watched until the run is over."""
+"""Launching a deployment: each node its own process, kept alive until the run is over."""
 
 from __future__ import annotations
 
 import os
 import signal
-import subprocess
-import sys
+import tempfile
 import time
-from collections.abc import AsyncIterator, Callable
-from contextlib import asynccontextmanager
-from dataclasses import dataclass, field
+from collections.abc import AsyncIterator, Callable, Mapping, Sequence
+from contextlib import ExitStack, asynccontextmanager
 from pathlib import Path
 from secrets import token_hex
 from typing import Any
@@ -17,64 +15,52 @@ from typing import Any
 import anyio
 import anyio.abc
 
-from hierax.runtime.core.errors import HieraxError
 from hierax.runtime.deployment import Deployment
 from hierax.runtime.files import write_roster
-from hierax.runtime.launch.pipe import FAILED, FINISHED, REPORT, STOP, UP, Frames, NodeOrder, frame
+from hierax.runtime.launch.child import END_TIMEOUT_S, Child, NodeFailedError, Restarts, start_child
+from hierax.runtime.launch.orders import Orders
+from hierax.runtime.launch.pipe import (
+    ANSWER,
+    BEAT,
+    BEGIN,
+    COME_BACK,
+    DISMISSED,
+    END,
+    FAILED,
+    FINISHED,
+    HALT,
+    NEWCOMER,
+    NOTE,
+    REPORT,
+    STOP,
+    UP,
+    Frames,
+    NodeOrder,
+)
+from hierax.runtime.launch.requests import Requests
+from hierax.runtime.launch.run_file import Run, Running, register
+from hierax.runtime.owner.outlet import DETACH
 from hierax.runtime.report import NodeReport, Report, make_report
 from hierax.runtime.transport.hub import Hub
 from hierax.runtime.transport.zenoh_session import remove_orphaned_segments
+from hierax.schemas.control import Control, Lost, encode_control
 from hierax.schemas.keys import Keys
-from hierax.schemas.values import Value
-
-END_TIMEOUT_S = 1.5
-"""How long processes may take to end when the run is broken off."""
-
-CLOSED = -1
-"""A child's handle when the child is gone."""
+from hierax.schemas.roster import Roster
 
 REPORT_TIMEOUT_S = 60.0
 """How long they may take for their reports, and their probes to close, when it is over."""
 
+POLL_S = 0.01
+
+BEAT_S = 0.2
+"""How often it says something."""
+
+SILENCE_S = 1.0
+"""How long the world's process may say nothing, beyond the epoch's deadline."""
+
 
 class Interrupted(Exception):  # noqa: N818 - no error: somebody pressed Ctrl-C
     """The run was broken off by a signal."""
-
-
-class NodeFailedError(HieraxError):
-    """A node's process failed or ended before the run was over.
-
-    Attributes:
-        where: path in the roster of what could not be loaded; may be empty.
-    """
-
-    def __init__(self, message: str, where: str = "") -> None:
-        self.where = where
-        super().__init__(message)
-
-
-@dataclass
-class Child:
-    """A node's process and what it has said.
-
-    Attributes:
-        name: of the node.
-        process: its process.
-        handle: a file descriptor that stands for it; signals go through it, as it never means
-            another process, and as asyncio's own way competes with its wait for the exit code.
-        up: set when it and its neighbours hear each other.
-        heard: set when all that it had to say is taken in and it has ended.
-        report: its last word.
-        failure: why it cannot go on.
-    """
-
-    name: str
-    process: anyio.abc.Process
-    handle: int
-    up: anyio.Event = field(default_factory=anyio.Event)
-    heard: anyio.Event = field(default_factory=anyio.Event)
-    report: dict[str, Value] | None = None
-    failure: NodeFailedError | None = None
 
 
 def launch(
@@ -84,6 +70,12 @@ def launch(
     seed: int,
     output: Path | None = None,
     progress: Callable[[int], None] | None = None,
+    tell: Callable[[str], None] | None = None,
+    state: Path | None = None,
+    run: Run | None = None,
+    host: str | None = None,
+    settings: Sequence[str] = (),
+    faults: Mapping[str, Sequence[str]] | None = None,
 ) -> Report:
     """Run a deployment with each node in a process of its own, over Zenoh.
 
@@ -94,144 +86,128 @@ def launch(
         output: folder for the states, digests and what probes write; None: nothing is written.
         progress: told the number of each epoch that is committed, as far as one can be told without
             holding the run up.
+        tell: told what happens to the processes.
+        state: folder of the checkpoints, which stays; None: one that goes with the run.
+        run: go on with this one, whose checkpoints are in `state`.
+        host: address of this machine at which processes on others may join; None: none may.
+        settings: with which the deployment file was read, for those who read it again.
+        faults: by node, where its processes kill themselves, one after the other; see `hierax.runtime.launch.faults`.
 
     Raises:
         HieraxError: a node cannot be loaded, did not come up in time, or failed.
         KeyboardInterrupt: broken off by SIGINT, SIGTERM or SIGHUP; all processes are gone.
     """
-    if output is not None:
+    if output is not None and run is None:
         write_roster(output, deployment.roster)
-    try:
-        supervisor = Supervisor(deployment, deployment.epochs if epochs is None else epochs, seed, output)
-        return anyio.run(supervisor.run, progress)
-    except Interrupted as error:
-        raise KeyboardInterrupt from error
-    finally:
-        remove_orphaned_segments()
+    with ExitStack() as stack:
+        stack.callback(remove_orphaned_segments)
+        if state is None:
+            state = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="hierax-")))
+        state.mkdir(parents=True, exist_ok=True)
+        limit = deployment.epochs if epochs is None else epochs
+        run_id = token_hex(4)
+        orders = Orders(deployment, run_id, seed, limit, output, state, host, settings, faults)
+        if run is not None:
+            orders.take_up(run)
+        orders.keep()
+        supervisor = Supervisor(
+            deployment, orders, Keys(deployment.name, run_id), tell or _say_nothing, run is not None
+        )
+        try:
+            return anyio.run(supervisor.run, progress)
+        except Interrupted as error:
+            raise KeyboardInterrupt from error
+    raise AssertionError  # pragma: no cover - `with` never swallows
 
 
 class Supervisor:
-    """Starts the processes of a launch, watches them, and ends them."""
+    """Starts the processes of a launch, keeps them, and ends them."""
 
-    def __init__(self, deployment: Deployment, epochs: int | None, seed: int, output: Path | None) -> None:
+    def __init__(
+        self,
+        deployment: Deployment,
+        orders: Orders,
+        keys: Keys,
+        tell: Callable[[str], None],
+        resume: bool,
+    ) -> None:
         self._deployment = deployment
-        self._epochs = epochs
-        self._seed = seed
-        self._output = output
-        self._run_id = token_hex(4)
+        self.orders = orders
+        self._keys = keys
+        self._say = tell
+        self._resume = resume
+        self._world = deployment.roster.world
         self._children: dict[str, Child] = {}
+        self._current: dict[str, Child] = {}
+        self._restarts: dict[str, Restarts] = {}
+        self._members: Mapping[str, str] = {}
         self._finished = anyio.Event()
         self._broken = anyio.Event()
         self._why: Exception | None = None
         self._ending = False
+        self._gone: set[str] = set()
+        self._last_roster: Roster | None = None
+        self._heard_s = 0.0
+        self.epoch = 0
+        self.version = 0
+        self.instances: Mapping[str, int] = {}
+        self._tasks: anyio.abc.TaskGroup
+        self._requests = Requests(self)
+
+    # --- the course of a launch
 
     async def run(self, progress: Callable[[int], None] | None) -> Report:
         """The whole launch."""
         begun = time.perf_counter()
-        keys = Keys(self._deployment.name, self._run_id)
-        hub = Hub(keys, self._deployment.zenoh, progress)
+        hub = Hub(self._keys, self._deployment.zenoh, progress, self.orders.host)
+        self.orders.hub = hub.endpoint
+        registered = register(self._running(hub.endpoint))
         try:
             async with anyio.create_task_group() as tasks:
+                self._tasks = tasks
                 tasks.start_soon(self._watch_signals)
                 try:
-                    await self._start_all(tasks, hub.endpoint)
-                    start_s = await self._until_finished(begun)
+                    await self._start_all()
+                    async with self._requests.served(hub):
+                        start_s = await self._until_finished(begun)
                     await self._collect()
                 finally:
                     with anyio.CancelScope(shield=True):
                         await self._end_all()
                     tasks.cancel_scope.cancel()
         finally:
+            registered.unlink(missing_ok=True)
             hub.close()
         if self._why is not None:
             raise self._why
         return self._make_report(start_s)
 
-    async def _start_all(self, tasks: anyio.abc.TaskGroup, hub: str) -> None:
-        for name in sorted(self._deployment.roster.nodes):
-            process = await anyio.open_process(
-                [sys.executable, "-m", "hierax.runtime.launch.node_process"],
-                stdin=subprocess.PIPE,
-                stdout=subprocess.PIPE,
-                stderr=None,
-                start_new_session=True,
-            )
-            child = self._children[name] = Child(name, process, os.pidfd_open(process.pid))
-            tasks.start_soon(self._listen, child)
-            await self._tell(child, self._order(name, hub).plain())
+    def _running(self, endpoint: str) -> Running:
+        orders, deployment = self.orders, self._deployment
+        return Running(
+            orders.run_id, deployment.name, endpoint, os.getpid(), str(deployment.path.resolve()), orders.settings
+        )
+
+    async def _start_all(self) -> None:
+        roster = self.orders.known_roster(self._resume)
+        life = COME_BACK if self._resume else BEGIN
+        tokens = {name: token_hex(8) for name in roster.nodes}
+        self._members = tokens
+        for name in sorted(roster.nodes):
+            others = {} if self._resume else tokens
+            await self.start(self.orders.order(name, tokens[name], life, processes=others))
             if self._broken.is_set():
                 return
 
-    def _order(self, name: str, hub: str) -> NodeOrder:
-        deployment = self._deployment
-        return NodeOrder(
-            name=name,
-            deployment=deployment.name,
-            run=self._run_id,
-            roster=deployment.roster,
-            seed=self._seed,
-            epochs=self._epochs,
-            hub=hub,
-            settings=deployment.zenoh,
-            output="" if self._output is None else str(self._output),
-            probes=deployment.probes,
-            import_paths=tuple(deployment.import_paths),
-        )
-
-    async def _tell(self, child: Child, value: Value) -> None:
-        assert child.process.stdin is not None
-        try:
-            await child.process.stdin.send(frame(value))
-        except (anyio.BrokenResourceError, anyio.ClosedResourceError, OSError):
-            self._break(NodeFailedError(f"{child.name}: its process does not listen any more"))
-
-    async def _listen(self, child: Child) -> None:
-        """Take in what a child says until its process ends."""
-        assert child.process.stdout is not None
-        frames = Frames()
-        async with anyio.create_task_group() as tasks:
-            tasks.start_soon(_cut_off, child, tasks.cancel_scope)
-            async for data in child.process.stdout:
-                for value in frames.feed(data):
-                    self._take(child, value)
-            with anyio.move_on_after(END_TIMEOUT_S):
-                await child.process.wait()
-            tasks.cancel_scope.cancel()
-        code = child.process.returncode
-        child.heard.set()
-        if child.report is None and not self._ending:
-            self._break(child.failure or NodeFailedError(f"{child.name}: its process ended {_describe(code)}"))
-
-    def _take(self, child: Child, value: dict[str, Any]) -> None:
-        status = value["status"]
-        if status == UP:
-            child.up.set()
-        elif status == FINISHED:
-            self._finished.set()
-        elif status == REPORT:
-            child.report = value
-        elif status == FAILED:
-            child.failure = NodeFailedError(value["message"], value["where"])
-            self._break(child.failure)
-
-    def _break(self, why: Exception) -> None:
-        if self._why is None and not self._ending:
-            self._why = why
-            self._broken.set()
-
-    async def _watch_signals(self) -> None:
-        """The first signal ends the run in good order, the second one at once."""
-        numbers = [signal.SIGINT, signal.SIGTERM]
-        if signal.getsignal(signal.SIGHUP) is not signal.SIG_IGN:  # as nohup has it
-            numbers.append(signal.SIGHUP)
-        with anyio.open_signal_receiver(*numbers) as signals:
-            async for _ in signals:
-                if self._broken.is_set() or self._ending:
-                    self._kill_all()
-                    await self._wait_for_all()
-                    remove_orphaned_segments()
-                    os._exit(130)
-                self._break(Interrupted())
+    async def start(self, order: NodeOrder) -> Child:
+        """Start a node's process."""
+        child = await start_child(order)
+        self._children[child.token] = child
+        if order.life != NEWCOMER:
+            self._current[child.name] = child
+        self._restarts.setdefault(child.name, Restarts(self.orders.policy(child.name)))
+        self._tasks.start_soon(self._listen, child)
+        return child
 
     async def _until_finished(self, begun: float) -> float:
         """Wait for the processes to come up, then for the world to finish.
@@ -242,27 +218,56 @@ class Supervisor:
         timeout_s = self._deployment.start_timeout_s
         start_s = 0.0
         async with self._unless_broken():
+            first = dict(self._current)
             with anyio.move_on_after(timeout_s):
-                for child in self._children.values():
+                for child in first.values():
                     await child.up.wait()
-            late = [name for name, child in self._children.items() if not child.up.is_set()]
+            late = [name for name, child in first.items() if not child.up.is_set()]
             if late:
                 self._break(NodeFailedError(f"not up within {timeout_s:g} s (start_timeout_s): {', '.join(late)}"))
             start_s = time.perf_counter() - begun
+            self._heard_s = time.monotonic()
+            self._tasks.start_soon(self._watch_world)
             await self._finished.wait()
         return start_s
 
     async def _collect(self) -> None:
         """Have every process report and end."""
+        self._finished.set()
         async with self._unless_broken():
             with anyio.move_on_after(REPORT_TIMEOUT_S):
-                for child in self._children.values():
-                    await self._tell(child, STOP)
-                for child in self._children.values():
+                for child in self._present():
+                    await child.tell(STOP)
+                while any(child.report is None for child in self._present()):
+                    await anyio.sleep(POLL_S)
+                for child in self._present():
                     await child.heard.wait()
-            silent = [name for name, child in self._children.items() if child.report is None]
+            silent = [child.name for child in self._present() if child.report is None]
             if silent:
                 self._break(NodeFailedError(f"no report within {REPORT_TIMEOUT_S:g} s: {', '.join(silent)}"))
+
+    def _present(self) -> list[Child]:
+        """The processes of the roster in force that are kept here."""
+        return [child for child in self._children.values() if self._members.get(child.name) == child.token]
+
+    async def _end_all(self) -> None:
+        """End every process that is left: first kindly, then not."""
+        self._ending = True
+        children = list(self._children.values())
+        for child in children:
+            child.send_signal(signal.SIGTERM)
+        await self._wait_for_all()
+        for child in children:
+            child.kill()
+        await self._wait_for_all()
+        for child in children:
+            await child.close()
+
+    async def _wait_for_all(self) -> None:
+        """Bounded, as a program that a node has started may hold its pipes open when the node is gone."""
+        with anyio.move_on_after(END_TIMEOUT_S):
+            for child in list(self._children.values()):
+                await child.process.wait()
 
     @asynccontextmanager
     async def _unless_broken(self) -> AsyncIterator[None]:
@@ -279,81 +284,206 @@ class Supervisor:
             yield
             tasks.cancel_scope.cancel()
 
-    async def _end_all(self) -> None:
-        """End every process that is left: first kindly, then not."""
-        self._ending = True
-        for child in self._children.values():
-            _signal(child, signal.SIGTERM)
-        await self._wait_for_all()
-        self._kill_all()
-        await self._wait_for_all()
-        for child in self._children.values():
-            for stream in (child.process.stdin, child.process.stdout):
-                if stream is not None:
-                    await stream.aclose()
-        for child in self._children.values():
-            os.close(child.handle)
-            child.handle = CLOSED
+    def _break(self, why: Exception) -> None:
+        if self._why is None and not self._ending:
+            self._why = why
+            self._broken.set()
 
-    async def _wait_for_all(self) -> None:
-        """Bounded, as a program that a node has started may hold its pipes open when the node is gone."""
-        with anyio.move_on_after(END_TIMEOUT_S):
-            for child in self._children.values():
+    async def _watch_signals(self) -> None:
+        """The first signal ends the run in good order, the second one at once."""
+        numbers = [signal.SIGINT, signal.SIGTERM]
+        if signal.getsignal(signal.SIGHUP) is not signal.SIG_IGN:  # as nohup has it
+            numbers.append(signal.SIGHUP)
+        with anyio.open_signal_receiver(*numbers) as signals:
+            async for _ in signals:
+                if self._broken.is_set() or self._ending:
+                    for child in self._children.values():
+                        child.kill()
+                    await self._wait_for_all()
+                    remove_orphaned_segments()
+                    os._exit(130)
+                self._break(Interrupted())
+
+    # --- what the processes say
+
+    async def _listen(self, child: Child) -> None:
+        """Take in what a child says until its process ends."""
+        assert child.process.stdout is not None
+        frames = Frames()
+        async with anyio.create_task_group() as tasks:
+            tasks.start_soon(child.cut_off, tasks.cancel_scope)
+            async for data in child.process.stdout:
+                for value in frames.feed(data):
+                    self._take(child, value)
+            with anyio.move_on_after(END_TIMEOUT_S):
                 await child.process.wait()
+            tasks.cancel_scope.cancel()
+        child.heard.set()
+        if not self._ending and child.report is None:
+            await self._on_end(child)
 
-    def _kill_all(self) -> None:
-        for child in self._children.values():
-            if child.process.returncode is None:  # it still stands for its group
-                _signal_group(child, signal.SIGKILL)
-            _signal(child, signal.SIGKILL)
+    def _take(self, child: Child, value: dict[str, Any]) -> None:
+        status = value["status"]
+        if status == UP:
+            child.up.set()
+        elif status == REPORT:
+            child.report = value
+        elif status == FAILED:
+            child.failure = NodeFailedError(value["message"], value["where"])
+        elif status == DISMISSED:
+            child.dismissed = value["why"]
+            self._say(f"{child.name}: its process exits: {child.dismissed}")
+        elif self._current.get(self._world) is child:
+            self._take_from_world(value)
+
+    def _take_from_world(self, value: dict[str, Any]) -> None:
+        status = value["status"]
+        if status == BEAT:
+            self._heard_s = time.monotonic()
+            self.epoch = value["epoch"]
+            self.version = value["version"]
+            self.instances = value["instances"]
+            self._on_members(value["processes"])
+        elif status == FINISHED:
+            self._on_members(value["processes"])
+            self._last_roster = Roster.read(value["roster"])
+            self._finished.set()
+        elif status == NOTE:
+            self._say(value["what"])
+        elif status == ANSWER:
+            self._requests.answer(value["request"], value["epoch"], value["refusal"])
+        elif status == END:
+            self._kill(value["name"], value["process"], value["why"])
+        elif status == HALT:
+            child = self._current.get(value["why"].partition(":")[0])
+            ended = child is not None and not child.alive and not child.culprit
+            self._break(child.last_words if child is not None and ended else NodeFailedError(value["why"]))
+
+    def _on_members(self, members: Mapping[str, str]) -> None:
+        self._members = members
+        for name, token in members.items():
+            child = self._children.get(token)
+            if child is not None and child.alive:  # of one that has ended the next process may be on its way
+                self._current[name] = child
+
+    # --- processes that end
+
+    def _kill(self, name: str, token: str, why: str) -> None:
+        """A process hangs: it is killed; that it ends is noticed as always."""
+        self._say(f"{name}: its process is killed: {why}")
+        child = self._children.get(token)
+        if child is not None:
+            child.culprit = why
+            child.kill()
+        else:
+            self._tasks.start_soon(self.tell_owner, Lost(name, token, True))
+
+    async def _on_end(self, child: Child) -> None:
+        """A process has ended before its time."""
+        name = child.name
+        if child.dismissed:
+            return
+        if self._current.get(name) is not child:
+            await self.tell_owner(Lost(name, child.token, True))
+            await anyio.sleep(2 * BEAT_S)  # it may have been taken in just now
+            if self._current.get(name) is not child:
+                self._requests.failed(child)
+                return
+        failure = child.last_words
+        if not child.up.is_set() and not self._restarts[name].count and not child.order.request:
+            self._break(failure)
+            return
+        delay_s = self._restarts[name].delay_s(child)
+        if delay_s is None and (name == self._world or self.orders.policy(name).on_loss != DETACH):
+            self._break(failure)
+            return
+        self._say(f"{failure}" + ("" if delay_s is None else "; it is started again"))
+        if name != self._world:
+            await self.tell_owner(Lost(name, child.token, delay_s is not None))
+        if delay_s is not None:
+            await anyio.sleep(delay_s)
+            await self._restart(child)
+
+    async def _restart(self, child: Child) -> None:
+        name = child.name
+        if self._ending:
+            return
+        token = token_hex(8)
+        if self._last_roster is not None and name != self._world:  # nothing is left to do but to report
+            self._members = {**self._members, name: token}
+            await self.start(self.orders.to_report(child.order, token, self._last_roster))
+            await self._current[name].tell(STOP)
+            return
+        processes = {other: member for other, member in self._members.items() if self._may_live(member)}
+        order = self.orders.again(child.order, token, processes, self._requests.proposals)
+        await self.start(order)
+        self._heard_s = time.monotonic()
+
+    async def _watch_world(self) -> None:
+        """The world's process watches the others; here it is watched itself."""
+        deadline_s = self._deployment.epoch_deadline_s
+        if deadline_s is None:
+            return
+        while True:
+            await anyio.sleep(SILENCE_S / 5)
+            world = self._current[self._world]
+            if world.alive and time.monotonic() - self._heard_s > max(deadline_s, SILENCE_S):
+                self._heard_s = time.monotonic()
+                self._kill(self._world, world.token, "it does not answer")
+
+    # --- what others ask for
+
+    def _may_live(self, token: str) -> bool:
+        """Whether a process is alive, as far as is known here; of one kept elsewhere that is whether it is heard of."""
+        child = self._children.get(token)
+        return token not in self._gone if child is None else child.alive
+
+    async def on_gone(self, name: str, token: str) -> None:
+        """A process is gone, or cut off; what is kept here is noticed more surely by its end."""
+        if token not in self._children and self._members.get(name) == token:
+            self._gone.add(token)
+            self._say(f"{name}: its process, kept elsewhere, is gone or cannot be reached")
+            await self.tell_owner(Lost(name, token, True))
+
+    async def tell_owner(self, word: Control) -> None:
+        """What the world's process does not take in, because it has ended, its next one is told in its order."""
+        world = self._current.get(self._world)
+        if world is not None and world.alive:
+            await world.tell(encode_control(word))
+
+    def child(self, token: str) -> Child | None:
+        """A process that is kept here."""
+        return self._children.get(token)
+
+    def restarts_of(self, name: str) -> int:
+        """How often a node's process was started again."""
+        return self._restarts[name].count if name in self._restarts else 0
+
+    @property
+    def members(self) -> Mapping[str, str]:
+        """The processes of the roster in force, by node, as the world said last."""
+        return self._members
 
     def _make_report(self, start_s: float) -> Report:
-        reports = {name: child.report for name, child in self._children.items() if child.report is not None}
-        epochs, digest, wall_s, epochs_s = reports[self._deployment.roster.world]["run"]
+        reports = {child.name: child.report for child in self._present() if child.report is not None}
+        epochs, digest, wall_s, epochs_s = reports[self._world]["run"]
         nodes = {
             name: NodeReport(said["belief"], said["policy"], said["actions"], said["metrics"])
-            for name, said in reports.items()
+            for name, said in sorted(reports.items())
         }
         return make_report(
             self._deployment.name,
             "launch",
-            self._seed,
+            self.orders.seed,
             epochs,
             digest,
             wall_s,
             epochs_s,
             nodes,
-            self._output,
+            self.orders.output,
             start_s=start_s,
         )
 
 
-def _signal(child: Child, number: signal.Signals) -> None:
-    if child.handle == CLOSED:
-        return
-    try:
-        signal.pidfd_send_signal(child.handle, number)
-    except ProcessLookupError:
-        return  # it has ended by itself
-
-
-def _signal_group(child: Child, number: signal.Signals) -> None:
-    """A node's process leads a group, with the programs that the node has started."""
-    try:
-        os.killpg(child.process.pid, number)
-    except ProcessLookupError:
-        return  # all have ended by themselves
-
-
-async def _cut_off(child: Child, listening: anyio.CancelScope) -> None:
-    """End what a node has started with the node: it may hold the pipes open, so that no end of them comes."""
-    await anyio.wait_readable(child.handle)  # the process has ended
-    _signal_group(child, signal.SIGKILL)
-    await anyio.sleep(END_TIMEOUT_S)
-    listening.cancel()
-
-
-def _describe(code: int | None) -> str:
-    if code is None:
-        return "without an exit code"
-    return f"by signal {signal.Signals(-code).name}" if code < 0 else f"with exit code {code}"
+def _say_nothing(what: str) -> None:
+    return

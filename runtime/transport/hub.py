@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable
 from typing import Any
 
@@ -11,7 +12,13 @@ from hierax.runtime.transport.port import TransportError
 from hierax.runtime.transport.zenoh_session import Settings, close_session, free_endpoint, open_session
 from hierax.schemas.errors import SchemaError
 from hierax.schemas.keys import Keys
-from hierax.schemas.values import decode_value
+from hierax.schemas.values import Value, decode_value, encode_value
+
+KEEPER = "keeper"
+"""The keeper's address among the control keys."""
+
+FIND_TIMEOUT_S = 5.0
+LOOK_AGAIN_S = 0.02
 
 _TRIES = 5
 
@@ -23,31 +30,103 @@ class Hub:
         keys: of the run.
         settings: Zenoh's own.
         progress: told the number of each committed epoch, from a thread of Zenoh's.
+        host: address of this machine at which others may link; None: this machine's processes only.
 
     Raises:
         TransportError: Zenoh refuses the settings, or no endpoint could be listened on.
     """
 
-    def __init__(self, keys: Keys, settings: Settings, progress: Callable[[int], None] | None) -> None:
-        self.endpoint, self._session = _listen(settings)
+    def __init__(
+        self, keys: Keys, settings: Settings, progress: Callable[[int], None] | None, host: str | None = None
+    ) -> None:
+        self.endpoint, self._session = _listen(settings, host)
+        self._keys = keys
+        self._queryable: Any = None
+        self._watcher: Any = None
         self._subscriber: Any = None
         if progress is not None:
             self._subscriber = self._session.declare_subscriber(keys.epochs, _teller(progress))
+
+    def serve(self, on_query: Callable[[Value, Callable[[Value], None]], None]) -> None:
+        """Answer what is asked of the keeper: `on_query` is given the question, and what gives the answer."""
+        key = self._keys.control(KEEPER)
+
+        def answer(query: zenoh.Query) -> None:
+            def reply(value: Value) -> None:
+                with query:
+                    query.reply(key, encode_value(value))
+
+            payload = query.payload
+            try:
+                question = decode_value(b"" if payload is None else payload.to_bytes(), "question")
+            except SchemaError as error:
+                reply({"refusal": str(error)})
+                return
+            on_query(question, reply)
+
+        self._queryable = self._session.declare_queryable(key, answer)
+
+    def stop_serving(self) -> None:
+        """Answer nothing any more, and watch nobody."""
+        for declared in (self._queryable, self._watcher):
+            if declared is not None:
+                declared.undeclare()
+        self._queryable = self._watcher = None
+
+    def watch(self, on_gone: Callable[[str, str], None]) -> None:
+        """Tell of every process of a node that is gone, or cut off: the node's name and the process's token."""
+
+        def changed(sample: zenoh.Sample) -> None:
+            if sample.kind == zenoh.SampleKind.DELETE:
+                name, token = str(sample.key_expr).split("/")[-2:]
+                on_gone(name, token)
+
+        self._watcher = self._session.liveliness().declare_subscriber(self._keys.alive("*"), changed)
 
     def close(self) -> None:
         """Close the session."""
         close_session(self._session)
 
 
-def _listen(settings: Settings) -> tuple[str, zenoh.Session]:
+def ask(endpoint: str, question: Value, settings: Settings = None, timeout_s: float = 60.0) -> Value:
+    """Ask a launch's keeper something.
+
+    Args:
+        endpoint: of its hub.
+        question: see `hierax.runtime.launch.requests`.
+        settings: Zenoh's own.
+        timeout_s: how long the answer may take.
+
+    Raises:
+        TransportError: it cannot be reached, or does not answer.
+    """
+    # a client, as the processes of the run would link to a peer
+    session = open_session((), [endpoint], settings, shared_memory=False, mode="client")
+    key = Keys("*", "*").control(KEEPER)
+    data = encode_value(question)
+    patience = time.monotonic() + FIND_TIMEOUT_S
+    try:
+        while time.monotonic() < patience:  # whom nobody has heard of yet is not waited for by `get`
+            for reply in session.get(key, payload=data, timeout=timeout_s):
+                if reply.ok is not None:
+                    return decode_value(reply.ok.payload.to_bytes(), "answer")
+            time.sleep(LOOK_AGAIN_S)
+    except (zenoh.ZError, SchemaError) as error:
+        raise TransportError(f"the launch at {endpoint} cannot be asked: {error}") from error
+    finally:
+        close_session(session)
+    raise TransportError(f"the launch at {endpoint} does not answer")
+
+
+def _listen(settings: Settings, host: str | None) -> tuple[str, zenoh.Session]:
     """Somebody else may take the free endpoint before we do; then another one is tried."""
     for _ in range(_TRIES - 1):
-        endpoint = free_endpoint()
+        endpoint = free_endpoint(host)
         try:
             return endpoint, open_session(listen=[endpoint], settings=settings, shared_memory=False)
         except TransportError:
             continue
-    endpoint = free_endpoint()
+    endpoint = free_endpoint(host)
     return endpoint, open_session(listen=[endpoint], settings=settings, shared_memory=False)
 
 

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from collections import deque
+from collections.abc import Callable, Sequence
 
 import numpy as np
 
 from hierax.runtime.transport.port import Port, TransportError
 from hierax.schemas.messages import Message, decode_message, encode_message
+from hierax.schemas.roster import Roster
 
 Lane = tuple[str, str]
 """Sender and kind: what of one receiver's messages stays in order."""
@@ -93,6 +95,12 @@ class MemoryPort(Port):
         if not self.lanes[lane]:
             del self.lanes[lane]
         return decode_message(data)
+
+    def link(self, below: Sequence[str], above: Sequence[str], roster: Roster, opened: Callable[[int], None]) -> None:
+        opened(roster.version)
+
+    def unlink(self, version: int) -> None:
+        return
 
     def interrupt(self) -> None:
         self._interrupted = True

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from collections.abc import Callable, Sequence
 
 from hierax.runtime.core.errors import HieraxError
 from hierax.schemas.messages import Message
+from hierax.schemas.roster import Roster
 
 
 class TransportError(HieraxError):
@@ -41,6 +43,32 @@ class Port(ABC):
         Raises:
             SchemaError: bytes came that are no message; they are dropped, and one may go on.
         """
+
+    def poll(self) -> Message | None:
+        """The next message, if it is there already; as `receive`, but it never waits.
+
+        Raises:
+            SchemaError: as `receive`.
+        """
+        return self.receive()
+
+    @abstractmethod
+    def link(self, below: Sequence[str], above: Sequence[str], roster: Roster, opened: Callable[[int], None]) -> None:
+        """Open links to the neighbours of a version of the roster, beside those that there are.
+
+        Args:
+            below, above: names of the neighbours.
+            roster: its version and instances.
+            opened: called with the version when every neighbour hears this node and is heard:
+                at once, or in a later `receive`, by the thread that receives.
+
+        Raises:
+            TransportError: a link cannot be opened.
+        """
+
+    @abstractmethod
+    def unlink(self, version: int) -> None:
+        """Give up the links that only versions before this one need."""
 
     @abstractmethod
     def interrupt(self) -> None:

@@ -34,12 +34,27 @@ class Rendezvous:
     ) -> None:
         self._name = name
         self._instances = instances
-        self._roster = roster
+        self.version = roster
         self.sends: dict[str, tuple[str, ...]] = {**dict.fromkeys(above, UP), **dict.fromkeys(below, DOWN)}
         self.hears: dict[str, tuple[str, ...]] = {**dict.fromkeys(above, DOWN), **dict.fromkeys(below, UP)}
         # replaced, never changed in place: another thread may be reading them
         self._heard: dict[str, frozenset[str]] = dict.fromkeys(self.sends, frozenset())
         self._confirmed: set[str] = set()
+
+    @property
+    def lanes_out(self) -> list[tuple[str, str]]:
+        """Neighbour and kind of all that goes out."""
+        return [(peer, kind) for peer, kinds in self.sends.items() for kind in kinds]
+
+    def take_over(self, earlier: Rendezvous) -> None:
+        """Have the handshakes of another version count for neighbours whose processes, and ours, are the same."""
+        if earlier._instance(self._name) != self._instance(self._name):
+            return
+        for peer, kinds in self.hears.items():
+            same = earlier.hears.get(peer) == kinds and earlier._instance(peer) == self._instance(peer)
+            if same and earlier._done(peer):
+                self._heard[peer] = frozenset(kinds)
+                self._confirmed.add(peer)
 
     @property
     def ready(self) -> bool:
@@ -60,7 +75,7 @@ class Rendezvous:
                 key would answer each other for ever.
         """
         payload = ({"heard": tuple(sorted(self._heard[peer])), "asks": asks and not self._done(peer)},)
-        header = Header(HELLO, self._name, peer, 0, roster=self._roster, instance=self._instances.get(self._name, 0))
+        header = Header(HELLO, self._name, peer, 0, roster=self.version, instance=self._instance(self._name))
         return [(kind, Message(header, payload)) for kind in self.sends[peer]]
 
     def heard(self, kind: str, message: Message) -> list[tuple[str, Message]]:
@@ -76,13 +91,16 @@ class Rendezvous:
         peer = header.sender
         if peer not in self.hears or kind not in self.hears[peer]:
             raise SchemaError(f"a greeting from {peer!r}, which sends no {kind} to {self._name!r}", "message.sender")
-        if header.instance != self._instances.get(peer, 0) or header.roster != self._roster:
+        if header.instance != self._instance(peer) or header.roster != self.version:
             return []
         heard, asks = _read(message)
         self._heard[peer] |= {kind}
         if set(self.sends[peer]) <= heard:
             self._confirmed.add(peer)
         return self.hello(peer, asks=False) if asks else []
+
+    def _instance(self, name: str) -> int:
+        return self._instances.get(name, 0)
 
     def _done(self, peer: str) -> bool:
         return peer in self._confirmed and len(self._heard[peer]) == len(self.hears[peer])

@@ -5,7 +5,8 @@ from __future__ import annotations
 import logging
 import os
 from collections import deque
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import zenoh
@@ -16,6 +17,7 @@ from hierax.runtime.transport.zenoh_session import close_session
 from hierax.schemas.errors import SchemaError
 from hierax.schemas.keys import Keys
 from hierax.schemas.messages import HELLO, TASKS, Message, decode_message, encode_message
+from hierax.schemas.roster import Roster
 from hierax.schemas.values import encode_value
 
 _log = logging.getLogger("hierax")
@@ -30,6 +32,25 @@ INTERRUPT = "interrupt"
 """Kind of the key on which a process wakes up its own port."""
 
 
+Lane = tuple[str, str]
+"""A neighbour and a kind of message, in this order for what comes; for what goes, the other way round."""
+
+
+@dataclass
+class Link:
+    """The links of one version of the roster.
+
+    Attributes:
+        rendezvous: the handshakes.
+        opened: told when they are done.
+        told: whether it was.
+    """
+
+    rendezvous: Rendezvous
+    opened: Callable[[int], None]
+    told: bool = False
+
+
 class ZenohPort(Port):
     """A node's end of its edges in a process of its own. It owns its session.
 
@@ -39,39 +60,57 @@ class ZenohPort(Port):
         session: an open session.
         keys: of the run.
         name: of the node.
-        below, above: names of its neighbours.
-        instances: instance numbers, of the node and of its neighbours.
-        roster: the roster's version.
+        process: the process's token.
 
     Raises:
         TransportError: Zenoh refuses a declaration.
     """
 
-    def __init__(
-        self,
-        session: zenoh.Session,
-        keys: Keys,
-        name: str,
-        below: Iterable[str],
-        above: Iterable[str],
-        instances: Mapping[str, int] | None = None,
-        roster: int = 0,
-    ) -> None:
+    def __init__(self, session: zenoh.Session, keys: Keys, name: str, process: str = "") -> None:
         self._session = session
+        self._keys = keys
         self._name = name
         self._interrupted = False
         self._closed = False
         self._early: deque[Message] = deque()
-        self._instances = instances or {}
-        self.rendezvous = Rendezvous(name, below, above, self._instances, roster)
+        # replaced, never changed in place: other threads read them
+        self._links: Mapping[int, Link] = {}
+        self._lanes: Mapping[str, Lane] = {}
+        self._publishers: dict[Lane, Any] = {}
         self._own_key = keys.edge(INTERRUPT, name, name)
-        self._lanes = {
-            keys.edge(kind, peer, name): (peer, kind) for peer, kinds in self.rendezvous.hears.items() for kind in kinds
-        }
         try:
-            self._declare(keys)
+            self._inbox = session.declare_subscriber(keys.inbox(name), zenoh.handlers.FifoChannel(QUEUE_SIZE))
+            liveliness = session.liveliness()
+            # a token that nobody refers to undeclares itself
+            self._token = liveliness.declare_token(keys.alive(name, process or "0"))
+            self._births = liveliness.declare_subscriber(keys.alive("*"), self._on_alive, history=True)
         except zenoh.ZError as error:
             raise TransportError(f"{name}: Zenoh: {error}") from error
+
+    @property
+    def ready(self) -> bool:
+        """Whether the links of every version are open."""
+        return all(link.rendezvous.ready for link in self._links.values())
+
+    def link(self, below: Sequence[str], above: Sequence[str], roster: Roster, opened: Callable[[int], None]) -> None:
+        rendezvous = Rendezvous(self._name, below, above, roster.instances, roster.version)
+        for link in self._links.values():
+            rendezvous.take_over(link.rendezvous)
+        try:
+            self._declare(rendezvous)
+        except zenoh.ZError as error:
+            raise TransportError(f"{self._name}: Zenoh: {error}") from error
+        link = Link(rendezvous, opened)
+        self._links = {**self._links, roster.version: link}
+        self._tell_if_open(link)
+        self.greet()
+
+    def unlink(self, version: int) -> None:
+        self._links = {later: link for later, link in self._links.items() if later >= version}
+        needed = {(kind, peer) for link in self._links.values() for peer, kind in link.rendezvous.lanes_out}
+        for lane in self._publishers.keys() - needed:
+            self._publishers.pop(lane).undeclare()
+        self._lanes = self._lanes_in()
 
     def connect(self) -> bool:
         """Do the handshake with every neighbour; in the receiving thread, while another one calls `greet`.
@@ -79,7 +118,7 @@ class ZenohPort(Port):
         Returns:
             Whether it was done; not so where the port was interrupted.
         """
-        while not self.rendezvous.ready:
+        while not self.ready:
             try:
                 message = self._next(connecting=True)
             except SchemaError as error:
@@ -87,14 +126,15 @@ class ZenohPort(Port):
                 continue
             if message is not None:
                 self._early.append(message)
-            elif not self.rendezvous.ready:
+            elif not self.ready:
                 return False
         return True
 
     def greet(self) -> None:
         """Say hello to every neighbour that the handshake is not done with."""
-        for peer in self.rendezvous.missing:
-            self._put_all(self.rendezvous.hello(peer))
+        for link in self._links.values():
+            for peer in link.rendezvous.missing:
+                self._put_all(link.rendezvous.hello(peer))
 
     def send(self, message: Message) -> None:
         header = message.header
@@ -104,6 +144,11 @@ class ZenohPort(Port):
         if self._early:
             return self._early.popleft()
         return self._next()
+
+    def poll(self) -> Message | None:
+        if self._early:
+            return self._early.popleft()
+        return self._next(waits=False)
 
     def interrupt(self) -> None:
         self._interrupted = True
@@ -117,63 +162,83 @@ class ZenohPort(Port):
             self._closed = True
             close_session(self._session)
 
-    def _declare(self, keys: Keys) -> None:
-        name = self._name
-        self._publishers: dict[tuple[str, str], Any] = {
-            (kind, peer): self._session.declare_publisher(
-                keys.edge(kind, name, peer),
+    def _declare(self, rendezvous: Rendezvous) -> None:
+        for peer, kind in rendezvous.lanes_out:
+            if (kind, peer) in self._publishers:
+                continue
+            self._publishers[kind, peer] = self._session.declare_publisher(
+                self._keys.edge(kind, self._name, peer),
                 congestion_control=zenoh.CongestionControl.BLOCK,
                 priority=zenoh.Priority.REAL_TIME,
                 reliability=zenoh.Reliability.RELIABLE,
                 # a task message is followed by context, and leaves in the same batch
                 express=kind != TASKS,
             )
-            for peer, kinds in self.rendezvous.sends.items()
-            for kind in kinds
-        }
-        self._inbox = self._session.declare_subscriber(keys.inbox(name), zenoh.handlers.FifoChannel(QUEUE_SIZE))
-        liveliness = self._session.liveliness()
-        # a token that nobody refers to undeclares itself
-        self._token = liveliness.declare_token(keys.alive(name, self._instances.get(name, 0)))
-        self._births = liveliness.declare_subscriber(keys.alive("*"), self._on_alive, history=True)
+        self._lanes = {**self._lanes, **self._lanes_of(rendezvous)}
+
+    def _lanes_in(self) -> Mapping[str, Lane]:
+        lanes: dict[str, Lane] = {}
+        for link in self._links.values():
+            lanes.update(self._lanes_of(link.rendezvous))
+        return lanes
+
+    def _lanes_of(self, rendezvous: Rendezvous) -> Mapping[str, Lane]:
+        edge, name = self._keys.edge, self._name
+        return {edge(kind, peer, name): (peer, kind) for peer, kinds in rendezvous.hears.items() for kind in kinds}
 
     def _on_alive(self, sample: zenoh.Sample) -> None:
         """Greet a neighbour as soon as its process is there; what is lost is said again by `greet`."""
         peer = str(sample.key_expr).split("/")[-2]
-        if sample.kind != zenoh.SampleKind.PUT or peer not in self.rendezvous.missing:
+        if sample.kind != zenoh.SampleKind.PUT:
             return
         try:
-            self._put_all(self.rendezvous.hello(peer))
+            for link in self._links.values():
+                if peer in link.rendezvous.missing:
+                    self._put_all(link.rendezvous.hello(peer))
         except TransportError:
             return  # closing: nobody is to be greeted any more
 
-    def _next(self, connecting: bool = False) -> Message | None:
+    def _next(self, connecting: bool = False, waits: bool = True) -> Message | None:
         """The next message; None when interrupted, closed, or, while connecting, after a greeting that was the last."""
         while True:
             try:
-                sample = self._wait()
+                sample = self._wait() if waits else self._inbox.try_recv()
             except zenoh.ZError:
                 return None  # the session is closed
+            if sample is None:
+                return None
             key = str(sample.key_expr)
-            if key == self._own_key:
+            lane = self._lanes.get(key)
+            if lane is None and key == self._own_key:
                 if self._interrupted:  # else it is not from us
                     self._interrupted = False
                     return None
                 continue
-            lane = self._lanes.get(key)
+            if lane is None:
+                continue  # from one that is not our neighbour yet, and will say it again; or not any more
             message = decode_message(sample.payload.to_bytes())
-            if lane is None or lane[0] != message.header.sender:
-                raise SchemaError(
-                    f"from {message.header.sender!r} on key {key}, where it has nothing to say", "message"
-                )
-            if message.header.kind == HELLO:
-                self._put_all(self.rendezvous.heard(lane[1], message))
-                if connecting and self.rendezvous.ready:
-                    return None
-            elif message.header.kind == lane[1]:
+            header = message.header
+            if lane == (header.sender, header.kind):
                 return message
-            else:
-                raise SchemaError(f"a {message.header.kind} message on key {key}", "message.kind")
+            if header.kind != HELLO:
+                raise SchemaError(f"{header.kind} message from {header.sender!r} on key {key}", "message")
+            self._hear(lane, key, message)
+            if connecting and self.ready:
+                return None
+
+    def _hear(self, lane: Lane, key: str, message: Message) -> None:
+        """A neighbour's greeting."""
+        if lane[0] != message.header.sender:
+            raise SchemaError(f"a greeting from {message.header.sender!r} on key {key}", "message.sender")
+        link = self._links.get(message.header.roster)
+        if link is not None:
+            self._put_all(link.rendezvous.heard(lane[1], message))
+            self._tell_if_open(link)
+
+    def _tell_if_open(self, link: Link) -> None:
+        if not link.told and link.rendezvous.ready:
+            link.told = True
+            link.opened(link.rendezvous.version)
 
     def _wait(self) -> zenoh.Sample:
         """The next sample: looked for a moment, then slept for.

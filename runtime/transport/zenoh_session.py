@@ -9,7 +9,7 @@ import socket
 import threading
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any, TypeAlias
+from typing import Any, Literal, TypeAlias
 
 import zenoh
 
@@ -32,20 +32,22 @@ def open_session(
     connect: Sequence[str] = (),
     settings: Settings = None,
     shared_memory: bool = True,
+    mode: Literal["peer", "client"] = "peer",
 ) -> zenoh.Session:
-    """Open a session as a peer that links directly to every peer it hears of.
+    """Open a session.
 
     Args:
         listen, connect: Zenoh endpoints.
         settings: Zenoh's own; they win over ours, and over the file that ZENOH_CONFIG names.
         shared_memory: whether large messages may go through shared memory.
+        mode: a ``peer`` links directly to every peer it hears of; a ``client`` only to what it connects to.
 
     Raises:
         TransportError: Zenoh refuses the settings or cannot listen.
     """
     zenoh.init_log_from_env_or("error")
     ours: dict[str, Any] = {
-        "mode": "peer",
+        "mode": mode,
         "listen/endpoints": list(listen),
         "connect/endpoints": list(connect),
         "connect/timeout_ms": 10_000,
@@ -78,11 +80,19 @@ def close_session(session: zenoh.Session) -> bool:
     return not closer.is_alive()
 
 
-def free_endpoint() -> str:
-    """An endpoint on loopback that is free now."""
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        return f"tcp/127.0.0.1:{probe.getsockname()[1]}"
+def free_endpoint(host: str | None = None) -> str:
+    """An endpoint that is free now, on loopback or at an address of this machine.
+
+    Raises:
+        TransportError: the machine has no such address.
+    """
+    address = host or "127.0.0.1"
+    try:
+        with socket.socket() as probe:
+            probe.bind((address, 0))
+            return f"tcp/{address}:{probe.getsockname()[1]}"
+    except OSError as error:
+        raise TransportError(f"cannot listen at {address!r}: {error.strerror or error}") from error
 
 
 def remove_orphaned_segments() -> int:

@@ -12,22 +12,24 @@ from support.hierarchies import MixingNode
 from support.toy_nodes import Counter, Keeper
 
 import hierax.runtime.runner as runner_module
-from hierax.runtime import Node, Probe, Step, Value
+from hierax.runtime import NO_TICK, Node, Probe, Step, Tick, Value
 from hierax.runtime.core.binding import BoundNode, Setting
 from hierax.runtime.core.errors import HierarchyError, HieraxError, OperatorError, ProbeError
-from hierax.runtime.engine.engine import DigestChain, Engine
+from hierax.runtime.engine.engine import DigestChain
+from hierax.runtime.engine.wiring import Place, Wiring
 from hierax.runtime.runner import Log, NodeRunner, Pacemaker
 from hierax.runtime.transport.memory import MemoryNetwork
+from hierax.schemas.messages import CONTEXT, Header, Message
 
 ROSTER_HASH = bytes(range(32))
 
 
 def alone(world: Node, limit: int | None, *probes: Probe) -> NodeRunner:
     """A hierarchy of nothing but a world, whose clock ticks whole seconds."""
-    engine = Engine(BoundNode("w", world, (), (), Setting()), ())
+    wiring = Wiring(BoundNode("w", world, (), (), Setting()), (), Place())
     ticks = count()
     pacemaker = Pacemaker(DigestChain(ROSTER_HASH), limit, lambda *_: None, clock=lambda: float(next(ticks)))
-    return NodeRunner(engine, MemoryNetwork().open_port("w"), probes, None, pacemaker)
+    return NodeRunner(wiring, MemoryNetwork().open_port("w"), probes, None, pacemaker)
 
 
 def pacemaker_of(runner: NodeRunner) -> Pacemaker:
@@ -85,6 +87,53 @@ def test_a_world_alone_tells_each_epoch_before_the_one_after_the_next() -> None:
     runner.start()
     assert told == [1, 2, 3, 4, 5]
     assert seen == [(1, 0), (2, 0), (3, 1), (4, 2), (5, 3)]
+
+
+def test_a_world_acts_once_an_epoch_after_its_prediction_and_before_the_commit() -> None:
+    done: list[tuple[Any, ...]] = []
+
+    class Acting(Counter):
+        def predict(self, context: Any, actions: Any, belief: Value) -> Value:
+            done.append(("predict", belief + 1))
+            return belief + 1
+
+        def act(self, actions: Any, tick: Tick = NO_TICK) -> None:
+            done.append(("act", tick.epoch, tick.time_s, actions, tick.operator))
+
+    runner = alone(Acting(), 2)
+    pacemaker = pacemaker_of(runner)
+    stop = pacemaker.stop
+
+    def stopped() -> None:
+        done.append(("commit",))
+        stop()
+
+    pacemaker.stop = stopped  # type: ignore[method-assign]
+    runner.start()
+    expected = [[("predict", epoch), ("act", epoch, epoch - 1.0, (), "act"), ("commit",)] for epoch in (1, 2)]
+    assert done == [each for epoch in expected for each in epoch]
+
+
+def test_an_epoch_whose_act_failed_is_not_committed() -> None:
+    class Acting(Counter):
+        def act(self, actions: Any) -> None:
+            raise RuntimeError("the gripper is stuck")
+
+    runner = alone(Acting(), 2)
+    with pytest.raises(OperatorError, match=r"^w: act in epoch 1: RuntimeError: the gripper is stuck \("):
+        runner.start()
+    assert pacemaker_of(runner).chain.epoch == 0
+
+
+def test_what_is_refused_is_said_and_the_node_goes_on(caplog: pytest.LogCaptureFixture) -> None:
+    runner = alone(Counter(), 1)
+    runner.start()
+    with caplog.at_level("INFO", logger="hierax"):
+        runner.step(Message(Header(CONTEXT, "stranger", "w", 1, digest=bytes(32)), ()))
+    assert [record.getMessage() for record in caplog.records] == [
+        "w: refused a ctx message from stranger of epoch 1: not along an edge of this node"
+    ]
+    assert runner.engine.epoch == 1
 
 
 class Faulty(Probe):

@@ -52,6 +52,21 @@ def test_decoding_takes_no_copy() -> None:
         array.flags.writeable = True
 
 
+def test_decoding_keeps_the_memory_that_it_reads() -> None:
+    data = bytearray(encode_array(np.arange(100.0)))
+    array = decode_array(memoryview(data))
+    with pytest.raises(BufferError):
+        data.clear()
+    assert array.tolist() == list(range(100))
+    assert not array.flags.writeable
+
+
+def test_relatives_of_arrays_are_encoded_as_arrays_are() -> None:
+    array = np.arange(6.0).reshape(2, 3)
+    relatives = (array.view(np.recarray), np.ma.array(array).data, array.astype(">f8"))
+    assert {encode_array(relative) for relative in relatives} == {encode_array(array)}
+
+
 def test_elements_of_a_contiguous_array_are_no_copy() -> None:
     array = np.arange(1000.0)
     assert np.shares_memory(np.frombuffer(array_elements(array), np.uint8), array)

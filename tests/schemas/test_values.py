@@ -6,6 +6,8 @@ import dataclasses
 import enum
 import json
 from collections import OrderedDict
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from typing import Any, NamedTuple
 
 import msgpack
@@ -134,6 +136,60 @@ def test_nesting_is_limited_alike_in_both_directions() -> None:
         encode_value(nested(MAX_DEPTH + 2))
     with pytest.raises(SchemaError, match="nested deeper than 64 levels"):
         decode_value(msgpack.packb(nested(MAX_DEPTH + 2)))
+
+
+@pytest.mark.parametrize("innermost", [1, (), [], {}, {"k": 1}], ids=repr)
+@pytest.mark.parametrize("kinds", ["m", "tm", "mt", "ttm", "o", "tom"])
+def test_nesting_counts_containers_of_every_kind(kinds: str, innermost: Any) -> None:
+    wrap: dict[str, Callable[[Any], Any]] = {
+        "t": lambda value: (value,),
+        "m": lambda value: {"k": value},
+        "o": lambda value: OrderedDict(k=value),
+    }
+    own = {"()": 1, "[]": 1, "{}": 1, "{'k': 1}": 1}.get(repr(innermost), 0)
+    value = innermost
+    for level in range(MAX_DEPTH + 1 - own):
+        value = wrap[kinds[level % len(kinds)]](value)
+    assert text(decode_value(encode_value(value))) == text(decode_value(msgpack.packb(value)))
+    for too_deep in ((value,), {"k": value}):
+        with pytest.raises(SchemaError, match="nested deeper than 64 levels"):
+            encode_value(too_deep)
+        with pytest.raises(SchemaError, match="nested deeper than 64 levels"):
+            decode_value(msgpack.packb(too_deep))
+
+
+@pytest.mark.parametrize("bad", [{3: 4}, msgpack.Timestamp(1), msgpack.ExtType(1, b""), {"k": {b"k": 1}}], ids=repr)
+@pytest.mark.parametrize(
+    "around",
+    [
+        lambda bad: bad,
+        lambda bad: (0, bad),
+        lambda bad: [{"a": 1, "b": bad}],
+        lambda bad: {"a": {"b": bad}},
+        lambda bad: ({}, (), OrderedDict(a=[bad])),
+        lambda bad: Point(0.0, bad),
+    ],
+)
+def test_what_msgpack_would_let_through_is_found_wherever_it_is(around: Callable[[Any], Any], bad: Any) -> None:
+    with pytest.raises(SchemaError, match=r"is no str|is no value here"):
+        encode_value(around(bad))
+
+
+def test_maps_are_limited_wherever_they_are() -> None:
+    entries = dict.fromkeys(map(str, range(MAX_ITEMS + 1)))
+    for value in (entries, (entries,), {"a": entries}):
+        with pytest.raises(SchemaError, match=f"{MAX_ITEMS + 1} entries"):
+            encode_value(value)
+
+
+def test_threads_encode_at_the_same_time() -> None:
+    def encode(number: int) -> bool:
+        value = ({"array": np.full(50, number), "text": str(number) * number},)
+        expected = msgpack.packb(str(number) * number)
+        return all(encode_value(value).endswith(expected) for _ in range(50))
+
+    with ThreadPoolExecutor(8) as threads:
+        assert all(threads.map(encode, range(64)))
 
 
 def test_a_value_that_holds_itself_is_refused() -> None:

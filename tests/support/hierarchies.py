@@ -17,6 +17,7 @@ import numpy as np
 
 from hierax.runtime import NO_TICK, Elements, Node, Tick, Value, World
 from hierax.runtime.core.binding import Setting
+from hierax.runtime.core.errors import HierarchyError
 from hierax.runtime.core.hierarchy import Edge, Hierarchy
 from hierax.schemas.values import encode_value
 
@@ -81,9 +82,9 @@ class MixingNode(Node):
         return f"p{number(mark(self.name, tasks)) % self.policy_count}"
 
     def policies(self) -> Mapping[str, Callable[..., Elements]]:
-        return {f"p{index}": partial(self.act, f"p{index}") for index in range(self.policy_count)}
+        return {f"p{index}": partial(self.acts, f"p{index}") for index in range(self.policy_count)}
 
-    def act(self, policy: str, belief: Value) -> Elements:
+    def acts(self, policy: str, belief: Value) -> Elements:
         """The policy of that name: 0 to 2 actions, sometimes one twice."""
         return elements(mark(self.name, policy, belief))
 
@@ -102,7 +103,7 @@ class DrawingNode(MixingNode):
             return self.initial_policy
         return f"p{number(mark(self.name, tasks, drawn(tick))) % self.policy_count}"
 
-    def act(self, policy: str, belief: Value, tick: Tick = NO_TICK) -> Elements:
+    def acts(self, policy: str, belief: Value, tick: Tick = NO_TICK) -> Elements:
         """The policy of that name: 0 to 2 actions, sometimes one twice."""
         return elements(mark(self.name, policy, belief, drawn(tick)))
 
@@ -180,7 +181,7 @@ def random_hierarchy(seed: int, nodes: int | None = None, setting: Setting = PLA
     for name in names[1:]:
         members[name] = rng.choice((MixingNode, DrawingNode))(name, rng.randint(2, 4))
     density = rng.choice((0.0, 0.2, 0.5, 1.0))
-    edges = [_edge(rng, lower, upper) for lower, upper in random_pairs(rng, names, density)]
+    edges = [random_edge(rng, lower, upper) for lower, upper in random_pairs(rng, names, density)]
     rng.shuffle(edges)
     return Hierarchy(members, world, edges, setting)
 
@@ -212,9 +213,38 @@ def random_order(rng: random.Random, hierarchy: Hierarchy) -> list[str]:
     return order
 
 
-def _edge(rng: random.Random, lower: str, upper: str) -> Edge:
+def random_edge(rng: random.Random, lower: str, upper: str) -> Edge:
+    """An edge with some functions."""
     functions: dict[str, Mix | None] = {}
     for kind in ("sense", "task", "context"):
         make = rng.choice((None, Mix, Mix, DrawingMix))
         functions[kind] = None if make is None else make(f"{lower}->{upper} {kind}", rng.random() < 0.05)
     return Edge(lower, upper, **functions)
+
+
+def without(hierarchy: Hierarchy, name: str) -> Hierarchy | None:
+    """The hierarchy without a node; None where that is none."""
+    nodes = {other: node for other, node in hierarchy.nodes.items() if other != name}
+    edges = [edge for edge in hierarchy.edges if name not in edge.pair]
+    try:
+        return Hierarchy(nodes, hierarchy.world, edges, hierarchy.setting)
+    except HierarchyError:
+        return None
+
+
+def with_one_less(rng: random.Random, hierarchy: Hierarchy) -> Hierarchy | None:
+    """The hierarchy without one of its nodes; None where none can go."""
+    names = rng.sample(sorted(hierarchy.nodes), len(hierarchy.nodes))
+    return next((smaller for name in names if (smaller := without(hierarchy, name)) is not None), None)
+
+
+def with_one_more(rng: random.Random, hierarchy: Hierarchy) -> Hierarchy:
+    """The hierarchy with a further node, by a name that may have been there before."""
+    name = rng.choice([name for name in (f"m{index:02}" for index in range(30)) if name not in hierarchy.nodes][:3])
+    place = rng.randint(1, len(hierarchy.order))
+    below = rng.sample(hierarchy.order[:place], rng.randint(1, min(3, place)))
+    above = rng.sample(hierarchy.order[place:], rng.randint(0, min(2, len(hierarchy.order) - place)))
+    pairs = [(lower, name) for lower in below] + [(name, upper) for upper in above]
+    node = rng.choice((MixingNode, DrawingNode))(name, rng.randint(2, 4))
+    edges = [*hierarchy.edges, *(random_edge(rng, *pair) for pair in pairs)]
+    return Hierarchy({**hierarchy.nodes, name: node}, hierarchy.world, edges, hierarchy.setting)

@@ -8,6 +8,10 @@ DIR is the output folder of a run::
     states/NAME.msgpack   stream of [epoch, attempt, state (bytes), digest (32 bytes)]
     digests.msgpack       stream of [epoch, digest (32 bytes)], epochs 1, 2, ...
 
+An epoch may be written several times, as epochs are done again where a process dies: its
+last entry counts. What a killed process left half written is passed over, at a file's end
+as well as with a later process's entries behind it.
+
 A node's digest is BLAKE2b-256 over its state and the digests of the nodes above it, by
 name; the epoch's digest is BLAKE2b-256 over the last epoch's (32 zeros before the
 first), the epoch as 8 bytes little-endian, BLAKE2b-256 of roster.msgpack, and the
@@ -16,6 +20,7 @@ world's. Prints the last epoch's digest; exits 1 where one differs from what is 
 
 from __future__ import annotations
 
+import re
 import struct
 import sys
 from collections.abc import Iterator
@@ -25,7 +30,14 @@ from typing import Any
 
 import msgpack
 
-MAX_STREAM_BYTES = 1 << 31
+_NUMBER = rb"(?:[\x00-\x7f]|\xcc.|\xcd.{2}|\xce.{4}|\xcf.{8})"
+_HEADS = {
+    b"\x92": re.compile(rb"\x92" + _NUMBER, re.DOTALL),
+    b"\x94": re.compile(rb"\x94" + _NUMBER * 2 + rb"(?:\xc4(.)|\xc5(.{2})|\xc6(.{4}))", re.DOTALL),
+}
+"""By an entry's first byte what comes before its digest, or before its state, whose length is the group."""
+_DIGEST_HEAD = b"\xc4\x20"
+_DIGEST_BYTES = 32
 
 
 class MismatchError(Exception):
@@ -42,15 +54,16 @@ def recompute(folder: Path) -> bytes:
     # Parameters may hold arrays; no digest looks into them, so extensions are left as they are.
     roster = msgpack.unpackb(content)
     above = parents(roster)
-    states = {name: last_attempts(folder / "states" / f"{name}.msgpack") for name in above}
+    states = {name: last_states(folder / "states" / f"{name}.msgpack") for name in above}
+    committed: dict[int, bytes] = dict(stream(folder / "digests.msgpack"))
     digest = bytes(32)
-    for epoch, (number, written) in enumerate(stream(folder / "digests.msgpack"), start=1):
-        if number != epoch:
-            raise MismatchError(f"digests.msgpack: expected epoch {epoch}, found {number}")
+    for epoch in range(1, max(committed, default=0) + 1):
+        if epoch not in committed:
+            raise MismatchError(f"digests.msgpack: no digest of epoch {epoch} is written")
         nodes = node_digests(above, states, epoch)
         digest = hashed(digest, struct.pack("<Q", epoch), hashed(content), nodes[roster["world"]])
-        if digest != written:
-            raise MismatchError(f"epoch {epoch}: the digest is {digest.hex()}, but {written.hex()} is written")
+        if digest != committed[epoch]:
+            raise MismatchError(f"epoch {epoch}: the digest is {digest.hex()}, but {committed[epoch].hex()} is written")
     return digest
 
 
@@ -68,18 +81,44 @@ def parents(roster: Any) -> dict[str, list[str]]:
 
 
 def stream(path: Path) -> Iterator[Any]:
-    """The values of a file, one after the other."""
-    with path.open("rb") as file:
-        yield from msgpack.Unpacker(file, max_buffer_size=MAX_STREAM_BYTES)
+    """The whole entries of a file, one after the other.
+
+    Raises:
+        MismatchError: the file begins with something else.
+    """
+    content = path.read_bytes()
+    if not content:
+        return
+    if content[:1] not in _HEADS:
+        raise MismatchError(f"{path.name}: begins with no entry")
+    pattern = _HEADS[content[:1]]
+    head = pattern.search(content)
+    while head is not None:
+        end = end_of(content, head)
+        if end is None or swallows_another(content, end, pattern):
+            end = head.start() + 1
+        else:
+            yield msgpack.unpackb(content[head.start() : end])
+        head = pattern.search(content, end)
 
 
-def last_attempts(path: Path) -> dict[int, tuple[bytes, bytes]]:
-    """By epoch, the state and the digest of its last attempt."""
-    found: dict[int, tuple[int, bytes, bytes]] = {}
-    for epoch, attempt, state, digest in stream(path):
-        if epoch not in found or attempt >= found[epoch][0]:
-            found[epoch] = (attempt, state, digest)
-    return {epoch: (state, digest) for epoch, (_, state, digest) in found.items()}
+def end_of(content: bytes, head: re.Match[bytes]) -> int | None:
+    """Where an entry ends that begins like this; None where it does not go on as one."""
+    length = next((part for part in head.groups() if part is not None), b"")
+    digest = head.end() + int.from_bytes(length, "big")
+    end = digest + len(_DIGEST_HEAD) + _DIGEST_BYTES
+    return end if content.startswith(_DIGEST_HEAD, digest) and end <= len(content) else None
+
+
+def swallows_another(content: bytes, end: int, pattern: re.Pattern[bytes]) -> bool:
+    """Whether an entry's digest is a half one, filled up from a whole entry behind it."""
+    heads = (pattern.match(content, at) for at in range(end - _DIGEST_BYTES, end))
+    return any(head is not None and end_of(content, head) is not None for head in heads)
+
+
+def last_states(path: Path) -> dict[int, tuple[bytes, bytes]]:
+    """By epoch, the state and the digest of its last entry."""
+    return {epoch: (state, digest) for epoch, _, state, digest in stream(path)}
 
 
 def node_digests(

@@ -213,3 +213,28 @@ def test_bad_parameters_are_refused(words, likelihoods, letters, message: str) -
 def test_a_place_outside_of_the_words_is_refused() -> None:
     with pytest.raises(ValueError, match="from 1 to 3, got 4"):
         LetterNode(WORDS, 4)
+
+
+def test_a_word_node_takes_over_what_the_letters_have_reported() -> None:
+    belief = beliefs("likelihood2=[0.3, 0.7]", "likelihood1=[1, 1]", "likelihood3=[1, 1]")["word"]
+    taken = WordNode(WORDS, [0.9, 0.1]).take_over(belief)
+    assert taken["diagnostic"] == belief["diagnostic"]
+    assert taken["causal"] == pytest.approx({"THE": 0.9, "CAT": 0.1})
+    assert taken["posterior"] == pytest.approx({"THE": 0.27 / 0.34, "CAT": 0.07 / 0.34})
+
+
+@pytest.mark.parametrize(
+    ("belief", "what"),
+    [
+        (0.5, "belief: expected dict, got float"),
+        (LetterNode(WORDS, 1).initial_belief(), "belief.diagnostic.T: expected dict, got float"),
+        (WordNode(("THE", "HAT")).initial_belief(), "belief.causal: expected the keys"),
+        (
+            {**WordNode(WORDS).initial_belief(), "diagnostic": {"letter1": {"THE": 1.0}}},
+            "belief.diagnostic.letter1: expected the keys ['CAT', 'THE'], got ['THE']",
+        ),
+    ],
+)
+def test_a_word_node_takes_over_no_belief_of_another_kind(belief: object, what: str) -> None:
+    with pytest.raises(ValueError, match=re.escape(what)):
+        WordNode(WORDS).take_over(belief)

@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import json
+import resource
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -10,7 +13,7 @@ import cv2
 import numpy as np
 import pytest
 
-from hierax.nodes.tracking.bop import BopScene, ResultsFile, read_image, read_results
+from hierax.nodes.tracking.bop import RESULTS_HEADER, BopScene, ResultsFile, read_image, read_results
 from hierax.nodes.tracking.errors import DataError
 from hierax.nodes.tracking.geometry import exp_so3, make_pose
 from hierax.nodes.tracking.models import box_mesh
@@ -169,6 +172,143 @@ def test_results_are_what_the_format_says(tmp_path: Path) -> None:
     back = read_results(path)
     assert [(row.im_id, row.time_s) for row in back] == [(3, -1.0), (7, 0.05)]
     assert np.allclose(back[0].pose, pose)
+
+
+def seen(x: float, *numbers: int) -> list[dict[str, Any]]:
+    """Objects of these numbers, all at `x`."""
+    pose = make_pose(TURN, [x, 0.0, 0.5])
+    return [{"obj_id": number, "pose": pose, "score": 1.0, "status": "tracked"} for number in numbers]
+
+
+def rows(path: Path) -> list[tuple[int, int, float]]:
+    """Of each line the frame, the object and its x."""
+    return [(row.im_id, row.obj_id, round(float(row.pose[0, 3]), 6)) for row in read_results(path)]
+
+
+def test_a_frame_told_again_takes_the_place_of_its_lines(tmp_path: Path) -> None:
+    path = tmp_path / "poses.csv"
+    with ResultsFile(path, 12) as results:
+        results.write(3, seen(0.1, 5, 6))
+        results.write(4, seen(0.2, 5, 6, 7))
+        results.write(4, seen(0.3, 5))
+        assert rows(path) == [(3, 5, 0.1), (3, 6, 0.1), (4, 5, 0.3)]
+        results.write(4, [])
+        results.write(4, seen(0.4, 6, 7))
+        results.write(5, seen(0.5, 5))
+    assert rows(path) == [(3, 5, 0.1), (3, 6, 0.1), (4, 6, 0.4), (4, 7, 0.4), (5, 5, 0.5)]
+
+
+@pytest.mark.parametrize("again", [False, True])
+def test_an_earlier_frame_told_again_takes_back_those_behind_it(tmp_path: Path, again: bool) -> None:
+    path = tmp_path / "poses.csv"
+    results = ResultsFile(path, 12)
+    for frame in range(30):
+        results.write(frame, seen(0.1, 5))
+    if again:
+        results.close()
+        results = ResultsFile(path, 12, again=True)
+    results.write(27, seen(0.2, 5, 6))
+    results.write(28, seen(0.3, 5))
+    results.close()
+    assert rows(path) == [(frame, 5, 0.1) for frame in range(27)] + [(27, 5, 0.2), (27, 6, 0.2), (28, 5, 0.3)]
+
+
+def test_going_on_loses_nothing_wherever_a_line_was_cut(tmp_path: Path) -> None:
+    path = tmp_path / "poses.csv"
+    with ResultsFile(path, 12) as results:
+        for frame in (3, 4):
+            results.write(frame, seen(0.1 * frame, 5, 6))
+    whole = path.read_bytes()
+    kept = [(3, 5, 0.3), (3, 6, 0.3), (4, 5, 0.4), (4, 6, 0.4)]
+    for cut in range(len(whole) + 1):
+        path.write_bytes(whole[:cut])
+        with ResultsFile(path, 12, again=True) as results:
+            lines = max(0, whole[:cut].count(b"\n") - 1)
+            assert path.read_text().splitlines()[0] == RESULTS_HEADER
+            assert rows(path) == kept[:lines], f"cut at byte {cut}"
+            results.write(4, seen(0.9, 7))
+            results.write(5, seen(1.0, 8))
+        assert rows(path) == [*kept[: min(lines, 2)], (4, 7, 0.9), (5, 8, 1.0)], f"cut at byte {cut}"
+
+
+def test_going_on_where_nothing_is_begins_a_file(tmp_path: Path) -> None:
+    with ResultsFile(tmp_path / "new" / "poses.csv", 12, again=True):
+        assert (tmp_path / "new" / "poses.csv").read_text() == RESULTS_HEADER + "\n"
+
+
+def test_a_file_is_begun_anew_where_it_is_another_runs(tmp_path: Path) -> None:
+    (tmp_path / "poses.csv").write_text("something else\n")
+    with ResultsFile(tmp_path / "poses.csv", 12):
+        assert (tmp_path / "poses.csv").read_text() == RESULTS_HEADER + "\n"
+
+
+@pytest.mark.parametrize(
+    ("content", "line"),
+    [("something else\n", 1), (f"{RESULTS_HEADER}\nx\n", 2), (f"{RESULTS_HEADER}\n1,2,3,4\n1,x,3,4\n", 3)],
+)
+def test_going_on_behind_something_else_is_refused(tmp_path: Path, content: str, line: int) -> None:
+    path = tmp_path / "poses.csv"
+    path.write_text(content)
+    with pytest.raises(DataError, match=rf"poses\.csv, line {line}: expected scene_id"):
+        ResultsFile(path, 12, again=True)
+    assert path.read_text() == content
+
+
+class Watched:
+    """A file that is looked into after every call that changes it."""
+
+    def __init__(self, file: Any, path: Path) -> None:
+        self._file = file
+        self._path = path
+        self.states: list[list[tuple[int, int, float]]] = []
+
+    def __getattr__(self, name: str) -> Any:
+        method = getattr(self._file, name)
+
+        def call(*arguments: Any) -> Any:
+            given = method(*arguments)
+            self.states.append(rows(self._path))
+            return given
+
+        return method if name == "close" else call
+
+
+def test_the_file_is_whole_at_every_moment(tmp_path: Path) -> None:
+    path = tmp_path / "poses.csv"
+    with ResultsFile(path, 12) as results:
+        watched = results._file = Watched(results._file, path)  # type: ignore[assignment]
+        results.write(3, seen(0.1, 5, 6))
+        results.write(4, seen(0.2, *range(200)))
+        results.write(4, seen(0.3, *range(300)))
+    assert {len(state) for state in watched.states} == {2, 202, 302}
+
+
+@contextmanager
+def no_file_above(size: int) -> Iterator[None]:
+    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (size, hard))
+    try:
+        yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
+
+
+def test_a_frame_that_does_not_fit_leaves_no_half_line(tmp_path: Path) -> None:
+    path = tmp_path / "poses.csv"
+    with ResultsFile(path, 12) as results:
+        results.write(3, seen(0.1, 5))
+        with no_file_above(path.stat().st_size + 100), pytest.raises(DataError, match=r"poses\.csv: cannot be written"):
+            results.write(4, seen(0.2, 5))
+        assert rows(path) == [(3, 5, 0.1)]
+        results.write(4, seen(0.2, 5))
+    assert rows(path) == [(3, 5, 0.1), (4, 5, 0.2)]
+
+
+def test_results_can_go_to_a_device() -> None:
+    with ResultsFile("/dev/null", 12) as results:
+        results.write(3, seen(0.1, 5))
+    with ResultsFile("/dev/null", 12, again=True) as results:
+        results.write(4, seen(0.1, 5))
 
 
 def test_damaged_results_are_named(tmp_path: Path) -> None:

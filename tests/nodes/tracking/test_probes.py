@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 import pytest
 
-from hierax.nodes.tracking.bop import RESULTS_HEADER, read_results
+from hierax.nodes.tracking.bop import RESULTS_HEADER, read_image, read_results
 from hierax.nodes.tracking.errors import DataError
 from hierax.nodes.tracking.geometry import Floats, invert, make_pose
 from hierax.nodes.tracking.probes import (
@@ -21,6 +21,7 @@ from hierax.nodes.tracking.probes import (
     Truth,
     overlay,
     scene_number,
+    write_picture,
 )
 from hierax.nodes.tracking.sim_world import SimWorld
 from hierax.runtime import Step, Value
@@ -39,10 +40,10 @@ def arm_belief(frame: int | None, x: float = 0.0, status: str = "tracked") -> di
     return {"camera": np.eye(4), "intrinsics": INTRINSICS, "size": (160, 120), "frame": frame, "objects": (item,)}
 
 
-def step(epoch: int, sensed: Value, image: Any = None, belief: Value = None) -> Step:
+def step(epoch: int, sensed: Value, image: Any = None, belief: Value = None, attempt: int = 0) -> Step:
     observations = () if image is None else ({"image": image},)
     return Step(
-        epoch, 0, 0.1 * epoch, observations, sensed, (), (), "default", (), sensed if belief is None else belief
+        epoch, attempt, 0.1 * epoch, observations, sensed, (), (), "default", (), sensed if belief is None else belief
     )
 
 
@@ -64,6 +65,60 @@ def test_results_are_on_disk_after_every_epoch(tmp_path: Path) -> None:
     probe.close()
 
 
+def frames_of(path: Path) -> list[tuple[int, float]]:
+    """Of each line of a results file the frame and the pose's x."""
+    return [(row.im_id, round(float(row.pose[0, 3]), 6)) for row in read_results(path)]
+
+
+def test_an_epoch_told_again_replaces_its_poses(tmp_path: Path) -> None:
+    probe = BopResults(str(tmp_path / "mine.csv"))
+    probe.open(tmp_path)
+    probe.record(step(1, arm_belief(3, x=0.01)))
+    probe.record(step(2, arm_belief(4, x=0.02)))
+    probe.record(step(2, arm_belief(4, x=0.03), attempt=1))
+    for path in (tmp_path / "mine.csv", tmp_path / "poses.csv"):
+        assert frames_of(path) == [(3, 0.01), (4, 0.03)]
+    probe.record(step(2, arm_belief(4, status="lost"), attempt=2))
+    probe.close()
+    assert frames_of(tmp_path / "poses.csv") == [(3, 0.01)]
+
+
+def test_poses_of_a_new_process_come_behind_those_of_the_old_one(tmp_path: Path) -> None:
+    files = (tmp_path / "mine.csv", tmp_path / "poses.csv")
+    dead = BopResults(str(files[0]), scene="data/test/000012")
+    dead.open(tmp_path)
+    for frame in (3, 4, 5):
+        dead.record(step(frame, arm_belief(frame, x=0.01 * frame)))
+    dead.close()
+    for path in files:
+        with path.open("a") as file:
+            file.write("12,6,7,0.7")  # killed within a line
+    probe = BopResults(str(files[0]), scene="data/test/000012")
+    probe.open_again(tmp_path)
+    for path in files:
+        assert frames_of(path) == [(3, 0.03), (4, 0.04), (5, 0.05)]
+    probe.record(step(5, arm_belief(5, x=0.5), attempt=1))
+    probe.record(step(6, arm_belief(6, x=0.6)))
+    probe.close()
+    for path in files:
+        assert frames_of(path) == [(3, 0.03), (4, 0.04), (5, 0.5), (6, 0.6)]
+
+
+@pytest.mark.parametrize("again", [False, True])
+def test_one_file_named_twice_is_written_once(tmp_path: Path, again: bool) -> None:
+    (tmp_path / "link").symlink_to(tmp_path, target_is_directory=True)
+    probe = BopResults(str(tmp_path / "link" / "poses.csv"))
+    probe.open(tmp_path)
+    probe.record(step(1, arm_belief(3, x=0.1)))
+    if again:
+        probe.close()
+        probe.open_again(tmp_path)
+    probe.record(step(1, arm_belief(3, x=0.2), attempt=1))
+    probe.record(step(2, arm_belief(4, x=0.3)))
+    probe.close()
+    assert frames_of(tmp_path / "poses.csv") == [(3, 0.2), (4, 0.3)]
+
+
 def test_what_is_lost_or_not_yet_seen_is_not_written(tmp_path: Path) -> None:
     probe = BopResults()
     probe.open(tmp_path)
@@ -77,6 +132,9 @@ def test_without_a_file_and_a_folder_nothing_is_written(tmp_path: Path, monkeypa
     monkeypatch.chdir(tmp_path)
     for probe in (BopResults(), Truth(), Pictures()):
         probe.open(None)
+        probe.record(step(1, {**arm_belief(0), "bodies": ()}, grey()))
+        probe.close()
+        probe.open_again(None)
         probe.record(step(1, {**arm_belief(0), "bodies": ()}, grey()))
         probe.close()
     assert list(tmp_path.iterdir()) == []
@@ -100,6 +158,43 @@ def test_the_truth_of_the_simulated_world_is_seen_by_its_camera(tmp_path: Path) 
         np.testing.assert_allclose(row.pose, invert(belief["camera"]) @ body["pose"], atol=1e-12)
 
 
+def true_belief(frame: int, x: float) -> dict[str, Any]:
+    return {"frame": frame, "camera": np.eye(4), "bodies": ({"obj_id": 1, "pose": placed(x)},)}
+
+
+def test_the_truth_of_an_epoch_told_again_is_replaced(tmp_path: Path) -> None:
+    dead = Truth()
+    dead.open(tmp_path)
+    dead.record(step(1, true_belief(0, 0.1)))
+    dead.record(step(2, true_belief(1, 0.2)))
+    dead.record(step(2, true_belief(1, 0.3), attempt=1))
+    assert frames_of(tmp_path / "truth.csv") == [(0, 0.1), (1, 0.3)]
+    dead.close()
+    with (tmp_path / "truth.csv").open("a") as file:
+        file.write("0,2,1,1.0,1 0")
+    probe = Truth()
+    probe.open_again(tmp_path)
+    assert frames_of(tmp_path / "truth.csv") == [(0, 0.1), (1, 0.3)]
+    probe.record(step(2, true_belief(1, 0.4), attempt=2))
+    probe.record(step(3, true_belief(2, 0.5)))
+    probe.close()
+    assert frames_of(tmp_path / "truth.csv") == [(0, 0.1), (1, 0.4), (2, 0.5)]
+
+
+def test_the_truth_begins_in_a_new_process_where_the_old_one_wrote_none(tmp_path: Path) -> None:
+    probe = Truth()
+    probe.open_again(tmp_path)
+    probe.record(step(1, true_belief(0, 0.1)))
+    probe.close()
+    assert frames_of(tmp_path / "truth.csv") == [(0, 0.1)]
+
+
+def test_another_runs_truth_is_not_kept(tmp_path: Path) -> None:
+    (tmp_path / "truth.csv").write_text("of another run")
+    Truth().open(tmp_path)
+    assert list(tmp_path.iterdir()) == []
+
+
 def test_a_world_of_photographs_knows_no_truth(tmp_path: Path) -> None:
     probe = Truth()
     probe.open(tmp_path)
@@ -118,6 +213,64 @@ def test_pictures_are_drawn_first_every_so_often_and_last(tmp_path: Path) -> Non
     assert names == [CONTACT_SHEET, "frame-000000.png", "frame-000004.png", "frame-000006.png"]
     sheet = cv2.imread(str(tmp_path / "pictures" / CONTACT_SHEET))
     assert sheet.shape == (360, 3 * 480, 3)
+
+
+def test_an_epoch_told_again_is_drawn_again(tmp_path: Path) -> None:
+    """With the same expected edges, and once in the contact sheet."""
+    probe = Pictures(every=1)
+    probe.open(tmp_path)
+    probe.record(step(1, arm_belief(0, x=-0.06), grey()))
+    probe.record(step(2, arm_belief(1, x=0.0), grey(), belief=arm_belief(1, x=0.2)))
+    probe.record(step(2, arm_belief(1, x=0.06), grey(), attempt=1))
+    probe.close()
+    assert read_picture(tmp_path, 1) == overlay(grey(), arm_belief(0, x=-0.06), arm_belief(1, x=0.06)).tolist()
+    assert cv2.imread(str(tmp_path / "pictures" / CONTACT_SHEET)).shape == (360, 2 * 480, 3)
+
+
+def read_picture(output: Path, frame: int) -> Any:
+    return read_image(output / "pictures" / f"frame-{frame:06d}.png").tolist()
+
+
+def test_the_contact_sheet_has_the_pictures_of_a_dead_process_too(tmp_path: Path) -> None:
+    images = [np.full((120, 160), 20 * epoch, np.uint8) for epoch in range(7)]
+    lived, dead, probe = Pictures(every=2), Pictures(every=2), Pictures(every=2)
+    folders = {name: tmp_path / name for name in ("lived", "died")}
+    for folder in folders.values():
+        folder.mkdir()
+    blind = {**arm_belief(0), "objects": ()}
+    lived.open(folders["lived"])
+    dead.open(folders["died"])
+    for epoch in range(1, 7):
+        lived.record(step(epoch, {**blind, "frame": epoch - 1}, images[epoch]))
+    for epoch in range(1, 4):
+        dead.record(step(epoch, {**blind, "frame": epoch - 1}, images[epoch if epoch < 3 else 0]))
+    (folders["died"] / "pictures" / "frame-000001.png.part").write_bytes(b"\x89PNG")  # killed within a picture
+    probe.open_again(folders["died"])
+    for epoch in range(3, 7):
+        probe.record(step(epoch, {**blind, "frame": epoch - 1}, images[epoch], attempt=1))
+    lived.close()
+    probe.close()
+    files = [{path.name: path.read_bytes() for path in (each / "pictures").iterdir()} for each in folders.values()]
+    assert sorted(files[0]) == [CONTACT_SHEET, *(f"frame-00000{frame}.png" for frame in (0, 2, 4, 5))]
+    assert files[0] == files[1]
+
+
+def test_a_picture_that_cannot_be_written_is_named(tmp_path: Path) -> None:
+    with pytest.raises(DataError, match=r"none/picture\.png: cannot be written"):
+        write_picture(tmp_path / "none" / "picture.png", np.zeros((4, 4, 3), np.uint8))
+
+
+def test_a_picture_is_whole_or_not_there(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path = tmp_path / "picture.png"
+    write_picture(path, np.full((4, 4, 3), 7, np.uint8))
+
+    def killed(*_: Any) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("os.replace", killed)
+    with pytest.raises(KeyboardInterrupt):
+        write_picture(path, np.full((4, 4, 3), 9, np.uint8))
+    assert (read_image(path) == 7).all()
 
 
 def test_a_run_that_saw_nothing_leaves_no_pictures(tmp_path: Path) -> None:

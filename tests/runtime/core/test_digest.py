@@ -68,6 +68,13 @@ def rewritten(path: Path, change: Callable[[list[Any]], Any]) -> None:
     path.write_bytes(b"".join(msgpack.packb(record) for record in records))
 
 
+def last_record(content: bytes) -> Any:
+    """The last record of a file's content."""
+    unpacker = msgpack.Unpacker()
+    unpacker.feed(content)
+    return list(unpacker)[-1]
+
+
 def script(folder: Path) -> subprocess.CompletedProcess[str]:
     command = [sys.executable, "-I", str(SCRIPT), str(folder)]
     return subprocess.run(command, capture_output=True, text=True, timeout=60, check=False)
@@ -104,13 +111,80 @@ def test_the_script_runs_by_itself(tmp_path: Path) -> None:
     assert "hierax" not in SCRIPT.read_text().replace("Imports nothing of hierax", "")
 
 
-def test_only_the_last_attempt_of_an_epoch_counts(tmp_path: Path) -> None:
+def test_only_the_last_entry_of_an_epoch_counts(tmp_path: Path) -> None:
     hierarchy = random_hierarchy(SEED, nodes=5)
     digest = written(tmp_path, hierarchy)
     path = tmp_path / "states" / f"{hierarchy.world}.msgpack"
-    rewritten(path, lambda records: records.insert(1, [2, 0, b"\xc0", bytes(32)]))
-    rewritten(path, lambda records: records[2].__setitem__(1, 1))
+    rewritten(path, lambda records: records.insert(1, [2, 7, b"\xc0", bytes(32)]))
     assert recompute_digest.recompute(tmp_path) == digest
+    rewritten(path, lambda records: records.append([2, 0, b"\xc0", bytes(32)]))
+    with pytest.raises(recompute_digest.MismatchError, match=f"^node {hierarchy.world}, epoch 2: the digest is"):
+        recompute_digest.recompute(tmp_path)
+
+
+def test_an_epoch_may_be_committed_several_times(tmp_path: Path) -> None:
+    digest = written(tmp_path, random_hierarchy(SEED, nodes=5))
+    path = tmp_path / "digests.msgpack"
+    rewritten(path, lambda records: records.insert(1, [2, bytes(32)]))
+    rewritten(path, lambda records: records.append(records[2]))
+    assert recompute_digest.recompute(tmp_path) == digest
+    rewritten(path, lambda records: records.append([2, bytes(32)]))
+    with pytest.raises(recompute_digest.MismatchError, match=r"^epoch 2: the digest is .*, but 0000"):
+        recompute_digest.recompute(tmp_path)
+
+
+@pytest.mark.parametrize("state_bytes", [0, 1, 255, 256, 70_000])
+def test_a_half_entry_is_passed_over_wherever_it_is_cut(tmp_path: Path, state_bytes: int) -> None:
+    """At a file's end, and with the entries of the next process behind it."""
+    print(f"seed {SEED}")
+    rng = np.random.default_rng(SEED)
+    path = tmp_path / "states.msgpack"
+
+    def packed(epoch: int) -> bytes:
+        return msgpack.packb([epoch, 0, rng.bytes(state_bytes), rng.bytes(32)])
+
+    first, half, *behind = (packed(epoch) for epoch in (300, 301, 301, 302))
+    cuts = sorted({*range(1, min(len(half), 60)), *range(max(1, len(half) - 60), len(half))})
+    for cut in cuts:
+        path.write_bytes(first + half[:cut])
+        assert list(recompute_digest.stream(path)) == [msgpack.unpackb(first)], cut
+        path.write_bytes(first + half[:cut] + b"".join(behind))
+        assert list(recompute_digest.stream(path)) == [msgpack.unpackb(entry) for entry in (first, *behind)], cut
+        path.write_bytes(half[:cut] + b"".join(behind))
+        assert list(recompute_digest.stream(path)) == [msgpack.unpackb(entry) for entry in behind], cut
+
+
+@pytest.mark.parametrize("cut", [1, 2, 3, 20, 35])
+def test_half_digests_are_passed_over(tmp_path: Path, cut: int) -> None:
+    digest = written(tmp_path, random_hierarchy(SEED, nodes=5))
+    path = tmp_path / "digests.msgpack"
+    whole = path.read_bytes()
+    size = len(whole) // EPOCHS
+    path.write_bytes(whole + whole[:cut])
+    assert recompute_digest.recompute(tmp_path) == digest
+    path.write_bytes(whole[: size + cut] + whole[size:])
+    assert recompute_digest.recompute(tmp_path) == digest
+
+
+def test_an_epoch_of_which_only_a_half_entry_is_left_is_named(tmp_path: Path) -> None:
+    hierarchy = random_hierarchy(SEED, nodes=5)
+    digest = written(tmp_path, hierarchy)
+    top = hierarchy.order[-1]
+    path = tmp_path / "states" / f"{top}.msgpack"
+    whole = path.read_bytes()
+    for half in (whole[:-1], whole[:-33], whole[:-40]):
+        path.write_bytes(half)
+        with pytest.raises(recompute_digest.MismatchError, match=f"^node {top}: no state of epoch {EPOCHS} is written"):
+            recompute_digest.recompute(tmp_path)
+        path.write_bytes(half + msgpack.packb(last_record(whole)))
+        assert recompute_digest.recompute(tmp_path) == digest
+
+
+def test_a_file_of_something_else_is_named(tmp_path: Path) -> None:
+    written(tmp_path, random_hierarchy(SEED, nodes=5))
+    (tmp_path / "digests.msgpack").write_bytes(b"epochs")
+    done = script(tmp_path)
+    assert (done.returncode, done.stderr) == (1, "digests.msgpack: begins with no entry\n")
 
 
 def test_the_script_says_which_node_and_epoch_differ(tmp_path: Path) -> None:
@@ -133,7 +207,7 @@ def test_the_script_says_which_node_and_epoch_differ(tmp_path: Path) -> None:
     ("change", "reason"),
     [
         (lambda records: records[2].__setitem__(1, bytes(32)), "epoch 3: the digest is .*, but 0000"),
-        (lambda records: records.pop(1), "digests.msgpack: expected epoch 2, found 3"),
+        (lambda records: records.pop(1), "digests.msgpack: no digest of epoch 2 is written"),
         (lambda records: records.append([4, bytes(32)]), "no state of epoch 4 is written"),
     ],
 )
@@ -165,7 +239,7 @@ def test_any_flipped_bit_of_any_belief_changes_the_digest() -> None:
             bits = bytearray(level.tobytes())
             bits[bit // 8] ^= 1 << (bit % 8)
             belief = {**state.belief, "level": np.frombuffer(bytes(bits))}
-            other = active.with_state(name, replace(state, belief=belief))
+            other = active.with_state(name, state._replace(belief=belief))
             seen.add(formal_digest(other, NO_DIGEST, bytes(32)))
             flips += 1
     assert flips == 4 * 3 * 64
@@ -179,8 +253,8 @@ def test_all_else_changes_it_too(field: str) -> None:
     top = hierarchy.order[-1]
     state: ActiveNode = active.states[top]
     others = {
-        "policy": (active.with_state(top, replace(state, policy="other")), NO_DIGEST, bytes(32)),
-        "actions": (active.with_state(top, replace(state, actions=("other",))), NO_DIGEST, bytes(32)),
+        "policy": (active.with_state(top, state._replace(policy="other")), NO_DIGEST, bytes(32)),
+        "actions": (active.with_state(top, state._replace(actions=("other",))), NO_DIGEST, bytes(32)),
         "epoch": (replace(active, epoch=2), NO_DIGEST, bytes(32)),
         "previous": (active, bytes([1]) * 32, bytes(32)),
         "roster": (active, NO_DIGEST, bytes([1]) * 32),

@@ -2,7 +2,14 @@ from __future__ import annotations
 
 import pytest
 
-from hierax.runtime.deployment.models import check_target, field_meaning, field_names, split_edge
+from hierax.runtime.deployment.models import (
+    SnippetModel,
+    check_modules_pattern,
+    check_target,
+    field_meaning,
+    field_names,
+    split_edge,
+)
 
 
 @pytest.mark.parametrize("target", ["a:b", "a.b.c:D", "a_1:B.of", "_a:_b"])
@@ -18,6 +25,17 @@ def test_what_is_no_target(target: str) -> None:
         check_target(target)
 
 
+@pytest.mark.parametrize("pattern", ["a", "a.b_1", "a.*", "a.b.*"])
+def test_modules(pattern: str) -> None:
+    assert check_modules_pattern(pattern) == pattern
+
+
+@pytest.mark.parametrize("pattern", ["", "*", ".*", "a.", "a*", "a.*.b", "a:b", "a.b\n", "../a", "a b"])
+def test_what_is_no_module(pattern: str) -> None:
+    with pytest.raises(ValueError, match=r"expected 'package\.module' or 'package\.\*', got"):
+        check_modules_pattern(pattern)
+
+
 @pytest.mark.parametrize("edge", ["a -> b.c", "a->b.c", " a  ->b.c "])
 def test_edges(edge: str) -> None:
     assert split_edge(edge) == ("a", "b.c")
@@ -30,9 +48,13 @@ def test_what_is_no_edge(edge: str) -> None:
 
 
 def test_fields_by_path() -> None:
-    assert field_names(("nodes", "world")) == ("class", "parameters")
+    assert field_names(("nodes", "world"))[-3:] == ("class", "parameters", "rate_hz")
+    assert field_names(("nodes", "world"))[:-3] == field_names(("restart",))
+    assert field_names((), SnippetModel) == ("nodes", "edges")
+    assert field_names(("edges", "a -> b"), SnippetModel) == ("sense", "task", "context")
     assert field_names(("nodes",)) == ()
     assert field_names(("nodes", "world", "parameters")) == ()
     assert field_meaning(("world",)) == "which node is the external world"
+    assert field_meaning(("nodes", "world", "restart_delay")).startswith("before the first restart")
     assert field_meaning(("nodes", "world", "class")).startswith("module:name")
     assert field_meaning(("nodes", "world", "other")) == ""

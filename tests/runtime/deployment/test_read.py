@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import json
 import random
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -11,6 +12,7 @@ from support.deployments import TOYS, line_of, replaced, write
 
 from hierax.runtime.core.errors import HieraxError
 from hierax.runtime.deployment import DeploymentError
+from hierax.runtime.deployment.deployment import RestartPolicy
 from hierax.runtime.deployment.read import read_deployment
 from hierax.schemas.roster import ProbeSpec, Reference, Roster, RosterEdge
 
@@ -49,7 +51,8 @@ def test_the_least_that_is_needed(tmp_path: Path) -> None:
 
 def test_what_is_given_as_nothing_is_as_left_out(tmp_path: Path) -> None:
     bare = "hierarchy: one\nworld: w\nnodes:\n  w: {class: a:b}\n"
-    full = f"parameters:\nepochs:\nedges:\nprobes:\nzenoh:\n{bare[:-2]}, parameters: }}\n"
+    nothing = ("parameters", "epochs", "edges", "probes", "zenoh", "restart", "modules")
+    full = "".join(f"{name}:\n" for name in nothing) + f"{bare[:-2]}, parameters: }}\n"
     assert read_deployment(write(tmp_path, bare)) == read_deployment(write(tmp_path, full))
 
 
@@ -73,6 +76,59 @@ def test_probes_and_order_are_no_part_of_the_content(tmp_path: Path) -> None:
     assert without.roster.content_hash() == deployment.roster.content_hash()
     assert read_deployment(write(tmp_path, swapped)).roster.content_hash() == deployment.roster.content_hash()
     assert read_deployment(write(tmp_path), ["step=3"]).roster.content_hash() != deployment.roster.content_hash()
+
+
+def test_what_is_not_said_about_recovery(tmp_path: Path) -> None:
+    deployment = read_deployment(write(tmp_path))
+    assert deployment.restart == RestartPolicy()
+    assert deployment.restarts == dict.fromkeys(("world", "left", "top.most"), RestartPolicy())
+    assert (deployment.durability, deployment.on_uncertain_act) == ("process", "repeat")
+    assert deployment.epoch_deadline_s == 60.0
+
+
+RECOVERY = [
+    "durability=host",
+    "on_uncertain_act=skip",
+    "epoch_deadline_s=null",
+    "modules=[robots.arm]",
+    "restart={max_restarts: 0, on_loss: stop, restart_window: null, rejoin_timeout: 2}",
+    "nodes.left.on_loss=detach",
+    "nodes.left.restart_policy=always",
+    "nodes.left.restart_delay=8",
+    "nodes.world.max_restart_delay=0.5",
+]
+
+
+def test_what_is_said_about_recovery(tmp_path: Path) -> None:
+    deployment = read_deployment(write(tmp_path), RECOVERY)
+    said = RestartPolicy(max_restarts=0, on_loss="stop", restart_window_s=None, rejoin_timeout_s=2)
+    assert deployment.restart == deployment.restarts["top.most"] == said
+    assert deployment.restarts["world"] == replace(said, max_restart_delay_s=0.5)
+    assert deployment.restarts["left"] == replace(
+        said, restart_policy="always", on_loss="detach", restart_delay_s=8, max_restart_delay_s=8
+    )
+    assert (deployment.durability, deployment.on_uncertain_act) == ("host", "skip")
+    assert deployment.epoch_deadline_s is None
+
+
+def test_the_longest_delay_is_no_shorter_than_the_first(tmp_path: Path) -> None:
+    settings = ["restart.max_restart_delay=2", "nodes.left.restart_delay=3"]
+    restarts = read_deployment(write(tmp_path), settings).restarts
+    assert [restarts[name].max_restart_delay_s for name in ("left", "world")] == [3, 2]
+    assert read_deployment(write(tmp_path), ["restart.restart_delay=9"]).restart.max_restart_delay_s == 9
+
+
+def test_recovery_is_no_part_of_the_content(tmp_path: Path) -> None:
+    path = write(tmp_path)
+    assert read_deployment(path, RECOVERY).roster == read_deployment(path).roster
+
+
+def test_modules_are_what_the_file_names_and_lists(tmp_path: Path) -> None:
+    path = write(tmp_path, replaced("    task: null", "    task: {function: 'tasks.off:f', enabled: false}"))
+    assert read_deployment(path).modules == ("support.toy_nodes", "tasks.off")
+    listed = ["modules=[support.toy_nodes, robots.*, a]", "probes.0.class=probes.of:Mine"]
+    expected = ("a", "probes.of", "robots.*", "support.toy_nodes", "tasks.off")
+    assert read_deployment(path, listed).modules == expected
 
 
 def test_zenohs_own_settings(tmp_path: Path) -> None:
@@ -100,6 +156,45 @@ MISTAKES = [
     ("epochs: 3", "zenoh: [a]", "zenoh", "zenoh: expected the path of a file, JSON5 text or a map, got ['a']"),
     ("epochs: 3", "zenoh: nowhere.json5", "zenoh", "zenoh: there is no file '"),
     ("epochs: 3", "restart_policy: always", "restart", "restart_policy: unknown field; "),
+    ("epochs: 3", "restart: always", "restart", "restart: expected a map, got 'always'"),
+    (
+        "epochs: 3",
+        "restart: {class: a:b}",
+        "restart",
+        "restart.class: unknown field; expected one of max_restart_delay",
+    ),
+    (
+        "epochs: 3",
+        "restart: {restart_policy: allways}",
+        "restart",
+        "restart.restart_policy: expected 'never', 'on-failure' or 'always', got 'allways'",
+    ),
+    ("epochs: 3", "restart: {max_restarts: -1}", "restart", "restart.max_restarts: expected at least 0, got -1"),
+    ("epochs: 3", "restart: {restart_delay: -1}", "restart", "restart.restart_delay: expected at least 0, got -1"),
+    ("epochs: 3", "restart: {restart_window: 0}", "restart", "restart.restart_window: expected more than 0, got 0"),
+    (
+        "epochs: 3",
+        "restart: {restart_delay: 3, max_restart_delay: 2}",
+        "restart",
+        "restart.max_restart_delay: expected at least restart_delay, 3, got 2",
+    ),
+    (
+        "{class: support.toy_nodes:Summer}",
+        '{class: "support.toy_nodes:Summer", max_restart_delay: 0.01}',
+        "  left:",
+        "nodes.left.max_restart_delay: expected at least restart_delay, 0.1, got 0.01",
+    ),
+    (
+        "{class: support.toy_nodes:Summer}",
+        '{class: "support.toy_nodes:Summer", on_loss: ignore}',
+        "  left:",
+        "nodes.left.on_loss: expected 'restart', 'detach' or 'stop', got 'ignore'",
+    ),
+    ("epochs: 3", "modules: robots", "modules", "modules: expected a list, got 'robots'"),
+    ("epochs: 3", "modules: [a, b c]", "modules", "modules[1]: expected 'package.module' or 'package.*', got 'b c'"),
+    ("epochs: 3", "durability: disk", "durability", "durability: expected 'process' or 'host', got 'disk'"),
+    ("epochs: 3", "epoch_deadline_s: 0", "epoch_deadline_s", "epoch_deadline_s: expected more than 0, got 0"),
+    ("epochs: 3", "on_uncertain_act: ask", "on_unc", "on_uncertain_act: expected 'repeat' or 'skip', got 'ask'"),
     ("world: world\nparam", "param", "hierarchy", "world: missing; expected which node is the external world"),
     (
         "world: world\nparam",
@@ -155,7 +250,7 @@ MISTAKES = [
         "{class: support.toy_nodes:Summer}",
         "{class: a:b, noise: 1}",
         "  left:",
-        "nodes.left.noise: unknown field; expected one of class, parameters",
+        "nodes.left.noise: unknown field; expected one of class, max_restart_delay, ",
     ),
     (
         "{class: support.toy_nodes:Summer}",

@@ -17,6 +17,7 @@ def test_it_has_every_field() -> None:
     schema = deployment_schema()
     assert tuple(schema["properties"]) == field_names(())
     assert tuple(schema["$defs"]["NodeModel"]["properties"]) == field_names(("nodes", "world"))
+    assert tuple(schema["$defs"]["RestartModel"]["properties"]) == field_names(("restart",))
     assert tuple(schema["$defs"]["EdgeModel"]["properties"]) == field_names(("edges", "a -> b"))
     assert tuple(schema["$defs"]["FunctionModel"]["properties"]) == field_names(("edges", "a -> b", "sense"))
     assert tuple(schema["$defs"]["ProbeModel"]["properties"]) == field_names(("probes", 0))
@@ -31,6 +32,22 @@ def test_a_reference_may_stand_for_a_number() -> None:
     pattern = schema["$defs"]["Reference"]["pattern"]
     assert re.search(pattern, "${noise}")
     assert not re.search(pattern, "noise")
+
+
+def test_a_reference_may_stand_for_a_choice_and_in_a_list() -> None:
+    schema = deployment_schema()
+    reference = {"$ref": "#/$defs/Reference"}
+    assert reference in schema["properties"]["durability"]["anyOf"]
+    assert reference in schema["$defs"]["RestartModel"]["properties"]["on_loss"]["anyOf"]
+    modules = schema["properties"]["modules"]["anyOf"][0]["anyOf"][0]
+    assert reference in modules["items"]["anyOf"]
+
+
+def test_the_defaults_of_restarts_are_those_of_all_nodes() -> None:
+    schema = deployment_schema()
+    for name in field_names(("restart",)):
+        assert "default" in schema["$defs"]["RestartModel"]["properties"][name]
+        assert "default" not in schema["$defs"]["NodeModel"]["properties"][name]
 
 
 def test_names_are_closed() -> None:

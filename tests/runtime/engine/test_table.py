@@ -6,224 +6,237 @@ from collections.abc import Callable
 from typing import Any
 
 import pytest
-from support.hierarchies import MixingNode, MixingWorld
+from support.engines import DIGEST, EPOCH, INSTANCES, ROSTER, Solo, message, wiring
+from support.recording import Acted, Completed, Lacked, Output, Refused, Sent, of, sent, steps, verdicts
 
-from hierax.runtime.core.binding import BoundNode, Setting
-from hierax.runtime.core.hierarchy import BoundEdge, Edge
-from hierax.runtime.engine.engine import DigestChain, Engine, Place
-from hierax.runtime.engine.outputs import Committed, Completed, Output, Refused, Send
+from hierax.runtime.engine.engine import DigestChain
+from hierax.runtime.engine.outlet import Committed
 from hierax.runtime.engine.table import ACTIONS, HELD_MESSAGES, Action, Phase, Verdict
-from hierax.schemas.messages import CONTEXT, OBSERVATIONS, TASKS, Header, Message
-
-DIGEST = bytes(range(32))
-ROSTER = 4
-INSTANCES = {"low": 7, "mid": 8, "top": 9}
-
-
-def middle() -> Engine:
-    """A node with one neighbour below, and one above that gives it tasks."""
-    setting = Setting()
-    node = BoundNode("mid", MixingNode("mid"), ("low",), ("top",), setting)
-    pairs = [("low", "mid"), ("mid", "top")]
-    edges = [BoundEdge.of(Edge(*pair), setting) for pair in pairs]
-    return Engine(node, edges, Place(ROSTER, DIGEST, INSTANCES, frozenset(pairs)))
-
-
-def world() -> Engine:
-    setting = Setting()
-    node = BoundNode("low", MixingWorld("low"), (), ("mid",), setting)
-    return Engine(node, [BoundEdge.of(Edge("low", "mid"), setting)], Place(ROSTER, DIGEST, INSTANCES))
-
-
-def message(kind: str, epoch: int = 1, **change: Any) -> Message:
-    """A right message to the middle node."""
-    sender = "low" if kind == OBSERVATIONS else "top"
-    digest = DIGEST if kind == CONTEXT else b""
-    header = Header(kind, sender, "mid", epoch, 0, ROSTER, INSTANCES[sender], 0.5, digest)
-    return Message(header._replace(**change), (f"{kind} {epoch}",))
-
-
-def take(engine: Engine, *messages: Message) -> list[Output]:
-    return [output for each in messages for output in engine.receive(each)]
-
-
-def steps(outputs: list[Output]) -> list[int]:
-    return [output.step.epoch for output in outputs if isinstance(output, Completed)]
-
-
-def verdicts(outputs: list[Output]) -> list[Verdict]:
-    return [output.verdict for output in outputs if isinstance(output, Refused)]
-
-
-EPOCH = (OBSERVATIONS, TASKS, CONTEXT)
+from hierax.schemas.messages import CONTEXT, HELLO, OBSERVATIONS, TASKS
 
 REFUSED: list[tuple[Verdict, str, dict[str, Any]]] = [
+    (Verdict.OLD_ROSTER, OBSERVATIONS, {"roster": ROSTER - 1}),
     (Verdict.FOREIGN, OBSERVATIONS, {"receiver": "top"}),
     (Verdict.FOREIGN, OBSERVATIONS, {"sender": "stranger"}),
     (Verdict.FOREIGN, OBSERVATIONS, {"sender": "top"}),
     (Verdict.FOREIGN, TASKS, {"sender": "low"}),
-    (Verdict.OLD_ROSTER, OBSERVATIONS, {"roster": ROSTER - 1}),
+    (Verdict.FOREIGN, HELLO, {"sender": "low"}),
     (Verdict.OTHER_INSTANCE, OBSERVATIONS, {"instance": 6}),
+    (Verdict.OTHER_INSTANCE, OBSERVATIONS, {"instance": 8}),
     (Verdict.OTHER_INSTANCE, CONTEXT, {"instance": 10}),
     (Verdict.INCOMPLETE, CONTEXT, {"digest": b""}),
 ]
 
 
+def results(outputs: list[Output]) -> list[tuple[bytes, bytes]]:
+    """State and digest of each epoch that was completed."""
+    return [(completed.state, completed.digest) for completed in of(Completed, outputs)]
+
+
 @pytest.mark.parametrize(("verdict", "kind", "change"), REFUSED)
 def test_what_is_refused_is_reported_and_changes_nothing(verdict: Verdict, kind: str, change: dict[str, Any]) -> None:
-    engine = middle()
-    outputs = take(engine, message(kind, **change))
-    assert verdicts(outputs) == [verdict]
-    assert len(outputs) == 1
-    assert engine.waits_for == (("low", OBSERVATIONS),)
-    assert steps(take(engine, *map(message, EPOCH))) == [1]
+    solo = Solo()
+    wrong = message(kind, **change)
+    assert solo.take(wrong) == [Refused(wrong.header, verdict)]
+    assert solo.engine.waits_for == (("low", OBSERVATIONS),)
+    assert results(solo.epoch()) == results(Solo().epoch())
+
+
+@pytest.mark.parametrize(("verdict", "kind", "change"), REFUSED)
+def test_neither_a_later_epoch_nor_attempt_makes_it_right(verdict: Verdict, kind: str, change: dict[str, Any]) -> None:
+    solo = Solo()
+    solo.epoch()
+    before = solo.engine.state
+    for later in (message(kind, 2, **change), message(kind, 1, **{**change, "attempt": 1})):
+        assert solo.take(later) == [Refused(later.header, verdict)]
+        assert (solo.engine.phase, solo.engine.epoch, solo.engine.attempt) == (Phase.DONE, 1, 0)
+    assert solo.engine.state is before
 
 
 def test_a_message_of_a_roster_to_come_is_held_and_not_taken() -> None:
-    engine = middle()
-    assert take(engine, message(OBSERVATIONS, roster=ROSTER + 1)) == []
-    assert engine.waits_for == (("low", OBSERVATIONS),)
-    assert steps(take(engine, *map(message, EPOCH))) == [1]
+    solo = Solo()
+    assert solo.take(message(OBSERVATIONS, roster=ROSTER + 1)) == [Lacked(ROSTER + 1)]
+    assert solo.engine.waits_for == (("low", OBSERVATIONS),)
+    assert [step.epoch for step in steps(solo.epoch())] == [1]
     # it is judged again whenever the epoch changes, and still is not for this roster
-    assert engine.waits_for == (("low", OBSERVATIONS),)
-    assert engine.judge(message(OBSERVATIONS, 2, roster=ROSTER + 1).header) is Verdict.NEW_ROSTER
+    assert solo.engine.waits_for == (("low", OBSERVATIONS),)
+    assert solo.engine.judge(message(OBSERVATIONS, 2, roster=ROSTER + 1).header) is Verdict.NEW_ROSTER
 
 
-@pytest.mark.parametrize("late", [{"epoch": 1}, {"epoch": 0}])
+@pytest.mark.parametrize("late", [{"epoch": 1}, {"epoch": 0}, {"epoch": 0, "attempt": 9}])
 @pytest.mark.parametrize("kind", EPOCH)
 def test_what_is_late_is_dropped(kind: str, late: dict[str, int]) -> None:
-    engine = middle()
-    take(engine, *map(message, EPOCH))
-    assert engine.judge(message(kind, **late).header) is Verdict.LATE
-    assert take(engine, message(kind, **late)) == []
-    assert engine.waits_for == (("low", OBSERVATIONS),)
+    solo = Solo()
+    solo.epoch()
+    solo.take(message(OBSERVATIONS, 2))
+    assert solo.engine.judge(message(kind, **late).header) is Verdict.LATE
+    assert solo.take(message(kind, **late)) == []
+    assert solo.engine.waits_for == (("top", CONTEXT), ("top", TASKS))
 
 
-def test_a_later_attempt_is_early_and_an_earlier_one_late() -> None:
-    engine = middle()
-    assert engine.judge(message(OBSERVATIONS, attempt=1).header) is Verdict.EARLY
-    engine.attempt = 2
-    assert engine.judge(message(OBSERVATIONS, attempt=1).header) is Verdict.LATE
+@pytest.mark.parametrize("kind", EPOCH)
+def test_an_earlier_attempt_is_late(kind: str) -> None:
+    solo = Solo()
+    solo.take(message(OBSERVATIONS, attempt=2))
+    for attempt in (0, 1):
+        late = message(kind, text="late", attempt=attempt)
+        assert solo.engine.judge(late.header) is Verdict.LATE
+        assert solo.take(late) == []
+    (step,) = steps(solo.take(message(TASKS, attempt=2), message(CONTEXT, attempt=2)))
+    assert (step.observations, step.tasks, step.context) == (("obs 1",), ("task 1",), ("ctx 1",))
+    assert step.attempt == 2
 
 
-def test_the_next_epoch_begins_with_its_first_attempt() -> None:
-    engine = middle()
-    engine.attempt = 2
-    assert steps(take(engine, *(message(kind, attempt=2) for kind in EPOCH))) == [1]
-    assert steps(take(engine, *(message(kind, 2) for kind in EPOCH))) == [2]
+@pytest.mark.parametrize("kind", [TASKS, CONTEXT])
+def test_a_later_attempt_from_above_is_early(kind: str) -> None:
+    solo = Solo()
+    solo.take(message(OBSERVATIONS))
+    early = message(kind, text="early", attempt=1)
+    assert solo.engine.judge(early.header) is Verdict.EARLY
+    assert solo.take(early) == []
+    assert (solo.engine.phase, solo.engine.attempt) == (Phase.PREDICT, 0)
+    (other,) = {TASKS, CONTEXT} - {kind}
+    (step,) = steps(solo.take(message(OBSERVATIONS, attempt=1), message(other, attempt=1)))
+    assert "early" in (*step.tasks, *step.context)
 
 
 @pytest.mark.parametrize("order", [(TASKS, CONTEXT), (CONTEXT, TASKS)])
-def test_what_is_early_is_held_until_its_half_or_epoch(order: tuple[str, str]) -> None:
-    engine = middle()
-    early = [message(kind, 2) for kind in (OBSERVATIONS, *order)]
-    assert take(engine, *early, *(message(kind) for kind in order)) == []
-    outputs = take(engine, message(OBSERVATIONS))
-    completed = [output.step for output in outputs if isinstance(output, Completed)]
-    assert [(step.epoch, step.observations, step.tasks, step.context) for step in completed] == [
+@pytest.mark.parametrize("above", ["top", "aaa"])
+def test_what_is_early_is_held_until_its_half_or_epoch(order: tuple[str, str], above: str) -> None:
+    solo = Solo(wiring(above=(above,), instances={**INSTANCES, "aaa": 9}))
+    half = {kind: {"sender": above, "instance": 9} for kind in order}
+    early = [message(kind, 2, **half.get(kind, {})) for kind in (OBSERVATIONS, *order)]
+    assert solo.take(*early, *(message(kind, **half[kind]) for kind in order)) == []
+    assert [(step.epoch, step.observations, step.tasks, step.context) for step in steps(_observe(solo))] == [
         (epoch, (f"obs {epoch}",), (f"task {epoch}",), (f"ctx {epoch}",)) for epoch in (1, 2)
     ]
 
 
+def _observe(solo: Solo) -> list[Output]:
+    return solo.take(message(OBSERVATIONS))
+
+
 def test_so_many_are_held_and_no_more_of_each_sender_and_kind() -> None:
-    engine = middle()
-    assert take(engine, *(message(OBSERVATIONS, 2 + n) for n in range(HELD_MESSAGES))) == []
-    assert verdicts(take(engine, message(OBSERVATIONS, 2 + HELD_MESSAGES))) == [Verdict.EARLY]
-    assert take(engine, message(CONTEXT, 2)) == []
-    assert steps(take(engine, *map(message, EPOCH))) == [1]
-    assert engine.epoch == 2
-    assert engine.waits_for == (("top", TASKS),)
+    solo = Solo()
+    assert solo.take(*(message(OBSERVATIONS, 2 + n) for n in range(HELD_MESSAGES))) == []
+    assert verdicts(solo.take(message(OBSERVATIONS, 2 + HELD_MESSAGES))) == [Verdict.EARLY]
+    assert solo.take(message(CONTEXT, 2)) == []
+    assert [step.epoch for step in steps(solo.epoch())] == [1]
+    assert solo.engine.epoch == 2
+    assert solo.engine.waits_for == (("top", TASKS),)
 
 
 @pytest.mark.parametrize("kind", EPOCH)
 def test_a_double_is_dropped_and_the_first_one_counts(kind: str) -> None:
-    engine = middle()
+    solo = Solo()
     outputs: list[Output] = []
     for each in EPOCH:
-        outputs += take(engine, message(each))
+        outputs += solo.take(message(each))
         if each == kind:
-            again = message(each)._replace(payload=("again",))
-            assert engine.judge(again.header) in (Verdict.DOUBLE, Verdict.LATE)
-            assert take(engine, again) == []
-    (step,) = [output.step for output in outputs if isinstance(output, Completed)]
+            again = message(each, text="again")
+            assert solo.engine.judge(again.header) is Verdict.DOUBLE
+            assert solo.take(again) == []
+    (step,) = steps(outputs)
     assert (step.observations, step.tasks, step.context) == (("obs 1",), ("task 1",), ("ctx 1",))
 
 
 def test_a_double_of_one_of_two_that_are_waited_for_is_dropped() -> None:
-    engine = middle()
-    take(engine, message(OBSERVATIONS), message(TASKS))
-    assert engine.judge(message(TASKS).header) is Verdict.DOUBLE
-    assert engine.judge(message(OBSERVATIONS).header) is Verdict.DOUBLE
-    assert take(engine, message(TASKS)._replace(payload=("again",))) == []
-    (step,) = [output.step for output in take(engine, message(CONTEXT)) if isinstance(output, Completed)]
+    solo = Solo()
+    solo.take(message(OBSERVATIONS), message(TASKS))
+    assert solo.engine.judge(message(TASKS).header) is Verdict.DOUBLE
+    assert solo.engine.judge(message(OBSERVATIONS).header) is Verdict.DOUBLE
+    assert solo.take(message(TASKS, text="again")) == []
+    (step,) = steps(solo.take(message(CONTEXT)))
     assert step.tasks == ("task 1",)
 
 
 @pytest.mark.parametrize(
-    ("change", "verdict"),
+    ("kind", "change", "verdict"),
     [
-        ({"receiver": "top", "roster": ROSTER - 1}, Verdict.FOREIGN),
-        ({"roster": ROSTER - 1, "instance": 0}, Verdict.OLD_ROSTER),
-        ({"roster": ROSTER + 1, "instance": 0}, Verdict.NEW_ROSTER),
-        ({"instance": 0, "digest": b""}, Verdict.OTHER_INSTANCE),
-        ({"digest": b"", "epoch": 0}, Verdict.INCOMPLETE),
-        ({"epoch": 0, "attempt": 9}, Verdict.LATE),
-        ({"epoch": 2}, Verdict.EARLY),
+        (CONTEXT, {"receiver": "top", "roster": ROSTER - 1}, Verdict.OLD_ROSTER),
+        (CONTEXT, {"sender": "stranger", "roster": ROSTER + 1}, Verdict.NEW_ROSTER),
+        (CONTEXT, {"roster": ROSTER - 1, "instance": 0}, Verdict.OLD_ROSTER),
+        (CONTEXT, {"roster": ROSTER + 1, "instance": 0}, Verdict.NEW_ROSTER),
+        (CONTEXT, {"receiver": "top", "instance": 0}, Verdict.FOREIGN),
+        (CONTEXT, {"instance": 0, "digest": b""}, Verdict.OTHER_INSTANCE),
+        (CONTEXT, {"digest": b"", "epoch": 0}, Verdict.INCOMPLETE),
+        (CONTEXT, {"epoch": 0, "attempt": 9}, Verdict.LATE),
+        (CONTEXT, {"epoch": 2}, Verdict.EARLY),
+        (CONTEXT, {"attempt": 1}, Verdict.EARLY),
+        (OBSERVATIONS, {"roster": ROSTER - 1, "epoch": 2}, Verdict.OLD_ROSTER),
+        (OBSERVATIONS, {"roster": ROSTER + 1, "epoch": 2}, Verdict.NEW_ROSTER),
+        (OBSERVATIONS, {"instance": 0, "epoch": 2}, Verdict.OTHER_INSTANCE),
+        (OBSERVATIONS, {"instance": 0, "attempt": 1}, Verdict.OTHER_INSTANCE),
+        (OBSERVATIONS, {"epoch": 2}, Verdict.NEXT),
+        (OBSERVATIONS, {"epoch": 2, "attempt": 3}, Verdict.NEXT),
+        (OBSERVATIONS, {"epoch": 3}, Verdict.EARLY),
+        (OBSERVATIONS, {"attempt": 1}, Verdict.AGAIN),
+        (OBSERVATIONS, {"epoch": 0, "attempt": 1}, Verdict.LATE),
+        (OBSERVATIONS, {}, Verdict.DOUBLE),
     ],
 )
-def test_the_first_row_that_fits_decides(change: dict[str, Any], verdict: Verdict) -> None:
-    assert middle().judge(message(CONTEXT, **change).header) is verdict
+def test_the_first_row_that_fits_decides(kind: str, change: dict[str, Any], verdict: Verdict) -> None:
+    solo = Solo()
+    solo.epoch()
+    assert solo.engine.judge(message(kind, **change).header) is verdict
+
+
+def test_judging_changes_nothing() -> None:
+    solo = Solo()
+    for change in ({}, {"attempt": 1}, {"epoch": 2}, {"roster": ROSTER + 1}, {"roster": ROSTER - 1}):
+        solo.engine.judge(message(OBSERVATIONS, **change).header)
+    assert solo.recorder.take() == []
+    assert (solo.engine.epoch, solo.engine.attempt, solo.engine.phase) == (0, 0, Phase.DONE)
 
 
 def test_every_verdict_has_its_action() -> None:
     assert set(ACTIONS) == set(Verdict)
-    assert {verdict for verdict, action in ACTIONS.items() if action is Action.TAKE} == {Verdict.CURRENT}
+    taken = {verdict for verdict, action in ACTIONS.items() if action is Action.TAKE}
+    assert taken == {Verdict.NEXT, Verdict.AGAIN, Verdict.CURRENT}
 
 
 def test_what_is_sent_says_who_when_and_of_which_roster() -> None:
-    engine = middle()
-    sent = [
-        output.message.header
-        for epoch in (1, 2)
-        for output in take(engine, *(message(kind, epoch, time_s=epoch / 4) for kind in EPOCH))
-        if isinstance(output, Send)
+    solo = Solo()
+    epochs = ((1, 0), (2, 0), (2, 3))
+    headers = [
+        each.header
+        for epoch, attempt in epochs
+        for each in sent(solo.epoch(epoch, attempt=attempt, time_s=epoch / 4 + attempt))
     ]
     expected = []
-    for epoch in (1, 2):
-        place = (epoch, 0, ROSTER, INSTANCES["mid"], epoch / 4)
+    for epoch, attempt in epochs:
+        place = (epoch, attempt, ROSTER, INSTANCES["mid"], epoch / 4 + attempt)
         expected += [(OBSERVATIONS, "mid", "top", *place), (CONTEXT, "mid", "low", *place)]
-    assert [header[:8] for header in sent] == expected
-    assert [bool(header.digest) for header in sent] == [False, True, False, True]
+    assert [header[:8] for header in headers] == expected
+    assert [bool(header.digest) for header in headers] == [False, True] * len(epochs)
 
 
-def test_only_an_idle_world_begins() -> None:
-    engine = world()
-    assert engine.phase is Phase.IDLE
-    outputs = list(engine.begin())
-    assert [type(output) for output in outputs] == [Send]
-    assert engine.phase is Phase.PREDICT
-    for wrong in (engine, middle()):
-        with pytest.raises(ValueError, match="only a world that is idle"):
-            wrong.begin()
-
-
-def test_a_message_for_a_world_that_is_idle_waits_for_the_epoch() -> None:
-    engine = world()
-    header = Header(CONTEXT, "mid", "low", 1, 0, ROSTER, INSTANCES["mid"], 0.0, DIGEST)
-    assert engine.judge(header) is Verdict.EARLY
-    outputs = [*take(engine, Message(header, ())), *engine.begin()]
-    assert [type(output) for output in outputs] == [Send, Completed, Committed]
-    assert engine.judge(header) is Verdict.DOUBLE
+def test_a_message_for_a_world_that_is_done_waits_for_the_epoch() -> None:
+    solo = Solo(wiring("low", (), ("mid",)))
+    early = message(CONTEXT, sender="mid", receiver="low", instance=INSTANCES["mid"])
+    assert solo.engine.judge(early.header) is Verdict.EARLY
+    assert solo.take(early) == []
+    assert [type(output) for output in solo.begin()] == [Sent, Acted, Committed, Completed]
+    assert solo.engine.judge(early.header) is Verdict.DOUBLE
 
 
 def test_a_nodes_digest_covers_its_parents_in_name_order() -> None:
     def digest(change: Callable[[bytes], bytes]) -> bytes:
-        engine = middle()
-        take(engine, message(OBSERVATIONS), message(TASKS), message(CONTEXT, digest=change(DIGEST)))
-        return engine.digest
+        solo = Solo()
+        solo.take(message(OBSERVATIONS), message(TASKS), message(CONTEXT, digest=change(DIGEST)))
+        return solo.engine.digest
 
     assert digest(lambda given: given) == digest(bytes)
     assert digest(lambda given: given) != digest(lambda given: given[::-1])
+
+    def of_two(first: bytes, second: bytes) -> bytes:
+        solo = Solo(wiring(above=("top", "top2")))
+        other = {"sender": "top2", "instance": INSTANCES["top2"]}
+        contexts = [message(CONTEXT, digest=second, text="ctx 1", **other), message(CONTEXT, digest=first)]
+        ((_, digest),) = results(solo.take(message(OBSERVATIONS), message(TASKS), message(TASKS, **other), *contexts))
+        return digest
+
+    assert of_two(DIGEST, DIGEST[::-1]) != of_two(DIGEST[::-1], DIGEST)
 
 
 def test_the_chain_covers_the_last_digest_the_epoch_the_roster_and_the_worlds_digest() -> None:
@@ -244,3 +257,10 @@ def test_the_chain_covers_the_last_digest_the_epoch_the_roster_and_the_worlds_di
         chained(one, (2, two)),
     ]
     assert len(set(results)) == len(results)
+
+
+def test_a_chain_goes_on_from_any_epoch_and_covers_no_attempt() -> None:
+    whole = DigestChain(DIGEST)
+    first = whole.commit(Committed(1, 0, DIGEST))
+    resumed = DigestChain(DIGEST, 1, first)
+    assert whole.commit(Committed(2, 0, DIGEST)) == resumed.commit(Committed(2, 5, DIGEST))

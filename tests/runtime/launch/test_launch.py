@@ -10,7 +10,7 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 
 import pytest
@@ -198,9 +198,9 @@ def test_settings_that_keep_nodes_apart_end_it_with_one_line(
 class Launched:
     """A launch under way, and its nodes' processes."""
 
-    def __init__(self, path: str) -> None:
+    def __init__(self, path: str, settings: Sequence[str] = ()) -> None:
         self.process = subprocess.Popen(
-            [*HIERAX, "launch", path],
+            [*HIERAX, "launch", path, *settings],
             stdout=subprocess.PIPE,
             stderr=subprocess.PIPE,
             text=True,
@@ -222,8 +222,13 @@ class Launched:
 
 
 @pytest.fixture
-def launched(two: Callable[[str], str]) -> Iterator[Launched]:
-    launch = Launched(two('{class: "support.slow_nodes:Stuck", parameters: {epoch: 50}}'))
+def settings() -> Sequence[str]:
+    return ()
+
+
+@pytest.fixture
+def launched(two: Callable[[str], str], settings: Sequence[str]) -> Iterator[Launched]:
+    launch = Launched(two('{class: "support.slow_nodes:Stuck", parameters: {epoch: 50}}'), settings)
     yield launch
     for pid in (launch.process.pid, *launch.nodes):
         if is_alive(pid):
@@ -267,6 +272,7 @@ def test_a_second_signal_kills(launched: Launched) -> None:
     assert launched.process.returncode == 130
 
 
+@pytest.mark.parametrize("settings", [("--set", "restart.restart_policy=never")])
 def test_a_node_that_dies_is_named(launched: Launched) -> None:
     launched.until_stuck()
     os.kill(launched.nodes[1], signal.SIGKILL)

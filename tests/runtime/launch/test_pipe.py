@@ -6,7 +6,8 @@ import random
 
 import pytest
 
-from hierax.runtime.launch.pipe import Frames, NodeOrder, frame
+from hierax.runtime.launch.pipe import BEGIN, Frames, NodeOrder, frame
+from hierax.runtime.owner.outlet import OwnerSettings
 from hierax.schemas.errors import SchemaError
 from hierax.schemas.roster import ProbeSpec, Reference, Roster, RosterEdge
 
@@ -34,6 +35,32 @@ def test_an_order_comes_out_as_it_went_in() -> None:
     edge = RosterEdge("w", "n", sense=Reference("m:f", {"size": 3}))
     roster = Roster("w", {"w": Reference("m:W"), "n": Reference("m:N", {"x": 0.5})}, (edge,), 4, {"w": 1, "n": 2})
     probes = (ProbeSpec("n", Reference("m:P", {"file": None})),)
-    order = NodeOrder("n", "d", "r", roster, 7, None, "tcp/127.0.0.1:1", {"mode": "peer"}, "", probes, ("a", "b"))
+    order = NodeOrder(
+        name="n",
+        process="p1",
+        life=BEGIN,
+        request="",
+        deployment="d",
+        run="r",
+        roster=roster,
+        preload=("m",),
+        seed=7,
+        epochs=None,
+        staleness=None,
+        exact=False,
+        rate_hz=2.5,
+        hub="tcp/127.0.0.1:1",
+        host="",
+        settings={"mode": "peer"},
+        output="",
+        probes=probes,
+        import_paths=("a", "b"),
+        checkpoint="c/n",
+        durability="process",
+        owner=OwnerSettings(("m",), {"n": "stop"}, {"n": 2.0}, 3.0),
+        on_uncertain_act="skip",
+        processes={"w": "p0"},
+        proposals=(b"1",),
+    )
     (came,) = Frames().feed(frame(order.plain()))
     assert NodeOrder.read(came) == order

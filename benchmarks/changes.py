@@ -1,0 +1,403 @@
+"""Change running hierarchies, again and again: nothing is lost, and what a change costs.
+
+    python benchmarks/changes.py
+    python benchmarks/changes.py --changes 20 --seed 7 servo
+
+Launches `letters`, `servo` and a random hierarchy of 12 nodes, and attaches, detaches and
+replaces nodes of each while it runs as fast as it can, with the commands that a user has. Each
+launch is then repeated by `hierax run` with the same changes `--at` the epochs that the commands
+have named: the last digest, which covers all epochs before, has to be the same.
+
+A change's cost is the time from the commit of the epoch but one before it took effect to that of
+the first one after it, three epochs in all, less three ordinary ones (the median of the same
+launch). The start of the new process is not in it. Beside it stands the same of spans in which
+no change took effect, as other processes have the processor now and then; those in which a
+new process started are among them.
+
+Exit code 1 where an epoch or digest is not as it should be, or a change costs more than 20 ms at
+the median.
+"""
+
+from __future__ import annotations
+
+import argparse
+import io
+import json
+import os
+import random
+import statistics
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable, Mapping
+from contextlib import redirect_stderr, redirect_stdout
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import yaml
+
+from hierax.runtime.commands.main import main as hierax_main
+from hierax.runtime.core.probe import Probe, Step
+from hierax.runtime.deployment.files import shipped
+from hierax.runtime.deployment.read import read_deployment
+from hierax.runtime.owner.changes import ChangeError, apply
+from hierax.schemas.changes import Attach, Change, Detach, Replace
+from hierax.schemas.roster import Reference, Roster, RosterEdge
+
+HIERAX = [sys.executable, "-m", "hierax.runtime.commands.main"]
+MIXING = "hierax.runtime.sim.nodes"
+LETTERS = "hierax.nodes.letters"
+SERVO = "hierax.nodes.servo"
+
+HIERARCHIES = ("letters", "servo", "random")
+RANDOM_NODES = 12
+EPOCHS = {"letters": 16_000, "servo": 30_000, "random": 3_000}
+"""Of one launch."""
+
+LAST_CHANGE = 0.7
+"""At this share of a launch's epochs no more changes are asked for, so that none is overtaken by its end."""
+
+LIMIT_MS = 20.0
+TIMES = "commits.npy"
+START_TIMEOUT_S = 60.0
+KINDS = ("attach", "detach", "replace")
+
+
+class CommitTimes(Probe):
+    """Keeps when the world was done with each epoch; part of the deployment, not of the run."""
+
+    def __init__(self) -> None:
+        self._times_s: list[float] = []
+        self._path = Path(os.devnull)
+
+    def open(self, output: Path | None) -> None:
+        self._path = Path(os.environ["HIERAX_COMMIT_TIMES"])
+
+    def record(self, step: Step) -> None:
+        self._times_s.append(time.perf_counter())
+
+    def close(self) -> None:
+        np.save(self._path, np.array(self._times_s))
+
+
+@dataclass
+class Result:
+    """What launches of one hierarchy have come to.
+
+    Attributes:
+        launches, epochs: how many.
+        costs_ms: by kind of change.
+        others_ms: of spans without a change.
+        faults: what is not as it should be.
+    """
+
+    launches: int = 0
+    epochs: int = 0
+    costs_ms: dict[str, list[float]] = field(default_factory=lambda: {kind: [] for kind in KINDS})
+    others_ms: list[float] = field(default_factory=list)
+    faults: list[str] = field(default_factory=list)
+
+    @property
+    def changes(self) -> int:
+        """How many were made."""
+        return sum(map(len, self.costs_ms.values()))
+
+
+# --- what is changed
+
+
+@dataclass(frozen=True)
+class Subject:
+    """A hierarchy, and what may become of it.
+
+    Attributes:
+        name: of `HIERARCHIES`.
+        plain: its deployment file.
+        extra: what may be attached to it beside its own nodes, given a random generator and the roster.
+        other: what may replace a node, given a random generator and what it is.
+    """
+
+    name: str
+    plain: dict[str, Any]
+    extra: Callable[[random.Random, Roster], Attach]
+    other: Callable[[random.Random, Reference], Reference]
+
+
+def subject(name: str, seed: int) -> Subject:
+    """The hierarchy of a name."""
+    if name == "random":
+        return Subject(name, random_deployment(random.Random(seed)), mixing_extra, mixing_other)
+    plain = yaml.safe_load(shipped()[name].read_text(encoding="utf-8"))
+    if name == "letters":
+        return Subject(name, plain, another_word, another_vocabulary)
+    return Subject(name, plain, another_motion, lambda rng, reference: reference)
+
+
+def another_word(rng: random.Random, roster: Roster) -> Attach:
+    """A further word node over some of the letters, which tells them what it expects or does not."""
+    name = rng.choice(("word2", "word3", "word4"))
+    letters = [letter for letter in (1, 2, 3) if f"letter{letter}" in roster.nodes]
+    words = roster.nodes[roster.world].parameters["words"]
+    edges = []
+    for letter in rng.sample(letters, rng.randint(1, len(letters))) if letters else ():
+        parameters = {"words": words, "letter": letter}
+        context = Reference(f"{LETTERS}:WordSupport", parameters) if rng.random() < 0.5 else None
+        edges.append(RosterEdge(f"letter{letter}", name, Reference(f"{LETTERS}:LetterEvidence", parameters), None, context))
+    return Attach({name: Reference(f"{LETTERS}:WordNode", {"words": words})}, tuple(edges))
+
+
+def another_vocabulary(rng: random.Random, reference: Reference) -> Reference:
+    """A word node with other priors; letter nodes stay what they are."""
+    if not reference.target.endswith(":WordNode"):
+        return reference
+    priors = (round(rng.uniform(0.1, 0.9), 3), round(rng.uniform(0.1, 0.9), 3))
+    return Reference(reference.target, {**reference.parameters, "priors": priors})
+
+
+def another_motion(rng: random.Random, roster: Roster) -> Attach:
+    """A second motion node, or a second camera node above the world."""
+    seen = Reference(f"{SERVO}:position")
+    if rng.random() < 0.5:
+        edge = RosterEdge("camera", "motion2", seen, None, seen if rng.random() < 0.5 else None)
+        return Attach({"motion2": Reference(f"{SERVO}:MotionNode")}, (edge,))
+    measured = Reference(f"{SERVO}:MeasuredPosition", {"noise": round(rng.uniform(0.05, 0.2), 3)})
+    return Attach({"camera2": Reference(f"{SERVO}:CameraNode")}, (RosterEdge("world", "camera2", measured),))
+
+
+def random_deployment(rng: random.Random) -> dict[str, Any]:
+    """Nodes whose every result depends on every input and on random numbers."""
+    names = ["world", *(f"n{number:02}" for number in range(1, RANDOM_NODES))]
+    roster = Roster("world", {"world": Reference(f"{MIXING}:MixingWorld", {"name": "world", "policies": 2})}, ())
+    for name in names[1:]:
+        roster = apply(roster, mixing_node(rng, roster, name), roster.version + 1, lambda _: 0)
+    return {"hierarchy": "random", "world": "world", **snippet(roster.nodes, roster.edges)}
+
+
+def mixing_node(rng: random.Random, roster: Roster, name: str) -> Attach:
+    """A node above one to three others."""
+    lowers = rng.sample(sorted(roster.nodes), min(len(roster.nodes), rng.randint(1, 3)))
+    parameters = {"name": name, "policies": rng.randint(1, 3), "generation": rng.randrange(1000)}
+    edges = []
+    for lower in lowers:
+        kinds = {
+            kind: Reference(f"{MIXING}:{rng.choice(('Mix', 'DrawingMix'))}", {"name": f"{lower}-{name}-{kind}"})
+            for kind in ("sense", "task", "context")
+            if rng.random() < 0.8
+        }
+        edges.append(RosterEdge(lower, name, kinds.get("sense"), kinds.get("task"), kinds.get("context")))
+    return Attach({name: Reference(f"{MIXING}:{rng.choice(('Mixer', 'Drawer'))}", parameters)}, tuple(edges))
+
+
+def mixing_extra(rng: random.Random, roster: Roster) -> Attach:
+    """A further node; sometimes under a name that was there before."""
+    free = [name for name in (f"n{number:02}" for number in range(1, 20)) if name not in roster.nodes]
+    return mixing_node(rng, roster, rng.choice(free[:4]))
+
+
+def mixing_other(rng: random.Random, reference: Reference) -> Reference:
+    """Another generation of a node: it hashes the belief that it takes over."""
+    return Reference(reference.target, {**reference.parameters, "generation": rng.randrange(1000)})
+
+
+def next_change(rng: random.Random, subject: Subject, first: Roster, roster: Roster) -> tuple[str, Change, Roster]:
+    """A change that the roster bears; its kind, and the roster after it."""
+    while True:
+        kind = rng.choice(KINDS)
+        if kind == "attach":
+            change: Change = subject.extra(rng, roster)
+            lost = sorted(first.nodes.keys() - roster.nodes.keys())
+            if lost:
+                name = rng.choice(lost)
+                change = Attach({name: first.nodes[name]}, tuple(e for e in first.edges if name in e.pair))
+        else:
+            name = rng.choice(sorted(roster.nodes.keys() - {roster.world}))
+            if kind == "detach":
+                change = Detach(name, cascade=True)
+            else:
+                change = Replace(name, subject.other(rng, roster.nodes[name]))
+        try:
+            after = apply(roster, change, roster.version + 1, lambda _: roster.version + 1)
+        except ChangeError:
+            continue
+        if len(after.nodes) > len(first.nodes) // 2:
+            return kind, change, after
+
+
+def snippet(nodes: Mapping[str, Reference], edges: tuple[RosterEdge, ...]) -> dict[str, Any]:
+    """Nodes and edges as a deployment file has them."""
+
+    def plain(reference: Reference | None, what: str) -> Any:
+        if reference is None:
+            return None
+        return {what: reference.target, "parameters": json.loads(json.dumps(reference.parameters))}
+
+    return {
+        "nodes": {name: plain(node, "class") for name, node in nodes.items()},
+        "edges": {
+            f"{edge.lower} -> {edge.upper}": {
+                kind: plain(getattr(edge, kind), "function") for kind in ("sense", "task", "context")
+            }
+            for edge in edges
+        },
+    }
+
+
+# --- a launch that is changed
+
+
+class Launch:
+    """One launch, changed while it runs, then repeated in one process."""
+
+    def __init__(self, subject: Subject, seed: int, folder: Path, result: Result) -> None:
+        self._subject = subject
+        self._seed = seed
+        self._folder = folder
+        self._result = result
+        self._rng = random.Random(f"{subject.name}/{seed}")
+        self._file = folder / f"{subject.name}.yaml"
+        probe = {"node": subject.plain["world"], "class": f"{Path(__file__).stem}:CommitTimes"}
+        self._file.write_text(yaml.safe_dump({**subject.plain, "probes": [probe]}), encoding="utf-8")
+        self._made: list[tuple[str, int, str]] = []
+
+    def go(self, limit: int) -> None:
+        """Launch, change at most so many times, compare."""
+        launched = subprocess.Popen(
+            self._command("launch"), env=self._environment(TIMES), stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+        )
+        self._wait_until_up(launched)
+        self._change(limit)
+        out, err = launched.communicate()
+        if launched.returncode:
+            raise SystemExit(f"{self._place}: the launch failed: {err.strip()}")
+        self._compare(json.loads(out))
+        self._time()
+
+    @property
+    def _place(self) -> str:
+        return f"{self._subject.name}, seed {self._seed}"
+
+    def _command(self, mode: str) -> list[str]:
+        epochs = str(EPOCHS[self._subject.name])
+        return [*HIERAX, mode, str(self._file), "--epochs", epochs, "--seed", str(self._seed), "--format", "json"]
+
+    def _environment(self, times: str) -> dict[str, str]:
+        here = str(Path(__file__).resolve().parent)
+        paths = os.pathsep.join([here, *filter(None, [os.environ.get("PYTHONPATH")])])
+        return {**os.environ, "PYTHONPATH": paths, "HIERAX_COMMIT_TIMES": str(self._folder / times)}
+
+    def _wait_until_up(self, launched: subprocess.Popen[str]) -> None:
+        patience = time.monotonic() + START_TIMEOUT_S
+        while time.monotonic() < patience and launched.poll() is None:
+            runs = json.loads(hierax("ps", "--format", "json"))["runs"]
+            if runs and runs[0]["epoch"] > 0:
+                return
+            time.sleep(0.05)
+        raise SystemExit(f"{self._place}: the launch did not come up: {launched.communicate()[1]}")
+
+    def _change(self, limit: int) -> None:
+        first = roster = read_deployment(self._file).roster
+        last = EPOCHS[self._subject.name] * LAST_CHANGE
+        epoch = 0
+        while len(self._made) < limit and epoch < last:
+            kind, change, roster = next_change(self._rng, self._subject, first, roster)
+            arguments, schedule = self._spell(kind, change)
+            epoch = json.loads(hierax(kind, *arguments, "--format", "json"))["epoch"]
+            self._made.append((kind, epoch, f"{epoch}:{schedule}"))
+
+    def _spell(self, kind: str, change: Change) -> tuple[list[str], str]:
+        """A change as a command's arguments, and as ``--at`` has it."""
+        if isinstance(change, Detach):
+            return [change.name, "--cascade"], f"detach:{change.name}:cascade"
+        file = str(self._folder / f"change{len(self._made)}.yaml")
+        if isinstance(change, Attach):
+            content, arguments, spelled = snippet(change.nodes, change.edges), [file], f"attach:{file}"
+        else:
+            content = {"nodes": snippet({change.name: change.reference}, ())["nodes"]}
+            arguments, spelled = [change.name, file], f"replace:{change.name}:{file}"
+        Path(file).write_text(yaml.safe_dump(content), encoding="utf-8")
+        return arguments, spelled
+
+    def _compare(self, summary: dict[str, Any]) -> None:
+        at = [argument for _, _, spelled in self._made for argument in ("--at", spelled)]
+        done = subprocess.run(
+            [*self._command("run"), *at], env=self._environment("run.npy"), capture_output=True, text=True, check=False
+        )
+        if done.returncode:
+            raise SystemExit(f"{self._place}: the repetition failed: {done.stderr.strip()}")
+        wanted = json.loads(done.stdout)
+        for key in ("digest", "epochs", "nodes"):
+            if summary[key] != wanted[key]:
+                self._result.faults.append(f"{self._place}: {key} of launch and run differ; changes: {at}")
+        self._result.launches += 1
+        self._result.epochs += summary["epochs"]
+
+    def _time(self) -> None:
+        times_s = np.load(self._folder / TIMES)
+        if len(times_s) != EPOCHS[self._subject.name]:
+            self._result.faults.append(f"{self._place}: {len(times_s)} epochs were told to the probe")
+            return
+        ordinary_s = float(np.median(np.diff(times_s)))
+        spans_ms = 1e3 * (times_s[3:] - times_s[:-3] - 3 * ordinary_s)  # [i]: from the commit of epoch i + 1 to i + 4
+        touched = np.zeros(len(spans_ms), bool)
+        for kind, epoch, _ in self._made:
+            place = max(epoch - 3, 0)
+            self._result.costs_ms[kind].append(float(spans_ms[place]))
+            touched[max(place - 2, 0) : place + 3] = True
+        self._result.others_ms.extend(map(float, spans_ms[~touched]))
+
+
+def hierax(*arguments: str) -> str:
+    """What a command prints, in this process: its start would take longer than what it asks for."""
+    out, err = io.StringIO(), io.StringIO()
+    with redirect_stdout(out), redirect_stderr(err):
+        code = hierax_main(arguments)
+    if code:
+        raise SystemExit(f"hierax {' '.join(arguments)}: {err.getvalue().strip()}")
+    return out.getvalue()
+
+
+def show(name: str, result: Result) -> None:
+    """A hierarchy's lines of the table."""
+    every = [cost for costs in result.costs_ms.values() for cost in costs]
+    rows = [*result.costs_ms.items(), ("all", every), ("no change", result.others_ms)]
+    for kind, costs in rows:
+        if not costs:
+            continue
+        p50, p95, p100 = np.percentile(costs, (50, 95, 100))
+        print(f"{name:8} {kind:10} {len(costs):8} {p50:9.2f} {p95:9.2f} {p100:9.2f}", flush=True)
+
+
+def main() -> int:
+    """Launch, change, compare, print the table."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("hierarchies", nargs="*", default=HIERARCHIES, choices=[*HIERARCHIES, ()], metavar="HIERARCHY")
+    parser.add_argument("--changes", type=int, default=200, help="of each hierarchy")
+    parser.add_argument("--seed", type=int, default=0)
+    options = parser.parse_args()
+    os.environ["XDG_RUNTIME_DIR"] = tempfile.mkdtemp(prefix="hierax-changes-")  # other launches are none of ours
+    print(f"{'':8} {'':10} {'':8} cost over three ordinary epochs, ms")
+    print(f"{'':8} {'change':10} {'count':>8} {'median':>9} {'p95':>9} {'max':>9}")
+    faults = []
+    for name in options.hierarchies:
+        result = Result()
+        seed = options.seed
+        while result.changes < options.changes:
+            with tempfile.TemporaryDirectory() as folder:
+                Launch(subject(name, seed), seed, Path(folder), result).go(options.changes - result.changes)
+            seed += 1
+        show(name, result)
+        faults += result.faults
+        every = [cost for costs in result.costs_ms.values() for cost in costs]
+        if statistics.median(every) > LIMIT_MS:
+            faults.append(f"{name}: a change costs {statistics.median(every):.1f} ms at the median")
+        equal = "differ" if result.faults else "equal those of the scheduled run"
+        print(f"{name:8} {result.changes} changes in {result.launches} launches, {result.epochs} epochs: digests {equal}")
+    print("\n".join(faults))
+    return 1 if faults else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,214 @@
+"""``hierax attach``, ``detach``, ``replace`` and ``ps``: against a launch that runs."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from hierax.runtime.commands.errors import CommandError
+from hierax.runtime.commands.options import Format, OutputFormat
+
+if TYPE_CHECKING:
+    from hierax.runtime.deployment import Deployment
+    from hierax.runtime.deployment.deployment import RestartPolicy
+    from hierax.schemas.changes import Change
+
+TIMEOUT_S = 120.0
+"""How long a change may take: new processes import what they need, and the epoch under way must end."""
+
+Run = Annotated[
+    str | None,
+    typer.Option("--run", metavar="RUN", help="Which launch, as `hierax ps` lists them.", show_default=False),
+]
+Connect = Annotated[
+    str | None,
+    typer.Option(
+        "--connect",
+        metavar="ENDPOINT",
+        help="The launch on another machine: the endpoint that `hierax launch --host` prints.",
+        show_default=False,
+    ),
+]
+DeploymentFile = Annotated[
+    str | None,
+    typer.Option(
+        "--deployment",
+        metavar="FILE",
+        help="The launch's deployment file, where it has another path on this machine.",
+        show_default=False,
+    ),
+]
+Source = Annotated[
+    str, typer.Argument(metavar="SOURCE", help="A YAML snippet with nodes and edges.", show_default=False)
+]
+NodeArgument = Annotated[str, typer.Argument(metavar="NODE", help="A node's name.", show_default=False)]
+
+
+def attach(
+    source: Annotated[
+        str,
+        typer.Argument(
+            metavar="SOURCE",
+            help="A YAML snippet with nodes and edges, or the name of a node of the deployment file.",
+            show_default=False,
+        ),
+    ],
+    run: Run = None,
+    connect: Connect = None,
+    deployment: DeploymentFile = None,
+    here: Annotated[
+        bool, typer.Option("--here", help="Keep the new nodes' processes on this machine, until Ctrl-C.")
+    ] = False,
+    host: Annotated[
+        str | None,
+        typer.Option(
+            "--host", metavar="ADDRESS", help="With --here: this machine's address for the others.", show_default=False
+        ),
+    ] = None,
+    output_format: OutputFormat = Format.text,
+) -> int:
+    """Attach nodes to a hierarchy that runs, and print the epoch at which they took effect."""
+    from hierax.runtime.deployment.snippet import read_attach, read_restarts
+
+    endpoint = _endpoint(run, connect)
+    file = _deployment(endpoint, deployment)
+    change = read_attach(source, file)
+    restarts = read_restarts(source, file)
+    what = f"attached {', '.join(change.nodes)}"
+    if here:
+        return _keep_here(endpoint, change, restarts, what, host, output_format)
+    return _tell(_change(endpoint, change, restarts), what, output_format)
+
+
+def detach(
+    node: NodeArgument,
+    cascade: Annotated[bool, typer.Option("--cascade", help="Also what only this node joins to the world.")] = False,
+    run: Run = None,
+    connect: Connect = None,
+    output_format: OutputFormat = Format.text,
+) -> int:
+    """Detach a node from a hierarchy that runs, and print the epoch at which it took effect."""
+    from hierax.schemas.changes import Detach
+
+    return _tell(_change(_endpoint(run, connect), Detach(node, cascade), {}), f"detached {node}", output_format)
+
+
+def replace(
+    node: NodeArgument,
+    source: Source,
+    run: Run = None,
+    connect: Connect = None,
+    deployment: DeploymentFile = None,
+    output_format: OutputFormat = Format.text,
+) -> int:
+    """Let another class or other parameters take a node's place and belief, and print the epoch."""
+    from hierax.runtime.deployment.snippet import read_replace, read_restarts
+
+    endpoint = _endpoint(run, connect)
+    file = _deployment(endpoint, deployment)
+    change = read_replace(source, node, file)
+    answer = _change(endpoint, change, read_restarts(source, file))
+    return _tell(answer, f"replaced {node}", output_format)
+
+
+def ps(run: Run = None, connect: Connect = None, output_format: OutputFormat = Format.text) -> int:
+    """List the launches on this machine, and the processes of their nodes."""
+    from hierax.runtime.commands.show import print_json, print_table
+    from hierax.runtime.launch.run_file import known_runs
+
+    endpoints = [connect] if connect else [each.endpoint for each in known_runs() if run in (None, each.run)]
+    found = [_ask(endpoint, {"ask": "ps"}) for endpoint in endpoints]
+    if output_format is Format.json:
+        print_json({"runs": found})
+        return 0
+    if not found:
+        print("no launch runs on this machine" if run is None else f"no launch {run!r} runs on this machine")
+    for each in found:
+        print(f"{each['hierarchy']}, run {each['run']}: epoch {each['epoch']}, roster version {each['roster']}")
+        rows = [
+            (name, node["state"], str(node["pid"] or ""), str(node["instance"]), str(node["restarts"]))
+            for name, node in each["nodes"].items()
+        ]
+        right = {"justify": "right"}
+        print_table({"node": {}, "state": {}, "pid": right, "instance": right, "restarts": right}, rows)
+    return 0
+
+
+def _endpoint(run: str | None, connect: str | None) -> str:
+    """Where the launch is reached that is meant."""
+    from hierax.runtime.launch.run_file import known_runs
+    from hierax.runtime.nearest import did_you_mean
+
+    if connect is not None:
+        return connect
+    runs = {each.run: each for each in known_runs()}
+    if run is not None:
+        if run not in runs:
+            raise CommandError(f"--run: no launch {run!r} runs on this machine{did_you_mean(run, runs, 'there are')}")
+        return runs[run].endpoint
+    if not runs:
+        raise CommandError("no launch runs on this machine")
+    if len(runs) > 1:
+        known = ", ".join(f"{each.run} ({each.hierarchy})" for each in runs.values())
+        raise CommandError(f"several launches run on this machine, say which with --run: {known}")
+    return next(iter(runs.values())).endpoint
+
+
+def _deployment(endpoint: str, file: str | None) -> Deployment:
+    from hierax.runtime.deployment.read import read_deployment
+    from hierax.runtime.loading import extend_import_path
+
+    said = _ask(endpoint, {"ask": "ps"})
+    deployment = read_deployment(file or said["file"], said["settings"])
+    extend_import_path(deployment.import_paths)
+    return deployment
+
+
+def _ask(endpoint: str, question: Mapping[str, Any]) -> dict[str, Any]:
+    from hierax.runtime.transport.hub import ask
+
+    answer = ask(endpoint, dict(question), timeout_s=TIMEOUT_S)
+    if not isinstance(answer, dict):
+        raise CommandError(f"the launch at {endpoint} gave an answer that is no map")
+    if "refusal" in answer:
+        raise CommandError(str(answer["refusal"]))
+    return answer
+
+
+def _change(
+    endpoint: str, change: Change, restarts: Mapping[str, RestartPolicy], here: bool = False, host: str = ""
+) -> dict[str, Any]:
+    policies = {name: vars(policy) for name, policy in restarts.items()}
+    question = {"ask": "change", "change": change.plain(), "restarts": policies, "here": here, "host": host}
+    return _ask(endpoint, question)
+
+
+def _tell(answer: Mapping[str, Any], what: str, output_format: Format) -> int:
+    from hierax.runtime.commands.show import print_json
+
+    if output_format is Format.json:
+        print_json({"epoch": answer["epoch"]})
+    else:
+        print(f"{what} at epoch {answer['epoch']}", flush=True)
+    return 0
+
+
+def _keep_here(
+    endpoint: str,
+    change: Change,
+    restarts: Mapping[str, RestartPolicy],
+    what: str,
+    host: str | None,
+    output_format: Format,
+) -> int:
+    from hierax.runtime.launch.local_keeper import keep
+
+    offer = _change(endpoint, change, restarts, here=True, host=host or "")
+
+    def told() -> None:
+        _tell(_ask(endpoint, {"ask": "await", "request": offer["request"]}), what, output_format)
+
+    return keep(offer["orders"], restarts, told, lambda line: print(f"hierax: {line}", file=sys.stderr, flush=True))

@@ -1,0 +1,136 @@
+"""``hierax sim``: runs under simulated faults, and whether all that must hold does."""
+
+from __future__ import annotations
+
+import sys
+import time
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from hierax.runtime.commands.errors import FAILED, OK, CommandError
+from hierax.runtime.commands.options import LARGEST, Format, OutputFormat
+
+if TYPE_CHECKING:
+    from hierax.runtime.sim.campaign import Summary
+
+SHOWN = 10
+"""How many violations are shown as text."""
+
+TRACE_LINES = 80
+"""How many of a failing simulation's last events are shown."""
+
+
+def sim(
+    seeds: Annotated[str, typer.Option(metavar="A:B", help="Which seeds: from A to before B; or one.")] = "0:1000",
+    faults: Annotated[
+        str | None,
+        typer.Option(
+            metavar="KIND,…", help="Kinds of faults; by default all. 'none': only changes.", show_default=False
+        ),
+    ] = None,
+    epochs: Annotated[
+        int | None,
+        typer.Option(
+            min=1, max=LARGEST, metavar="N", help="In each simulation; by default the seed decides.", show_default=False
+        ),
+    ] = None,
+    jobs: Annotated[
+        int | None,
+        typer.Option(min=1, metavar="N", help="Processes; by default one for each core.", show_default=False),
+    ] = None,
+    trace: Annotated[bool, typer.Option("--trace", help="Print all events of a single seed.")] = False,
+    output_format: OutputFormat = Format.text,
+) -> int:
+    """Simulate runs with crashes, losses, hangs and partitions; shows what does not hold, made small."""
+    from hierax.runtime.commands.show import print_json
+    from hierax.runtime.sim.campaign import cores, simulate_many
+
+    wanted = _seeds(seeds)
+    kinds = _kinds(faults)
+    if trace:
+        return _trace(wanted, kinds, epochs)
+    began = time.monotonic()
+
+    def show(summary: Summary) -> None:
+        if sys.stderr.isatty():
+            print(
+                f"\r{summary.seeds} of {len(wanted)} seeds, {len(summary.violations)} violations",
+                end="",
+                file=sys.stderr,
+            )
+
+    summary = simulate_many(wanted, kinds, epochs, jobs or cores(), show)
+    if sys.stderr.isatty():
+        print(file=sys.stderr)
+    if output_format is Format.json:
+        print_json(summary.plain())
+    else:
+        _print(summary, time.monotonic() - began)
+        if summary.violations:
+            _print_smallest(min(summary.violations)[0], kinds, epochs)
+    return FAILED if summary.violations else OK
+
+
+def _seeds(text: str) -> range:
+    first, colon, end = text.partition(":")
+    try:
+        seeds = range(int(first), int(end) if colon else int(first) + 1)
+    except ValueError as error:
+        raise CommandError(f"--seeds {text}: expected two whole numbers, A:B, or one") from error
+    if not seeds or seeds[0] < 0:
+        raise CommandError(f"--seeds {text}: expected numbers from 0, the second greater than the first")
+    return seeds
+
+
+def _kinds(text: str | None) -> tuple[str, ...]:
+    from hierax.runtime.nearest import did_you_mean
+    from hierax.runtime.sim.scenario import FAULTS
+
+    if text is None:
+        return FAULTS
+    if text == "none":
+        return ()
+    kinds = tuple(text.split(","))
+    for kind in kinds:
+        if kind not in FAULTS:
+            raise CommandError(f"--faults: there is no {kind!r}{did_you_mean(kind, FAULTS, 'the kinds are')}")
+    return kinds
+
+
+def _trace(seeds: range, kinds: tuple[str, ...], epochs: int | None) -> int:
+    from hierax.runtime.sim.campaign import simulate_quietly
+    from hierax.runtime.sim.scenario import draw_scenario
+
+    if len(seeds) != 1:
+        raise CommandError("--trace: expected a single seed")
+    lines: list[str] = []
+    result = simulate_quietly(draw_scenario(seeds[0], kinds, epochs), lines)
+    print("\n".join(lines))
+    print(result.violation or "nothing is wrong")
+    return FAILED if result.violation else OK
+
+
+def _print(summary: Summary, wall_s: float) -> None:
+    print(f"{summary.seeds} seeds in {wall_s:.1f} s, {summary.epochs} epochs")
+    print("faults: " + (", ".join(f"{kind} {count}" for kind, count in sorted(summary.faults.items())) or "none"))
+    changes = ", ".join(f"{count} {what}" for what, count in sorted(summary.answers.items()))
+    print(f"changes: {changes or 'none'}; runs that gave up, as they may: {summary.stopped}")
+    print(f"violations: {len(summary.violations)}")
+    for seed, what in sorted(summary.violations)[:SHOWN]:
+        print(f"  seed {seed}: {what}")
+
+
+def _print_smallest(seed: int, kinds: tuple[str, ...], epochs: int | None) -> None:
+    """The first failing seed, as small as it can be made, with the end of its trace."""
+    from hierax.runtime.sim.campaign import fails, shrink, simulate_quietly
+    from hierax.runtime.sim.scenario import draw_scenario
+
+    scenario = shrink(draw_scenario(seed, kinds, epochs), fails)
+    lines: list[str] = []
+    result = simulate_quietly(scenario, lines)
+    print(f"\nseed {seed}, made small: {scenario.epochs} epochs, {len(scenario.roster.nodes)} nodes")
+    for what in (*scenario.faults, *scenario.proposals):
+        print(f"  {what}")
+    print("\n".join(lines[-TRACE_LINES:]))
+    print(result.violation)

@@ -1,0 +1,114 @@
+"""Snippets: YAML with ``nodes`` and ``edges`` as a deployment file has them, for a hierarchy that runs.
+
+``${NAME}`` stands for a parameter of the deployment. Nothing of what a snippet names is
+imported, and nothing is checked that depends on the roster which it will find: what
+nodes there are then, and what may be loaded, `hierax.runtime.owner.changes` decides.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+
+from pydantic import ValidationError
+
+from hierax.runtime.deployment.deployment import Deployment, RestartPolicy
+from hierax.runtime.deployment.document import Document
+from hierax.runtime.deployment.errors import DeploymentError
+from hierax.runtime.deployment.faults import first_error
+from hierax.runtime.deployment.models import SnippetModel, split_edge
+from hierax.runtime.deployment.parameters import substitute
+from hierax.runtime.deployment.parts import restart_policy, roster_edges, roster_nodes
+from hierax.runtime.deployment.read import read_document
+from hierax.runtime.nearest import did_you_mean
+from hierax.schemas.changes import Attach, Replace
+
+
+def read_attach(source: str | Path, deployment: Deployment) -> Attach:
+    """What attaches nodes.
+
+    Args:
+        source: the path of a snippet; or the name of a node of the deployment file, which is
+            meant with all its edges there.
+        deployment: of the run.
+
+    Raises:
+        DeploymentError: there is no such file or node, or the snippet is wrong: file, line,
+            field, what was expected, and the nearest valid name.
+    """
+    if _is_node(source, deployment):
+        name, roster = str(source), deployment.roster
+        return Attach({name: roster.nodes[name]}, tuple(edge for edge in roster.edges if name in edge.pair))
+    model, document = _read(source, deployment)
+    return Attach(roster_nodes(model.nodes, document), roster_edges(model.edges or {}, document))
+
+
+def read_replace(source: str | Path, name: str, deployment: Deployment) -> Replace:
+    """What replaces a node.
+
+    Args:
+        source: the path of a snippet that has this node alone. Its edges are all that the node
+            has from then on; without ``edges`` it keeps those that it has.
+        name: of the node.
+        deployment: of the run.
+
+    Raises:
+        DeploymentError: as `read_attach`; or the snippet has another node.
+    """
+    model, document = _read(source, deployment)
+    for given in model.nodes:
+        if given != name:
+            raise document.error(("nodes", given), f"expected no other node than the one to be replaced, {name!r}")
+    edges = None if model.edges is None else roster_edges(model.edges, document)
+    return Replace(name, roster_nodes(model.nodes, document)[name], edges)
+
+
+def read_restarts(source: str | Path, deployment: Deployment) -> Mapping[str, RestartPolicy]:
+    """What a source of `read_attach` or `read_replace` says about the restarts of its nodes.
+
+    What it leaves out is as ``restart`` at the top of the deployment file has it.
+
+    Raises:
+        DeploymentError: as `read_attach`.
+    """
+    if _is_node(source, deployment):
+        return {str(source): deployment.restarts[str(source)]}
+    model, document = _read(source, deployment)
+    otherwise = deployment.restart
+    return {name: restart_policy(node, otherwise, document, ("nodes", name)) for name, node in model.nodes.items()}
+
+
+def _is_node(source: str | Path, deployment: Deployment) -> bool:
+    return str(source) in deployment.roster.nodes and not _is_file(source)
+
+
+def _is_file(source: str | Path) -> bool:
+    try:
+        return Path(source).is_file()
+    except (OSError, ValueError) as error:  # a name that no file can have
+        raise DeploymentError(f"cannot be read: {error}", str(source)) from error
+
+
+def _read(source: str | Path, deployment: Deployment) -> tuple[SnippetModel, Document]:
+    if not _is_file(source):
+        nearest = did_you_mean(str(source), deployment.roster.nodes, "its nodes are")
+        what = f"there is no such file, and {deployment.path} has no node of that name{nearest}"
+        raise DeploymentError(what, str(source))
+    document = read_document(Path(source), "nodes and edges")
+    document.outer = deployment.document
+    root = substitute(document)
+    try:
+        model = SnippetModel.model_validate(root)
+    except ValidationError as error:
+        raise first_error(error, document, root, SnippetModel) from error
+    if not model.nodes:
+        raise document.error(("nodes",), "expected at least one node")
+    for edge in model.edges or {}:
+        if not model.nodes.keys() & set(split_edge(edge)):
+            nodes = _list(model.nodes)
+            raise document.error(("edges", edge), f"joins two other nodes; expected an edge of {nodes}")
+    return model, document
+
+
+def _list(names: Iterable[str]) -> str:
+    return " or ".join(repr(name) for name in sorted(names))

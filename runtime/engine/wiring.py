@@ -1,0 +1,80 @@
+"""How a node is joined to its neighbours under one version of the roster."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+
+from hierax.runtime.core.binding import BoundNode, Call
+from hierax.runtime.core.digest import NO_DIGEST
+from hierax.runtime.core.graph import Pair
+from hierax.runtime.core.hierarchy import BoundEdge
+from hierax.schemas.messages import CONTEXT, OBSERVATIONS, TASKS
+from hierax.schemas.roster import Roster
+
+Slot = tuple[str, str]
+"""A sender and a kind: from each, one message comes in an epoch."""
+
+
+@dataclass(frozen=True)
+class Place:
+    """Where a node stands in its roster.
+
+    Attributes:
+        roster: the roster's version.
+        roster_hash: hash of its content.
+        instances: instance numbers, of the node itself and of its neighbours.
+        tasking: the edges (lower, upper) that have a task function ψ.
+    """
+
+    roster: int = 0
+    roster_hash: bytes = NO_DIGEST
+    instances: Mapping[str, int] = field(default_factory=dict)
+    tasking: frozenset[Pair] = frozenset()
+
+    @staticmethod
+    def of(roster: Roster) -> Place:
+        """The place of any node of a roster."""
+        tasking = frozenset(edge.pair for edge in roster.edges if edge.task is not None)
+        return Place(roster.version, roster.content_hash(), roster.instances, tasking)
+
+    def instance(self, name: str) -> int:
+        """The instance number of a node."""
+        return self.instances.get(name, 0)
+
+
+class Wiring:
+    """A node and all that joins it to its neighbours, laid out for the engine.
+
+    Args:
+        node: bound to its name and neighbours.
+        edges: of the node; of each at least the functions that run on its side.
+        place: the roster.
+
+    Attributes:
+        below, above: for each slot that is filled from there in an epoch, the instance of its sender.
+        sense: φ by the upper neighbour, None where there is none.
+        task: ψ by the lower neighbour, where there is one.
+        context: ϱ by the lower neighbour, None where there is none.
+        tasking: the upper neighbours that send task messages.
+    """
+
+    __slots__ = ("above", "below", "context", "instance", "node", "place", "roster", "sense", "task", "tasking")
+
+    def __init__(self, node: BoundNode, edges: Sequence[BoundEdge], place: Place) -> None:
+        name = node.name
+        by_pair = {(edge.lower, edge.upper): edge for edge in edges}
+        self.node = node
+        self.place = place
+        self.roster = place.roster
+        self.instance = place.instance(name)
+        self.tasking = tuple(upper for upper in node.above if (name, upper) in place.tasking)
+        self.below: Mapping[Slot, int] = {(lower, OBSERVATIONS): place.instance(lower) for lower in node.below}
+        self.above: Mapping[Slot, int] = {
+            **{(upper, CONTEXT): place.instance(upper) for upper in node.above},
+            **{(upper, TASKS): place.instance(upper) for upper in self.tasking},
+        }
+        downward = {lower: by_pair[lower, name] for lower in node.below}
+        self.sense: Sequence[tuple[str, Call | None]] = [(upper, by_pair[name, upper].sense) for upper in node.above]
+        self.task: Sequence[tuple[str, Call]] = [(lower, edge.task) for lower, edge in downward.items() if edge.task]
+        self.context: Sequence[tuple[str, Call | None]] = [(lower, edge.context) for lower, edge in downward.items()]

@@ -1,0 +1,106 @@
+"""From an order to a member of the run."""
+
+from __future__ import annotations
+
+import importlib
+import logging
+import time
+from pathlib import Path
+
+from hierax.runtime.engine.engine import DigestChain
+from hierax.runtime.engine.loose import Staleness
+from hierax.runtime.files import DIGESTS, open_probes, state_log
+from hierax.runtime.launch.faults import plant
+from hierax.runtime.launch.pipe import BEGIN, NodeOrder
+from hierax.runtime.launch.voice import Voice
+from hierax.runtime.member import Member
+from hierax.runtime.node_loader import NodeLoader
+from hierax.runtime.recovery.disk import MappedFile
+from hierax.runtime.recovery.slots import Slots
+from hierax.runtime.runner import Log, Pacemaker
+from hierax.runtime.transport.control import OWNER, ControlLine
+from hierax.runtime.transport.zenoh_port import EpochPublisher, ZenohPort
+from hierax.runtime.world_member import WorldMember
+from hierax.schemas.control import Control
+
+_log = logging.getLogger("hierax")
+
+
+def build_member(
+    order: NodeOrder, loader: NodeLoader, port: ZenohPort, line: ControlLine, voice: Voice, epochs: EpochPublisher
+) -> Member:
+    """The member that an order asks for.
+
+    Raises:
+        HieraxError: a probe, the output folder or the checkpoint cannot be opened.
+    """
+    member = _built(order, loader, port, line, voice, epochs)
+    member.staleness = Staleness(order.staleness, order.exact)
+    if order.fault:
+        plant(member, order.fault)
+    return member
+
+
+def _built(
+    order: NodeOrder, loader: NodeLoader, port: ZenohPort, line: ControlLine, voice: Voice, epochs: EpochPublisher
+) -> Member:
+    output, again = order.output_path, order.life != BEGIN
+    slots = _slots(order)
+    probes = open_probes(order.probes, order.name, output, again)
+    states = state_log(output, order.name, again)
+    if order.owner is None:
+
+        def say(word: Control) -> None:
+            line.tell(OWNER, word)
+
+        return Member(order.name, order.process, loader.wiring, port, say, slots, probes, states)
+    roster_hash = b"" if order.roster is None else order.roster.content_hash()
+    return WorldMember(
+        order.name,
+        order.process,
+        loader.wiring,
+        port,
+        line.tell,
+        voice,
+        slots,
+        Pacemaker(DigestChain(roster_hash), order.epochs, _Commits(order, epochs)),
+        order.owner,
+        time.monotonic,
+        on_uncertain_act=order.on_uncertain_act,
+        probes=probes,
+        states=states,
+    )
+
+
+def preload(modules: tuple[str, ...]) -> None:
+    """Import what will be needed; what fails is told when it is."""
+    for module in modules:
+        _preload(module)
+
+
+def _preload(module: str) -> None:
+    try:
+        importlib.import_module(module)
+    except Exception as error:
+        _log.info("%s cannot be imported yet: %s", module, error)
+
+
+def _slots(order: NodeOrder) -> Slots:
+    path = Path(order.checkpoint)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    return Slots(MappedFile(path, order.durability))
+
+
+class _Commits:
+    """What is done with the digest of each committed epoch: it is published, and written where wanted."""
+
+    def __init__(self, order: NodeOrder, epochs: EpochPublisher) -> None:
+        output = order.output_path
+        self._epochs = epochs
+        self._log = None if output is None else Log(output / DIGESTS, append=order.life != BEGIN)
+
+    def __call__(self, epoch: int, digest: bytes) -> None:
+        self._epochs.publish(epoch, digest)
+        if self._log is not None:
+            self._log.write(epoch, digest)
+            self._log.flush()

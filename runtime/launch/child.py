@@ -1,0 +1,187 @@
+"""A node's process as its keeper sees it."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections import deque
+from dataclasses import dataclass, field
+
+import anyio
+import anyio.abc
+
+from hierax.runtime.core.errors import HieraxError
+from hierax.runtime.deployment.deployment import RestartPolicy
+from hierax.runtime.launch.pipe import NodeOrder, frame
+from hierax.schemas.values import Value
+
+CLOSED = -1
+"""A child's handle when the child is gone."""
+
+END_TIMEOUT_S = 1.5
+"""How long processes may take to end when the run is broken off."""
+
+
+class NodeFailedError(HieraxError):
+    """A node's process failed or ended before the run was over.
+
+    Attributes:
+        where: path in the roster of what could not be loaded; may be empty.
+    """
+
+    def __init__(self, message: str, where: str = "") -> None:
+        self.where = where
+        super().__init__(message)
+
+
+@dataclass
+class Child:
+    """A node's process and what it has said.
+
+    Attributes:
+        order: what it was started with.
+        process: its process.
+        handle: a file descriptor that stands for it; signals go through it, as it never means
+            another process, and as asyncio's own way competes with its wait for the exit code.
+        up: set when it and its neighbours hear each other, or it has offered itself to the owner.
+        heard: set when all that it had to say is taken in and it has ended.
+        report: its last word.
+        failure: why it cannot go on.
+        dismissed: why the owner has told it to go.
+        culprit: why its keeper has killed it.
+    """
+
+    order: NodeOrder
+    process: anyio.abc.Process
+    handle: int
+    up: anyio.Event = field(default_factory=anyio.Event)
+    heard: anyio.Event = field(default_factory=anyio.Event)
+    report: dict[str, Value] | None = None
+    failure: NodeFailedError | None = None
+    dismissed: str = ""
+    culprit: str = ""
+
+    @property
+    def name(self) -> str:
+        """Of its node."""
+        return self.order.name
+
+    @property
+    def token(self) -> str:
+        """Of the process."""
+        return self.order.process
+
+    @property
+    def alive(self) -> bool:
+        """Whether it has not ended yet, as far as anybody has noticed."""
+        return self.process.returncode is None
+
+    async def tell(self, value: Value) -> bool:
+        """Send it a command; whether it listens."""
+        assert self.process.stdin is not None
+        try:
+            await self.process.stdin.send(frame(value))
+        except (anyio.BrokenResourceError, anyio.ClosedResourceError, OSError):
+            return False
+        return True
+
+    def send_signal(self, number: signal.Signals) -> None:
+        """Send the process a signal, if it is still there."""
+        if self.handle == CLOSED:
+            return
+        try:
+            signal.pidfd_send_signal(self.handle, number)
+        except ProcessLookupError:
+            return  # it has ended by itself
+
+    def signal_group(self, number: signal.Signals) -> None:
+        """A node's process leads a group, with the programs that the node has started."""
+        try:
+            os.killpg(self.process.pid, number)
+        except ProcessLookupError:
+            return  # all have ended by themselves
+
+    def kill(self) -> None:
+        """End it and what it has started, at once."""
+        if self.alive:  # it still stands for its group
+            self.signal_group(signal.SIGKILL)
+        self.send_signal(signal.SIGKILL)
+
+    async def close(self) -> None:
+        """Give up what belongs to a process that has ended."""
+        for stream in (self.process.stdin, self.process.stdout):
+            if stream is not None:
+                await stream.aclose()
+        if self.handle != CLOSED:
+            os.close(self.handle)
+            self.handle = CLOSED
+
+    async def cut_off(self, listening: anyio.CancelScope) -> None:
+        """End what a node has started with the node: it may hold the pipes open, so that no end of them comes."""
+        await anyio.wait_readable(self.handle)  # the process has ended
+        self.signal_group(signal.SIGKILL)
+        await anyio.sleep(END_TIMEOUT_S)
+        listening.cancel()
+
+    @property
+    def last_words(self) -> NodeFailedError:
+        """Why it has ended: what it said itself, or else how."""
+        return self.failure or NodeFailedError(f"{self.name}: its process ended {_describe(self.process.returncode)}")
+
+
+async def start_child(order: NodeOrder) -> Child:
+    """Start a node's process and give it its order."""
+    process = await anyio.open_process(
+        [sys.executable, "-m", "hierax.runtime.launch.node_process"],
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        stderr=None,
+        start_new_session=True,
+    )
+    child = Child(order, process, os.pidfd_open(process.pid))
+    await child.tell(order.plain())
+    return child
+
+
+def _describe(code: int | None) -> str:
+    if code is None:
+        return "without an exit code"
+    return f"by signal {signal.Signals(-code).name}" if code < 0 else f"with exit code {code}"
+
+
+class Restarts:
+    """Whether and when another process takes the place of one that has ended.
+
+    Args:
+        policy: of the node.
+    """
+
+    def __init__(self, policy: RestartPolicy) -> None:
+        self._policy = policy
+        self._times: deque[float] = deque()
+        self.count = 0
+
+    def delay_s(self, child: Child) -> float | None:
+        """After which delay the next process is started; None: there is none.
+
+        A process that says itself why it cannot go on (an operator has raised) is started
+        again only by ``always``: the epoch would be done again with the same inputs.
+        """
+        policy = self._policy
+        failed = child.process.returncode != 0 or bool(child.culprit)
+        if policy.restart_policy == "never":
+            return None
+        if policy.restart_policy == "on-failure" and (not failed or child.failure is not None):
+            return None
+        now = time.monotonic()
+        while self._times and policy.restart_window_s is not None and now - self._times[0] > policy.restart_window_s:
+            self._times.popleft()
+        if policy.max_restarts and len(self._times) >= policy.max_restarts:
+            return None
+        delay = min(policy.restart_delay_s * 2 ** min(len(self._times), 60), policy.max_restart_delay_s)
+        self._times.append(now)
+        self.count += 1
+        return 0.0 if self.count == 1 else delay

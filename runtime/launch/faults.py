@@ -1,0 +1,146 @@
+"""Processes that kill themselves at a named instant, to show that a run survives it.
+
+A fault is ``INSTANT:N``: SIGKILL at the N-th time, counted from 1, that the process comes
+to an instant. An instant is one of `PLACES` with ``.before`` or ``.after``.
+"""
+
+from __future__ import annotations
+
+import os
+import signal
+from collections.abc import Callable, Iterable
+from typing import Any, NamedTuple
+
+from hierax.runtime.core.errors import HieraxError
+from hierax.runtime.member import Member
+from hierax.runtime.nearest import did_you_mean
+from hierax.runtime.world_member import WorldMember
+
+METHODS = {"save": "save", "send": "send", "keep": "keep", "act": "act", "commit": "committed"}
+"""By place, the method of a member that is called there."""
+
+WITHIN_ACT = {"intent": 1, "acted": 2}
+"""By place, the how many-th record of an act it is; the actuators move between the two."""
+
+PLACES = {
+    "save": "a node writes its checkpoint",
+    "send": "a message goes out",
+    "keep": "the world writes its record",
+    "act": "the world acts, with what is recorded before and after it",
+    "intent": "the world records that it is going to act",
+    "acted": "the world records that it has acted",
+    "commit": "an epoch is committed",
+}
+"""Where a process may kill itself, and what happens there."""
+
+INSTANTS = tuple(f"{place}.{side}" for place in PLACES for side in ("before", "after"))
+
+
+class Fault(NamedTuple):
+    """An instant, and the how many-th time.
+
+    Attributes:
+        place: one of `PLACES`.
+        before: whether it is before what happens there.
+        number: from 1.
+    """
+
+    place: str
+    before: bool
+    number: int
+
+    @staticmethod
+    def read(text: str) -> Fault:
+        """From ``INSTANT:N``.
+
+        Raises:
+            HieraxError: that is none.
+        """
+        instant, _, number = text.rpartition(":")
+        if instant not in INSTANTS:
+            raise HieraxError(f"--fault {text}: {instant!r} is no instant{did_you_mean(instant, INSTANTS, 'they are')}")
+        if not number.isdecimal() or int(number) < 1:
+            raise HieraxError(f"--fault {text}: expected INSTANT:N with N from 1")
+        place, _, side = instant.partition(".")
+        return Fault(place, side == "before", int(number))
+
+
+def read_faults(texts: Iterable[str]) -> dict[str, list[str]]:
+    """By node, its faults in order, from ``NODE:INSTANT:N``.
+
+    Raises:
+        HieraxError: one is no fault.
+    """
+    found: dict[str, list[str]] = {}
+    for text in texts:
+        name, _, fault = text.partition(":")
+        Fault.read(fault)
+        found.setdefault(name, []).append(fault)
+    return found
+
+
+def plant(member: Member, text: str) -> None:
+    """Have the process kill itself.
+
+    Args:
+        member: of the process.
+        text: ``INSTANT:N``.
+
+    Raises:
+        HieraxError: that is no fault, or not one of this member.
+    """
+    fault = Fault.read(text)
+    if fault.place not in ("save", "send") and not isinstance(member, WorldMember):
+        raise HieraxError(f"--fault {text}: only the world's process comes to {fault.place!r}, not {member.name!r}")
+    if fault.place in WITHIN_ACT:
+        _plant_within_act(member, fault)
+    else:
+        _wrap(member, METHODS[fault.place], fault.before, _Countdown(fault.number))
+
+
+class _Countdown:
+    """Kills the process at the n-th call."""
+
+    def __init__(self, number: int) -> None:
+        self._left = number
+
+    def __call__(self) -> None:
+        self._left -= 1
+        if not self._left:
+            os.kill(os.getpid(), signal.SIGKILL)
+
+
+def _plant_within_act(member: Member, fault: Fault) -> None:
+    countdown = _Countdown(fault.number)
+    records = 0
+
+    def on_act() -> None:
+        nonlocal records
+        records = WITHIN_ACT[fault.place]
+
+    def on_acted() -> None:
+        nonlocal records
+        records = 0  # also where nothing was recorded, as the epoch had been acted upon before
+
+    def on_keep() -> None:
+        nonlocal records
+        records -= 1
+        if records == 0:
+            countdown()
+
+    _wrap(member, METHODS["act"], True, on_act)
+    _wrap(member, METHODS["act"], False, on_acted)
+    _wrap(member, METHODS["keep"], fault.before, on_keep)
+
+
+def _wrap(member: Member, name: str, before: bool, then: Callable[[], None]) -> None:
+    method = getattr(member, name)
+
+    def wrapped(*arguments: Any) -> None:
+        if before:
+            then()
+        method(*arguments)
+        if not before:
+            then()
+
+    setattr(member, name, wrapped)

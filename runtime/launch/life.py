@@ -1,0 +1,314 @@
+"""A node's life in a process of its own: load, connect, run, report."""
+
+from __future__ import annotations
+
+import gc
+import logging
+import sys
+import threading
+import time
+from collections import deque
+from collections.abc import Callable
+from types import FrameType
+from typing import get_args
+
+import numpy as np
+
+from hierax.runtime.core.binding import Call, Setting, Waiter
+from hierax.runtime.core.errors import HieraxError
+from hierax.runtime.launch.building import build_member, preload
+from hierax.runtime.launch.pipe import BEGIN, COME_BACK, DISMISSED, FAILED, REPORT, TO_REPORT, UP, NodeOrder
+from hierax.runtime.launch.voice import Voice
+from hierax.runtime.loading import LoadError, extend_import_path
+from hierax.runtime.member import Member
+from hierax.runtime.node_loader import NodeLoader
+from hierax.runtime.transport.control import OWNER, ControlLine
+from hierax.runtime.transport.port import TransportError
+from hierax.runtime.transport.zenoh_port import EpochPublisher, ZenohPort
+from hierax.runtime.transport.zenoh_session import LOOPBACK, open_session
+from hierax.runtime.world_member import WorldMember
+from hierax.schemas.control import AskStatus, Control, Order, decode_control
+from hierax.schemas.errors import SchemaError
+from hierax.schemas.keys import Keys
+from hierax.schemas.messages import Message
+from hierax.schemas.values import Value
+
+IDLE_S = 0.5
+"""How long nothing may come before a node asks whether it is still part of the hierarchy."""
+
+BEAT_S = 0.2
+"""How often the world's process says that it lives."""
+
+_CALLS = (Call.__call__.__code__, Call.elements.__code__)
+_log = logging.getLogger("hierax")
+
+
+class NodeLife:
+    """One node, from its order to its report.
+
+    Args:
+        order: from the keeper.
+        status: file descriptor on which the keeper listens.
+        wait: drives async operators.
+    """
+
+    def __init__(self, order: NodeOrder, status: int, wait: Waiter) -> None:
+        self._order = order
+        self._wait = wait
+        self._stopping = threading.Event()
+        self._voice = Voice(status, self._stopping.set)
+        self._port: ZenohPort | None = None
+        self._member: Member | None = None
+        self._thread = 0
+        self._inputs: deque[Control] = deque()
+        self._ticks = False
+        self._ticked_s = self._heard_s = time.monotonic()
+        self._beaten_s = 0.0
+        self._version = -1
+        self._rate_hz = order.rate_hz
+        self._due = True
+        self._stuck: tuple[int, str] = (0, "")
+        self._stuck_s = 0.0
+        # then the session is not closed: what still comes from its peers would be reported as errors
+        self.hurried = False
+
+    # --- called by other threads
+
+    def stop(self) -> None:
+        """Make the node's thread come to its end."""
+        self._stopping.set()
+        self._wake()
+
+    def post(self, control: Control) -> None:
+        """A control message for the member, or for the owner."""
+        member = self._member
+        if isinstance(control, AskStatus) and member is not None:  # answered also while the thread is in an operator
+            self._line.tell(OWNER, member.status(control.inquiry, self._busy()))
+            return
+        self._inputs.append(control)
+        self._wake()
+
+    def tick(self) -> None:
+        """Time has passed."""
+        member = self._member
+        if member is None:
+            return
+        now = time.monotonic()
+        if isinstance(member, WorldMember):
+            self._watch_world(member, now)
+        elif member.active and now - max(self._heard_s, self._ticked_s) < IDLE_S:
+            return
+        if not self._ticks:
+            self._ticked_s = now
+            self._ticks = True
+            self._wake()
+
+    def take_turn(self) -> None:
+        """In free running: the node's next turn is due."""
+        self._due = True
+        self._wake()
+
+    @property
+    def period_s(self) -> float | None:
+        """In free running, from one turn to the next; None: as it can."""
+        return None if self._rate_hz is None else 1 / self._rate_hz
+
+    def greet(self) -> None:
+        """Greet the neighbours that have not answered."""
+        port = self._port
+        if port is not None and not self._stopping.is_set():
+            port.greet()
+
+    def close(self) -> None:
+        """Close the port, when no other thread uses it any more."""
+        if self._port is not None:
+            self._port.close()
+
+    # --- the node's thread
+
+    def live(self) -> int:
+        """All of it.
+
+        Returns:
+            The exit code of the process.
+        """
+        self._thread = threading.get_ident()
+        try:
+            return self._live()
+        except (HieraxError, SchemaError) as error:
+            place = error.where if isinstance(error, LoadError) else ""
+            message = str(error)
+            if isinstance(error, (TransportError, SchemaError)):  # the others name the node themselves
+                message = f"{self._order.name}: {message.removeprefix(f'{self._order.name}: ')}"
+            self._voice.say(FAILED, message=message.encode(errors="backslashreplace").decode(), where=place)
+            return 1
+
+    def _live(self) -> int:
+        order = self._order
+        extend_import_path(order.import_paths)
+        preload(order.preload)
+        loader = NodeLoader(order.name, Setting(order.seed, self._wait))
+        if order.roster is not None:
+            loader.wiring(order.roster)  # what cannot be loaded is told before anybody is waited for
+        listen = [f"tcp/{order.host}:0"] if order.host else [LOOPBACK]
+        session = open_session(listen, [order.hub], order.settings)
+        keys = Keys(order.deployment, order.run)
+        port = self._port = ZenohPort(session, keys, order.name, order.process)
+        self._line = ControlLine(session, keys, order.process, self.post)
+        member = build_member(order, loader, port, self._line, self._voice, EpochPublisher(session, keys))
+        if isinstance(member, WorldMember):
+            self._owners_line = ControlLine(session, keys, OWNER, self.post)
+        gc.collect()
+        gc.freeze()  # what is loaded stays; the collector need not look at it again in the middle of an epoch
+        try:
+            if self._begin(member, loader, port):
+                self._member = member
+                loop = self._run_freely if order.staleness is None else self._run
+                loop(member, port)
+        finally:
+            member.close()
+        return self._part(member)
+
+    def _begin(self, member: Member, loader: NodeLoader, port: ZenohPort) -> bool:
+        """Come into the run; whether it did."""
+        order = self._order
+        if order.life == BEGIN and order.roster is not None:
+            wiring = loader.wiring(order.roster)
+            if not isinstance(member, WorldMember):
+                member.wire(wiring)
+            port.link(wiring.node.below, wiring.node.above, order.roster, lambda _: None)
+            while not port.connect():
+                if self._stopping.is_set():
+                    return False
+            self._voice.say(UP)
+            if isinstance(member, WorldMember):
+                member.begin_run(order.roster, {**order.processes, order.name: order.process})
+            return True
+        if order.life == TO_REPORT and order.roster is not None:
+            member.recall(loader.wiring(order.roster))
+            return False
+        if isinstance(member, WorldMember) and order.life == COME_BACK:
+            member.resume_run(order.processes)
+            for proposal in order.proposals:
+                member.hear(decode_control(proposal))
+        else:
+            member.join(order.request)
+        self._voice.say(UP)
+        return True
+
+    def _run(self, member: Member, port: ZenohPort) -> None:
+        world = member if isinstance(member, WorldMember) else None
+        while not self._stopping.is_set():
+            if self._inputs or self._ticks:
+                self._serve(member)
+            if member.dismissed:
+                return
+            if world is not None:
+                self._serve_keeper(world)
+            self._take_next(member, port.receive)
+
+    def _run_freely(self, member: Member, port: ZenohPort) -> None:
+        """As `_run`, but the node takes its turns when they are due, on the newest of what has come."""
+        while not self._stopping.is_set():
+            self._serve(member)
+            if member.dismissed:
+                return
+            if isinstance(member, WorldMember):
+                self._serve_keeper(member)
+            self._take_all(member, port)
+            if self._due and member.wired and member.poll():
+                self._due = self._rate_hz is None
+                continue
+            self._take_next(member, port.receive)
+
+    def _take_all(self, member: Member, port: ZenohPort) -> None:
+        while self._take_next(member, port.poll):
+            continue
+
+    def _take_next(self, member: Member, receive: Callable[[], Message | None]) -> bool:
+        try:
+            message = receive()
+        except SchemaError as error:
+            _log.warning("%s: dropped what is no message of ours: %s", self._order.name, error)
+            return True
+        if message is None:
+            return False
+        member.step(message)
+        self._heard_s = time.monotonic()
+        return True
+
+    def _serve(self, member: Member) -> None:
+        """What has come beside the messages of epochs."""
+        while self._inputs:
+            control = self._inputs.popleft()
+            if isinstance(control, get_args(Order)):
+                member.obey(control)
+            elif isinstance(member, WorldMember):
+                member.hear(control)
+        if not self._ticks:
+            return
+        self._ticks = False
+        if isinstance(member, WorldMember):
+            member.tick()
+        else:
+            member.join(self._order.request)
+            member.fetch_again()
+
+    def _serve_keeper(self, world: WorldMember) -> None:
+        owner = world.owner
+        if owner.roster.version != self._version:
+            self._version = owner.roster.version
+            self._voice.beat(owner)
+        if world.pacemaker is not None and world.pacemaker.done:
+            self._voice.finish(owner)
+
+    def _part(self, member: Member) -> int:
+        if member.dismissed:
+            self._voice.say(DISMISSED, why=member.dismissed)
+            return 0
+        if not member.wired:
+            return 0
+        report = member.report()
+        fields: dict[str, Value] = {
+            "belief": report.belief,
+            "policy": report.policy,
+            "actions": report.actions,
+            "metrics": dict(report.metrics),
+        }
+        pacemaker = member.pacemaker
+        if pacemaker is not None:
+            chain = pacemaker.chain
+            fields["run"] = [chain.epoch, chain.digest, pacemaker.wall_s, np.array(pacemaker.epochs_s)]
+        self._voice.say(REPORT, **fields)
+        return 0
+
+    # --- helpers of both
+
+    def _watch_world(self, world: WorldMember, now: float) -> None:
+        """The world's process says that it lives; and when it hangs in an operator, as nobody else watches that."""
+        if now - self._beaten_s >= BEAT_S:
+            self._beaten_s = now
+            self._voice.beat(world.owner)
+        state = (world.owner.epoch, self._busy())
+        if not state[1] or state != self._stuck:
+            self._stuck, self._stuck_s = state, now
+            return
+        deadline_s = self._order.owner.epoch_deadline_s if self._order.owner is not None else None
+        if deadline_s is not None and now - self._stuck_s > deadline_s:
+            self._stuck_s = now
+            why = f"it is in {state[1]} in epoch {state[0] + 1}, past the deadline"
+            self._voice.end(self._order.name, self._order.process, why)
+
+    def _wake(self) -> None:
+        if self._port is not None:
+            self._port.interrupt()
+
+    def _busy(self) -> str:
+        """The operator that the node's thread is in; empty: in none."""
+        found: FrameType | None = sys._current_frames().get(self._thread)
+        while found is not None:
+            if found.f_code in _CALLS:
+                call: Call = found.f_locals["self"]
+                return f"{call.operator} of {call.subject}"
+            found = found.f_back
+        return ""

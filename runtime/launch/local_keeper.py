@@ -1,0 +1,135 @@
+"""Keeping processes of nodes on this machine for a launch on another one."""
+
+from __future__ import annotations
+
+import signal
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
+from secrets import token_hex
+from typing import Any
+
+import anyio
+import anyio.abc
+import anyio.to_thread
+
+from hierax.runtime.deployment.deployment import RestartPolicy
+from hierax.runtime.launch.child import END_TIMEOUT_S, Child, NodeFailedError, Restarts, start_child
+from hierax.runtime.launch.pipe import COME_BACK, DISMISSED, FAILED, Frames, NodeOrder
+from hierax.runtime.transport.zenoh_session import remove_orphaned_segments
+from hierax.schemas.values import Value
+
+
+def keep(
+    orders: Sequence[Value],
+    policies: Mapping[str, RestartPolicy],
+    told: Callable[[], None],
+    say: Callable[[str], None],
+) -> int:
+    """Start processes and keep them until they are dismissed, or until Ctrl-C.
+
+    Args:
+        orders: what they are started with, as values.
+        policies: by node, what is done when its process ends.
+        told: waits until the launch has answered, and tells it; in a thread of its own.
+        say: tells people what happens.
+
+    Returns:
+        The exit code: 0 when all were dismissed or the user ended them.
+
+    Raises:
+        HieraxError: a process cannot go on, or the change was refused.
+    """
+    keeper = _LocalKeeper(policies, say)
+    try:
+        return anyio.run(keeper.run, [NodeOrder.read(order) for order in orders], told)
+    finally:
+        remove_orphaned_segments()
+
+
+class _LocalKeeper:
+    """Processes of nodes, started again when they die."""
+
+    def __init__(self, policies: Mapping[str, RestartPolicy], say: Callable[[str], None]) -> None:
+        self._restarts = {name: Restarts(policy) for name, policy in policies.items()}
+        self._say = say
+        self._children: list[Child] = []
+        self._failure: Exception | None = None
+        self._ending = False
+
+    async def run(self, orders: Sequence[NodeOrder], told: Callable[[], None]) -> int:
+        """All of it."""
+        async with anyio.create_task_group() as tasks:
+            tasks.start_soon(self._end_on_signal, tasks.cancel_scope)
+            tasks.start_soon(self._tell, told, tasks.cancel_scope)
+            try:
+                async with anyio.create_task_group() as kept:
+                    for order in orders:
+                        kept.start_soon(self._keep, order, tasks.cancel_scope)
+            finally:
+                with anyio.CancelScope(shield=True):
+                    await self._end_all()
+            tasks.cancel_scope.cancel()
+        if self._failure is not None:
+            raise self._failure
+        return 0
+
+    async def _tell(self, told: Callable[[], None], scope: anyio.CancelScope) -> None:
+        try:
+            await anyio.to_thread.run_sync(told, abandon_on_cancel=True)
+        except Exception as error:
+            self._fail(error, scope)
+
+    async def _keep(self, order: NodeOrder, scope: anyio.CancelScope) -> None:
+        while True:
+            child = await start_child(order)
+            self._children.append(child)
+            await self._listen(child)
+            if self._ending:
+                return
+            if child.dismissed:
+                self._say(f"{child.name}: its process exits: {child.dismissed}")
+                return
+            delay_s = self._restarts[child.name].delay_s(child)
+            if delay_s is None:
+                self._fail(child.last_words, scope)
+                return
+            self._say(f"{child.last_words}; it is started again")
+            await anyio.sleep(delay_s)
+            order = replace(order, process=token_hex(8), life=COME_BACK, request="")
+
+    async def _listen(self, child: Child) -> None:
+        assert child.process.stdout is not None
+        frames = Frames()
+        async for data in child.process.stdout:
+            for value in frames.feed(data):
+                _take(child, value)
+        await child.process.wait()
+
+    def _fail(self, error: Exception, scope: anyio.CancelScope) -> None:
+        self._failure = self._failure or error
+        scope.cancel()
+
+    async def _end_on_signal(self, scope: anyio.CancelScope) -> None:
+        with anyio.open_signal_receiver(signal.SIGINT, signal.SIGTERM) as signals:
+            async for _ in signals:
+                scope.cancel()
+                return
+
+    async def _end_all(self) -> None:
+        self._ending = True
+        for child in self._children:
+            child.send_signal(signal.SIGTERM)
+        with anyio.move_on_after(END_TIMEOUT_S):
+            for child in self._children:
+                await child.process.wait()
+        for child in self._children:
+            child.kill()
+            await child.process.wait()
+            await child.close()
+
+
+def _take(child: Child, value: dict[str, Any]) -> None:
+    if value["status"] == FAILED:
+        child.failure = NodeFailedError(value["message"], value["where"])
+    elif value["status"] == DISMISSED:
+        child.dismissed = value["why"]

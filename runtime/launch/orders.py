@@ -1,0 +1,216 @@
+"""What the processes of a launch are started with."""
+
+from __future__ import annotations
+
+import tempfile
+from collections import deque
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+
+from hierax.runtime.core.errors import HieraxError
+from hierax.runtime.deployment import Deployment
+from hierax.runtime.deployment.deployment import RestartPolicy
+from hierax.runtime.launch.pipe import COME_BACK, TO_REPORT, NodeOrder
+from hierax.runtime.launch.run_file import Run, write_run
+from hierax.runtime.owner.outlet import OwnerSettings
+from hierax.runtime.recovery.disk import MappedFile
+from hierax.runtime.recovery.slots import Slots
+from hierax.runtime.world_member import read_record
+from hierax.schemas.checkpoint import decode_roster
+from hierax.schemas.roster import Reference, Roster
+
+ANSWER_TIMEOUT_S = 5.0
+
+
+class Orders:
+    """Makes the orders of one run.
+
+    Args:
+        deployment: what is run.
+        run_id: of the run.
+        seed: of the run.
+        epochs: how many; None: until the world has finished.
+        output: folder for states and probes; None: none.
+        state: folder of the checkpoints.
+        host: address at which processes on other machines may join; None: none may.
+        settings: with which the deployment file was read.
+        faults: by node, where its first process kills itself, its second one, and so on.
+
+    Attributes:
+        hub: endpoint of the supervisor; set when it is known.
+    """
+
+    def __init__(
+        self,
+        deployment: Deployment,
+        run_id: str,
+        seed: int,
+        epochs: int | None,
+        output: Path | None,
+        state: Path,
+        host: str | None,
+        settings: Sequence[str] = (),
+        faults: Mapping[str, Sequence[str]] | None = None,
+    ) -> None:
+        self.deployment = deployment
+        self.run_id = run_id
+        self.seed = seed
+        self.output = output
+        self.hub = ""
+        self.host = host
+        self.settings = tuple(settings)
+        self._epochs = epochs
+        self._state = state
+        self._policies = dict(deployment.restarts)
+        self._lineages: dict[str, str] = {}
+        self._faults = {name: deque(each) for name, each in (faults or {}).items()}
+
+    def order(
+        self,
+        name: str,
+        token: str,
+        life: str,
+        *,
+        request: str = "",
+        reference: Reference | None = None,
+        processes: Mapping[str, str] | None = None,
+    ) -> NodeOrder:
+        """The order of a node's process.
+
+        Args:
+            name: of the node.
+            token: of the process.
+            life: how it comes into the run.
+            request: of a newcomer, the change that it is for.
+            reference: of a newcomer, its class.
+            processes: of the world's process, those of all nodes.
+        """
+        deployment = self.deployment
+        reference = reference or deployment.roster.nodes.get(name)
+        is_world = name == deployment.roster.world
+        lineage = f"{name}@{request}" if request else self._lineages.get(name, name)
+        return NodeOrder(
+            name=name,
+            process=token,
+            life=life,
+            request=request,
+            deployment=deployment.name,
+            run=self.run_id,
+            roster=None if life == COME_BACK or request else deployment.roster,
+            preload=() if reference is None else (reference.target.partition(":")[0],),
+            seed=self.seed,
+            epochs=self._epochs,
+            staleness=deployment.staleness.epochs,
+            exact=deployment.staleness.exact,
+            rate_hz=deployment.rates_hz.get(name),
+            hub=self.hub,
+            host=self.host or "",
+            settings=deployment.zenoh,
+            output="" if self.output is None else str(self.output),
+            probes=deployment.probes,
+            import_paths=tuple(deployment.import_paths),
+            checkpoint=str(self._state / lineage),
+            durability=deployment.durability,
+            owner=self._settings() if is_world else None,
+            on_uncertain_act=deployment.on_uncertain_act,
+            processes=dict(processes or {}) if is_world else {},
+            proposals=(),
+            fault=self._next_fault(name),
+        )
+
+    def again(
+        self, order: NodeOrder, token: str, processes: Mapping[str, str], proposals: Iterable[bytes]
+    ) -> NodeOrder:
+        """The order of the process that comes in the place of another."""
+        is_world = order.owner is not None
+        return replace(
+            order,
+            process=token,
+            life=COME_BACK,
+            request="",
+            roster=None,
+            owner=self._settings() if is_world else None,
+            processes=dict(processes),
+            proposals=tuple(proposals) if is_world else (),
+            fault=self._next_fault(order.name),
+        )
+
+    def to_report(self, order: NodeOrder, token: str, roster: Roster) -> NodeOrder:
+        """The order of a process that comes when the run is over, in the place of one that died before its report."""
+        return replace(order, process=token, life=TO_REPORT, request="", roster=roster)
+
+    def elsewhere(self, order: NodeOrder, host: str) -> NodeOrder:
+        """The order for a process on another machine.
+
+        Args:
+            order: as it would be here.
+            host: the other machine's address for this one; empty: it is this machine.
+        """
+        folder = Path(tempfile.gettempdir()) / f"hierax-{self.run_id}"
+        checkpoint = str(folder / Path(order.checkpoint).name)
+        return replace(order, host=host, output="", checkpoint=checkpoint, import_paths=())
+
+    def policy(self, name: str) -> RestartPolicy:
+        """What is done when a node's process ends."""
+        return self._policies.get(name, self.deployment.restart)
+
+    def add_policies(self, policies: Mapping[str, RestartPolicy]) -> None:
+        """Of nodes that are attached or replaced."""
+        self._policies.update(policies)
+
+    def adopt(self, request: str, names: Iterable[str]) -> None:
+        """A change is in force: these nodes have checkpoints of their own from then on."""
+        for name in names:
+            self._lineages[name] = f"{name}@{request}"
+        self.keep()
+
+    def keep(self) -> None:
+        """Write down, beside the checkpoints, what it takes to go on with the run."""
+        run = Run(
+            deployment=str(self.deployment.path.resolve()),
+            settings=self.settings,
+            seed=self.seed,
+            epochs=self._epochs,
+            output="" if self.output is None else str(self.output),
+            lineages=self._lineages,
+            restarts={name: vars(policy) for name, policy in self._policies.items()},
+        )
+        write_run(self._state, run)
+
+    def take_up(self, run: Run) -> None:
+        """Go on with a run that was written down."""
+        self._lineages = dict(run.lineages)
+        self._policies = {name: RestartPolicy(**fields) for name, fields in run.restarts.items()}
+
+    def known_roster(self, resume: bool) -> Roster:
+        """The roster to start with: the deployment's, or that of the record.
+
+        Raises:
+            HieraxError: there is no run to resume.
+        """
+        roster = self.deployment.roster
+        if not resume:
+            return roster
+        path = self._state / self._lineages.get(roster.world, roster.world)
+        if not Path(f"{path}.0").exists():
+            raise HieraxError(f"{self._state}: there is no run to resume, it has no record of {roster.world!r}")
+        with MappedFile(path, self.deployment.durability) as storage:
+            record, _ = read_record(Slots(storage))
+        return decode_roster(record.roster)
+
+    def _next_fault(self, name: str) -> str:
+        left = self._faults.get(name)
+        return left.popleft() if left else ""
+
+    def _settings(self) -> OwnerSettings:
+        deployment = self.deployment
+        return OwnerSettings(
+            modules=deployment.modules,
+            on_loss={name: policy.on_loss for name, policy in self._policies.items()},
+            rejoin_timeout_s={name: policy.rejoin_timeout_s for name, policy in self._policies.items()},
+            epoch_deadline_s=deployment.epoch_deadline_s,
+            start_timeout_s=deployment.start_timeout_s,
+            answer_timeout_s=ANSWER_TIMEOUT_S,
+            overlaps=not deployment.staleness.barrier,
+        )

@@ -1,0 +1,198 @@
+"""What others ask of a launch that runs: changes of its roster, and how it does."""
+
+from __future__ import annotations
+
+from collections.abc import AsyncIterator, Callable, Iterable
+from contextlib import asynccontextmanager
+from dataclasses import dataclass, field
+from secrets import token_hex
+from typing import TYPE_CHECKING, Any
+
+import anyio
+import anyio.from_thread
+
+from hierax.runtime.core.errors import HieraxError
+from hierax.runtime.deployment.deployment import RestartPolicy
+from hierax.runtime.launch.child import Child
+from hierax.runtime.launch.pipe import NEWCOMER, NodeOrder
+from hierax.runtime.nearest import did_you_mean
+from hierax.runtime.owner.changes import check_modules
+from hierax.runtime.transport.hub import Hub
+from hierax.schemas.changes import Attach, Change, Replace, read_change
+from hierax.schemas.control import Propose, encode_control
+from hierax.schemas.errors import SchemaError
+from hierax.schemas.roster import Reference
+from hierax.schemas.values import Value
+
+if TYPE_CHECKING:
+    from hierax.runtime.launch.supervisor import Supervisor
+
+Reply = Callable[[Value], None]
+
+PS, CHANGE, AWAIT = "ps", "change", "await"
+"""What can be asked for; see `Requests`."""
+
+
+@dataclass
+class Asked:
+    """A change that was asked for.
+
+    Attributes:
+        change: what is wanted.
+        proposal: what the owner is told.
+        done: set when the owner has answered.
+        answer: what became of it, as a reply.
+    """
+
+    change: Change
+    proposal: bytes
+    done: anyio.Event = field(default_factory=anyio.Event)
+    answer: dict[str, Value] = field(default_factory=dict)
+
+
+class Requests:
+    """Answers queries; each is a map, as is the reply.
+
+    ``{"ask": "ps"}`` is answered with what runs. ``{"ask": "change", "change", "restarts",
+    "here"}`` is answered with ``{"epoch"}``, the first one under the changed roster when it
+    is committed, or ``{"refusal"}``. With ``here`` the processes of new nodes are kept by
+    who asks: the answer is ``{"request", "orders"}``, what they are to be started with, and
+    ``{"ask": "await", "request"}`` is answered in the end.
+    """
+
+    def __init__(self, supervisor: Supervisor) -> None:
+        self._supervisor = supervisor
+        self._asked: dict[str, Asked] = {}
+
+    @property
+    def proposals(self) -> Iterable[bytes]:
+        """What the owner has not answered yet."""
+        return [asked.proposal for asked in self._asked.values() if not asked.done.is_set()]
+
+    @asynccontextmanager
+    async def served(self, hub: Hub) -> AsyncIterator[None]:
+        """Answer what is asked through the hub."""
+        async with anyio.from_thread.BlockingPortal() as portal:
+
+            def on_query(data: Value, reply: Reply) -> None:
+                portal.start_task_soon(self._handle, data, reply)
+
+            hub.serve(on_query)
+
+            def on_gone(name: str, token: str) -> None:
+                portal.start_task_soon(self._supervisor.on_gone, name, token)
+
+            hub.watch(on_gone)
+            try:
+                yield
+            finally:
+                hub.stop_serving()
+                await portal.stop(cancel_remaining=True)
+
+    def answer(self, request: str, epoch: int, refusal: str) -> None:
+        """What became of a change."""
+        asked = self._asked.get(request)
+        if asked is None or asked.done.is_set():
+            return
+        asked.answer = {"refusal": refusal} if refusal else {"epoch": epoch}
+        if not refusal:
+            self._supervisor.orders.adopt(request, _new_nodes(asked.change))
+        asked.done.set()
+
+    def failed(self, child: Child) -> None:
+        """The process of a node that is not in the roster yet has ended."""
+        self.answer(child.order.request, 0, str(child.failure or f"{child.name}: its process has ended"))
+
+    async def _handle(self, query: Value, reply: Reply) -> None:
+        try:
+            reply(await self._answer(query))
+        except (HieraxError, SchemaError) as error:
+            reply({"refusal": str(error)})
+        except (KeyError, TypeError, AttributeError, ValueError) as error:
+            reply({"refusal": f"no question that this launch understands: {type(error).__name__}: {error}"})
+
+    async def _answer(self, query: dict[str, Any]) -> Value:
+        ask = query["ask"]
+        if ask == PS:
+            return self._tell_all()
+        if ask == AWAIT:
+            return await self._wait(query["request"])
+        if ask != CHANGE:
+            raise ValueError(f"unknown question {ask!r:.40}")
+        return await self._change(query)
+
+    async def _change(self, query: dict[str, Any]) -> Value:
+        supervisor = self._supervisor
+        change = read_change(query["change"])
+        check_modules(change, supervisor.orders.deployment.modules)
+        self._check_names(change)
+        policies = {name: RestartPolicy(**fields) for name, fields in query["restarts"].items()}
+        request = token_hex(4)
+        self._asked[request] = Asked(change, encode_control(Propose(request, change.plain())))
+        supervisor.orders.add_policies(policies)
+        orders = [
+            supervisor.orders.order(name, token_hex(8), NEWCOMER, request=request, reference=reference)
+            for name, reference in _new_nodes(change).items()
+        ]
+        here = query["here"]
+        if here:
+            orders = [supervisor.orders.elsewhere(order, query["host"]) for order in orders]
+        else:
+            await self._start(orders)
+        await supervisor.tell_owner(Propose(request, change.plain()))
+        if here:
+            return {"request": request, "orders": [order.plain() for order in orders]}
+        return await self._wait(request)
+
+    def _check_names(self, change: Change) -> None:
+        """What the owner would refuse, before processes are started for it."""
+        members = self._supervisor.members
+        if isinstance(change, Attach):
+            taken = sorted(change.nodes.keys() & members.keys())
+            if taken:
+                raise HieraxError(
+                    f"cannot attach {taken[0]!r}: there is a node {taken[0]!r} already; replace it, or detach it first"
+                )
+        elif change.name not in members:
+            known = did_you_mean(change.name, members, "the nodes are")
+            raise HieraxError(f"cannot {change.plain()['change']} {change.name!r}: there is no such node{known}")
+
+    async def _start(self, orders: Iterable[NodeOrder]) -> None:
+        for order in orders:
+            await self._supervisor.start(order)
+
+    async def _wait(self, request: str) -> Value:
+        asked = self._asked.get(request)
+        if asked is None:
+            raise HieraxError(f"this launch knows of no change {request!r}")
+        await asked.done.wait()
+        return asked.answer
+
+    def _tell_all(self) -> Value:
+        supervisor = self._supervisor
+        deployment = supervisor.orders.deployment
+        nodes = {}
+        for name, token in sorted(supervisor.members.items()):
+            child = supervisor.child(token)
+            nodes[name] = {
+                "process": token,
+                "pid": None if child is None else child.process.pid,
+                "state": "elsewhere" if child is None else "running" if child.alive else "restarting",
+                "restarts": supervisor.restarts_of(name),
+                "instance": supervisor.instances.get(name, 0),
+            }
+        return {
+            "hierarchy": deployment.name,
+            "run": supervisor.orders.run_id,
+            "file": str(deployment.path),
+            "settings": list(supervisor.orders.settings),
+            "epoch": supervisor.epoch,
+            "roster": supervisor.version,
+            "nodes": nodes,
+        }
+
+
+def _new_nodes(change: Change) -> dict[str, Reference]:
+    if isinstance(change, Attach):
+        return dict(change.nodes)
+    return {change.name: change.reference} if isinstance(change, Replace) else {}

@@ -1,0 +1,315 @@
+"""A node of a run that may change: its runner, with checkpoints, and ears for the roster's owner."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Callable, Sequence
+
+from hierax.runtime.core.binding import BoundNode
+from hierax.runtime.core.errors import HieraxError
+from hierax.runtime.core.probe import Probe
+from hierax.runtime.core.process import ActiveNode
+from hierax.runtime.engine.outlet import Saved
+from hierax.runtime.engine.table import Phase, Verdict
+from hierax.runtime.engine.wiring import Wiring
+from hierax.runtime.recovery.disk import SLOTS
+from hierax.runtime.recovery.slots import Read, Slots
+from hierax.runtime.runner import Log, NodeRunner, Pacemaker
+from hierax.runtime.transport.port import Port
+from hierax.schemas.checkpoint import Checkpoint, decode_checkpoint, decode_state, encode_checkpoint
+from hierax.schemas.control import (
+    NEVER,
+    AskStatus,
+    Control,
+    Fetch,
+    HandOver,
+    Join,
+    Order,
+    Prepare,
+    Ready,
+    Resend,
+    State,
+    Status,
+    Taken,
+    TakeOver,
+)
+from hierax.schemas.errors import SchemaError
+from hierax.schemas.messages import Header
+from hierax.schemas.roster import Roster
+
+FIRST_SLOT = 1
+"""Where the first record goes."""
+
+_log = logging.getLogger("hierax")
+
+
+class Member(NodeRunner):
+    """A node's process, as far as it is no matter of processes.
+
+    Args:
+        name: of the node.
+        process: the process's token.
+        wire: makes the wiring of a roster's version; loads what it names.
+        port: of the node.
+        say: tells the roster's owner something; it may be lost, then it is said again.
+        slots: of its checkpoints; None: it keeps none, and cannot come back.
+        probes, states, pacemaker: as `NodeRunner` has them.
+
+    Attributes:
+        dismissed: why the process is to end; empty: it is not.
+    """
+
+    def __init__(
+        self,
+        name: str,
+        process: str,
+        wire: Callable[[Roster], Wiring],
+        port: Port,
+        say: Callable[[Control], None],
+        slots: Slots | None,
+        probes: Sequence[Probe] = (),
+        states: Log | None = None,
+        pacemaker: Pacemaker | None = None,
+    ) -> None:
+        super().__init__(None, port, probes, states, pacemaker)
+        self.name = name
+        self.process = process
+        self.dismissed = ""
+        self._wire_roster = wire
+        self._say = say
+        self._slots = slots
+        self._saved: Saved | None = None
+        self._join: Join | None = None
+        self._took = 0
+        self._linking: set[int] = set()
+        self._linked: set[int] = set()
+        self._fetched: set[int] = set()
+
+    @property
+    def wired(self) -> bool:
+        """Whether it has an engine yet."""
+        return hasattr(self, "engine")
+
+    @property
+    def active(self) -> bool:
+        """Whether this process has taken part in an epoch."""
+        return self.wired and self.engine.begun
+
+    def join(self, request: str = "") -> None:
+        """Offer this process to the owner, or ask whether it is still part of the hierarchy.
+
+        To be called again and again while nothing comes.
+
+        Args:
+            request: the change that it was started for; empty: it comes in the place of a lost process.
+        """
+        if self.active:
+            self._say(Join(self.name, self.process, "", self.engine.epoch, True, ""))
+            return
+        if self._join is None:
+            self._join = self._offer(request)
+        self._say(self._join)
+
+    def recall(self, wiring: Wiring) -> None:
+        """Have the state of the last epoch, after a run.
+
+        Raises:
+            HieraxError: there is no whole checkpoint.
+        """
+        found = read_checkpoint(self._slots)
+        self.wire(wiring, None if found is None else found[1])
+
+    def obey(self, order: Order) -> None:
+        """Do what the owner says.
+
+        Raises:
+            OperatorError: an operator failed.
+            HieraxError: it was taken for lost, and another process is to come in its place.
+        """
+        self._do(order)
+        self._finish()
+
+    def _do(self, order: Order) -> None:
+        if isinstance(order, Prepare):
+            self._prepare(order)
+        elif isinstance(order, HandOver):
+            self._hand_over(order)
+        elif isinstance(order, TakeOver):
+            self._take_over(order)
+        elif isinstance(order, AskStatus):
+            self._say(self.status(order.inquiry))
+        elif isinstance(order, Resend):
+            if self.wired and (self.engine.epoch, self.engine.attempt) == (order.epoch, order.attempt):
+                self.engine.resend(order.receivers)
+        elif order.again:
+            raise HieraxError(order.why)  # its keeper starts another one
+        else:
+            self.dismissed = order.why
+
+    def status(self, inquiry: int, busy: str = "") -> Status:
+        """What the node waits for. Any thread may ask."""
+        if not self.wired:
+            return Status(self.name, inquiry, 0, 0, (), busy)
+        engine = self.engine
+        waits = () if engine.phase is Phase.DONE else engine.waits_for
+        return Status(self.name, inquiry, engine.epoch, engine.attempt, waits, busy)
+
+    def linked(self, version: int) -> None:
+        """The port's links of a version are open, in both directions."""
+        self._linking.discard(version)
+        self._linked.add(version)
+        self._say_ready(version)
+
+    def _say_ready(self, version: int) -> None:
+        engine_has_it = self.wired and (version == self.engine.wiring.roster or version in self.engine.prepared)
+        if version in self._linked and engine_has_it:
+            self._say(Ready(self.name, self.process, version, ""))
+
+    def save(self, epoch: int, attempt: int, start: bytes, now: bytes) -> None:
+        if self._slots is not None:
+            wiring = self.engine.wiring
+            checkpoint = Checkpoint(epoch, attempt, wiring.instance, wiring.roster, True, start, now)
+            self._slots.write(encode_checkpoint(checkpoint))
+
+    def lacks(self, version: int) -> None:
+        if version not in self._fetched:
+            self._fetched.add(version)
+            self._say(Fetch(self.name, self.process, version))
+
+    def fetch_again(self) -> None:
+        """Ask once more for the versions of which messages are held."""
+        for version in sorted(self._fetched):
+            self._say(Fetch(self.name, self.process, version))
+
+    def rewired(self, version: int) -> None:
+        self.port.unlink(version)
+        self._linked = {later for later in self._linked if later >= version}
+        self._fetched = {later for later in self._fetched if later > version}
+
+    def refused(self, header: Header, verdict: Verdict) -> None:
+        stale = verdict in (Verdict.OLD_ROSTER, Verdict.OTHER_INSTANCE, Verdict.FOREIGN)
+        level = logging.INFO if stale else logging.WARNING  # these are to be expected when nodes come and go
+        _log.log(
+            level,
+            "%s: refused a %s message from %s of epoch %d: %s",
+            self.name,
+            header.kind,
+            header.sender,
+            header.epoch,
+            verdict.value,
+        )
+
+    def _offer(self, request: str) -> Join:
+        try:
+            read = read_checkpoint(self._slots)
+        except (HieraxError, SchemaError) as error:
+            return Join(self.name, self.process, request, NEVER, False, str(error))
+        if read is None:
+            return Join(self.name, self.process, request, NEVER, False, "")
+        checkpoint, self._saved = read
+        return Join(self.name, self.process, request, checkpoint.epoch, False, "", checkpoint.roster)
+
+    def _prepare(self, order: Prepare) -> None:
+        try:
+            roster = Roster.read(order.roster)
+        except SchemaError as error:
+            _log.warning("%s: dropped what is no roster: %s", self.name, error)
+            return
+        version = roster.version
+        newer = self.wired and version > self.engine.wiring.roster
+        if newer and self.active and roster.instance(self.name) != self.engine.wiring.instance:
+            self.dismissed = f"{self.name}: another process runs it under version {version} of the roster"
+            return
+        self._fetched.discard(version)
+        self._say_ready(version)
+        if version in self._linked or version in self._linking:
+            return
+        if self.wired and version <= self.engine.wiring.roster:
+            return
+        try:
+            wiring = self._wire_roster(roster)
+        except HieraxError as error:
+            self._say(Ready(self.name, self.process, version, str(error)))
+            return
+        self._linking.add(version)
+        # first the links: what is held for the version may be taken, and answered, at once
+        self.port.link(wiring.node.below, wiring.node.above, roster, self.linked)
+        if self.wired:
+            self.engine.prepare(wiring)
+        else:
+            self.wire(wiring, self._saved, joins=self._saved is None)
+        self._say_ready(version)
+
+    def _hand_over(self, order: HandOver) -> None:
+        engine = self.engine
+        if engine.epoch == order.epoch and engine.phase is Phase.DONE:
+            self._say(State(self.name, order.version, engine.encoded))
+        elif engine.epoch == order.epoch + 1:
+            self._say(State(self.name, order.version, engine.encoded_start))
+
+    def _take_over(self, order: TakeOver) -> None:
+        engine = self.engine
+        if engine.begun or order.version < self._took:
+            return  # late: it has taken over, and gone on
+        try:
+            state = taken_over(engine.node, order.state)
+        except (HieraxError, SchemaError) as error:
+            self._say(Taken(self.name, order.version, f"cannot take over the belief: {error}"))
+            return
+        self._took = order.version
+        engine.restore(Saved(order.epoch, 0, state, state))
+        if self._slots is not None:
+            instance = order.version  # as of all nodes that are new in a version
+            now = engine.encoded
+            checkpoint = Checkpoint(order.epoch, 0, instance, order.version, True, now, now)
+            for _ in range(SLOTS):  # in both, as one that is damaged beside an empty one was never whole
+                self._slots.write(encode_checkpoint(checkpoint))
+        self._say(Taken(self.name, order.version, ""))
+
+
+def read_checkpoint(slots: Slots | None) -> tuple[Checkpoint, Saved] | None:
+    """What a process that comes in the place of a lost one goes on with; None: at the beginning.
+
+    Raises:
+        HieraxError: what there is is damaged, and nothing older is whole.
+        SchemaError: what there is is whole, and no checkpoint that this version reads.
+    """
+    if slots is None:
+        raise HieraxError("it keeps no checkpoints")
+    reads = slots.read()
+    faults = [f"slot {read.slot} {read.fault}" for read in reads if read.fault]
+    for read in reads:
+        if read.data is None:
+            continue
+        checkpoint = decode_checkpoint(read.data)
+        if faults:
+            _log.warning("checkpoint: %s; using that of epoch %d", "; ".join(faults), checkpoint.epoch)
+        start, now = (ActiveNode(*decode_state(data)) for data in (checkpoint.start, checkpoint.now))
+        return checkpoint, Saved(checkpoint.epoch, checkpoint.attempt, start, now)
+    if never_whole(reads):
+        if faults:
+            _log.warning("checkpoint: %s; no other was ever written, so the node begins anew", "; ".join(faults))
+        return None
+    raise HieraxError(f"its checkpoint cannot be used: {'; '.join(faults)}")
+
+
+def never_whole(reads: Sequence[Read]) -> bool:
+    """Whether no record was ever written to its end: at most the first one, and that was torn."""
+    return all(read.empty or (read.fault and read.slot == FIRST_SLOT) for read in reads)
+
+
+def taken_over(node: BoundNode, state: bytes) -> ActiveNode:
+    """The state with which a node goes on in the place of another.
+
+    Raises:
+        HieraxError: it refuses.
+        SchemaError: that is no state.
+    """
+    belief, policy, actions = decode_state(state)
+    try:
+        belief = node.node.take_over(belief)
+    except Exception as error:
+        raise HieraxError(str(error)) from error
+    if policy not in node.policies:
+        raise HieraxError(f"it has no policy {policy!r}")
+    return ActiveNode(belief, policy, actions)

@@ -1,0 +1,57 @@
+"""From a version of the roster to one node's wiring, as its process needs it."""
+
+from __future__ import annotations
+
+from hierax.runtime.core.binding import Setting
+from hierax.runtime.core.hierarchy import BoundEdge
+from hierax.runtime.core.node import Node
+from hierax.runtime.engine.wiring import Place, Wiring
+from hierax.runtime.loading import bind_edge, bind_node, build_edge, build_node
+from hierax.schemas.roster import Roster, RosterEdge
+from hierax.schemas.values import encode_value
+
+
+class NodeLoader:
+    """Builds a node and its edges' functions; what a later version does not change is kept.
+
+    Args:
+        name: of the node.
+        setting: the run's seed, and what drives async operators.
+    """
+
+    def __init__(self, name: str, setting: Setting) -> None:
+        self._name = name
+        self._setting = setting
+        self._nodes: dict[bytes, Node] = {}
+        self._edges: dict[RosterEdgeKey, BoundEdge] = {}
+
+    def wiring(self, roster: Roster) -> Wiring:
+        """The node's wiring under a version of the roster.
+
+        Raises:
+            LoadError: something cannot be loaded or called.
+        """
+        name = self._name
+        pairs = [edge.pair for edge in roster.edges]
+        bound = bind_node(name, self._node(roster), roster.world, pairs, self._setting)
+        edges = [self._edge(edge) for edge in roster.edges if name in edge.pair]
+        return Wiring(bound, edges, Place.of(roster))
+
+    def _node(self, roster: Roster) -> Node:
+        reference = roster.nodes[self._name]
+        key = encode_value(reference.plain())
+        if key not in self._nodes:
+            self._nodes = {key: build_node(reference, f"nodes.{self._name}")}
+        return self._nodes[key]
+
+    def _edge(self, edge: RosterEdge) -> BoundEdge:
+        side = "lower" if self._name == edge.lower else "upper"
+        functions = [None if part is None else part.plain() for part in (edge.sense, edge.task, edge.context)]
+        key = (edge.pair, encode_value(functions))
+        if key not in self._edges:
+            self._edges[key] = bind_edge(build_edge(edge, side), self._setting, side)
+        return self._edges[key]
+
+
+RosterEdgeKey = tuple[tuple[str, str], bytes]
+"""An edge's pair and its functions, encoded."""

@@ -1,0 +1,153 @@
+"""Who is to blame for an epoch that does not end."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+
+from hierax.runtime.owner.outlet import OwnerOutlet, OwnerSettings
+from hierax.schemas.control import AskStatus, Resend, Status
+from hierax.schemas.roster import Roster
+
+ANSWER_S = 0.2
+"""How long a process that is well may take to say what it waits for."""
+
+RESENDS = 3
+"""How often what is missing is sent again before its link is taken for dead."""
+
+
+class Inquiry:
+    """Watches the deadline of each attempt; asks, has messages sent again, and names the culprit.
+
+    Args:
+        outlet: of the owner.
+        end: has a process killed: its node's name, its token, and why.
+        clock: seconds.
+        settings: of the deployment.
+    """
+
+    def __init__(
+        self,
+        outlet: OwnerOutlet,
+        end: Callable[[str, str, str], None],
+        clock: Callable[[], float],
+        settings: OwnerSettings,
+    ) -> None:
+        self._outlet = outlet
+        self._end = end
+        self._clock = clock
+        self._deadline_s = settings.epoch_deadline_s
+        self._began_s = 0.0
+        self._asked_s: float | None = None
+        self._number = 0
+        self._resends = 0
+        self._answers: dict[str, Status] = {}
+
+    def start(self) -> None:
+        """An attempt begins."""
+        self._began_s = self._clock()
+        self._asked_s = None
+        self._resends = 0
+
+    def hear(self, status: Status) -> None:
+        """An answer."""
+        if status.inquiry == self._number:
+            self._answers[status.name] = status
+
+    def tick(self, epoch: int, attempt: int, roster: Roster, processes: Mapping[str, str]) -> None:
+        """Time has passed in an attempt."""
+        now = self._clock()
+        if self._deadline_s is None or now - self._began_s <= self._deadline_s:
+            return
+        if self._asked_s is None:
+            self._ask(now, roster, processes)
+        elif now - self._asked_s > ANSWER_S or self._answers.keys() == roster.nodes.keys():
+            self._asked_s = None
+            self._judge(epoch, attempt, roster, processes)
+
+    def _ask(self, now: float, roster: Roster, processes: Mapping[str, str]) -> None:
+        self._asked_s = now
+        self._number += 1
+        self._answers = {}
+        for name in sorted(roster.nodes):
+            self._outlet.tell(processes[name], AskStatus(self._number))
+
+    def _judge(self, epoch: int, attempt: int, roster: Roster, processes: Mapping[str, str]) -> None:
+        silent = sorted(roster.nodes.keys() - self._answers.keys())
+        busy = sorted(name for name, status in self._answers.items() if status.busy)
+        waiting = {
+            name: status.waits_for
+            for name, status in sorted(self._answers.items())
+            if (status.epoch, status.attempt) == (epoch, attempt) and status.waits_for
+        }
+        behind = sorted(
+            name for name, status in self._answers.items() if (status.epoch, status.attempt) < (epoch, attempt)
+        )
+        ahead = sorted(name for name, status in self._answers.items() if status.epoch > epoch)
+        if ahead:  # the world's record was damaged, and what it falls back to is too old
+            others = f"{', '.join(ahead)}: in epoch {self._answers[ahead[0]].epoch}"
+            self._outlet.stop(f"the world goes on with epoch {epoch}, and that was committed already ({others})")
+            return
+        self._tell(epoch, silent, busy, waiting)
+        if silent or busy:
+            self._blame(epoch, silent, busy, processes)
+        elif self._resends < RESENDS:
+            self._resends += 1
+            self._send_again(epoch, attempt, roster, waiting, behind, processes)
+        else:
+            self._resends = 0
+            self._blame_link(roster, waiting, behind, processes)
+
+    def _tell(
+        self, epoch: int, silent: list[str], busy: list[str], waiting: Mapping[str, tuple[tuple[str, str], ...]]
+    ) -> None:
+        parts = [f"{name} does not answer" for name in silent]
+        parts += [f"{name} is in {self._answers[name].busy}" for name in busy]
+        parts += [
+            f"{name} waits for {', '.join(f'{kind} from {sender}' for sender, kind in slots)}"
+            for name, slots in waiting.items()
+            if name not in busy
+        ]
+        self._outlet.note(f"epoch {epoch} is past its deadline of {self._deadline_s:g} s: {'; '.join(parts)}")
+
+    def _blame(self, epoch: int, silent: list[str], busy: list[str], processes: Mapping[str, str]) -> None:
+        self._began_s = self._clock()
+        for name in silent or busy:
+            why = "it does not answer" if name in silent else f"it is in {self._answers[name].busy}"
+            self._end(name, processes[name], f"{why} in epoch {epoch}, past the deadline")
+
+    def _send_again(
+        self,
+        epoch: int,
+        attempt: int,
+        roster: Roster,
+        waiting: Mapping[str, tuple[tuple[str, str], ...]],
+        behind: list[str],
+        processes: Mapping[str, str],
+    ) -> None:
+        wanted: dict[str, set[str]] = {}
+        for name, slots in waiting.items():
+            for sender, _ in slots:
+                wanted.setdefault(sender, set()).add(name)
+        for edge in roster.edges:
+            if edge.upper in behind and edge.lower not in behind:
+                wanted.setdefault(edge.lower, set()).add(edge.upper)
+        for sender, receivers in sorted(wanted.items()):
+            self._outlet.tell(processes[sender], Resend(epoch, attempt, tuple(sorted(receivers))))
+
+    def _blame_link(
+        self,
+        roster: Roster,
+        waiting: Mapping[str, tuple[tuple[str, str], ...]],
+        behind: list[str],
+        processes: Mapping[str, str],
+    ) -> None:
+        """What is sent again and again does not arrive: the upper end of the link is taken for lost."""
+        self._began_s = self._clock()
+        missing = {(sender, name) for name, slots in waiting.items() for sender, _ in slots}
+        uppers = sorted(
+            edge.upper
+            for edge in roster.edges
+            if edge.pair in missing or edge.pair[::-1] in missing or (edge.upper in behind and edge.lower not in behind)
+        )
+        for name in uppers[:1]:
+            self._end(name, processes[name], "a link to it carries nothing")

@@ -1,0 +1,79 @@
+"""A version of the roster on its way to take effect."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from enum import Enum
+
+from hierax.schemas.changes import Change
+from hierax.schemas.roster import Roster
+
+
+class Stage(Enum):
+    """What a plan waits for."""
+
+    PREPARE = "the processes that it touches"
+    READY = "the end of the epoch"
+    HAND_OVER = "the states of the nodes that are replaced"
+
+
+@dataclass
+class Request:
+    """A change that somebody asked for.
+
+    Attributes:
+        key: by which the answer is told apart; empty: the owner itself asks.
+        change: what is wanted.
+        since_s: when it was asked for.
+        on_loss, rejoin_timeout_s: of its new nodes, as `OwnerSettings` has them.
+        tries: how often a plan with it had to be dropped.
+    """
+
+    key: str
+    change: Change
+    since_s: float
+    on_loss: Mapping[str, str] = field(default_factory=dict)
+    rejoin_timeout_s: Mapping[str, float] = field(default_factory=dict)
+    tries: int = 0
+
+
+@dataclass
+class Plan:
+    """A version that is prepared.
+
+    Attributes:
+        roster: what will be.
+        processes: by node.
+        request: the change in it; None: there is none, or only those along with it.
+        along: lost nodes that are detached with it.
+        back: nodes that come back.
+        waiting: nodes of which an answer is missing.
+        urgent: the epoch under way cannot end without it.
+        since_s: when its stage began.
+        told_s: when those that are waited for were last told.
+        replaced: by node that is replaced, its old process.
+    """
+
+    roster: Roster
+    processes: Mapping[str, str]
+    request: Request | None
+    along: tuple[Request, ...]
+    back: frozenset[str]
+    waiting: set[str]
+    urgent: bool
+    since_s: float
+    told_s: float
+    replaced: Mapping[str, str]
+    stage: Stage = Stage.PREPARE
+    states: dict[str, bytes] = field(default_factory=dict)
+
+    @property
+    def requests(self) -> list[Request]:
+        """All that is asked for in it."""
+        return [*self.along, *([] if self.request is None else [self.request])]
+
+    @property
+    def version(self) -> int:
+        """Of its roster."""
+        return self.roster.version

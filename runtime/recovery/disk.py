@@ -1,0 +1,250 @@
+"""Where slots are kept: memory-mapped files, or what a simulation puts in their place."""
+
+from __future__ import annotations
+
+import fcntl
+import mmap
+import os
+from abc import ABC, abstractmethod
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from types import TracebackType
+from typing import Literal, get_args
+
+from hierax.runtime.core.errors import HieraxError
+
+Durability = Literal["process", "host"]
+"""What a record outlives once it is written: the process, or the machine's power too."""
+
+SLOTS = 2
+MAGIC = b"hieraxC\x01"
+"""What each slot's file begins with; the last byte is the format."""
+
+_PID_BYTES = 20
+_MODE = 0o644
+
+
+class CheckpointError(HieraxError):
+    """The files of a checkpoint cannot be used; says which and why."""
+
+
+class Storage(ABC):
+    """Two slots of bytes. A crash may tear what is being written, and nothing else."""
+
+    @abstractmethod
+    def write(self, slot: int, data: bytes) -> None:
+        """Put data at the start of a slot, which grows if need be; what was behind it may stay.
+
+        Raises:
+            HieraxError: it cannot be written.
+        """
+
+    @abstractmethod
+    def read(self, slot: int) -> bytes:
+        """All that a slot holds; zeros if it was never written.
+
+        Raises:
+            HieraxError: it cannot be read.
+        """
+
+    @abstractmethod
+    def flush(self) -> None:
+        """Return when all that was written outlives what the storage promises to outlive.
+
+        Raises:
+            HieraxError: it may not.
+        """
+
+
+class MappedFile(Storage):
+    """Two memory-mapped files, ``PATH.0`` and ``PATH.1``, and a lock, ``PATH.lock``.
+
+    What is written is the kernel's at once, so it outlives the process without a call to
+    the kernel. A file appears under its name when it is complete, and only grows, in
+    place: the other one is not touched, and a slot that grows is the one to be written.
+
+    Args:
+        path: where; the folder must be there.
+        durability: ``host``: `flush` waits for the disk.
+
+    Raises:
+        CheckpointError: another process has it, a file is no checkpoint's, or the machine refuses.
+    """
+
+    def __init__(self, path: Path, durability: Durability = "process") -> None:
+        if durability not in get_args(Durability):
+            raise ValueError(f"durability {durability!r}; expected one of {', '.join(get_args(Durability))}")
+        self.path = path
+        self._host = durability == "host"
+        self._files: list[_SlotFile] = []
+        self._unflushed: set[int] = set()
+        self._lock = _locked(path)
+        try:
+            for slot in range(SLOTS):
+                self._files.append(_SlotFile(_beside(path, str(slot)), durable=self._host))
+            if self._host:
+                with _errors_named(path.parent, "flushed to disk"):
+                    _sync_folder(path.parent)
+        except BaseException:
+            self.close()
+            raise
+
+    def write(self, slot: int, data: bytes) -> None:
+        self._files[slot].write(data)
+        if self._host:
+            self._unflushed.add(slot)
+
+    def read(self, slot: int) -> bytes:
+        return self._files[slot].read()
+
+    def flush(self) -> None:
+        for slot in sorted(self._unflushed):
+            self._files[slot].flush()
+            self._unflushed.remove(slot)
+
+    def close(self) -> None:
+        """Let go of the files and the lock; more than once does no harm."""
+        while self._files:
+            self._files.pop().close()
+        if self._lock >= 0:
+            os.close(self._lock)
+            self._lock = -1
+
+    def __enter__(self) -> MappedFile:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+
+class _SlotFile:
+    """One slot: `MAGIC`, then its bytes.
+
+    Args:
+        path: made if it is not there.
+        durable: whether a new file waits for the disk before it gets its name.
+    """
+
+    def __init__(self, path: Path, *, durable: bool) -> None:
+        self._path = path
+        if not os.path.lexists(path):
+            with _errors_named(path, "made"):
+                _make(path, durable)
+        with _errors_named(path, "opened"):
+            self._file = os.open(path, os.O_RDWR | os.O_CLOEXEC)
+        try:
+            self._map = self._opened()
+        except BaseException:
+            os.close(self._file)
+            raise
+
+    def write(self, data: bytes) -> None:
+        end = len(MAGIC) + len(data)
+        if self._map is not None and end <= len(self._map):
+            self._map[len(MAGIC) : end] = data
+            return
+        grown = self._grown(end)
+        grown[len(MAGIC) : end] = data
+        grown[: len(MAGIC)] = MAGIC  # last: what was behind a beginning that got lost must not count again
+        if self._map is not None:
+            self._map.close()
+        self._map = grown
+
+    def read(self) -> bytes:
+        return b"" if self._map is None else self._map[len(MAGIC) :]
+
+    def flush(self) -> None:
+        with _errors_named(self._path, "flushed to disk"):
+            os.fdatasync(self._file)  # of mapped pages as well, and unlike `mmap.flush` other threads go on meanwhile
+
+    def close(self) -> None:
+        if self._map is not None:
+            self._map.close()
+        os.close(self._file)
+
+    def _opened(self) -> mmap.mmap | None:
+        """The file, if it is ours; None where all of it, or at least its beginning, is lost."""
+        with _errors_named(self._path, "read"):
+            size = os.fstat(self._file).st_size
+            head = os.pread(self._file, len(MAGIC), 0)
+        if head != MAGIC:
+            if MAGIC.startswith(head) or not any(head):
+                return None
+            what = f"begins with {head!r}, so it is no checkpoint that this version can read"
+            raise CheckpointError(f"{self._path}: {what}; name another file, or remove it to begin anew")
+        with _errors_named(self._path, "mapped"):
+            os.posix_fallocate(self._file, 0, size)
+            return mmap.mmap(self._file, size)
+
+    def _grown(self, least: int) -> mmap.mmap:
+        """The file with a power of two bytes, and blocks behind them: a page that finds none kills the process."""
+        size = max(mmap.PAGESIZE, 1 << (least - 1).bit_length())
+        with _errors_named(self._path, f"grown to {size} bytes"):
+            os.posix_fallocate(self._file, 0, size)
+            return mmap.mmap(self._file, size)
+
+
+def _make(path: Path, durable: bool) -> None:
+    """A slot's file of one page, complete when it appears."""
+    unfinished = _beside(path, "new")
+    file = os.open(unfinished, os.O_RDWR | os.O_CREAT | os.O_TRUNC | os.O_CLOEXEC, _MODE)
+    try:
+        os.posix_fallocate(file, 0, mmap.PAGESIZE)
+        os.pwrite(file, MAGIC, 0)
+        if durable:
+            os.fsync(file)
+    finally:
+        os.close(file)
+    os.rename(unfinished, path)
+
+
+def _sync_folder(folder: Path) -> None:
+    file = os.open(folder, os.O_RDONLY | os.O_CLOEXEC)
+    try:
+        os.fsync(file)
+    finally:
+        os.close(file)
+
+
+def _locked(path: Path) -> int:
+    """An open lock file that nobody else has locked; the kernel unlocks it when the process ends."""
+    lock = _beside(path, "lock")
+    with _errors_named(lock, "opened"):
+        file = os.open(lock, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, _MODE)
+    try:
+        with _errors_named(lock, "locked"):
+            _lock(file, path)
+    except BaseException:
+        os.close(file)
+        raise
+    return file
+
+
+def _lock(file: int, path: Path) -> None:
+    try:
+        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError as error:
+        owner = os.pread(file, _PID_BYTES, 0).decode(errors="replace").strip()
+        raise CheckpointError(f"{path}: this checkpoint is in use by process {owner or 'unknown'}") from error
+    os.ftruncate(file, 0)
+    os.pwrite(file, f"{os.getpid()}\n".encode(), 0)
+
+
+def _beside(path: Path, suffix: str) -> Path:
+    return path.with_name(f"{path.name}.{suffix}")
+
+
+@contextmanager
+def _errors_named(path: Path, done: str) -> Iterator[None]:
+    """The machine's errors as ours."""
+    try:
+        yield
+    except OSError as error:
+        raise _failed(path, done, error) from error
+
+
+def _failed(path: Path, done: str, error: OSError) -> CheckpointError:
+    return CheckpointError(f"{path}: cannot be {done}: {error.strerror or error}")

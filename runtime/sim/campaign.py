@@ -1,0 +1,186 @@
+"""Many simulations, over all cores, and how small a failing one can be made."""
+
+from __future__ import annotations
+
+import logging
+import os
+from collections import Counter
+from collections.abc import Callable, Collection, Iterator, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import dataclass, field, replace
+from multiprocessing import get_context
+from typing import TypeVar
+
+from hierax.runtime.core.errors import HierarchyError
+from hierax.runtime.core.graph import check_graph
+from hierax.runtime.plain import Json
+from hierax.runtime.sim.scenario import FAULTS, Scenario, draw_scenario
+from hierax.runtime.sim.simulation import Result, simulate
+from hierax.schemas.roster import Roster
+
+CHUNK = 50
+"""How many seeds a worker takes at a time."""
+
+Item = TypeVar("Item")
+
+MAX_SHRINKS = 400
+"""How many smaller scenarios are tried at most."""
+
+
+@dataclass
+class Summary:
+    """What came of many simulations.
+
+    Attributes:
+        seeds: how many were done.
+        violations: what did not hold, and the seed.
+        faults: how often each kind befell something.
+        epochs: how many were committed.
+        answers: how many changes were made, and how many refused.
+        stopped: how many runs gave up, as they may where a checkpoint is damaged.
+    """
+
+    seeds: int = 0
+    violations: list[tuple[int, str]] = field(default_factory=list)
+    faults: Counter[str] = field(default_factory=Counter)
+    epochs: int = 0
+    answers: Counter[str] = field(default_factory=Counter)
+    stopped: int = 0
+
+    def add(self, result: Result) -> None:
+        """Count one more."""
+        self.seeds += 1
+        self.faults.update(result.faults)
+        self.epochs += result.epochs
+        self.stopped += bool(result.stopped)
+        self.answers.update("made" if answer.startswith("epoch") else "refused" for answer in result.answers.values())
+        if result.violation:
+            self.violations.append((result.seed, result.violation))
+
+    def plain(self) -> dict[str, Json]:
+        """As JSON."""
+        return {
+            "seeds": self.seeds,
+            "violations": [{"seed": seed, "what": what} for seed, what in sorted(self.violations)],
+            "faults": dict(sorted(self.faults.items())),
+            "epochs": self.epochs,
+            "changes": dict(sorted(self.answers.items())),
+            "stopped": self.stopped,
+        }
+
+
+def simulate_many(
+    seeds: range,
+    faults: Collection[str] = FAULTS,
+    epochs: int | None = None,
+    jobs: int = 1,
+    progress: Callable[[Summary], None] | None = None,
+) -> Summary:
+    """Simulate many seeds.
+
+    Args:
+        seeds: which.
+        faults: kinds that may occur.
+        epochs: in each; None: the seed decides.
+        jobs: processes that share the work.
+        progress: told the summary so far, now and then.
+    """
+    summary = Summary()
+    chunks = [seeds[at : at + CHUNK] for at in range(0, len(seeds), CHUNK)]
+    for results in _done(chunks, tuple(faults), epochs, min(jobs, max(len(chunks), 1))):
+        for result in results:
+            summary.add(result)
+        if progress is not None:
+            progress(summary)
+    return summary
+
+
+def cores() -> int:
+    """How many processes can work at once."""
+    return len(os.sched_getaffinity(0))
+
+
+def shrink(scenario: Scenario, fails: Callable[[Scenario], bool]) -> Scenario:
+    """A smaller scenario that still fails.
+
+    Args:
+        scenario: one that fails.
+        fails: whether another does.
+    """
+    left = MAX_SHRINKS
+    found = True
+    while found and left:
+        found = False
+        for smaller in _smaller(scenario):
+            left -= 1
+            if fails(smaller):
+                scenario, found = smaller, True
+                break
+            if not left:
+                break
+    return scenario
+
+
+def fails(scenario: Scenario) -> bool:
+    """Whether something that must hold does not."""
+    return bool(simulate_quietly(scenario).violation)
+
+
+def _smaller(scenario: Scenario) -> Iterator[Scenario]:
+    for index in range(len(scenario.faults)):
+        yield replace(scenario, faults=_without(scenario.faults, index))
+    for index in range(len(scenario.proposals)):
+        yield replace(scenario, proposals=_without(scenario.proposals, index))
+    for epochs in sorted({1, scenario.epochs // 2, scenario.epochs - 1} - {0, scenario.epochs}):
+        yield replace(scenario, epochs=epochs)
+    for name in sorted(scenario.roster.nodes):
+        roster = _without_node(scenario.roster, name)
+        if roster is not None:
+            yield replace(scenario, roster=roster)
+    for index, fault in enumerate(scenario.faults):
+        if fault.number > 1:
+            less = replace(fault, number=fault.number // 2)
+            yield replace(scenario, faults=(*scenario.faults[:index], less, *scenario.faults[index + 1 :]))
+
+
+def _without(items: tuple[Item, ...], index: int) -> tuple[Item, ...]:
+    return (*items[:index], *items[index + 1 :])
+
+
+def _without_node(roster: Roster, name: str) -> Roster | None:
+    nodes = {other: reference for other, reference in roster.nodes.items() if other != name}
+    edges = tuple(edge for edge in roster.edges if name not in edge.pair)
+    try:
+        check_graph(roster.world, nodes, [edge.pair for edge in edges])
+    except HierarchyError:
+        return None
+    return replace(roster, nodes=nodes, edges=edges)
+
+
+def _done(chunks: Sequence[range], faults: tuple[str, ...], epochs: int | None, jobs: int) -> Iterator[list[Result]]:
+    if jobs <= 1:
+        for chunk in chunks:
+            yield _simulate_chunk(chunk, faults, epochs)
+        return
+    with ProcessPoolExecutor(jobs, get_context("spawn")) as pool:
+        waiting = [pool.submit(_simulate_chunk, chunk, faults, epochs) for chunk in chunks]
+        try:
+            for each in waiting:
+                yield each.result()
+        finally:
+            for each in waiting:
+                each.cancel()
+
+
+def _simulate_chunk(seeds: range, faults: tuple[str, ...], epochs: int | None) -> list[Result]:
+    return [simulate_quietly(draw_scenario(seed, faults, epochs)) for seed in seeds]
+
+
+def simulate_quietly(scenario: Scenario, trace: list[str] | None = None) -> Result:
+    """Simulate without the log lines of production code, which tell of every refused message."""
+    log = logging.getLogger("hierax")
+    before, log.disabled = log.disabled, True
+    try:
+        return simulate(scenario, trace)
+    finally:
+        log.disabled = before

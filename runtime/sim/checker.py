@@ -1,0 +1,256 @@
+"""What must hold, whatever happens: checked against the formal core, apart from the engine."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable, Mapping
+from types import MappingProxyType
+from typing import NamedTuple
+
+from hierax.runtime.core.binding import Setting
+from hierax.runtime.core.digest import NO_DIGEST, encode_state, formal_digest
+from hierax.runtime.core.hierarchy import Hierarchy
+from hierax.runtime.core.process import ActiveHierarchy, ActiveNode, update
+from hierax.runtime.loading import build_hierarchy
+from hierax.runtime.sim.inspection import Turn
+from hierax.runtime.sim.scenario import Scenario
+from hierax.schemas.changes import Attach, Change, Detach
+from hierax.schemas.messages import Header
+from hierax.schemas.roster import Roster
+from hierax.schemas.values import encode_value
+
+States = Mapping[str, ActiveNode]
+
+
+class ViolationError(Exception):
+    """Something that must hold does not."""
+
+
+class Start(NamedTuple):
+    """How an epoch begins under a version of the roster, by the formal core.
+
+    Attributes:
+        roster: of the version.
+        states: of its nodes.
+        encoded: the states' bytes.
+    """
+
+    roster: Roster
+    states: States
+    encoded: Mapping[str, bytes]
+
+
+class End(NamedTuple):
+    """How an epoch ends, by the formal core."""
+
+    epoch: int
+    roster: Roster
+    states: States
+    digest: bytes
+
+
+class Checker:
+    """Follows a run with the formal core.
+
+    Args:
+        scenario: of the simulation.
+        trace: told the commits.
+
+    Attributes:
+        told: the last epoch that was told to anybody outside.
+        faults: how often each kind befell something.
+        uncertain: epochs in whose act, or record of it, the world's process died.
+    """
+
+    def __init__(self, scenario: Scenario, trace: Callable[[str], None]) -> None:
+        self._scenario = scenario
+        self._trace = trace
+        self._setting = Setting(scenario.seed)
+        self._hierarchies: dict[bytes, Hierarchy] = {}
+        self._processes: dict[int, Mapping[str, str]] = {}
+        self._rosters: dict[int, bytes] = {}
+        self._starts: dict[tuple[int, int], Start] = {}
+        self._ends: list[End] = []
+        self._undone: set[tuple[int, int]] = set()
+        self._begun: dict[tuple[int, int], int] = {}
+        self._beginnings = 0
+        self._candidates: dict[int, End] = {}
+        self.acts: Counter[int] = Counter()
+        self.faults: Counter[str] = Counter()
+        self.uncertain: set[int] = set()
+        self.version = -1
+        hierarchy = self.hierarchy_of(scenario.roster)
+        states = ActiveHierarchy.initial(hierarchy).states
+        self._ends.append(End(0, scenario.roster, states, NO_DIGEST))
+
+    @property
+    def told(self) -> int:
+        """The last epoch whose digest anybody outside knows."""
+        return len(self._ends) - 1
+
+    def violate(self, what: str) -> None:
+        """Something is wrong.
+
+        Raises:
+            ViolationError: always.
+        """
+        raise ViolationError(what)
+
+    def counted(self, kind: str) -> None:
+        """A fault befell something."""
+        self.faults[kind] += 1
+
+    def hierarchy_of(self, roster: Roster) -> Hierarchy:
+        """The hierarchy of a roster's content."""
+        content = encode_value(roster.content())
+        if content not in self._hierarchies:
+            self._hierarchies[content] = build_hierarchy(roster, self._setting)
+        return self._hierarchies[content]
+
+    def process_of(self, version: int, name: str) -> str | None:
+        """The token of the process that runs a node under a version."""
+        return self._processes.get(version, {}).get(name)
+
+    def had_place(self, token: str) -> bool:
+        """Whether a process has had a place in a roster in force."""
+        return any(token in processes.values() for processes in self._processes.values())
+
+    def prepared(self, roster: Roster) -> None:
+        """A process is told of a version: no number is used for two rosters."""
+        plain = encode_value(roster.plain())
+        if self._rosters.setdefault(roster.version, plain) != plain:
+            self.violate(f"two rosters have version {roster.version}")
+
+    def begins(self, base: int, turn: Turn, roster: Roster, processes: Mapping[str, str]) -> None:
+        """The world is told to begin a turn.
+
+        Args:
+            base: the version that was in force before.
+            turn: what begins.
+            roster, processes: from now on in force.
+        """
+        self._beginnings += 1
+        self.version = turn.version
+        if turn.epoch != self.told + 1 and turn.epoch - 1 not in self._candidates:
+            self.violate(f"epoch {turn.epoch} begins, {self.told} was the last that was committed")
+        self._processes[turn.version] = dict(processes)
+        key = (turn.epoch, turn.version)
+        if key not in self._starts:
+            self._starts[key] = self._start(turn, base, roster)
+
+    def sends(self, header: Header, is_world: bool) -> None:
+        """A message goes out: no attempt's number is used for two of them."""
+        if is_world and self._begun.setdefault((header.epoch, header.attempt), self._beginnings) != self._beginnings:
+            self.violate(f"attempt {header.attempt} of epoch {header.epoch} is begun twice")
+
+    def starts(self, name: str, token: str, state: ActiveNode, turn: Turn) -> None:
+        """A node begins a turn in this state."""
+        start = self._starts.get((turn.epoch, turn.version))
+        if start is None and (turn.epoch <= self.told or (turn.epoch, turn.version) in self._undone):
+            return  # of a process that was cut off, and takes in what had come before
+        if start is None or name not in start.encoded:
+            self.violate(f"{token} begins {turn}, which it has no part in")
+        elif encode_state(*state) != start.encoded[name]:
+            self.violate(f"{token} begins {turn} with {state}, expected {start.states[name]}")
+
+    def acted(self, epoch: int) -> None:
+        """The device outside has moved."""
+        self.acts[epoch] += 1
+
+    def commits(self, turn: Turn, encoded: Mapping[str, bytes]) -> None:
+        """The world's engine has committed an epoch; it counts when it is told.
+
+        Args:
+            turn: of it.
+            encoded: the states of all living processes that take part.
+        """
+        start = self._starts[turn.epoch, turn.version]
+        hierarchy = self.hierarchy_of(start.roster)
+        active = update(ActiveHierarchy(hierarchy, MappingProxyType(dict(start.states)), turn.epoch - 1))
+        for name, state in active.states.items():
+            if name in encoded and encoded[name] != encode_state(*state):  # one that is dead has finished, too
+                self.violate(f"{name}: its state after epoch {turn.epoch} is not {state}")
+        digest = formal_digest(active, self._after(turn.epoch - 1).digest, start.roster.content_hash())
+        self._candidates[turn.epoch] = End(turn.epoch, start.roster, active.states, digest)
+
+    def tells(self, epoch: int, digest: bytes) -> None:
+        """The digest of a committed epoch is published."""
+        end = self._candidates.pop(epoch, None)
+        if end is None or epoch != self.told + 1:
+            self.violate(f"epoch {epoch} is committed, the last one was {self.told}")
+            return
+        expected = end.digest
+        if digest != expected:
+            self.violate(f"the digest of epoch {epoch} is {digest.hex()[:8]}, expected {expected.hex()[:8]}")
+        self._ends.append(end)
+        self._starts = {key: start for key, start in self._starts.items() if key[0] > epoch}
+        self._trace(f"epoch {epoch} is committed: {digest.hex()[:8]}")
+
+    def resumes(self, epoch: int, digest: bytes, damaged: bool) -> None:
+        """The world's new process goes on with an epoch, after this digest of the last one."""
+        if self.told + 1 == epoch - 1 and epoch - 1 in self._candidates:  # it was recorded, and nobody was told
+            self.tells(epoch - 1, digest)
+        if epoch != self.told + 1 and not damaged:
+            self.violate(f"the world goes on with epoch {epoch}, {self.told} was the last that was told")
+        self._candidates = {}
+        self._undone.update(key for key in self._starts if key[0] > epoch)
+        self._starts = {key: start for key, start in self._starts.items() if key[0] <= epoch}
+        del self._ends[max(epoch, 1) :]
+
+    def finishes(self, answers: Mapping[str, str]) -> None:
+        """The run is over: whether all was done as it was said.
+
+        Args:
+            answers: what became of the changes: ``epoch N``, or why not.
+        """
+        self._check_answers(answers)
+        self._check_acts()
+
+    def _check_answers(self, answers: Mapping[str, str]) -> None:
+        for proposal in self._scenario.proposals:
+            answer = answers[proposal.key]
+            if not answer.startswith("epoch ") or list(answers.values()).count(answer) > 1:
+                continue  # refused, or another change of the same epoch may have undone it
+            roster = self._ends[int(answer.removeprefix("epoch "))].roster
+            if not _holds(proposal.change, roster):
+                self.violate(f"{proposal.key} is said to hold from {answer} on, and does not")
+
+    def _check_acts(self) -> None:
+        if "ActingWorld" not in self._scenario.roster.nodes[self._scenario.roster.world].target:
+            return
+        for epoch in range(1, self.told + 1):
+            acts = self.acts[epoch]
+            if epoch not in self.uncertain and acts != 1:
+                self.violate(f"epoch {epoch} was acted {acts} times")
+            if self._scenario.on_uncertain_act == "repeat" and acts < 1:
+                self.violate(f"epoch {epoch} was never acted, and acts are repeated")
+            if self._scenario.on_uncertain_act == "skip" and acts > 1:
+                self.violate(f"epoch {epoch} was acted {acts} times, and uncertain ones are skipped")
+
+    def _after(self, epoch: int) -> End:
+        """How an epoch ended that is committed, be it told already or not."""
+        return self._candidates[epoch] if epoch in self._candidates else self._ends[epoch]
+
+    def _start(self, turn: Turn, base: int, roster: Roster) -> Start:
+        """What one change, at most, makes of the states before it."""
+        before = self._starts.get((turn.epoch, base)) or self._after(turn.epoch - 1)
+        hierarchy = self.hierarchy_of(roster)
+        now: dict[str, ActiveNode] = {}
+        for name, reference in sorted(roster.nodes.items()):
+            node = hierarchy.nodes[name]
+            if name not in before.roster.nodes:
+                now[name] = ActiveNode(node.initial_belief(), node.initial_policy)
+            elif reference == before.roster.nodes[name]:
+                now[name] = before.states[name]
+            else:  # no two references of a scenario are equal
+                state = before.states[name]
+                now[name] = state._replace(belief=node.take_over(state.belief))
+        return Start(roster, now, {name: encode_state(*state) for name, state in now.items()})
+
+
+def _holds(change: Change, roster: Roster) -> bool:
+    """Whether a roster is one after a change."""
+    if isinstance(change, Detach):
+        return change.name not in roster.nodes
+    nodes = change.nodes if isinstance(change, Attach) else {change.name: change.reference}
+    return all(roster.nodes.get(name) == reference for name, reference in nodes.items())

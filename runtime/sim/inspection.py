@@ -1,0 +1,220 @@
+"""Where an input came from, carried inside it: each set of elements has a tag in front.
+
+The tags are put on and taken off around a node's own operators and edge functions, so
+what is computed does not depend on them, and the engine sees only elements. A tag says
+which process made the elements, under which version of the roster, in which epoch and
+attempt: of the world's, what it was told to begin; of any other node, what the inputs
+said that it observed last. So nothing of the engine's own bookkeeping is relied upon.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from typing import Any, NamedTuple
+
+from hierax.runtime.core.binding import BoundNode, Call
+from hierax.runtime.core.hierarchy import BoundEdge
+from hierax.runtime.core.node import Elements, Value
+
+_MARK = "#"
+
+
+class Turn(NamedTuple):
+    """An attempt of an epoch, under a version of the roster."""
+
+    version: int
+    epoch: int
+    attempt: int
+
+
+class Inspector:
+    """Looks at all that goes into one process's operators.
+
+    Attributes:
+        turn: that the node is in.
+        heard: the last one in which it had all from above.
+
+    Args:
+        name, process: of the node, and of its process.
+        violated: told what is wrong.
+        process_of: the process that runs a node under a version.
+        starts: called when a node begins a turn, before its first operator.
+    """
+
+    def __init__(
+        self,
+        name: str,
+        process: str,
+        violated: Callable[[str], None],
+        process_of: Callable[[int, str], str | None],
+        starts: Callable[[Turn], None],
+    ) -> None:
+        self.name = name
+        self.process = process
+        self.turn = Turn(-1, 0, -1)
+        self.heard = self.turn
+        self._violated = violated
+        self._process_of = process_of
+        self._starts = starts
+
+    def begin(self, turn: Turn) -> None:
+        """The world is told to begin."""
+        self.turn = turn
+
+    def tag(self, elements: Elements) -> Elements:
+        """The same with a tag in front."""
+        return ((_MARK, self.name, self.process, *self.turn), *elements)
+
+    def observed(self, elements: Elements, senders: tuple[str, ...], version: int, epoch: int) -> Elements:
+        """Look at what a node observes; it decides which turn this is."""
+        tags, bare = _split(elements)
+        turns = {Turn(*tag[3:]) for tag in tags}
+        what = f"observations in epoch {epoch} under version {version}"
+        if len(turns) != 1:
+            self._violated(f"{self.name}: its {what} are of {sorted(turns)}")
+        else:
+            (turn,) = turns
+            if turn.version != version or turn.epoch != epoch or turn[1:] <= self.turn[1:]:
+                self._violated(f"{self.name}: its {what} are of {turn}; the last were of {self.turn}")
+            self.turn = turn
+        self._check(tags, senders, what)
+        self._starts(self.turn)
+        return bare
+
+    def acts(self) -> None:
+        """The world acts: all that comes from above must be in hand."""
+        if self.heard != self.turn:
+            self._violated(f"{self.name}: acts in {self.turn} before it has heard from above")
+
+    def given(self, elements: Elements, senders: tuple[str, ...], what: str) -> Elements:
+        """Look at what came from above."""
+        if what == "context":
+            self.heard = self.turn
+        tags, bare = _split(elements)
+        self._check(tags, senders, what)
+        return bare
+
+    def _check(self, tags: list[Any], senders: tuple[str, ...], what: str) -> None:
+        names = [tag[1] for tag in tags]
+        if sorted(names) != sorted(senders):
+            self._violated(f"{self.name}: {what} came from {names}, expected {sorted(senders)}")
+        for _, sender, process, *turn in tags:
+            if Turn(*turn) != self.turn:
+                self._violated(f"{self.name}: {what} from {sender} are of {Turn(*turn)}, expected {self.turn}")
+            right = self._process_of(self.turn.version, sender)
+            if process != right:
+                self._violated(f"{self.name}: {what} from {sender} are of process {process}, expected {right}")
+
+
+def _split(elements: Elements) -> tuple[list[Any], Elements]:
+    tags, bare = [], []
+    for element in elements:
+        if type(element) is tuple and element and type(element[0]) is str and element[0] == _MARK:
+            tags.append(element)
+        else:
+            bare.append(element)
+    return tags, tuple(bare)
+
+
+class Inspected(BoundNode):
+    """A bound node whose inputs are looked at.
+
+    Args:
+        bound: the node.
+        inspector: of its process.
+        version: of the roster that it is bound for.
+        tasking: the nodes above that give it tasks.
+        act: in the place of the world's, where it has one.
+    """
+
+    __slots__ = ()
+
+    def __init__(
+        self,
+        bound: BoundNode,
+        inspector: Inspector,
+        version: int,
+        tasking: tuple[str, ...],
+        act: Callable[[int, Elements], None],
+    ) -> None:
+        self.name, self.node, self.below, self.above = bound.name, bound.node, bound.below, bound.above
+        self.initial_belief, self.policies = bound.initial_belief, bound.policies
+
+        def observe(epoch: int, time_s: float, observations: Elements, belief: Value) -> Value:
+            return bound.observe(epoch, time_s, inspector.observed(observations, bound.below, version, epoch), belief)
+
+        def select_policy(epoch: int, time_s: float, tasks: Elements) -> Value:
+            return bound.select_policy(epoch, time_s, inspector.given(tasks, tasking, "tasks"))
+
+        def predict(epoch: int, time_s: float, context: Elements, actions: Elements, belief: Value) -> Value:
+            bare = inspector.given(context, bound.above, "context")
+            return bound.predict(epoch, time_s, bare, actions, belief)
+
+        self.observe = Through(bound.observe, observe)
+        self.select_policy = Through(bound.select_policy, select_policy)
+        self.predict = Through(bound.predict, predict)
+        self.act = None if bound.act is None else Through(bound.act, lambda epoch, _, actions: act(epoch, actions))
+
+
+class Through(Call):
+    """A call that goes through something else."""
+
+    __slots__ = ("_through",)
+
+    def __init__(self, call: Call, through: Callable[..., Any]) -> None:
+        self.subject, self.operator = call.subject, call.operator
+        self._through = through
+
+    def __call__(self, epoch: int, time_s: float, *arguments: Value) -> Any:
+        return self._through(epoch, time_s, *arguments)
+
+
+class Tagged(Call):
+    """An edge function whose elements get a tag; of one that is not there, the empty set."""
+
+    __slots__ = ("_before", "_call", "_inspector")
+
+    def __init__(self, call: Call | None, edge: str, operator: str, inspector: Inspector, before: Callable[[], None]):
+        self.subject, self.operator = edge, operator
+        self._call = call
+        self._inspector = inspector
+        self._before = before
+
+    def elements(self, epoch: int, time_s: float, argument: Value) -> Elements:
+        self._before()
+        bare = () if self._call is None else self._call.elements(epoch, time_s, argument)
+        return self._inspector.tag(bare)
+
+
+def inspected_edges(
+    edges: Mapping[tuple[str, str], BoundEdge], name: str, inspector: Inspector, before: Callable[[], None]
+) -> list[BoundEdge]:
+    """A node's edges, with tags put on what its side gives.
+
+    Args:
+        edges: of the node.
+        name: of the node.
+        inspector: of its process.
+        before: called before each sense function.
+    """
+
+    def tagged(call: Call | None, edge: BoundEdge, kind: str) -> Call:
+        then = before if kind == "sense" else _nothing
+        return Tagged(call, f"{edge.lower}->{edge.upper}", kind, inspector, then)
+
+    return [
+        BoundEdge(lower, upper, tagged(edge.sense, edge, "sense"), None, None)
+        if lower == name
+        else BoundEdge(
+            lower,
+            upper,
+            None,
+            None if edge.task is None else tagged(edge.task, edge, "task"),
+            tagged(edge.context, edge, "context"),
+        )
+        for (lower, upper), edge in edges.items()
+    ]
+
+
+def _nothing() -> None:
+    return

@@ -1,0 +1,181 @@
+"""A simulated network: bytes between processes, late, lost, doubled and out of order."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from random import Random
+from typing import TYPE_CHECKING
+
+from hierax.runtime.sim.clock import Clock
+from hierax.runtime.sim.scenario import DELAY, DOUBLE, LOSS, REORDER, Fault
+from hierax.runtime.transport.port import Port
+from hierax.schemas.control import Control, encode_control
+from hierax.schemas.messages import Header, Message, encode_message
+from hierax.schemas.roster import Roster
+
+if TYPE_CHECKING:
+    from hierax.runtime.sim.process import SimProcess
+
+Pair = tuple[int, str, int]
+"""One end of a link: its own instance, the other's name and instance."""
+
+SHORTEST_S, LONGEST_S = 0.0003, 0.003
+"""How long a message takes."""
+
+
+class SimPort(Port):
+    """A process's end of its edges."""
+
+    def __init__(self, network: Network, process: SimProcess) -> None:
+        self._network = network
+        self._process = process
+
+    def send(self, message: Message) -> None:
+        self._process.point(f"send {message.header.kind}")
+        self._network.send(self._process, message)
+        self._process.point("sent")
+
+    def receive(self) -> Message | None:
+        return None
+
+    def link(self, below: Sequence[str], above: Sequence[str], roster: Roster, opened: Callable[[int], None]) -> None:
+        process = self._process
+        process.point("link")
+        own = roster.instance(process.name)
+        process.links[roster.version] = frozenset((own, other, roster.instance(other)) for other in (*below, *above))
+        process.opening[roster.version] = opened
+        self._network.declare(process)
+
+    def unlink(self, version: int) -> None:
+        process = self._process
+        process.links = {later: pairs for later, pairs in process.links.items() if later >= version}
+        process.opening = {later: opened for later, opened in process.opening.items() if later >= version}
+
+    def interrupt(self) -> None:
+        return
+
+    def close(self) -> None:
+        return
+
+
+class Network:
+    """Carries messages from process to process.
+
+    Args:
+        clock: virtual.
+        rng: of delays and faults.
+        processes: all that live, by token.
+        sends: told of each message.
+        lost: told of a message whose link is not open at both ends.
+        count: told a fault's kind, each time that one befalls a message.
+    """
+
+    def __init__(
+        self,
+        clock: Clock,
+        rng: Random,
+        processes: dict[str, SimProcess],
+        sends: Callable[[Header, SimProcess], None],
+        lost: Callable[[SimProcess, Header], None],
+        count: Callable[[str], None],
+    ) -> None:
+        self._clock = clock
+        self._rng = rng
+        self._processes = processes
+        self._sends = sends
+        self._lost = lost
+        self._count = count
+        self._lanes: dict[tuple[str, str, str], float] = {}
+        self.faults: list[Fault] = []
+        self.cut: set[str] = set()
+        self.held: list[tuple[str, str, str, bytes]] = []
+        self.at_once = False
+
+    def parted(self, one: str, other: str) -> bool:
+        """Whether a partition lies between two processes."""
+        return (one in self.cut) != (other in self.cut)
+
+    def send(self, sender: SimProcess, message: Message) -> None:
+        """Put a message on its way to all processes that listen to this sender's name."""
+        header = message.header
+        self._sends(header, sender)
+        data = encode_message(message)
+        pair = (header.sender, header.instance)
+        open_to = [pair[1:] for pairs in sender.links.values() for pair in pairs if pair[0] == header.instance]
+        reached = False
+        for process in self._named(header.receiver):
+            ends = {end for pairs in process.links.values() for end in pairs if end[1] == header.sender}
+            if not ends or self.parted(sender.token, process.token):
+                continue
+            right = {own for own, *other in ends if tuple(other) == pair}
+            reached |= any((header.receiver, own) in open_to for own in right)
+            self._put(sender.token, process.token, header.kind, data)
+        if not reached:
+            self._lost(sender, header)
+
+    def say(self, sender: str, receiver: str, control: Control) -> None:
+        """Put a control message on its way."""
+        if receiver in self._processes and not self.parted(sender, receiver):
+            self._put(sender, receiver, "control", encode_control(control))
+
+    def declare(self, process: SimProcess) -> None:
+        """A process has opened its ends of a version's links; others find out."""
+        if self.at_once:
+            self.open_links()
+        else:
+            self._clock.schedule(self._delay(), self.open_links)
+
+    def open_links(self) -> None:
+        """Tell those whose links are open at both ends by now."""
+        for process in list(self._processes.values()):
+            for version, opened in list(process.opening.items()):
+                if all(self._is_open(process, pair) for pair in process.links[version]):
+                    del process.opening[version]
+                    if self.at_once:
+                        opened(version)
+                    else:
+                        self._clock.schedule(self._delay(), process.take, "opened", (opened, version))
+
+    def _is_open(self, process: SimProcess, pair: Pair) -> bool:
+        own, other, instance = pair
+        mirrored = (instance, process.name, own)
+        return any(
+            mirrored in pairs and not self.parted(process.token, neighbour.token)
+            for neighbour in self._named(other)
+            for pairs in neighbour.links.values()
+        )
+
+    def _named(self, name: str) -> list[SimProcess]:
+        return [process for process in self._processes.values() if process.name == name]
+
+    def _put(self, sender: str, receiver: str, kind: str, data: bytes) -> None:
+        now = self._clock.now
+        copies = 1
+        delay = self._delay()
+        ordered = True
+        for fault in self.faults:
+            if self._rng.random() >= fault.share:
+                continue
+            self._count(fault.kind)
+            if fault.kind == LOSS:
+                return
+            if fault.kind == DOUBLE:
+                copies += 1
+            elif fault.kind == DELAY:
+                delay += self._rng.uniform(0.0, 0.1)
+            elif fault.kind == REORDER:
+                ordered = False
+                delay += self._rng.uniform(0.0, 0.02)
+        for copy in range(copies):
+            at = now + delay + (self._rng.uniform(0.0, 0.5) if copy else 0.0)
+            if ordered and not copy:
+                at = self._lanes[sender, receiver, kind] = max(at, self._lanes.get((sender, receiver, kind), 0.0))
+            self._clock.schedule(at - now, self._deliver, sender, receiver, kind, data)
+
+    def _deliver(self, sender: str, receiver: str, kind: str, data: bytes) -> None:
+        process = self._processes.get(receiver)
+        if process is not None and not self.parted(sender, receiver):
+            process.take("control" if kind == "control" else "message", data)
+
+    def _delay(self) -> float:
+        return self._rng.uniform(SHORTEST_S, LONGEST_S)

@@ -1,0 +1,199 @@
+"""What happens in one simulation: all of it follows from a seed, and can be made smaller."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping
+from dataclasses import dataclass, field
+from random import Random
+
+from hierax.runtime.core.graph import Pair
+from hierax.runtime.sim.nodes import MODULE
+from hierax.schemas.changes import Attach, Change, Detach, Replace
+from hierax.schemas.roster import Reference, Roster, RosterEdge
+
+CRASH, WORLD, TORN, DAMAGE = "crash", "world", "torn", "damage"
+LOSS, DOUBLE, REORDER, DELAY, PARTITION = "loss", "double", "reorder", "delay", "partition"
+HANG, PAUSE, SLOW = "hang", "pause", "slow"
+FAULTS = (CRASH, WORLD, TORN, DAMAGE, LOSS, DOUBLE, REORDER, DELAY, PARTITION, HANG, PAUSE, SLOW)
+"""All kinds of faults.
+
+crash: a node's process dies at one of its calls. world: so does the world's. torn: a
+process dies in the middle of a write. damage: after its death, a slot is found damaged.
+loss, double, reorder, delay: messages are lost, come twice, overtake one another, or take
+long, for a while. partition: processes are cut off and joined again. hang: a process sits
+in an operator; pause: it does not run at all; slow: it takes its time for a while.
+"""
+
+WORLD_NAME = "world"
+NAMES = tuple(f"n{index}" for index in range(8))
+EPOCH_S = 0.012
+"""About how long an epoch takes, faults apart."""
+
+
+@dataclass(frozen=True)
+class Fault:
+    """One fault.
+
+    Attributes:
+        kind: one of `FAULTS`.
+        at_s: when; the network's last `for_s`.
+        name: whom it befalls, where it befalls a process.
+        number: at which of its calls a process dies; else free.
+        for_s: how long it lasts.
+        share: of messages that it befalls.
+    """
+
+    kind: str
+    at_s: float
+    name: str = ""
+    number: int = 0
+    for_s: float = 0.0
+    share: float = 0.0
+
+    def __str__(self) -> str:
+        who = f" of {self.name}" if self.name else ""
+        return f"{self.kind}{who} at {self.at_s:.3f} s (number {self.number}, {self.for_s:.3f} s, {self.share:.2f})"
+
+
+@dataclass(frozen=True)
+class Proposal:
+    """A change that is asked for at a time."""
+
+    key: str
+    at_s: float
+    change: Change
+
+
+@dataclass(frozen=True)
+class Scenario:
+    """All that is decided before a simulation begins.
+
+    Attributes:
+        seed: of the delays, too.
+        roster: at the beginning.
+        epochs: how many.
+        faults, proposals: in any order.
+        together: whether all processes are there when the run begins, their links open; else they join.
+        on_uncertain_act: of the world.
+        on_loss, rejoin_timeout_s: by node.
+        left_dead: nodes whose processes are not started again.
+    """
+
+    seed: int
+    roster: Roster
+    epochs: int
+    faults: tuple[Fault, ...] = ()
+    proposals: tuple[Proposal, ...] = ()
+    together: bool = True
+    on_uncertain_act: str = "repeat"
+    on_loss: Mapping[str, str] = field(default_factory=dict)
+    rejoin_timeout_s: Mapping[str, float] = field(default_factory=dict)
+    left_dead: frozenset[str] = frozenset()
+
+
+def draw_scenario(seed: int, faults: Collection[str] = FAULTS, epochs: int | None = None) -> Scenario:
+    """The scenario of a seed.
+
+    Args:
+        seed: fixes everything.
+        faults: kinds that may occur.
+        epochs: how many; None: the seed decides.
+    """
+    rng = Random(f"{seed}/scenario")
+    roster = _roster(rng)
+    count = rng.randint(5, 14) if epochs is None else epochs
+    span_s = count * EPOCH_S
+    proposals = _proposals(rng, roster, span_s)
+    names = sorted(set(roster.nodes) - {WORLD_NAME}) + [p for p in NAMES[:3] if p not in roster.nodes]
+    detached = frozenset(name for name in names if rng.random() < 0.1)
+    return Scenario(
+        seed,
+        roster,
+        count,
+        _faults(rng, tuple(kind for kind in FAULTS if kind in faults), names, span_s),
+        proposals,
+        together=rng.random() < 0.5,
+        on_uncertain_act=rng.choice(("repeat", "skip")),
+        on_loss=dict.fromkeys(sorted(detached), "detach"),
+        rejoin_timeout_s={name: rng.choice((0.05, 0.5, 5.0)) for name in names},
+        left_dead=frozenset(name for name in sorted(detached) if rng.random() < 0.5),
+    )
+
+
+def _roster(rng: Random) -> Roster:
+    count = rng.randint(2, 6)
+    names = [WORLD_NAME, *rng.sample(NAMES, count - 1)]
+    world = rng.choice(("MixingWorld", "ActingWorld"))
+    nodes = {WORLD_NAME: Reference(f"{MODULE}:{world}", {"name": WORLD_NAME, "policies": 2})}
+    nodes.update({name: _node(rng, name, 0) for name in names[1:]})
+    density = rng.choice((0.0, 0.3, 0.7))
+    pairs: list[Pair] = []
+    for place in range(1, count):
+        needed = rng.randrange(place)
+        pairs += [(names[low], names[place]) for low in range(place) if low == needed or rng.random() < density]
+    return Roster(WORLD_NAME, nodes, tuple(_edge(rng, *pair) for pair in sorted(pairs)))
+
+
+def _node(rng: Random, name: str, generation: int) -> Reference:
+    parameters = {"name": name, "policies": rng.randint(1, 3), "generation": generation}
+    return Reference(f"{MODULE}:{rng.choice(('Mixer', 'Mixer', 'Drawer'))}", parameters)
+
+
+def _edge(rng: Random, lower: str, upper: str) -> RosterEdge:
+    functions = (
+        None if target is None else Reference(f"{MODULE}:{target}", {"name": f"{lower}-{upper}-{kind}"})
+        for kind in ("sense", "task", "context")
+        for target in [rng.choice((None, "Mix", "Mix", "DrawingMix"))]
+    )
+    return RosterEdge(lower, upper, *functions)
+
+
+def _proposals(rng: Random, roster: Roster, span_s: float) -> tuple[Proposal, ...]:
+    """Changes; whether one can be done depends on those before it, and some cannot."""
+    proposals = []
+    there = sorted(roster.nodes)
+    for number in range(rng.choice((0, 0, 1, 1, 2, 3))):
+        change = _change(rng, there, number + 1)
+        if isinstance(change, Attach):
+            there = sorted({*there, *change.nodes})
+        proposals.append(Proposal(f"c{number + 1}", rng.uniform(0.0, 0.6 * span_s), change))
+    return tuple(proposals)
+
+
+def _change(rng: Random, there: list[str], generation: int) -> Change:
+    kind = rng.choice(("attach", "attach", "detach", "replace", "replace"))
+    others = [name for name in there if name != WORLD_NAME]
+    if kind == "attach" or not others:
+        free = [name for name in NAMES if name not in there] or [NAMES[0]]
+        name = rng.choice((rng.choice(free), rng.choice(NAMES[:3])))
+        pairs = [(lower, name) for lower in there if lower != name and rng.random() < 0.3]
+        pairs = pairs or [(WORLD_NAME, name)]
+        if rng.random() < 0.3:
+            pairs += [(name, upper) for upper in others if upper != name and (upper, name) not in pairs][:1]
+        return Attach({name: _node(rng, name, generation)}, tuple(_edge(rng, *pair) for pair in pairs))
+    name = rng.choice(others)
+    if kind == "detach":
+        return Detach(name, cascade=rng.random() < 0.7)
+    return Replace(name, _node(rng, name, generation))
+
+
+def _faults(rng: Random, kinds: tuple[str, ...], names: list[str], span_s: float) -> tuple[Fault, ...]:
+    if not kinds:
+        return ()
+    count = rng.choice((0, 1, 1, 2, 2, 3, 4, 6))
+    return tuple(_fault(rng, rng.choice(kinds), names, span_s) for _ in range(count))
+
+
+def _fault(rng: Random, kind: str, names: list[str], span_s: float) -> Fault:
+    at_s = rng.uniform(0.0, span_s)
+    share = {WORLD: 1.0, TORN: 0.3, DAMAGE: 0.3, PAUSE: 0.2, SLOW: 0.2, PARTITION: 0.1}.get(kind, 0.0)
+    name = WORLD_NAME if rng.random() < share else rng.choice(names)
+    if kind in (CRASH, WORLD, TORN, DAMAGE):
+        return Fault(kind, at_s, name, rng.randint(1, 25))
+    if kind in (LOSS, DOUBLE, REORDER, DELAY):
+        return Fault(kind, at_s, for_s=rng.uniform(0.01, 0.3), share=rng.choice((0.05, 0.3, 0.8)))
+    if kind == PARTITION:
+        return Fault(kind, at_s, name, rng.randrange(2), rng.choice((0.05, 0.5, 3.0)))
+    if kind in (HANG, PAUSE):
+        return Fault(kind, at_s, name, 0, rng.choice((0.05, 0.5, 3.0)))
+    return Fault(kind, at_s, name, 0, rng.uniform(0.1, 1.0), rng.uniform(0.001, 0.02))

@@ -1,0 +1,56 @@
+"""The line between a roster's owner and the processes; what goes along it may be lost, and is said again."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Callable
+from typing import Any
+
+import zenoh
+
+from hierax.schemas.control import Control, decode_control, encode_control
+from hierax.schemas.errors import SchemaError
+from hierax.schemas.keys import Keys
+
+OWNER = "owner"
+"""The owner's address; a process's is its token."""
+
+_log = logging.getLogger("hierax")
+
+
+class ControlLine:
+    """Control messages of one process.
+
+    Args:
+        session: an open session.
+        keys: of the run.
+        address: where this end is reached.
+        heard: called with each message, in a thread of Zenoh's: it must not take long.
+    """
+
+    def __init__(self, session: zenoh.Session, keys: Keys, address: str, heard: Callable[[Control], None]) -> None:
+        self._session = session
+        self._keys = keys
+        self._heard = heard
+        self._subscriber: Any = session.declare_subscriber(keys.control(address), self._on_sample)
+
+    def tell(self, address: str, control: Control) -> None:
+        """Send a message; any thread may call it."""
+        try:
+            self._session.put(
+                self._keys.control(address),
+                encode_control(control),
+                congestion_control=zenoh.CongestionControl.DROP,
+                priority=zenoh.Priority.INTERACTIVE_HIGH,
+                express=True,
+            )
+        except zenoh.ZError as error:
+            _log.info("a control message is not sent: %s", error)  # closing, or cut off: it is said again
+
+    def _on_sample(self, sample: zenoh.Sample) -> None:
+        try:
+            control = decode_control(sample.payload.to_bytes())
+        except SchemaError as error:
+            _log.warning("dropped what is no control message: %s", error)
+            return
+        self._heard(control)

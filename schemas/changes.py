@@ -1,0 +1,140 @@
+"""Changes of a roster, as data that travels: from whoever asks for one to the roster's owner.
+
+Each says what is wanted, not what the roster is after it: that depends on the roster
+which it finds, and its owner decides (`hierax.runtime.owner.changes`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+from hierax.schemas.errors import SchemaError, shown
+from hierax.schemas.roster import Reference, RosterEdge, _mapping, _name, _plain_edge, _read_edge
+from hierax.schemas.values import Value
+
+
+@dataclass(frozen=True)
+class Attach:
+    """New nodes, and the edges that join them to each other and to what is there.
+
+    Attributes:
+        nodes: class and parameters by name.
+        edges: each joins at least one of the nodes.
+    """
+
+    nodes: Mapping[str, Reference]
+    edges: tuple[RosterEdge, ...] = ()
+
+    def plain(self) -> Value:
+        """As a value."""
+        nodes = {name: self.nodes[name].plain() for name in sorted(self.nodes)}
+        return {"change": "attach", "nodes": nodes, "edges": [_plain_edge(edge) for edge in self.edges]}
+
+    @staticmethod
+    def read(value: Value) -> Attach:
+        """From a value.
+
+        Raises:
+            SchemaError: it is no `Attach`; says which field and what was expected.
+        """
+        fields = _mapping(value, {"change", "nodes", "edges"}, "change")
+        if not isinstance(fields["nodes"], dict):
+            raise SchemaError("expected a map", "change.nodes")
+        nodes = {
+            _name(name, "change.nodes"): Reference.read(node, f"change.nodes.{name}")
+            for name, node in fields["nodes"].items()
+        }
+        return Attach(nodes, _read_edges(fields["edges"]))
+
+
+@dataclass(frozen=True)
+class Detach:
+    """A node goes, and its edges with it.
+
+    Attributes:
+        name: of the node.
+        cascade: what only it joins to the world goes as well; else the change is refused
+            where there is such a node.
+    """
+
+    name: str
+    cascade: bool = False
+
+    def plain(self) -> Value:
+        """As a value."""
+        return {"change": "detach", "name": self.name, "cascade": self.cascade}
+
+    @staticmethod
+    def read(value: Value) -> Detach:
+        """From a value.
+
+        Raises:
+            SchemaError: it is no `Detach`; says which field and what was expected.
+        """
+        fields = _mapping(value, {"change", "name", "cascade"}, "change")
+        if not isinstance(fields["cascade"], bool):
+            raise SchemaError(f"expected true or false, got {shown(fields['cascade'])}", "change.cascade")
+        return Detach(_name(fields["name"], "change.name"), fields["cascade"])
+
+
+@dataclass(frozen=True)
+class Replace:
+    """Another node takes a node's place and belief.
+
+    Attributes:
+        name: of the node.
+        reference: the new class and parameters.
+        edges: all that the node has from then on; None: those that it has.
+    """
+
+    name: str
+    reference: Reference
+    edges: tuple[RosterEdge, ...] | None = None
+
+    def plain(self) -> Value:
+        """As a value."""
+        edges = None if self.edges is None else [_plain_edge(edge) for edge in self.edges]
+        return {"change": "replace", "name": self.name, "reference": self.reference.plain(), "edges": edges}
+
+    @staticmethod
+    def read(value: Value) -> Replace:
+        """From a value.
+
+        Raises:
+            SchemaError: it is no `Replace`; says which field and what was expected.
+        """
+        fields = _mapping(value, {"change", "name", "reference", "edges"}, "change")
+        return Replace(
+            _name(fields["name"], "change.name"),
+            Reference.read(fields["reference"], "change.reference"),
+            None if fields["edges"] is None else _read_edges(fields["edges"]),
+        )
+
+
+Change = Attach | Detach | Replace
+"""Any change of a roster that can be asked for."""
+
+
+def read_change(value: Value) -> Change:
+    """A change of any kind from a value.
+
+    Raises:
+        SchemaError: it is none; says which field and what was expected.
+    """
+    kind = value.get("change") if isinstance(value, dict) else None
+    if kind == "attach":
+        return Attach.read(value)
+    if kind == "detach":
+        return Detach.read(value)
+    if kind == "replace":
+        return Replace.read(value)
+    if not isinstance(value, dict):
+        raise SchemaError(f"expected a map, got {shown(value)}", "change")
+    raise SchemaError(f"expected attach, detach or replace, got {shown(kind)}", "change.change")
+
+
+def _read_edges(value: Value) -> tuple[RosterEdge, ...]:
+    if not isinstance(value, (list, tuple)):
+        raise SchemaError("expected a list", "change.edges")
+    return tuple(_read_edge(edge, f"change.edges[{index}]") for index, edge in enumerate(value))

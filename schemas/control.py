@@ -1,0 +1,221 @@
+"""What a roster's owner, the nodes' processes and their keepers say to one another.
+
+Each is a msgpack array of its name and its fields. A *process* is a token that no two
+processes share; a node's name stays the same when its process is another one.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any, NamedTuple, cast, get_args, get_origin, get_type_hints
+
+from hierax.schemas.errors import SchemaError, shown
+from hierax.schemas.values import Value, decode_value, encode_value
+
+NEVER = -1
+"""The epoch of a process that has no checkpoint."""
+
+
+class Prepare(NamedTuple):
+    """Owner to process: get ready for a version of the roster (as `Roster.plain` gives it)."""
+
+    roster: dict[str, Value]
+
+
+class HandOver(NamedTuple):
+    """Owner to the process that is replaced: say the state after an epoch."""
+
+    version: int
+    epoch: int
+
+
+class TakeOver(NamedTuple):
+    """Owner to the process that replaces another: here is its state after the epoch."""
+
+    version: int
+    epoch: int
+    state: bytes
+
+
+class AskStatus(NamedTuple):
+    """Owner to process: say what you wait for."""
+
+    inquiry: int
+
+
+class Resend(NamedTuple):
+    """Owner to process: send what these neighbours were sent in this attempt once more."""
+
+    epoch: int
+    attempt: int
+    receivers: tuple[str, ...]
+
+
+class Dismiss(NamedTuple):
+    """Owner to process: it is no part of the hierarchy (any more), and why.
+
+    Attributes:
+        again: it was taken for lost; a new process may come in its place, from its checkpoint.
+    """
+
+    why: str
+    again: bool = False
+
+
+class Join(NamedTuple):
+    """Process to owner: it is there to run a node.
+
+    Attributes:
+        request: the change that it was started for; empty: it comes in the place of a lost one.
+        epoch: the last epoch that it has begun, or finished by its checkpoint; `NEVER` without one.
+        active: whether it has taken part in an epoch; then it asks whether it still may.
+        refusal: why it cannot run the node after all; mostly empty.
+        version: of the roster under which its checkpoint was written.
+    """
+
+    name: str
+    process: str
+    request: str
+    epoch: int
+    active: bool
+    refusal: str
+    version: int = 0
+
+
+class Ready(NamedTuple):
+    """Process to owner: all links of a version are open; or why they can't be."""
+
+    name: str
+    process: str
+    version: int
+    refusal: str
+
+
+class State(NamedTuple):
+    """Process to owner: the answer to `HandOver`."""
+
+    name: str
+    version: int
+    state: bytes
+
+
+class Taken(NamedTuple):
+    """Process to owner: the state is taken over; or why it can't be."""
+
+    name: str
+    version: int
+    refusal: str
+
+
+class Fetch(NamedTuple):
+    """Process to owner: send this version of the roster."""
+
+    name: str
+    process: str
+    version: int
+
+
+class Status(NamedTuple):
+    """Process to owner: the answer to `AskStatus`.
+
+    Attributes:
+        waits_for: names of senders and kinds of messages.
+        busy: the operator's process is in; empty: in none.
+    """
+
+    name: str
+    inquiry: int
+    epoch: int
+    attempt: int
+    waits_for: tuple[tuple[str, str], ...]
+    busy: str
+
+
+class Lost(NamedTuple):
+    """Keeper to owner: a process has died; whether another one will come in its place."""
+
+    name: str
+    process: str
+    restarts: bool
+
+
+class Census(NamedTuple):
+    """Keeper to an owner that is new: the processes that it keeps and that live."""
+
+    processes: dict[str, str]
+
+
+class Propose(NamedTuple):
+    """To the owner: a change of the roster (as its `plain` gives it) is asked for.
+
+    Attributes:
+        on_loss, rejoin_timeout_s: by node that is new in it, as `OwnerSettings` has them.
+    """
+
+    request: str
+    change: dict[str, Value]
+    on_loss: dict[str, str] = {}  # noqa: RUF012 - never changed
+    rejoin_timeout_s: dict[str, float] = {}  # noqa: RUF012
+
+
+Control = (
+    Prepare
+    | HandOver
+    | TakeOver
+    | AskStatus
+    | Resend
+    | Dismiss
+    | Join
+    | Ready
+    | State
+    | Taken
+    | Fetch
+    | Status
+    | Lost
+    | Census
+    | Propose
+)
+Order = Prepare | HandOver | TakeOver | AskStatus | Resend | Dismiss
+"""What a process is told by the owner."""
+
+_KINDS: dict[str, Callable[..., object]] = {kind.__name__: kind for kind in get_args(Control)}
+_FIELDS = {kind.__name__: get_type_hints(kind) for kind in get_args(Control)}
+
+
+def encode_control(control: Control) -> bytes:
+    """The bytes of a control message."""
+    return encode_value((type(control).__name__, *control))
+
+
+def decode_control(data: bytes) -> Control:
+    """Read a control message.
+
+    Raises:
+        SchemaError: it is none; says which field and what was expected.
+    """
+    value = decode_value(data, "control")
+    name = value[0] if isinstance(value, tuple) and value else None
+    kind = _KINDS.get(name) if isinstance(name, str) else None
+    if kind is None:
+        raise SchemaError(f"expected an array that begins with one of {', '.join(_KINDS)}", "control")
+    fields = _FIELDS[name]
+    if len(value) != len(fields) + 1:
+        raise SchemaError(f"expected {len(fields)} fields, got {len(value) - 1}", f"control.{name}")
+    for (field, hint), part in zip(fields.items(), value[1:], strict=True):
+        if not _fits(part, hint):
+            raise SchemaError(f"got {shown(part)}", f"control.{name}.{field}")
+    return cast(Control, kind(*value[1:]))
+
+
+def _fits(value: Value, hint: Value) -> bool:
+    origin: Any = get_origin(hint)
+    if hint is Value:
+        return True
+    if origin is tuple:
+        inner = get_args(hint)
+        if inner[-1] is Ellipsis:
+            return isinstance(value, tuple) and all(_fits(part, inner[0]) for part in value)
+        return isinstance(value, tuple) and len(value) == len(inner) and all(map(_fits, value, inner))
+    if origin is dict:
+        return isinstance(value, dict) and all(_fits(part, get_args(hint)[1]) for part in value.values())
+    return type(value) is hint

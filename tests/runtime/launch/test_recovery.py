@@ -1,0 +1,226 @@
+"""Launches whose processes are killed, stopped and cut off: the digests of the undisturbed run, and one act per epoch.
+
+What is looked at comes from outside: the processes by their checkpoints' locks, commits
+by the digests that are written, acts by the device's own log.
+"""
+
+from __future__ import annotations
+
+import os
+import random
+import re
+import signal
+import time
+from pathlib import Path
+
+import pytest
+from support.device_nodes import DEVICE, acts
+from support.launched import Command, Launched, hierax, is_alive, until
+
+EPOCHS = 40
+NODES = ("arm", "eye", "spatial", "world")
+GONE_S = 2.0
+DEADLINE_S = 1.0
+NAMED_S = 0.5
+
+PLACES = {
+    "world": ("keep", "send", "act", "intent", "acted", "commit"),
+    "arm": ("save", "send"),
+    "spatial": ("save", "send"),
+    "eye": ("save",),
+}
+"""Where a node can be killed."""
+
+
+class Device:
+    """A deployment whose world moves a device, and what the undisturbed run of it comes to."""
+
+    def __init__(self, folder: Path) -> None:
+        self._folder = folder
+        self.log = folder / "device.log"
+        self.file = str(folder / "device.yaml")
+
+    def write(self, on_uncertain_act: str = "repeat", moves_s: float = 0.0, deadline_s: float = 60.0, eye: str = ""):
+        fields = {"on_uncertain_act": on_uncertain_act, "moves_s": moves_s, "deadline_s": deadline_s, "eye": eye}
+        Path(self.file).write_text(DEVICE.format(log=self.log, **fields), encoding="utf-8")
+
+    def digest(self, epochs: int, *options: str) -> str:
+        """Of the run in one process; the log begins anew after it."""
+        digest: str = hierax("run", self.file, "--epochs", str(epochs), *options)["digest"]
+        self.log.unlink()
+        return digest
+
+    def launch(self, epochs: int, *options: str) -> Launched:
+        return Launched(self._folder, self.file, "--epochs", str(epochs), *options)
+
+
+@pytest.fixture
+def device(tmp_path: Path) -> Device:
+    return Device(tmp_path)
+
+
+@pytest.mark.parametrize("node", PLACES)
+def test_a_process_may_be_killed_at_every_instant(node: str, device: Device) -> None:
+    """One process after the other is killed at the next instant, at its second or third time."""
+    device.write()
+    wanted = device.digest(EPOCHS)
+    faults = [f"{place}.{side}:{2 + n % 2}" for n, place in enumerate(PLACES[node]) for side in ("before", "after")]
+    with device.launch(EPOCHS, *(option for fault in faults for option in ("--fault", f"{node}:{fault}"))) as launch:
+        report = launch.report()
+        assert launch.err.count(f"{node}: its process ended by signal SIGKILL; it is started again") == len(faults)
+    assert report["digest"] == wanted
+    assert report["epochs"] == EPOCHS
+    assert sorted(set(acts(device.log))) == list(range(1, EPOCHS + 1))
+
+
+@pytest.mark.parametrize(
+    ("policy", "instant", "times"),
+    [
+        ("repeat", "intent.after", 1),
+        ("repeat", "acted.before", 2),
+        ("skip", "intent.after", 0),
+        ("skip", "acted.before", 1),
+    ],
+)
+def test_an_uncertain_act_is_repeated_or_skipped(policy: str, instant: str, times: int, device: Device) -> None:
+    device.write(on_uncertain_act=policy)
+    wanted = device.digest(8)
+    with device.launch(8, "--fault", f"world:{instant}:4") as launch:
+        assert launch.report()["digest"] == wanted
+        assert "nobody knows whether the act of epoch 4 was done" in launch.err
+    assert acts(device.log) == [1, 2, 3, *[4] * times, 5, 6, 7, 8]
+
+
+@pytest.mark.parametrize("seed", [1])
+def test_processes_may_be_killed_at_random(seed: int, device: Device) -> None:
+    epochs, kills = 500, 8
+    device.write(moves_s=0.005)
+    wanted = device.digest(epochs)
+    rng = random.Random(seed)
+    with device.launch(epochs) as launch:
+        for _ in range(kills):
+            launch.until_epoch(launch.epoch + rng.randrange(1, 20))
+            os.kill(launch.until_pid(rng.choice(NODES)), signal.SIGKILL)
+        report = launch.report()
+        assert launch.err.count("by signal SIGKILL; it is started again") == kills, f"seed {seed}"
+    assert report["digest"] == wanted, f"seed {seed}"
+    assert sorted(set(acts(device.log))) == list(range(1, epochs + 1))
+
+
+def test_a_run_goes_on_when_all_of_it_was_killed(device: Device) -> None:
+    epochs = 500
+    device.write(moves_s=0.005)
+    wanted = device.digest(epochs)
+    with device.launch(epochs) as launch:
+        launch.until_epoch(20)
+        pids = [launch.until_pid(name) for name in NODES]
+        launch.process.kill()
+        assert until(lambda: not any(map(is_alive, pids)), "the nodes' end") < GONE_S
+        state = launch.state
+    done = acts(device.log)
+    assert done == list(range(1, len(done) + 1))
+    assert 20 <= len(done) < epochs
+    with Launched(state.parent, "--resume", str(state)) as launch:
+        report = launch.report()
+    assert report["digest"] == wanted
+    assert report["epochs"] == epochs
+    assert acts(device.log) == list(range(1, epochs + 1)), "nodes end when an epoch does, so no act is uncertain"
+
+
+def processes_of(parent: int) -> list[int]:
+    """The children of a process."""
+    children = Path(f"/proc/{parent}/task/{parent}/children").read_text()
+    return [int(pid) for pid in children.split()]
+
+
+def stop(pid: int) -> float:
+    """Stop a process, as if it hung; when that was."""
+    os.kill(pid, signal.SIGSTOP)
+    return time.monotonic()
+
+
+def test_a_process_that_hangs_is_named_and_replaced(device: Device) -> None:
+    epochs = 500
+    device.write(moves_s=0.005, deadline_s=DEADLINE_S)
+    wanted = device.digest(epochs)
+    with device.launch(epochs) as launch:
+        launch.until_epoch(10)
+        pid = launch.until_pid("arm")
+        since = stop(pid)
+        named = launch.until_said("arm: its process is killed: it does not answer in epoch")
+        assert DEADLINE_S < named - since < DEADLINE_S + NAMED_S
+        launch.until_said("arm: its process ended by signal SIGKILL; it is started again")
+        assert launch.until_pid("arm", other_than=pid)
+        assert launch.report()["digest"] == wanted
+    assert acts(device.log) == list(range(1, epochs + 1))
+
+
+@pytest.mark.parametrize("policy", ["restart_policy: never", "rejoin_timeout: 0.2, restart_delay: 5.0"])
+def test_a_process_that_hangs_is_detached(policy: str, device: Device) -> None:
+    epochs = 300
+    device.write(moves_s=0.005, deadline_s=DEADLINE_S, eye=f", {policy}, on_loss: detach")
+    with device.launch(epochs) as launch:
+        launch.until_epoch(10)
+        if "delay" in policy:  # the first restart is at once
+            pid = launch.until_pid("eye")
+            os.kill(pid, signal.SIGKILL)
+            launch.until_pid("eye", other_than=pid)
+            launch.until_epoch(launch.epoch + 10)
+        stop(launch.until_pid("eye"))
+        launch.until_said("it is detached (on_loss)")
+        report = launch.report()
+    assert sorted(report["nodes"]) == ["arm", "spatial", "world"]
+    assert report["epochs"] == epochs
+    assert acts(device.log) == list(range(1, epochs + 1))
+
+
+def test_a_process_that_hangs_ends_the_run(device: Device) -> None:
+    device.write(moves_s=0.005, deadline_s=DEADLINE_S, eye=", restart_policy: never, on_loss: stop")
+    with device.launch(100_000) as launch:
+        launch.until_epoch(10)
+        pids = [launch.until_pid(name) for name in NODES]
+        stop(launch.until_pid("eye"))
+        launch.end()
+        assert launch.process.returncode == 1
+        assert launch.err.splitlines()[-1].startswith("error: eye: ")
+    assert not any(map(is_alive, pids))
+
+
+SNIPPET = """\
+nodes:
+  ear: {class: "support.device_nodes:Guesser", rejoin_timeout: 0.2, on_loss: detach}
+edges:
+  world -> ear: {sense: "support.device_nodes:place"}
+"""
+
+
+def test_a_process_that_was_taken_for_lost_is_refused(device: Device, tmp_path: Path) -> None:
+    """Its keeper is stopped with it, as on a machine that is cut off; both go on later."""
+    epochs = 600
+    device.write(moves_s=0.005, deadline_s=DEADLINE_S)
+    snippet = tmp_path / "ear.yaml"
+    snippet.write_text(SNIPPET, encoding="utf-8")
+    with device.launch(epochs) as launch:
+        launch.until_epoch(10)
+        keeper = Command(tmp_path, "attach", str(snippet), "--here")
+        until(lambda: bool(keeper.printed) or not keeper.running, "the attachment")
+        (attached,) = re.findall("^attached ear at epoch ([0-9]+)\n$", "".join(keeper.printed))
+        (ear,) = processes_of(keeper.process.pid)
+        keeper.process.send_signal(signal.SIGSTOP)
+        since = stop(ear)
+        named = launch.until_said("ear: its process is killed: it does not answer in epoch")
+        assert DEADLINE_S < named - since < DEADLINE_S + NAMED_S
+        launch.until_said("it is detached (on_loss)")
+        launch.until_epoch(launch.epoch + 10)
+        keeper.process.send_signal(signal.SIGCONT)
+        os.kill(ear, signal.SIGCONT)
+        keeper.until_said("ear: its process exits: ear: ")
+        keeper.end()
+        assert keeper.process.returncode == 0
+        assert not is_alive(ear)
+        assert launch.running
+        report = launch.report()
+    (lost,) = re.findall("ear: its process is lost in epoch ([0-9]+)", launch.err)
+    changes = ["--at", f"{attached}:attach:{snippet}", "--at", f"{lost}:detach:ear"]
+    assert acts(device.log) == list(range(1, epochs + 1))
+    assert report["digest"] == device.digest(epochs, *changes)

@@ -1,0 +1,465 @@
+"""The owner by itself: what it tells whom, and when; refusals, doubles and what comes late."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import pytest
+
+from hierax.runtime.owner.outlet import OwnerOutlet, OwnerSettings
+from hierax.runtime.owner.owner import MAX_TRIES, Owner
+from hierax.schemas.changes import Attach, Change, Detach, Replace
+from hierax.schemas.control import (
+    NEVER,
+    AskStatus,
+    Control,
+    Dismiss,
+    Fetch,
+    HandOver,
+    Join,
+    Lost,
+    Order,
+    Prepare,
+    Propose,
+    Ready,
+    Resend,
+    State,
+    Status,
+    Taken,
+    TakeOver,
+)
+from hierax.schemas.roster import Reference, Roster, RosterEdge
+
+NODE = Reference("toys:Node", {})
+OTHER = Reference("toys:Other", {})
+CHAIN = Roster(
+    "world", {"world": NODE, "low": NODE, "high": NODE}, (RosterEdge("world", "low"), RosterEdge("low", "high"))
+)
+SETTINGS = OwnerSettings(modules=("toys",), epoch_deadline_s=1.0, start_timeout_s=3.0, answer_timeout_s=2.0)
+
+
+class Owned(OwnerOutlet):
+    """An owner and all that it calls, in order.
+
+    Args:
+        settings: of the owner.
+        options: of the owner.
+    """
+
+    def __init__(self, settings: OwnerSettings = SETTINGS, **options: Any) -> None:
+        self.now = 0.0
+        self.calls: list[tuple[Any, ...]] = []
+        processes = options.pop("processes", {name: f"{name}.1" for name in CHAIN.nodes})
+        self.owner = Owner(options.pop("roster", CHAIN), processes, self, lambda: self.now, settings, **options)
+
+    def tell(self, process: str, order: Order) -> None:
+        self.calls.append((process, order))
+
+    def keep(self) -> None:
+        self.calls.append(("keep", self.owner.highest))
+
+    def begin(self, epoch: int, attempt: int, version: int) -> None:
+        self.calls.append(("begin", epoch, attempt, version))
+
+    def answer(self, request: str, epoch: int, refusal: str) -> None:
+        self.calls.append(("answer", request, epoch, refusal))
+
+    def end(self, name: str, process: str, why: str) -> None:
+        self.calls.append(("end", process, why))
+
+    def stop(self, why: str) -> None:
+        self.calls.append(("stop", why))
+
+    def note(self, what: str) -> None:
+        self.calls.append(("note", what))
+
+    def hear(self, *words: Control) -> list[tuple[Any, ...]]:
+        """What it calls when these come."""
+        for word in words:
+            self.owner.hear(word)
+        return self.take()
+
+    def take(self) -> list[tuple[Any, ...]]:
+        """What it has called since the last time, notes apart."""
+        calls, self.calls = self.calls, []
+        return [call for call in calls if call[0] != "note"]
+
+    def proceed(self) -> list[tuple[Any, ...]]:
+        """What it calls when an epoch may begin."""
+        self.owner.proceed()
+        return self.take()
+
+    def commit(self) -> list[tuple[Any, ...]]:
+        """What it calls when the epoch is committed."""
+        self.owner.committed(self.owner.epoch + 1)
+        return self.proceed()
+
+    def wait(self, seconds: float) -> list[tuple[Any, ...]]:
+        """What it calls when time has passed."""
+        self.now += seconds
+        self.owner.tick()
+        return self.take()
+
+    def ready(self, version: int, *processes: str) -> list[tuple[Any, ...]]:
+        """What it calls when these say that they are ready."""
+        return self.hear(*(Ready(process.partition(".")[0], process, version, "") for process in processes))
+
+
+def propose(change: Change, key: str = "c1") -> Propose:
+    plain: Any = change.plain()
+    return Propose(key, plain)
+
+
+def join(process: str, epoch: int = NEVER, request: str = "", **fields: Any) -> Join:
+    return Join(process.partition(".")[0], process, request, epoch, False, "")._replace(**fields)
+
+
+def begun(**options: Any) -> Owned:
+    """One in its first epoch."""
+    owned = Owned(**options)
+    assert owned.proceed() == [("begin", 1, 0, 0)]
+    return owned
+
+
+def prepares(calls: list[tuple[Any, ...]]) -> list[str]:
+    """Who is told to get ready."""
+    return [who for who, order, *_ in calls if isinstance(order, Prepare)]
+
+
+TOP = Attach({"top": NODE}, (RosterEdge("high", "top"),))
+
+
+def test_an_attach_takes_both_phases() -> None:
+    owned = begun()
+    assert owned.hear(propose(TOP)) == []
+    calls = owned.hear(join("top.1", request="c1"))
+    assert calls[0] == ("keep", 1), "nobody hears of a version before its number is recorded"
+    assert sorted(prepares(calls)) == ["high.1", "low.1", "top.1", "world.1"]
+    assert owned.ready(1, "high.1", "world.1") == []
+    assert owned.commit() == [("begin", 2, 0, 0)], "it waits for the newcomer, and the epochs do not"
+    assert owned.ready(1, "top.1") == [], "it takes effect between two epochs"
+    assert owned.commit() == [("begin", 3, 0, 1)]
+    assert owned.commit() == [("begin", 4, 0, 1), ("answer", "c1", 3, "")], "told when its first epoch is committed"
+
+
+def test_those_that_are_not_touched_are_told_but_not_waited_for() -> None:
+    owned = begun()
+    owned.hear(propose(TOP))
+    owned.hear(join("top.1", request="c1"))
+    owned.ready(1, "high.1", "top.1", "world.1")  # low is silent
+    assert owned.commit() == [("begin", 2, 0, 1)]
+
+
+def test_a_change_that_is_asked_for_twice_is_made_once() -> None:
+    owned = begun()
+    owned.hear(propose(Detach("high")), propose(Detach("high")))
+    owned.ready(1, "low.1", "world.1")
+    assert owned.hear(propose(Detach("high"))) == []
+    owned.commit()
+    assert ("answer", "c1", 2, "") in owned.commit()
+    assert owned.hear(propose(Detach("high"))) == [("answer", "c1", 2, "")]
+
+
+@pytest.mark.parametrize(
+    ("change", "why"),
+    [
+        (Attach({"top": Reference("evil:Node", {})}, (RosterEdge("high", "top"),)), "may not be loaded in this run"),
+        (Detach("low"), "only it joins 'high' to the world"),
+        (Detach("hgih"), "did you mean 'high'"),
+        (Replace("world", NODE), "it is the world"),
+        (Attach({"top": NODE}), "cannot attach 'top'"),
+    ],
+)
+def test_what_cannot_be_done_is_refused_at_once(change: Change, why: str) -> None:
+    owned = begun()
+    ((kind, request, epoch, refusal),) = owned.hear(propose(change))
+    assert (kind, request, epoch) == ("answer", "c1", 0)
+    assert why in refusal
+
+
+def test_what_is_no_change_is_refused() -> None:
+    ((_, _, _, refusal),) = begun().hear(Propose("c1", {"change": "explode"}))
+    assert "expected attach, detach or replace" in refusal
+
+
+def test_a_newcomer_that_does_not_come_or_cannot() -> None:
+    owned = begun()
+    owned.hear(propose(TOP))
+    assert owned.wait(2.9)[0][1] == AskStatus(1)
+    assert ("answer", "c1", 0, "no process for top came up in time (start_timeout_s)") in owned.wait(0.2)
+    owned.hear(propose(TOP, "c2"))
+    assert owned.hear(join("top.1", request="c2", refusal="no such module")) == [("answer", "c2", 0, "no such module")]
+    owned.hear(propose(TOP, "c3"), join("top.2", request="c3"))
+    calls = owned.hear(Ready("top", "top.2", 1, "no camera"))
+    assert ("answer", "c3", 0, "top: no camera") in calls
+    assert ("top.2", Dismiss("top: no camera")) in calls
+    assert owned.hear(join("top.3", request="c3")) == [("top.3", Dismiss("top: nobody asks for it (any more)"))]
+
+
+def test_who_says_nothing_is_named() -> None:
+    owned = begun(settings=SETTINGS_PATIENT)
+    owned.hear(propose(TOP), join("top.1", request="c1"))
+    owned.ready(1, "high.1", "world.1")
+    assert [who for who, *_ in owned.wait(1.5)] == ["top.1"], "it is told again"
+    owned.hear(join("high.1", active=True))
+    assert ("answer", "c1", 0, "no answer from top within 2 s") in owned.wait(1.0)
+
+
+SETTINGS_PATIENT = OwnerSettings(modules=("toys",), answer_timeout_s=2.0)
+
+
+def test_a_dropped_version_is_not_used_again() -> None:
+    owned = begun()
+    owned.hear(propose(TOP), join("top.1", request="c1"))
+    owned.hear(Ready("top", "top.1", 1, "no"))
+    calls = owned.hear(propose(Detach("high"), "c2"))
+    assert calls[0] == ("keep", 2)
+
+
+def replaced() -> Owned:
+    """One that waits for the state of the node that is replaced."""
+    owned = begun()
+    owned.hear(propose(Replace("high", OTHER)), join("high.2", request="c1"))
+    owned.ready(1, "high.2", "low.1", "world.1")
+    assert owned.commit() == [("high.1", HandOver(1, 1)), ("keep", 1)]
+    return owned
+
+
+def test_a_replace_hands_the_state_over() -> None:
+    owned = replaced()
+    assert owned.hear(State("high", 1, b"state")) == [("high.2", TakeOver(1, 1, b"state"))]
+    assert owned.hear(State("high", 1, b"later")) == [], "one that is said twice counts once"
+    begins, dismisses = owned.hear(Taken("high", 1, ""))
+    assert begins == ("begin", 2, 0, 1)
+    assert dismisses[0] == "high.1"
+    assert isinstance(dismisses[1], Dismiss)
+
+
+def test_a_replace_whose_node_cannot_take_the_state() -> None:
+    owned = replaced()
+    owned.hear(State("high", 1, b"state"))
+    calls = owned.hear(Taken("high", 1, "no such key"))
+    assert ("answer", "c1", 0, "high: no such key") in calls
+    assert calls[-1] == ("begin", 2, 0, 0)
+
+
+def test_a_lost_node_comes_back_before_it_is_replaced() -> None:
+    owned = begun()
+    owned.hear(Lost("high", "high.1", True))
+    assert owned.hear(propose(Replace("high", OTHER)), join("high.2", request="c1")) == []
+    assert sorted(prepares(owned.hear(join("high.3", 0)))) == ["high.3", "low.1", "world.1"]
+    calls = owned.ready(1, "high.3", "low.1", "world.1")
+    assert calls[0] == ("begin", 1, 1, 1)
+    assert "high.2" in prepares(calls), "now its turn has come"
+
+
+def test_a_crash_is_a_new_instance_and_a_new_attempt() -> None:
+    owned = begun()
+    assert owned.hear(Lost("low", "low.1", True)) == []
+    owned.hear(join("low.2", 1))
+    calls = owned.ready(1, "low.2", "high.1", "world.1")
+    assert calls[0] == ("begin", 1, 1, 1)
+    assert owned.owner.roster.instance("low") == 1
+    assert owned.owner.roster.content_hash() == CHAIN.content_hash()
+
+
+@pytest.mark.parametrize(
+    ("fields", "why"),
+    [
+        ({"epoch": 1}, "its checkpoint is of epoch 1, and the hierarchy is in epoch 4"),
+        ({"epoch": NEVER}, "it has no checkpoint"),
+        ({"epoch": NEVER, "refusal": "slot 0 torn"}, "slot 0 torn"),
+        ({"epoch": 3, "version": 9}, "it was in version 9 of the roster, and the hierarchy is in 0"),
+    ],
+)
+def test_an_unsound_checkpoint_is_refused(fields: dict[str, Any], why: str) -> None:
+    owned = Owned(epoch=3)
+    owned.proceed()
+    owned.hear(Lost("high", "high.1", True))
+    ((who, order),) = owned.hear(join("high.2", **fields))
+    assert who == "high.2"
+    assert why in order.why
+    ((kind, said),) = owned.hear(Lost("high", "high.2", False))
+    assert kind == "stop"
+    assert why in said
+
+
+def test_a_checkpoint_of_another_node_of_that_name_is_refused() -> None:
+    owned = Owned(epoch=3, born={"high": (2, 3, "c1")}, roster=Roster(CHAIN.world, CHAIN.nodes, CHAIN.edges, 2))
+    owned.proceed()
+    owned.hear(Lost("high", "high.1", True))
+    assert owned.hear(join("high.2", 3, version=1)) == [("high.2", Dismiss("high: another node has taken its place"))]
+    assert prepares(owned.hear(join("high.3", 3, version=2)))
+
+
+def test_a_commit_may_leave_one_that_is_back_behind() -> None:
+    owned = begun()
+    owned.hear(Lost("high", "high.1", True))  # it had done its part
+    assert prepares(owned.hear(join("high.2", 0))), "sound, as long as epoch 1 is not committed"
+    assert ("high.2", Dismiss("its checkpoint is of epoch 0, and the hierarchy is in epoch 2")) in owned.commit()
+
+
+def test_on_loss() -> None:
+    settings = OwnerSettings(on_loss={"high": "detach", "low": "stop"}, rejoin_timeout_s={"high": 1.0, "low": 1.0})
+    owned = begun(settings=settings)
+    owned.hear(Lost("high", "high.1", True))
+    assert owned.wait(0.9) == []
+    assert owned.wait(0.2)[0] == ("keep", 1)
+    assert owned.ready(1, "low.1", "world.1")[0] == ("begin", 1, 1, 1)
+    assert set(owned.owner.roster.nodes) == {"world", "low"}
+    owned.hear(Lost("low", "low.1", True))
+    ((kind, why),) = owned.wait(1.1)
+    assert kind == "stop"
+    assert "it did not come back in time" in why
+
+
+def test_several_lost_nodes_are_detached_at_once() -> None:
+    roster = Roster(
+        "world", {"world": NODE, "a": NODE, "b": NODE}, (RosterEdge("world", "a"), RosterEdge("world", "b"))
+    )
+    settings = OwnerSettings(on_loss={"a": "detach", "b": "detach"})
+    owned = begun(settings=settings, roster=roster, processes={name: f"{name}.1" for name in roster.nodes})
+    owned.hear(Lost("a", "a.1", False), Lost("b", "b.1", False))
+    assert owned.ready(owned.owner.highest, "world.1")[0][:3] == ("begin", 1, 1)
+    assert set(owned.owner.roster.nodes) == {"world"}
+
+
+def test_a_node_that_nobody_runs_is_given_up() -> None:
+    owned = begun()
+    owned.hear(Lost("high", "high.1", True))
+    assert owned.hear(Lost("high", "", False))[0][0] == "stop"
+    assert begun().hear(Lost("high", "", False)) == [], "but it has a process"
+
+
+def test_a_change_in_which_processes_die_again_and_again() -> None:
+    owned = begun()
+    owned.hear(propose(Detach("high")))
+    calls = []
+    for number in range(1, MAX_TRIES + 2):
+        calls += owned.hear(Lost("low", f"low.{number}", True), join(f"low.{number + 1}", 1))
+    assert ("answer", "c1", 0, "processes died each time that it was prepared") in calls
+
+
+def test_what_comes_late_does_no_harm() -> None:
+    owned = begun()
+    owned.hear(Lost("low", "low.1", True), join("low.2", 1))
+    owned.ready(1, "low.2", "high.1", "world.1")
+    late: tuple[Control, ...] = (
+        join("low.1", 1),
+        Ready("low", "low.1", 1, ""),
+        Ready("low", "low.2", 1, "no"),
+        State("low", 1, b"state"),
+        Taken("low", 1, "no"),
+        Lost("low", "low.1", True),
+        Status("low", 7, 1, 0, (), "observe"),
+    )
+    assert owned.hear(*late) == []
+    assert owned.commit() == [("begin", 2, 0, 1)]
+
+
+def test_only_who_has_a_place_is_told_of_a_version() -> None:
+    owned = begun()
+    assert prepares(owned.hear(Fetch("low", "low.1", 0))) == ["low.1"]
+    assert owned.hear(Fetch("low", "low.0", 0)) == []
+    assert owned.hear(Fetch("low", "low.1", 5)) == []
+
+
+def test_who_asks_whether_it_still_has_a_place() -> None:
+    owned = begun()
+    assert owned.hear(join("low.1", active=True)) == []
+    assert isinstance(owned.hear(join("low.0", active=True))[0][1], Dismiss)
+    assert isinstance(owned.hear(join("gone.1", active=True))[0][1], Dismiss)
+    owned.hear(Lost("low", "low.1", True))
+    assert owned.hear(join("low.0", active=True)) == [("end", "low.0", "it was taken for lost")]
+    assert owned.hear(join("low.1", active=True)) == [], "that one is dead, and said it before"
+
+
+def test_a_world_that_is_behind_stops() -> None:
+    ((kind, why),) = begun().hear(join("low.1", 2, active=True))
+    assert kind == "stop"
+    assert "low has begun epoch 2" in why
+
+
+def test_the_world_comes_back() -> None:
+    owned = Owned(processes={"low": "low.1", "high": "high.1"}, epoch=4, attempt=2, highest=6, born={"low": (0, 1, "")})
+    owned.owner.take_back("world.2")
+    calls = owned.take()
+    assert calls[0] == ("keep", 7)
+    assert sorted(prepares(calls)) == ["high.1", "low.1", "world.2"]
+    assert owned.ready(7, "low.1", "world.2")[0] == ("begin", 5, 3, 7)
+    assert owned.commit() == [("begin", 6, 1, 7)], "the first attempt may have been begun, and forgotten"
+
+
+def test_what_may_have_been_acted_upon_is_done_again_with_the_same_nodes() -> None:
+    owned = Owned(processes={"low": "low.1", "high": "high.1"}, epoch=4, attempt=0, settled=True)
+    owned.owner.take_back("world.2")
+    owned.hear(propose(Detach("high")))
+    assert owned.ready(1, "low.1", "world.2")[0] == ("begin", 5, 1, 1)
+    owned.commit()
+    owned.ready(2, "low.1", "world.2")
+    owned.commit()
+    assert "high" not in owned.owner.roster.nodes
+
+
+def test_an_answer_that_the_dead_process_owed() -> None:
+    owned = Owned(epoch=4, attempt=0, born={"high": (3, 5, "c1")})
+    owned.proceed()
+    assert owned.hear(propose(Replace("high", OTHER))) == []
+    assert ("answer", "c1", 5, "") in owned.commit()
+
+
+def test_the_run_is_over() -> None:
+    owned = begun()
+    owned.hear(propose(TOP))
+    owned.owner.committed(1)
+    owned.owner.finish()
+    assert owned.take() == [("answer", "c1", 0, "the run is over")]
+    assert owned.hear(propose(Detach("high"), "c2")) == [("answer", "c2", 0, "the run is over")]
+    assert owned.hear(join("top.1", request="c1"), Lost("low", "low.1", True)) == []
+    assert owned.wait(100.0) == []
+
+
+def test_a_hang_is_looked_into() -> None:
+    owned = begun()
+    assert owned.wait(0.9) == []
+    assert [order for _, order in owned.wait(0.2)] == [AskStatus(1)] * 3
+    owned.hear(Status("world", 1, 1, 0, (("low", "ctx"),), ""), Status("low", 1, 1, 0, (("high", "ctx"),), ""))
+    assert owned.wait(0.3) == [("end", "high.1", "it does not answer in epoch 1, past the deadline")]
+
+
+def test_one_in_an_operator_is_the_culprit() -> None:
+    owned = begun()
+    owned.wait(1.1)
+    owned.hear(
+        Status("world", 1, 1, 0, (("low", "ctx"),), ""),
+        Status("low", 1, 1, 0, (("high", "ctx"),), ""),
+        Status("high", 1, 1, 0, (), "observe"),
+    )
+    assert owned.wait(0.1) == [("end", "high.1", "it is in observe in epoch 1, past the deadline")]
+
+
+def test_what_was_lost_is_sent_again_and_then_the_link_is_blamed() -> None:
+    owned = begun()
+    owned.wait(1.1)
+    for inquiry in range(1, 5):
+        owned.hear(
+            Status("world", inquiry, 1, 0, (("low", "ctx"),), ""),
+            Status("low", inquiry, 1, 0, (("high", "ctx"),), ""),
+            Status("high", inquiry, 1, 0, (), ""),
+        )
+        calls = owned.wait(0.1)
+        if inquiry <= 3:
+            assert ("high.1", Resend(1, 0, ("low",))) in calls
+            owned.wait(0.1)
+    assert calls == [("end", "high.1", "a link to it carries nothing")]
+
+
+def test_a_keeper_that_is_cut_off_as_well() -> None:
+    settings = OwnerSettings(epoch_deadline_s=1.0, answer_timeout_s=2.0, on_loss={"high": "detach"})
+    owned = begun(settings=settings)
+    owned.wait(1.1)
+    owned.hear(Status("world", 1, 1, 0, (("low", "ctx"),), ""), Status("low", 1, 1, 0, (("high", "ctx"),), ""))
+    assert owned.wait(0.3)[0][:2] == ("end", "high.1")
+    assert owned.owner.lost == frozenset()
+    owned.wait(2.1)
+    assert owned.owner.lost == {"high"}

@@ -1,0 +1,109 @@
+"""Some hundreds of seeds of all faults; the simulator itself: deterministic, and it shrinks."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+
+import pytest
+from support.mutations import MUTATIONS
+
+from hierax.runtime.commands.main import main
+from hierax.runtime.sim.campaign import fails, shrink, simulate_many, simulate_quietly
+from hierax.runtime.sim.scenario import DAMAGE, FAULTS, Scenario, draw_scenario
+from hierax.runtime.sim.simulation import simulate
+
+SEEDS = 600
+
+
+def test_nothing_is_wrong_under_any_faults() -> None:
+    summary = simulate_many(range(SEEDS))
+    assert not summary.violations, summary.violations[:5]
+    assert set(summary.faults) == set(FAULTS)
+    assert summary.epochs > 5 * SEEDS
+    assert summary.answers["made"] > SEEDS // 5
+
+
+@pytest.mark.parametrize("kind", FAULTS)
+def test_nothing_is_wrong_under_faults_of_one_kind(kind: str) -> None:
+    summary = simulate_many(range(1000, 1040), [kind])
+    assert not summary.violations, summary.violations[:5]
+    assert set(summary.faults) <= {kind}
+    if kind != DAMAGE:
+        assert not summary.stopped
+
+
+def test_without_faults_all_epochs_are_committed() -> None:
+    for seed in range(40):
+        scenario = draw_scenario(seed, ())
+        result = simulate_quietly(scenario)
+        assert not result.violation
+        assert result.epochs == scenario.epochs
+
+
+def test_a_seed_fixes_everything() -> None:
+    traces: list[list[str]] = [[], []]
+    results = [simulate(draw_scenario(7), trace) for trace in traces]
+    assert traces[0] == traces[1]
+    assert results[0] == results[1]
+    other: list[str] = []
+    simulate(draw_scenario(8), other)
+    assert other != traces[0]
+
+
+def test_the_work_can_be_shared() -> None:
+    assert simulate_many(range(120), jobs=2).plain() == simulate_many(range(120)).plain()
+
+
+def test_what_fails_is_made_small() -> None:
+    with MUTATIONS["wrong belief rolled back"]():
+        scenario = next(each for each in map(draw_scenario, range(100)) if fails(each))
+        small = shrink(scenario, fails)
+        assert fails(small)
+    assert not fails(small), "it fails without the mistake, too"
+    assert _size(small) < _size(scenario)
+    assert len(small.faults) <= 2
+
+
+def test_shrinking_ends_where_nothing_smaller_fails() -> None:
+    scenario = draw_scenario(3)
+    assert shrink(scenario, lambda _: False) == scenario
+    smallest = shrink(replace(scenario, epochs=9), lambda _: True)
+    assert (smallest.epochs, smallest.faults, smallest.proposals, len(smallest.roster.nodes)) == (1, (), (), 1)
+
+
+def test_the_command_prints_a_summary(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["sim", "--seeds", "0:20", "--faults", "crash,loss", "--jobs", "1", "--format", "json"]) == 0
+    printed = json.loads(capsys.readouterr().out)
+    assert printed["seeds"] == 20
+    assert printed["violations"] == []
+    assert set(printed["faults"]) == {"crash", "loss"}
+    assert printed["epochs"] > 100
+
+
+def test_the_command_shows_what_fails(capsys: pytest.CaptureFixture[str]) -> None:
+    with MUTATIONS["wrong belief rolled back"]():
+        assert main(["sim", "--seeds", "0:10", "--jobs", "1"]) == 1
+        printed = capsys.readouterr().out
+        seed = next(line for line in printed.splitlines() if line.startswith("  seed ")).split()[1].rstrip(":")
+        assert f"seed {seed}, made small" in printed
+        assert main(["sim", "--seeds", seed, "--trace"]) == 1
+    assert "owner begins" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("arguments", "what"),
+    [
+        (["--seeds", "1:x"], "--seeds 1:x: expected two whole numbers"),
+        (["--seeds", "4:4"], "--seeds 4:4: expected numbers from 0"),
+        (["--faults", "crahs"], "there is no 'crahs'; did you mean 'crash'"),
+        (["--seeds", "0:5", "--trace"], "--trace: expected a single seed"),
+    ],
+)
+def test_the_command_says_what_it_expects(arguments: list[str], what: str, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["sim", *arguments]) == 1
+    assert what in capsys.readouterr().err
+
+
+def _size(scenario: Scenario) -> int:
+    return len(scenario.faults) + len(scenario.proposals) + scenario.epochs + len(scenario.roster.nodes)

@@ -1,0 +1,205 @@
+"""A `hierax launch` under way, watched from outside: its words, its nodes' processes, its commits."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Callable
+from pathlib import Path
+from types import TracebackType
+from typing import Any
+
+import msgpack
+
+HIERAX = [sys.executable, "-m", "hierax.runtime.commands.main"]
+TESTS = Path(__file__).parents[1]
+TIMEOUT_S = 60.0
+
+
+def environment(folder: Path | None = None) -> dict[str, str]:
+    """In which the tests' own nodes are found; and, with a folder, no launches but those of this folder."""
+    here = {} if folder is None else {"XDG_RUNTIME_DIR": str(folder)}
+    return {**os.environ, "PYTHONPATH": str(TESTS), **here}
+
+
+def hierax(*arguments: str) -> dict[str, Any]:
+    """What a command prints as JSON.
+
+    Raises:
+        RuntimeError: it failed.
+    """
+    command = [*HIERAX, *arguments, "--format", "json"]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=600, env=environment(), check=False)
+    if done.returncode:
+        raise RuntimeError(f"{' '.join(arguments)}: {done.stderr}")
+    return dict(json.loads(done.stdout))
+
+
+def is_alive(pid: int) -> bool:
+    """Whether there is such a process, and it has not ended."""
+    try:
+        return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] != "Z"
+    except (FileNotFoundError, ProcessLookupError):
+        return False
+
+
+def until(condition: Callable[[], bool], what: str, timeout_s: float = TIMEOUT_S) -> float:
+    """Seconds until a condition holds."""
+    begun = time.monotonic()
+    while not condition():
+        assert time.monotonic() - begun < timeout_s, f"not within {timeout_s:g} s: {what}"
+        time.sleep(0.002)
+    return time.monotonic() - begun
+
+
+class Command:
+    """A command under way.
+
+    Args:
+        folder: whose launches it knows.
+        arguments: of ``hierax``.
+
+    Attributes:
+        printed: the lines that it has written to standard output.
+        said: those that it has written to standard error, and when.
+    """
+
+    def __init__(self, folder: Path, *arguments: str) -> None:
+        self.process = subprocess.Popen(
+            [*HIERAX, *arguments],
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            text=True,
+            env=environment(folder),
+            start_new_session=True,
+        )
+        self.said: list[tuple[float, str]] = []
+        self.printed: list[str] = []
+        self._readers = [threading.Thread(target=read, daemon=True) for read in (self._read_out, self._read_err)]
+        for reader in self._readers:
+            reader.start()
+
+    @property
+    def err(self) -> str:
+        """All that it has written to standard error."""
+        return "\n".join(line for _, line in self.said)
+
+    def until_said(self, words: str, timeout_s: float = TIMEOUT_S) -> float:
+        """When it has first written a line with these words, by the monotonic clock."""
+        until(lambda: self._when(words) is not None or not self.running, f"a line with {words!r}", timeout_s)
+        when = self._when(words)
+        assert when is not None, f"there is no {words!r} in\n{self.err}"
+        return when
+
+    @property
+    def running(self) -> bool:
+        """Whether it goes on, or its last words are not read yet."""
+        return any(reader.is_alive() for reader in self._readers)
+
+    def end(self, timeout_s: float = TIMEOUT_S) -> str:
+        """Wait for its end; what it has written to standard output."""
+        try:
+            self.process.wait(timeout_s)
+        except subprocess.TimeoutExpired as error:
+            raise AssertionError(f"it does not end; it said\n{self.err}") from error
+        for reader in self._readers:
+            reader.join(TIMEOUT_S)
+        return "".join(self.printed)
+
+    def _when(self, words: str) -> float | None:
+        return next((when for when, line in list(self.said) if words in line), None)
+
+    def _read_out(self) -> None:
+        assert self.process.stdout is not None
+        with self.process.stdout as lines:
+            for line in lines:
+                self.printed.append(line)
+
+    def _read_err(self) -> None:
+        assert self.process.stderr is not None
+        with self.process.stderr as lines:
+            for line in lines:
+                self.said.append((time.monotonic(), line.rstrip("\n")))
+
+
+class Launched(Command):
+    """A launch with an output folder and checkpoints that stay; at the block's end nothing of it is left.
+
+    Args:
+        folder: for both.
+        arguments: of ``hierax launch``.
+    """
+
+    def __init__(self, folder: Path, *arguments: str) -> None:
+        self.state = folder / "state"
+        self.output = folder / "output"
+        self._pids: set[int] = set()
+        places = () if "--resume" in arguments else ("--state", str(self.state))
+        super().__init__(folder, "launch", *arguments, *places, "--output", str(self.output), "--format", "json")
+
+    def pid(self, node: str) -> int:
+        """The process of a node, if it lives; else 0."""
+        try:
+            pid = int((self.state / f"{node}.lock").read_text())
+        except (FileNotFoundError, ValueError):
+            return 0
+        self._pids.add(pid)
+        return pid if is_alive(pid) else 0
+
+    def until_pid(self, node: str, other_than: int = 0) -> int:
+        """The process of a node, when there is one."""
+        found = other_than
+
+        def is_there() -> bool:
+            nonlocal found
+            found = self.pid(node)
+            return found not in (0, other_than) or not self.running
+
+        until(is_there, f"a process of {node}")
+        assert self.running, f"it has ended; it said\n{self.err}"
+        return found
+
+    @property
+    def epoch(self) -> int:
+        """The last one whose digest is written."""
+        return max(self.written, default=0)
+
+    @property
+    def written(self) -> dict[int, bytes]:
+        """The digests that are written, by epoch."""
+        try:
+            content = (self.output / "digests.msgpack").read_bytes()
+        except FileNotFoundError:
+            return {}
+        entries = msgpack.Unpacker()
+        entries.feed(content)
+        return dict(entries)
+
+    def until_epoch(self, epoch: int) -> None:
+        """Wait until an epoch is committed, or for the launch's end."""
+        until(lambda: self.epoch >= epoch or not self.running, f"epoch {epoch}")
+
+    def report(self, timeout_s: float = TIMEOUT_S) -> dict[str, Any]:
+        """What it prints at its end."""
+        out = self.end(timeout_s)
+        assert self.process.returncode == 0, self.err
+        return dict(json.loads(out))
+
+    def __enter__(self) -> Launched:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.process.send_signal(signal.SIGTERM)
+        try:
+            self.end(10.0)
+        finally:
+            self.process.kill()
+            for pid in filter(is_alive, self._pids):
+                os.kill(pid, signal.SIGKILL)
