@@ -5,7 +5,7 @@ BIN := $(VENV)/bin
 INSTALLED := $(VENV)/.installed
 CHECKED := .build/checked
 
-.PHONY: demo test check model sim clean
+.PHONY: demo test check model sim kills changes clean
 
 $(INSTALLED): pyproject.toml
 	$(PYTHON) -m venv $(VENV)
@@ -30,6 +30,14 @@ model: $(INSTALLED)
 # the nightly-sized simulation: about five minutes on two cores
 sim: $(INSTALLED)
 	$(BIN)/hierax sim --seeds 0:20000
+
+# docs/recovery.md: kills, stops and resumes launches of the tracking deployment, for some ten minutes
+kills: $(INSTALLED)
+	$(BIN)/python benchmarks/kills.py
+
+# docs/changing.md: 200 changes each of three hierarchies that run; some ten minutes
+changes: $(INSTALLED)
+	$(BIN)/python benchmarks/changes.py
 
 # mypy and the import contracts follow the namespace through an installed copy
 check: $(INSTALLED)

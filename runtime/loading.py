@@ -67,7 +67,18 @@ def load(target: str, where: str) -> Any:
             raise LoadError(f"there is no {part!r} in {inside}{did_you_mean(part, public)}", where)
         found = getattr(found, part)
         inside = f"{part!r}"
+        if isinstance(found, ModuleType):
+            raise LoadError(f"{part!r} in module {module_name!r} is a module itself; name it before the colon", where)
+    _check_home(found, module_name, name, where)
     return found
+
+
+def _check_home(found: Any, module_name: str, name: str, where: str) -> None:
+    """What a module has imported from another package is named there: which code may be loaded is decided by module."""
+    home = found.__module__ if inspect.isclass(found) or inspect.isroutine(found) else None
+    if isinstance(home, str) and home.partition(".")[0] != module_name.partition(".")[0]:
+        instead = f"{home}:{found.__qualname__}"
+        raise LoadError(f"module {module_name!r} only imports {name!r}; name it as {instead!r}", where)
 
 
 def build_node(reference: Reference, where: str) -> Node:

@@ -57,6 +57,7 @@ class Member(NodeRunner):
 
     Attributes:
         dismissed: why the process is to end; empty: it is not.
+        again: whether another one is to come in its place then.
     """
 
     def __init__(
@@ -75,6 +76,7 @@ class Member(NodeRunner):
         self.name = name
         self.process = process
         self.dismissed = ""
+        self.again = False
         self._wire_roster = wire
         self._say = say
         self._slots = slots
@@ -101,7 +103,8 @@ class Member(NodeRunner):
         To be called again and again while nothing comes.
 
         Args:
-            request: the change that it was started for; empty: it comes in the place of a lost process.
+            request: the change that it was started for; empty: it comes in the place of a process that
+                had a place in the roster.
         """
         if self.active:
             self._say(Join(self.name, self.process, "", self.engine.epoch, True, ""))
@@ -124,7 +127,6 @@ class Member(NodeRunner):
 
         Raises:
             OperatorError: an operator failed.
-            HieraxError: it was taken for lost, and another process is to come in its place.
         """
         self._do(order)
         self._finish()
@@ -141,10 +143,9 @@ class Member(NodeRunner):
         elif isinstance(order, Resend):
             if self.wired and (self.engine.epoch, self.engine.attempt) == (order.epoch, order.attempt):
                 self.engine.resend(order.receivers)
-        elif order.again:
-            raise HieraxError(order.why)  # its keeper starts another one
         else:
             self.dismissed = order.why
+            self.again = order.again
 
     def status(self, inquiry: int, busy: str = "") -> Status:
         """What the node waits for. Any thread may ask."""

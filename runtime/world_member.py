@@ -108,11 +108,14 @@ class WorldMember(Member, OwnerOutlet):
         self._proceed()
         self._finish()
 
-    def resume_run(self, processes: Mapping[str, str]) -> None:
+    def resume_run(self, processes: Mapping[str, str]) -> tuple[int, bytes]:
         """Go on with a run by the world's record.
 
         Args:
             processes: those that live, by node; where there are two of a node, by any other key, too.
+
+        Returns:
+            The last committed epoch and its digest, which the process before may not have told.
 
         Raises:
             HieraxError: there is no whole record.
@@ -142,6 +145,7 @@ class WorldMember(Member, OwnerOutlet):
             self._finish()
         else:
             self.owner.finish()
+        return record.epoch - 1, record.last_digest
 
     def hear(self, word: Control) -> None:
         """Take in what anybody says to the owner.

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import re
 import sys
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
@@ -14,7 +15,11 @@ from hierax.runtime.commands.options import Format, OutputFormat
 if TYPE_CHECKING:
     from hierax.runtime.deployment import Deployment
     from hierax.runtime.deployment.deployment import RestartPolicy
+    from hierax.runtime.launch.run_file import Running
     from hierax.schemas.changes import Change
+
+_LOOPBACK = re.compile(r"[a-z]+/(127\.|localhost|\[::1\])")
+_ENDPOINT = re.compile(r"[a-z]+/.+:[0-9]+")
 
 TIMEOUT_S = 120.0
 """How long a change may take: new processes import what they need, and the epoch under way must end."""
@@ -73,6 +78,10 @@ def attach(
     """Attach nodes to a hierarchy that runs, and print the epoch at which they took effect."""
     from hierax.runtime.deployment.snippet import read_attach, read_restarts
 
+    if host is not None and not here:
+        raise CommandError("--host: only with --here; the new processes come up where the launch runs")
+    if here and host is None and connect is not None and not _LOOPBACK.match(connect):
+        raise CommandError("--here: the others have to reach the new processes: give this machine's address by --host")
     endpoint = _endpoint(run, connect)
     file = _deployment(endpoint, deployment)
     change = read_attach(source, file)
@@ -116,25 +125,54 @@ def replace(
 
 def ps(run: Run = None, connect: Connect = None, output_format: OutputFormat = Format.text) -> int:
     """List the launches on this machine, and the processes of their nodes."""
-    from hierax.runtime.commands.show import print_json, print_table
-    from hierax.runtime.launch.run_file import known_runs
+    from hierax.runtime.commands.show import print_json
 
-    endpoints = [connect] if connect else [each.endpoint for each in known_runs() if run in (None, each.run)]
-    found = [_ask(endpoint, {"ask": "ps"}) for endpoint in endpoints]
+    found, silent = _runs(run, connect)
     if output_format is Format.json:
         print_json({"runs": found})
-        return 0
-    if not found:
-        print("no launch runs on this machine" if run is None else f"no launch {run!r} runs on this machine")
-    for each in found:
-        print(f"{each['hierarchy']}, run {each['run']}: epoch {each['epoch']}, roster version {each['roster']}")
+    elif not found and not silent:
+        print("no launch runs on this machine")
+    else:
+        _print_runs(found)
+    if silent:
+        raise CommandError(f"no answer from {', '.join(silent)}")
+    return 0
+
+
+def _runs(run: str | None, connect: str | None) -> tuple[list[dict[str, Any]], list[str]]:
+    """What runs, and the launches that do not answer."""
+    from hierax.runtime.launch.run_file import known_runs
+    from hierax.runtime.transport.port import TransportError
+
+    if run is not None or connect is not None:
+        return [_ask(_endpoint(run, connect), {"ask": "ps"})], []
+    found: list[dict[str, Any]] = []
+    silent: list[str] = []
+
+    def look(running: Running) -> None:
+        try:
+            found.append(_ask(running.endpoint, {"ask": "ps"}))
+        except TransportError:
+            if running.alive:  # else it is over since it was listed
+                silent.append(f"{running.run} ({running.hierarchy}, process {running.pid})")
+
+    for each in known_runs():
+        look(each)
+    return found, silent
+
+
+def _print_runs(runs: Sequence[Mapping[str, Any]]) -> None:
+    from hierax.runtime.commands.show import print_table
+
+    right = {"justify": "right"}
+    for number, each in enumerate(runs):
+        space = "\n" if number else ""
+        print(f"{space}{each['hierarchy']}, run {each['run']}: epoch {each['epoch']}, roster version {each['roster']}")
         rows = [
             (name, node["state"], str(node["pid"] or ""), str(node["instance"]), str(node["restarts"]))
             for name, node in each["nodes"].items()
         ]
-        right = {"justify": "right"}
         print_table({"node": {}, "state": {}, "pid": right, "instance": right, "restarts": right}, rows)
-    return 0
 
 
 def _endpoint(run: str | None, connect: str | None) -> str:
@@ -143,6 +181,8 @@ def _endpoint(run: str | None, connect: str | None) -> str:
     from hierax.runtime.nearest import did_you_mean
 
     if connect is not None:
+        if not _ENDPOINT.fullmatch(connect):
+            raise CommandError(f"--connect: expected an endpoint such as tcp/192.168.1.2:40123, got {connect!r}")
         return connect
     runs = {each.run: each for each in known_runs()}
     if run is not None:

@@ -61,12 +61,14 @@ class Ages:
     Attributes:
         inputs: how many there were.
         total, largest: of their ages.
-        left_out: epochs of which the node has made none of its own.
+        missing: how many had never come, so that the empty set stood for them.
+        left_out: epochs that the node has not done, or not to their end.
     """
 
     inputs: int = 0
     total: int = 0
     largest: int = 0
+    missing: int = 0
     left_out: int = 0
 
     def add(self, age: int) -> None:
@@ -80,6 +82,7 @@ class Ages:
         return {
             "staleness_mean": self.total / self.inputs if self.inputs else 0.0,
             "staleness_max": float(self.largest),
+            "inputs_missing": float(self.missing),
             "epochs_left_out": float(self.left_out),
         }
 
@@ -135,20 +138,20 @@ class LooseEngine(Engine):
 
     def poll(self) -> bool:
         """In free running: take part in the newest epoch, if there is one that was not; whether there was."""
-        wiring = self.wiring
-        if self._world is not None or self.phase is Phase.PREDICT or len(self._below) < len(wiring.below):
-            return False
         messages = self._below
-        newest = max(message.header.epoch for message in messages.values())
-        attempt = max(message.header.attempt for message in messages.values())
-        draining = any(DRAIN in message.header.extensions for message in messages.values())
-        if (newest, attempt) <= (self.epoch, self.attempt):
+        waits = self.phase is Phase.PREDICT and not self._is_rewired  # in a drained epoch
+        if self._world is not None or waits or len(messages) < len(self.wiring.below):
             return False
-        if draining and any(message.header.epoch < newest for message in messages.values()):
+        headers = [message.header for message in messages.values()]
+        newest = max((header.epoch, header.attempt) for header in headers)
+        if newest <= (self.epoch, self.attempt):
+            return False
+        late = [header for header in headers if (header.epoch, header.attempt) < newest]
+        if late and any(DRAIN in header.extensions for header in headers if header not in late):
             return False  # a drained epoch has all its observations
-        if newest > self.epoch:
-            self.ages.left_out += newest - self.epoch - 1
-            self._turn(newest, attempt)
+        epoch, attempt = newest
+        if epoch > self.epoch:
+            self._turn(epoch, attempt)
         else:
             self._undo(attempt)
         self._inbox = dict(messages)
@@ -181,7 +184,7 @@ class LooseEngine(Engine):
             self._below[slot] = message
 
     def _forget(self) -> None:
-        oldest = self._oldest(self.epoch)
+        oldest = self._oldest()  # a drained epoch may be followed by one that is none
         for slot, kept in self._above.items():
             if self._staleness.free:
                 newest = max(kept)
@@ -189,24 +192,20 @@ class LooseEngine(Engine):
             else:
                 self._above[slot] = {epoch: message for epoch, message in kept.items() if epoch >= oldest}
 
-    def _oldest(self, epoch: int) -> int:
-        """The oldest epoch whose inputs may be used in one."""
-        if self.drains:
-            return epoch
+    def _oldest(self) -> int:
+        """The oldest epoch whose inputs may be used in one that is not drained."""
         if self._staleness.epochs is None:
             return self._first
-        return max(epoch - self._staleness.epochs, self._first)
+        return max(self.epoch - self._staleness.epochs, self._first)
 
     def _choose(self, slot: Slot) -> Message | None:
-        """The input from above that is used in this epoch; None: it is waited for."""
+        """The input from above that is used in this epoch; None: it has not come."""
         kept = self._above.get(slot, {})
-        oldest = self._oldest(self.epoch)
+        oldest = self.epoch if self.drains else self._oldest()
         if self._staleness.exact or self.drains:
             return kept.get(oldest)
         newest = max(kept, default=-1)
-        if newest >= oldest:
-            return kept[newest]
-        return self._nothing(slot) if self._staleness.free else None
+        return kept[newest] if newest >= oldest else None
 
     def _nothing(self, slot: Slot) -> Message:
         """The empty set, of what never came."""
@@ -214,13 +213,26 @@ class LooseEngine(Engine):
         return Message(Header(kind, sender, self.name, self.epoch, self.attempt), ())
 
     def _is_satisfied(self) -> bool:
-        return all(self._choose(slot) is not None for slot in self.wiring.above)
+        waits_for_nothing = self._staleness.free and not self.drains
+        return waits_for_nothing or all(self._choose(slot) is not None for slot in self.wiring.above)
 
     def _moves_on(self, epoch: int) -> bool:
         # where a process was lost, epochs may have gone on without this node
         return (self.phase is Phase.DONE or self._is_rewired) and epoch > self.epoch
 
+    def _takes_up(self, header: Header) -> bool:
+        # in the middle of an epoch, too: what it waits for may have been lost with a process
+        wiring = self._prepared.get(header.roster)
+        if wiring is None or header.receiver != self.name:
+            return False
+        if wiring.below.get((header.sender, header.kind)) != header.instance:
+            return False
+        return (header.epoch, header.attempt) > (self.epoch, self.attempt)
+
     def _turn(self, epoch: int, attempt: int) -> None:
+        if not self._joins:
+            is_unfinished = self.phase is not Phase.DONE
+            self.ages.left_out += epoch - self.epoch - 1 + is_unfinished
         self._settle(epoch)
         super()._turn(epoch, attempt)
 
@@ -230,14 +242,17 @@ class LooseEngine(Engine):
 
     def _settle(self, epoch: int) -> None:
         """The first epoch under a roster is a drained one, and nothing older is used after it."""
+        if self._world is None:
+            self.drains = False  # until its observations say so
+        elif self._is_rewired:
+            self.drains = True
         if self._is_rewired:
             self._first = epoch
             self._is_rewired = False
-        if self._world is None:
-            self.drains = False
 
     def _sense(self) -> None:
-        self.drains = any(DRAIN in message.header.extensions for message in self._inbox.values())
+        headers = [message.header for message in self._inbox.values()]
+        self.drains = any(DRAIN in header.extensions for header in headers if header.epoch == self.epoch)
         super()._sense()
 
     def _send_up(self) -> None:
@@ -254,9 +269,12 @@ class LooseEngine(Engine):
         chosen: dict[Slot, Message] = {}
         for slot in self.wiring.above:
             message = self._choose(slot)
-            if message is not None:
-                chosen[slot] = message
+            if message is None:
+                self.ages.missing += 1
+                message = self._nothing(slot)
+            else:
                 self.ages.add(self.epoch - message.header.epoch)
+            chosen[slot] = message
         return chosen
 
     _extends = True

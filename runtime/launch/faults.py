@@ -16,19 +16,19 @@ from hierax.runtime.member import Member
 from hierax.runtime.nearest import did_you_mean
 from hierax.runtime.world_member import WorldMember
 
-METHODS = {"save": "save", "send": "send", "keep": "keep", "act": "act", "commit": "committed"}
+METHODS = {"save": "save", "send": "send", "act": "act", "commit": "committed"}
 """By place, the method of a member that is called there."""
 
-WITHIN_ACT = {"intent": 1, "acted": 2}
-"""By place, the how many-th record of an act it is; the actuators move between the two."""
+RECORDS = {"keep": 0, "intent": 1, "acted": 2}
+"""By place where the world writes its record, the how many-th record of an act it is; 0: none of an act."""
 
 PLACES = {
     "save": "a node writes its checkpoint",
     "send": "a message goes out",
-    "keep": "the world writes its record",
+    "keep": "the world writes its record, before an attempt",
     "act": "the world acts, with what is recorded before and after it",
-    "intent": "the world records that it is going to act",
-    "acted": "the world records that it has acted",
+    "intent": "the world records that it is going to act; its actuators move after it",
+    "acted": "the world records that it has acted; its actuators have moved before it",
     "commit": "an epoch is committed",
 }
 """Where a process may kill itself, and what happens there."""
@@ -92,8 +92,8 @@ def plant(member: Member, text: str) -> None:
     fault = Fault.read(text)
     if fault.place not in ("save", "send") and not isinstance(member, WorldMember):
         raise HieraxError(f"--fault {text}: only the world's process comes to {fault.place!r}, not {member.name!r}")
-    if fault.place in WITHIN_ACT:
-        _plant_within_act(member, fault)
+    if fault.place in RECORDS:
+        _plant_at_record(member, fault)
     else:
         _wrap(member, METHODS[fault.place], fault.before, _Countdown(fault.number))
 
@@ -110,27 +110,23 @@ class _Countdown:
             os.kill(os.getpid(), signal.SIGKILL)
 
 
-def _plant_within_act(member: Member, fault: Fault) -> None:
+def _plant_at_record(member: Member, fault: Fault) -> None:
     countdown = _Countdown(fault.number)
-    records = 0
+    acts, records = False, 0
 
-    def on_act() -> None:
-        nonlocal records
-        records = WITHIN_ACT[fault.place]
-
-    def on_acted() -> None:
-        nonlocal records
-        records = 0  # also where nothing was recorded, as the epoch had been acted upon before
+    def on_act(begins: bool) -> None:
+        nonlocal acts, records
+        acts, records = begins, 0
 
     def on_keep() -> None:
         nonlocal records
-        records -= 1
-        if records == 0:
+        records += acts
+        if records == RECORDS[fault.place]:
             countdown()
 
-    _wrap(member, METHODS["act"], True, on_act)
-    _wrap(member, METHODS["act"], False, on_acted)
-    _wrap(member, METHODS["keep"], fault.before, on_keep)
+    _wrap(member, METHODS["act"], True, lambda: on_act(True))
+    _wrap(member, METHODS["act"], False, lambda: on_act(False))
+    _wrap(member, "keep", fault.before, on_keep)
 
 
 def _wrap(member: Member, name: str, before: bool, then: Callable[[], None]) -> None:

@@ -17,7 +17,7 @@ import numpy as np
 from hierax.runtime.core.binding import Call, Setting, Waiter
 from hierax.runtime.core.errors import HieraxError
 from hierax.runtime.launch.building import build_member, preload
-from hierax.runtime.launch.pipe import BEGIN, COME_BACK, DISMISSED, FAILED, REPORT, TO_REPORT, UP, NodeOrder
+from hierax.runtime.launch.pipe import BEGIN, COME_BACK, CUT_OFF, DISMISSED, FAILED, REPORT, TO_REPORT, UP, NodeOrder
 from hierax.runtime.launch.voice import Voice
 from hierax.runtime.loading import LoadError, extend_import_path
 from hierax.runtime.member import Member
@@ -188,7 +188,9 @@ class NodeLife:
             member.recall(loader.wiring(order.roster))
             return False
         if isinstance(member, WorldMember) and order.life == COME_BACK:
-            member.resume_run(order.processes)
+            epoch, digest = member.resume_run(order.processes)
+            if epoch and member.pacemaker is not None:
+                member.pacemaker.on_commit(epoch, digest)
             for proposal in order.proposals:
                 member.hear(decode_control(proposal))
         else:
@@ -264,8 +266,8 @@ class NodeLife:
 
     def _part(self, member: Member) -> int:
         if member.dismissed:
-            self._voice.say(DISMISSED, why=member.dismissed)
-            return 0
+            self._voice.say(CUT_OFF if member.again else DISMISSED, why=member.dismissed)
+            return int(member.again)
         if not member.wired:
             return 0
         report = member.report()

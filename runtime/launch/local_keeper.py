@@ -12,11 +12,16 @@ import anyio
 import anyio.abc
 import anyio.to_thread
 
+from hierax.runtime.core.errors import HieraxError
 from hierax.runtime.deployment.deployment import RestartPolicy
 from hierax.runtime.launch.child import END_TIMEOUT_S, Child, NodeFailedError, Restarts, start_child
-from hierax.runtime.launch.pipe import COME_BACK, DISMISSED, FAILED, Frames, NodeOrder
+from hierax.runtime.launch.pipe import COME_BACK, CUT_OFF, DISMISSED, FAILED, Frames, NodeOrder
+from hierax.runtime.transport.hub import is_gone
 from hierax.runtime.transport.zenoh_session import remove_orphaned_segments
 from hierax.schemas.values import Value
+
+LOOK_S = 2.0
+"""How often it is looked whether the launch is still there."""
 
 
 def keep(
@@ -61,6 +66,7 @@ class _LocalKeeper:
         async with anyio.create_task_group() as tasks:
             tasks.start_soon(self._end_on_signal, tasks.cancel_scope)
             tasks.start_soon(self._tell, told, tasks.cancel_scope)
+            tasks.start_soon(self._watch_hub, orders[0].hub, tasks.cancel_scope)
             try:
                 async with anyio.create_task_group() as kept:
                     for order in orders:
@@ -93,7 +99,7 @@ class _LocalKeeper:
             if delay_s is None:
                 self._fail(child.last_words, scope)
                 return
-            self._say(f"{child.last_words}; it is started again")
+            self._say(f"{child.culprit or child.last_words}; it is started again")
             await anyio.sleep(delay_s)
             order = replace(order, process=token_hex(8), life=COME_BACK, request="")
 
@@ -104,6 +110,13 @@ class _LocalKeeper:
             for value in frames.feed(data):
                 _take(child, value)
         await child.process.wait()
+
+    async def _watch_hub(self, endpoint: str, scope: anyio.CancelScope) -> None:
+        """A launch that cannot be reached may be reached again; one that is gone says so to whoever knocks."""
+        while True:
+            await anyio.sleep(LOOK_S)
+            if await anyio.to_thread.run_sync(is_gone, endpoint, abandon_on_cancel=True):
+                self._fail(HieraxError(f"the launch at {endpoint} is gone; its nodes here are ended"), scope)
 
     def _fail(self, error: Exception, scope: anyio.CancelScope) -> None:
         self._failure = self._failure or error
@@ -133,3 +146,5 @@ def _take(child: Child, value: dict[str, Any]) -> None:
         child.failure = NodeFailedError(value["message"], value["where"])
     elif value["status"] == DISMISSED:
         child.dismissed = value["why"]
+    elif value["status"] == CUT_OFF:
+        child.culprit = value["why"]

@@ -155,13 +155,10 @@ class Orders:
         """What is done when a node's process ends."""
         return self._policies.get(name, self.deployment.restart)
 
-    def add_policies(self, policies: Mapping[str, RestartPolicy]) -> None:
-        """Of nodes that are attached or replaced."""
+    def adopt(self, request: str, policies: Mapping[str, RestartPolicy]) -> None:
+        """A change is in force: its new nodes, whose policies these are, have checkpoints of their own from then on."""
         self._policies.update(policies)
-
-    def adopt(self, request: str, names: Iterable[str]) -> None:
-        """A change is in force: these nodes have checkpoints of their own from then on."""
-        for name in names:
+        for name in policies:
             self._lineages[name] = f"{name}@{request}"
         self.keep()
 

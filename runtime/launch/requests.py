@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import AsyncIterator, Callable, Iterable
+from collections.abc import AsyncIterator, Callable, Iterable, Mapping
 from contextlib import asynccontextmanager
 from dataclasses import dataclass, field
 from secrets import token_hex
@@ -38,13 +38,13 @@ class Asked:
     """A change that was asked for.
 
     Attributes:
-        change: what is wanted.
+        policies: of the nodes that are new in it.
         proposal: what the owner is told.
         done: set when the owner has answered.
         answer: what became of it, as a reply.
     """
 
-    change: Change
+    policies: Mapping[str, RestartPolicy]
     proposal: bytes
     done: anyio.Event = field(default_factory=anyio.Event)
     answer: dict[str, Value] = field(default_factory=dict)
@@ -96,7 +96,7 @@ class Requests:
             return
         asked.answer = {"refusal": refusal} if refusal else {"epoch": epoch}
         if not refusal:
-            self._supervisor.orders.adopt(request, _new_nodes(asked.change))
+            self._supervisor.adopt(request, asked.policies)
         asked.done.set()
 
     def failed(self, child: Child) -> None:
@@ -125,11 +125,16 @@ class Requests:
         supervisor = self._supervisor
         change = read_change(query["change"])
         check_modules(change, supervisor.orders.deployment.modules)
-        self._check_names(change)
-        policies = {name: RestartPolicy(**fields) for name, fields in query["restarts"].items()}
+        await self._check(change)
+        policies = {name: RestartPolicy(**query["restarts"][name]) for name in _new_nodes(change)}
         request = token_hex(4)
-        self._asked[request] = Asked(change, encode_control(Propose(request, change.plain())))
-        supervisor.orders.add_policies(policies)
+        proposal = Propose(
+            request,
+            change.plain(),
+            {name: policy.on_loss for name, policy in policies.items()},
+            {name: float(policy.rejoin_timeout_s) for name, policy in policies.items()},
+        )
+        self._asked[request] = Asked(policies, encode_control(proposal))
         orders = [
             supervisor.orders.order(name, token_hex(8), NEWCOMER, request=request, reference=reference)
             for name, reference in _new_nodes(change).items()
@@ -139,13 +144,20 @@ class Requests:
             orders = [supervisor.orders.elsewhere(order, query["host"]) for order in orders]
         else:
             await self._start(orders)
-        await supervisor.tell_owner(Propose(request, change.plain()))
+        await supervisor.tell_owner(proposal)
         if here:
             return {"request": request, "orders": [order.plain() for order in orders]}
         return await self._wait(request)
 
-    def _check_names(self, change: Change) -> None:
+    async def _check(self, change: Change) -> None:
         """What the owner would refuse, before processes are started for it."""
+        try:
+            self._check_names(change)
+        except HieraxError:
+            await self._supervisor.hear_members()  # what is known here may be older than the last change
+            self._check_names(change)
+
+    def _check_names(self, change: Change) -> None:
         members = self._supervisor.members
         if isinstance(change, Attach):
             taken = sorted(change.nodes.keys() & members.keys())
@@ -177,7 +189,7 @@ class Requests:
             nodes[name] = {
                 "process": token,
                 "pid": None if child is None else child.process.pid,
-                "state": "elsewhere" if child is None else "running" if child.alive else "restarting",
+                "state": self._state(token),
                 "restarts": supervisor.restarts_of(name),
                 "instance": supervisor.instances.get(name, 0),
             }
@@ -190,6 +202,12 @@ class Requests:
             "roster": supervisor.version,
             "nodes": nodes,
         }
+
+    def _state(self, token: str) -> str:
+        child = self._supervisor.child(token)
+        if child is not None:
+            return "running" if child.alive else "restarting"
+        return "cut off" if self._supervisor.cut_off(token) else "elsewhere"
 
 
 def _new_nodes(change: Change) -> dict[str, Reference]:

@@ -16,6 +16,7 @@ import anyio
 import anyio.abc
 
 from hierax.runtime.deployment import Deployment
+from hierax.runtime.deployment.deployment import RestartPolicy
 from hierax.runtime.files import write_roster
 from hierax.runtime.launch.child import END_TIMEOUT_S, Child, NodeFailedError, Restarts, start_child
 from hierax.runtime.launch.orders import Orders
@@ -24,6 +25,7 @@ from hierax.runtime.launch.pipe import (
     BEAT,
     BEGIN,
     COME_BACK,
+    CUT_OFF,
     DISMISSED,
     END,
     FAILED,
@@ -148,6 +150,7 @@ class Supervisor:
         self._gone: set[str] = set()
         self._last_roster: Roster | None = None
         self._heard_s = 0.0
+        self._beat = anyio.Event()
         self.epoch = 0
         self.version = 0
         self.instances: Mapping[str, int] = {}
@@ -162,6 +165,8 @@ class Supervisor:
         hub = Hub(self._keys, self._deployment.zenoh, progress, self.orders.host)
         self.orders.hub = hub.endpoint
         registered = register(self._running(hub.endpoint))
+        if self.orders.host:
+            self._say(f"others join with --connect {hub.endpoint}")
         try:
             async with anyio.create_task_group() as tasks:
                 self._tasks = tasks
@@ -177,6 +182,11 @@ class Supervisor:
                     tasks.cancel_scope.cancel()
         finally:
             registered.unlink(missing_ok=True)
+            for name, token in self._members.items():
+                if token not in self._children:  # nobody else tells who is kept elsewhere
+                    hub.dismiss(
+                        token, f"{name}: the run is over" if self._why is None else f"{name}: the run is broken off"
+                    )
             hub.close()
         if self._why is not None:
             raise self._why
@@ -333,6 +343,8 @@ class Supervisor:
         elif status == DISMISSED:
             child.dismissed = value["why"]
             self._say(f"{child.name}: its process exits: {child.dismissed}")
+        elif status == CUT_OFF:
+            child.culprit = value["why"]
         elif self._current.get(self._world) is child:
             self._take_from_world(value)
 
@@ -344,6 +356,8 @@ class Supervisor:
             self.version = value["version"]
             self.instances = value["instances"]
             self._on_members(value["processes"])
+            self._beat.set()
+            self._beat = anyio.Event()
         elif status == FINISHED:
             self._on_members(value["processes"])
             self._last_roster = Roster.read(value["roster"])
@@ -440,7 +454,7 @@ class Supervisor:
 
     async def on_gone(self, name: str, token: str) -> None:
         """A process is gone, or cut off; what is kept here is noticed more surely by its end."""
-        if token not in self._children and self._members.get(name) == token:
+        if token not in self._children and token not in self._gone and self._members.get(name) == token:
             self._gone.add(token)
             self._say(f"{name}: its process, kept elsewhere, is gone or cannot be reached")
             await self.tell_owner(Lost(name, token, True))
@@ -451,9 +465,24 @@ class Supervisor:
         if world is not None and world.alive:
             await world.tell(encode_control(word))
 
+    async def hear_members(self) -> None:
+        """Wait until the world has said anew who there is."""
+        with anyio.move_on_after(SILENCE_S):
+            for _ in range(2):  # the first may have been on its way
+                await self._beat.wait()
+
+    def adopt(self, request: str, policies: Mapping[str, RestartPolicy]) -> None:
+        """A change is in force, with new nodes."""
+        self.orders.adopt(request, policies)
+        self._restarts.update({name: Restarts(policy) for name, policy in policies.items()})
+
     def child(self, token: str) -> Child | None:
         """A process that is kept here."""
         return self._children.get(token)
+
+    def cut_off(self, token: str) -> bool:
+        """Whether a process that is kept elsewhere cannot be reached."""
+        return token in self._gone
 
     def restarts_of(self, name: str) -> int:
         """How often a node's process was started again."""

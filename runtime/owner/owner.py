@@ -238,9 +238,9 @@ class Owner:
         asked = [*self._queue, *(self._plan.requests if self._plan else [])]
         if any(request.key == key for request in asked) or any(each[0] == key for each in self._unanswered):
             return  # asked twice
-        first = [since for _, since, request in self._born.values() if request == key]
-        if first:  # it took effect, and the world's process died before it said so
-            self._unanswered.append((key, first[0], ()))
+        names = tuple(sorted(name for name, born in self._born.items() if born[2] == key))
+        if names:  # it took effect, and the world's process died before it said so
+            self._unanswered.append((key, self._born[names[0]][1], names))
             return
         try:
             change = read_change(word.change)
@@ -255,7 +255,9 @@ class Owner:
     def _on_join(self, word: Join) -> None:
         name, process = word.name, word.process
         if process in self._dead and not word.active:
-            return  # said long ago
+            back = name in self._lost and (not word.request or process == self.processes.get(name))
+            self._outlet.tell(process, Dismiss(f"{name}: it was cut off, and taken for lost", again=back))
+            return  # where it is dead, nobody hears that
         if word.active:
             if word.epoch > self.epoch + 1:
                 self._stop_behind(f"{name} has begun epoch {word.epoch}")
@@ -307,8 +309,8 @@ class Owner:
         """Why a process with a checkpoint of this epoch cannot go on."""
         if epoch == NEVER and self.epoch >= self._born[name][1]:
             return f"it has no checkpoint, and its node has taken part in epoch {self.epoch}"
-        if epoch in (NEVER, self.epoch, self.epoch + 1):
-            return ""
+        if epoch in (NEVER, self.epoch, self.epoch + 1) or (self._settings.overlaps and epoch < self.epoch):
+            return ""  # where epochs overlap a node may be behind
         return f"its checkpoint is of epoch {epoch}, and the hierarchy is in epoch {self.epoch + 1}"
 
     def _send_away(self, name: str, process: str, why: str) -> None:

@@ -86,7 +86,11 @@ class SimProcess:
             return
         if self.alive and self.member.dismissed:
             self._simulation.trace(f"{self.token} is dismissed: {self.member.dismissed}")
-            self._simulation.exited(self)
+            if self.member.again:
+                self.at = "dismissed"
+                self._simulation.died(self)
+            else:
+                self._simulation.exited(self)
 
     def take(self, kind: str, data: Any) -> None:
         """Something comes in; handled now, or later where the process cannot."""

@@ -46,6 +46,9 @@ AFTER_S = 20.0
 NOTICE_S, RESTART_S = 0.02, 0.05
 """At most, until a death is noticed, and until another process is there."""
 
+UNHEARD_S = 0.1
+"""How long until a process that is cut off is missed."""
+
 PROPOSE_AGAIN_S = 0.4
 MAX_EVENTS = 400_000
 
@@ -332,6 +335,7 @@ class Simulation:
 
     def died(self, process: SimProcess) -> None:
         """A process is dead; its keeper finds out and starts another one."""
+        self._final.discard(process.name)
         self.trace(f"{process.token} dies at {process.at!r}")
         if not self._gone(process):
             return
@@ -421,6 +425,12 @@ class Simulation:
         elif fault.kind == PARTITION:
             self.network.cut.add(process.token)
             self.clock.schedule(fault.for_s, self._heal, process.token)
+            if fault.number:  # its keeper is cut off as well: that it is not heard of is all there is
+                self.clock.schedule(UNHEARD_S, self._miss, process)
+
+    def _miss(self, process: SimProcess) -> None:
+        if process.alive and process.token in self.network.cut and not process.is_world:
+            self._to_owner(Lost(process.name, process.token, restarts=True))
 
     def _heal(self, token: str) -> None:
         self.trace(f"{token} is joined again")

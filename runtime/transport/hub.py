@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import logging
+import socket
 import time
 from collections.abc import Callable
 from typing import Any
@@ -10,6 +12,7 @@ import zenoh
 
 from hierax.runtime.transport.port import TransportError
 from hierax.runtime.transport.zenoh_session import Settings, close_session, free_endpoint, open_session
+from hierax.schemas.control import Dismiss, encode_control
 from hierax.schemas.errors import SchemaError
 from hierax.schemas.keys import Keys
 from hierax.schemas.values import Value, decode_value, encode_value
@@ -20,7 +23,11 @@ KEEPER = "keeper"
 FIND_TIMEOUT_S = 5.0
 LOOK_AGAIN_S = 0.02
 
+KNOCK_TIMEOUT_S = 5.0
+
 _TRIES = 5
+
+_log = logging.getLogger("hierax")
 
 
 class Hub:
@@ -83,6 +90,13 @@ class Hub:
 
         self._watcher = self._session.liveliness().declare_subscriber(self._keys.alive("*"), changed)
 
+    def dismiss(self, process: str, why: str) -> None:
+        """Tell a process, if it can be reached, that nobody needs it any more."""
+        try:
+            self._session.put(self._keys.control(process), encode_control(Dismiss(why)))
+        except zenoh.ZError as error:
+            _log.info("%s is not dismissed: %s", process, error)
+
     def close(self) -> None:
         """Close the session."""
         close_session(self._session)
@@ -101,7 +115,10 @@ def ask(endpoint: str, question: Value, settings: Settings = None, timeout_s: fl
         TransportError: it cannot be reached, or does not answer.
     """
     # a client, as the processes of the run would link to a peer
-    session = open_session((), [endpoint], settings, shared_memory=False, mode="client")
+    try:
+        session = open_session((), [endpoint], settings, shared_memory=False, mode="client")
+    except TransportError as error:
+        raise TransportError(f"the launch at {endpoint} cannot be reached: {error}") from error
     key = Keys("*", "*").control(KEEPER)
     data = encode_value(question)
     patience = time.monotonic() + FIND_TIMEOUT_S
@@ -116,6 +133,22 @@ def ask(endpoint: str, question: Value, settings: Settings = None, timeout_s: fl
     finally:
         close_session(session)
     raise TransportError(f"the launch at {endpoint} does not answer")
+
+
+def is_gone(endpoint: str) -> bool:
+    """Whether there is no launch at an endpoint any more; not so where its machine cannot be reached.
+
+    Args:
+        endpoint: of its hub.
+    """
+    address, _, port = endpoint.partition("/")[2].rpartition(":")
+    try:
+        socket.create_connection((address.strip("[]"), int(port)), timeout=KNOCK_TIMEOUT_S).close()
+    except ConnectionRefusedError:
+        return True
+    except OSError:
+        return False
+    return False
 
 
 def _listen(settings: Settings, host: str | None) -> tuple[str, zenoh.Session]:

@@ -21,6 +21,14 @@ LOOPBACK = "tcp/127.0.0.1:0"
 Settings: TypeAlias = "str | Mapping[str, Any] | None"
 """Zenoh's own settings: the path of a JSON5 file, JSON5 text in braces, or a map."""
 
+LOGGED = "error,zenoh::api::session=off,zenoh::net::protocol::gossip=off"
+"""What Zenoh prints, where RUST_LOG says nothing.
+
+While a session's first links come up, its threads may be overtaken by messages for keys that they are about to
+declare to it, and gossip may come over a link that has just gone: Zenoh drops that and calls it an error. It is no
+more than greetings, which are said again until they are answered, and news that come again by another link.
+"""
+
 LEASE_MS = 1000
 CLOSE_TIMEOUT_S = 1.0
 
@@ -45,7 +53,7 @@ def open_session(
     Raises:
         TransportError: Zenoh refuses the settings or cannot listen.
     """
-    zenoh.init_log_from_env_or("error")
+    zenoh.init_log_from_env_or(LOGGED)
     ours: dict[str, Any] = {
         "mode": mode,
         "listen/endpoints": list(listen),

@@ -89,7 +89,12 @@ NODE_MISTAKES = [
         "there is no module 'support.toy_nodes.more'; 'support.toy_nodes' is no package",
     ),
     (toy("GAIN"), "nodes.n.class", "expected a class, but support.toy_nodes:GAIN gives a int"),
-    (toy("Path"), "nodes.n.class", "expected a class derived from Node, but support.toy_nodes:Path gives a PosixPath"),
+    (toy("Path"), "nodes.n.class", "module 'support.toy_nodes' only imports 'Path'; name it as 'pathlib:Path'"),
+    (
+        Reference("hierax.runtime.loading:sys.exit"),
+        "nodes.n.class",
+        "'sys' in module 'hierax.runtime.loading' is a module itself",
+    ),
     (toy("Keeper"), "nodes.n.class", "expected a class derived from Node, but support.toy_nodes:Keeper gives a Keeper"),
     (
         toy("Unfinished"),

@@ -12,13 +12,15 @@ import time
 from collections.abc import Callable
 from pathlib import Path
 from types import TracebackType
-from typing import Any
+from typing import Any, TypeVar
 
 import msgpack
 
 HIERAX = [sys.executable, "-m", "hierax.runtime.commands.main"]
 TESTS = Path(__file__).parents[1]
 TIMEOUT_S = 60.0
+
+C = TypeVar("C", bound="Command")
 
 
 def environment(folder: Path | None = None) -> dict[str, str]:
@@ -48,6 +50,15 @@ def is_alive(pid: int) -> bool:
         return False
 
 
+def processes_of(parent: int) -> list[int]:
+    """The children of a process, if it lives."""
+    try:
+        children = Path(f"/proc/{parent}/task/{parent}/children").read_text()
+    except (FileNotFoundError, ProcessLookupError):
+        return []
+    return [int(pid) for pid in children.split()]
+
+
 def until(condition: Callable[[], bool], what: str, timeout_s: float = TIMEOUT_S) -> float:
     """Seconds until a condition holds."""
     begun = time.monotonic()
@@ -58,7 +69,7 @@ def until(condition: Callable[[], bool], what: str, timeout_s: float = TIMEOUT_S
 
 
 class Command:
-    """A command under way.
+    """A command under way; at the block's end nothing of it is left.
 
     Args:
         folder: whose launches it knows.
@@ -91,7 +102,9 @@ class Command:
 
     def until_said(self, words: str, timeout_s: float = TIMEOUT_S) -> float:
         """When it has first written a line with these words, by the monotonic clock."""
-        until(lambda: self._when(words) is not None or not self.running, f"a line with {words!r}", timeout_s)
+        patience = time.monotonic() + timeout_s
+        while self._when(words) is None and self.running and time.monotonic() < patience:
+            time.sleep(0.002)
         when = self._when(words)
         assert when is not None, f"there is no {words!r} in\n{self.err}"
         return when
@@ -111,6 +124,17 @@ class Command:
             reader.join(TIMEOUT_S)
         return "".join(self.printed)
 
+    def __enter__(self: C) -> C:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        for pid in processes_of(self.process.pid):
+            os.kill(pid, signal.SIGKILL)
+        self.process.kill()
+        self.end()
+
     def _when(self, words: str) -> float | None:
         return next((when for when, line in list(self.said) if words in line), None)
 
@@ -128,7 +152,7 @@ class Command:
 
 
 class Launched(Command):
-    """A launch with an output folder and checkpoints that stay; at the block's end nothing of it is left.
+    """A launch with an output folder and checkpoints that stay.
 
     Args:
         folder: for both.
@@ -138,7 +162,6 @@ class Launched(Command):
     def __init__(self, folder: Path, *arguments: str) -> None:
         self.state = folder / "state"
         self.output = folder / "output"
-        self._pids: set[int] = set()
         places = () if "--resume" in arguments else ("--state", str(self.state))
         super().__init__(folder, "launch", *arguments, *places, "--output", str(self.output), "--format", "json")
 
@@ -148,7 +171,6 @@ class Launched(Command):
             pid = int((self.state / f"{node}.lock").read_text())
         except (FileNotFoundError, ValueError):
             return 0
-        self._pids.add(pid)
         return pid if is_alive(pid) else 0
 
     def until_pid(self, node: str, other_than: int = 0) -> int:
@@ -190,16 +212,3 @@ class Launched(Command):
         assert self.process.returncode == 0, self.err
         return dict(json.loads(out))
 
-    def __enter__(self) -> Launched:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self.process.send_signal(signal.SIGTERM)
-        try:
-            self.end(10.0)
-        finally:
-            self.process.kill()
-            for pid in filter(is_alive, self._pids):
-                os.kill(pid, signal.SIGKILL)

@@ -345,7 +345,6 @@ def test_what_comes_late_does_no_harm() -> None:
     owned.hear(Lost("low", "low.1", True), join("low.2", 1))
     owned.ready(1, "low.2", "high.1", "world.1")
     late: tuple[Control, ...] = (
-        join("low.1", 1),
         Ready("low", "low.1", 1, ""),
         Ready("low", "low.2", 1, "no"),
         State("low", 1, b"state"),
@@ -354,6 +353,9 @@ def test_what_comes_late_does_no_harm() -> None:
         Status("low", 7, 1, 0, (), "observe"),
     )
     assert owned.hear(*late) == []
+    ((who, order),) = owned.hear(join("low.1", 1))
+    assert who == "low.1"
+    assert order == Dismiss("low: it was cut off, and taken for lost"), "it may be cut off, and not dead"
     assert owned.commit() == [("begin", 2, 0, 1)]
 
 
@@ -371,7 +373,9 @@ def test_who_asks_whether_it_still_has_a_place() -> None:
     assert isinstance(owned.hear(join("gone.1", active=True))[0][1], Dismiss)
     owned.hear(Lost("low", "low.1", True))
     assert owned.hear(join("low.0", active=True)) == [("end", "low.0", "it was taken for lost")]
-    assert owned.hear(join("low.1", active=True)) == [], "that one is dead, and said it before"
+    why = "low: it was cut off, and taken for lost in epoch 1"
+    assert owned.hear(join("low.1", active=True)) == [("low.1", Dismiss(why, again=True))], "it was not dead after all"
+    assert owned.hear(join("low.1")) == [], "said long ago"
 
 
 def test_a_world_that_is_behind_stops() -> None:

@@ -1,0 +1,156 @@
+"""Nodes come and go while a hierarchy runs: the run stays the one that `hierax run --at` repeats."""
+
+from __future__ import annotations
+
+import os
+import signal
+from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+
+import pytest
+from support.live import Live, Program, until
+
+
+@pytest.fixture
+def live(tmp_path: Path) -> Iterator[Live]:
+    launch = Live(tmp_path)
+    yield launch
+    launch.close()
+
+
+def test_attach_replace_and_detach_are_repeated_to_the_bit(live: Live) -> None:
+    top, other, again = live.snippet("top", "high"), live.snippet("high", generation=1), live.snippet("top", "low", 2)
+    schedule = [
+        f"{live.change('attach', top)}:attach:{top}",
+        f"{live.change('replace', 'high', other)}:replace:high:{other}",
+        f"{live.change('detach', 'high', '--cascade')}:detach:high:cascade",
+        f"{live.change('attach', 'high')}:attach:high",
+        f"{live.change('attach', again)}:attach:{again}",
+        f"{live.change('detach', 'top')}:detach:top",
+    ]
+    live.is_repeated_by(*schedule)
+    said = "".join(live.launch.err)
+    assert "high: its process exits: high: another process runs it from epoch " in said
+    assert "top: its process exits: top: it is detached from epoch " in said
+
+
+def test_changes_that_are_asked_for_at_once_are_made_one_after_the_other(live: Live) -> None:
+    sides = [live.snippet(f"side{number}", "low") for number in range(4)]
+    with ThreadPoolExecutor() as pool:
+        epochs = list(pool.map(lambda path: live.change("attach", path), sides))
+    assert len(set(epochs)) == len(sides)
+    ordered = sorted(zip(epochs, sides, strict=True))
+    live.is_repeated_by(*(f"{epoch}:attach:{path}" for epoch, path in ordered))
+
+
+def test_a_refused_change_leaves_the_run_as_it_is(live: Live) -> None:
+    node = 'nodes:\n  bad: {class: "support.slow_nodes:Failing", parameters: {epok: 3}}\n'
+    edges = 'edges:\n  low -> bad: {sense: {function: "hierax.runtime.sim.nodes:Mix", parameters: {name: x}}}\n'
+    path = live.folder / "bad.yaml"
+    path.write_text(node + edges, encoding="utf-8")
+    done = live.hierax("attach", str(path))
+    assert done.returncode == 1
+    assert "did you mean 'epoch'?" in done.stderr
+    path.write_text('nodes:\n  high: {class: "support.slow_nodes:Stuck", parameters: {epoch: 0}}\n', encoding="utf-8")
+    done = live.hierax("replace", "high", str(path))
+    assert done.returncode == 1
+    assert "error: high: cannot take over the belief: belief: expected NoneType" in done.stderr
+    assert live.run["nodes"].keys() == {"world", "low", "high"}
+    live.goes_on()
+    live.is_repeated_by()
+
+
+# --- a process that comes back when it is no longer wanted; a stopped one is cut off, as far as the others can see
+
+
+class Kept:
+    """A node whose process another keeper has started."""
+
+    def __init__(self, live: Live, policy: str = "") -> None:
+        self.path = live.snippet("top", "high", policy=policy)
+        self.keeper: Program = live.start("attach", self.path, "--here")
+        self.epoch = int(self.keeper.says("attached top at epoch").split()[-1])
+        self.schedule = f"{self.epoch}:attach:{self.path}"
+        self.pid = until(lambda: children(self.keeper.process.pid))[0]
+        self.stopped = False
+
+    def stop(self) -> None:
+        """Have it say nothing any more."""
+        os.kill(self.pid, signal.SIGSTOP)
+        self.stopped = True
+
+    def go_on(self) -> None:
+        """Have it go on."""
+        os.kill(self.pid, signal.SIGCONT)
+        self.stopped = False
+
+
+@pytest.fixture
+def kept(live: Live) -> Iterator[Callable[..., Kept]]:
+    made: list[Kept] = []
+
+    def make(policy: str = "") -> Kept:
+        made.append(Kept(live, policy))
+        return made[-1]
+
+    yield make
+    for each in made:
+        if each.stopped:
+            each.go_on()
+
+
+def children(parent: int) -> list[int]:
+    """The processes that a process has started."""
+    return [int(pid) for pid in Path(f"/proc/{parent}/task/{parent}/children").read_text().split()]
+
+
+def test_a_process_whose_place_is_taken_is_refused_and_exits(live: Live, kept: Callable[..., Kept]) -> None:
+    old = kept()
+    old.stop()
+    live.launch.says("top: its process is lost")
+    detached = live.change("detach", "top")
+    anew = live.snippet("top", "low", 1)
+    attached = live.change("attach", anew)
+    live.goes_on()
+    old.go_on()
+    assert old.keeper.ends() == 0
+    assert "top: its process exits: top: another process runs it\n" in "".join(old.keeper.err)
+    live.goes_on()
+    assert live.run["nodes"]["top"]["state"] == "running"
+    live.is_repeated_by(old.schedule, f"{detached}:detach:top", f"{attached}:attach:{anew}")
+
+
+def test_a_process_whose_node_is_gone_is_refused_and_exits(live: Live, kept: Callable[..., Kept]) -> None:
+    old = kept(", on_loss: detach")
+    old.stop()
+    live.launch.says("top: it did not come back in time (rejoin_timeout); it is detached (on_loss)")
+    until(lambda: "top" not in live.run["nodes"])
+    old.go_on()
+    assert old.keeper.ends() == 0
+    assert "top: its process exits: top: it is no part of the hierarchy\n" in "".join(old.keeper.err)
+    report = live.ends()
+    lost = int(live.launch.says("top: its process is lost in epoch").split()[-1])
+    assert report["digest"] == live.repeated(report["epochs"], old.schedule, f"{lost}:detach:top")["digest"]
+
+
+def test_a_process_that_is_waited_for_is_replaced_by_the_next_one(live: Live, kept: Callable[..., Kept]) -> None:
+    old = kept()
+    old.stop()
+    live.launch.says("top: its process is lost")
+    before = live.epoch
+    old.go_on()
+    old.keeper.says("it is started again")
+    until(lambda: live.epoch > before + 10)
+    assert live.run["nodes"]["top"]["state"] == "elsewhere"
+    live.is_repeated_by(old.schedule)
+    assert old.keeper.ends() == 0
+    assert "top: its process exits: top: the run is over\n" in "".join(old.keeper.err)
+
+
+def test_a_keeper_ends_its_processes_when_the_launch_is_gone(live: Live, kept: Callable[..., Kept]) -> None:
+    old = kept()
+    live.launch.process.kill()
+    assert old.keeper.ends() == 1
+    assert old.keeper.err[-1].startswith("error: the launch at tcp/127.0.0.1:")
+    assert not Path(f"/proc/{old.pid}").exists()

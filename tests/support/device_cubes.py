@@ -1,0 +1,29 @@
+"""The tracking deployment's simulated world with an actuator outside."""
+
+from __future__ import annotations
+
+import os
+from typing import Any
+
+from hierax.nodes.tracking.sim_world import SimWorld
+from hierax.runtime import NO_TICK, Elements, Tick
+
+LOG = "HIERAX_DEVICE_LOG"
+"""Environment variable: the log of the device; no parameter, so that the digests don't depend on it."""
+
+
+class Actuated(SimWorld):
+    """Moves a device as well, which logs the epochs in which it moved.
+
+    Args:
+        scene: None.
+        parameters: of `SimWorld`.
+    """
+
+    def __init__(self, scene: None = None, **parameters: Any) -> None:
+        super().__init__(**parameters)
+
+    def act(self, actions: Elements, tick: Tick = NO_TICK) -> None:
+        device = os.open(os.environ[LOG], os.O_WRONLY | os.O_APPEND | os.O_CREAT)
+        os.write(device, f"{tick.epoch}\n".encode())
+        os.close(device)

@@ -1,0 +1,228 @@
+"""Launches that run beside a test: started, asked, changed, ended, repeated in one process."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+from hierax.runtime.transport.hub import ask
+
+HIERAX = [sys.executable, "-m", "hierax.runtime.commands.main"]
+TESTS = Path(__file__).parents[1]
+TIMEOUT_S = 60.0
+MIXING = "hierax.runtime.sim.nodes"
+
+DEPLOYMENT = """\
+hierarchy: live
+world: world
+modules: ["hierax.runtime.sim.*", "support.*"]
+start_timeout_s: 60
+restart: {{rejoin_timeout: 1}}
+nodes:
+  world: {{class: "support.live_nodes:Gated", parameters: {{stop: "{stop}"}}}}
+  low: {{class: "hierax.runtime.sim.nodes:Drawer", parameters: {{name: low}}}}
+  high: {{class: "hierax.runtime.sim.nodes:Mixer", parameters: {{name: high, policies: 2}}}}
+edges:
+  world -> low:
+    sense: {{function: "hierax.runtime.sim.nodes:DrawingMix", parameters: {{name: w-l-s}}}}
+    task: {{function: "hierax.runtime.sim.nodes:Mix", parameters: {{name: w-l-t}}}}
+    context: {{function: "hierax.runtime.sim.nodes:Mix", parameters: {{name: w-l-c}}}}
+  low -> high:
+    sense: {{function: "hierax.runtime.sim.nodes:Mix", parameters: {{name: l-h-s}}}}
+    task: {{function: "hierax.runtime.sim.nodes:Mix", parameters: {{name: l-h-t}}}}
+    context: {{function: "hierax.runtime.sim.nodes:DrawingMix", parameters: {{name: l-h-c}}}}
+"""
+"""world -> low -> high."""
+
+NODE = """\
+nodes:
+  {name}: {{class: "hierax.runtime.sim.nodes:Mixer", parameters: {{name: {name}, generation: {generation}}}{policy}}}
+"""
+EDGE = """\
+edges:
+  {lower} -> {name}:
+    sense: {{function: "hierax.runtime.sim.nodes:Mix", parameters: {{name: {lower}-{name}-s}}}}
+    context: {{function: "hierax.runtime.sim.nodes:Mix", parameters: {{name: {lower}-{name}-c}}}}
+"""
+
+
+def until(condition: Callable[[], Any], what: str = "it", timeout_s: float = TIMEOUT_S) -> Any:
+    """What a condition gives once that is true."""
+    patience = time.monotonic() + timeout_s
+    while not (found := condition()):
+        assert time.monotonic() < patience, f"{what} did not come to pass"
+        time.sleep(0.01)
+    return found
+
+
+class Program:
+    """``hierax`` with some arguments, in a process of its own; its lines are read as they come."""
+
+    def __init__(self, arguments: Sequence[str], environment: dict[str, str], namespace: str = "") -> None:
+        prefix = ["ip", "netns", "exec", namespace] if namespace else []
+        self.process = subprocess.Popen(
+            [*prefix, *HIERAX, *arguments],
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            text=True,
+            env=environment,
+            start_new_session=True,
+        )
+        self.out: list[str] = []
+        self.err: list[str] = []
+        self._readers = [
+            threading.Thread(target=lines.extend, args=(stream,), daemon=True)
+            for lines, stream in ((self.out, self.process.stdout), (self.err, self.process.stderr))
+        ]
+        for reader in self._readers:
+            reader.start()
+
+    def says(self, part: str) -> str:
+        """The first line with a text, once it is there."""
+        return str(until(lambda: next((line for line in (*self.out, *self.err) if part in line), ""), f"{part!r}"))
+
+    def ends(self) -> int:
+        """The exit code, once there is one."""
+        code = self.process.wait(TIMEOUT_S)
+        for reader in self._readers:
+            reader.join(TIMEOUT_S)
+        return code
+
+    def kill(self) -> None:
+        """End it, and give up its pipes."""
+        if self.process.poll() is None:
+            self.process.send_signal(signal.SIGINT)
+            try:
+                self.process.wait(5.0)
+            except subprocess.TimeoutExpired:
+                self.process.kill()
+        self.ends()
+        for stream in (self.process.stdout, self.process.stderr):
+            if stream is not None:
+                stream.close()
+
+
+class Live:
+    """A launch under way.
+
+    Args:
+        folder: for its files; other launches are not seen from within.
+        namespace: network namespace that it runs in; empty: this one.
+        options: of ``hierax launch``.
+    """
+
+    def __init__(self, folder: Path, *options: str, namespace: str = "") -> None:
+        self.folder = folder
+        self.namespace = namespace
+        self.file = folder / "live.yaml"
+        self._stop = folder / "stop"
+        self.file.write_text(DEPLOYMENT.format(stop=self._stop), encoding="utf-8")
+        self._programs: list[Program] = []
+        self.launch = self.start("launch", str(self.file), "--format", "json", *options, namespace=namespace)
+        until(lambda: list((folder / "hierax").glob("*.json")), "the launch")
+        until(lambda: self.epoch > 0, "the first epoch")
+
+    def start(self, *arguments: str, namespace: str = "") -> Program:
+        """Start a command."""
+        program = Program(arguments, environment(self.folder), namespace)
+        self._programs.append(program)
+        return program
+
+    def snippet(self, name: str, lower: str = "", generation: int = 0, policy: str = "") -> str:
+        """The path of a snippet with a node, and with an edge from below where that is given."""
+        path = self.folder / f"{name}-{generation}.yaml"
+        text = NODE.format(name=name, generation=generation, policy=policy)
+        path.write_text(text + (EDGE.format(lower=lower, name=name) if lower else ""), encoding="utf-8")
+        return str(path)
+
+    def hierax(self, *arguments: str) -> subprocess.CompletedProcess[str]:
+        """What a command says, in the launch's namespace."""
+        return hierax(self.folder, *arguments, namespace=self.namespace)
+
+    def change(self, *arguments: str) -> int:
+        """The first epoch under a change."""
+        done = self.hierax(*arguments, "--format", "json")
+        assert done.returncode == 0, (arguments, done.stderr, self.launch.err)
+        epoch: int = json.loads(done.stdout)["epoch"]
+        return epoch
+
+    @property
+    def epoch(self) -> int:
+        """The last one committed, or some before it."""
+        return int(self.run["epoch"])
+
+    @property
+    def run(self) -> dict[str, Any]:
+        """What ``hierax ps`` tells of it."""
+        if not self.namespace:
+            told: dict[str, Any] = ask(self.endpoint, {"ask": "ps"})
+            return told
+        runs = json.loads(self.hierax("ps", "--format", "json").stdout)["runs"]
+        return dict(runs[0])
+
+    @property
+    def endpoint(self) -> str:
+        """Where it is reached."""
+        (file,) = (self.folder / "hierax").glob("*.json")
+        return str(json.loads(file.read_text(encoding="utf-8"))["endpoint"])
+
+    def goes_on(self) -> None:
+        """Wait until some more epochs are committed."""
+        before = self.epoch
+        until(lambda: self.epoch > before + 10, "further epochs")
+
+    def ends(self) -> dict[str, Any]:
+        """The report, after the end of the run."""
+        self._stop.touch()
+        assert self.launch.ends() == 0, self.launch.err
+        self._stop.unlink()
+        report: dict[str, Any] = json.loads("".join(self.launch.out))
+        return report
+
+    def repeated(self, epochs: int, *schedule: str) -> dict[str, Any]:
+        """The report of ``hierax run`` with changes as ``--at`` has them."""
+        at = [argument for change in schedule for argument in ("--at", change)]
+        done = hierax(self.folder, "run", str(self.file), "--epochs", str(epochs), *at, "--format", "json")
+        assert done.returncode == 0, done.stderr
+        report: dict[str, Any] = json.loads(done.stdout)
+        return report
+
+    def is_repeated_by(self, *schedule: str) -> None:
+        """End it, and compare it with one process under the same changes."""
+        report = self.ends()
+        strange = [line for line in self.launch.err if not line.startswith("hierax: ")]
+        assert not strange, strange
+        wanted = self.repeated(report["epochs"], *schedule)
+        assert report["digest"] == wanted["digest"], (schedule, self.launch.err)
+        assert report["nodes"] == {name: wanted["nodes"][name] for name in report["nodes"]}
+
+    def close(self) -> None:
+        """End what is left."""
+        for program in reversed(self._programs):
+            program.kill()
+
+
+def environment(folder: Path) -> dict[str, str]:
+    """For commands that see the runs of a folder alone."""
+    return {**os.environ, "PYTHONPATH": str(TESTS), "XDG_RUNTIME_DIR": str(folder)}
+
+
+def hierax(folder: Path, *arguments: str, namespace: str = "") -> subprocess.CompletedProcess[str]:
+    """What a command says."""
+    prefix = ["ip", "netns", "exec", namespace] if namespace else []
+    return subprocess.run(
+        [*prefix, *HIERAX, *arguments],
+        capture_output=True,
+        text=True,
+        timeout=TIMEOUT_S,
+        env=environment(folder),
+        check=False,
+    )
