@@ -45,6 +45,7 @@ from hierax.runtime.core.probe import Probe, Step
 from hierax.runtime.deployment.files import shipped
 from hierax.runtime.deployment.read import read_deployment
 from hierax.runtime.owner.changes import ChangeError, apply
+from hierax.runtime.owner.owner import OVER
 from hierax.schemas.changes import Attach, Change, Detach, Replace
 from hierax.schemas.roster import Reference, Roster, RosterEdge
 
@@ -55,7 +56,7 @@ SERVO = "hierax.nodes.servo"
 
 HIERARCHIES = ("letters", "servo", "random")
 RANDOM_NODES = 12
-EPOCHS = {"letters": 16_000, "servo": 30_000, "random": 3_000}
+EPOCHS = {"letters": 20_000, "servo": 40_000, "random": 4_000}
 """Of one launch."""
 
 LAST_CHANGE = 0.7
@@ -67,6 +68,10 @@ KINDS = ("attach", "detach", "replace")
 NONE = "no change"
 AROUND = 10
 """Epochs on either side of one that are looked at, too."""
+
+
+class RunOverError(Exception):
+    """The launch came to its end before a change could be made."""
 
 
 class CommitTimes(Probe):
@@ -255,8 +260,9 @@ def snippet(nodes: Mapping[str, Reference], edges: tuple[RosterEdge, ...]) -> di
 class Launch:
     """One launch, changed while it runs, then repeated in one process."""
 
-    def __init__(self, subject: Subject, seed: int, folder: Path, result: Result) -> None:
+    def __init__(self, subject: Subject, seed: int, epochs: int, folder: Path, result: Result) -> None:
         self._subject = subject
+        self._epochs = epochs
         self._seed = seed
         self._folder = folder
         self._result = result
@@ -288,8 +294,8 @@ class Launch:
         return f"{self._subject.name}, seed {self._seed}"
 
     def _command(self, mode: str) -> list[str]:
-        epochs = str(EPOCHS[self._subject.name])
-        return [*HIERAX, mode, str(self._file), "--epochs", epochs, "--seed", str(self._seed), "--format", "json"]
+        options = ["--epochs", str(self._epochs), "--seed", str(self._seed), "--format", "json"]
+        return [*HIERAX, mode, str(self._file), *options]
 
     def _environment(self, times: str) -> dict[str, str]:
         here = str(Path(__file__).resolve().parent)
@@ -307,12 +313,15 @@ class Launch:
 
     def _change(self, limit: int) -> None:
         first = roster = read_deployment(self._file).roster
-        last = EPOCHS[self._subject.name] * LAST_CHANGE
+        last = self._epochs * LAST_CHANGE
         epoch = 0
         while len(self._made) < limit and epoch < last:
             kind, change, roster = next_change(self._rng, self._subject, first, roster)
             arguments, schedule = self._spell(kind, change)
-            epoch = json.loads(hierax(kind, *arguments, "--format", "json"))["epoch"]
+            try:
+                epoch = json.loads(hierax(kind, *arguments, "--format", "json"))["epoch"]
+            except RunOverError:
+                return  # refused, so it did not take effect
             self._made.append((kind, epoch, f"{epoch}:{schedule}"))
 
     def _spell(self, kind: str, change: Change) -> tuple[list[str], str]:
@@ -344,7 +353,7 @@ class Launch:
 
     def _time(self) -> None:
         times_s = np.load(self._folder / TIMES)
-        if len(times_s) != EPOCHS[self._subject.name]:
+        if len(times_s) != self._epochs:
             self._result.faults.append(f"{self._place}: {len(times_s)} epochs were told to the probe")
             return
         ordinary_s = float(np.median(np.diff(times_s)))
@@ -373,6 +382,8 @@ def hierax(*arguments: str) -> str:
     with redirect_stdout(out), redirect_stderr(err):
         code = hierax_main(arguments)
     if code:
+        if err.getvalue().strip() == f"error: {OVER}":
+            raise RunOverError
         raise SystemExit(f"hierax {' '.join(arguments)}: {err.getvalue().strip()}")
     return out.getvalue()
 
@@ -392,12 +403,19 @@ def main() -> int:
     parser.add_argument("hierarchies", nargs="*", metavar="HIERARCHY", help=f"of {', '.join(HIERARCHIES)}; all")
     parser.add_argument("--changes", type=int, default=200, help="of each hierarchy")
     parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--epochs", type=int, help="of each launch")
     parser.add_argument("--limit-ms", type=float, default=20.0, help="of the median cost of a change")
     options = parser.parse_args()
     unknown = sorted(set(options.hierarchies) - set(HIERARCHIES))
     if unknown:
         parser.error(f"there is no hierarchy {unknown[0]!r}")
-    os.environ["XDG_RUNTIME_DIR"] = tempfile.mkdtemp(prefix="hierax-changes-")  # other launches are none of ours
+    with tempfile.TemporaryDirectory(prefix="hierax-changes-") as folder:
+        os.environ["XDG_RUNTIME_DIR"] = folder  # other launches are none of ours
+        return compare(options)
+
+
+def compare(options: argparse.Namespace) -> int:
+    """All hierarchies that were asked for; the exit code."""
     headings = ("median", "p95", "max")
     print(f"{'':26} {'cost, ms':^29} {'with 10 epochs on either side, ms':^29}")
     print(f"{'':8} {'change':10} {'count':>6} {' '.join(f'{heading:>9}' for heading in headings * 2)}")
@@ -407,7 +425,8 @@ def main() -> int:
         seed = options.seed
         while result.changes < options.changes:
             with tempfile.TemporaryDirectory() as folder:
-                Launch(subject(name, seed), seed, Path(folder), result).go(options.changes - result.changes)
+                launch = Launch(subject(name, seed), seed, options.epochs or EPOCHS[name], Path(folder), result)
+                launch.go(options.changes - result.changes)
             seed += 1
         show(name, result)
         faults += result.faults

@@ -208,7 +208,9 @@ class Member(NodeRunner):
         if read is None:
             return Join(self.name, self.process, request, NEVER, False, "")
         checkpoint, self._saved = read
-        return Join(self.name, self.process, request, checkpoint.epoch, False, "", checkpoint.roster)
+        return Join(
+            self.name, self.process, request, checkpoint.epoch, False, "", checkpoint.roster, checkpoint.attempt
+        )
 
     def _prepare(self, order: Prepare) -> None:
         try:
@@ -258,11 +260,11 @@ class Member(NodeRunner):
             self._say(Taken(self.name, order.version, f"cannot take over the belief: {error}"))
             return
         self._took = order.version
-        engine.restore(Saved(order.epoch, 0, state, state))
+        engine.restore(Saved(order.epoch, order.attempt, state, state))
         if self._slots is not None:
             instance = order.version  # as of all nodes that are new in a version
             now = engine.encoded
-            checkpoint = Checkpoint(order.epoch, 0, instance, order.version, True, now, now)
+            checkpoint = Checkpoint(order.epoch, order.attempt, instance, order.version, True, now, now)
             for _ in range(SLOTS):  # in both, as one that is damaged beside an empty one was never whole
                 self._slots.write(encode_checkpoint(checkpoint))
         self._say(Taken(self.name, order.version, ""))

@@ -12,9 +12,9 @@ from hierax.runtime.core.binding import Setting
 from hierax.runtime.core.errors import HieraxError
 from hierax.runtime.deployment import Deployment
 from hierax.runtime.engine.engine import DigestChain
-from hierax.runtime.engine.outlet import Committed, Saved
-from hierax.runtime.free import run_freely
+from hierax.runtime.engine.outlet import Saved
 from hierax.runtime.files import DIGESTS, open_probes, state_log, write_roster
+from hierax.runtime.free import run_freely
 from hierax.runtime.loading import build_hierarchy
 from hierax.runtime.member import taken_over
 from hierax.runtime.node_loader import NodeLoader

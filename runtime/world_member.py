@@ -139,6 +139,7 @@ class WorldMember(Member, OwnerOutlet):
             highest=record.highest_version,
             born={name: each[1:] for name, each in recorded.items()},
             settled=self._intended == record.epoch,
+            last_attempt=record.last_attempt,
         )
         if self._pacemaker.may_begin(self.engine):
             self.owner.take_back(self.process)
@@ -250,6 +251,7 @@ class WorldMember(Member, OwnerOutlet):
             intended=self._intended,
             acted=self._acted,
             processes=self._process_bytes,
+            last_attempt=owner.last_attempt,
         )
 
     def _finish(self) -> None:

@@ -5,7 +5,7 @@ front::
 
     [format, epoch, attempt, instance, roster, finished, start, now]
     [format, epoch, attempt, instance, roster, highest_version, last_digest, state,
-     intended, acted, processes]
+     intended, acted, processes, last_attempt]
 
 Roster and states are in them as bytes, each one encoded value: as they are at hand
 encoded, a record takes about a microsecond.
@@ -65,6 +65,7 @@ class WorldRecord(NamedTuple):
         acted: the last epoch whose act is known to be done; 0 for none.
         processes: the encoded map of the nodes' names to their processes: the token, the version with which
             the node came in, the first epoch that it took part in, and the request of it; empty: unknown.
+        last_attempt: which attempt of the last epoch was committed.
     """
 
     epoch: int
@@ -77,6 +78,7 @@ class WorldRecord(NamedTuple):
     intended: int = 0
     acted: int = 0
     processes: bytes = b""
+    last_attempt: int = 0
 
 
 _CHECKPOINT = (
@@ -101,6 +103,7 @@ _WORLD = (
     ("intended", int),
     ("acted", int),
     ("processes", bytes),
+    ("last_attempt", int),
 )
 _CHECKPOINT_NAMES = tuple(name for name, _ in _CHECKPOINT)
 _WORLD_NAMES = tuple(name for name, _ in _WORLD)

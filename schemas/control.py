@@ -30,10 +30,11 @@ class HandOver(NamedTuple):
 
 
 class TakeOver(NamedTuple):
-    """Owner to the process that replaces another: here is its state after the epoch."""
+    """Owner to the process that replaces another: here is its state after the attempt of the epoch that counts."""
 
     version: int
     epoch: int
+    attempt: int
     state: bytes
 
 
@@ -71,6 +72,7 @@ class Join(NamedTuple):
         active: whether it has taken part in an epoch; then it asks whether it still may.
         refusal: why it cannot run the node after all; mostly empty.
         version: of the roster under which its checkpoint was written.
+        attempt: of its checkpoint's epoch.
     """
 
     name: str
@@ -80,6 +82,7 @@ class Join(NamedTuple):
     active: bool
     refusal: str
     version: int = 0
+    attempt: int = 0
 
 
 class Ready(NamedTuple):

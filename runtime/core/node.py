@@ -20,7 +20,10 @@ Policy = Callable[..., Elements]
 
 
 def structural_difference(expected: Value, given: Value, where: str = "belief") -> str:
-    """The first place where two values are built differently; empty where they are not."""
+    """The first place where two values are built differently; empty where they are not.
+
+    What is expected to be None in a map is not known yet, and may be given as anything.
+    """
     if isinstance(expected, np.ndarray) and isinstance(given, np.ndarray):
         if (expected.dtype, expected.ndim) != (given.dtype, given.ndim):
             wanted, got = f"{expected.dtype}, {expected.ndim}-d", f"{given.dtype}, {given.ndim}-d"
@@ -32,7 +35,8 @@ def structural_difference(expected: Value, given: Value, where: str = "belief") 
     if isinstance(expected, dict):
         if expected.keys() != given.keys():
             return f"{where}: expected the keys {sorted(expected)}, got {sorted(given)}"
-        parts = (structural_difference(expected[key], given[key], f"{where}.{key}") for key in expected)
+        known = [key for key in expected if expected[key] is not None]
+        parts = (structural_difference(expected[key], given[key], f"{where}.{key}") for key in known)
         return next(filter(None, parts), "")
     return ""
 
@@ -108,7 +112,8 @@ class Node(ABC):
 
         Returns:
             By default the same, if it is built like this node's initial belief: the same
-            types, keys of maps and dtypes of arrays. Lengths may differ.
+            types, keys of maps and dtypes of arrays. Lengths may differ, and what is None in a
+            map of the initial belief may be anything.
 
         Raises:
             ValueError: it cannot be taken over; says why.

@@ -2,12 +2,13 @@
 
 With a staleness of n, observations are always of the node's own epoch k, and inputs from
 above of epoch k − n or later: the newest in hand or, ``exact``, those of k − n whatever
-has come since. Free running is without bound: a node takes the newest of everything,
-leaves out observations that were overtaken, and what has not come yet is the empty set.
+has come since. Free running is without bound: a node takes the newest of everything, and
+leaves out epochs that were overtaken.
 
 A *drained* epoch is done with a staleness of 0: at its end every node is done with it.
 The world says so with its observations, and who gets them passes it on. The roster
-changes after a drained epoch, and the first epoch under a roster is one.
+changes after a drained epoch, and the first epoch under a roster is one: so in free
+running, too, there is something in hand of everybody above.
 """
 
 from __future__ import annotations
@@ -61,14 +62,12 @@ class Ages:
     Attributes:
         inputs: how many there were.
         total, largest: of their ages.
-        missing: how many had never come, so that the empty set stood for them.
         left_out: epochs that the node has not done, or not to their end.
     """
 
     inputs: int = 0
     total: int = 0
     largest: int = 0
-    missing: int = 0
     left_out: int = 0
 
     def add(self, age: int) -> None:
@@ -82,7 +81,6 @@ class Ages:
         return {
             "staleness_mean": self.total / self.inputs if self.inputs else 0.0,
             "staleness_max": float(self.largest),
-            "inputs_missing": float(self.missing),
             "epochs_left_out": float(self.left_out),
         }
 
@@ -139,7 +137,7 @@ class LooseEngine(Engine):
     def poll(self) -> bool:
         """In free running: take part in the newest epoch, if there is one that was not; whether there was."""
         messages = self._below
-        waits = self.phase is Phase.PREDICT and not self._is_rewired  # in a drained epoch
+        waits = self.phase is Phase.PREDICT and not self._is_rewired  # for what a drained epoch wants
         if self._world is not None or waits or len(messages) < len(self.wiring.below):
             return False
         headers = [message.header for message in messages.values()]
@@ -207,14 +205,8 @@ class LooseEngine(Engine):
         newest = max(kept, default=-1)
         return kept[newest] if newest >= oldest else None
 
-    def _nothing(self, slot: Slot) -> Message:
-        """The empty set, of what never came."""
-        sender, kind = slot
-        return Message(Header(kind, sender, self.name, self.epoch, self.attempt), ())
-
     def _is_satisfied(self) -> bool:
-        waits_for_nothing = self._staleness.free and not self.drains
-        return waits_for_nothing or all(self._choose(slot) is not None for slot in self.wiring.above)
+        return all(self._choose(slot) is not None for slot in self.wiring.above)
 
     def _moves_on(self, epoch: int) -> bool:
         # where a process was lost, epochs may have gone on without this node
@@ -269,12 +261,9 @@ class LooseEngine(Engine):
         chosen: dict[Slot, Message] = {}
         for slot in self.wiring.above:
             message = self._choose(slot)
-            if message is None:
-                self.ages.missing += 1
-                message = self._nothing(slot)
-            else:
+            if message is not None:
+                chosen[slot] = message
                 self.ages.add(self.epoch - message.header.epoch)
-            chosen[slot] = message
         return chosen
 
     _extends = True

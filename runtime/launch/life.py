@@ -83,7 +83,7 @@ class NodeLife:
         """A control message for the member, or for the owner."""
         member = self._member
         if isinstance(control, AskStatus) and member is not None:  # answered also while the thread is in an operator
-            self._line.tell(OWNER, member.status(control.inquiry, self._busy()))
+            self._line.tell(OWNER, member.status(control.inquiry, self.busy()))
             return
         self._inputs.append(control)
         self._wake()
@@ -291,7 +291,7 @@ class NodeLife:
         if now - self._beaten_s >= BEAT_S:
             self._beaten_s = now
             self._voice.beat(world.owner)
-        state = (world.owner.epoch, self._busy())
+        state = (world.owner.epoch, self.busy())
         if not state[1] or state != self._stuck:
             self._stuck, self._stuck_s = state, now
             return
@@ -305,7 +305,7 @@ class NodeLife:
         if self._port is not None:
             self._port.interrupt()
 
-    def _busy(self) -> str:
+    def busy(self) -> str:
         """The operator that the node's thread is in; empty: in none."""
         found: FrameType | None = sys._current_frames().get(self._thread)
         while found is not None:

@@ -109,7 +109,9 @@ async def _end(life: NodeLife) -> None:
     life.hurried = True
     life.stop()
     await anyio.sleep(STUCK_S)
-    _log.warning("an operator did not come to its end; the process exits")
+    busy = life.busy()
+    if busy:
+        _log.warning("%s did not come to its end; the process exits", busy)
     _exit(1)
 
 

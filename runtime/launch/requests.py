@@ -25,7 +25,7 @@ from hierax.schemas.roster import Reference
 from hierax.schemas.values import Value
 
 if TYPE_CHECKING:
-    from hierax.runtime.launch.supervisor import Supervisor
+    from hierax.runtime.launch.keeping import Keeping
 
 Reply = Callable[[Value], None]
 
@@ -60,8 +60,8 @@ class Requests:
     ``{"ask": "await", "request"}`` is answered in the end.
     """
 
-    def __init__(self, supervisor: Supervisor) -> None:
-        self._supervisor = supervisor
+    def __init__(self, keeping: Keeping) -> None:
+        self._keeping = keeping
         self._asked: dict[str, Asked] = {}
 
     @property
@@ -80,7 +80,7 @@ class Requests:
             hub.serve(on_query)
 
             def on_gone(name: str, token: str) -> None:
-                portal.start_task_soon(self._supervisor.on_gone, name, token)
+                portal.start_task_soon(self._keeping.on_gone, name, token)
 
             hub.watch(on_gone)
             try:
@@ -96,7 +96,7 @@ class Requests:
             return
         asked.answer = {"refusal": refusal} if refusal else {"epoch": epoch}
         if not refusal:
-            self._supervisor.adopt(request, asked.policies)
+            self._keeping.adopt(request, asked.policies)
         asked.done.set()
 
     def failed(self, child: Child) -> None:
@@ -122,9 +122,9 @@ class Requests:
         return await self._change(query)
 
     async def _change(self, query: dict[str, Any]) -> Value:
-        supervisor = self._supervisor
+        keeping = self._keeping
         change = read_change(query["change"])
-        check_modules(change, supervisor.orders.deployment.modules)
+        check_modules(change, keeping.orders.deployment.modules)
         await self._check(change)
         policies = {name: RestartPolicy(**query["restarts"][name]) for name in _new_nodes(change)}
         request = token_hex(4)
@@ -136,15 +136,15 @@ class Requests:
         )
         self._asked[request] = Asked(policies, encode_control(proposal))
         orders = [
-            supervisor.orders.order(name, token_hex(8), NEWCOMER, request=request, reference=reference)
+            keeping.orders.order(name, token_hex(8), NEWCOMER, request=request, reference=reference)
             for name, reference in _new_nodes(change).items()
         ]
         here = query["here"]
         if here:
-            orders = [supervisor.orders.elsewhere(order, query["host"]) for order in orders]
+            orders = [keeping.orders.elsewhere(order, query["host"]) for order in orders]
         else:
             await self._start(orders)
-        await supervisor.tell_owner(proposal)
+        await keeping.tell_owner(proposal)
         if here:
             return {"request": request, "orders": [order.plain() for order in orders]}
         return await self._wait(request)
@@ -154,11 +154,11 @@ class Requests:
         try:
             self._check_names(change)
         except HieraxError:
-            await self._supervisor.hear_members()  # what is known here may be older than the last change
+            await self._keeping.hear_members()  # what is known here may be older than the last change
             self._check_names(change)
 
     def _check_names(self, change: Change) -> None:
-        members = self._supervisor.members
+        members = self._keeping.members
         if isinstance(change, Attach):
             taken = sorted(change.nodes.keys() & members.keys())
             if taken:
@@ -171,7 +171,7 @@ class Requests:
 
     async def _start(self, orders: Iterable[NodeOrder]) -> None:
         for order in orders:
-            await self._supervisor.start(order)
+            await self._keeping.start(order)
 
     async def _wait(self, request: str) -> Value:
         asked = self._asked.get(request)
@@ -181,33 +181,33 @@ class Requests:
         return asked.answer
 
     def _tell_all(self) -> Value:
-        supervisor = self._supervisor
-        deployment = supervisor.orders.deployment
+        keeping = self._keeping
+        deployment = keeping.orders.deployment
         nodes = {}
-        for name, token in sorted(supervisor.members.items()):
-            child = supervisor.child(token)
+        for name, token in sorted(keeping.members.items()):
+            child = keeping.child(token)
             nodes[name] = {
                 "process": token,
                 "pid": None if child is None else child.process.pid,
                 "state": self._state(token),
-                "restarts": supervisor.restarts_of(name),
-                "instance": supervisor.instances.get(name, 0),
+                "restarts": keeping.restarts_of(name),
+                "instance": keeping.instances.get(name, 0),
             }
         return {
             "hierarchy": deployment.name,
-            "run": supervisor.orders.run_id,
+            "run": keeping.orders.run_id,
             "file": str(deployment.path),
-            "settings": list(supervisor.orders.settings),
-            "epoch": supervisor.epoch,
-            "roster": supervisor.version,
+            "settings": list(keeping.orders.settings),
+            "epoch": keeping.epoch,
+            "roster": keeping.version,
             "nodes": nodes,
         }
 
     def _state(self, token: str) -> str:
-        child = self._supervisor.child(token)
+        child = self._keeping.child(token)
         if child is not None:
             return "running" if child.alive else "restarting"
-        return "cut off" if self._supervisor.cut_off(token) else "elsewhere"
+        return "cut off" if self._keeping.cut_off(token) else "elsewhere"
 
 
 def _new_nodes(change: Change) -> dict[str, Reference]:

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from enum import Enum
 
-from hierax.schemas.changes import Change
+from hierax.schemas.changes import Attach, Change, Replace
 from hierax.schemas.roster import Roster
 
 
@@ -36,6 +36,13 @@ class Request:
     on_loss: Mapping[str, str] = field(default_factory=dict)
     rejoin_timeout_s: Mapping[str, float] = field(default_factory=dict)
     tries: int = 0
+
+    @property
+    def new_nodes(self) -> tuple[str, ...]:
+        """The nodes for which it needs processes."""
+        if isinstance(self.change, Attach):
+            return tuple(sorted(self.change.nodes))
+        return (self.change.name,) if isinstance(self.change, Replace) else ()
 
 
 @dataclass
@@ -77,3 +84,7 @@ class Plan:
     def version(self) -> int:
         """Of its roster."""
         return self.roster.version
+
+    def is_for(self, name: str, key: str) -> bool:
+        """Whether a newcomer for a node, there for a request or without one, has a place in it."""
+        return name in self.back if not key else self.request is not None and self.request.key == key

@@ -82,15 +82,15 @@ class SimProcess:
         try:
             what()
         except Crash:
-            self._simulation.died(self)
+            self._simulation.keepers.died(self)
             return
         if self.alive and self.member.dismissed:
             self._simulation.trace(f"{self.token} is dismissed: {self.member.dismissed}")
             if self.member.again:
                 self.at = "dismissed"
-                self._simulation.died(self)
+                self._simulation.keepers.died(self)
             else:
-                self._simulation.exited(self)
+                self._simulation.keepers.exited(self)
 
     def take(self, kind: str, data: Any) -> None:
         """Something comes in; handled now, or later where the process cannot."""

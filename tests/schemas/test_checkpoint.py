@@ -198,7 +198,7 @@ def test_a_record_too_large_is_refused() -> None:
         (encode_value((2, "of another version")), "checkpoint.format", "format 2; this version reads format 1"),
         (encode_value((True, *CHECKPOINT)), "checkpoint.format", "format True; this version reads format 1"),
         (encode_value((1, *CHECKPOINT, 0)), "checkpoint", "expected an array of 8 fields, got 9"),
-        (encode_world(WORLD), "checkpoint", "expected an array of 8 fields, got 11"),
+        (encode_world(WORLD), "checkpoint", "expected an array of 8 fields, got 12"),
     ],
 )
 def test_other_bytes_are_no_checkpoint(data: bytes, where: str, what: str) -> None:
@@ -208,7 +208,7 @@ def test_other_bytes_are_no_checkpoint(data: bytes, where: str, what: str) -> No
 
 
 def test_a_checkpoint_is_no_world_record() -> None:
-    with pytest.raises(SchemaError, match="record: expected an array of 11 fields, got 8"):
+    with pytest.raises(SchemaError, match="record: expected an array of 12 fields, got 8"):
         decode_world(encode_checkpoint(CHECKPOINT))
 
 

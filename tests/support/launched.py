@@ -211,4 +211,3 @@ class Launched(Command):
         out = self.end(timeout_s)
         assert self.process.returncode == 0, self.err
         return dict(json.loads(out))
-

@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from hierax.runtime.transport.hub import ask
+from support.live_nodes import PACE_S
 
 HIERAX = [sys.executable, "-m", "hierax.runtime.commands.main"]
 TESTS = Path(__file__).parents[1]
@@ -132,7 +133,7 @@ class Live:
 
     def start(self, *arguments: str, namespace: str = "") -> Program:
         """Start a command."""
-        program = Program(arguments, environment(self.folder), namespace)
+        program = Program(arguments, {**environment(self.folder), PACE_S: "0.003"}, namespace)
         self._programs.append(program)
         return program
 

@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+import os
 import threading
 from pathlib import Path
 
 from hierax.runtime import Elements, Value
 from hierax.runtime.sim.nodes import MixingWorld
+
+PACE_S = "HIERAX_TEST_PACE_S"
+"""Environment variable: how long the world waits in each epoch, so that there are not too many to repeat."""
 
 
 class Gated(MixingWorld):
@@ -14,16 +18,16 @@ class Gated(MixingWorld):
 
     Args:
         stop: path of the file.
-        pace_s: how long it waits in each epoch, so that there are not too many of them.
     """
 
-    def __init__(self, stop: str, pace_s: float = 0.001) -> None:
+    def __init__(self, stop: str) -> None:
         super().__init__("world", 2)
         self._stop = Path(stop)
-        self._pace_s = pace_s
+        self._pace_s = float(os.environ.get(PACE_S, "0"))
 
     def predict(self, context: Elements, actions: Elements, belief: Value) -> Value:
-        threading.Event().wait(self._pace_s)
+        if self._pace_s:
+            threading.Event().wait(self._pace_s)
         return super().predict(context, actions, belief)
 
     def finished(self, belief: Value) -> bool:

@@ -16,6 +16,7 @@ from hierax.runtime.core.tick import Tick
 from hierax.runtime.engine.engine import Engine
 from hierax.runtime.member import Member
 from hierax.runtime.owner.owner import Owner
+from hierax.runtime.owner.planning import Planning
 from hierax.runtime.sim.process import SimProcess
 from hierax.runtime.world_member import WorldMember
 from hierax.schemas.control import Fetch, Prepare
@@ -47,7 +48,8 @@ def latest_roster_fetched() -> Iterator[None]:
     original = Engine.receive
 
     def on_fetch(self: Owner, word: Fetch) -> None:
-        latest = self._plan.roster if self._plan is not None else self.roster
+        plan = self._planning.plan
+        latest = plan.roster if plan is not None else self.roster
         if word.name in latest.nodes:
             self._outlet.tell(word.process, Prepare(latest.plain()))
 
@@ -224,15 +226,15 @@ def checkpoint_after_context() -> Iterator[None]:
 @contextmanager
 def single_phase() -> Iterator[None]:
     """A version takes effect as soon as everybody was told of it."""
-    prepare = Owner._prepare
+    prepare = Planning._prepare
 
-    def mutant(self: Owner, *arguments: Any) -> None:
+    def mutant(self: Planning, *arguments: Any) -> None:
         prepare(self, *arguments)
-        plan = self._plan
+        plan = self.plan
         if plan is not None:
-            plan.waiting &= {self.roster.world}
+            plan.waiting &= {plan.roster.world}
 
-    with patch.object(Owner, "_prepare", mutant):
+    with patch.object(Planning, "_prepare", mutant):
         yield
 
 

@@ -146,7 +146,7 @@ def test_drained_epochs_are_those_of_the_barrier_in_any_order(seed: int, order: 
     hierarchy = random_hierarchy(seed, nodes=5, setting=Setting(seed=order))
     digests, engines = run(hierarchy, 6, staleness, order, DrainingRunner)
     assert digests == formal_digests(hierarchy, 6, 0)
-    assert all(engine.ages.largest == engine.ages.missing == engine.ages.left_out == 0 for engine in engines)
+    assert all(engine.ages.largest == engine.ages.left_out == 0 for engine in engines)
 
 
 @pytest.mark.parametrize("seed", range(20))
@@ -156,7 +156,6 @@ def test_in_free_running_all_nodes_have_a_part_in_the_first_epoch_and_the_last(s
     assert digests[0] == formal_digests(hierarchy, 1, 0)[0]
     assert len(digests) == 30
     assert all((engine.epoch, engine.phase) == (30, Phase.DONE) for engine in engines)
-    assert all(engine.ages.missing == 0 for engine in engines), "after the first epoch there is something of everybody"
     above = [engine for engine in engines if not engine.is_world]
     assert sum(engine.ages.left_out for engine in above) > 0
     assert max(engine.ages.largest for engine in engines) > 0
@@ -238,9 +237,7 @@ def test_the_newest_in_hand_is_used_and_the_exact_one_where_that_is_asked_for() 
         outputs += solo.take(observed(4), observed(5), *from_above(4))
     assert used(came[newest]) == inputs(1, 1, 3, 3, 3)
     assert used(came[exact]) == inputs(1, 1, 1, 2, 3)
-    assert newest.ages() == {
-        "staleness_mean": 0.8, "staleness_max": 2.0, "inputs_missing": 0.0, "epochs_left_out": 0.0
-    }  # fmt: skip
+    assert newest.ages() == {"staleness_mean": 0.8, "staleness_max": 2.0, "epochs_left_out": 0.0}
     assert exact.ages()["staleness_mean"] == 1.4
 
 
@@ -340,21 +337,21 @@ def test_an_attempt_under_a_new_roster_is_drained() -> None:
 def test_a_node_that_runs_freely_takes_its_turn_with_the_newest() -> None:
     solo = LooseSolo(FREE)
     assert solo.turn() == []
+    solo.turn(observed(1, drains=True))
+    solo.take(*from_above(1))
     (step,) = steps(solo.turn(observed(3), observed(5), observed(4)))
-    assert (step.epoch, step.observations, step.tasks, step.context) == (5, (f"{OBSERVATIONS} 5",), (), ())
-    assert solo.ages() == {
-        "staleness_mean": 0.0, "staleness_max": 0.0, "inputs_missing": 2.0, "epochs_left_out": 4.0
-    }  # fmt: skip
+    assert (step.epoch, step.observations) == (5, (f"{OBSERVATIONS} 5",))
+    assert (step.tasks, step.context) == ((f"{TASKS} 1",), (f"{CONTEXT} 1",))
+    assert solo.ages() == {"staleness_mean": 2.0, "staleness_max": 4.0, "epochs_left_out": 3.0}
     assert solo.turn(observed(5), observed(2)) == [], "it has done that"
     assert used(solo.turn(*from_above(5), *from_above(2), observed(9))) == inputs(*[5] * 9)[8:]
-    assert solo.ages() == {
-        "staleness_mean": 4.0, "staleness_max": 4.0, "inputs_missing": 2.0, "epochs_left_out": 7.0
-    }  # fmt: skip
+    assert solo.ages() == {"staleness_mean": 8 / 3, "staleness_max": 4.0, "epochs_left_out": 6.0}
 
 
 def test_a_node_that_is_attached_has_left_nothing_out_and_a_node_that_is_back_has() -> None:
     solo = LooseSolo(FREE, joins=True)
-    assert [step.epoch for step in steps(solo.turn(observed(40)))] == [40]
+    solo.turn(observed(40, drains=True))
+    assert [step.epoch for step in steps(solo.take(*from_above(40)))] == [40]
     assert solo.ages()["epochs_left_out"] == 0
     state = solo.engine.state
     back = LooseSolo(FREE, saved=Saved(40, 0, state, state))
@@ -370,10 +367,12 @@ def observed_too(epoch: int, drains: bool = False) -> Message:
     return other(OBSERVATIONS, epoch, extensions={DRAIN: True} if drains else {})
 
 
-def test_the_newest_of_each_below_is_taken_once_there_is_something_of_each() -> None:
+def test_the_newest_of_each_below_is_taken() -> None:
     solo = fan(FREE)
-    assert solo.turn(observed(1), observed(2)) == []
-    (step,) = steps(solo.turn(observed_too(1)))
+    assert solo.turn(observed(1, drains=True)) == []
+    solo.turn(observed_too(1, drains=True))
+    assert steps(solo.take(*from_above(1)))
+    (step,) = steps(solo.turn(observed(2)))
     assert (step.epoch, step.observations) == (2, (f"{OBSERVATIONS} 2", f"{OBSERVATIONS} 1"))
     (step,) = steps(solo.turn(observed_too(3)))
     assert (step.epoch, step.observations) == (3, (f"{OBSERVATIONS} 2", f"{OBSERVATIONS} 3"))
@@ -476,3 +475,28 @@ def test_a_node_that_has_done_the_epoch_undoes_it_after_a_loss() -> None:
     solo.take(observed(2, drains=True, attempt=1, roster=NEXT_ROSTER))
     assert solo.engine.start is solo.engine.state is before
     assert used(solo.take(*from_above(2, text="new", attempt=1, roster=NEXT_ROSTER))) == [(2, ("new",), ("new",))]
+
+
+@pytest.mark.parametrize("staleness", [Staleness(2), Staleness(2, exact=True)])
+def test_what_the_roster_before_gave_of_the_same_epoch_is_not_used(staleness: Staleness) -> None:
+    solo = LooseSolo(staleness)
+    solo.take(observed(1, drains=True), *from_above(1))
+    assert (solo.engine.epoch, solo.engine.phase) == (1, Phase.DONE)
+    solo.prepare(wiring(roster=NEXT_ROSTER, mixing=True))
+    outputs = solo.take(observed(1, drains=True, attempt=1, roster=NEXT_ROSTER))
+    assert steps(outputs) == []
+    assert solo.engine.waits_for == (("top", CONTEXT), ("top", TASKS))
+    assert used(solo.take(*from_above(1, text="new", attempt=1, roster=NEXT_ROSTER))) == [(1, ("new",), ("new",))]
+
+
+def test_what_a_node_gave_that_is_below_no_more_does_not_count() -> None:
+    solo = fan(FREE)
+    solo.turn(observed(1, drains=True), observed_too(1, drains=True))
+    solo.take(*from_above(1))
+    solo.prepare(wiring(below=("low", "low3"), roster=NEXT_ROSTER, mixing=True))
+    solo.take(observed(2, drains=True, roster=NEXT_ROSTER))
+    assert not solo.loose.poll(), "it waits for low3"
+    assert solo.engine.epoch == 1
+    third = message(OBSERVATIONS, 2, sender="low3", roster=NEXT_ROSTER, extensions={DRAIN: True})
+    assert not steps(solo.turn(third))
+    assert steps(solo.take(*from_above(2, roster=NEXT_ROSTER)))

@@ -227,7 +227,7 @@ def replaced() -> Owned:
 
 def test_a_replace_hands_the_state_over() -> None:
     owned = replaced()
-    assert owned.hear(State("high", 1, b"state")) == [("high.2", TakeOver(1, 1, b"state"))]
+    assert owned.hear(State("high", 1, b"state")) == [("high.2", TakeOver(1, 1, 0, b"state"))]
     assert owned.hear(State("high", 1, b"later")) == [], "one that is said twice counts once"
     begins, dismisses = owned.hear(Taken("high", 1, ""))
     assert begins == ("begin", 2, 0, 1)
@@ -251,6 +251,31 @@ def test_a_lost_node_comes_back_before_it_is_replaced() -> None:
     calls = owned.ready(1, "high.3", "low.1", "world.1")
     assert calls[0] == ("begin", 1, 1, 1)
     assert "high.2" in prepares(calls), "now its turn has come"
+
+
+def test_nothing_is_replaced_in_the_midst_of_an_epoch() -> None:
+    """Else the epoch could be committed after all, when the state before it is handed over already."""
+    owned = begun()
+    owned.hear(Lost("high", "high.1", True))
+    assert owned.hear(propose(Replace("low", OTHER)), join("low.2", request="c1")) == []
+    calls = owned.hear(join("high.2", 0))
+    assert sorted(prepares(calls)) == ["high.2", "low.1", "world.1"]
+    assert all(Roster.read(order.roster).nodes["low"] == NODE for _, order in calls[1:])
+    calls = owned.ready(1, "high.2", "low.1", "world.1")
+    assert calls[0] == ("begin", 1, 1, 1)
+    assert "low.2" in prepares(calls), "now its turn has come"
+    assert owned.ready(2, "high.2", "low.2", "world.1") == [], "between two epochs"
+    assert owned.commit()[0] == ("low.1", HandOver(2, 1))
+    assert owned.hear(State("low", 2, b"state")) == [("low.2", TakeOver(2, 1, 1, b"state"))], "after attempt 1"
+
+
+def test_a_replace_goes_along_with_a_recovery_when_no_epoch_runs() -> None:
+    owned = begun()
+    owned.hear(Lost("high", "high.1", True))  # it had done its part
+    owned.hear(propose(Replace("low", OTHER)), join("low.2", request="c1"))
+    owned.commit()
+    assert sorted(prepares(owned.hear(join("high.2", 1)))) == ["high.2", "low.2", "world.1"]
+    assert owned.ready(1, "high.2", "low.2", "world.1") == [("low.1", HandOver(1, 1))]
 
 
 def test_a_crash_is_a_new_instance_and_a_new_attempt() -> None:
@@ -290,6 +315,26 @@ def test_a_checkpoint_of_another_node_of_that_name_is_refused() -> None:
     owned.hear(Lost("high", "high.1", True))
     assert owned.hear(join("high.2", 3, version=1)) == [("high.2", Dismiss("high: another node has taken its place"))]
     assert prepares(owned.hear(join("high.3", 3, version=2)))
+
+
+def test_a_checkpoint_of_an_attempt_that_was_not_committed_is_refused() -> None:
+    owned = Owned(epoch=3, last_attempt=2)
+    owned.proceed()
+    owned.hear(Lost("high", "high.1", True))
+    why = "its checkpoint is of attempt 1 of epoch 3, and attempt 2 counts"
+    assert owned.hear(join("high.2", 3, attempt=1)) == [("high.2", Dismiss(why))]
+    assert prepares(owned.hear(join("high.3", 3, attempt=2)))
+
+
+def test_of_which_attempt_a_checkpoint_is_counts_from_the_commit_on() -> None:
+    owned = begun()
+    owned.hear(Lost("high", "high.1", True), join("high.2", 1))
+    owned.ready(1, "high.2", "low.1", "world.1")  # attempt 1
+    owned.hear(Lost("high", "high.2", True))
+    assert prepares(owned.hear(join("high.3", 1))), "sound, as long as epoch 1 is not committed"
+    why = "its checkpoint is of attempt 0 of epoch 1, and attempt 1 counts"
+    assert ("high.3", Dismiss(why)) in owned.commit()
+    assert owned.owner.last_attempt == 1
 
 
 def test_a_commit_may_leave_one_that_is_back_behind() -> None:
@@ -375,7 +420,8 @@ def test_who_asks_whether_it_still_has_a_place() -> None:
     assert owned.hear(join("low.0", active=True)) == [("end", "low.0", "it was taken for lost")]
     why = "low: it was cut off, and taken for lost in epoch 1"
     assert owned.hear(join("low.1", active=True)) == [("low.1", Dismiss(why, again=True))], "it was not dead after all"
-    assert owned.hear(join("low.1")) == [], "said long ago"
+    why = "low: it was cut off, and taken for lost"
+    assert owned.hear(join("low.1")) == [("low.1", Dismiss(why, again=True))], "nor before it had taken part"
 
 
 def test_a_world_that_is_behind_stops() -> None:

@@ -19,7 +19,6 @@ from hierax.schemas.keys import Keys
 from hierax.schemas.messages import CONTEXT, HELLO, OBSERVATIONS, Header, Message, encode_message
 from hierax.schemas.roster import Roster
 
-
 NOBODY = Roster("world", {}, ())
 """A roster of which only the version and the instances count."""
 

@@ -1,0 +1,78 @@
+"""What became of the changes that were asked for."""
+
+from __future__ import annotations
+
+from collections import OrderedDict
+
+from hierax.runtime.owner.members import Members
+from hierax.runtime.owner.outlet import OwnerOutlet
+
+REMEMBERED = 1024
+"""How many answers are remembered, so that a change which is asked for twice is answered twice, and made once."""
+
+OVER = "the run is over"
+
+
+class Answers:
+    """Those that were given, and those that are owed.
+
+    Args:
+        members: who takes part.
+        outlet: of the owner.
+    """
+
+    def __init__(self, members: Members, outlet: OwnerOutlet) -> None:
+        self._members = members
+        self._outlet = outlet
+        self._given: OrderedDict[str, tuple[int, str]] = OrderedDict()
+        self._owed: list[tuple[str, int, tuple[str, ...]]] = []
+
+    def repeat(self, key: str) -> bool:
+        """Give an answer once more, if there is one."""
+        if key not in self._given:
+            return False
+        self.give(key, *self._given[key])
+        return True
+
+    def give(self, key: str, epoch: int, refusal: str) -> None:
+        """A change holds from an epoch on, which is committed; or why it is refused."""
+        self._given[key] = (epoch, refusal)
+        if len(self._given) > REMEMBERED:
+            self._given.popitem(last=False)
+        self._outlet.answer(key, epoch, refusal)
+
+    def owes(self, key: str) -> bool:
+        """Whether a change is in force, and nobody was told yet."""
+        return any(each[0] == key for each in self._owed)
+
+    def owe(self, key: str, epoch: int, names: tuple[str, ...]) -> None:
+        """A change is in force.
+
+        Args:
+            key: of the request.
+            epoch: its first one; when that is committed and recorded it is told.
+            names: the nodes that came in with it.
+        """
+        self._owed.append((key, epoch, names))
+
+    def owe_what_was_made(self, key: str) -> bool:
+        """Whether a change took effect before the world's process died, which had not said so yet."""
+        born = self._members.born
+        names = tuple(sorted(name for name, each in born.items() if each[2] == key))
+        if names:
+            self.owe(key, born[names[0]][1], names)
+        return bool(names)
+
+    def tell(self, committed: int) -> None:
+        """Tell those whose first epoch is committed and recorded."""
+        if not self._owed:
+            return
+        due = [each for each in self._owed if each[1] <= committed]
+        self._owed = [each for each in self._owed if each[1] > committed]
+        members = self._members
+        for key, first, names in due:
+            gone = [name for name in names if name not in members.roster.nodes or members.born[name][2] != key]
+            if gone:
+                self.give(key, 0, f"{', '.join(gone)}: detached again before the first epoch was committed")
+            else:
+                self.give(key, first, "")

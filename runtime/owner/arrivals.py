@@ -1,0 +1,142 @@
+"""Processes that offer to run a node, or ask whether they still do."""
+
+from __future__ import annotations
+
+from hierax.runtime.owner.course import Course
+from hierax.runtime.owner.members import Members
+from hierax.runtime.owner.outlet import OwnerOutlet, OwnerSettings
+from hierax.runtime.owner.plan import Request
+from hierax.runtime.owner.planning import Planning
+from hierax.schemas.changes import Attach
+from hierax.schemas.control import NEVER, Dismiss, Join
+
+
+class Arrivals:
+    """Says who may come in.
+
+    Args:
+        members: who takes part.
+        course: of the epochs.
+        planning: what is done about those who may.
+        outlet: of the owner.
+        settings: of the deployment.
+    """
+
+    def __init__(
+        self, members: Members, course: Course, planning: Planning, outlet: OwnerOutlet, settings: OwnerSettings
+    ) -> None:
+        self._members = members
+        self._course = course
+        self._planning = planning
+        self._outlet = outlet
+        self._overlaps = settings.overlaps
+
+    def hear(self, word: Join) -> None:
+        """A process is there."""
+        name, process = word.name, word.process
+        members = self._members
+        if members.is_dead(process) and not word.active:
+            back = name in members.lost and (not word.request or process == members.processes.get(name))
+            self._outlet.tell(process, Dismiss(f"{name}: it was cut off, and taken for lost", again=back))
+            return  # where it is dead, nobody hears that
+        if word.active:
+            if word.epoch > self._course.epoch + 1:
+                self._stop_behind(f"{name} has begun epoch {word.epoch}")
+            else:
+                self._on_active(name, process)
+            return
+        if process in self._processes_of(name):
+            return  # said twice
+        request = self._planning.queued(word.request)
+        plan = self._planning.plan
+        if request is not None:
+            self._on_newcomer(word, request)
+        elif plan is not None and plan.request is not None and plan.request.key == word.request:
+            return
+        elif word.request or name not in members.roster.nodes:
+            self._outlet.tell(process, Dismiss(f"{name}: nobody asks for it (any more)"))
+        elif name in members.lost:
+            self._on_back(word)
+
+    def judge_again(self) -> None:
+        """An epoch was committed, as lost processes had done their part: those in their place may be behind."""
+        for (name, key), process in list(self._members.newcomers.items()):
+            saved = self._members.saved(process)
+            why = "" if key or saved is None else self._unsound(name, *saved)
+            if why:
+                del self._members.newcomers[name, key]
+                plan = self._planning.plan
+                if plan is not None and name in plan.back:
+                    self._planning.redo(plan)
+                self._members.send_away(name, process, why)
+
+    def _on_back(self, word: Join) -> None:
+        """A process in the place of a lost one."""
+        name, process = word.name, word.process
+        members = self._members
+        if members.comes_back(name):
+            return
+        if word.epoch != NEVER and word.version < members.born[name][0]:
+            self._outlet.tell(process, Dismiss(f"{name}: another node has taken its place"))
+            return
+        why = word.refusal or self._unsound(name, word.epoch, word.attempt)
+        version = members.roster.version
+        if word.version > version:  # the world's record was damaged, and what it falls back to is too old
+            why = f"it was in version {word.version} of the roster, and the hierarchy is in {version}"
+        if why:
+            members.send_away(name, process, why)
+            return
+        members.come_back(name, process, word.epoch, word.attempt)
+        self._planning.reconsider()
+
+    def _unsound(self, name: str, epoch: int, attempt: int) -> str:
+        """Why a process with a checkpoint of this attempt of an epoch cannot go on."""
+        last, last_attempt = self._course.epoch, self._course.last_attempt
+        if epoch == NEVER and last >= self._members.born[name][1]:
+            return f"it has no checkpoint, and its node has taken part in epoch {last}"
+        if self._overlaps and epoch <= last:
+            return ""  # where epochs overlap a node may be behind
+        if epoch == last and attempt != last_attempt:
+            return f"its checkpoint is of attempt {attempt} of epoch {epoch}, and attempt {last_attempt} counts"
+        if epoch in (NEVER, last, last + 1):
+            return ""
+        return f"its checkpoint is of epoch {epoch}, and the hierarchy is in epoch {last + 1}"
+
+    def _on_newcomer(self, word: Join, request: Request) -> None:
+        """A process for a change that is asked for."""
+        newcomers = self._members.newcomers
+        if word.refusal:
+            self._planning.withdraw(request, word.refusal)
+        elif word.epoch != NEVER and isinstance(request.change, Attach):
+            self._outlet.tell(word.process, Dismiss("it has a checkpoint, and a node that is attached begins anew"))
+        elif (word.name, word.request) not in newcomers:
+            newcomers[word.name, word.request] = word.process
+            self._planning.reconsider()
+
+    def _on_active(self, name: str, process: str) -> None:
+        """A process that has taken part asks whether it still may."""
+        members = self._members
+        known = self._processes_of(name)
+        in_force = members.processes.get(name)
+        if name in members.lost and members.is_dead(process):  # it was cut off, and no keeper here can kill it
+            why = f"{name}: it was cut off, and taken for lost in epoch {self._course.epoch + 1}"
+            self._outlet.tell(process, Dismiss(why, again=True))
+        elif name in members.lost and (process not in known or process == in_force):
+            members.end(name, process, "it was taken for lost")  # its keeper starts it anew, from its checkpoint
+        elif process not in known:
+            instead = "it is no part of the hierarchy" if in_force is None else "another process runs it"
+            self._outlet.tell(process, Dismiss(f"{name}: {instead}"))
+
+    def _processes_of(self, name: str) -> list[str]:
+        """All processes of a node that are counted on."""
+        plan = self._planning.plan
+        held = [self._members.processes, {} if plan is None else plan.processes]
+        return [
+            *(process for (other, _), process in self._members.newcomers.items() if other == name),
+            *(processes[name] for processes in held if name in processes),
+        ]
+
+    def _stop_behind(self, what: str) -> None:
+        """The world's record was damaged, and what it falls back to is too old."""
+        epoch = self._course.epoch + 1
+        self._outlet.stop(f"the world goes on with epoch {epoch}, but {what}: its record was damaged")

@@ -1,0 +1,114 @@
+"""Processes that are lost, and nodes that do not come back."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from hierax.runtime.owner.course import Course
+from hierax.runtime.owner.members import Members
+from hierax.runtime.owner.outlet import DETACH, OwnerOutlet, OwnerSettings
+from hierax.runtime.owner.plan import Request
+from hierax.runtime.owner.planning import Planning
+from hierax.schemas.changes import Detach
+from hierax.schemas.control import Census, Lost
+
+
+class Losses:
+    """Takes in who is lost, and does what the deployment says of it.
+
+    Args:
+        members: who takes part.
+        course: of the epochs.
+        planning: what is done about it.
+        outlet: of the owner.
+        clock: seconds.
+        settings: of the deployment.
+    """
+
+    def __init__(
+        self,
+        members: Members,
+        course: Course,
+        planning: Planning,
+        outlet: OwnerOutlet,
+        clock: Callable[[], float],
+        settings: OwnerSettings,
+    ) -> None:
+        self._members = members
+        self._course = course
+        self._planning = planning
+        self._outlet = outlet
+        self._clock = clock
+        self._answer_timeout_s = settings.answer_timeout_s
+
+    def hear(self, word: Lost) -> None:
+        """A keeper says that a process is gone for good; where it names none, that no other comes for a node."""
+        name, process = word.name, word.process
+        if not process:
+            if self._stays_away(name):
+                self._give_up(name, "its process is lost and is not started again")
+            return
+        refusal = self._members.died(name, process)
+        self._on_lost(name, process, word.restarts)
+        if refusal and self._stays_away(name):
+            self._give_up(name, refusal)
+
+    def count(self, word: Census) -> None:
+        """The keeper's processes, for an owner that is new: what of them is missing is lost."""
+        for name, process in sorted(self._members.processes.items()):
+            if name in word.processes and word.processes[name] != process and name not in self._members.lost:
+                self._on_lost(name, process, restarts=True)
+
+    def tick(self) -> None:
+        """Time has passed."""
+        now = self._clock()
+        for (name, process), since in list(self._members.ended.items()):
+            if now - since > self._answer_timeout_s:  # its keeper is cut off as well
+                del self._members.ended[name, process]
+                self._on_lost(name, process, restarts=True)
+        for name in list(self._members.lost):
+            if self._members.is_late(name):
+                self._give_up(name, "it did not come back in time (rejoin_timeout)")
+
+    def _stays_away(self, name: str) -> bool:
+        return name in self._members.lost and not self._members.comes_back(name)
+
+    def _on_lost(self, name: str, process: str, restarts: bool) -> None:
+        members, planning = self._members, self._planning
+        for (other, key), newcomer in list(members.newcomers.items()):
+            if newcomer == process:
+                del members.newcomers[other, key]
+                self._on_newcomer_lost(key, name)
+        if members.processes.get(name) != process:
+            plan = planning.plan
+            if plan is not None and plan.processes.get(name) == process:
+                planning.redo(plan)
+                planning.go_on()
+            return
+        if name not in members.lost:
+            self._outlet.note(f"{name}: its process is lost in epoch {self._course.epoch + 1}")
+            members.lose(name)
+            if planning.plan is not None:
+                planning.redo(planning.plan)
+        if not restarts:
+            self._give_up(name, "its process is lost and is not started again")
+        planning.reconsider()
+
+    def _on_newcomer_lost(self, key: str, name: str) -> None:
+        planning = self._planning
+        if planning.plan is not None and planning.plan.is_for(name, key):
+            planning.redo(planning.plan)
+        request = planning.queued(key)
+        if request is not None:
+            planning.withdraw(request, f"the process of {name} died")
+        planning.go_on()
+
+    def _give_up(self, name: str, why: str) -> None:
+        """A node does not come back."""
+        if not self._members.give_up(name):
+            return
+        if self._members.policy(name) == DETACH and name != self._members.roster.world:
+            self._outlet.note(f"{name}: {why}; it is detached (on_loss)")
+            self._planning.ask(Request("", Detach(name, cascade=True), self._clock()))
+        else:
+            self._outlet.stop(f"{name}: {why}")

@@ -1,0 +1,179 @@
+"""Which process runs which node, who is lost, and who offers to come in."""
+
+from __future__ import annotations
+
+from collections import OrderedDict
+from collections.abc import Callable, Mapping
+from math import inf
+
+from hierax.runtime.owner.outlet import RESTART, OwnerOutlet, OwnerSettings
+from hierax.runtime.owner.plan import Plan
+from hierax.schemas.changes import Replace
+from hierax.schemas.control import Dismiss
+from hierax.schemas.roster import Roster
+
+REMEMBERED = 1024
+"""How many dead processes are remembered, so that what comes late does no harm."""
+
+Born = tuple[int, int, str]
+"""The version with which a node came in, the first epoch that it took part in, and the request of it."""
+
+
+class Members:
+    """The roster in force, and the processes that the owner counts on.
+
+    Args:
+        roster: in force.
+        processes: of its nodes; one without is lost.
+        born: by node; None: all were there at the beginning.
+        outlet: of the owner.
+        clock: seconds.
+        settings: of the deployment.
+
+    Attributes:
+        roster: in force.
+        processes: by node in force; of a lost one, the process that it had.
+        born: by node in force.
+        lost: the nodes that have no process, and since when.
+        newcomers: processes to come, by node and the request that they are for; in the place of a lost one,
+            that is empty.
+        ended: nodes and processes that are to be killed, and since when.
+    """
+
+    def __init__(
+        self,
+        roster: Roster,
+        processes: Mapping[str, str],
+        born: Mapping[str, Born] | None,
+        outlet: OwnerOutlet,
+        clock: Callable[[], float],
+        settings: OwnerSettings,
+    ) -> None:
+        self.roster = roster
+        self.processes = dict(processes)
+        self.born: dict[str, Born] = {name: (born or {}).get(name, (0, 1, "")) for name in roster.nodes}
+        self.lost: dict[str, float] = {}
+        self.newcomers: dict[tuple[str, str], str] = {}
+        self.ended: dict[tuple[str, str], float] = {}
+        self._outlet = outlet
+        self._clock = clock
+        self._on_loss = dict(settings.on_loss)
+        self._rejoin_timeout_s = dict(settings.rejoin_timeout_s)
+        self._given_up: set[str] = set()
+        self._dead: OrderedDict[str, None] = OrderedDict()
+        self._refused: dict[str, str] = {}
+        self._heard_s: dict[str, float] = {}
+        self._saved: dict[str, tuple[int, int]] = {}
+        for name in roster.nodes.keys() - self.processes.keys():
+            self.lose(name)
+
+    @property
+    def back(self) -> set[str]:
+        """The lost nodes for which there is another process."""
+        return {name for name in self.lost if self.comes_back(name)}
+
+    def comes_back(self, name: str) -> bool:
+        """Whether there is another process for a lost node."""
+        return (name, "") in self.newcomers
+
+    def lose(self, name: str) -> None:
+        """A node has no process any more."""
+        self.lost[name] = self._clock()
+
+    # --- processes
+
+    def hear(self, process: str) -> None:
+        """A process has said something."""
+        self._heard_s[process] = self._clock()
+
+    def heard_s(self, process: str) -> float:
+        """When a process has last said something."""
+        return self._heard_s.get(process, -inf)
+
+    def is_dead(self, process: str) -> bool:
+        """Whether a keeper has said that it is."""
+        return process in self._dead
+
+    def died(self, name: str, process: str) -> str:
+        """A process is dead; why it had been sent away, if it was."""
+        self.ended.pop((name, process), None)
+        self._dead[process] = None
+        if len(self._dead) > REMEMBERED:
+            self._dead.popitem(last=False)
+        self._heard_s.pop(process, None)
+        self._saved.pop(process, None)
+        return self._refused.pop(process, "")
+
+    def end(self, name: str, process: str, why: str) -> None:
+        """Have a process killed; it is lost when its keeper says so, or says nothing."""
+        self.ended.setdefault((name, process), self._clock())
+        self._outlet.end(name, process, why)
+
+    def send_away(self, name: str, process: str, why: str) -> None:
+        """A process cannot run a node; when its keeper says that it is gone, the node is given up."""
+        self._outlet.note(f"{name}: {why}; it cannot come back")
+        self._refused[process] = why
+        self._outlet.tell(process, Dismiss(why))
+
+    # --- newcomers
+
+    def come_back(self, name: str, process: str, epoch: int, attempt: int) -> None:
+        """A process is to run a lost node, from a checkpoint of this epoch and attempt."""
+        self.newcomers[name, ""] = process
+        self._saved[process] = (epoch, attempt)
+
+    def saved(self, process: str) -> tuple[int, int] | None:
+        """Epoch and attempt of the checkpoint with which a process comes back."""
+        return self._saved.get(process)
+
+    def turn_away(self, key: str, why: str) -> None:
+        """Send those away that are there for a request."""
+        for name, of in [pair for pair in self.newcomers if pair[1] == key]:
+            self._outlet.tell(self.newcomers.pop((name, of)), Dismiss(why))
+
+    def missing(self, names: tuple[str, ...], key: str) -> list[str]:
+        """Those of a request's new nodes that have no process yet."""
+        return [name for name in names if (name, key) not in self.newcomers]
+
+    # --- what follows when a node does not come back
+
+    def policy(self, name: str) -> str:
+        """One of `RESTART`, `DETACH` and `STOP`."""
+        return self._on_loss.get(name, RESTART)
+
+    def is_late(self, name: str) -> bool:
+        """Whether a lost node has taken longer than it may to come back."""
+        if name not in self.lost or self.policy(name) == RESTART or self.comes_back(name):
+            return False
+        return self._clock() - self.lost[name] > self._rejoin_timeout_s.get(name, inf)
+
+    def give_up(self, name: str) -> bool:
+        """A lost node does not come back; whether that is news."""
+        if name in self._given_up:
+            return False
+        self._given_up.add(name)
+        return True
+
+    # --- another version
+
+    def take_effect(self, plan: Plan, epoch: int) -> dict[str, str]:
+        """A plan's roster is in force from this epoch on.
+
+        Returns:
+            By node, the processes that have no place any more.
+        """
+        old = self.processes
+        self.roster = plan.roster
+        self.processes = dict(plan.processes)
+        self.lost.clear()
+        self._given_up.clear()
+        key = "" if plan.request is None else plan.request.key
+        self.newcomers = {(name, of): process for (name, of), process in self.newcomers.items() if of and of != key}
+        fresh = (plan.version, epoch, key)
+        if plan.request is not None and isinstance(plan.request.change, Replace):
+            self.born[plan.request.change.name] = fresh
+        self.born = {name: self.born.get(name, fresh) for name in self.roster.nodes}
+        for request in plan.requests:
+            self._on_loss.update(request.on_loss)
+            self._rejoin_timeout_s.update(request.rejoin_timeout_s)
+        return {name: process for name, process in old.items() if self.processes.get(name) != process}

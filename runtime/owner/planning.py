@@ -1,0 +1,340 @@
+"""Changes and recoveries on their way: the queue, and the version of the roster that is prepared."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Callable
+from dataclasses import replace
+
+from hierax.runtime.core.errors import HieraxError
+from hierax.runtime.owner.answers import Answers
+from hierax.runtime.owner.changes import apply, removed, touched
+from hierax.runtime.owner.course import Course
+from hierax.runtime.owner.members import Members
+from hierax.runtime.owner.outlet import OwnerOutlet, OwnerSettings
+from hierax.runtime.owner.plan import Plan, Request, Stage
+from hierax.schemas.changes import Detach, Replace
+from hierax.schemas.control import Dismiss, HandOver, Prepare, Ready, State, Taken, TakeOver
+from hierax.schemas.roster import Roster
+
+TELL_AGAIN_S = 0.1
+"""How often those that are waited for are told again."""
+
+MAX_TRIES = 5
+"""How often a change is planned anew because a process died meanwhile."""
+
+
+class Planning:
+    """Makes one plan after the other, and has it take effect.
+
+    Args:
+        members: who takes part.
+        course: of the epochs.
+        answers: for those who ask for changes.
+        outlet: of the owner.
+        proceed: to be called when nothing is planned any more, as an epoch may wait for that.
+        clock: seconds.
+        settings: of the deployment.
+        highest: the highest version that was ever prepared.
+
+    Attributes:
+        highest: likewise.
+        plan: what is prepared; None: nothing.
+        queue: what is asked for, and is not in the plan.
+    """
+
+    def __init__(
+        self,
+        members: Members,
+        course: Course,
+        answers: Answers,
+        outlet: OwnerOutlet,
+        proceed: Callable[[], None],
+        clock: Callable[[], float],
+        settings: OwnerSettings,
+        highest: int,
+    ) -> None:
+        self.highest = max(highest, members.roster.version)
+        self.plan: Plan | None = None
+        self.queue: deque[Request] = deque()
+        self._members = members
+        self._course = course
+        self._answers = answers
+        self._outlet = outlet
+        self._proceed = proceed
+        self._clock = clock
+        self._settings = settings
+
+    # --- what is asked for
+
+    @property
+    def asked(self) -> list[Request]:
+        """All that is asked for, and neither done nor refused."""
+        return [*self.queue, *(self.plan.requests if self.plan else [])]
+
+    def queued(self, key: str) -> Request | None:
+        """What is asked for under a key, as long as it is not in the plan."""
+        return next((each for each in self.queue if key and each.key == key), None)
+
+    def ask(self, request: Request) -> None:
+        """Do this, too; what the owner itself asks for comes first."""
+        if request.key:
+            self.queue.append(request)
+        else:
+            self.queue.appendleft(request)
+        self.reconsider()
+
+    def withdraw(self, request: Request, why: str) -> None:
+        """Refuse what is in the queue."""
+        self.queue.remove(request)
+        self._refuse(request, why)
+
+    def _refuse(self, request: Request, why: str) -> None:
+        if request.key:
+            self._members.turn_away(request.key, why)
+            self._answers.give(request.key, 0, why)
+        else:
+            self._outlet.stop(why)
+
+    def finish(self, why: str) -> None:
+        """Nothing is done any more."""
+        asked, self.plan = self.asked, None
+        for request in asked:
+            if request.key:
+                self._refuse(request, why)
+        self.queue.clear()
+
+    def tick(self) -> None:
+        """Time has passed."""
+        now = self._clock()
+        for request in list(self.queue):
+            missing = self._missing(request)
+            if now - request.since_s > self._settings.start_timeout_s and missing:
+                self.withdraw(request, f"no process for {', '.join(missing)} came up in time (start_timeout_s)")
+        if self.plan is not None:
+            self._hurry(self.plan, now)
+
+    def _missing(self, request: Request) -> list[str]:
+        return self._members.missing(request.new_nodes, request.key)
+
+    # --- from the queue to a plan
+
+    def reconsider(self) -> None:
+        """Prepare the next version, where there is something to do and nothing else under way."""
+        if self.plan is not None:
+            return
+        back = self._members.back
+        for request in [*self.queue, None]:
+            if request is not None and not self._can_be_tried(request):
+                continue
+            if self._try(request, back):
+                return
+
+    def go_on(self) -> None:
+        """A plan was given up: prepare what there is, or let the epoch begin that waited for it."""
+        self.reconsider()
+        if self.plan is None:
+            self._proceed()
+
+    def _can_be_tried(self, request: Request) -> bool:
+        if self._course.over or request not in self.queue:
+            return False
+        change = request.change
+        lost = self._members.lost
+        if not request.key and isinstance(change, Detach) and change.name not in lost:
+            self.queue.remove(request)  # it is back, or detached already
+            return False
+        if request.key and self._course.settled:
+            return False
+        if isinstance(change, Replace) and change.name in lost:
+            return False  # its state is handed over, so it has to come back first
+        if isinstance(change, Replace) and lost and self._course.running:
+            return False  # the epoch under way may be committed after all, with another state than was handed over
+        return not self._missing(request)
+
+    def _try(self, request: Request | None, back: set[str]) -> bool:
+        """Make a plan of a change and the nodes that are back; whether that could be done now."""
+        version = self.highest + 1
+        roster, along = self._without_lost(request)
+        if request is not None:
+            try:
+                roster = apply(roster, request.change, version, lambda _: version)
+            except HieraxError as error:
+                if not along:  # else it may be done already when those are
+                    self.withdraw(request, str(error))
+                return False
+        back = back & roster.nodes.keys()
+        if (self._members.lost.keys() - back) & roster.nodes.keys() or not (request or along or back):
+            return False  # others are lost and not back, or there is nothing to do
+        instances = {**roster.instances, **dict.fromkeys(sorted(back), version)}
+        self._prepare(replace(roster, version=version, instances=instances), request, along, frozenset(back))
+        return True
+
+    def _without_lost(self, request: Request | None) -> tuple[Roster, tuple[Request, ...]]:
+        """The roster without the lost nodes that are to be detached: one after the other, each would wait for all."""
+        roster = self._members.roster
+        lost = self._members.lost
+        along = []
+        for each in self.queue:
+            change = each.change
+            wanted = isinstance(change, Detach) and change.name in lost and change.name in roster.nodes
+            if each is request or not wanted or (each.key and self._course.settled):
+                continue
+            try:
+                smaller = apply(roster, change, roster.version + 1, lambda _: 0)
+            except HieraxError:
+                continue  # it is refused when its own turn comes
+            roster = replace(smaller, version=roster.version)
+            along.append(each)
+        return roster, tuple(along)
+
+    def _prepare(
+        self, roster: Roster, request: Request | None, along: tuple[Request, ...], back: frozenset[str]
+    ) -> None:
+        self.highest = roster.version
+        self._outlet.keep()  # the number is used from now on, whatever becomes of it
+        now = self._clock()
+        members = self._members
+        gone = removed(members.roster, roster)
+        processes = {name: process for name, process in members.processes.items() if name not in gone}
+        processes.update({name: members.newcomers[name, ""] for name in back})
+        replaced: dict[str, str] = {}
+        for each in along:
+            self.queue.remove(each)
+        if request is not None:
+            self.queue.remove(request)
+            if isinstance(request.change, Replace) and request.change.name not in members.lost:
+                replaced = {request.change.name: members.processes[request.change.name]}
+            processes.update({name: members.newcomers[name, request.key] for name in request.new_nodes})
+        waiting = set(touched(members.roster, roster)) | {roster.world}
+        self.plan = Plan(roster, processes, request, along, back, waiting, bool(members.lost), now, now, replaced)
+        self._tell_waiting(self.plan)
+        for name in sorted(roster.nodes.keys() - waiting):  # so that they need not ask when the first message comes
+            self._outlet.tell(processes[name], Prepare(roster.plain()))
+
+    # --- from the plan to the roster in force
+
+    def hear(self, word: Ready | State | Taken) -> None:
+        """Somebody that a plan waits for answers."""
+        plan = self.plan
+        if plan is None or plan.version != word.version:
+            return
+        if isinstance(word, Ready):
+            self._on_ready(plan, word)
+        elif plan.stage is not Stage.HAND_OVER:
+            return
+        elif isinstance(word, State):
+            self._on_state(plan, word)
+        else:
+            self._on_taken(plan, word)
+
+    def take_effect(self, plan: Plan) -> None:
+        """Begin the next epoch, or the next attempt, under a plan's roster; first what is replaced hands over."""
+        if plan.replaced and plan.stage is not Stage.HAND_OVER:
+            plan.stage = Stage.HAND_OVER
+            plan.since_s = self._clock()
+            plan.waiting = set(plan.replaced)
+            self._tell_waiting(plan)
+            return
+        if any(name in plan.roster.nodes and name not in plan.back for name in self._members.lost):
+            return
+        first = self._course.epoch + 1
+        self.plan = None
+        gone = self._members.take_effect(plan, first)
+        for request in plan.requests:
+            if request.key:
+                self._answers.owe(request.key, first, request.new_nodes)
+        self._course.begin()  # recorded first: a process that was told to go cannot be had back
+        for name, process in gone.items():
+            instead = "another process runs it" if name in plan.processes else "it is detached"
+            self._outlet.tell(process, Dismiss(f"{name}: {instead} from epoch {first} on"))
+        self.reconsider()
+
+    def _tell_waiting(self, plan: Plan) -> None:
+        plan.told_s = self._clock()
+        plain = plan.roster.plain()
+        epoch, attempt = self._course.epoch, self._course.last_attempt
+        for name in sorted(plan.waiting):
+            if plan.stage is Stage.PREPARE:
+                self._outlet.tell(plan.processes[name], Prepare(plain))
+            elif name in plan.states:
+                self._outlet.tell(plan.processes[name], TakeOver(plan.version, epoch, attempt, plan.states[name]))
+            else:
+                self._outlet.tell(plan.replaced[name], HandOver(plan.version, epoch))
+
+    def _on_ready(self, plan: Plan, word: Ready) -> None:
+        if plan.stage is not Stage.PREPARE or plan.processes.get(word.name) != word.process:
+            return
+        if word.refusal:
+            self._drop(plan, f"{word.name}: {word.refusal}", word.name)
+            return
+        plan.waiting.discard(word.name)
+        if not plan.waiting:
+            plan.stage = Stage.READY
+            if plan.urgent or not self._course.running:
+                self.take_effect(plan)
+
+    def _on_state(self, plan: Plan, word: State) -> None:
+        if word.name in plan.replaced and word.name not in plan.states:
+            plan.states[word.name] = word.state
+            self._tell_waiting(plan)
+
+    def _on_taken(self, plan: Plan, word: Taken) -> None:
+        if word.refusal:
+            self._drop(plan, f"{word.name}: {word.refusal}", word.name)
+            return
+        plan.waiting.discard(word.name)
+        if not plan.waiting:
+            self.take_effect(plan)
+
+    # --- plans that come to nothing
+
+    def redo(self, plan: Plan) -> None:
+        """Plan anew, as a process died meanwhile."""
+        self.plan = None
+        self.queue.extendleft(reversed(plan.along))
+        request = plan.request
+        if request is not None:
+            request.tries += 1
+            if request.key and request.tries > MAX_TRIES:
+                self._refuse(request, "processes died each time that it was prepared")
+            else:
+                self.queue.appendleft(request)
+
+    def _drop(self, plan: Plan, why: str, refuser: str = "") -> None:
+        """Give a plan up; the roster in force stays. Who comes back may try again, who asked is refused."""
+        self.plan = None
+        self.queue.extendleft(reversed(plan.along))
+        if plan.request is not None and plan.request.key:
+            self._refuse(plan.request, why)
+            refuser = ""
+        elif plan.request is not None:
+            self.queue.appendleft(plan.request)
+        if refuser in plan.back:
+            del self._members.newcomers[refuser, ""]
+            self._members.send_away(refuser, plan.processes[refuser], why)
+        elif refuser:
+            self._members.end(refuser, plan.processes[refuser], why)
+        self.go_on()
+
+    def _hurry(self, plan: Plan, now: float) -> None:
+        """Tell those again that are waited for; who takes too long is to blame."""
+        if plan.stage is Stage.READY:
+            return
+        if now - plan.since_s > self._settings.answer_timeout_s:
+            silent = self._silent(plan)
+            if plan.request is not None and plan.request.key:
+                named = ", ".join(silent)
+                self._drop(plan, f"no answer from {named} within {self._settings.answer_timeout_s:g} s")
+                return
+            plan.since_s = now
+            for name in silent:
+                self._members.end(name, plan.processes[name], "it does not answer the roster's owner")
+        elif now - plan.told_s > TELL_AGAIN_S:
+            self._tell_waiting(plan)
+
+    def _silent(self, plan: Plan) -> list[str]:
+        """Who is to blame: who says nothing at all; the others may only wait for its end of a link."""
+        waiting = sorted(plan.waiting - {self._members.roster.world})
+        silent = [name for name in waiting if self._members.heard_s(plan.processes[name]) < plan.since_s]
+        return silent or waiting or [self._members.roster.world]
