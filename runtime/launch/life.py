@@ -218,9 +218,11 @@ class NodeLife:
             if isinstance(member, WorldMember):
                 self._serve_keeper(member)
             self._take_all(member, port)
-            if self._due and member.wired and member.poll():
-                self._due = self._rate_hz is None
-                continue
+            if self._due and member.wired:
+                self._due = self._rate_hz is None  # the next turn may be due before this one is over
+                if member.poll():
+                    continue
+                self._due = True
             self._take_next(member, port.receive)
 
     def _take_all(self, member: Member, port: ZenohPort) -> None:
