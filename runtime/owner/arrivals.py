@@ -96,7 +96,8 @@ class Arrivals:
             return f"it has no checkpoint, and its node has taken part in epoch {last}"
         if self._overlaps and epoch <= last:
             return ""  # where epochs overlap a node may be behind
-        if epoch == last and attempt != last_attempt:
+        has_part = self._members.born[name][1] <= last  # else it holds the state that it came with, of no attempt
+        if epoch == last and attempt != last_attempt and has_part:
             return f"its checkpoint is of attempt {attempt} of epoch {epoch}, and attempt {last_attempt} counts"
         if epoch in (NEVER, last, last + 1):
             return ""
