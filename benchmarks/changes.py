@@ -202,7 +202,7 @@ def mixing_node(rng: random.Random, roster: Roster, name: str) -> Attach:
 
 def mixing_extra(rng: random.Random, roster: Roster) -> Attach:
     """A further node; sometimes under a name that was there before."""
-    free = [name for name in (f"n{number:02}" for number in range(1, 20)) if name not in roster.nodes]
+    free = [name for name in (f"n{number:02}" for number in range(1, 1000)) if name not in roster.nodes]
     return mixing_node(rng, roster, rng.choice(free[:4]))
 
 
