@@ -34,7 +34,6 @@ from hierax.schemas.control import (
     TakeOver,
 )
 from hierax.schemas.errors import SchemaError
-from hierax.schemas.messages import Header
 from hierax.schemas.roster import Roster
 
 FIRST_SLOT = 1
@@ -187,18 +186,9 @@ class Member(NodeRunner):
         self._linked = {later for later in self._linked if later >= version}
         self._fetched = {later for later in self._fetched if later > version}
 
-    def refused(self, header: Header, verdict: Verdict) -> None:
+    def _gravity(self, verdict: Verdict) -> int:
         stale = verdict in (Verdict.OLD_ROSTER, Verdict.OTHER_INSTANCE, Verdict.FOREIGN)
-        level = logging.INFO if stale else logging.WARNING  # these are to be expected when nodes come and go
-        _log.log(
-            level,
-            "%s: refused a %s message from %s of epoch %d: %s",
-            self.name,
-            header.kind,
-            header.sender,
-            header.epoch,
-            verdict.value,
-        )
+        return logging.INFO if stale else logging.WARNING  # these are to be expected when nodes come and go
 
     def _offer(self, request: str) -> Join:
         try:

@@ -165,7 +165,8 @@ class NodeRunner(Outlet):
             self.pacemaker.stop()
 
     def refused(self, header: Header, verdict: Verdict) -> None:
-        _log.warning(
+        _log.log(
+            self._gravity(verdict),
             "%s: refused a %s message from %s of epoch %d: %s",
             self.engine.name,
             header.kind,
@@ -173,6 +174,10 @@ class NodeRunner(Outlet):
             header.epoch,
             verdict.value,
         )
+
+    def _gravity(self, verdict: Verdict) -> int:
+        """At which level a refusal is logged."""
+        return logging.WARNING
 
     def _finish(self) -> None:
         """Do what follows; the world begins the next epoch before anything else is done."""

@@ -110,7 +110,8 @@ class Call:
         return OperatorError(self.subject, self.operator, epoch, what)
 
 
-_CALLS = (Call.__call__.__code__, Call.elements.__code__)
+CALLS = (Call.__call__.__code__, Call.elements.__code__)
+"""The code in whose frames an operator is called; a frame's `self` is the call."""
 
 
 def _raised_at(error: BaseException) -> str:
@@ -118,7 +119,7 @@ def _raised_at(error: BaseException) -> str:
     last = error.__traceback__
     while last is not None and last.tb_next is not None:
         last = last.tb_next
-    if last is None or last.tb_frame.f_code in _CALLS:  # it could not even be called
+    if last is None or last.tb_frame.f_code in CALLS:  # it could not even be called
         return ""
     code = last.tb_frame.f_code
     return f" ({code.co_filename}:{last.tb_lineno}, in {code.co_name})"

@@ -8,14 +8,16 @@ import subprocess
 import sys
 import time
 from collections import deque
+from collections.abc import Mapping
 from dataclasses import dataclass, field
+from typing import Any
 
 import anyio
 import anyio.abc
 
 from hierax.runtime.core.errors import HieraxError
 from hierax.runtime.deployment.deployment import RestartPolicy
-from hierax.runtime.launch.pipe import NodeOrder, frame
+from hierax.runtime.launch.pipe import CUT_OFF, DISMISSED, FAILED, REPORT, UP, NodeOrder, frame
 from hierax.schemas.values import Value
 
 CLOSED = -1
@@ -78,6 +80,23 @@ class Child:
     def alive(self) -> bool:
         """Whether it has not ended yet, as far as anybody has noticed."""
         return self.process.returncode is None
+
+    def take(self, value: Mapping[str, Any]) -> bool:
+        """Take in what the process says of itself; whether it was that."""
+        status = value["status"]
+        if status == UP:
+            self.up.set()
+        elif status == REPORT:
+            self.report = dict(value)
+        elif status == FAILED:
+            self.failure = NodeFailedError(value["message"], value["where"])
+        elif status == DISMISSED:
+            self.dismissed = value["why"]
+        elif status == CUT_OFF:
+            self.culprit = value["why"]
+        else:
+            return False
+        return True
 
     async def tell(self, value: Value) -> bool:
         """Send it a command; whether it listens."""

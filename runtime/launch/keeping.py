@@ -16,17 +16,13 @@ from hierax.runtime.launch.orders import Orders
 from hierax.runtime.launch.pipe import (
     ANSWER,
     BEAT,
-    CUT_OFF,
     DISMISSED,
     END,
-    FAILED,
     FINISHED,
     HALT,
     NEWCOMER,
     NOTE,
-    REPORT,
     STOP,
-    UP,
     Frames,
     NodeOrder,
 )
@@ -132,18 +128,9 @@ class Keeping:
             await self._on_end(child)
 
     def _take(self, child: Child, value: dict[str, Any]) -> None:
-        status = value["status"]
-        if status == UP:
-            child.up.set()
-        elif status == REPORT:
-            child.report = value
-        elif status == FAILED:
-            child.failure = NodeFailedError(value["message"], value["where"])
-        elif status == DISMISSED:
-            child.dismissed = value["why"]
-            self._say(f"{child.name}: its process exits: {child.dismissed}")
-        elif status == CUT_OFF:
-            child.culprit = value["why"]
+        if child.take(value):
+            if value["status"] == DISMISSED:
+                self._say(f"{child.name}: its process exits: {child.dismissed}")
         elif self._current.get(self._world) is child:
             self._take_from_world(value)
 

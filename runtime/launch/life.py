@@ -14,7 +14,7 @@ from typing import get_args
 
 import numpy as np
 
-from hierax.runtime.core.binding import Call, Setting, Waiter
+from hierax.runtime.core.binding import CALLS, Call, Setting, Waiter
 from hierax.runtime.core.errors import HieraxError
 from hierax.runtime.launch.building import build_member, preload
 from hierax.runtime.launch.pipe import BEGIN, COME_BACK, CUT_OFF, DISMISSED, FAILED, REPORT, TO_REPORT, UP, NodeOrder
@@ -39,7 +39,6 @@ IDLE_S = 0.5
 BEAT_S = 0.2
 """How often the world's process says that it lives."""
 
-_CALLS = (Call.__call__.__code__, Call.elements.__code__)
 _log = logging.getLogger("hierax")
 
 
@@ -311,7 +310,7 @@ class NodeLife:
         """The operator that the node's thread is in; empty: in none."""
         found: FrameType | None = sys._current_frames().get(self._thread)
         while found is not None:
-            if found.f_code in _CALLS:
+            if found.f_code in CALLS:
                 call: Call = found.f_locals["self"]
                 return f"{call.operator} of {call.subject}"
             found = found.f_back

@@ -6,7 +6,6 @@ import signal
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from secrets import token_hex
-from typing import Any
 
 import anyio
 import anyio.abc
@@ -14,8 +13,8 @@ import anyio.to_thread
 
 from hierax.runtime.core.errors import HieraxError
 from hierax.runtime.deployment.deployment import RestartPolicy
-from hierax.runtime.launch.child import END_TIMEOUT_S, Child, NodeFailedError, Restarts, start_child
-from hierax.runtime.launch.pipe import COME_BACK, CUT_OFF, DISMISSED, FAILED, Frames, NodeOrder
+from hierax.runtime.launch.child import END_TIMEOUT_S, Child, Restarts, start_child
+from hierax.runtime.launch.pipe import COME_BACK, Frames, NodeOrder
 from hierax.runtime.transport.hub import is_gone
 from hierax.runtime.transport.zenoh_session import remove_orphaned_segments
 from hierax.schemas.values import Value
@@ -108,7 +107,7 @@ class _LocalKeeper:
         frames = Frames()
         async for data in child.process.stdout:
             for value in frames.feed(data):
-                _take(child, value)
+                child.take(value)
         await child.process.wait()
 
     async def _watch_hub(self, endpoint: str, scope: anyio.CancelScope) -> None:
@@ -139,12 +138,3 @@ class _LocalKeeper:
             child.kill()
             await child.process.wait()
             await child.close()
-
-
-def _take(child: Child, value: dict[str, Any]) -> None:
-    if value["status"] == FAILED:
-        child.failure = NodeFailedError(value["message"], value["where"])
-    elif value["status"] == DISMISSED:
-        child.dismissed = value["why"]
-    elif value["status"] == CUT_OFF:
-        child.culprit = value["why"]
