@@ -19,10 +19,11 @@ from typing import BinaryIO
 import msgpack
 
 from hierax.runtime.core.binding import metrics_of
+from hierax.runtime.core.digest import DigestChain
 from hierax.runtime.core.errors import HieraxError, OperatorError, ProbeError
 from hierax.runtime.core.node import Elements
 from hierax.runtime.core.probe import Probe
-from hierax.runtime.engine.engine import DigestChain, Engine
+from hierax.runtime.engine.engine import Engine
 from hierax.runtime.engine.loose import BARRIER, LooseEngine, Staleness
 from hierax.runtime.engine.outlet import Committed, Completed, Outlet, Saved
 from hierax.runtime.engine.table import Phase, Verdict
@@ -187,7 +188,7 @@ class NodeRunner(Outlet):
             pacemaker = self.pacemaker
             if pacemaker is not None:
                 if committed is not None:
-                    pacemaker.chain.commit(committed)
+                    pacemaker.chain.commit(committed.epoch, committed.digest)
                 digest = pacemaker.chain.digest
                 self._go_on(committed)
                 if committed is not None:

@@ -9,9 +9,9 @@ from typing import Any
 import anyio
 
 from hierax.runtime.core.binding import Setting
+from hierax.runtime.core.digest import DigestChain
 from hierax.runtime.core.errors import HieraxError
 from hierax.runtime.deployment import Deployment
-from hierax.runtime.engine.engine import DigestChain
 from hierax.runtime.engine.outlet import Saved
 from hierax.runtime.files import DIGESTS, open_probes, state_log, write_roster
 from hierax.runtime.free import run_freely

@@ -6,11 +6,11 @@ import logging
 from collections.abc import Callable, Mapping, Sequence
 from typing import Literal
 
+from hierax.runtime.core.digest import DigestChain
 from hierax.runtime.core.errors import HieraxError
 from hierax.runtime.core.node import Elements
 from hierax.runtime.core.probe import Probe
 from hierax.runtime.core.process import ActiveNode
-from hierax.runtime.engine.engine import DigestChain
 from hierax.runtime.engine.outlet import Committed, Saved
 from hierax.runtime.engine.table import Phase
 from hierax.runtime.engine.wiring import Wiring

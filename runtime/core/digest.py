@@ -44,6 +44,21 @@ def epoch_digest(previous: bytes, epoch: int, roster: bytes, world: bytes) -> by
     return blake2b(data, digest_size=DIGEST_BYTES).digest()
 
 
+class DigestChain:
+    """The digests of committed epochs, each over the last one."""
+
+    def __init__(self, roster_hash: bytes, epoch: int = 0, digest: bytes = NO_DIGEST) -> None:
+        self.roster_hash = roster_hash
+        self.epoch = epoch
+        self.digest = digest
+
+    def commit(self, epoch: int, world: bytes) -> bytes:
+        """The digest of the next epoch, from N₀'s digest of it."""
+        self.epoch = epoch
+        self.digest = epoch_digest(self.digest, epoch, self.roster_hash, world)
+        return self.digest
+
+
 def formal_digest(active: ActiveHierarchy, previous: bytes, roster: bytes) -> bytes:
     """The epoch's digest as the formal core has it, for comparison with the engine's."""
     hierarchy = active.hierarchy

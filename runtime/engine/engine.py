@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 
 from hierax.runtime.core.binding import Call, epoch_time_s, is_finished
-from hierax.runtime.core.digest import NO_DIGEST, encode_state, epoch_digest, node_digest
+from hierax.runtime.core.digest import NO_DIGEST, encode_state, node_digest
 from hierax.runtime.core.errors import OperatorError
 from hierax.runtime.core.node import Elements, Value, World
 from hierax.runtime.core.probe import Step
@@ -437,21 +437,6 @@ class Engine:
         except SchemaError as error:
             what = f"its belief or actions {error}"
             raise OperatorError(self.name, "predict" if self.epoch else "initial_belief", self.epoch, what) from error
-
-
-class DigestChain:
-    """The digests of committed epochs, each over the last one."""
-
-    def __init__(self, roster_hash: bytes, epoch: int = 0, digest: bytes = NO_DIGEST) -> None:
-        self.roster_hash = roster_hash
-        self.epoch = epoch
-        self.digest = digest
-
-    def commit(self, committed: Committed) -> bytes:
-        """The digest of the next epoch."""
-        self.epoch = committed.epoch
-        self.digest = epoch_digest(self.digest, committed.epoch, self.roster_hash, committed.digest)
-        return self.digest
 
 
 def _union(inbox: Mapping[Slot, Message], senders: Sequence[str], kind: str) -> Elements:

@@ -7,7 +7,7 @@ import logging
 import time
 from pathlib import Path
 
-from hierax.runtime.engine.engine import DigestChain
+from hierax.runtime.core.digest import DigestChain
 from hierax.runtime.engine.loose import Staleness
 from hierax.runtime.files import DIGESTS, open_probes, state_log
 from hierax.runtime.launch.faults import plant

@@ -156,8 +156,7 @@ class Keeping:
             self._kill(value["name"], value["process"], value["why"])
         elif status == HALT:
             child = self._current.get(value["why"].partition(":")[0])
-            ended = child is not None and not child.alive and not child.culprit
-            self._fail(child.last_words if child is not None and ended else NodeFailedError(value["why"]))
+            self._fail((child and child.failure) or NodeFailedError(value["why"]))
 
     def _on_members(self, members: Mapping[str, str]) -> None:
         self.members = members

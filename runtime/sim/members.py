@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
-from hierax.runtime.engine.engine import DigestChain
+from hierax.runtime.core.digest import DigestChain
 from hierax.runtime.engine.outlet import Committed
 from hierax.runtime.member import Member
 from hierax.runtime.owner.outlet import OwnerSettings

@@ -14,8 +14,8 @@ from support.toy_nodes import Counter, Keeper
 import hierax.runtime.runner as runner_module
 from hierax.runtime import NO_TICK, Node, Probe, Step, Tick, Value
 from hierax.runtime.core.binding import BoundNode, Setting
+from hierax.runtime.core.digest import DigestChain
 from hierax.runtime.core.errors import HierarchyError, HieraxError, OperatorError, ProbeError
-from hierax.runtime.engine.engine import DigestChain
 from hierax.runtime.engine.wiring import Place, Wiring
 from hierax.runtime.runner import Log, NodeRunner, Pacemaker
 from hierax.runtime.transport.memory import MemoryNetwork

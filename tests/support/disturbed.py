@@ -11,10 +11,10 @@ from dataclasses import dataclass
 from hashlib import blake2b
 from typing import NamedTuple
 
-from hierax.runtime.core.digest import NO_DIGEST, encode_state, formal_digest
+from hierax.runtime.core.digest import NO_DIGEST, DigestChain, encode_state, formal_digest
 from hierax.runtime.core.hierarchy import Hierarchy
 from hierax.runtime.core.process import ActiveHierarchy, ActiveNode, update
-from hierax.runtime.engine.engine import DigestChain, Engine
+from hierax.runtime.engine.engine import Engine
 from hierax.runtime.engine.outlet import Called, Committed, Completed, Outlet, Saved
 from hierax.runtime.engine.table import Phase, Verdict
 from hierax.runtime.engine.wiring import Place, Wiring
@@ -349,7 +349,8 @@ class Network:
                 assert not site.alive, f"{name} has not completed the epoch: {self._waiting()}"
             assert not site.alive or (engine.phase, engine.epoch, engine.attempt) == (Phase.DONE, *committed[:2])
         self._left = self._faults.most
-        self.epochs.append(Epoch(version.hierarchy, committed.attempt, self._chain.commit(committed), states))
+        digest = self._chain.commit(committed.epoch, committed.digest)
+        self.epochs.append(Epoch(version.hierarchy, committed.attempt, digest, states))
 
     def _begin(self, epoch: int, attempt: int) -> None:
         """Begin an epoch or attempt under the latest version."""

@@ -150,6 +150,7 @@ MISTAKES = [
     ("epochs: 3", "epochs: 3.5", "epochs", "epochs: expected a whole number, got 3.5"),
     ("epochs: 3", "epochs: true", "epochs", "epochs: expected a whole number, got true"),
     ("epochs: 3", "epochs: 0", "epochs", "epochs: expected at least 1, got 0"),
+    ("epochs: 3", "staleness: 9", "staleness", "staleness: expected at most 8, got 9"),
     ("epochs: 3", "start_timeout_s: 0", "start", "start_timeout_s: expected more than 0, got 0"),
     ("epochs: 3", "start_timeout_s: .inf", "start", "start_timeout_s: expected a finite number, got inf"),
     ("epochs: 3", "start_timeout_s: soon", "start", "start_timeout_s: expected a number, got 'soon'"),

@@ -17,11 +17,10 @@ from support.hierarchies import random_hierarchy
 from support.recording import Recorder, sent, steps, verdicts
 
 from hierax.runtime.core.binding import Setting, epoch_time_s
-from hierax.runtime.core.digest import NO_DIGEST, encode_state, epoch_digest, node_digest
+from hierax.runtime.core.digest import NO_DIGEST, DigestChain, encode_state, epoch_digest, node_digest
 from hierax.runtime.core.hierarchy import Hierarchy
 from hierax.runtime.core.node import Elements
 from hierax.runtime.core.process import ActiveNode
-from hierax.runtime.engine.engine import DigestChain
 from hierax.runtime.engine.loose import DRAIN, LooseEngine, Staleness
 from hierax.runtime.engine.outlet import Saved
 from hierax.runtime.engine.table import Phase, Verdict

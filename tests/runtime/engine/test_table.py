@@ -9,7 +9,7 @@ import pytest
 from support.engines import DIGEST, EPOCH, INSTANCES, ROSTER, Solo, message, wiring
 from support.recording import Acted, Completed, Lacked, Output, Refused, Sent, of, sent, steps, verdicts
 
-from hierax.runtime.engine.engine import DigestChain
+from hierax.runtime.core.digest import DigestChain
 from hierax.runtime.engine.outlet import Committed
 from hierax.runtime.engine.table import ACTIONS, HELD_MESSAGES, Action, Phase, Verdict
 from hierax.schemas.messages import CONTEXT, HELLO, OBSERVATIONS, TASKS
@@ -243,7 +243,7 @@ def test_the_chain_covers_the_last_digest_the_epoch_the_roster_and_the_worlds_di
     def chained(roster: bytes, *committed: tuple[int, bytes]) -> bytes:
         chain = DigestChain(roster)
         for epoch, digest in committed:
-            assert chain.commit(Committed(epoch, 0, digest)) == chain.digest
+            assert chain.commit(epoch, digest) == chain.digest
             assert chain.epoch == epoch
         return chain.digest
 
@@ -261,6 +261,6 @@ def test_the_chain_covers_the_last_digest_the_epoch_the_roster_and_the_worlds_di
 
 def test_a_chain_goes_on_from_any_epoch_and_covers_no_attempt() -> None:
     whole = DigestChain(DIGEST)
-    first = whole.commit(Committed(1, 0, DIGEST))
+    first = whole.commit(1, DIGEST)
     resumed = DigestChain(DIGEST, 1, first)
-    assert whole.commit(Committed(2, 0, DIGEST)) == resumed.commit(Committed(2, 5, DIGEST))
+    assert whole.commit(2, DIGEST) == resumed.commit(2, DIGEST)
