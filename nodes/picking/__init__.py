@@ -1,0 +1,1 @@
+"""An arm that picks up a cube which its own camera tracks: world → arm → spatial → grasp."""

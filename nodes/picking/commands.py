@@ -1,0 +1,82 @@
+"""What is asked of the gripper, handed down from node to node as task parameters.
+
+A command is {"gripper": world_from_gripper (4, 4), "width": metres between the finger pads,
+"speed": m/s at most}. On the way down each node's policy is chosen by the command that came
+from above: the policy's name holds the command to the bit, and the policy's one action is
+that command again.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping
+from typing import Any
+
+import numpy as np
+
+from hierax.nodes.tracking.geometry import Array, make_pose, quaternion_of, rotation_of
+from hierax.runtime import Elements, Value
+from hierax.runtime.core.node import Policy, do_nothing
+
+REST = "default"
+MOVE = "move"
+
+_NUMBERS = 9
+
+Command = dict[str, Any]
+
+
+def command(gripper: Array, width_m: float, speed_m_s: float) -> Command:
+    """A command for the gripper.
+
+    Args:
+        gripper: world_from_gripper.
+        width_m: between the finger pads, metres; less than what is between them squeezes it.
+        speed_m_s: how fast the gripper may go there, m/s.
+    """
+    return {"gripper": gripper, "width": float(width_m), "speed": float(speed_m_s)}
+
+
+def name_of(tasks: Elements) -> str:
+    """The name of the policy that carries out a task: λ of all nodes between the grasp node and the arm."""
+    if not tasks:
+        return REST
+    wanted = tasks[0]
+    pose = wanted["gripper"]
+    numbers = (*pose[:3, 3], *quaternion_of(pose[:3, :3]), wanted["width"], wanted["speed"])
+    return " ".join((MOVE, *(repr(float(number)) for number in numbers)))
+
+
+class Commanded(Mapping[str, Policy]):
+    """Π: ``default``, which does nothing, and for every command the policy whose action is the command.
+
+    Args:
+        turned: from the command and the belief, what is to be done instead.
+    """
+
+    def __init__(self, turned: Callable[[Command, Value], Command] | None = None) -> None:
+        self._turned = turned
+
+    def __getitem__(self, name: str) -> Policy:
+        if name == REST:
+            return do_nothing
+        order, *words = name.split(" ")
+        if order != MOVE or len(words) != _NUMBERS:
+            raise KeyError(name)
+        try:
+            numbers = np.array([float(word) for word in words])
+        except ValueError:
+            raise KeyError(name) from None
+        wanted = command(make_pose(rotation_of(numbers[3:7]), numbers[:3]), numbers[7], numbers[8])
+        turned = self._turned
+        return lambda belief: (wanted if turned is None else turned(wanted, belief),)
+
+    def __iter__(self) -> Iterator[str]:
+        return iter((REST,))
+
+    def __len__(self) -> int:
+        return 1
+
+
+def handed_down(actions: Elements) -> Elements:
+    """ψ of all edges: the commands are the task of the node below."""
+    return actions

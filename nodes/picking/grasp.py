@@ -1,0 +1,265 @@
+"""The grasp node: chooses a free cube of those that are tracked, and has the gripper take it and lift it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from hierax.nodes.picking.commands import Command, command
+from hierax.nodes.picking.panda import HOME_GRIPPER, WIDEST_M
+from hierax.nodes.picking.planning import OPENING_M, before, choose
+from hierax.nodes.tracking.geometry import Floats, pose_error
+from hierax.runtime import NO_TICK, Elements, Node, Tick, Value
+from hierax.runtime.core.node import Policy
+
+WATCH = "watch"
+APPROACH = "approach"
+DESCEND = "descend"
+CLOSE = "close"
+LIFT = "lift"
+HOLD = "hold"
+RETREAT = "retreat"
+
+_FAST_M_S = 0.25
+_SLOW_M_S = 0.08
+
+_LOOK_S = 1.0
+_AIM_S = 0.4
+_STILL_S = 0.25
+_PATIENCE_S = 5.0
+_SURE_M = 0.003
+_NEAR_M = 0.004
+_NEAR_RAD = np.radians(2.0)
+_STILL_M = 0.0005
+_THINNER_M = 0.008
+
+
+class GraspNode(Node):
+    """Picks up a cube: watch, approach, descend, close, lift, hold; after a failure retreat, and watch again.
+
+    τ takes in what is tracked and says which phase the task has come to; the policy asks
+    for what the phase needs; nothing passes in γ. Context for the node below is which cube
+    the hand holds.
+
+    The belief: ``phase`` and ``since_s`` (when it began), ``steady_s`` (since when what the phase
+    waits for holds; None while it does not), ``width`` (of the gripper, then), ``bodies``
+    and ``hand`` as last observed, ``target`` (id of the cube, None while watching),
+    ``box_from_gripper`` and ``box_width`` (m) of the chosen grasp, ``gripper`` (world_from_gripper
+    at the grasp; None while watching) and ``attempts``, how many have begun.
+
+    Args:
+        target: id of the cube to pick up; None for whichever is the easiest.
+        lift_m: how far the cube is lifted.
+
+    Raises:
+        ValueError: a number is out of its range.
+    """
+
+    initial_policy = "pick"
+
+    def __init__(self, target: int | None = None, lift_m: float = 0.13) -> None:
+        if target is not None and not 1 <= target <= 255:
+            raise ValueError(f"target is {target}; expected the id of a cube, 1 to 255, or None")
+        if not lift_m > 0.0:
+            raise ValueError(f"lift_m is {lift_m}; expected a positive number")
+        self._wanted = target
+        self._lift_m = float(lift_m)
+
+    def initial_belief(self) -> Value:
+        """Watching; nothing is known yet."""
+        return {
+            "phase": WATCH,
+            "since_s": 0.0,
+            "steady_s": None,
+            "width": WIDEST_M,
+            "bodies": (),
+            "hand": None,
+            "target": None,
+            "box_from_gripper": None,
+            "box_width": None,
+            "gripper": None,
+            "attempts": 0,
+        }
+
+    def observe(self, observations: Elements, belief: Value, tick: Tick = NO_TICK) -> Value:
+        """τ: the scene as it is tracked, and the phase that follows.
+
+        Args:
+            observations: as `hierax.nodes.picking.tracker.scene_known` gives them, or none.
+            belief: as it was.
+        """
+        if not observations:
+            return belief
+        seen = {
+            **belief,
+            "bodies": tuple(item for item in observations if "pose" in item),
+            "hand": next(item["hand"] for item in observations if "hand" in item),
+        }
+        return _NEXT[belief["phase"]](self, seen, tick.time_s)
+
+    def policies(self) -> Mapping[str, Policy]:
+        """Π: to pick."""
+        return {self.initial_policy: self._wish}
+
+    def _wish(self, belief: Value) -> Elements:
+        """The gripper's command in this phase."""
+        return (_WISHES[belief["phase"]](self, belief),)
+
+    def metrics(self, belief: Value) -> Mapping[str, float]:
+        """How many attempts there were, and of which cube (0: none)."""
+        return {"attempts": float(belief["attempts"]), "target": float(belief["target"] or 0)}
+
+    def _after_watch(self, belief: Value, time_s: float) -> Value:
+        """A grasp is chosen once the tracker has had time for its first errors, the camera being home."""
+        looking = _reached(belief, HOME_GRIPPER)
+        belief = _steadied(belief, looking, time_s)
+        if not _steady(belief, time_s, _LOOK_S):
+            return belief
+        sure = [body["id"] for body in belief["bodies"] if _sure(body)]
+        chosen = choose(belief["bodies"], [number for number in sure if self._wanted in (None, number)])
+        if chosen is None:
+            return belief
+        aimed = {
+            **belief,
+            "target": chosen.id,
+            "box_from_gripper": chosen.box_from_gripper,
+            "box_width": chosen.width_m,
+            "attempts": belief["attempts"] + 1,
+        }
+        return _enter(_aimed(aimed), APPROACH, time_s)
+
+    def _after_approach(self, belief: Value, time_s: float) -> Value:
+        """The grasp follows the cube as long as that is tracked; then down, when the gripper is above it."""
+        belief = _aimed(belief)
+        belief = _steadied(belief, _reached(belief, before(belief["gripper"])), time_s)
+        if _steady(belief, time_s, _AIM_S):
+            return _enter(belief, DESCEND, time_s)
+        return self._unless_late(belief, time_s)
+
+    def _after_descend(self, belief: Value, time_s: float) -> Value:
+        """Where the cube was seen last is where it is taken: so near it is at the border of the view."""
+        if _reached(belief, belief["gripper"]):
+            return _enter(belief, CLOSE, time_s)
+        return self._unless_late(belief, time_s)
+
+    def _after_close(self, belief: Value, time_s: float) -> Value:
+        """The fingers stand still: on the cube, or on one another."""
+        width = belief["hand"]["width"]
+        belief = _steadied(belief, abs(width - belief["width"]) < _STILL_M, time_s)
+        belief = {**belief, "width": width}
+        if not _steady(belief, time_s, _STILL_S):
+            return self._unless_late(belief, time_s)
+        return _enter(belief, LIFT if _filled(belief) else RETREAT, time_s)
+
+    def _after_lift(self, belief: Value, time_s: float) -> Value:
+        """Up, unless the cube is lost on the way."""
+        if not _filled(belief):
+            return _enter(belief, RETREAT, time_s)
+        if _reached(belief, self._raised(belief)):
+            return _enter(belief, HOLD, time_s)
+        return self._unless_late(belief, time_s)
+
+    def _after_hold(self, belief: Value, time_s: float) -> Value:
+        """It is held on, unless the cube is lost."""
+        return belief if _filled(belief) else _enter(belief, RETREAT, time_s)
+
+    def _after_retreat(self, belief: Value, time_s: float) -> Value:
+        """Open and back, and then home to have another look."""
+        if not _reached(belief, before(belief["gripper"])) and time_s - belief["since_s"] < _PATIENCE_S:
+            return belief
+        forgotten = {**belief, "target": None, "box_from_gripper": None, "box_width": None, "gripper": None}
+        return _enter(forgotten, WATCH, time_s)
+
+    def _unless_late(self, belief: Value, time_s: float) -> Value:
+        return belief if time_s - belief["since_s"] < _PATIENCE_S else _enter(belief, RETREAT, time_s)
+
+    def _raised(self, belief: Value) -> Floats:
+        raised: Floats = belief["gripper"].copy()
+        raised[2, 3] += self._lift_m
+        return raised
+
+    def _wish_watch(self, belief: Value) -> Command:
+        return command(HOME_GRIPPER, WIDEST_M, _FAST_M_S)
+
+    def _wish_approach(self, belief: Value) -> Command:
+        return command(before(belief["gripper"]), belief["box_width"] + OPENING_M, _FAST_M_S)
+
+    def _wish_descend(self, belief: Value) -> Command:
+        return command(belief["gripper"], belief["box_width"] + OPENING_M, _SLOW_M_S)
+
+    def _wish_close(self, belief: Value) -> Command:
+        return command(belief["gripper"], 0.0, _SLOW_M_S)
+
+    def _wish_lift(self, belief: Value) -> Command:
+        return command(self._raised(belief), 0.0, _SLOW_M_S)
+
+    def _wish_retreat(self, belief: Value) -> Command:
+        return command(before(belief["gripper"]), WIDEST_M, _SLOW_M_S)
+
+
+def held_now(belief: Value) -> Elements:
+    """ϱ of the grasp node: {"held": id of the cube that the hand holds, None for none}."""
+    return ({"held": belief["target"] if belief["phase"] in (LIFT, HOLD) else None},)
+
+
+def _enter(belief: Value, phase: str, time_s: float) -> Value:
+    return {**belief, "phase": phase, "since_s": time_s, "steady_s": None}
+
+
+def _steadied(belief: Value, holds: bool, time_s: float) -> Value:
+    """The belief with the time since which a condition holds without a break."""
+    since = belief["steady_s"] if belief["steady_s"] is not None else time_s
+    return {**belief, "steady_s": since if holds else None}
+
+
+def _steady(belief: Value, time_s: float, long_s: float) -> bool:
+    return belief["steady_s"] is not None and time_s - belief["steady_s"] >= long_s - 1e-9
+
+
+def _sure(body: Mapping[str, Any]) -> bool:
+    """Whether a body is tracked, and its place known well enough to take it."""
+    variance = float(np.trace(body["covariance"][:3, :3]))
+    return body["status"] == "tracked" and variance < _SURE_M**2
+
+
+def _aimed(belief: Value) -> Value:
+    """The grasp where the target is now; where it was, if it is not tracked."""
+    target = next(body for body in belief["bodies"] if body["id"] == belief["target"])
+    if belief["gripper"] is not None and not _sure(target):
+        return belief
+    return {**belief, "gripper": target["pose"] @ belief["box_from_gripper"]}
+
+
+def _reached(belief: Value, gripper: Floats) -> bool:
+    distance, angle = pose_error(belief["hand"]["gripper"], gripper)
+    return distance < _NEAR_M and angle < _NEAR_RAD
+
+
+def _filled(belief: Value) -> bool:
+    """Whether something as wide as the target is between the fingers."""
+    return bool(belief["hand"]["width"] > belief["box_width"] - _THINNER_M)
+
+
+_NEXT = {
+    WATCH: GraspNode._after_watch,
+    APPROACH: GraspNode._after_approach,
+    DESCEND: GraspNode._after_descend,
+    CLOSE: GraspNode._after_close,
+    LIFT: GraspNode._after_lift,
+    HOLD: GraspNode._after_hold,
+    RETREAT: GraspNode._after_retreat,
+}
+"""By phase, what follows."""
+
+_WISHES = {
+    WATCH: GraspNode._wish_watch,
+    APPROACH: GraspNode._wish_approach,
+    DESCEND: GraspNode._wish_descend,
+    CLOSE: GraspNode._wish_close,
+    LIFT: GraspNode._wish_lift,
+    HOLD: GraspNode._wish_lift,
+    RETREAT: GraspNode._wish_retreat,
+}
+"""By phase, what is asked of the gripper."""

@@ -1,0 +1,124 @@
+"""How the cubes of a scene are laid out, by its number, as far as everybody may know it.
+
+The plan gives each cube a place. Where it really stands is the world's alone: it moves every
+cube off its place (`hierax.nodes.picking.world`). What the trackers begin with is the plan
+with an error of its own, as a first look at the scene would have.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from hierax.nodes.tracking.geometry import Floats, exp_so3, make_pose
+
+SIDES_M = (0.055, 0.040, 0.048, 0.044, 0.051)
+COLOURS = ((196, 52, 44), (45, 96, 190), (58, 150, 72), (235, 190, 40), (120, 70, 160))
+"""By id, from 1: sides and RGB of the cubes."""
+
+GUESS_M = 0.003
+GUESS_RAD = np.radians(1.2)
+"""How far a first guess is off the plan at most, in place and in turn."""
+
+_NEAREST_M = np.array([0.40, -0.17])
+_FARTHEST_M = np.array([0.60, 0.17])
+_GAP_M = 0.030
+_BESIDE_M = (0.008, 0.018)
+_TRIES = 10_000
+
+_PLAN, _GUESS = 1, 2
+
+
+class Place(NamedTuple):
+    """Where a cube is to stand.
+
+    Attributes:
+        id: its label, from 1, which is its model's number too.
+        side_m: length of its edges.
+        colour: RGB, 0 to 255.
+        pose: world_from_object, upright.
+        below: id of the cube that it stands on; 0 for the table.
+    """
+
+    id: int
+    side_m: float
+    colour: tuple[int, int, int]
+    pose: Floats
+    below: int
+
+
+def planned(scene: int, cubes: int = len(SIDES_M)) -> tuple[Place, ...]:
+    """The places of all cubes of a scene.
+
+    In every other scene the second cube stands on the first. The third one stands close to
+    the first, so that one of them hides the other and keeps the gripper from some of its sides.
+
+    Args:
+        scene: number of the scene, from 0.
+        cubes: how many, from 1 to 5.
+
+    Raises:
+        ValueError: a number is out of its range, or there is no room.
+    """
+    if not 1 <= cubes <= len(SIDES_M):
+        raise ValueError(f"cubes is {cubes}; expected a number from 1 to {len(SIDES_M)}")
+    if scene < 0:
+        raise ValueError(f"scene is {scene}; expected a number from 0")
+    rng = np.random.default_rng([scene, _PLAN])
+    stacked = scene % 2 == 1
+    places: list[Place] = []
+    for number, (side, colour) in enumerate(zip(SIDES_M[:cubes], COLOURS, strict=False), start=1):
+        if number == 2 and stacked:
+            floor = places[0]
+            centre, below = floor.pose[:2, 3] + rng.uniform(-0.006, 0.006, 2), 1
+            height = floor.side_m + side / 2
+        else:
+            centre, below, height = _free_spot(rng, places, number, side), 0, side / 2
+        places.append(Place(number, side, colour, _upright(centre, height, rng.uniform(-np.pi, np.pi)), below))
+    return tuple(places)
+
+
+def guessed(scene: int, cubes: int = len(SIDES_M)) -> list[Floats]:
+    """world_from_object of all cubes as the trackers are told at the start: the plan, a little wrong."""
+    rng = np.random.default_rng([scene, _GUESS])
+    return [disturbed(place.pose, _within(rng, GUESS_M), _within(rng, GUESS_RAD)) for place in planned(scene, cubes)]
+
+
+def disturbed(pose: Floats, shift_m: Floats, turn_rad: Floats) -> Floats:
+    """A pose shifted, and turned about its own origin, along and about the world's axes."""
+    return make_pose(exp_so3(turn_rad) @ pose[:3, :3], pose[:3, 3] + shift_m)
+
+
+def _free_spot(rng: np.random.Generator, places: list[Place], number: int, side: float) -> Floats:
+    """Where a cube has room however the cubes are turned; the third close to the first."""
+    standing = [place for place in places if not place.below]
+    for _ in range(_TRIES):
+        spot = rng.uniform(_NEAREST_M, _FARTHEST_M)
+        if number == 3:
+            angle = rng.uniform(-np.pi, np.pi)
+            distance = _radius(places[0].side_m) + _radius(side) + rng.uniform(*_BESIDE_M)
+            spot = places[0].pose[:2, 3] + distance * np.array([np.cos(angle), np.sin(angle)])
+        others = [place for place in standing if not (number == 3 and place.id == 1)]
+        gaps = [
+            float(np.linalg.norm(spot - place.pose[:2, 3])) - _radius(place.side_m) - _radius(side) for place in others
+        ]
+        inside = bool(np.all(spot >= _NEAREST_M) and np.all(spot <= _FARTHEST_M))
+        if inside and min(gaps, default=np.inf) >= _GAP_M:
+            return spot
+    raise ValueError(f"there is no room for cube {number}")
+
+
+def _radius(side: float) -> float:
+    return side / 2**0.5
+
+
+def _upright(centre: Floats, height: float, yaw: float) -> Floats:
+    return make_pose(exp_so3(np.array([0.0, 0.0, yaw])), np.array([*centre, height]))
+
+
+def _within(rng: np.random.Generator, radius: float) -> Floats:
+    """A vector in a ball, anywhere in it alike."""
+    direction = rng.standard_normal(3)
+    scaled: Floats = direction / np.linalg.norm(direction) * radius * np.cbrt(rng.uniform())
+    return scaled

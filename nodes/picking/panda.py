@@ -1,0 +1,129 @@
+"""The Franka Panda: where its gripper and its hand camera are for given joints, and joints for a wanted gripper pose.
+
+The gripper's frame has its origin between the finger pads; z points along the fingers (the
+direction of approach), y is the direction in which they close. Lengths are those of the
+maker's table of Denavit-Hartenberg parameters (Craig's convention), as in pybullet_data's
+model. The arm stands in the origin of the world, on the table z = 0.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from hierax.nodes.tracking.geometry import Array, Floats, exp_so3, invert, log_so3, make_pose
+
+JOINTS = 7
+
+_OFFSETS_M = (0.0, 0.0, 0.0, 0.0825, -0.0825, 0.0, 0.088)
+_HEIGHTS_M = (0.333, 0.0, 0.316, 0.0, 0.384, 0.0, 0.0)
+_TWISTS_RAD = tuple(turns * np.pi / 2 for turns in (0, -1, 1, 1, -1, 1, 1))
+_FLANGE_M = 0.107
+_HAND_TURN_RAD = -np.pi / 4
+
+HAND_TO_GRIPPER_M = 0.1034
+"""From the hand's frame, on the flange, to between the finger pads."""
+
+LOWEST_RAD = np.array([-2.8973, -1.7628, -2.8973, -3.0718, -2.8973, -0.0175, -2.8973])
+HIGHEST_RAD = np.array([2.8973, 1.7628, 2.8973, -0.0698, 2.8973, 3.7525, 2.8973])
+TORQUES_NM = (87.0, 87.0, 87.0, 87.0, 12.0, 12.0, 12.0)
+WIDEST_M = 0.08
+
+REST_RAD = np.array([0.0, -0.55, 0.0, -2.45, 0.0, 2.1, 0.785])
+"""The posture that the arm keeps to as far as the gripper's pose leaves it free."""
+
+_HOME_TILT_RAD = np.radians(15.0)
+_HOME_M = np.array([0.30, 0.0, 0.38])
+
+_CAMERA_M = np.array([-0.083, 0.0, -0.065])
+_CAMERA_TILT_RAD = np.radians(20.0)
+
+_DAMPING = 1e-5
+_POSTURE = 0.1
+_NEAR = 1e-7
+_SUM_MAX = 0.3
+
+
+def gripper_at(joints: Floats) -> Floats:
+    """world_from_gripper (4, 4) for joint angles (7,), radians."""
+    return _chain(joints)[1]
+
+
+def joints_for(gripper: Floats, start: Floats, iterations: int = 60) -> tuple[Floats, float]:
+    """Joint angles that bring the gripper to a pose: damped least squares.
+
+    Args:
+        gripper: world_from_gripper.
+        start: (7,) where to begin, radians.
+        iterations: at most so many steps.
+
+    Returns:
+        (7,) radians, within the joints' limits, and how far off the gripper then is: metres
+        or radians, whichever is more.
+    """
+    joints = np.array(start, dtype=np.float64)
+    for _ in range(iterations):
+        error, jacobian = _error(gripper, joints)
+        wished = _POSTURE * (REST_RAD - joints)
+        inverse = np.linalg.inv(jacobian @ jacobian.T + _DAMPING * np.eye(6))
+        step = wished + jacobian.T @ (inverse @ (error - jacobian @ wished))
+        if np.abs(error).max() < _NEAR and np.abs(step).max() < _NEAR:
+            break
+        step *= min(1.0, _SUM_MAX / max(float(np.linalg.norm(step)), 1e-12))
+        joints = np.clip(joints + step, LOWEST_RAD, HIGHEST_RAD)
+    return joints, float(np.abs(_error(gripper, joints)[0]).max())
+
+
+def camera_of(gripper: Floats) -> Floats:
+    """world_from_camera of world_from_gripper."""
+    camera: Floats = gripper @ GRIPPER_FROM_CAMERA
+    return camera
+
+
+def gripper_down(position_m: Array, yaw_rad: float = 0.0, tilt_rad: float = 0.0) -> Floats:
+    """world_from_gripper for a gripper that points down, turned about the vertical and leaning forward."""
+    turn = exp_so3(np.array([0.0, 0.0, yaw_rad])) @ exp_so3(np.array([0.0, -tilt_rad, 0.0]))
+    return make_pose(turn @ np.diag([1.0, -1.0, -1.0]), np.asarray(position_m, dtype=np.float64))
+
+
+def _mount() -> Floats:
+    """gripper_from_camera: behind the hand, leaning over to the fingers, whose tips are just out of its view."""
+    axes = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
+    lean = exp_so3(np.array([0.0, _CAMERA_TILT_RAD, 0.0]))
+    return make_pose(lean @ axes, _CAMERA_M)
+
+
+def _chain(joints: Floats) -> tuple[list[Floats], Floats]:
+    """The frames of the joints, each turning about its z, and the gripper's, all in the world."""
+    pose = np.eye(4)
+    frames = []
+    for offset, height, twist, angle in zip(_OFFSETS_M, _HEIGHTS_M, _TWISTS_RAD, joints, strict=True):
+        ct, st, c, s = np.cos(twist), np.sin(twist), np.cos(angle), np.sin(angle)
+        pose = pose @ np.array(
+            [
+                [c, -s, 0.0, offset],
+                [s * ct, c * ct, -st, -height * st],
+                [s * st, c * st, ct, height * ct],
+                [0.0, 0.0, 0.0, 1.0],
+            ]
+        )
+        frames.append(pose)
+    turn = exp_so3(np.array([0.0, 0.0, _HAND_TURN_RAD]))
+    return frames, pose @ make_pose(turn, np.array([0.0, 0.0, _FLANGE_M + HAND_TO_GRIPPER_M]))
+
+
+def _error(gripper: Floats, joints: Floats) -> tuple[Floats, Floats]:
+    """What the gripper lacks to its pose (6,; metres, radians, world's axes), and how the joints change that (6, 7)."""
+    frames, reached = _chain(joints)
+    moved = gripper[:3, 3] - reached[:3, 3]
+    error = np.concatenate((moved, log_so3(gripper[:3, :3] @ reached[:3, :3].T)))
+    axes = np.stack([frame[:3, 2] for frame in frames])
+    arms = reached[:3, 3] - np.stack([frame[:3, 3] for frame in frames])
+    return error, np.concatenate((np.cross(axes, arms), axes), axis=1).T
+
+
+GRIPPER_FROM_CAMERA = _mount()
+HOME_GRIPPER = gripper_down(_HOME_M, tilt_rad=_HOME_TILT_RAD)
+"""world_from_gripper where the camera overlooks the table."""
+
+HOME_RAD = joints_for(HOME_GRIPPER, REST_RAD, 300)[0]
+CAMERA_FROM_GRIPPER = invert(GRIPPER_FROM_CAMERA)

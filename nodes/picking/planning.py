@@ -1,0 +1,203 @@
+"""Where a parallel-jaw gripper can take a box: by two opposite faces, reachable, without touching anything else."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hierax.nodes.picking.panda import HOME_GRIPPER, HOME_RAD, WIDEST_M, joints_for
+from hierax.nodes.tracking.geometry import Floats, invert, make_pose, transform
+
+APPROACH_M = 0.10
+"""How far before the grasp the gripper begins to approach it in a straight line."""
+
+CLEARANCES_M = (0.006, 0.003)
+"""How far the gripper keeps off everything; less only where there is no grasp with more."""
+
+OPENING_M = 0.022
+"""How much wider than the box the gripper is while it approaches."""
+
+_TILTS_RAD = np.radians([0.0, 30.0, -30.0, 60.0, -60.0, 90.0, -90.0])
+_LEVEL = 0.2
+_FINGERS_M = 0.037
+_STAGES = 4
+_RAISES_M = (0.015, 0.040)
+_SHRUNK_M = 0.005
+_REACHED = 1e-3
+_TURN_COST = 0.3
+_SLIDE_COST = 2.0
+
+
+class Boxes(NamedTuple):
+    """Boxes in space: centres (n, 3), axes (n, 3, 3) in columns, halves of their lengths (n, 3); metres."""
+
+    centres: Floats
+    axes: Floats
+    halves: Floats
+
+
+class Grasp(NamedTuple):
+    """A way to take a box.
+
+    Attributes:
+        id: of the box.
+        box_from_gripper: the gripper's pose when it closes.
+        width_m: between the faces that it takes.
+    """
+
+    id: int
+    box_from_gripper: Floats
+    width_m: float
+
+
+def choose(bodies: Sequence[Mapping[str, Any]], eligible: Sequence[int]) -> Grasp | None:
+    """The easiest grasp of any eligible box.
+
+    From above is easier than from the side, little turning is easier than much. A grasp is
+    possible where nothing lies on the box, hand and camera keep clear of all boxes and of
+    the table all along the approach, and the arm reaches both ends of it.
+
+    Args:
+        bodies: {"id", "pose": world_from_box, "size": (3,) m} of all boxes; the table is z = 0.
+        eligible: ids of those that may be taken.
+
+    Returns:
+        The grasp; None where there is none.
+    """
+    boxes = _boxes(bodies)
+    free = [index for index, body in enumerate(bodies) if body["id"] in eligible and _uncovered(boxes, index)]
+    found = [(cost, grasp, pose) for index in free for cost, grasp, pose in _candidates(bodies[index])]
+    found.sort(key=lambda item: item[0])
+    reached: dict[int, bool] = {}
+    for clearance_m in CLEARANCES_M:
+        for index, (_, grasp, pose) in enumerate(found):
+            if not clear(pose, grasp.width_m + OPENING_M, boxes, clearance_m):
+                continue
+            if index not in reached:
+                reached[index] = _reachable(pose)
+            if reached[index]:
+                return grasp
+    return None
+
+
+def before(gripper: Floats, back_m: float = APPROACH_M) -> Floats:
+    """The gripper's pose so far before another one, against the direction of approach."""
+    pose: Floats = gripper.copy()
+    pose[:3, 3] -= back_m * gripper[:3, 2]
+    return pose
+
+
+def clear(gripper: Floats, width_m: float, boxes: Boxes, clearance_m: float) -> bool:
+    """Whether hand and camera keep clear of boxes and table on the whole approach.
+
+    Args:
+        gripper: world_from_gripper at its end.
+        width_m: how wide the gripper is open.
+        boxes: everything that is not to be touched, what is to be taken included.
+        clearance_m: how far they are to keep off.
+    """
+    hand = _hand(width_m)
+    stages = [before(gripper, back) for back in np.linspace(0.0, APPROACH_M, _STAGES)]
+    placed = Boxes(
+        np.concatenate([transform(pose, hand.centres) for pose in stages]),
+        np.concatenate([pose[:3, :3] @ hand.axes for pose in stages]),
+        np.concatenate([hand.halves + clearance_m] * _STAGES),
+    )
+    lowest = placed.centres[:, 2] - np.einsum("nk,nk->n", np.abs(placed.axes[:, 2, :]), placed.halves)
+    if float(lowest.min()) < 0.0:
+        return False
+    return not any(overlapping(placed, boxes, index).any() for index in range(len(boxes.centres)))
+
+
+def overlapping(first: Boxes, second: Boxes, index: int) -> NDArray[np.bool_]:
+    """Which of the first boxes overlap one of the second, (n,) bool: none of the 15 axes separates them.
+
+    The axes are the faces' normals of both and the cross products of their edges
+    (Gottschalk, Lin and Manocha, OBBTree, 1996).
+    """
+    between = second.centres[index] - first.centres
+    turn = np.einsum("nki,kj->nij", first.axes, second.axes[index])
+    spread = np.abs(turn) + 1e-9
+    offset = np.einsum("nki,nk->ni", first.axes, between)
+    other = second.halves[index]
+    apart = (np.abs(offset) > first.halves + spread @ other).any(axis=1)
+    across = between @ second.axes[index]
+    apart |= (np.abs(across) > other + np.einsum("nij,ni->nj", spread, first.halves)).any(axis=1)
+    for i in range(3):
+        i1, i2 = (i + 1) % 3, (i + 2) % 3
+        for j in range(3):
+            j1, j2 = (j + 1) % 3, (j + 2) % 3
+            reach = first.halves[:, i1] * spread[:, i2, j] + first.halves[:, i2] * spread[:, i1, j]
+            reach = reach + other[j1] * spread[:, i, j2] + other[j2] * spread[:, i, j1]
+            apart |= np.abs(offset[:, i2] * turn[:, i1, j] - offset[:, i1] * turn[:, i2, j]) > reach
+    touching: NDArray[np.bool_] = ~apart
+    return touching
+
+
+def _boxes(bodies: Sequence[Mapping[str, Any]]) -> Boxes:
+    poses = np.stack([body["pose"] for body in bodies])
+    return Boxes(poses[:, :3, 3], poses[:, :3, :3], np.stack([body["size"] for body in bodies]) / 2)
+
+
+def _uncovered(boxes: Boxes, index: int) -> bool:
+    """Whether nothing is in the way of a box upwards."""
+    raises = np.zeros((len(_RAISES_M), 3))
+    raises[:, 2] = _RAISES_M
+    count = len(_RAISES_M)
+    raised = Boxes(
+        boxes.centres[index] + raises,
+        np.repeat(boxes.axes[index][None], count, axis=0),
+        np.repeat(boxes.halves[index][None] - _SHRUNK_M, count, axis=0),
+    )
+    others = [other for other in range(len(boxes.centres)) if other != index]
+    return not any(overlapping(raised, boxes, other).any() for other in others)
+
+
+def _candidates(body: Mapping[str, Any]) -> list[tuple[float, Grasp, Floats]]:
+    """All grasps of a box that closes from the sides: cost, grasp, and world_from_gripper."""
+    pose, half = body["pose"], np.asarray(body["size"]) / 2
+    down = np.array([0.0, 0.0, -1.0])
+    found = []
+    for axis in range(3):
+        width = 2.0 * float(half[axis])
+        if abs(pose[2, axis]) > _LEVEL or width + OPENING_M > WIDEST_M:
+            continue
+        for sign in (1.0, -1.0):
+            closing = sign * pose[:3, axis]
+            # Straight down, as far as the faces that it takes stand upright.
+            first = down - (down @ closing) * closing
+            first /= np.linalg.norm(first)
+            second = np.cross(closing, first)
+            for tilt in _TILTS_RAD:
+                approach = np.cos(tilt) * first + np.sin(tilt) * second
+                depth = float(np.abs(approach @ pose[:3, :3]) @ half)
+                # The palm stays before the box.
+                slide = max(0.0, depth + 2 * CLEARANCES_M[0] - _FINGERS_M)
+                rotation = np.stack((np.cross(closing, approach), closing, approach), axis=1)
+                gripper = make_pose(rotation, pose[:3, 3] - slide * approach)
+                turn = float(np.arccos(np.clip(rotation[:, 0] @ HOME_GRIPPER[:3, 0], -1.0, 1.0)))
+                cost = abs(tilt) + _TURN_COST * turn + _SLIDE_COST * slide / _FINGERS_M
+                found.append((cost, Grasp(body["id"], invert(pose) @ gripper, width), gripper))
+    return found
+
+
+def _reachable(gripper: Floats) -> bool:
+    joints, off = joints_for(before(gripper), HOME_RAD)
+    return off < _REACHED and joints_for(gripper, joints)[1] < _REACHED
+
+
+def _hand(width_m: float) -> Boxes:
+    """Fingers, hand and camera as boxes in the gripper's frame, a little larger than they are."""
+    low_high = [
+        ((-0.0325, -0.105, -0.130), (0.0325, 0.105, -_FINGERS_M)),
+        ((-0.0980, -0.045, -0.080), (-0.0690, 0.045, -0.052)),
+    ]
+    for side in (1.0, -1.0):
+        for thickness, top, tip in ((0.0265, -0.050, -0.012), (0.0205, -0.012, 0.0095)):
+            ends = sorted((side * width_m / 2, side * (width_m / 2 + thickness)))
+            low_high.append(((-0.0110, ends[0], top), (0.0110, ends[1], tip)))
+    low, high = (np.array([item[end] for item in low_high]) for end in (0, 1))
+    return Boxes((low + high) / 2, np.repeat(np.eye(3)[None], len(low), axis=0), (high - low) / 2)

@@ -1,0 +1,179 @@
+"""The tracking nodes as they stand between the world and the grasp node.
+
+Both do what they do in `hierax.nodes.tracking`, and two things more: what the arm feels of
+its hand goes up through them, and the grasp node's commands go down.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from hierax.nodes.picking.commands import Command, Commanded, name_of
+from hierax.nodes.picking.layout import SIDES_M, guessed, planned
+from hierax.nodes.picking.panda import CAMERA_FROM_GRIPPER, HOME_RAD, camera_of, gripper_at
+from hierax.nodes.tracking.arm import ArmNode, poses_seen
+from hierax.nodes.tracking.geometry import invert
+from hierax.nodes.tracking.models import box_mesh
+from hierax.nodes.tracking.spatial import SpatialNode
+from hierax.runtime import NO_TICK, Elements, Tick, Value
+from hierax.runtime.core.node import Policy
+
+
+class PickArm(ArmNode):
+    """An arm node that also knows its hand.
+
+    What stands above it knows where things are by this node's camera, whose pose it corrects.
+    So it says where the hand is by the same camera, and turns what is asked of the hand, which
+    is meant beside what the camera sees, into where the joints have to bring it. While the
+    hand grips, the camera sees little but what moves with it, of which it cannot learn where it
+    is itself: the correction stays what it was.
+
+    The belief is that of `ArmNode`, with ``hand``, as the world gave it (None before the first
+    image), ``joints_from_camera`` ((4, 4): from where the camera has things to where the joints
+    have them) and ``grips``, whether the last command was to close the fingers.
+    """
+
+    def initial_belief(self) -> Value:
+        """That of `ArmNode`; nothing is known of the hand yet, and nothing corrected."""
+        return {**super().initial_belief(), "hand": None, "joints_from_camera": np.eye(4), "grips": False}
+
+    def observe(self, observations: Elements, belief: Value) -> Value:
+        """τ of `ArmNode`, and the hand as it is felt."""
+        if not observations:
+            return belief
+        felt = {**super().observe(observations, belief), "grips": belief["grips"], "hand": observations[0]["hand"]}
+        if belief["grips"]:
+            return {**felt, "joints_from_camera": belief["joints_from_camera"]}
+        return {**felt, "joints_from_camera": felt["hand"]["gripper"] @ invert(felt["camera"] @ CAMERA_FROM_GRIPPER)}
+
+    def select_policy(self, tasks: Elements) -> str:
+        """λ: to have the hand carry out the command."""
+        return name_of(tasks)
+
+    def policies(self) -> Mapping[str, Policy]:
+        """Π: for every command, the same as the joints know it."""
+        return Commanded(_for_joints)
+
+    def predict(self, context: Elements, actions: Elements, belief: Value) -> Value:
+        """γ of `ArmNode`; its command changes nothing in what it expects to see, as the camera's pose is measured."""
+        return {**super().predict(context, (), belief), "grips": any(action["width"] <= 0.0 for action in actions)}
+
+
+class PickSpatial(SpatialNode):
+    """A spatial node in whose imagination the cube that the hand holds moves with the hand.
+
+    Its belief has ``hand``, as the arm felt it (None before the first observation), and
+    ``hand_before``, the same an epoch earlier.
+    """
+
+    def initial_belief(self) -> Value:
+        """That of `SpatialNode`; nothing is known of the hand yet."""
+        return {**super().initial_belief(), "hand": None, "hand_before": None}
+
+    def observe(self, observations: Elements, belief: Value, tick: Tick = NO_TICK) -> Value:
+        """τ of `SpatialNode`, and the hand as the arm felt it."""
+        sensed = super().observe(observations, belief, tick)
+        hands = [item["hand"] for item in observations if "hand" in item]
+        return {**sensed, "hand": hands[0], "hand_before": belief["hand"]} if hands else sensed
+
+    def select_policy(self, tasks: Elements) -> str:
+        """λ: to hand on the command."""
+        return name_of(tasks)
+
+    def policies(self) -> Mapping[str, Policy]:
+        """Π: for every command, handing it on."""
+        return Commanded()
+
+    def predict(self, context: Elements, actions: Elements, belief: Value) -> Value:
+        """γ of `SpatialNode`, but for the cube that is held: it goes on as the hand went.
+
+        Args:
+            context: one element {"held": id of a cube, or None}, from the grasp node.
+            actions: not used.
+            belief: as `observe` left it.
+        """
+        predicted = super().predict((), (), belief)
+        held = context[0]["held"] if context else None
+        if held is None or belief["hand_before"] is None:
+            return predicted
+        moved = belief["hand"]["gripper"] @ invert(belief["hand_before"]["gripper"])
+        seen = {body["id"]: body["pose"] for body in belief["bodies"]}
+        bodies = tuple(
+            {**body, "pose": moved @ seen[held], "velocity": np.zeros(6)} if body["id"] == held else body
+            for body in predicted["bodies"]
+        )
+        return {**predicted, "bodies": bodies}
+
+
+def arm(scene: int = 0, cubes: int = len(SIDES_M), **options: Any) -> PickArm:
+    """The arm node with a first guess at the cubes' poses, and nothing of their shapes.
+
+    Args:
+        scene, cubes: as for `hierax.nodes.picking.world.PickWorld`.
+        options: further ones of `ArmNode`.
+    """
+    camera_from_world = invert(camera_of(gripper_at(HOME_RAD)))
+    objects = [
+        {"id": number, "obj_id": number, "pose": camera_from_world @ pose}
+        for number, pose in enumerate(guessed(scene, cubes), start=1)
+    ]
+    return PickArm(objects, **options)
+
+
+def spatial(scene: int = 0, cubes: int = len(SIDES_M), **options: Any) -> PickSpatial:
+    """The spatial node with a first guess at the cubes' poses, and with their models; the table carries them.
+
+    Args:
+        scene, cubes: as for `hierax.nodes.picking.world.PickWorld`.
+        options: further ones of `SpatialNode`.
+    """
+    objects = []
+    for place, pose in zip(planned(scene, cubes), guessed(scene, cubes), strict=True):
+        mesh = box_mesh([place.side_m] * 3)
+        model = {"vertices": mesh.vertices, "faces": mesh.faces}
+        objects.append({"id": place.id, "obj_id": place.id, "pose": pose, "model": model})
+    return PickSpatial(objects, table=True, **options)
+
+
+def poses_and_hand_seen(belief: Value) -> Elements:
+    """φ of the arm: what `poses_seen` gives, then {"hand": {"gripper", "width"}} by its camera; none before it sees."""
+    poses = poses_seen(belief)
+    if not poses:
+        return ()
+    gripper = invert(belief["joints_from_camera"]) @ belief["hand"]["gripper"]
+    return (*poses, {"hand": {**belief["hand"], "gripper": gripper}})
+
+
+def scene_known(belief: Value) -> Elements:
+    """φ of the spatial node: the bodies as boxes, and the hand.
+
+    Returns:
+        Of each body {"id", "pose": world_from_box, its centre in the origin, "size": (3,) m,
+        "covariance", "status"}, then {"hand"}; none before the first observation.
+    """
+    if belief["hand"] is None:
+        return ()
+    boxes = []
+    for body in belief["bodies"]:
+        vertices = body["model"]["vertices"]
+        low, high = vertices.min(axis=0), vertices.max(axis=0)
+        pose = body["pose"].copy()
+        pose[:3, 3] += pose[:3, :3] @ ((low + high) / 2)
+        boxes.append(
+            {
+                "id": body["id"],
+                "pose": pose,
+                "size": high - low,
+                "covariance": body["covariance"],
+                "status": body["status"],
+            }
+        )
+    return (*boxes, {"hand": belief["hand"]})
+
+
+def _for_joints(wanted: Command, belief: Value) -> Command:
+    """A command by the camera, as one by the joints' angles."""
+    return {**wanted, "gripper": belief["joints_from_camera"] @ wanted["gripper"]}

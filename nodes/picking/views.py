@@ -1,0 +1,159 @@
+"""Pictures of the whole scene, arm included, from beside the table: for people, not for any node."""
+
+from __future__ import annotations
+
+import weakref
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+
+from hierax.nodes.picking.panda import JOINTS
+from hierax.nodes.picking.panda_model import panda_file
+from hierax.nodes.tracking.bullet import load_pybullet
+from hierax.nodes.tracking.geometry import Array, Floats, quaternion_of
+from hierax.nodes.tracking.pictures import contact_sheet, write_picture
+from hierax.runtime import Probe, Step, Value
+
+VIEWS_FOLDER = "views"
+CONTACT_SHEET = "contact-sheet.png"
+
+BESIDE = ((1.20, -0.85, 0.62), (0.35, 0.0, 0.27))
+"""Where the view is from, and what it looks at, metres."""
+
+_FINGERS = (9, 10)
+_TABLE_HALF_M = (0.75, 0.65, 0.02)
+_TABLE_COLOUR = (168, 134, 98)
+_FIELD_DEG = 42.0
+_RANGE_M = (0.1, 4.0)
+
+
+class SceneView:
+    """Draws arm, table and cubes by pybullet's TinyRenderer, with the arm's visible meshes."""
+
+    def __init__(self) -> None:
+        self._pybullet = load_pybullet()
+        self._client: int = self._pybullet.connect(self._pybullet.DIRECT)
+        weakref.finalize(self, self._pybullet.disconnect, self._client)
+        self._arm = int(self._pybullet.loadURDF(str(panda_file()), useFixedBase=1, physicsClientId=self._client))
+        self._box(_TABLE_HALF_M, _TABLE_COLOUR, (0.0, 0.0, -_TABLE_HALF_M[2]))
+        self._cubes: dict[int, int] = {}
+
+    @property
+    def arm(self) -> int:
+        """What the arm is called in the labels of `draw`."""
+        return self._arm
+
+    def draw(
+        self, belief: Value, view: Sequence[float], lens: Sequence[float], size: tuple[int, int]
+    ) -> tuple[Array, Array]:
+        """The scene of a world's belief.
+
+        Args:
+            belief: of `hierax.nodes.picking.world.PickWorld`.
+            view, lens: OpenGL's view and projection matrices, (16,), by columns.
+            size: width and height in pixels.
+
+        Returns:
+            uint8 RGB (h, w, 3), and int32 (h, w), whose body is seen, -1 for none.
+        """
+        pybullet, client = self._pybullet, {"physicsClientId": self._client}
+        for joint in range(JOINTS):
+            pybullet.resetJointState(self._arm, joint, belief["joints"][joint], **client)
+        for joint, place in zip(_FINGERS, belief["fingers"], strict=True):
+            pybullet.resetJointState(self._arm, joint, place, **client)
+        for body in belief["bodies"]:
+            if body["id"] not in self._cubes:
+                self._cubes[body["id"]] = self._box([body["side_m"] / 2] * 3, body["colour"], (0.0, 0.0, 0.0))
+            pose = body["pose"]
+            pybullet.resetBasePositionAndOrientation(
+                self._cubes[body["id"]], pose[:3, 3].tolist(), quaternion_of(pose[:3, :3]).tolist(), **client
+            )
+        width, height = size
+        drawn = pybullet.getCameraImage(
+            width,
+            height,
+            viewMatrix=view,
+            projectionMatrix=lens,
+            lightDirection=[-0.42, -0.38, 1.05],
+            renderer=pybullet.ER_TINY_RENDERER,
+            **client,
+        )
+        picture = np.asarray(drawn[2], dtype=np.uint8).reshape(height, width, 4)[..., :3]
+        return picture, np.asarray(drawn[4], dtype=np.int32).reshape(height, width)
+
+    def beside(self, belief: Value, size: tuple[int, int]) -> Array:
+        """The scene from beside the table, uint8 RGB (h, w, 3)."""
+        view = self._pybullet.computeViewMatrix(*BESIDE, (0.0, 0.0, 1.0))
+        lens = self._pybullet.computeProjectionMatrixFOV(_FIELD_DEG, size[0] / size[1], *_RANGE_M)
+        return self.draw(belief, view, lens, size)[0]
+
+    def _box(self, half: Sequence[float], colour: Sequence[int], place: Sequence[float]) -> int:
+        pybullet, client = self._pybullet, {"physicsClientId": self._client}
+        rgba = [part / 255.0 for part in colour] + [1.0]
+        shape = pybullet.createVisualShape(pybullet.GEOM_BOX, halfExtents=half, rgbaColor=rgba, **client)
+        return int(pybullet.createMultiBody(0, -1, shape, basePosition=place, **client))
+
+
+class Views(Probe):
+    """Draws the world from beside the table, into ``views/`` in the output folder, with a contact sheet at the end.
+
+    Args:
+        every: from one picture to the next, in frames.
+        width, height: of the pictures, in pixels.
+
+    Raises:
+        ValueError: `every` is below 1.
+    """
+
+    def __init__(self, every: int = 16, width: int = 480, height: int = 360) -> None:
+        if every < 1:
+            raise ValueError(f"every is {every}; expected at least 1 frame")
+        self._every = every
+        self._size = (width, height)
+        self._folder: Path | None = None
+        self._scene: SceneView | None = None
+
+    def open(self, output: Path | None) -> None:
+        """Make the folder; without an output folder nothing is drawn."""
+        self._folder = None if output is None else output / VIEWS_FOLDER
+        if self._folder is not None:
+            self._folder.mkdir(exist_ok=True)
+
+    def open_again(self, output: Path | None) -> None:
+        """Go on beside what is there."""
+        self.open(output)
+
+    def record(self, step: Step) -> None:
+        """Draw the frame, if it is one to be drawn."""
+        if self._folder is None or step.sensed["frame"] % self._every:
+            return
+        self._scene = self._scene or SceneView()
+        picture = self._scene.beside(step.sensed, self._size)
+        write_picture(self._folder / f"frame-{step.sensed['frame']:06d}.png", picture)
+
+    def close(self) -> None:
+        """Draw the contact sheet."""
+        self._scene = None
+        if self._folder is None:
+            return
+        pictures = sorted(self._folder.glob("frame-*.png"))
+        if pictures:
+            write_picture(self._folder / CONTACT_SHEET, contact_sheet(pictures))
+
+
+def opengl_view(camera: Floats) -> list[float]:
+    """OpenGL's view matrix (16,) of world_from_camera: it looks along -z with y up, ours along z with y down."""
+    matrix: Floats = np.diag([1.0, -1.0, -1.0, 1.0]) @ np.linalg.inv(camera)
+    return [float(number) for number in matrix.T.ravel()]
+
+
+def opengl_lens(intrinsics: Array, size: tuple[int, int], near_m: float = 0.005, far_m: float = 4.0) -> list[float]:
+    """OpenGL's projection matrix (16,) of a pinhole camera with its principal point in the middle."""
+    matrix = np.zeros((4, 4))
+    matrix[0, 0] = 2.0 * intrinsics[0] / size[0]
+    matrix[1, 1] = 2.0 * intrinsics[1] / size[1]
+    matrix[2, 2] = -(far_m + near_m) / (far_m - near_m)
+    matrix[2, 3] = -2.0 * far_m * near_m / (far_m - near_m)
+    matrix[3, 2] = -1.0
+    return [float(number) for number in matrix.T.ravel()]

@@ -1,0 +1,246 @@
+"""The world of the picking arm: cubes on a table, the arm, the camera in its hand. True poses are here alone."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from hierax.nodes.picking.commands import Commanded, name_of
+from hierax.nodes.picking.layout import SIDES_M, disturbed, planned
+from hierax.nodes.picking.panda import HOME_RAD, WIDEST_M, camera_of, gripper_at, joints_for
+from hierax.nodes.picking.workcell import STEP_HZ, Arm, Cube, Order, Touch, Workcell
+from hierax.nodes.tracking import sim_shapes
+from hierax.nodes.tracking.geometry import Floats, exp_so3, log_so3, make_pose
+from hierax.nodes.tracking.sim_scene import develop, draw
+from hierax.runtime import NO_TICK, Elements, Tick, Value, World
+from hierax.runtime.core.node import Policy
+
+OFF_PLAN_M = 0.004
+OFF_PLAN_RAD = np.radians(1.8)
+"""How far a cube stands off its place in the plan at most, and how far it is turned."""
+
+FOCAL_LENGTH = 0.8
+"""In widths of the picture."""
+
+LIFTED_M = 0.10
+HELD_S = 2.0
+"""A cube is grasped when it has been held so high for so long."""
+
+_ENOUGH_S = 2.5
+_ACCELERATION_M_S2 = 0.5
+_TURN_M_RAD = 0.2
+"""A turn of a radian takes as long as a move of this."""
+
+_TRUTH = 3
+
+
+class PickWorld(World):
+    """An arm with a camera in its hand, over a table with cubes.
+
+    The arm's controller moves the gripper on a straight line to where it is commanded,
+    speeding up and slowing down; joints are position controlled, fingers have a bounded
+    force. Nothing but friction holds a cube.
+
+    The belief: ``frame``, ``time_s``, the arm (``joints`` (7,), ``speeds`` (7,), ``fingers``
+    (2,), ``finger_speeds`` (2,); rad, m, s), its controller (``targets`` (7,), rad; ``setpoint``,
+    world_from_gripper; ``pace``, m/s), the camera (``camera``, world_from_camera;
+    ``intrinsics``, ``size``, ``noise``, ``blur_px``) and ``bodies``, a tuple of ``id``,
+    ``obj_id``, ``side_m``, ``colour``, ``pose`` (world_from_object), ``velocity`` (6,),
+    ``floor_m`` (the height that it began at), ``lift_m`` (how far it is above that) and
+    ``held_s`` (how long it has been lifted and touched by nothing but the fingers).
+
+    Args:
+        scene: number of the scene, from 0.
+        cubes: how many cubes, from 1 to 5.
+        frames: after how many the world has finished, if nothing has been held long enough by then.
+        width, height: of the pictures, in pixels.
+        noise: standard deviation of the sensor's noise, in grey levels of 256.
+        blur_px: standard deviation of the lens's blur, in pixels.
+        fps: frames per second, a divisor of 240.
+    """
+
+    def __init__(
+        self,
+        scene: int = 0,
+        cubes: int = len(SIDES_M),
+        frames: int = 400,
+        width: int = 640,
+        height: int = 480,
+        noise: float = 2.0,
+        blur_px: float = 0.7,
+        fps: int = 20,
+    ) -> None:
+        for name, number, least in (("frames", frames, 1), ("width", width, 64), ("height", height, 64)):
+            if number < least:
+                raise ValueError(f"{name} is {number}; expected at least {least}")
+        for name, amount in (("noise", noise), ("blur_px", blur_px)):
+            if amount < 0.0:
+                raise ValueError(f"{name} is {amount}; expected a number not below 0")
+        if fps < 1 or STEP_HZ % fps:
+            raise ValueError(f"fps is {fps}; expected a divisor of {STEP_HZ}")
+        self._bodies = _placed(scene, cubes)
+        self._frames = frames
+        self._size = (width, height)
+        self._noise = float(noise)
+        self._blur_px = float(blur_px)
+        self._fps = fps
+        self._workcell = Workcell()
+
+    def initial_belief(self) -> Value:
+        """Frame 0: everything at rest, the gripper open, the camera overlooking the table."""
+        width, height = self._size
+        focal = FOCAL_LENGTH * width
+        gripper = gripper_at(HOME_RAD)
+        return {
+            "frame": 0,
+            "time_s": 0.0,
+            "joints": HOME_RAD,
+            "speeds": np.zeros(7),
+            "fingers": np.full(2, WIDEST_M / 2),
+            "finger_speeds": np.zeros(2),
+            "targets": HOME_RAD,
+            "setpoint": gripper,
+            "pace": 0.0,
+            "camera": camera_of(gripper),
+            "intrinsics": np.array([focal, focal, (width - 1) / 2, (height - 1) / 2]),
+            "size": self._size,
+            "noise": self._noise,
+            "blur_px": self._blur_px,
+            "bodies": self._bodies,
+        }
+
+    def select_policy(self, tasks: Elements) -> str:
+        """λ: to carry out the command; of none, to stay."""
+        return name_of(tasks)
+
+    def policies(self) -> Mapping[str, Policy]:
+        """Π: for every command, its execution."""
+        return Commanded()
+
+    def predict(self, context: Elements, actions: Elements, belief: Value) -> Value:
+        """γ: one frame interval of the arm's controller and of physics."""
+        interval_s = 1.0 / self._fps
+        setpoint, pace = belief["setpoint"], 0.0
+        width = float(belief["fingers"].sum())
+        if actions:
+            wanted = actions[0]
+            setpoint, pace = _advanced(setpoint, belief["pace"], wanted, interval_s)
+            width = wanted["width"]
+        targets, _ = joints_for(setpoint, belief["targets"])
+        arm = Arm(belief["joints"], belief["speeds"], belief["fingers"], belief["finger_speeds"])
+        cubes = [Cube(body["side_m"], body["pose"], body["velocity"]) for body in belief["bodies"]]
+        order = Order(belief["targets"], targets, width)
+        arm, cubes, touches = self._workcell.run(arm, cubes, order, STEP_HZ // self._fps)
+        bodies = tuple(
+            _moved(body, cube, touch, interval_s)
+            for body, cube, touch in zip(belief["bodies"], cubes, touches, strict=True)
+        )
+        frame = belief["frame"] + 1
+        return {
+            **belief,
+            **arm._asdict(),
+            "frame": frame,
+            "time_s": frame / self._fps,
+            "targets": targets,
+            "setpoint": setpoint,
+            "pace": pace,
+            "camera": camera_of(gripper_at(arm.joints)),
+            "bodies": bodies,
+        }
+
+    def time_s(self, belief: Value, epoch: int) -> float:
+        """The time of the belief's frame."""
+        return float(belief["time_s"])
+
+    def finished(self, belief: Value) -> bool:
+        """Whether a cube has been held long enough, or the frames are over."""
+        return belief["frame"] >= self._frames or any(body["held_s"] >= _ENOUGH_S for body in belief["bodies"])
+
+    def metrics(self, belief: Value) -> Mapping[str, float]:
+        """Whether a cube was grasped (1 or 0), how high the highest is lifted (mm), how long one has been held (s)."""
+        held_s = max(body["held_s"] for body in belief["bodies"])
+        return {
+            "grasped": float(held_s >= HELD_S - 1e-9),
+            "lift_mm": 1000.0 * max(body["lift_m"] for body in belief["bodies"]),
+            "held_s": held_s,
+        }
+
+
+def picture_and_hand_seen(belief: Value, tick: Tick = NO_TICK) -> Elements:
+    """φ of the world: the camera's picture and what the arm feels of itself.
+
+    The camera is mounted so that nothing of the arm is in its view. The arm throws no shadow.
+
+    Returns:
+        One element {"image", "camera", "intrinsics", "frame", "hand"}; the hand is
+        {"gripper": world_from_gripper, by the joints' angles; "width": metres between the finger pads}.
+    """
+    cubes = [sim_shapes.Cube(body["pose"], body["side_m"], tuple(body["colour"])) for body in belief["bodies"]]
+    picture = draw(cubes, belief["camera"], belief["intrinsics"], tuple(belief["size"]))
+    return (
+        {
+            "image": develop(picture, belief["blur_px"], belief["noise"], tick.rng),
+            "camera": belief["camera"],
+            "intrinsics": belief["intrinsics"],
+            "frame": belief["frame"],
+            "hand": {"gripper": gripper_at(belief["joints"]), "width": float(belief["fingers"].sum())},
+        },
+    )
+
+
+def _placed(scene: int, cubes: int) -> tuple[dict[str, Any], ...]:
+    """The cubes where they truly stand: off the plan, each by a little; what stands on another moves with it."""
+    places = planned(scene, cubes)
+    rng = np.random.default_rng([scene, _TRUTH])
+    bodies: list[dict[str, Any]] = []
+    shifts: dict[int, Floats] = {}
+    for place in places:
+        angle, length = rng.uniform(-np.pi, np.pi), OFF_PLAN_M * np.sqrt(rng.uniform())
+        shift = np.array([length * np.cos(angle), length * np.sin(angle), 0.0])
+        shifts[place.id] = shifts[place.below] if place.below else shift
+        turn = np.array([0.0, 0.0, rng.uniform(-OFF_PLAN_RAD, OFF_PLAN_RAD)])
+        pose = disturbed(place.pose, shifts[place.id], turn)
+        bodies.append(
+            {
+                "id": place.id,
+                "obj_id": place.id,
+                "side_m": place.side_m,
+                "colour": place.colour,
+                "pose": pose,
+                "velocity": np.zeros(6),
+                "floor_m": float(pose[2, 3]),
+                "lift_m": 0.0,
+                "held_s": 0.0,
+            }
+        )
+    return tuple(bodies)
+
+
+def _advanced(setpoint: Floats, pace: float, wanted: Mapping[str, Any], interval_s: float) -> tuple[Floats, float]:
+    """The setpoint an interval later, on its way to the wanted pose, and its speed, m/s."""
+    goal = wanted["gripper"]
+    shift = goal[:3, 3] - setpoint[:3, 3]
+    turn = log_so3(goal[:3, :3] @ setpoint[:3, :3].T)
+    left = max(float(np.linalg.norm(shift)), _TURN_M_RAD * float(np.linalg.norm(turn)))
+    change = _ACCELERATION_M_S2 * interval_s
+    # As fast as lets it still stop in time, at this braking and these intervals.
+    stopping = float(np.sqrt(2.0 * _ACCELERATION_M_S2 * left + change**2 / 4)) - change / 2
+    pace = max(min(pace + change, wanted["speed"], stopping), 0.0)
+    if left <= pace * interval_s or left < 1e-6:
+        return goal, pace
+    part = pace * interval_s / left
+    return make_pose(exp_so3(part * turn) @ setpoint[:3, :3], setpoint[:3, 3] + part * shift), pace
+
+
+def _moved(body: Mapping[str, Any], cube: Cube, touch: Touch, interval_s: float) -> dict[str, Any]:
+    lift_m = float(cube.pose[2, 3]) - body["floor_m"]
+    held = lift_m >= LIFTED_M and touch.fingers and not touch.other
+    return {
+        **body,
+        "pose": cube.pose,
+        "velocity": cube.velocity,
+        "lift_m": lift_m,
+        "held_s": body["held_s"] + interval_s if held else 0.0,
+    }
