@@ -1,0 +1,329 @@
+"""What a part of a network computes: messages that came across its borders in, messages out, and posteriors.
+
+An arrow from another part's node to one of this part's ends at a *guest*: a variable that stands for the parent, has no
+prior but the causal support that came down along the arrow, and belongs to this arrow alone. With its guests a part is
+a network by itself, and is swept as one.
+"""
+
+from __future__ import annotations
+
+import operator
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from hierax.nodes.causal_tree.careful import Product
+from hierax.nodes.causal_tree.messages import (
+    Arrow,
+    Evidence,
+    Messages,
+    by_child,
+    checked,
+    checked_evidence,
+    packed,
+    unpacked,
+)
+from hierax.nodes.causal_tree.network import Network
+from hierax.nodes.causal_tree.plan import Family, make_plan
+from hierax.nodes.causal_tree.sweep import Inputs, NothingLeftError, Sweep
+from hierax.nodes.causal_tree.wide import Floats, Places, Wide, multiply, ones, products, widen
+
+
+class Upward(NamedTuple):
+    """What a part tells those above it.
+
+    Attributes:
+        messages: diagnostic support, by arrow.
+        impossible: the node where the evidence shows to contradict itself; None where it does not.
+        certain: whether nothing but evidence of this epoch was used.
+    """
+
+    messages: Messages
+    impossible: str | None
+    certain: bool
+
+
+class Whole(NamedTuple):
+    """What a part tells those below it, and believes.
+
+    Attributes:
+        causal: causal support, by arrow.
+        posterior: shape (nodes, most states).
+        impossible: the node where the evidence shows to contradict itself; None where it does not.
+    """
+
+    causal: Mapping[Arrow, Floats]
+    posterior: Floats
+    impossible: str | None
+
+
+class _Known(NamedTuple):
+    """What the last sweep up was of, and what it came to: a cache, of values that are never changed."""
+
+    evidence: Sequence[Evidence]
+    slots: Mapping[Arrow, Floats]
+    impossible: str | None
+
+
+class Fragment:
+    """Some nodes of a network.
+
+    Args:
+        network: the whole, or at least these nodes and their parents.
+        names: the nodes.
+
+    Attributes:
+        names: the nodes, in the network's order.
+        sizes: their numbers of states.
+        states: by node, its states' names.
+    """
+
+    def __init__(self, network: Network, names: Iterable[str]) -> None:
+        held = set(names)
+        self.names = tuple(name for name in network.variables if isinstance(name, str) and name in held)
+        self.states = {name: network.variables[name].states for name in self.names}
+        self.sizes = tuple(len(self.states[name]) for name in self.names)
+        self._numbers = {name: number for number, name in enumerate(self.names)}
+        self._guests: dict[Arrow, int] = {}
+        sizes, shown, priors, families = list(self.sizes), list(self.names), {}, []
+        for number, name in enumerate(self.names):
+            variable = network.variables[name]
+            members = []
+            for axis, parent in enumerate(variable.parents):
+                if parent in self._numbers:
+                    members.append(self._numbers[str(parent)])
+                    continue
+                members.append(len(sizes))
+                self._guests[name, str(parent)] = len(sizes)
+                sizes.append(variable.table.shape[axis])
+                shown.append(name)
+            if members:
+                families.append(Family((*members, number), variable.table))
+            else:
+                priors[number] = variable.table
+        self._shown = shown
+        self._plan = make_plan(sizes, priors, families, (*self._guests.values(), *priors))
+        self._sweep = Sweep(self._plan)
+        self._rooted = set(self._guests.values()) <= set(self._plan.roots)
+        self._hard = {size: np.eye(size) for size in set(sizes)}
+        self._known: _Known | None = None
+
+    def own_evidence(self, evidence: Mapping[str, Any]) -> dict[str, int | tuple[float, ...]]:
+        """What of evidence concerns this part.
+
+        Raises:
+            ValueError: likelihoods of a node are not as many as its states, or there is no state of that number.
+        """
+        return {
+            name: checked_evidence(seen, len(self.states[name]), name)
+            for name, seen in evidence.items()
+            if name in self._numbers
+        }
+
+    def slots(self, messages: Messages) -> dict[str, dict[str, Floats]]:
+        """What of diagnostic support concerns this part: about arrows to it from other parts' nodes."""
+        return {
+            child: kept
+            for child, given in messages.items()
+            if child not in self._numbers
+            and (kept := {p: checked(m, len(self.states[p]), p) for p, m in given.items() if p in self._numbers})
+        }
+
+    def supports(self, messages: Messages) -> dict[str, dict[str, Floats]]:
+        """What of causal support concerns this part: about arrows from its nodes to other parts'."""
+        found: dict[str, dict[str, Floats]] = {}
+        for child, given in messages.items():
+            for parent, message in given.items():
+                guest = self._guests.get((child, parent))
+                if guest is not None:
+                    found.setdefault(child, {})[parent] = checked(message, self._plan.sizes[guest], parent)
+        return found
+
+    def diagnostic(
+        self, evidence: Iterable[Evidence], slots: Mapping[Arrow, Floats], supports: Mapping[Arrow, Floats]
+    ) -> Upward:
+        """What goes up.
+
+        Args:
+            evidence: of all senders.
+            slots: diagnostic support from below, by arrow.
+            supports: causal support from above, by arrow, of the last epoch; for polytrees.
+        """
+        evidence = tuple(evidence)
+        if self._rooted:
+            impossible = self._up(evidence, slots)
+            sent = {arrow: self._towards(guest, impossible) for arrow, guest in self._guests.items()}
+            return Upward(by_child(sent), impossible, True)
+        impossible = self._swept(evidence, slots, supports)
+        sent = {}
+        for arrow, guest in self._guests.items():
+            told = impossible
+            if impossible is not None:  # the support that came down along this arrow is no part of what goes up
+                told = self._swept(evidence, slots, {each: supports[each] for each in supports if each != arrow})
+            sent[arrow] = self._towards(guest, told)
+        return Upward(by_child(sent), impossible, False)
+
+    def all(
+        self, evidence: Iterable[Evidence], slots: Mapping[Arrow, Floats], supports: Mapping[Arrow, Floats]
+    ) -> Whole:
+        """What goes down, and the posteriors; arguments as in `diagnostic`."""
+        evidence = tuple(evidence)
+        impossible = self._swept(evidence, slots, supports)
+        if impossible is not None:
+            causal = {arrow: self._causal_alone(evidence, slots, supports, arrow) for arrow in slots}
+            return Whole(causal, np.zeros((len(self.names), max(self.sizes))), impossible)
+        by_parent: dict[str, list[Arrow]] = {}
+        for arrow in slots:
+            by_parent.setdefault(arrow[1], []).append(arrow)
+        causal = {}
+        for parent, arrows in by_parent.items():
+            outside = self._without_slots(evidence, parent)
+            rest = _each_without(_stacked([unpacked(slots[arrow]) for arrow in arrows]))
+            sent = packed(multiply(Wide(outside.fraction[:, None], outside.exponent[:, None]), rest))
+            causal.update({arrow: np.ascontiguousarray(sent[..., place]) for place, arrow in enumerate(arrows)})
+        return Whole(causal, self._posterior(), None)
+
+    def _causal_alone(
+        self,
+        evidence: Sequence[Evidence],
+        slots: Mapping[Arrow, Floats],
+        supports: Mapping[Arrow, Floats],
+        arrow: Arrow,
+    ) -> Floats:
+        """The causal support of one arrow, where there is a contradiction that may come from what it leaves out."""
+        others = {each: slots[each] for each in slots if each != arrow}
+        parent = self._numbers[arrow[1]]
+        if self._swept(evidence, others, supports) is not None:
+            return packed(ones(self._plan.sizes[parent]))
+        own = [unpacked(others[each]) for each in others if each[1] == arrow[1]]
+        found = self._without_slots(evidence, arrow[1])
+        for each in own:
+            found = multiply(found, each)
+        return packed(found)
+
+    def _without_slots(self, evidence: Sequence[Evidence], name: str) -> Wide:
+        """All that is known of a node but by its slots, after a sweep."""
+        found = self._sweep.inner(self._numbers[name])
+        for each in evidence:
+            if name in each:
+                found = multiply(found, widen(self._vector(name, each[name])))
+        return found
+
+    def _swept(
+        self, evidence: Sequence[Evidence], slots: Mapping[Arrow, Floats], supports: Mapping[Arrow, Floats]
+    ) -> str | None:
+        """Sweep; the node where what is known contradicts itself, if it does."""
+        told = {self._guests[arrow]: unpacked(message) for arrow, message in supports.items()}
+        if not self._rooted:
+            self._known = None
+            return self._try(self._inputs(evidence, slots, told), {})
+        impossible = self._up(evidence, slots)
+        if impossible is not None:
+            return impossible
+        was_careful = self._sweep.is_careful
+        contradicts = self._try(None, self._columns(told))
+        if self._sweep.is_careful != was_careful:  # another sweep down should go the same way as this one
+            self._known = None
+        return contradicts
+
+    def _up(self, evidence: Sequence[Evidence], slots: Mapping[Arrow, Floats]) -> str | None:
+        """Sweep up, without causal support; if that is not what was done last."""
+        known = self._known
+        if known is None or known.slots is not slots or not _same(known.evidence, evidence):
+            known = self._known = _Known(evidence, slots, self._try(self._inputs(evidence, slots, {}), None))
+        return known.impossible
+
+    def _try(self, inputs: Inputs | None, at_roots: Inputs | None) -> str | None:
+        """Sweep up, down or both."""
+        try:
+            if inputs is not None:
+                self._sweep.up(inputs)
+            if at_roots is not None:
+                self._sweep.down(at_roots)
+        except NothingLeftError as error:
+            return self._shown[error.variable]
+        return None
+
+    def _inputs(self, evidence: Sequence[Evidence], slots: Mapping[Arrow, Floats], told: Mapping[int, Wide]) -> Inputs:
+        """By variable, the product of all that comes to it from elsewhere."""
+        factors = dict(told)
+        for (_, parent), message in slots.items():
+            _take_in(factors, self._numbers[parent], unpacked(message))
+        alone: dict[int, Floats] = {}
+        for each in evidence:
+            for name, seen in each.items():
+                variable, vector = self._numbers[name], self._vector(name, seen)
+                if variable in alone:
+                    _take_in(factors, variable, widen(alone.pop(variable)))
+                if variable in factors:
+                    _take_in(factors, variable, widen(vector))
+                else:
+                    alone[variable] = vector
+        inputs = self._columns(factors)
+        for size, variables in self._by_size(alone).items():
+            columns = self._plan.columns[variables]
+            values = widen(np.array([alone[variable] for variable in variables]).T)
+            if size in inputs:
+                others, theirs = inputs[size]
+                columns = np.concatenate([others, columns])
+                values = Wide(
+                    np.hstack([theirs.fraction, values.fraction]), np.hstack([theirs.exponent, values.exponent])
+                )
+            inputs[size] = (columns, values)
+        return inputs
+
+    def _columns(self, factors: Mapping[int, Wide]) -> dict[int, tuple[Places, Wide]]:
+        return {
+            size: (self._plan.columns[variables], _stacked([factors[variable] for variable in variables]))
+            for size, variables in self._by_size(factors).items()
+        }
+
+    def _by_size(self, variables: Iterable[int]) -> dict[int, list[int]]:
+        found: dict[int, list[int]] = {}
+        for variable in variables:
+            found.setdefault(self._plan.sizes[variable], []).append(variable)
+        return found
+
+    def _vector(self, name: str, seen: int | Sequence[float]) -> Floats:
+        """Likelihoods."""
+        if isinstance(seen, int):
+            hard: Floats = self._hard[len(self.states[name])][seen]
+            return hard
+        return np.array(seen, np.float64)
+
+    def _towards(self, guest: int, impossible: str | None) -> Floats:
+        """What the part tells about a guest; ones where its evidence contradicts itself."""
+        if impossible is not None:
+            return packed(ones(self._plan.sizes[guest]))
+        below = self._plan.below.get(guest, ())
+        return packed(self._sweep.message_up(*below[0]) if below else self._sweep.support(guest))
+
+    def _posterior(self) -> Floats:
+        found = np.zeros((len(self.names), max(self.sizes)))
+        for size, members in self._plan.members.items():
+            mine = members < len(self.names)
+            if mine.any():
+                found[members[mine], :size] = self._sweep.posteriors(size)[mine]
+        return found
+
+
+def _same(one: Sequence[Evidence], other: Sequence[Evidence]) -> bool:
+    """Whether they are the same objects: values are never changed."""
+    return len(one) == len(other) and all(map(operator.is_, one, other))
+
+
+def _take_in(factors: dict[int, Wide], variable: int, factor: Wide) -> None:
+    known = factors.get(variable)
+    factors[variable] = factor if known is None else multiply(known, factor)
+
+
+def _stacked(columns: Sequence[Wide]) -> Wide:
+    return Wide(np.stack([c.fraction for c in columns], axis=1), np.stack([c.exponent for c in columns], axis=1))
+
+
+def _each_without(factors: Wide) -> Wide:
+    """For each column, the product of the others."""
+    apart = Product.of(factors)
+    joined = products(apart.rest, np.zeros(1, np.intp))
+    return Product(joined, apart.zeros.sum(axis=1, keepdims=True)).without(apart)

@@ -1,0 +1,174 @@
+"""Posteriors of a network in one process."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from hierax.nodes.causal_tree.errors import EvidenceError, ImpossibleEvidence, Name
+from hierax.nodes.causal_tree.network import Description, Network, parse
+from hierax.nodes.causal_tree.plan import Family, Plan, make_plan
+from hierax.nodes.causal_tree.sweep import Inputs, NothingLeftError, Sweep
+from hierax.nodes.causal_tree.wide import Floats, widen
+
+Evidence = Mapping[Name, Any]
+"""Likelihood vectors by node: P(what was seen | state) for each state, at any scale; a 1 among zeros says which
+state it is. Nodes that are left out have no evidence."""
+
+
+def posteriors(network: Description | Network, evidence: Evidence) -> dict[Name, Floats]:
+    """All exact posteriors of a causal tree or polytree.
+
+    Args:
+        network: as `parse` takes it.
+        evidence: likelihood vectors by node.
+
+    Returns:
+        By node, in the order of the description, P(state | evidence); shape (states,), float64, read-only.
+
+    Raises:
+        NetworkError: it is no network, or has a loop.
+        EvidenceError: it is no evidence.
+        ImpossibleEvidence: its probability is 0; names the node where this shows.
+    """
+    return Inference(network).update(evidence)
+
+
+class Inference:
+    """The posteriors of one network, for a stream of evidence sets. For one thread at a time.
+
+    Args:
+        network: as `parse` takes it.
+
+    Raises:
+        NetworkError: it is no network, or has a loop.
+    """
+
+    def __init__(self, network: Description | Network) -> None:
+        self.network = parse(network)
+        self._names = list(self.network.variables)
+        self._numbers = {name: number for number, name in enumerate(self._names)}
+        self._plan = plan_of(self.network)
+        self._sweep = Sweep(self._plan)
+        self._sizes = np.array(self._plan.sizes, np.intp)
+        self._given = False
+        sizes = self._plan.members
+        # the rows of all sizes one after the other, and which of them is whose
+        rows = np.concatenate([sizes[size] for size in sizes])
+        places = np.empty(len(rows), np.intp)
+        places[rows] = np.arange(len(rows))
+        self._one_order = places if len(sizes) == 1 else None
+        self._places = places.tolist()
+
+    def update(self, evidence: Evidence) -> dict[Name, Floats]:
+        """All posteriors given an evidence set; what the last one said of a node that this one leaves out is retracted.
+
+        Args:
+            evidence: likelihood vectors by node.
+
+        Returns:
+            By node, in the order of the description, P(state | evidence); shape (states,), float64, read-only.
+
+        Raises:
+            EvidenceError: it is no evidence.
+            ImpossibleEvidence: its probability is 0; names the node where this shows.
+        """
+        self._given = False
+        inputs = self._inputs(evidence)
+        try:
+            self._sweep.up(inputs)
+            self._sweep.down()
+        except NothingLeftError as error:
+            raise ImpossibleEvidence(self._names[error.variable]) from None
+        self._given = True
+        if self._one_order is not None:
+            table = self._sweep.posteriors(self._plan.sizes[0]).take(self._one_order, axis=0)
+            table.flags.writeable = False
+            return dict(zip(self._names, table, strict=True))
+        rows: list[Floats] = []
+        for size in self._plan.members:
+            table = np.ascontiguousarray(self._sweep.posteriors(size))
+            table.flags.writeable = False
+            rows.extend(table)
+        return dict(zip(self._names, map(rows.__getitem__, self._places), strict=True))
+
+    @property
+    def log_evidence(self) -> float:
+        """ln P(evidence) of the last update: of likelihood vectors at other scales, plus the logarithms of the scales.
+
+        Raises:
+            ValueError: there was none, or its evidence was refused.
+        """
+        if not self._given:
+            raise ValueError("there are no posteriors yet: call update with evidence that is possible")
+        return self._sweep.log_evidence()
+
+    def _inputs(self, evidence: Evidence) -> Inputs:
+        """Evidence as columns, checked."""
+        try:
+            numbers = np.fromiter(map(self._numbers.__getitem__, evidence), np.intp, len(evidence))
+        except (KeyError, TypeError):
+            unknown = next(name for name in evidence if name not in self._numbers)
+            raise EvidenceError("there is no such node", unknown) from None
+        if not len(numbers):
+            return {}
+        vectors = list(evidence.values())
+        flat = _flat(evidence, vectors, self._sizes[numbers])
+        if len(self._plan.members) == 1:
+            size = self._plan.sizes[0]
+            return {size: (self._plan.columns[numbers], widen(flat.reshape(-1, size).T))}
+        sizes = self._sizes[numbers]
+        ends = np.cumsum(sizes)
+        inputs = {}
+        for size in np.unique(sizes).tolist():
+            which = np.flatnonzero(sizes == size)
+            values = flat[(ends[which] - size) + np.arange(size)[:, None]]
+            inputs[size] = (self._plan.columns[numbers[which]], widen(values))
+        return inputs
+
+
+def plan_of(network: Network) -> Plan:
+    """The plan of a whole network, rooted in its nodes without parents."""
+    numbers = {name: number for number, name in enumerate(network.variables)}
+    variables = list(network.variables.values())
+    return make_plan(
+        [len(variable.states) for variable in variables],
+        {number: variable.table for number, variable in enumerate(variables) if not variable.parents},
+        [
+            Family((*(numbers[parent] for parent in variable.parents), number), variable.table)
+            for number, variable in enumerate(variables)
+            if variable.parents
+        ],
+        [number for number, variable in enumerate(variables) if not variable.parents],
+    )
+
+
+def _flat(evidence: Evidence, vectors: list[Any], sizes: np.ndarray[Any, np.dtype[np.intp]]) -> Floats:
+    """All likelihoods one after the other; checked."""
+    try:
+        lengths = np.fromiter(map(len, vectors), np.intp, len(vectors))
+        flat = np.asarray(np.concatenate(vectors))
+    except (TypeError, ValueError):
+        lengths, flat = sizes * 0, np.empty(0)
+    total = int(sizes.sum())
+    if flat.dtype.kind not in "fiub" or flat.shape != (total,) or not (lengths == sizes).all():
+        raise _wrong_shape(evidence, sizes)
+    flat = flat.astype(np.float64, copy=False)
+    if not (flat.min() >= 0 and flat.max() < np.inf):  # nor NaN
+        bad = int((~((flat >= 0) & (flat < np.inf))).argmax())
+        name = list(evidence)[int(np.searchsorted(np.cumsum(sizes), bad, side="right"))]
+        raise EvidenceError(f"expected finite numbers of at least 0, got {flat[bad]}", name)
+    return flat
+
+
+def _wrong_shape(evidence: Evidence, sizes: np.ndarray[Any, np.dtype[np.intp]]) -> EvidenceError:
+    for (name, vector), size in zip(evidence.items(), sizes, strict=True):
+        try:
+            found = np.asarray(vector)
+        except ValueError:
+            found = np.empty((0, 0))
+        if found.dtype.kind not in "fiub" or found.shape != (size,):
+            return EvidenceError(f"expected {size} likelihoods, one for each state, got {vector!r:.60}", name)
+    raise AssertionError("each vector is right by itself, but not all together")

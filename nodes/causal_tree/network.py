@@ -1,0 +1,184 @@
+"""A Bayesian network without undirected loops: what a plain description says, checked."""
+
+from __future__ import annotations
+
+from collections.abc import Hashable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hierax.nodes.causal_tree.errors import Name, NetworkError
+from hierax.nodes.causal_tree.shape import check_shape
+
+Floats = NDArray[np.float64]
+Description = Sequence[Mapping[str, Any]]
+"""``[{"id", "states", "parents": [...], "prior" | "cpt"}]``, in any order; `parse` says what each is."""
+
+SUM_TOLERANCE = 1e-6
+"""How far from 1 a distribution may sum: published tables are rounded. The numbers are used as they stand."""
+
+
+@dataclass(frozen=True)
+class Variable:
+    """A node of a Bayesian network.
+
+    Attributes:
+        name: its id.
+        states: their names; "0", "1", … where only their number was given.
+        parents: ids, in the order of the table's axes.
+        table: P(node | parents), shape (parents' states…, states), float64, read-only; the prior where there are
+            no parents.
+    """
+
+    name: Name
+    states: tuple[str, ...]
+    parents: tuple[Name, ...]
+    table: Floats
+
+
+@dataclass(frozen=True)
+class Network:
+    """A causal tree, a polytree, or several of them side by side.
+
+    Attributes:
+        variables: by id, in the order of the description.
+    """
+
+    variables: Mapping[Name, Variable]
+
+    @property
+    def is_tree(self) -> bool:
+        """Whether no node has more than one parent."""
+        return all(len(variable.parents) < 2 for variable in self.variables.values())
+
+
+def parse(description: Description | Network) -> Network:
+    """Read a description.
+
+    Args:
+        description: a list of maps, one for each node, in any order:
+
+            - ``id``: a text or whole number, once in the list;
+            - ``states``: their number, or a list of their names;
+            - ``parents``: ids; may be left out where there are none;
+            - ``prior``: of a node without parents, P(state), one number for each state;
+            - ``cpt``: of a node with parents, P(state | parents) as nested lists
+              ``cpt[state of the first parent]…[state]``. A node without parents may give its prior so, too.
+
+    Raises:
+        NetworkError: it is no network, or one with a cycle or an undirected loop; names the node, or prints the loop.
+    """
+    if isinstance(description, Network):
+        return description
+    if isinstance(description, (str, bytes, Mapping)) or not isinstance(description, Sequence):
+        raise NetworkError(f"expected a list of nodes, got {type(description).__name__}")
+    if not description:
+        raise NetworkError("expected a list of nodes, got an empty one")
+    entries: dict[Name, Mapping[str, Any]] = {}
+    for place, entry in enumerate(description):
+        name = _id(entry, place)
+        if name in entries:
+            raise NetworkError("there are two nodes of that id", name)
+        entries[name] = entry
+    states = {name: _states(entry, name) for name, entry in entries.items()}
+    parents = {name: _parents(entry, name, entries) for name, entry in entries.items()}
+    variables = {}
+    for name, entry in entries.items():
+        shape = (*(len(states[parent]) for parent in parents[name]), len(states[name]))
+        variables[name] = Variable(name, states[name], parents[name], _table(entry, name, shape))
+    check_shape(parents)
+    return Network(variables)
+
+
+def _id(entry: object, place: int) -> Name:
+    if not isinstance(entry, Mapping):
+        raise NetworkError(
+            f"entry {place + 1}: expected a map with id, states, parents and prior or cpt, got {entry!r:.60}"
+        )
+    if "id" not in entry:
+        raise NetworkError(f"entry {place + 1}: expected an id, got {', '.join(map(str, entry)) or 'nothing'}")
+    name = entry["id"]
+    if isinstance(name, bool) or not isinstance(name, (str, int)) or name == "":
+        raise NetworkError(f"entry {place + 1}: id: expected a text or a whole number, got {name!r:.60}")
+    return name
+
+
+def _states(entry: Mapping[str, Any], name: Name) -> tuple[str, ...]:
+    if "states" not in entry:
+        raise NetworkError("states: expected their number or their names, got nothing", name)
+    states = entry["states"]
+    if isinstance(states, (int, np.integer)) and not isinstance(states, bool):
+        if states < 1:
+            raise NetworkError(f"states: expected at least 1, got {states}", name)
+        return _numbered(int(states))
+    if isinstance(states, (str, bytes)) or not isinstance(states, Sequence) or not states:
+        raise NetworkError(f"states: expected their number or a list of their names, got {states!r:.60}", name)
+    names = tuple(str(state).lower() if isinstance(state, bool) else str(state) for state in states)
+    doubled = next((state for place, state in enumerate(names) if state in names[:place]), None)
+    if doubled is not None:
+        raise NetworkError(f"states: {doubled!r} is there twice", name)
+    return names
+
+
+@lru_cache(maxsize=256)
+def _numbered(count: int) -> tuple[str, ...]:
+    return tuple(map(str, range(count)))
+
+
+def _parents(entry: Mapping[str, Any], name: Name, entries: Mapping[Name, object]) -> tuple[Name, ...]:
+    parents = entry.get("parents")
+    if parents is None:
+        return ()
+    if isinstance(parents, (str, bytes)) or not isinstance(parents, Sequence):
+        raise NetworkError(f"parents: expected a list of ids, got {parents!r:.60}", name)
+    for place, parent in enumerate(parents):
+        if not isinstance(parent, Hashable) or parent not in entries:
+            raise NetworkError(f"parents: there is no node {parent!r:.60}", name)
+        if parent in parents[:place]:
+            raise NetworkError(f"parents: {parent!r} is there twice", name)
+    return tuple(parents)
+
+
+def _table(entry: Mapping[str, Any], name: Name, shape: tuple[int, ...]) -> Floats:
+    given = [key for key in ("prior", "cpt") if entry.get(key) is not None]
+    if len(given) != 1:
+        wanted = "a cpt" if len(shape) > 1 else "a prior"
+        raise NetworkError(f"expected {wanted}, got {' and '.join(given) or 'neither prior nor cpt'}", name)
+    key = given[0]
+    if key == "prior" and len(shape) > 1:
+        raise NetworkError("expected a cpt, as it has parents, got a prior", name)
+    try:
+        numbers = np.asarray(entry[key])
+    except ValueError as error:  # lists of different lengths
+        raise NetworkError(
+            f"{key}: expected numbers of shape {_shown(shape)}, got lists of uneven lengths", name
+        ) from error
+    if numbers.dtype.kind not in "iuf":
+        raise NetworkError(f"{key}: expected numbers, got {entry[key]!r:.60}", name)
+    if numbers.shape != shape:
+        raise NetworkError(f"{key}: expected numbers of shape {_shown(shape)}, got {_shown(numbers.shape)}", name)
+    table = np.array(numbers, np.float64)
+    _check_distributions(table, name, key)
+    table.flags.writeable = False
+    return table
+
+
+def _check_distributions(table: Floats, name: Name, key: str) -> None:
+    smallest = table.min()
+    sums = np.add.reduce(table, axis=-1)
+    if smallest >= 0 and np.abs(sums - 1.0).max() <= SUM_TOLERANCE:  # not so where there is a NaN, either
+        return
+    if not np.isfinite(table).all():
+        raise NetworkError(f"{key}: expected finite numbers, got {table[~np.isfinite(table)][0]}", name)
+    if smallest < 0:
+        raise NetworkError(f"{key}: expected numbers of at least 0, got {smallest}", name)
+    row = np.unravel_index(np.abs(sums - 1.0).argmax(), sums.shape) if sums.ndim else ()
+    where = f"row [{', '.join(map(str, row))}]" if row else "the numbers"
+    raise NetworkError(f"{key}: {where} should sum to 1, not {sums[row]:.9g}", name)
+
+
+def _shown(shape: tuple[int, ...]) -> str:
+    return " × ".join(map(str, shape)) or "a single number"

@@ -1,0 +1,249 @@
+"""A network, or a part of one, as a node of a hierarchy.
+
+Each arrow of the network from a node in one part to one in another is an edge's business: messages about it go up from
+the child's part to the parent's (φ: diagnostic support, λ in Pearl 1988) and down (ϱ: causal support, π). A message is
+an array of shape (2, states of the parent): fractions, and exponents of 2, so that nothing underflows; it counts up to
+a factor, and is sent with the greatest number from 0.5 to below 1.
+
+A belief is ``{"age", "evidence", "below", "above", "diagnostic", "causal", "posterior", "impossible"}``:
+
+- ``evidence``: by sender, ``{node: likelihoods}``, or the number of a state that is certain;
+- ``below``: the slots, by sending part: ``{child: {parent: message}}``; ``above``: causal support, likewise;
+- ``diagnostic``: what goes up, ``{child: {parent: message}}``; ``causal``: what goes down, likewise, by receiving part;
+- ``posterior``: one row for each of the part's nodes, filled up with zeros to the most states; float64;
+- ``age``: for how many epochs the evidence has been the same; ``impossible``: where it contradicts itself, or empty.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from hierax.nodes.causal_tree.errors import ImpossibleEvidence
+from hierax.nodes.causal_tree.fragment import Fragment
+from hierax.nodes.causal_tree.messages import NOTHING, Arrow, Messages
+from hierax.nodes.causal_tree.network import Network
+from hierax.nodes.causal_tree.networks import Source, network_from
+from hierax.nodes.causal_tree.showing import part_things
+from hierax.nodes.causal_tree.wide import Floats
+from hierax.runtime import NO_TICK, Elements, Node, Step, Tick, Value
+from hierax.runtime.core.showing import Things
+
+SHOWN_NODES = 8
+"""Of larger parts the metrics have no posteriors."""
+
+
+class Part(Node):
+    """Some nodes of a causal tree or polytree.
+
+    One Update is exact in a tree; in a polytree as many as `epochs_to_exactness` says.
+
+    Args:
+        network: as `network_from` takes it. Of nodes that other parts hold only the states are used, and of those
+            only the parents of this part's.
+        nodes: which ones; by default all, or those that `top` and `tops` say.
+        top: with `tops`, the node from which on down the part goes, to where another one of `tops` begins.
+        tops: of all parts.
+        settle: from how many epochs with the same evidence on a contradiction in it is an error. Before, it may come
+            from messages that are under way: in a polytree, and with a staleness. Such messages are replaced by ones,
+            and the posteriors are all 0. null: it never is one.
+
+    Raises:
+        ValueError: the parameters are wrong.
+    """
+
+    def __init__(
+        self,
+        network: Source,
+        nodes: Sequence[str] | None = None,
+        top: str | None = None,
+        tops: Sequence[str] = (),
+        settle: int | None = 1,
+    ) -> None:
+        whole = network_from(network)
+        if settle is not None and (type(settle) is not int or settle < 1):
+            raise ValueError(f"settle: expected a number of epochs, at least 1, or null, got {settle!r}")
+        if nodes is not None and top is not None:
+            raise ValueError("nodes: expected either nodes or top, got both")
+        held: Sequence[object] = tuple(whole.variables) if nodes is None else nodes
+        if top is not None:
+            held = under(whole, top, tops)
+        self._settle = settle
+        self._merged: tuple[Mapping[str, Messages], dict[Arrow, Floats]] = ({}, {})
+        self._fragment = Fragment(whole, _checked_names(whole, held))
+        self._arrows = [(str(parent), name) for name in self.nodes for parent in whole.variables[name].parents]
+
+    @property
+    def nodes(self) -> tuple[str, ...]:
+        """The part's nodes, in the order of the posteriors."""
+        return self._fragment.names
+
+    def initial_belief(self) -> Value:
+        """No evidence; nothing heard from other parts."""
+        return self._updated({"age": 1, "evidence": {}, "below": {}, "above": {}}, 0)
+
+    def observe(self, observations: Elements, belief: Value, tick: Tick = NO_TICK) -> Value:
+        """τ: what was reported takes its slot; the slots of who is no longer below become ones.
+
+        Args:
+            observations: of `evidence_seen` and `diagnostic_support`.
+            belief: as above.
+
+        Raises:
+            ImpossibleEvidence: what lies below this part, or in it, contradicts itself.
+        """
+        evidence = {name: each for name, each in belief["evidence"].items() if name in tick.below}
+        below = {name: each for name, each in belief["below"].items() if name in tick.below}
+        for seen in observations:
+            if "evidence" in seen:
+                evidence[seen["from"]] = self._fragment.own_evidence(seen["evidence"])
+            else:
+                below[seen["from"]] = self._fragment.slots(seen["diagnostic"])
+        age = min((seen["age"] for seen in observations), default=belief["age"])
+        sensed = {**belief, "age": age, "evidence": evidence, "below": below}
+        found = self._fragment.diagnostic(evidence.values(), self._merged_below(below), _merged(belief["above"]))
+        if found.impossible is not None and found.certain:
+            self._judge(found.impossible, age)
+        return {**sensed, "diagnostic": found.messages}
+
+    def predict(self, context: Elements, actions: Elements, belief: Value, tick: Tick = NO_TICK) -> Value:
+        """γ: causal support takes its slot; the posteriors follow.
+
+        Args:
+            context: of `causal_support`.
+            belief: as `observe` left it.
+
+        Raises:
+            ImpossibleEvidence: the evidence contradicts itself.
+        """
+        above = {name: each for name, each in belief["above"].items() if name in tick.above}
+        for given in context:
+            above[given["from"]] = self._fragment.supports(given["support"])
+        return self._updated({**belief, "above": above}, belief["age"])
+
+    def take_over(self, belief: Value) -> Value:
+        """The evidence and messages that another part has had, as far as they concern this one's nodes.
+
+        Raises:
+            ValueError: it is no belief of a part.
+        """
+        initial = self.initial_belief()
+        if not isinstance(belief, dict) or belief.keys() != initial.keys():
+            raise ValueError("belief: expected that of a part of a causal tree")
+        fragment = self._fragment
+        kept = {
+            "age": belief["age"],
+            "evidence": {name: fragment.own_evidence(each) for name, each in belief["evidence"].items()},
+            "below": {name: fragment.slots(each) for name, each in belief["below"].items()},
+            "above": {name: fragment.supports(each) for name, each in belief["above"].items()},
+        }
+        return self._updated(kept, 0)
+
+    def posteriors(self, belief: Value) -> dict[str, Floats]:
+        """By node, P(state | evidence); all 0 where the evidence contradicts itself."""
+        sizes = self._fragment.sizes
+        return {name: row[:size] for name, row, size in zip(self.nodes, belief["posterior"], sizes, strict=True)}
+
+    def metrics(self, belief: Value) -> Mapping[str, float]:
+        """Of a small part, the posteriors, as ``node=state``; and whether the evidence contradicts itself."""
+        found = {} if self._settle == 1 else {"impossible": float(bool(belief["impossible"]))}
+        if len(self.nodes) <= SHOWN_NODES:
+            for name, row in self.posteriors(belief).items():
+                states = self._fragment.states[name]
+                found.update({f"{name}={state}": float(p) for state, p in zip(states, row, strict=True)})
+        return found
+
+    def show(self, step: Step, before: Value) -> Things:
+        """The network, with what is believed of each node."""
+        seen = {name for each in step.belief["evidence"].values() for name in each}
+        return part_things(self._arrows, self._fragment.states, self.posteriors(step.belief), seen)
+
+    def _updated(self, belief: dict[str, Any], age: int) -> Value:
+        """The belief with all that follows from its slots."""
+        evidence, below = belief["evidence"], self._merged_below(belief["below"])
+        found = self._fragment.all(evidence.values(), below, _merged(belief["above"]))
+        if found.impossible is not None:
+            self._judge(found.impossible, age)
+        causal = {
+            part: {
+                child: {parent: found.causal[child, parent] for parent in parents} for child, parents in slots.items()
+            }
+            for part, slots in belief["below"].items()
+        }
+        diagnostic = belief.get("diagnostic", NOTHING)
+        return {
+            **belief,
+            "diagnostic": diagnostic,
+            "causal": causal,
+            "posterior": found.posterior,
+            "impossible": "" if found.impossible is None else found.impossible,
+        }
+
+    def _merged_below(self, below: Mapping[str, Messages]) -> dict[Arrow, Floats]:
+        """The slots by arrow; of the same belief, the same object."""
+        if self._merged[0] is not below:
+            self._merged = (below, _merged(below))
+        return self._merged[1]
+
+    def _judge(self, node: str, age: int) -> None:
+        if self._settle is not None and age >= self._settle:
+            raise ImpossibleEvidence(node)
+
+
+def diagnostic_support(belief: Value, tick: Tick = NO_TICK) -> Elements:
+    """φ from a part to one above it: one observation, η·M·L for each arrow that leads to it from elsewhere."""
+    return ({"from": tick.below[0], "age": belief["age"], "diagnostic": belief["diagnostic"]},)
+
+
+def causal_support(belief: Value, tick: Tick = NO_TICK) -> Elements:
+    """ϱ from a part to one below it: one element, for each arrow between them all that is known of its upper end,
+    but what came up along it."""
+    return ({"from": tick.above[0], "support": belief["causal"].get(tick.below[0], NOTHING)},)
+
+
+def under(network: Network, top: str, tops: Iterable[str]) -> tuple[str, ...]:
+    """The nodes from one of `tops` on down to where another one of them begins, in the network's order.
+
+    Raises:
+        ValueError: `top` is not one of `tops`, or there is no such node.
+    """
+    others = set(tops) - {top}
+    for name in (top, *sorted(others, key=str)):
+        if name not in network.variables:
+            raise ValueError(f"tops: there is no node {name!r}")
+    children: dict[Any, list[Any]] = {}
+    for variable in network.variables.values():
+        for parent in variable.parents:
+            children.setdefault(parent, []).append(variable.name)
+    found = {top}
+    waiting = [top]
+    while waiting:
+        for child in children.get(waiting.pop(), ()):
+            if child not in others and child not in found:
+                found.add(child)
+                waiting.append(child)
+    return tuple(name for name in network.variables if isinstance(name, str) and name in found)
+
+
+def _checked_names(network: Network, names: Sequence[object]) -> list[str]:
+    if isinstance(names, str) or not names:
+        raise ValueError(f"nodes: expected a list of at least one, got {names!r}")
+    checked = [name for name in names if isinstance(name, str) and name in network.variables]
+    unknown = [name for name in names if name not in checked]
+    if unknown:
+        raise ValueError(f"nodes: there is no node {unknown[0]!r}, or its id is no text")
+    if len(set(checked)) < len(checked):
+        raise ValueError("nodes: one is there twice")
+    return checked
+
+
+def _merged(slots: Mapping[str, Messages]) -> dict[Arrow, Floats]:
+    """The messages of all senders, by arrow."""
+    return {
+        (child, parent): np.asarray(message)
+        for sender in sorted(slots)
+        for child, messages in slots[sender].items()
+        for parent, message in messages.items()
+    }

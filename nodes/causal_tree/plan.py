@@ -1,0 +1,254 @@
+"""In what order, and with what arrays, a network is swept: level by level, what has one depth and shape together.
+
+A network without loops is a tree of variables and *families* (a node with its parents), whichever variable is taken for
+its root. Each variable but the root hangs by one family from another variable, the family's *top*; the family's further
+variables are its *others*. In a causal tree with its own root, the top is the parent and the one other the child. In a
+polytree a family's top may be the child, and its others all parents.
+
+Families of one depth, with tables of one shape, are a `Group`. Variables with the same number of states are the columns
+of one array, in such an order that the others of a group stand side by side.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import NamedTuple
+
+import numpy as np
+
+from hierax.nodes.causal_tree.wide import Floats, Places, Wide, widen
+
+
+class Family(NamedTuple):
+    """A node with parents, as numbers of variables.
+
+    Attributes:
+        members: the parents, in the order of the table's axes, then the node.
+        table: P(node | parents).
+    """
+
+    members: tuple[int, ...]
+    table: Floats
+
+
+class Block(NamedTuple):
+    """Some columns of the arrays of variables with `size` states."""
+
+    size: int
+    columns: slice
+
+
+@dataclass(frozen=True)
+class Group:
+    """Families of one depth and shape; n of them.
+
+    Attributes:
+        table: of all, shape (top's states, others' states…, n).
+        others: for each other, where its n variables are.
+        top_size: the tops' number of states.
+        tops: their columns, family by family, shape (n,).
+        order: the families by top, where they do not stand so; shape (n,).
+        starts: in this order, where the families of each top begin; None where each has one.
+        targets: the columns of the tops, once each: a slice where they stand side by side.
+        nodes: the child of each family, as the number of a variable.
+    """
+
+    table: Floats
+    others: tuple[Block, ...]
+    top_size: int
+    tops: Places
+    order: Places | None
+    starts: Places | None
+    targets: slice | Places
+    nodes: tuple[int, ...]
+
+    @cached_property
+    def wide_table(self) -> Wide:
+        """The table for where exponents have to be kept apart."""
+        return widen(self.table)
+
+
+@dataclass(frozen=True)
+class Plan:
+    """How a network is swept.
+
+    Attributes:
+        groups: from the roots outward.
+        sizes: of each variable, its number of states.
+        columns: of each variable, its column in the array of its size.
+        members: by size, the variable of each column.
+        base: by size, the priors where a variable has no parents, else 1; shape (size, columns).
+        roots: variables that hang from none, one in each part of the network.
+        least: the smallest number of all tables and priors.
+        others: the most others that a family has.
+    """
+
+    groups: tuple[Group, ...]
+    sizes: Sequence[int]
+    columns: Places
+    members: Mapping[int, Places]
+    base: Mapping[int, Floats]
+    roots: Sequence[int]
+    least: float
+    others: int
+
+    @cached_property
+    def wide_base(self) -> Mapping[int, Wide]:
+        """The priors for where exponents have to be kept apart."""
+        return {size: widen(base) for size, base in self.base.items()}
+
+    @cached_property
+    def below(self) -> Mapping[int, Sequence[tuple[int, int]]]:
+        """By variable, the places (group, family) of the families whose top it is."""
+        found: dict[int, list[tuple[int, int]]] = {}
+        for number, group in enumerate(self.groups):
+            members = self.members[group.top_size]
+            for place, column in enumerate(group.tops):
+                found.setdefault(int(members[column]), []).append((number, place))
+        return found
+
+
+def make_plan(
+    sizes: Sequence[int], priors: Mapping[int, Floats], families: Sequence[Family], roots: Sequence[int]
+) -> Plan:
+    """Plan the sweeps of a network.
+
+    Args:
+        sizes: of each variable, its number of states.
+        priors: by variable without parents.
+        families: of the variables with parents. There is no loop.
+        roots: variables that are taken for roots of their part of the network, where it has no other before.
+    """
+    levels, found = _levels(len(sizes), families, roots)
+    has_below = np.zeros(len(sizes), bool)
+    for level in levels:
+        has_below[[top for top, _ in level]] = True
+    shapes: list[list[tuple[int, tuple[int, ...], Family]]] = []
+    for level in levels:
+        by_shape: dict[tuple[int, ...], list[tuple[int, tuple[int, ...], Family]]] = {}
+        for top, family in level:
+            others = tuple(member for member in family.members if member != top)
+            by_shape.setdefault((sizes[top], *(sizes[other] for other in others)), []).append((top, others, family))
+        shapes += by_shape.values()
+    for entries in shapes:
+        if len(entries[0][1]) == 1:  # those that have families themselves first: these are the next level's tops
+            entries.sort(key=lambda entry: not has_below[entry[1][0]])
+    columns, members = _columns(sizes, found, shapes)
+    base = {size: np.ones((size, len(variables))) for size, variables in members.items()}
+    for variable, prior in priors.items():
+        base[sizes[variable]][:, columns[variable]] = prior
+    return Plan(
+        groups=tuple(_group(entries, sizes, columns) for entries in shapes),
+        sizes=sizes,
+        columns=columns,
+        members=members,
+        base=base,
+        roots=found,
+        least=min(
+            min((float(array.min()) for array in base.values()), default=1.0),
+            min((float(family.table.min()) for family in families), default=1.0),
+        ),
+        others=max((len(family.members) - 1 for family in families), default=1),
+    )
+
+
+def _levels(
+    count: int, families: Sequence[Family], roots: Sequence[int]
+) -> tuple[list[list[tuple[int, Family]]], list[int]]:
+    """By depth, each family with its top; and the variables that hang from no family."""
+    of_variable: list[list[int]] = [[] for _ in range(count)]
+    for number, family in enumerate(families):
+        for member in family.members:
+            of_variable[member].append(number)
+    seen = [False] * count
+    taken = [False] * len(families)
+    found: list[int] = []
+    for root in (*roots, *range(count)):
+        if not seen[root]:
+            found.append(root)
+            _mark(root, of_variable, families, seen)
+    levels: list[list[tuple[int, Family]]] = []
+    frontier = found
+    while True:
+        level: list[tuple[int, Family]] = []
+        following: list[int] = []
+        for top in frontier:
+            for number in of_variable[top]:
+                if not taken[number]:
+                    taken[number] = True
+                    level.append((top, families[number]))
+                    following += [member for member in families[number].members if member != top]
+        if not level:
+            return levels, found
+        levels.append(level)
+        frontier = following
+
+
+def _mark(root: int, of_variable: Sequence[Sequence[int]], families: Sequence[Family], seen: list[bool]) -> None:
+    """Mark all variables of the root's part of the network as seen."""
+    seen[root] = True
+    waiting = [root]
+    while waiting:
+        for number in of_variable[waiting.pop()]:
+            for member in families[number].members:
+                if not seen[member]:
+                    seen[member] = True
+                    waiting.append(member)
+
+
+def _columns(
+    sizes: Sequence[int], roots: Sequence[int], shapes: Sequence[Sequence[tuple[int, tuple[int, ...], Family]]]
+) -> tuple[Places, dict[int, Places]]:
+    """Each variable's column, and each column's variable: the others of a group side by side, other by other."""
+    ordered = list(roots)
+    for entries in shapes:
+        for other in range(len(entries[0][1])):
+            ordered += [others[other] for _, others, _ in entries]
+    by_size: dict[int, list[int]] = {}
+    columns = np.zeros(len(sizes), np.intp)
+    for variable in ordered:
+        found = by_size.setdefault(sizes[variable], [])
+        columns[variable] = len(found)
+        found.append(variable)
+    return columns, {size: np.array(found, np.intp) for size, found in sorted(by_size.items())}
+
+
+def _group(entries: Sequence[tuple[int, tuple[int, ...], Family]], sizes: Sequence[int], columns: Places) -> Group:
+    count = len(entries)
+    top, others, _ = entries[0]
+    tops = columns[[entry[0] for entry in entries]]
+    blocks = []
+    for place, other in enumerate(others):
+        first = int(columns[entries[0][1][place]])
+        blocks.append(Block(sizes[other], slice(first, first + count)))
+    order = None
+    if count > 1 and (np.diff(tops) < 0).any():
+        order = np.argsort(tops, kind="stable")
+    ordered = tops if order is None else tops[order]
+    targets, starts = np.unique(ordered, return_index=True)
+    return Group(
+        table=_stacked(entries, (sizes[top], *(sizes[other] for other in others))),
+        others=tuple(blocks),
+        top_size=sizes[top],
+        tops=tops,
+        order=order,
+        starts=None if len(targets) == count else starts,
+        targets=_as_slice(targets),
+        nodes=tuple(family.members[-1] for _, _, family in entries),
+    )
+
+
+def _stacked(entries: Sequence[tuple[int, tuple[int, ...], Family]], shape: tuple[int, ...]) -> Floats:
+    """The tables with the top's axis first and the families last."""
+    table = np.empty((len(entries), *shape))
+    for place, (top, _, family) in enumerate(entries):
+        axis = family.members.index(top)
+        table[place] = family.table if axis == 0 else np.moveaxis(family.table, axis, 0)
+    return np.ascontiguousarray(np.moveaxis(table, 0, -1))
+
+
+def _as_slice(columns: Places) -> slice | Places:
+    first, last = int(columns[0]), int(columns[-1])
+    return slice(first, last + 1) if last - first + 1 == len(columns) else columns

@@ -1,0 +1,182 @@
+"""The sweep in ordinary float64: exact enough while no number comes near underflow, which is checked, not hoped."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from typing import NamedTuple, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hierax.nodes.causal_tree.plan import Group, Plan
+from hierax.nodes.causal_tree.wide import Floats, Places
+
+N = TypeVar("N", np.float64, np.int64)
+
+FLOOR_LOG2 = -1000.0
+"""All products stay above 2 to this power: far enough from where float64 loses digits, at 2^-1022."""
+
+
+class _Step(NamedTuple):
+    """A group, with views of the arrays that it works on."""
+
+    group: Group
+    work: Floats
+    messages: Floats
+    scales: Floats
+    likelihoods: tuple[Floats, ...]
+    supports: tuple[Floats, ...]
+    beliefs: tuple[Floats, ...]
+    at_tops: Floats
+
+
+class Quick:
+    """One sweep up and one down, all levels' arrays kept and used again.
+
+    Every message is scaled so that its greatest number is 1, so all factors of all products are at most 1, and no
+    intermediate result is smaller than its end. `up` and `down` tell the least numbers, from which `suffices` follows.
+
+    Attributes:
+        likelihoods: by number of states, L of each variable, from what lies further from the root (the prior and the
+            evidence included), up to a factor; shape (size, columns).
+        supports: what comes from the root's side, up to a factor; ones at a root.
+        beliefs: their products.
+    """
+
+    def __init__(self, plan: Plan) -> None:
+        self._plan = plan
+        self.likelihoods = {size: np.ones_like(base) for size, base in plan.base.items()}
+        self.supports = {size: np.ones_like(base) for size, base in plan.base.items()}
+        self.beliefs = {size: np.ones_like(base) for size, base in plan.base.items()}
+        self._scales = np.ones(sum(len(group.tops) for group in plan.groups))
+        self._steps = self._make_steps()
+        self._least_log2 = math.log2(plan.least) if plan.least > 0 else -math.inf
+
+    @property
+    def can_suffice(self) -> bool:
+        """Whether the tables and priors alone leave room for it."""
+        return self._least_log2 > FLOOR_LOG2 / 2
+
+    def up(self, evidence: Mapping[int, Floats]) -> float:
+        """From the leaves to the roots.
+
+        Args:
+            evidence: by number of states, likelihoods of at most 1; shape (size, columns). 0 means 0.
+
+        Returns:
+            The least likelihood that the evidence has not made 0; NaN or 0 where something has underflowed.
+        """
+        likelihoods = self.likelihoods
+        for size, base in self._plan.base.items():
+            np.multiply(base, evidence[size], out=likelihoods[size])
+        with np.errstate(all="ignore"):
+            for step in reversed(self._steps):
+                self._gather(step)
+        least = [np.where(evidence[size] > 0, found, 1.0).min() for size, found in likelihoods.items()]
+        return float(np.min(least))
+
+    def down(self, at_roots: Mapping[int, tuple[Places, Floats]]) -> float:
+        """From the roots to the leaves, after `up`.
+
+        Args:
+            at_roots: further likelihoods of roots, by number of states: columns, and numbers of at most 1.
+
+        Returns:
+            The least support; NaN or 0 where something has underflowed.
+        """
+        with np.errstate(all="ignore"):
+            for size, likelihood in self.likelihoods.items():
+                np.copyto(self.beliefs[size], likelihood)  # the roots'; the others' follow
+            for size, (columns, values) in at_roots.items():
+                self.beliefs[size][:, columns] *= values
+            for step in self._steps:
+                self._spread(step)
+        return float(np.min([support.min() for support in self.supports.values()]))
+
+    def suffices(self, least_likelihood: float, least_support: float = 1.0) -> bool:
+        """Whether nothing can have underflowed.
+
+        The smallest product in a sweep is of a table's entry, as many likelihoods as a family has others, and a
+        support; sums are of numbers of at least 0.
+        """
+        if not (least_likelihood > 0 and least_support > 0):  # nor NaN
+            return False
+        logs = self._plan.others * math.log2(least_likelihood) + math.log2(least_support)
+        return self._least_log2 + logs > FLOOR_LOG2
+
+    def log_scale(self) -> float:
+        """The natural logarithm of what the messages up have been divided by."""
+        return float(np.log(self._scales).sum())
+
+    def messages_up(self, group: int) -> Floats:
+        """What the families of a group told their tops, up to a factor; shape (top's states, families)."""
+        return self._steps[group].messages
+
+    def _make_steps(self) -> list[_Step]:
+        steps = []
+        first = 0
+        for group in self._plan.groups:
+            count = len(group.tops)
+            steps.append(
+                _Step(
+                    group,
+                    np.empty_like(group.table),
+                    np.ones((group.top_size, count)),
+                    self._scales[first : first + count],
+                    tuple(self.likelihoods[size][:, columns] for size, columns in group.others),
+                    tuple(self.supports[size][:, columns] for size, columns in group.others),
+                    tuple(self.beliefs[size][:, columns] for size, columns in group.others),
+                    np.ones((group.top_size, count)),
+                )
+            )
+            first += count
+        return steps
+
+    def _gather(self, step: _Step) -> None:
+        """A group's messages to its tops: table times the others' likelihoods, summed over the others' states."""
+        group, messages, scales = step.group, step.messages, step.scales
+        if len(step.likelihoods) == 1:
+            np.multiply(group.table, step.likelihoods[0], out=step.work)
+            np.add.reduce(step.work, axis=1, out=messages)
+        else:
+            product = group.table
+            for likelihood in reversed(step.likelihoods):
+                product = np.add.reduce(product * likelihood, axis=-2)
+            np.copyto(messages, product)
+        np.maximum.reduce(messages, axis=0, out=scales)
+        np.divide(messages, scales, out=messages)
+        product = messages if group.order is None else messages.take(group.order, axis=1)
+        if group.starts is not None:
+            product = np.multiply.reduceat(product, group.starts, axis=1)
+        self.likelihoods[group.top_size][:, group.targets] *= product
+
+    def _spread(self, step: _Step) -> None:
+        """A group's messages to its others, from its tops' beliefs without what the family itself said."""
+        group, at_tops = step.group, step.at_tops
+        self.beliefs[group.top_size].take(group.tops, axis=1, out=at_tops, mode="clip")
+        np.divide(at_tops, step.messages, out=at_tops)
+        if len(step.supports) == 1:
+            np.multiply(group.table, at_tops[:, None, :], out=step.work)
+            np.add.reduce(step.work, axis=0, out=step.supports[0])
+        else:
+            self._spread_wide(step)
+        for likelihood, support, belief in zip(step.likelihoods, step.supports, step.beliefs, strict=True):
+            np.divide(support, np.maximum.reduce(support, axis=0), out=support)
+            np.multiply(likelihood, support, out=belief)
+
+    def _spread_wide(self, step: _Step) -> None:
+        """Where a family has several others: to each, summed over the states of the rest."""
+        table = step.group.table
+        from_top = np.add.reduce(table * along(step.at_tops, 0, table.ndim), axis=0)
+        for other, support in enumerate(step.supports):
+            product = from_top
+            for axis in reversed(range(len(step.supports))):
+                if axis != other:
+                    product = np.add.reduce(product * along(step.likelihoods[axis], axis, product.ndim), axis=axis)
+            np.copyto(support, product)
+
+
+def along(array: NDArray[N], axis: int, ndim: int) -> NDArray[N]:
+    """An array of shape (states, n) with `ndim` axes: the states along `axis`, n along the last."""
+    return array.reshape(*(1,) * axis, array.shape[0], *(1,) * (ndim - 2 - axis), array.shape[1])

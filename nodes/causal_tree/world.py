@@ -1,0 +1,89 @@
+"""N₀ of a network: one evidence set after the other."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from hierax.nodes.causal_tree.network import Network
+from hierax.nodes.causal_tree.networks import Source, likelihoods, network_from, sampled
+from hierax.runtime import NO_TICK, Elements, Tick, Value, World
+
+Shown = dict[str, int | tuple[float, ...]]
+"""An evidence set: by node, the number of its state, or likelihoods."""
+
+
+class EvidenceWorld(World):
+    """N₀: shows evidence sets in turn, and again from the first.
+
+    Belief: ``{"set", "age", "evidence"}``: the number of the set from 0, for how many epochs it has been shown, and
+    the set itself, ``{node: likelihoods}``, or the number of a state that is certain.
+
+    Args:
+        network: as `network_from` takes it.
+        sets: evidence sets: ``{node: state}`` or ``{node: likelihoods}``; an empty one is no evidence.
+        draw: instead, ``{sets, share, seed}``: so many sets, in each a share of the nodes without children, in the
+            states that they have in a draw from the network.
+        hold: for how many epochs each set is shown.
+
+    Raises:
+        ValueError: the parameters are wrong.
+    """
+
+    def __init__(
+        self,
+        network: Source,
+        sets: Sequence[Mapping[str, Any]] | None = None,
+        draw: Mapping[str, Any] | None = None,
+        hold: int = 1,
+    ) -> None:
+        whole = network_from(network)
+        if (sets is None) == (draw is None):
+            raise ValueError("sets: expected either sets or draw")
+        if type(hold) is not int or hold < 1:
+            raise ValueError(f"hold: expected a number of epochs, at least 1, got {hold!r}")
+        self._hold = hold
+        self._sets = _drawn(whole, draw) if draw is not None else _written(whole, sets or ())
+
+    def initial_belief(self) -> Value:
+        """The first set, shown for the first time."""
+        return {"set": 0, "age": 1, "evidence": self._sets[0]}
+
+    def predict(self, context: Elements, actions: Elements, belief: Value) -> Value:
+        """Show the set again, or the next one."""
+        if belief["age"] < self._hold or len(self._sets) == 1:
+            return {**belief, "age": belief["age"] + 1}
+        following = (belief["set"] + 1) % len(self._sets)
+        return {"set": following, "age": 1, "evidence": self._sets[following]}
+
+
+def evidence_seen(belief: Value, tick: Tick = NO_TICK) -> Elements:
+    """φ from the world to a part: the evidence set, of which the part takes what concerns it."""
+    return ({"from": tick.below[0], "age": belief["age"], "evidence": belief["evidence"]},)
+
+
+def _written(network: Network, sets: Sequence[Mapping[str, Any]]) -> list[Shown]:
+    if isinstance(sets, (str, Mapping)) or not sets or not all(isinstance(each, Mapping) for each in sets):
+        raise ValueError(f"sets: expected a list of maps from nodes to states or likelihoods, got {sets!r:.60}")
+    return [{name: _shown(network, name, value) for name, value in each.items()} for each in sets]
+
+
+def _shown(network: Network, name: str, value: Any) -> int | tuple[float, ...]:
+    vector = likelihoods(network, name, value)
+    return tuple(vector.tolist()) if isinstance(value, (list, tuple)) else int(vector.argmax())
+
+
+def _drawn(network: Network, draw: Mapping[str, Any]) -> list[Shown]:
+    share = draw.get("share") if isinstance(draw, Mapping) and set(draw) == {"sets", "share", "seed"} else None
+    if not isinstance(share, (int, float)) or not 0 <= share <= 1 or type(draw["sets"]) is not int or draw["sets"] < 1:
+        raise ValueError(f"draw: expected sets (at least 1), share (from 0 to 1) and seed, got {draw!r:.80}")
+    random = np.random.Generator(np.random.PCG64(draw["seed"]))
+    parents = {parent for variable in network.variables.values() for parent in variable.parents}
+    leaves = [name for name in network.variables if name not in parents]
+    found: list[Shown] = []
+    for _ in range(draw["sets"]):
+        states = sampled(network, random)
+        found.append({str(leaf): states[leaf] for leaf in leaves if random.random() < share})
+    return found

@@ -1,0 +1,103 @@
+"""``hierax infer``: the exact posteriors of a causal tree or polytree in a file."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from hierax.runtime.commands.options import Format, OutputFormat
+
+MODULE = "hierax.nodes.causal_tree"
+"""Loaded by name, as a deployment's nodes are: the runtime knows none."""
+
+
+def infer(
+    network: Annotated[
+        Path,
+        typer.Argument(
+            metavar="NETWORK",
+            help="A causal tree or polytree: JSON, YAML, or BIF (with pyAgrum).",
+            show_default=False,
+        ),
+    ],
+    evidence: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--evidence",
+            "-e",
+            metavar="NAME=STATE",
+            help="What is known of a node: a state's name or its number from 0, or likelihoods, one for each state, "
+            "such as rain=[0.2,0.7]. May be given several times.",
+            show_default=False,
+        ),
+    ] = None,
+    output_format: OutputFormat = Format.text,
+) -> int:
+    """Print the posterior of every node of a Bayesian network, exactly."""
+    from hierax.runtime.commands.show import print_json, print_table
+    from hierax.runtime.loading import load
+
+    read = load(f"{MODULE}:read_network", MODULE)(network)
+    inference = load(f"{MODULE}:Inference", MODULE)(read)
+    found = inference.update(_evidence(read, evidence or (), load(f"{MODULE}:likelihoods", MODULE)))
+    states = {name: variable.states for name, variable in read.variables.items()}
+    shares = {name: dict(zip(states[name], row.tolist(), strict=True)) for name, row in found.items()}
+    if output_format is Format.json:
+        posteriors = {str(name): row for name, row in shares.items()}
+        print_json({"file": str(network), "log_evidence": inference.log_evidence, "posteriors": posteriors})
+        return 0
+    print(f"{network}: {len(shares)} nodes, ln P(evidence) = {inference.log_evidence:.9g}", end="\n\n")
+    rows = [
+        (str(name) if place == 0 else "", state, f"{share:.9g}")
+        for name, row in shares.items()
+        for place, (state, share) in enumerate(row.items())
+    ]
+    print_table({"node": {}, "state": {}, "probability": {"justify": "right"}}, rows)
+    return 0
+
+
+def _evidence(network: Any, given: Sequence[str], likelihoods: Any) -> dict[Any, Any]:
+    """Evidence by node, as likelihoods.
+
+    Raises:
+        HieraxError: an option is no evidence; says which one.
+    """
+    from hierax.runtime.commands.errors import CommandError
+    from hierax.runtime.core.errors import HieraxError
+    from hierax.runtime.nearest import did_you_mean
+
+    names = {str(name): name for name in network.variables}
+    found: dict[Any, Any] = {}
+    for option in given:
+        text, equals, value = option.partition("=")
+        where = f"--evidence {option}"
+        if not equals or not value:
+            raise CommandError(f"{where}: expected NAME=STATE, or NAME=[likelihood,…]")
+        name = names.get(text.strip())
+        if name is None:
+            raise CommandError(f"{where}: there is no node {text.strip()!r}{did_you_mean(text.strip(), names)}")
+        if name in found:
+            raise CommandError(f"{where}: node {text.strip()!r} has evidence already")
+        states = network.variables[name].states
+        try:
+            found[name] = likelihoods(network, name, _value(value.strip(), states))
+        except HieraxError as error:
+            raise CommandError(f"{where}: {error}") from error
+    return found
+
+
+def _value(text: str, states: Sequence[str]) -> Any:
+    """What a user wrote: a state's name, its number, or likelihoods."""
+    if text in states:
+        return text
+    if text.isdecimal():
+        return int(text)
+    if not (text.startswith("[") and text.endswith("]")):
+        return text
+    try:
+        return [float(number) for number in text[1:-1].split(",")]
+    except ValueError:
+        return text

@@ -1,0 +1,125 @@
+"""Networks in files: JSON, YAML and BIF, and what is wrong with them."""
+
+from __future__ import annotations
+
+import json
+import re
+import sys
+import warnings
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from hierax.nodes.causal_tree import NetworkError, read_network
+
+NODES = [
+    {"id": "rain", "states": ["no", "yes"], "prior": [0.7, 0.3]},
+    {"id": "wet", "states": 2, "parents": ["rain"], "cpt": [[0.9, 0.1], [0.2, 0.8]]},
+]
+YAML = """\
+network:
+  - {id: rain, states: ["no", "yes"], prior: [0.7, 0.3]}
+  - {id: wet, states: 2, parents: [rain], cpt: [[0.9, 0.1], [0.2, 0.8]]}
+"""
+BIF = """\
+network "collider" {}
+variable a { type discrete[2] {no, yes}; }
+variable b { type discrete[3] {low, middle, high}; }
+variable c { type discrete[2] {off, on}; }
+probability (a) { table 0.25 0.75; }
+probability (b) { table 0.2 0.3 0.5; }
+probability (c | a, b) {
+  (no, low) 0.125 0.875; (no, middle) 0.25 0.75; (no, high) 0.375 0.625;
+  (yes, low) 0.5 0.5; (yes, middle) 0.625 0.375; (yes, high) 1.0 0.0;
+}
+"""
+
+
+def with_pyagrum() -> None:
+    with warnings.catch_warnings():  # where they are errors, those of its import end the process
+        warnings.simplefilter("ignore")
+        pytest.importorskip("pyagrum")
+
+
+@pytest.mark.parametrize(("name", "text"), [("n.json", json.dumps(NODES)), ("n.yml", YAML), ("n.YAML", YAML)])
+def test_json_and_yaml(tmp_path: Path, name: str, text: str) -> None:
+    path = tmp_path / name
+    path.write_text(text)
+    network = read_network(path)
+    assert network.variables["rain"].states == ("no", "yes")
+    assert network.variables["wet"].table.tolist() == [[0.9, 0.1], [0.2, 0.8]]
+
+
+def test_numbers_and_states_in_yaml_are_what_they_look_like(tmp_path: Path) -> None:
+    path = tmp_path / "n.yaml"
+    path.write_text("- {id: on, states: [no, yes, 3], prior: [1e-12, 0.5, 0.499999999999]}\n")
+    variable = read_network(path).variables["on"]
+    assert variable.states == ("no", "yes", "3")
+    assert variable.table.tolist() == [1e-12, 0.5, 0.499999999999]
+
+
+def test_bif(tmp_path: Path) -> None:
+    with_pyagrum()
+    path = tmp_path / "collider.bif"
+    path.write_text(BIF)
+    network = read_network(path)
+    assert network.variables["b"].states == ("low", "middle", "high")
+    variable = network.variables["c"]
+    rows = {("a", "b"): (2, 3, 2), ("b", "a"): (3, 2, 2)}
+    assert variable.table.shape == rows[tuple(map(str, variable.parents))]
+    table = variable.table if variable.parents == ("a", "b") else variable.table.transpose(1, 0, 2)
+    np.testing.assert_allclose(table[..., 0], [[0.125, 0.25, 0.375], [0.5, 0.625, 1.0]], atol=1e-7)
+    np.testing.assert_allclose(network.variables["b"].table, [0.2, 0.3, 0.5], atol=1e-7)
+
+
+def test_bif_without_pyagrum(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path = tmp_path / "collider.bif"
+    path.write_text(BIF)
+    monkeypatch.setitem(sys.modules, "pyagrum", None)
+    with pytest.raises(NetworkError, match=r"BIF needs pyAgrum, which is not installed: pip install 'hierax\[bayes\]'"):
+        read_network(path)
+
+
+@pytest.mark.parametrize(
+    ("name", "text", "message"),
+    [
+        ("n.json", "[{", "n.json: is no JSON: Expecting property name"),
+        ("n.yaml", "a: [", "n.yaml: is no YAML: while parsing"),
+        ("n.yaml", "network: []", "n.yaml: expected a list of nodes, got an empty one"),
+        ("n.json", json.dumps([{**NODES[0], "prior": [0.7, 0.4]}]), "n.json: node 'rain': prior: the numbers should"),
+        ("n.txt", "", "n.txt: expected a file with the ending .json, .yaml, .yml, .bif"),
+    ],
+)
+def test_what_is_wrong_is_told_with_file_and_node(tmp_path: Path, name: str, text: str, message: str) -> None:
+    path = tmp_path / name
+    path.write_text(text)
+    with pytest.raises(NetworkError, match=re.escape(message)):
+        read_network(path)
+
+
+def test_a_broken_bif(tmp_path: Path) -> None:
+    with_pyagrum()
+    path = tmp_path / "broken.bif"
+    path.write_text("garbage")
+    with pytest.raises(NetworkError, match=r"broken\.bif: is no BIF: "):
+        read_network(path)
+
+
+def test_a_bif_with_a_loop(tmp_path: Path) -> None:
+    with_pyagrum()
+    path = tmp_path / "loop.bif"
+    text = BIF.replace(
+        "probability (b) { table 0.2 0.3 0.5; }", "probability (b | a) { (no) 0.2 0.3 0.5; (yes) 0.1 0.1 0.8; }"
+    )
+    path.write_text(text)
+    with pytest.raises(NetworkError, match=r"loop\.bif: there is an undirected loop, "):
+        read_network(path)
+
+
+def test_a_file_that_cannot_be_read(tmp_path: Path) -> None:
+    with pytest.raises(NetworkError, match=r"none\.json: cannot be read: No such file"):
+        read_network(tmp_path / "none.json")
+    (tmp_path / "latin.yaml").write_bytes(b"- {id: \xe4}")
+    with pytest.raises(NetworkError, match=r"latin\.yaml: byte 0xe4 is not UTF-8"):
+        read_network(tmp_path / "latin.yaml")

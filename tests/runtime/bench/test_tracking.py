@@ -1,0 +1,87 @@
+"""The tracking benchmark on scenes of few frames: its rows, its differences, and its errors."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from hierax.runtime.bench.tracking import CONTEXT, OWN, WAYS, Gain, Row, gains, kinds
+from hierax.runtime.commands.main import main
+
+
+def test_all_ways_give_rows_with_shares_and_times(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    arguments = ["bench", "tracking", "--kinds", "hidden", "--frames", "4", "--keep", str(tmp_path)]
+    assert main([*arguments, "--format", "json"]) == 0
+    report = json.loads(capsys.readouterr().out)
+    assert [row["way"] for row in report["rows"]] == list(WAYS)
+    for row in report["rows"]:
+        assert row["scene"] == "hidden"
+        assert 0.0 <= row["shares"]["within_10mm_5deg"] <= 1.0
+        assert set(row["stage_ms"]) == {"world", "arm", "spatial"}
+        assert all(ms > 0.0 for ms in row["stage_ms"].values())
+    (gain,) = report["gains"]
+    shares = {row["way"]: row["hidden_shares"][0] for row in report["rows"]}
+    assert gain["mean"] == pytest.approx(shares[CONTEXT] - shares[OWN])
+    scene = tmp_path / "hidden-0-4" / "test" / "000001"
+    assert main(["bench", "tracking", "--scene", str(scene), "--table", "--ways", CONTEXT]) == 0
+    out = capsys.readouterr().out
+    assert CONTEXT in out
+    assert OWN not in out
+
+
+def test_the_gain_is_of_scenes_with_hidden_frames_alone() -> None:
+    def row(way: str, shares: list[float]) -> Row:
+        return Row("hidden", way, None, {}, shares)
+
+    nan = float("nan")
+    (gain,) = gains([row(OWN, [0.2, nan, 0.5]), row(CONTEXT, [0.6, nan, 0.5])])
+    assert gain.differences == pytest.approx([0.4, 0.0])
+    plain = gain.plain()
+    assert (plain["seeds"], plain["mean"]) == (2, pytest.approx(0.2))
+    assert plain["spread"] == pytest.approx(np.std([0.4, 0.0], ddof=1))
+    assert Gain("one", [0.1]).plain()["spread"] is None
+    assert gains([row(CONTEXT, [0.6])]) == []
+    assert gains([row(OWN, [nan]), row(CONTEXT, [nan])]) == []
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        (["--kinds", "heap"], f"there is no kind 'heap'; expected some of {', '.join(kinds())}"),
+        (["--ways", "best"], "there is no way 'best'; expected some of own model"),
+        (["--scene", "nowhere/test/000001"], "nowhere/test/000001: no such folder; expected a BOP scene"),
+        (["--kinds", "tower", "--frames", "2", "--set", "nodes.arm.parameters.speed=1"], "speed"),
+    ],
+)
+def test_what_is_wrong_is_one_line(arguments: list[str], said: str, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["bench", "tracking", *arguments]) == 1
+    out, err = capsys.readouterr()
+    assert said in err
+    assert err.count("\n") == 1
+    assert "Traceback" not in out + err
+
+
+def test_a_scene_without_truth_says_so(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    from hierax.runtime.loading import load
+
+    scene = load("hierax.nodes.tracking.synthetic:write_scene", "test")(tmp_path, "tower", 0, 2)
+    assert main(["bench", "tracking", "--scene", str(scene), "--truth", str(tmp_path), "--ways", CONTEXT]) == 1
+    assert "scene_gt.json: cannot be read" in capsys.readouterr().err
+
+
+def test_the_speed_is_that_of_launches(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
+    arguments = ["bench", "tracking", "--speed", "--frames", "3", "--rounds", "1", "--keep", str(tmp_path)]
+    assert main([*arguments, "--format", "json"]) == 0
+    one, five = json.loads(capsys.readouterr().out)["speeds"]
+    assert (one["objects"], five["objects"]) == (1, 5)
+    for speed in (one, five):
+        assert speed["rounds"] == [speed["epochs_hz"]]
+        assert speed["epochs_hz"] > 0.0
+        assert speed["stage_ms"]["arm"] > 0.0
+    assert len(list((tmp_path / "speed-1" / "models").glob("*.ply"))) == 1
