@@ -3,16 +3,22 @@ PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 INSTALLED := $(VENV)/.installed
+RUNS := $(VENV)/.runs
 CHECKED := .build/checked
 
-.PHONY: demo test check model sim kills changes clean
+.PHONY: demo test check docs model sim kills changes rival clean
 
-$(INSTALLED): pyproject.toml
+# what runs, and what tests need besides: the viewer alone is some hundreds of megabytes
+$(RUNS): pyproject.toml
 	$(PYTHON) -m venv $(VENV)
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable .
+	touch $@
+
+$(INSTALLED): $(RUNS)
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable ".[dev]"
 	touch $@
 
-demo: $(INSTALLED)
+demo: $(RUNS)
 	$(BIN)/hierax launch deploy/tracking.yaml --epochs 60 --output demo-output
 	$(BIN)/python -m hierax.nodes.tracking.report demo-output
 	@echo "Look at demo-output/pictures/contact-sheet.png and demo-output/errors.png"
@@ -39,6 +45,14 @@ kills: $(INSTALLED)
 changes: $(INSTALLED)
 	$(BIN)/python benchmarks/changes.py
 
+# ViSP's model-based tracker, for benchmarks/visp_rival/compare.py; installed where it is missing, if root may
+rival: $(INSTALLED)
+	@test -d /usr/include/$$(gcc -dumpmachine)/visp3/mbt || test "$$(id -u)" != 0 || ! command -v apt-get > /dev/null || \
+		{ apt-get update -qq && apt-get install -y -qq --no-install-recommends libvisp-mbt-dev > /dev/null; }
+	mkdir -p .build/visp_rival
+	g++ -O2 -std=c++17 -I/usr/include/$$(gcc -dumpmachine) -I/usr/include/opencv4 benchmarks/visp_rival/tracker.cpp \
+		-o .build/visp_rival/tracker -lvisp_mbt -lvisp_klt -lvisp_me -lvisp_vision -lvisp_io -lvisp_core
+
 # mypy and the import contracts follow the namespace through an installed copy
 check: $(INSTALLED)
 	$(BIN)/ruff check .
@@ -49,6 +63,14 @@ check: $(INSTALLED)
 	cd $(CHECKED) && MYPYPATH=. $(CURDIR)/$(BIN)/mypy --config-file $(CURDIR)/pyproject.toml \
 		--explicit-package-bases --namespace-packages -p hierax
 	cd $(CHECKED) && PYTHONPATH=. $(CURDIR)/$(BIN)/lint-imports --config $(CURDIR)/.importlinter --no-cache
+
+# the site, in .build/site; the reference is read from an installed copy, as the static checks are
+docs: $(INSTALLED)
+	rm -rf .build/reference build
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable ".[docs]"
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-deps --target .build/reference .
+	rm -rf build
+	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --quiet
 
 clean:
 	rm -rf $(VENV) .build build dist *.egg-info demo-output

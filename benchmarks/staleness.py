@@ -30,7 +30,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from hierax.nodes.tracking.report import ObjectErrors, read_errors
+from hierax.nodes.tracking.report import read_errors
+from hierax.nodes.tracking.scoring import Course
 
 HIERAX = [sys.executable, "-m", "hierax.runtime.commands.main"]
 TIMEOUT_S = 300.0
@@ -88,7 +89,7 @@ def launch(way: str, output: Path) -> Launch:
     return measured(read_errors(output), report, metrics.get("staleness_mean", 0.0))
 
 
-def measured(errors: Sequence[ObjectErrors], report: Mapping[str, Any], staleness_mean: float) -> Launch:
+def measured(errors: Sequence[Course], report: Mapping[str, Any], staleness_mean: float) -> Launch:
     """The figures of a launch."""
     distances_mm = np.array([item.distance_mm for item in errors])
     angles_deg = np.array([item.angle_deg for item in errors])

@@ -12,8 +12,9 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Mapping
 
-from hierax.runtime import NO_TICK, Elements, Node, Tick, Value, World
+from hierax.runtime import NO_TICK, Elements, Node, Step, Tick, Value, World
 from hierax.runtime.core.node import Policy, do_nothing
+from hierax.runtime.core.showing import GREY, Curve, Things, colour_of
 
 ACCELERATION = 8.49
 """k, in m/s²: g · sin 60°."""
@@ -113,6 +114,15 @@ class SlidingWorld(World):
             "tracking_error_rms": math.sqrt(belief["square_sum"] / epochs),
         }
 
+    def show(self, step: Step, before: Value) -> Things:
+        """The object and the camera beside one another, and how far they are apart."""
+        true, camera = position_at(step.time_s), step.belief["camera"]
+        return {
+            "/position_m/object": Curve(true, GREY),
+            "/position_m/camera": Curve(camera, colour_of(1)),
+            "/error_m/camera": Curve(abs(true - camera), colour_of(1)),
+        }
+
 
 class CameraNode(Node):
     """N₁: where the object is in the camera's eyes. Belief: ``position`` x, in metres."""
@@ -126,6 +136,11 @@ class CameraNode(Node):
         if not observations:
             return belief
         return {"position": (1.0 - GAIN) * belief["position"] + GAIN * observations[0]}
+
+    def show(self, step: Step, before: Value) -> Things:
+        """Where the object was seen, and where it is believed to be."""
+        seen = {"/position_m/seen": Curve(step.observations[0], colour_of(4))} if step.observations else {}
+        return {**seen, "/position_m/believed": Curve(step.sensed["position"], colour_of(2))}
 
     def policies(self) -> Mapping[str, Policy]:
         """π₁(x) = {x}: move the camera to the object."""
@@ -153,6 +168,13 @@ class MotionNode(Node):
         """γ₂ = ⟨x + vδt + ½kδt², v + kδt⟩."""
         x, v = belief["position"], belief["velocity"]
         return {"position": x + v * STEP_S + position_at(STEP_S), "velocity": v + ACCELERATION * STEP_S}
+
+    def show(self, step: Step, before: Value) -> Things:
+        """Where the object is predicted to be next, and how fast it is believed to be."""
+        return {
+            "/position_m/predicted": Curve(step.belief["position"], colour_of(3)),
+            "/velocity_m_s/believed": Curve(step.sensed["velocity"], colour_of(3)),
+        }
 
 
 class MeasuredPosition:

@@ -1,7 +1,32 @@
 """The runtime: what turns nodes and a deployment file into a running hierarchy."""
 
-from hierax.runtime.core.node import Elements, Node, Value, World
-from hierax.runtime.core.probe import Probe, Step
-from hierax.runtime.core.tick import NO_TICK, Tick
+from __future__ import annotations
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from hierax.runtime.core.node import Elements, Node, Value, World
+    from hierax.runtime.core.probe import Probe, Step
+    from hierax.runtime.core.tick import NO_TICK, Tick
 
 __all__ = ["NO_TICK", "Elements", "Node", "Probe", "Step", "Tick", "Value", "World"]
+
+_HOMES = {
+    **dict.fromkeys(("Elements", "Node", "Value", "World"), "hierax.runtime.core.node"),
+    **dict.fromkeys(("Probe", "Step"), "hierax.runtime.core.probe"),
+    **dict.fromkeys(("NO_TICK", "Tick"), "hierax.runtime.core.tick"),
+}
+
+
+def __getattr__(name: str) -> Any:
+    """Imported when first asked for: numpy takes a tenth of a second, and every pytest loads the plugin below."""
+    if name not in _HOMES:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    value = getattr(import_module(_HOMES[name]), name)
+    globals()[name] = value
+    return value
+
+
+def __dir__() -> list[str]:
+    return sorted({*globals(), *__all__})

@@ -182,6 +182,7 @@ class Member(NodeRunner):
             self._say(Fetch(self.name, self.process, version))
 
     def rewired(self, version: int) -> None:
+        super().rewired(version)
         self.port.unlink(version)
         self._linked = {later for later in self._linked if later >= version}
         self._fetched = {later for later in self._fetched if later > version}

@@ -25,11 +25,12 @@ from hierax.runtime.core.node import Elements
 from hierax.runtime.core.probe import Probe
 from hierax.runtime.engine.engine import Engine
 from hierax.runtime.engine.loose import BARRIER, LooseEngine, Staleness
-from hierax.runtime.engine.outlet import Committed, Completed, Outlet, Saved
+from hierax.runtime.engine.outlet import Called, Committed, Completed, Outlet, Saved
 from hierax.runtime.engine.table import Phase, Verdict
 from hierax.runtime.engine.wiring import Wiring
 from hierax.runtime.report import NodeReport
 from hierax.runtime.transport.port import Port
+from hierax.runtime.watch.watcher import Watcher
 from hierax.schemas.errors import SchemaError
 from hierax.schemas.limits import MAX_MESSAGE_BYTES
 from hierax.schemas.messages import Header, Message
@@ -59,9 +60,13 @@ class NodeRunner(Outlet):
     Attributes:
         engine: of the node.
         staleness: of the deployment; to be set before `wire`.
+        watchers: who sees what the node does.
+        last: the last epoch that it has completed; None: none yet.
     """
 
     staleness: Staleness = BARRIER
+    watchers: tuple[Watcher, ...] = ()
+    last: Completed | None = None
 
     def __init__(
         self,
@@ -86,6 +91,21 @@ class NodeRunner(Outlet):
             self.engine = Engine(wiring, self, saved=saved, joins=joins)
         else:
             self.engine = LooseEngine(wiring, self, saved=saved, joins=joins, staleness=self.staleness)
+        if self.watchers:  # one that comes at this moment, in another thread, finds the engine
+            self.engine.events = True
+
+    def watch(self, watcher: Watcher) -> None:
+        """Have a watcher see what the node does from now on; always called by the same thread."""
+        self._set_watchers((*self.watchers, watcher))
+
+    def unwatch(self, watcher: Watcher) -> None:
+        """Have it see nothing more; by the thread that calls `watch`."""
+        self._set_watchers(tuple(each for each in self.watchers if each is not watcher))
+
+    def _set_watchers(self, watchers: tuple[Watcher, ...]) -> None:
+        self.watchers = watchers  # replaced, never changed in place: the node's thread may be going through them
+        if hasattr(self, "engine"):
+            self.engine.events = bool(watchers)
 
     def start(self) -> None:
         """Begin the first epoch, if this is the world and there is one to run."""
@@ -98,6 +118,8 @@ class NodeRunner(Outlet):
             OperatorError: an operator failed, or gave what cannot travel.
             ProbeError: a probe raised.
         """
+        for watcher in self.watchers:
+            watcher.received(message)
         self.engine.receive(message)
         self._finish()
 
@@ -109,6 +131,8 @@ class NodeRunner(Outlet):
             ProbeError: a probe raised.
         """
         engine = self.engine
+        for watcher in self.watchers:
+            watcher.turned()
         if self.pacemaker is None:
             did = isinstance(engine, LooseEngine) and engine.poll()
         else:
@@ -120,13 +144,15 @@ class NodeRunner(Outlet):
         return did
 
     def close(self) -> None:
-        """Close the state log and all probes.
+        """Close the state log, all watchers and all probes.
 
         Raises:
             ProbeError: a probe raised.
         """
         if self.states is not None:
             self.states.close()
+        for watcher in self.watchers:
+            watcher.close()
         with ExitStack() as closing:  # one that raises keeps none from being closed
             for probe in reversed(self.probes):
                 closing.callback(self._close, probe)
@@ -145,12 +171,24 @@ class NodeRunner(Outlet):
         return NodeReport(state.belief, state.policy, state.actions, metrics)
 
     def send(self, message: Message) -> None:
+        for watcher in self.watchers:
+            message = watcher.sending(message)
         try:
             self.port.send(message)
         except SchemaError as error:
             header = message.header
             what = f"its elements for {header.receiver} {error}"
             raise OperatorError(header.sender, header.kind, header.epoch, what) from error
+        for watcher in self.watchers:
+            watcher.sent(message)
+
+    def called(self, called: Called) -> None:
+        for watcher in self.watchers:
+            watcher.called(called)
+
+    def rewired(self, version: int) -> None:
+        for watcher in self.watchers:
+            watcher.rewired(version)
 
     def completed(self, completed: Completed) -> None:
         self._completed.append(completed)
@@ -159,6 +197,8 @@ class NodeRunner(Outlet):
         act = self.engine.node.act
         if act is not None:
             act(epoch, self.engine.time_s, actions)
+        for watcher in self.watchers:
+            watcher.acted(epoch)
 
     def committed(self, committed: Committed) -> None:
         self._committed = committed
@@ -175,6 +215,8 @@ class NodeRunner(Outlet):
             header.epoch,
             verdict.value,
         )
+        for watcher in self.watchers:
+            watcher.refused(header, verdict)
 
     def _gravity(self, verdict: Verdict) -> int:
         """At which level a refusal is logged."""
@@ -193,7 +235,11 @@ class NodeRunner(Outlet):
                 self._go_on(committed)
                 if committed is not None:
                     pacemaker.on_commit(committed.epoch, digest)
+                    for watcher in self.watchers:
+                        watcher.committed(committed.epoch, digest)
             self._serve(completed)
+        for watcher in self.watchers:
+            watcher.served()
 
     def _may_begin(self) -> bool:
         return not self.staleness.free and self.pacemaker is not None and self.pacemaker.may_begin(self.engine)
@@ -215,6 +261,9 @@ class NodeRunner(Outlet):
 
     def _serve(self, completed: Iterable[Completed]) -> None:
         for each in completed:
+            self.last = each
+            for watcher in self.watchers:
+                watcher.completed(each)
             if self.states is not None:
                 step = each.step
                 self.states.write(step.epoch, step.attempt, each.state, each.digest)
@@ -286,7 +335,8 @@ class Log:
 
     Args:
         path: of the file.
-        append: go on behind what is there, but for an entry that was cut off.
+        append: go on behind what is there, but for an entry that was cut off; this is looked at when
+            something is written, as until then another process may still be writing.
 
     Raises:
         HieraxError: it cannot be written, now or later.
@@ -296,13 +346,15 @@ class Log:
         self._path = path
         with self._mapped():
             path.parent.mkdir(parents=True, exist_ok=True)
-            if append and path.exists():
-                os.truncate(path, _whole_bytes(path))
             self._file: BinaryIO = path.open("ab" if append else "wb")
+        self._behind = append
 
     def write(self, *fields: int | bytes) -> None:
         """Append an array."""
         try:  # not `_mapped`, as this runs in every epoch
+            if self._behind:
+                self._behind = False
+                os.truncate(self._path, _whole_bytes(self._path))
             self._file.write(msgpack.packb(fields))
         except OSError as error:
             raise self._error(error) from error

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Awaitable, Callable, Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import anyio
 
@@ -24,8 +24,14 @@ from hierax.runtime.runner import Log, NodeRunner, Pacemaker
 from hierax.runtime.transport.memory import MemoryNetwork
 from hierax.schemas.changes import Change, Replace
 
+if TYPE_CHECKING:
+    from hierax.runtime.recording.in_process import InProcess
+
 Schedule = Sequence[tuple[int, Change]]
 """Changes of the roster, and the first epoch under each."""
+
+Watch = Callable[[str, NodeRunner], None]
+"""Told a node's name and its runner, which has no engine yet: may have it watched."""
 
 
 def run(
@@ -36,6 +42,8 @@ def run(
     output: Path | None = None,
     progress: Callable[[int], None] | None = None,
     schedule: Schedule = (),
+    watch: Watch | None = None,
+    record: InProcess | None = None,
 ) -> Report:
     """Run a deployment in this process.
 
@@ -46,6 +54,8 @@ def run(
         output: folder for the states, digests and what probes write; None: nothing is written.
         progress: told the number of each epoch that is committed.
         schedule: what changes when, in order.
+        watch: called for each node as its runner is made.
+        record: takes in what is said; None: nobody does.
 
     Raises:
         HieraxError: a node cannot be loaded or failed, or a change is refused.
@@ -57,12 +67,14 @@ def run(
     def on_commit(epoch: int, digest: bytes) -> None:
         if digests is not None:
             digests.write(epoch, digest)
+        if record is not None:
+            record.committed(epoch, digest)
         if progress is not None:
             progress(epoch)
 
     chain = DigestChain(deployment.roster.content_hash())
     pacemaker = Pacemaker(chain, deployment.epochs if epochs is None else epochs, on_commit)
-    nodes = _Nodes(deployment, seed, pacemaker, output, schedule)
+    nodes = _Nodes(deployment, seed, pacemaker, output, schedule, watch, record)
     try:
         if deployment.staleness.free:
             run_freely(nodes.runners, deployment, seed, pacemaker)
@@ -110,16 +122,27 @@ class _Nodes:
     """The runners of all nodes, and the network between them."""
 
     def __init__(
-        self, deployment: Deployment, seed: int, pacemaker: Pacemaker, output: Path | None, schedule: Schedule
+        self,
+        deployment: Deployment,
+        seed: int,
+        pacemaker: Pacemaker,
+        output: Path | None,
+        schedule: Schedule,
+        watch: Watch | None,
+        record: InProcess | None,
     ) -> None:
         self._deployment = deployment
+        self._watch = watch
         self._setting = Setting(seed, _wait)
         self._pacemaker = pacemaker
         self._output = output
         self._schedule = list(schedule)
         self._roster = deployment.roster
         self._world = deployment.roster.world
+        self._record = record
         self._network = MemoryNetwork(seed)
+        if record is not None:
+            self._network.tap = record.message
         build_hierarchy(self._roster, self._setting)  # that it is one, and what is wrong with the first node that is
         self._loaders = {name: NodeLoader(name, self._setting) for name in self._roster.nodes}
         self.runners: dict[str, NodeRunner] = {}
@@ -154,6 +177,10 @@ class _Nodes:
             runner.due = [epoch for epoch, _ in self._schedule]
             runner.change = self._change
         runner.staleness = self._deployment.staleness
+        if self._watch is not None:
+            self._watch(name, runner)
+        if self._record is not None:
+            self._record.watch(name, runner, (lambda: self._roster) if name == self._world else None)
         return runner
 
     def _change(self, epoch: int) -> None:

@@ -12,6 +12,9 @@ from dataclasses import dataclass
 from hierax.schemas.errors import SchemaError, shown
 from hierax.schemas.limits import MAX_NAME_CHARS
 
+STEP = "step"
+"""In `Keys.seen`, in place of a message's kind: what a node has done in an epoch."""
+
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.-]*")
 
 
@@ -57,7 +60,34 @@ class Keys:
         """Where a process, by its token, or the roster's owner is told something."""
         return f"{self.root}/control/{address}"
 
+    def look(self, name: str) -> str:
+        """Where a node answers those who look at it."""
+        return f"{self.root}/look/{name}"
+
+    def seen(self, kind: str, sender: str, receiver: str) -> str:
+        """Where a node shows copies of what it sends, while somebody wants to see them."""
+        return f"{self.root}/seen/{kind}/{sender}/{receiver}"
+
     @property
     def epochs(self) -> str:
         """Where the world publishes the digest of each committed epoch."""
         return f"{self.root}/epochs"
+
+    def steps(self, name: str) -> str:
+        """Where a node tells whoever records what it did in each epoch."""
+        return f"{self.root}/steps/{name}"
+
+    @property
+    def roster(self) -> str:
+        """Where the world tells whoever records the roster."""
+        return f"{self.root}/roster"
+
+    @property
+    def notes(self) -> str:
+        """Where a keeper tells whoever records what happens to processes."""
+        return f"{self.root}/notes"
+
+    @property
+    def everything(self) -> str:
+        """Matches all keys of the run, but not its liveliness tokens."""
+        return f"{self.root}/**"

@@ -25,6 +25,7 @@ from hierax.nodes.letters.glyphs import AMBIGUOUS, DRAWN, GREYS, Picture, draw_g
 from hierax.nodes.letters.messages import Weights, is_number
 from hierax.nodes.letters.tree import LetterNode
 from hierax.runtime import NO_TICK, Elements, Probe, Step, Tick, Value, World
+from hierax.runtime.core.showing import Image, Thing, Things
 
 MIN_SIZE = 12
 MAX_SIZE = 256
@@ -143,6 +144,11 @@ class PixelLetterNode(LetterNode):
         total = math.fsum(shares.values())
         even = self._slip / len(shares)
         return {name: (1.0 - self._slip) * share / total + even for name, share in shares.items()}
+
+    def show(self, step: Step, before: Value) -> Things:
+        """The sign that was seen, and the posterior, by letter."""
+        sign: dict[str, Thing] = {"sign/seen": Image(step.observations[0])} if step.observations else {}
+        return {**sign, **super().show(step, before)}
 
     def _log_likelihood(self, name: str, pixels: Picture) -> float:
         """Of the pixels given the letter, up to a constant."""

@@ -16,8 +16,9 @@ from collections.abc import Mapping, Sequence
 
 from hierax.nodes.letters.messages import Weights, product, uniform, weights
 from hierax.nodes.letters.words import check_words, letters_at, letters_given_word, words_given_letter
-from hierax.runtime import NO_TICK, Elements, Node, Tick, Value, World
+from hierax.runtime import NO_TICK, Elements, Node, Step, Tick, Value, World
 from hierax.runtime.core.node import structural_difference
+from hierax.runtime.core.showing import Curve, Thing, Things, colour_of
 
 UNKNOWN = "?"
 """In a string of letters, the one of which the sign tells nothing."""
@@ -128,6 +129,10 @@ class LetterNode(Node):
         """The posterior, by letter."""
         return dict(belief["posterior"])
 
+    def show(self, step: Step, before: Value) -> Things:
+        """The posterior, by letter."""
+        return posterior_things(step.belief)
+
     def _belief(self, diagnostic: Weights, causal: Weights) -> Value:
         posterior = product(self.names, (diagnostic, causal), "the sign in its context")
         return {"diagnostic": diagnostic, "causal": causal, "posterior": posterior}
@@ -185,10 +190,20 @@ class WordNode(Node):
         """The posterior, by word."""
         return dict(belief["posterior"])
 
+    def show(self, step: Step, before: Value) -> Things:
+        """The posterior, by word."""
+        return posterior_things(step.belief)
+
     def _belief(self, diagnostic: Mapping[str, Weights]) -> Value:
         what = f"{', '.join(diagnostic)} together" if diagnostic else "the prior"
         posterior = product(self.names, (*diagnostic.values(), self._priors), what)
         return {"diagnostic": diagnostic, "causal": self._priors, "posterior": posterior}
+
+
+def posterior_things(belief: Value) -> dict[str, Thing]:
+    """A belief's posterior as curves, one for each hypothesis."""
+    shares = enumerate(belief["posterior"].items(), start=1)
+    return {f"posterior/{name}": Curve(share, colour_of(number)) for number, (name, share) in shares}
 
 
 class _Place:

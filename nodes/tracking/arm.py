@@ -1,7 +1,7 @@
 """The arm node: poses of objects relative to its camera, corrected by edges in the image (theory, example 3).
 
-The node has no models. What it knows of the objects' shapes is the expected edges that it
-takes from the context, a segmented depth image; without context its objects are lost.
+The node has no models. What it knows of the objects' shapes are the control points on expected
+edges that it takes from the context; without context its objects are lost.
 """
 
 from __future__ import annotations
@@ -11,22 +11,40 @@ from typing import Any
 
 import numpy as np
 
-from hierax.nodes.tracking.edges import NO_EDGES, visible_edges
-from hierax.nodes.tracking.geometry import Array, Floats, exp_se3, invert, log_se3, transform
-from hierax.nodes.tracking.matching import Image, Match, match, shifted, smoothed
-from hierax.runtime import Elements, Node, Value
+from hierax.nodes.tracking.appearance import NOTHING
+from hierax.nodes.tracking.association import Estimate, Options, associate
+from hierax.nodes.tracking.geometry import Array, Floats, exp_se3, invert, log_se3
+from hierax.nodes.tracking.profiles import smoothed
+from hierax.nodes.tracking.showing import arm_things
+from hierax.runtime import Elements, Node, Step, Value
+from hierax.runtime.core.showing import Things
 
 TRACKED = "tracked"
 EXPECTED = "expected"
 LOST = "lost"
 
-_WIDER_STARTS = (1.0, 0.0, 0.5, 1.5, 2.0)
-_WIDER_VARIANCE = 9.0
-_BETTER = 0.05
+_DRIFT_GAIN = 0.3
+_USUAL_GAIN = 0.1
+_LEAST_SHOWN = 10.0
+"""An object of which fewer control points should be seen is neither supported nor missed."""
 
-_SURPRISED = 1.5
-_CALMING = 0.85
-_LEAST_UNREST = 0.1
+_FIRST_UNREST = 0.2
+_VAGUE_M = 0.02
+"""An object whose place is less certain than this (standard deviation) has to be found, not kept."""
+
+_DASH_M = 0.002
+_UNKNOWN = np.diag([0.1**2] * 3 + [0.6**2] * 3)
+"""A covariance that says next to nothing of a pose (m², rad²)."""
+
+_NO_CONTROLS: dict[str, Array] = {
+    "points": np.zeros((0, 3)),
+    "tangents": np.zeros((0, 3)),
+    "inwards": np.zeros((0, 3)),
+    "kinds": np.zeros(0, dtype=np.uint8),
+    "edges": np.zeros(0, dtype=np.int32),
+    "faces": np.zeros((0, 2), dtype=np.int32),
+    "visible": np.zeros(0, dtype=np.float32),
+}
 
 Tracked = dict[str, Any]
 
@@ -34,29 +52,35 @@ Tracked = dict[str, Any]
 class ArmNode(Node):
     """Tracks objects with the camera of an arm.
 
-    The belief: ``camera`` (world_from_camera, (4, 4); None before the first image),
-    ``intrinsics`` ((4,) fx, fy, cx, cy), ``size`` (w, h), ``frame`` (the newest image's
-    number) and ``objects``, a tuple of
+    The belief: ``camera`` (world_from_camera, (4, 4), with the error corrected that all objects
+    show together; None before the first image), ``reported`` (the same as the world gave it),
+    ``drift`` ((4, 4): ``reported @ drift`` is where the camera is expected, see `observe`), ``intrinsics``
+    ((4,) fx, fy, cx, cy), ``size`` (w, h), ``frame`` (the newest image's number) and ``objects``, a tuple of
 
     - ``id``: label in this scene, 1 to 255; ``obj_id``: number of the model;
     - ``pose``: camera_from_object, seen from ``camera``; ``before``: the same an image earlier;
       ``covariance``: (6, 6) of the pose's error as a twist in the object's frame (m², rad²);
-    - ``score``: 0 to 1; ``status``: ``tracked`` (the newest image supports the pose),
+    - ``score``: 0 to 1; ``usual``: its running mean; ``status``: ``tracked`` (the newest image supports the pose),
       ``expected`` (known from prediction alone) or ``lost``; ``misses``: images in a row without support;
-      ``unrest``: 0.1 to 1, how much of `motion_m` and `motion_rad` its latest motion asks for;
-    - ``edges``: (n, 2, 3) ends of the edges expected to be seen, object's frame, metres;
-      ``kinds``: (n,) uint8, see `hierax.nodes.tracking.edges`.
+      ``unrest``: 0 to 1, how much of `motion_m` and `motion_rad` its latest motion asks for; ``trend``: (6,) running
+      mean of how far images had it from its predictions, in standard deviations; ``vain``: for how many images in a
+      row it was looked for elsewhere and not found;
+    - ``controls``: points on the edges expected to be seen, see `hierax.nodes.tracking.controls`;
+      ``edges``: (n, 2, 3) a dash along the edge at each, object's frame, metres;
+      ``slots``: what it looks like beside them, see `hierax.nodes.tracking.appearance`.
 
     Args:
         objects: ``id``, ``obj_id`` and ``pose`` (camera_from_object in the first frame) of each.
         start_m, start_rad: standard deviation of the first poses, in each axis.
-        motion_m, motion_rad: of the objects' deviation from their prediction within a frame.
+        motion_m, motion_rad: of the objects' deviation from their prediction within a frame, when they are pushed.
+        camera_m, camera_rad: of the reported camera's deviation from its course, while it moves.
         error_px: standard deviation of a match, as if its control points erred by this independently; they
             err together, along an edge and from image to image, so it is larger than one of them errs.
         sure_score: a match that scores less is also looked for farther away.
         kept_score: an image that scores a pose below this does not support it.
         found_score: a lost object is found again at this score.
         patience: images in a row without support until an object is lost.
+        prior: false: an image corrects poses as if nothing were known of them but where to look.
 
     Raises:
         ValueError: ids are doubled or out of range, a pose is no 4 × 4 matrix, or an option is out of range.
@@ -69,14 +93,17 @@ class ArmNode(Node):
         start_rad: float = 0.035,
         motion_m: float = 0.010,
         motion_rad: float = 0.06,
-        error_px: float = 0.5,
+        camera_m: float = 0.0015,
+        camera_rad: float = 0.0025,
+        error_px: float = 0.7,
         sure_score: float = 0.8,
         kept_score: float = 0.35,
-        found_score: float = 0.6,
+        found_score: float = 0.7,
         patience: int = 10,
+        prior: bool = True,
     ) -> None:
         deviations = {"start_m": start_m, "start_rad": start_rad, "motion_m": motion_m, "motion_rad": motion_rad}
-        deviations["error_px"] = error_px
+        deviations.update(camera_m=camera_m, camera_rad=camera_rad, error_px=error_px)
         for name, number in deviations.items():
             if not number > 0.0:
                 raise ValueError(f"{name} is {number}; expected a positive number")
@@ -89,19 +116,27 @@ class ArmNode(Node):
         ids = [item["id"] for item in self._objects]
         if len(set(ids)) != len(ids) or not all(1 <= number <= 255 for number in ids):
             raise ValueError(f"ids must be different and from 1 to 255, got {ids}")
-        self._motion = _covariance(motion_m, motion_rad)
-        self._error_px = error_px
-        self._sure_score = sure_score
+        self._options = Options(_covariance(motion_m, motion_rad), error_px, sure_score)
+        self._camera = np.diag(1.0 / np.diag(_covariance(camera_m, camera_rad)))
         self._kept_score = kept_score
         self._found_score = found_score
         self._patience = patience
+        self._prior = prior
 
     def initial_belief(self) -> Value:
         """The objects where they are said to be; no camera, no edges yet."""
-        return {"camera": None, "intrinsics": None, "size": None, "frame": None, "objects": self._objects}
+        return {
+            "camera": None,
+            "reported": None,
+            "drift": np.eye(4),
+            "intrinsics": None,
+            "size": None,
+            "frame": None,
+            "objects": self._objects,
+        }
 
     def observe(self, observations: Elements, belief: Value) -> Value:
-        """τ: each object's predicted pose, seen from where the camera is now, corrected by the image.
+        """τ: the objects' predicted poses, seen from where the camera is now, corrected by the image.
 
         Args:
             observations: one element {"image", "camera", "intrinsics", "frame"}, or none.
@@ -110,18 +145,21 @@ class ArmNode(Node):
         if not observations:
             return belief
         seen = observations[0]
-        image = seen["image"]
-        camera = np.asarray(seen["camera"], dtype=np.float64)
+        reported = np.asarray(seen["camera"], dtype=np.float64)
+        camera = reported @ belief["drift"]
         moved = np.eye(4) if belief["camera"] is None else invert(camera) @ belief["camera"]
-        wanted = any(len(item["edges"]) for item in belief["objects"])
-        soft = smoothed(image) if wanted else None
-        predicted = [
+        objects = tuple(
             {**item, "pose": moved @ item["pose"], "before": moved @ item["before"]} for item in belief["objects"]
-        ]
-        objects = tuple(self._corrected(item, soft, seen["intrinsics"]) for item in predicted)
-        height, width = image.shape[:2]
+        )
+        still = belief["reported"] is None or np.array_equal(belief["reported"], reported)
+        shift, objects = self._corrected(objects, seen, still)
+        camera = camera @ invert(shift)
+        drift = belief["drift"] @ exp_se3(_DRIFT_GAIN * log_se3(invert(reported @ belief["drift"]) @ camera))
+        height, width = seen["image"].shape[:2]
         return {
             "camera": camera,
+            "reported": reported,
+            "drift": drift,
             "intrinsics": np.asarray(seen["intrinsics"], dtype=np.float64),
             "size": (width, height),
             "frame": seen["frame"],
@@ -139,9 +177,9 @@ class ArmNode(Node):
         """
         expected = {item["id"]: item for item in context[0]["poses"]} if context else {}
         objects = tuple(
-            self._imagined(item, expected[item["id"]], context[0], belief["camera"])
+            _imagined(item, expected[item["id"]], belief["camera"])
             if item["id"] in expected
-            else {**item, **_no_edges(), "score": 0.0, "status": LOST}
+            else {**item, "controls": _NO_CONTROLS, "edges": np.zeros((0, 2, 3)), "score": 0.0, "status": LOST}
             for item in belief["objects"]
         )
         return {**belief, "objects": objects}
@@ -156,78 +194,85 @@ class ArmNode(Node):
             "score_mean": float(np.mean(scores)) if scores else 0.0,
         }
 
-    def _corrected(self, item: Tracked, image: Image | None, intrinsics: Array) -> Tracked:
-        """One object after the image: matched with a prior that allows for any motion, then filtered."""
-        if image is None:
-            return item
-        found = self._matched(item, image, intrinsics)
-        needed = self._found_score if item["status"] == LOST else self._kept_score
-        if found is None or found.score < needed:
-            return self._missed(item, found)
-        return {**item, **self._filtered(item, found), "score": found.score, "status": TRACKED, "misses": 0}
+    def show(self, step: Step, before: Value) -> Things:
+        """The image with edges, the camera, the scores."""
+        return arm_things(step, before)
 
-    def _matched(self, item: Tracked, image: Image, intrinsics: Array) -> Match | None:
-        """The best match near the prediction or, where that is not sure, farther along its motion."""
-        loose = item["covariance"] + self._motion
-        best = match(image, item["edges"], item["pose"], loose, intrinsics)
-        if (best is not None and best.score >= self._sure_score) or not len(item["edges"]):
-            return best
-        motion = log_se3(invert(item["before"]) @ item["pose"])
-        for part in _WIDER_STARTS:
-            start = shifted(image, item["edges"], item["before"] @ exp_se3(part * motion), intrinsics)
-            found = match(image, item["edges"], start, _WIDER_VARIANCE * loose, intrinsics)
-            if found is not None and (best is None or found.score > best.score + _BETTER):
-                best = found
-        return best
+    def _corrected(
+        self, objects: tuple[Tracked, ...], seen: Mapping[str, Any], still: bool
+    ) -> tuple[Floats, tuple[Tracked, ...]]:
+        """What the camera's error does to all poses, and the objects after the image."""
+        if not any(len(item["controls"]["points"]) for item in objects):
+            return np.eye(4), objects
+        image = smoothed(seen["image"])
+        camera = None if still else self._camera
+        known = objects if self._prior else tuple({**item, "covariance": _UNKNOWN} for item in objects)
+        found = associate(image, known, camera, np.asarray(seen["intrinsics"]), self._options)
+        if found is None:
+            return np.eye(4), tuple(self._missed(item, item["pose"], None) for item in objects)
+        shift, estimates = found
+        return shift, tuple(
+            self._judged(item, shift @ item["pose"], estimate)
+            for item, estimate in zip(objects, estimates, strict=True)
+        )
 
-    def _filtered(self, item: Tracked, found: Match) -> Tracked:
-        """The prediction and the match, each as far as it is certain (a Kalman filter's update).
-
-        How far an object may leave its prediction is learned from how far it did: something
-        at rest is averaged over many images, something that is pushed is believed at once.
-        """
-        twist = log_se3(invert(item["pose"]) @ found.pose)
-        error = np.linalg.inv(found.information) * self._error_px**2
-        unrest = item["unrest"]
-        predicted = item["covariance"] + unrest**2 * self._motion
-        surprise = float(np.sqrt(twist @ np.linalg.solve(predicted + error, twist) / 6.0))
-        if surprise > _SURPRISED:
-            unrest = 1.0
-            predicted = item["covariance"] + self._motion
-        gain = np.linalg.solve(predicted + error, predicted).T
-        covariance = (np.eye(6) - gain) @ predicted
-        return {
-            "pose": item["pose"] @ exp_se3(gain @ twist),
-            "covariance": 0.5 * (covariance + covariance.T),
-            "unrest": float(np.clip(unrest * max(_CALMING, surprise), _LEAST_UNREST, 1.0)),
-        }
-
-    def _missed(self, item: Tracked, found: Match | None) -> Tracked:
-        """One object that the image does not support: its prediction stands, until patience ends."""
-        misses = item["misses"] + 1
-        lost = item["status"] == LOST or misses >= self._patience
-        score = 0.0 if lost or found is None else found.score
+    def _judged(self, item: Tracked, expected: Floats, estimate: Estimate) -> Tracked:
+        """One object after the image: where it was found, or where it was expected."""
+        needed = self._found_score if _is_vague(item) or item["status"] == LOST else self._kept_score
+        if estimate.shown < _LEAST_SHOWN or estimate.score < needed:
+            return self._missed(item, expected, estimate)
         return {
             **item,
+            "pose": estimate.pose,
+            "covariance": estimate.covariance,
+            "unrest": estimate.unrest,
+            "trend": estimate.trend,
+            "score": estimate.score,
+            "usual": item["usual"] + _USUAL_GAIN * (estimate.score - item["usual"]),
+            "slots": estimate.slots,
+            "vain": estimate.vain,
+            "status": TRACKED,
+            "misses": 0,
+        }
+
+    def _missed(self, item: Tracked, expected: Floats, estimate: Estimate | None) -> Tracked:
+        """One object that the image does not support: its prediction stands, until patience ends.
+
+        That something which nothing is to be seen of is not seen says nothing against it.
+        """
+        hidden = estimate is None or estimate.shown < _LEAST_SHOWN
+        misses = item["misses"] + (not hidden)
+        lost = item["status"] == LOST or misses >= self._patience
+        score = 0.0 if lost or estimate is None else estimate.score
+        unrest = item["unrest"] if hidden or _is_vague(item) else 1.0
+        return {
+            **item,
+            "pose": expected,
             "score": score,
             "status": LOST if lost else EXPECTED,
             "misses": misses,
-            "unrest": 1.0,
-            "covariance": item["covariance"] + self._motion,
+            "unrest": unrest,
+            "vain": item["vain"] if estimate is None else estimate.vain,
+            "covariance": item["covariance"] + unrest**2 * self._options.motion,
         }
 
-    def _imagined(self, item: Tracked, expected: Mapping[str, Any], seen: Mapping[str, Any], camera: Floats) -> Tracked:
-        """One object's prediction and its visible edges."""
-        drawn_from = invert(seen["camera"]) @ expected["pose"]
-        edges = visible_edges(seen["depth"], seen["labels"], item["id"], seen["intrinsics"])
-        return {
-            **item,
-            "before": item["pose"],
-            "pose": invert(camera) @ expected["pose"],
-            "covariance": expected["covariance"],
-            "edges": transform(invert(drawn_from), edges.segments),
-            "kinds": edges.kinds,
-        }
+
+def _imagined(item: Tracked, expected: Mapping[str, Any], camera: Floats) -> Tracked:
+    """One object's prediction and its visible edges."""
+    controls = expected["controls"]
+    half = _DASH_M / 2.0 * controls["tangents"]
+    return {
+        **item,
+        "before": item["pose"],
+        "pose": invert(camera) @ expected["pose"],
+        "covariance": expected["covariance"],
+        "controls": controls,
+        "edges": np.stack((controls["points"] - half, controls["points"] + half), axis=1),
+    }
+
+
+def _is_vague(item: Tracked) -> bool:
+    return float(np.trace(item["covariance"][:3, :3])) > _VAGUE_M**2
 
 
 def poses_seen(belief: Value) -> Elements:
@@ -235,13 +280,13 @@ def poses_seen(belief: Value) -> Elements:
 
     Returns:
         Of each object {"id", "obj_id", "pose": world_from_object, "covariance", "score",
-        "status"}, then {"camera": world_from_camera, "intrinsics", "size", "frame"}; none
-        before the first image.
+        "status", "unrest"}, then {"camera": world_from_camera, corrected, "intrinsics", "size",
+        "frame"}; none before the first image.
     """
     camera = belief["camera"]
     if camera is None:
         return ()
-    kept = ("id", "obj_id", "covariance", "score", "status")
+    kept = ("id", "obj_id", "covariance", "score", "status", "unrest")
     objects = tuple({**{key: item[key] for key in kept}, "pose": camera @ item["pose"]} for item in belief["objects"])
     return (*objects, {key: belief[key] for key in ("camera", "intrinsics", "size", "frame")})
 
@@ -257,15 +302,16 @@ def _first_belief(item: Mapping[str, Any], covariance: Floats) -> Tracked:
         "before": pose,
         "covariance": covariance,
         "score": 1.0,
+        "usual": 1.0,
         "status": EXPECTED,
         "misses": 0,
-        "unrest": 1.0,
-        **_no_edges(),
+        "unrest": _FIRST_UNREST,
+        "trend": np.zeros(6),
+        "vain": 0,
+        "controls": _NO_CONTROLS,
+        "edges": np.zeros((0, 2, 3)),
+        "slots": NOTHING,
     }
-
-
-def _no_edges() -> Tracked:
-    return {"edges": NO_EDGES.segments, "kinds": NO_EDGES.kinds}
 
 
 def _covariance(length_m: float, angle_rad: float) -> Floats:

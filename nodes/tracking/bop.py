@@ -8,7 +8,6 @@ A scene is ``DATASET/SPLIT/000001`` with ``scene_camera.json``, ``scene_gt.json`
 
 from __future__ import annotations
 
-import json
 from collections import deque
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -19,8 +18,9 @@ from typing import Any, NamedTuple
 import cv2
 import numpy as np
 
+from hierax.nodes.tracking.bop_json import read_json, read_numbers, read_obj_id, read_pose
 from hierax.nodes.tracking.errors import DataError
-from hierax.nodes.tracking.geometry import Array, Floats, invert, make_pose, orthonormal
+from hierax.nodes.tracking.geometry import Array, Floats, invert, make_pose
 from hierax.nodes.tracking.models import Mesh
 from hierax.nodes.tracking.ply import BOP_UNIT_M, read_ply
 
@@ -30,7 +30,6 @@ RESULTS_HEADER = "scene_id,im_id,obj_id,score,R,t,time"
 
 _IMAGE_FOLDERS = ("rgb", "gray")
 _IMAGE_SUFFIXES = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".pgm", ".ppm", ".bmp")
-_ROTATION_TOLERANCE = 1e-2
 
 _FRAMES_AGAIN = 16
 """How many of its last frames a results file can take back."""
@@ -94,7 +93,7 @@ class BopScene:
         """
         path = self.folder / "scene_gt.json"
         first = str(self.frames[0].im_id)
-        entries = _read_json(path).get(first)
+        entries = read_json(path).get(first)
         if not isinstance(entries, list) or not entries:
             raise DataError(f"{path}: frame {first}: expected a list of objects for the first frame")
         return tuple(_scene_object(path, first, at, entry) for at, entry in enumerate(entries))
@@ -107,13 +106,13 @@ class BopScene:
         """
         folder = self.folder.parent.parent / "models"
         info = folder / "models_info.json"
-        if str(obj_id) not in _read_json(info):
+        if str(obj_id) not in read_json(info):
             raise DataError(f"{info}: no entry {str(obj_id)!r} for the object of that number")
         return read_ply(folder / f"obj_{obj_id:06d}.ply", BOP_UNIT_M)
 
     def _read_frames(self) -> tuple[Frame, ...]:
         path = self.folder / "scene_camera.json"
-        cameras = _read_json(path)
+        cameras = read_json(path)
         if not cameras:
             raise DataError(f"{path}: no frames")
         wrong = [key for key in cameras if not key.isdecimal()]
@@ -138,10 +137,14 @@ def read_image(path: Path) -> Array:
     Raises:
         DataError: the file is missing, damaged, or has other than 8 bits.
     """
-    if not path.is_file():
-        raise DataError(f"{path}: no such file; expected an image")
-    _check_end(path)
-    image = cv2.imread(str(path), cv2.IMREAD_UNCHANGED)
+    try:
+        data = path.read_bytes()
+    except FileNotFoundError as error:
+        raise DataError(f"{path}: no such file; expected an image") from error
+    except OSError as error:
+        raise DataError(f"{path}: cannot be read: {error.strerror}; expected an image") from error
+    _check_end(path, data)
+    image = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED) if data else None
     if image is None:
         raise DataError(f"{path}: cannot be decoded; expected an image")
     if image.dtype != np.uint8 or image.ndim > 3:
@@ -151,9 +154,8 @@ def read_image(path: Path) -> Array:
     return np.ascontiguousarray(image[:, :, 2::-1]) if image.shape[2] >= 3 else np.ascontiguousarray(image[:, :, 0])
 
 
-def _check_end(path: Path) -> None:
+def _check_end(path: Path, data: bytes) -> None:
     """Refuse what is cut off: decoders fill in what is missing of a JPEG, and print of a PNG what they think of it."""
-    data = path.read_bytes()
     for begin, end, name in ((b"\xff\xd8", b"\xff\xd9", "JPEG"), (b"\x89PNG", b"IEND\xaeB`\x82", "PNG")):
         if data.startswith(begin) and end not in data[-_TRAILING_BYTES:]:
             raise DataError(f"{path}: cut off; expected a whole {name} image")
@@ -296,19 +298,23 @@ class Result(NamedTuple):
     time_s: float
 
 
-def read_results(path: str | Path) -> list[Result]:
+def read_results(path: str | Path, growing: bool = False) -> list[Result]:
     """The lines of a BOP results file, in the file's order.
+
+    Args:
+        path: the file.
+        growing: somebody may be writing it: a last line without its end is left out.
 
     Raises:
         DataError: it is missing or a line is damaged.
     """
     path = Path(path)
     try:
-        lines = path.read_text(encoding="ascii", errors="replace").splitlines()
+        text = path.read_text(encoding="ascii", errors="replace")
     except OSError as error:
         raise DataError(f"{path}: cannot be read: {error.strerror}; expected a BOP results file") from error
     rows = []
-    for number, line in enumerate(lines, start=1):
+    for number, line in enumerate(text[: text.rfind("\n") + 1 if growing else None].splitlines(), start=1):
         if (number == 1 and line == RESULTS_HEADER) or not line.strip():
             continue
         fields = line.split(",")
@@ -323,20 +329,6 @@ def read_results(path: str | Path) -> list[Result]:
     return rows
 
 
-def _read_json(path: Path) -> dict[str, Any]:
-    try:
-        content = json.loads(path.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise DataError(f"{path}: cannot be read: {error.strerror}") from error
-    except UnicodeDecodeError as error:
-        raise DataError(f"{path}: not a text file; expected JSON") from error
-    except json.JSONDecodeError as error:
-        raise DataError(f"{path}, line {error.lineno}, column {error.colno}: {error.msg}; expected JSON") from error
-    if not isinstance(content, dict):
-        raise DataError(f"{path}: expected a JSON object with an entry for each number")
-    return content
-
-
 def _image_files(folder: Path) -> dict[int, Path]:
     for name in _IMAGE_FOLDERS:
         if not (folder / name).is_dir():
@@ -348,37 +340,16 @@ def _image_files(folder: Path) -> dict[int, Path]:
 
 def _frame(path: Path, key: str, entry: Any, image: Path) -> Frame:
     where = f"{path}: frame {key}"
-    matrix = _numbers(where, entry, "cam_K", 9).reshape(3, 3)
+    matrix = read_numbers(where, entry, "cam_K", 9).reshape(3, 3)
     if matrix[0, 0] <= 0 or matrix[1, 1] <= 0 or abs(matrix[0, 1]) > 1e-6 * matrix[0, 0]:
         raise DataError(f"{where}: cam_K: expected positive focal lengths and no skew")
     intrinsics = np.array([matrix[0, 0], matrix[1, 1], matrix[0, 2], matrix[1, 2]])
     camera = np.eye(4)
     if "cam_R_w2c" in entry or "cam_t_w2c" in entry:
-        camera = invert(_pose(where, entry, "cam_R_w2c", "cam_t_w2c"))
+        camera = invert(read_pose(where, entry, "cam_R_w2c", "cam_t_w2c"))
     return Frame(int(key), image, intrinsics, camera)
 
 
 def _scene_object(path: Path, frame: str, at: int, entry: Any) -> SceneObject:
     where = f"{path}: frame {frame}, object {at}"
-    obj_id = entry.get("obj_id") if isinstance(entry, dict) else None
-    if not isinstance(obj_id, int) or obj_id < 0:
-        raise DataError(f"{where}: obj_id: expected the number of a model")
-    return SceneObject(at + 1, obj_id, _pose(where, entry, "cam_R_m2c", "cam_t_m2c"))
-
-
-def _pose(where: str, entry: Any, rotation_key: str, translation_key: str) -> Floats:
-    rotation = _numbers(where, entry, rotation_key, 9).reshape(3, 3)
-    translation = _numbers(where, entry, translation_key, 3) * BOP_UNIT_M
-    off = float(np.abs(rotation @ rotation.T - np.eye(3)).max())
-    if off > _ROTATION_TOLERANCE or np.linalg.det(rotation) < 0:
-        raise DataError(f"{where}: {rotation_key}: expected a rotation matrix, row by row")
-    return orthonormal(make_pose(rotation, translation))
-
-
-def _numbers(where: str, entry: Any, key: str, count: int) -> Floats:
-    values = entry.get(key) if isinstance(entry, dict) else None
-    if isinstance(values, list) and len(values) == count and all(type(value) in (int, float) for value in values):
-        numbers = np.array(values, dtype=np.float64)
-        if np.all(np.isfinite(numbers)):
-            return numbers
-    raise DataError(f"{where}: {key}: expected {count} numbers")
+    return SceneObject(at + 1, read_obj_id(where, entry), read_pose(where, entry, "cam_R_m2c", "cam_t_m2c"))

@@ -2,10 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
 from functools import lru_cache
+from pathlib import Path
 
 from hierax.nodes.tracking.bop import BopScene, read_image
+from hierax.nodes.tracking.geometry import Array
 from hierax.runtime import NO_TICK, Elements, Tick, Value, World
+
+AHEAD = 8
+"""How many images are read ahead at most."""
 
 
 class BopWorld(World):
@@ -57,10 +64,46 @@ def frame_seen(belief: Value) -> Elements:
     if belief["index"] >= len(frames):
         return ()
     frame = frames[belief["index"]]
-    image = read_image(frame.image)
+    image = _images(belief["scene"]).read(belief["index"])
     return ({"image": image, "camera": frame.camera, "intrinsics": frame.intrinsics, "frame": frame.im_id},)
+
+
+class ReadAhead:
+    """Files in an order, of which the next are read in a thread while one is used.
+
+    What `read` returns or raises does not depend on it.
+
+    Args:
+        paths: the images.
+        depth: how many are read ahead at most.
+    """
+
+    def __init__(self, paths: Sequence[Path], depth: int = AHEAD) -> None:
+        self._paths = paths
+        self._depth = depth
+        self._thread = ThreadPoolExecutor(1, thread_name_prefix="read-ahead")
+        self._begun: dict[int, Future[Array]] = {}
+
+    def read(self, index: int) -> Array:
+        """The image at an index.
+
+        Raises:
+            DataError: it is missing or damaged.
+        """
+        ahead = range(index, min(index + 1 + self._depth, len(self._paths)))
+        for at in [at for at in self._begun if at not in ahead]:
+            self._begun.pop(at).cancel()
+        for at in ahead:
+            if at not in self._begun:
+                self._begun[at] = self._thread.submit(read_image, self._paths[at])
+        return self._begun.pop(index).result()
 
 
 @lru_cache(maxsize=4)
 def _scene(folder: str) -> BopScene:
     return BopScene(folder)
+
+
+@lru_cache(maxsize=1)
+def _images(folder: str) -> ReadAhead:
+    return ReadAhead([frame.image for frame in _scene(folder).frames])

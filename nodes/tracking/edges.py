@@ -14,13 +14,11 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from hierax.nodes.tracking.controls import CREASE, OUTLINE
 from hierax.nodes.tracking.facets import Facets, Patch, angle_between, facets_of, facing, patch_of, predicted
 from hierax.nodes.tracking.geometry import Array, Floats, rays
 
 cv2.setNumThreads(1)
-
-OUTLINE = 0
-CREASE = 1
 
 _CREASE_RADIANS = 0.3
 _CONTACT = 0.006

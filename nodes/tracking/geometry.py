@@ -46,6 +46,12 @@ def hat(vector: Array) -> Floats:
     return np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
 
 
+def cross(first: Floats, second: Floats) -> Floats:
+    """Cross products (n, 3) of the rows; numpy's own spends more time on axes than on numbers."""
+    a, b = first.T, second.T
+    return np.stack((a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]), axis=1)
+
+
 def exp_so3(rotation: Array) -> Floats:
     """The rotation matrix of a rotation vector (axis times angle, radians)."""
     first, second, _ = _series(float(np.linalg.norm(rotation)))

@@ -23,6 +23,7 @@ GRAVITY_M_S2 = 9.81
 STEP_S = 1.0 / 240.0
 MAX_STEPS = 480
 TABLE_HALF_M = 10.0
+HULL_MARGIN_M = 0.00055
 HULL_DIRECTIONS = 240
 
 
@@ -61,7 +62,9 @@ class Solid:
         object.__setattr__(self, "centre", (low + high) / 2)
         object.__setattr__(self, "half", (high - low) / 2)
         hull = self.vertices if len(self.vertices) <= HULL_DIRECTIONS else _support_points(self.vertices)
-        object.__setattr__(self, "hull", hull - self.centre)
+        # Bullet keeps hulls, unlike boxes, apart by a margin around each.
+        shrunk = np.maximum(self.half - HULL_MARGIN_M, 0.5 * self.half) / np.maximum(self.half, 1e-9)
+        object.__setattr__(self, "hull", (hull - self.centre) * shrunk)
 
     @property
     def is_box(self) -> bool:

@@ -1,8 +1,9 @@
-"""How well a simulated run was tracked: ``python -m hierax.nodes.tracking.report OUTPUT``.
+"""How well a run was tracked: ``python -m hierax.nodes.tracking.report OUTPUT [--truth DIR]``.
 
 Reads ``poses.csv`` and ``truth.csv`` of a run's output folder (see `probes`), which are
-written by different nodes: the one that tracks never sees the truth. Prints each object's
-errors and draws them over the frames, into ``errors.png``.
+written by different nodes: the one that tracks never sees the truth. Of a scene folder the
+truth is another folder's ``scene_gt.json`` of all frames. Prints each object's errors and
+draws them over the frames, into ``errors.png``.
 """
 
 from __future__ import annotations
@@ -11,15 +12,18 @@ import argparse
 import sys
 from collections.abc import Sequence
 from pathlib import Path
-from typing import NamedTuple
 
 import cv2
 import numpy as np
 
 from hierax.nodes.tracking.bop import read_results
 from hierax.nodes.tracking.errors import DataError
-from hierax.nodes.tracking.geometry import Array, Floats, pose_error
-from hierax.nodes.tracking.probes import POSES_FILE, TRUTH_FILE, write_picture
+from hierax.nodes.tracking.geometry import Array, Floats
+from hierax.nodes.tracking.pictures import write_picture
+from hierax.nodes.tracking.probes import POSES_FILE, TRUTH_FILE
+from hierax.nodes.tracking.scoring import Course, courses
+from hierax.nodes.tracking.truth import TruePose, read_truth
+from hierax.runtime import Probe, Step
 
 PLOT_FILE = "errors.png"
 
@@ -28,54 +32,82 @@ _WIDTH, _PANEL, _LEFT, _RIGHT, _TOP, _BOTTOM = 900, 260, 64, 130, 40, 34
 _INK, _RULE, _PAPER = (60, 60, 60), (222, 222, 222), 255
 
 
-class ObjectErrors(NamedTuple):
-    """An object's errors.
+class ErrorPlot(Probe):
+    """Draws the errors of a run into ``errors.png`` of its output folder at its end, where the truth is known.
 
-    Attributes:
-        obj_id: the object.
-        frames: (n,) the frames in which it has a true pose.
-        distance_mm, angle_deg: (n,) between estimated and true pose; nan where no pose was given.
+    Args:
+        truth: folder with the true poses of a scene folder's frames; None for those that a simulated
+            world's `Truth` has written.
     """
 
-    obj_id: int
-    frames: Array
-    distance_mm: Floats
-    angle_deg: Floats
+    def __init__(self, truth: str | None = None) -> None:
+        self._truth = None if truth is None else Path(truth)
+        self._output: Path | None = None
 
-    @property
-    def missing(self) -> int:
-        """In how many frames there is no pose."""
-        return int(np.isnan(self.distance_mm).sum())
+    def open(self, output: Path | None) -> None:
+        """Remember the folder.
+
+        Raises:
+            DataError: there are no true poses in the folder named.
+        """
+        self._output = output
+        if self._truth is not None:
+            read_truth(self._truth)
+
+    def open_again(self, output: Path | None) -> None:
+        """As `open`."""
+        self.open(output)
+
+    def record(self, step: Step) -> None:
+        """Nothing; all is read at the end."""
+
+    def close(self) -> None:
+        """Draw.
+
+        Raises:
+            DataError: the poses or the truth are damaged, or it cannot be written.
+        """
+        if self._output is None:
+            return
+        true = _simulated_truth(self._output) if self._truth is None else read_truth(self._truth)
+        if true:
+            write_picture(self._output / PLOT_FILE, plot(courses(read_results(self._output / POSES_FILE), true)))
 
 
-def read_errors(output: Path) -> list[ObjectErrors]:
+def read_errors(output: Path, truth: Path | None = None) -> list[Course]:
     """Compare a run's poses with the truth.
 
     Args:
         output: the run's output folder.
+        truth: folder with ``scene_gt.json`` of all frames; None for ``truth.csv`` of the run.
 
     Raises:
         DataError: one of the files is missing or damaged, or there is no true pose.
     """
+    if truth is not None:
+        return courses(read_results(output / POSES_FILE), read_truth(truth))
     truth_file = output / TRUTH_FILE
     if not truth_file.is_file():
-        raise DataError(f"{truth_file}: no such file; only a run of the simulated world writes the true poses")
-    given = {(row.obj_id, row.im_id): row.pose for row in read_results(output / POSES_FILE)}
-    truth = {(row.obj_id, row.im_id): row.pose for row in read_results(truth_file)}
-    if not truth:
+        raise DataError(
+            f"{truth_file}: no such file; only a run of the simulated world writes the true poses, "
+            "those of a scene folder are given as --truth"
+        )
+    true = _simulated_truth(output)
+    if not true:
         raise DataError(f"{truth_file}: no poses")
-    result = []
-    for obj_id in sorted({number for number, _ in truth}):
-        frames = sorted(frame for number, frame in truth if number == obj_id)
-        errors = np.full((len(frames), 2), np.nan)
-        for at, frame in enumerate(frames):
-            if (obj_id, frame) in given:
-                errors[at] = pose_error(given[obj_id, frame], truth[obj_id, frame])
-        result.append(ObjectErrors(obj_id, np.array(frames), errors[:, 0] * 1000.0, np.degrees(errors[:, 1])))
-    return result
+    return courses(read_results(output / POSES_FILE), true)
 
 
-def table(errors: Sequence[ObjectErrors]) -> str:
+def _simulated_truth(output: Path) -> dict[int, list[TruePose]]:
+    """True poses by frame, as far as they are written: the world's process may not be done when the arm's is."""
+    true: dict[int, list[TruePose]] = {}
+    rows = read_results(output / TRUTH_FILE, growing=True) if (output / TRUTH_FILE).is_file() else []
+    for row in rows:
+        true.setdefault(row.im_id, []).append(TruePose(row.obj_id, row.pose, 1.0))
+    return true
+
+
+def table(errors: Sequence[Course]) -> str:
     """The errors as text, one line an object."""
     lines = ["object  frames  without pose    median       max    median       max"]
     for item in errors:
@@ -89,7 +121,7 @@ def table(errors: Sequence[ObjectErrors]) -> str:
     return "\n".join(lines)
 
 
-def plot(errors: Sequence[ObjectErrors]) -> Array:
+def plot(errors: Sequence[Course]) -> Array:
     """The errors over the frames, as an RGB picture: distances above, angles below."""
     picture = np.full((2 * _PANEL, _WIDTH, 3), _PAPER, np.uint8)
     distances = [item.distance_mm for item in errors]
@@ -111,9 +143,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """
     parser = argparse.ArgumentParser(prog="python -m hierax.nodes.tracking.report", description=__doc__)
     parser.add_argument("output", type=Path, help="the run's output folder")
-    output: Path = parser.parse_args(arguments).output
+    parser.add_argument("--truth", type=Path, metavar="DIR", help="folder with scene_gt.json of all frames")
+    options = parser.parse_args(arguments)
+    output: Path = options.output
     try:
-        errors = read_errors(output)
+        errors = read_errors(output, options.truth)
         write_picture(output / PLOT_FILE, plot(errors))
     except DataError as error:
         print(f"error: {error}", file=sys.stderr)
@@ -123,7 +157,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     return 0
 
 
-def _draw_panel(panel: Array, title: str, errors: Sequence[ObjectErrors], series: Sequence[Floats]) -> None:
+def _draw_panel(panel: Array, title: str, errors: Sequence[Course], series: Sequence[Floats]) -> None:
     values = np.concatenate(series)
     highest = float(np.nanmax(values)) if np.isfinite(values).any() else 1.0
     step = _tick_step(max(highest, 1e-3) / 4)

@@ -1,92 +1,78 @@
 """Light and soft shadows of the simulated scene.
 
 A lamp shaped like a disc stands far away. Its light is the mean of that of points on the
-disc; from each of them a cube, being convex, throws a convex polygon of shadow on a plane.
+disc; from each of them a convex part of a body throws a convex polygon of shadow on a plane.
 So shadows are sharp where things touch and get softer with distance, as they should: a
-shadow that is merely blurred darkens the table on the lit side of a cube too, and every
+shadow that is merely blurred darkens the table on the lit side of a body too, and every
 edge there would seem to be half a millimetre farther out than it is.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from functools import lru_cache
-from itertools import product
-from typing import NamedTuple
 
 import cv2
 import numpy as np
 
-from hierax.nodes.tracking.geometry import Array, Floats, transform
+from hierax.nodes.tracking.geometry import Array, Floats
+from hierax.nodes.tracking.sim_shapes import Face
 
 cv2.setNumThreads(1)
 
-LIGHT = np.array([-0.42, -0.38, 1.05]) / np.linalg.norm([-0.42, -0.38, 1.05])
-"""From the scene towards the middle of the lamp, world frame."""
-
-LAMP_RADIUS = 0.07
 LAMP_POINTS = 9
-"""The lamp is a disc, of this radius at distance 1, and shadows are the mean of those that points of it throw."""
-
-AMBIENT = 0.36
-DIFFUSE = 0.78
-
-_EDGES = [(i, j) for i in range(8) for j in range(i + 1, 8) if (i ^ j) in (1, 2, 4)]
+"""Shadows are the mean of those that so many points of a lamp throw."""
 
 
-class Cube(NamedTuple):
-    """A cube to draw.
+@dataclass(frozen=True)
+class Lamp:
+    """A disc that shines from far away, and the light that comes from everywhere.
 
     Attributes:
-        pose: world_from_object, 4x4, origin at the cube's centre.
-        side_m: length of its edges.
-        colour: RGB, 0 to 255.
+        towards: from the scene to the disc's middle, world frame; made a unit vector.
+        radius: of the disc, at distance 1: how soft shadows are.
+        ambient: how bright a white face is in the shadow.
+        diffuse: how much brighter it is where it looks into the lamp.
     """
 
-    pose: Floats
-    side_m: float
-    colour: tuple[int, int, int]
-
-
-class Face(NamedTuple):
-    """A side of a cube, seen from outside: corner + a * right + b * up, a and b from 0 to 1 (world frame, metres)."""
-
-    corner: Floats
-    right: Floats
-    up: Floats
+    towards: tuple[float, float, float] = (-0.42, -0.38, 1.05)
+    radius: float = 0.07
+    ambient: float = 0.36
+    diffuse: float = 0.78
 
     @property
-    def normal(self) -> Floats:
-        """Unit vector that points outwards."""
-        normal = np.cross(self.right, self.up)
-        unit: Floats = normal / np.linalg.norm(normal)
+    def direction(self) -> Floats:
+        """The unit vector towards its middle."""
+        unit: Floats = np.array(self.towards) / np.linalg.norm(self.towards)
         return unit
 
 
-def cube_corners(side_m: float) -> Floats:
-    """The corners of a cube in its own frame, (8, 3)."""
-    return np.array(list(product((-1.0, 1.0), repeat=3))) * side_m / 2
+LAMP = Lamp()
 
 
-def light_on(face: Face, cubes: Sequence[Cube], size: tuple[int, int], homography: Floats) -> Array:
+def light_on(
+    face: Face, parts: Sequence[Floats], size: tuple[int, int], homography: Floats, lamp: Lamp = LAMP
+) -> Array:
     """How bright a white face is, shadows included.
 
     Args:
         face: the face.
-        cubes: what may throw a shadow on it.
+        parts: corners (n, 3) of the convex parts that may throw a shadow on it, world frame; its own may be among them.
         size: width and height of the result.
         homography: from the face's coordinates to pixels of the result, all of them in front of the camera.
+        lamp: the light.
 
     Returns:
         float32 (h, w).
     """
-    slope = max(0.0, float(LIGHT @ face.normal))
-    light = np.full((size[1], size[0]), AMBIENT + DIFFUSE * slope, np.float32)
-    thrown = [shadows(transform(cube.pose, cube_corners(cube.side_m)), face) for cube in cubes]
+    slope = max(0.0, float(lamp.direction @ face.normal))
+    light = np.full((size[1], size[0]), lamp.ambient + lamp.diffuse * slope, np.float32)
+    thrown = [shadows(corners, face, lamp) for corners in parts]
     thrown = [polygons for polygons in thrown if polygons]
     if not thrown:
         return light
-    share = np.float32(DIFFUSE * slope / LAMP_POINTS)
+    share = np.float32(lamp.diffuse * slope / LAMP_POINTS)
     for polygons in zip(*thrown, strict=True):
         dark = np.zeros_like(light)
         for polygon in polygons:
@@ -96,31 +82,35 @@ def light_on(face: Face, cubes: Sequence[Cube], size: tuple[int, int], homograph
     return light
 
 
-def shadows(corners: Floats, face: Face) -> list[Floats]:
-    """Where a cube keeps the lamp's light from a face's plane.
+def shadows(corners: Floats, face: Face, lamp: Lamp = LAMP) -> list[Floats]:
+    """Where a convex part keeps the lamp's light from a face's plane.
 
     Args:
-        corners: of the cube, (8, 3), world frame, in the order of `cube_corners`.
+        corners: of the part, (n, 3), world frame.
         face: whose plane it falls on.
+        lamp: the light.
 
     Returns:
         For each point of the lamp a convex polygon (n, 2) in the face's coordinates a and
-        b; none where nothing of the cube is between the plane and the light, or where the
+        b; none where nothing of the part is between the plane and the light, or where the
         face is out of the shadow.
     """
     normal = face.normal
     heights = (corners - face.corner) @ normal
-    if float((_lamp() @ normal).min()) <= 1e-3 or heights.max() <= 1e-4:
+    rays = _rays(lamp)
+    if float((rays @ normal).min()) <= 1e-3 or heights.max() <= 1e-4:
         return []
     points = [corners[heights >= 0]]
-    for first, second in _EDGES:
-        if (heights[first] < 0) != (heights[second] < 0):
-            part = heights[first] / (heights[first] - heights[second])
-            points.append((corners[first] + part * (corners[second] - corners[first]))[None])
+    below = corners[heights < 0]
+    if len(below):
+        # Of the segments between what is above and what is below, the hull keeps the part's edges.
+        over, under = heights[heights >= 0][:, None], heights[heights < 0][None, :]
+        share = (over / (over - under))[..., None]
+        points.append((points[0][:, None] + share * (below[None, :] - points[0][:, None])).reshape(-1, 3))
     above = np.concatenate(points) - face.corner
     plane = np.stack((face.right / (face.right @ face.right), face.up / (face.up @ face.up)), axis=1)
     lifts = above @ normal
-    fallen = [(above - np.outer(lifts / (light @ normal), light)) @ plane for light in _lamp()]
+    fallen = [(above - np.outer(lifts / (light @ normal), light)) @ plane for light in rays]
     everywhere = np.concatenate(fallen)
     if (everywhere.max(axis=0) < 0).any() or (everywhere.min(axis=0) > 1).any():
         return []
@@ -148,14 +138,15 @@ def _fill(mask: Array, polygon: Floats) -> None:
     np.maximum(window, inside, out=window)
 
 
-@lru_cache(maxsize=1)
-def _lamp() -> Floats:
+@lru_cache(maxsize=16)
+def _rays(lamp: Lamp) -> Floats:
     """Directions (n, 3) to points of the lamp, evenly spread over its disc."""
-    across = np.cross(LIGHT, [0.0, 0.0, 1.0])
+    middle = lamp.direction
+    across = np.cross(middle, [0.0, 0.0, 1.0])
     across /= np.linalg.norm(across)
-    down = np.cross(LIGHT, across)
+    down = np.cross(middle, across)
     index = np.arange(LAMP_POINTS)
-    radius = LAMP_RADIUS * np.sqrt((index + 0.5) / LAMP_POINTS)
+    radius = lamp.radius * np.sqrt((index + 0.5) / LAMP_POINTS)
     turn = index * np.pi * (3.0 - np.sqrt(5.0))
-    lamp: Floats = LIGHT + np.outer(radius * np.cos(turn), across) + np.outer(radius * np.sin(turn), down)
-    return lamp
+    rays: Floats = middle + np.outer(radius * np.cos(turn), across) + np.outer(radius * np.sin(turn), down)
+    return rays

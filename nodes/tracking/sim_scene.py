@@ -1,20 +1,21 @@
-"""Pictures of cubes on a table, by exact projection: no part of it is shared with the mental image of the nodes.
+"""Pictures of bodies on a table, by exact projection: no part of it is shared with the mental image of the nodes.
 
-Every face of a cube is a plane, so the inverse of its depth and its own coordinates
-times that are affine in the pixel: a face is drawn by three affine functions and a
-depth test, at four samples a pixel.
+The faces of the bodies are planes, and drawn as such at four samples a pixel.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from functools import lru_cache
+from typing import NamedTuple
 
 import cv2
 import numpy as np
 
-from hierax.nodes.tracking.geometry import Array, Floats, invert, transform
-from hierax.nodes.tracking.sim_light import Cube, Face, light_on
+from hierax.nodes.tracking.geometry import Array, Floats
+from hierax.nodes.tracking.sim_light import LAMP, Lamp, light_on
+from hierax.nodes.tracking.sim_raster import Window, cover, faces_towards, homography, window_of
+from hierax.nodes.tracking.sim_shapes import Body, Face
 
 cv2.setNumThreads(1)
 
@@ -26,23 +27,50 @@ TABLE_PX_PER_M = 800
 TABLE_RIM_PX = 6
 FACE_PX = 96
 
-_SIDES = [(axis, sign) for axis in range(3) for sign in (-1.0, 1.0)]
+
+class Wood(NamedTuple):
+    """How the table looks.
+
+    Attributes:
+        colour: RGB, 0 to 255.
+        unevenness: how strong grain and planks are; 1 is that of a plain table.
+        seed: which grain.
+        tile_m: side of the squares, light and dark by turns, with which it is laid; 0 for planks.
+    """
+
+    colour: tuple[int, int, int] = (168, 134, 98)
+    unevenness: float = 1.0
+    seed: int = 7
+    tile_m: float = 0.0
 
 
-def draw(cubes: Sequence[Cube], camera: Floats, intrinsics: Array, size: tuple[int, int]) -> Array:
+WOOD = Wood()
+
+
+def draw(
+    bodies: Sequence[Body],
+    camera: Floats,
+    intrinsics: Array,
+    size: tuple[int, int],
+    lamp: Lamp = LAMP,
+    wood: Wood = WOOD,
+) -> Array:
     """The picture without blur or noise.
 
     Args:
-        cubes: above the plane z = 0, and in front of the camera.
+        bodies: above the plane z = 0, and in front of the camera.
         camera: world_from_camera, 4x4, above that plane.
         intrinsics: fx, fy, cx, cy in pixels.
         size: width and height in pixels.
+        lamp: the light.
+        wood: of the table.
 
     Returns:
         RGB, float32 (h, w, 3), 0 to 255.
     """
-    image = _draw_table(cubes, camera, intrinsics, size)
-    _draw_cubes(image, cubes, camera, intrinsics)
+    parts = [corners for body in bodies for corners in body.parts()]
+    image = _draw_table(parts, camera, intrinsics, size, lamp, wood)
+    _draw_bodies(image, bodies, parts, camera, intrinsics, lamp)
     return image
 
 
@@ -66,56 +94,45 @@ def develop(image: Array, blur_px: float, noise: float, rng: np.random.Generator
     return developed
 
 
-def cube_faces(cube: Cube) -> list[Face]:
-    """All six sides."""
-    faces = []
-    for axis, sign in _SIDES:
-        first, second = np.eye(3)[(axis + 1) % 3], np.eye(3)[(axis + 2) % 3]
-        right, up = (first, second) if sign > 0 else (second, first)
-        corner = (sign * np.eye(3)[axis] - right - up) * cube.side_m / 2
-        rotation = cube.pose[:3, :3]
-        faces.append(Face(transform(cube.pose, corner), rotation @ right * cube.side_m, rotation @ up * cube.side_m))
-    return faces
-
-
-def _draw_table(cubes: Sequence[Cube], camera: Floats, intrinsics: Array, size: tuple[int, int]) -> Array:
+def _draw_table(
+    parts: Sequence[Floats], camera: Floats, intrinsics: Array, size: tuple[int, int], lamp: Lamp, wood: Wood
+) -> Array:
     """The table with its shadows, over a wall that gets darker downwards."""
     width, height = TABLE_M
     table = Face(np.array([-width / 2, -height / 2, 0.0]), np.array([width, 0.0, 0.0]), np.array([0.0, height, 0.0]))
-    homography = _homography(table, camera, intrinsics)
-    wood = _wood()
+    to_pixels = homography(table, camera, intrinsics)
+    planks = _planks(wood)
     texels = np.array([[1.0, 0.0, 0.5], [0.0, 1.0, 0.5], [0.0, 0.0, 1.0]])
-    texels = np.diag([1.0 / wood.shape[1], 1.0 / wood.shape[0], 1.0]) @ texels
+    texels = np.diag([1.0 / planks.shape[1], 1.0 / planks.shape[0], 1.0]) @ texels
     picture = _wall(size)
-    cv2.warpPerspective(wood, homography @ texels, size, picture, cv2.INTER_LINEAR, cv2.BORDER_TRANSPARENT)
+    cv2.warpPerspective(planks, to_pixels @ texels, size, picture, cv2.INTER_LINEAR, cv2.BORDER_TRANSPARENT)
     lit: Array = picture.astype(np.float32)
-    lit *= light_on(table, cubes, size, homography)[..., None]
+    lit *= light_on(table, parts, size, to_pixels, lamp)[..., None]
     return lit
 
 
-def _draw_cubes(image: Array, cubes: Sequence[Cube], camera: Floats, intrinsics: Array) -> None:
-    """Put the cubes into the picture: depth test at `SAMPLES` x `SAMPLES` per pixel, then their mean."""
-    position, height, width = camera[:3, 3], image.shape[0], image.shape[1]
-    faces = [
-        (face, cube, index)
-        for index, cube in enumerate(cubes)
-        for face in cube_faces(cube)
-        if face.normal @ (position - face.corner) > 0
+def _draw_bodies(
+    image: Array, bodies: Sequence[Body], parts: Sequence[Floats], camera: Floats, intrinsics: Array, lamp: Lamp
+) -> None:
+    """Put the bodies into the picture: depth test at `SAMPLES` x `SAMPLES` per pixel, then their mean."""
+    height, width = image.shape[:2]
+    drawn = [
+        (face, homography(face, camera, intrinsics), body.colour)
+        for body in bodies
+        for face in faces_towards(body, camera)
     ]
-    drawn = [(_homography(face, camera, intrinsics), face, cube, index) for face, cube, index in faces]
-    boxes = [_box(homography, width, height) for homography, *_ in drawn]
-    shown = [(item, box) for item, box in zip(drawn, boxes, strict=True) if box is not None]
+    windows = [window_of(to_pixels, width, height) for _, to_pixels, _ in drawn]
+    shown = [(item, window) for item, window in zip(drawn, windows, strict=True) if window is not None]
     if not shown:
         return
-    left, top = (min(box[i] for _, box in shown) for i in (0, 1))
-    right, bottom = (max(box[i] for _, box in shown) for i in (2, 3))
+    left, top = (min(window[i] for _, window in shown) for i in (0, 1))
+    right, bottom = (max(window[i] for _, window in shown) for i in (2, 3))
     shape = ((bottom - top) * SAMPLES, (right - left) * SAMPLES)
-    inverse_depth = np.zeros(shape, np.float32)
+    nearest = np.zeros(shape, np.float32)
     layer = np.zeros((*shape, 4), np.float32)
-    for (homography, face, cube, index), box in shown:
-        others = [other for number, other in enumerate(cubes) if number != index]
-        texture = _face_texture(face, cube, others)
-        _draw_face(layer, inverse_depth, homography, texture, box, (left, top))
+    for (face, to_pixels, colour), window in shown:
+        texture = _face_texture(face, colour, parts, lamp)
+        _draw_face(layer, nearest, to_pixels, face.cells, texture, window, (left, top))
     mean = cv2.resize(layer, (right - left, bottom - top), interpolation=cv2.INTER_AREA)
     part = image[top:bottom, left:right]
     part *= 1.0 - mean[..., 3:]
@@ -124,61 +141,36 @@ def _draw_cubes(image: Array, cubes: Sequence[Cube], camera: Floats, intrinsics:
 
 def _draw_face(
     layer: Array,
-    inverse_depth: Array,
-    homography: Floats,
+    nearest: Array,
+    to_pixels: Floats,
+    cells: Sequence[Floats],
     texture: Array,
-    box: tuple[int, ...],
+    window: Window,
     origin: tuple[int, int],
 ) -> None:
     """Draw one face where it is nearer than what is drawn already."""
-    left, top, right, bottom = box
-    step = 1.0 / SAMPLES
-    first = step / 2 - 0.5
-    u = (left + first + step * np.arange((right - left) * SAMPLES)).astype(np.float32)
-    v = (top + first + step * np.arange((bottom - top) * SAMPLES)).astype(np.float32)
-    rows = np.linalg.inv(homography).astype(np.float32)
-    a, b, nearness = ((row[0] * u)[None, :] + (row[1] * v + row[2])[:, None] for row in rows)
-    window = np.s_[
+    left, top, right, bottom = window
+    covered = cover(to_pixels, cells, window, SAMPLES)
+    view = np.s_[
         (top - origin[1]) * SAMPLES : (bottom - origin[1]) * SAMPLES,
         (left - origin[0]) * SAMPLES : (right - origin[0]) * SAMPLES,
     ]
-    inside = (a >= 0) & (b >= 0) & (a <= nearness) & (b <= nearness) & (nearness > inverse_depth[window])
+    inside = covered.inside & (covered.nearness > nearest[view])
     if not inside.any():
         return
-    scale = FACE_PX / np.where(inside, nearness, 1.0)
-    colours = cv2.remap(texture, a * scale - 0.5, b * scale - 0.5, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
-    np.copyto(inverse_depth[window], nearness, where=inside)
-    np.copyto(layer[window], colours, where=inside[..., None])
+    scale = FACE_PX / np.where(inside, covered.nearness, 1.0)
+    a, b = covered.a * scale - 0.5, covered.b * scale - 0.5
+    colours = cv2.remap(texture, a, b, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+    np.copyto(nearest[view], covered.nearness, where=inside)
+    np.copyto(layer[view], colours, where=inside[..., None])
 
 
-def _homography(face: Face, camera: Floats, intrinsics: Array) -> Floats:
-    """From a face's coordinates (a, b, 1) to pixels (times the depth)."""
-    fx, fy, cx, cy = intrinsics
-    lens = np.array([[fx, 0.0, cx], [0.0, fy, cy], [0.0, 0.0, 1.0]])
-    from_world = invert(camera)
-    rotation = from_world[:3, :3]
-    columns = (rotation @ face.right, rotation @ face.up, transform(from_world, face.corner))
-    return lens @ np.stack(columns, axis=1)
-
-
-def _box(homography: Floats, width: int, height: int) -> tuple[int, int, int, int] | None:
-    """The pixels (left, top, right, bottom) that a face may touch; None where it is out of the picture."""
-    corners = homography @ np.array([[0.0, 1.0, 0.0, 1.0], [0.0, 0.0, 1.0, 1.0], [1.0, 1.0, 1.0, 1.0]])
-    if corners[2].min() < 1e-3:
-        return None
-    pixels = corners[:2] / corners[2]
-    left, top = (int(x) for x in np.maximum(np.floor(pixels.min(axis=1)), 0))
-    right, bottom = (int(x) for x in np.minimum(np.ceil(pixels.max(axis=1)) + 1, (width, height)))
-    return (left, top, right, bottom) if left < right and top < bottom else None
-
-
-def _face_texture(face: Face, cube: Cube, others: Sequence[Cube]) -> Array:
+def _face_texture(face: Face, colour: tuple[int, int, int], parts: Sequence[Floats], lamp: Lamp) -> Array:
     """Colour and full cover of each point of a face, float32 (FACE_PX, FACE_PX, 4)."""
     texels = np.array([[FACE_PX, 0.0, -0.5], [0.0, FACE_PX, -0.5], [0.0, 0.0, 1.0]])
-    light = light_on(face, others, (FACE_PX, FACE_PX), texels)
+    light = light_on(face, parts, (FACE_PX, FACE_PX), texels, lamp)
     texture = np.full((FACE_PX, FACE_PX, 4), 255.0, np.float32)
-    colour = np.array(cube.colour, np.float32)
-    texture[..., :3] = np.minimum(colour * (light * _grain())[..., None], 255.0)
+    texture[..., :3] = np.minimum(np.array(colour, np.float32) * (light * _grain())[..., None], 255.0)
     texture[..., 3] = 1.0
     return texture
 
@@ -198,20 +190,30 @@ def _wall(size: tuple[int, int]) -> Array:
     return wall
 
 
-@lru_cache(maxsize=1)
-def _wood() -> Array:
-    """The table's top of planks, RGB uint8, with a dark rim."""
+@lru_cache(maxsize=4)
+def _planks(wood: Wood) -> Array:
+    """The table's top of planks or tiles, RGB uint8, with a dark rim."""
     columns, rows = (round(length * TABLE_PX_PER_M) for length in TABLE_M)
-    rng = np.random.default_rng(7)
-    tone = 1.0 + 0.035 * _streaks(rng, (rows, columns), 4) + 0.05 * _streaks(rng, (rows, columns), 24)
+    rng = np.random.default_rng(wood.seed)
+    grain = 0.035 * _streaks(rng, (rows, columns), 4) + 0.05 * _streaks(rng, (rows, columns), 24)
+    tone = 1.0 + np.float32(wood.unevenness) * grain
+    if wood.tile_m > 0.0:
+        places = [np.arange(count) // round(wood.tile_m * TABLE_PX_PER_M) for count in (rows, columns)]
+        dark = (places[0][:, None] + places[1][None, :]) % 2
+        tone *= 1.0 - np.float32(0.3 * wood.unevenness) * dark.astype(np.float32)
     plank_px = rows // 8
-    for index in range(0, rows, plank_px):
-        tone[index : index + plank_px] *= rng.uniform(0.93, 1.06)
-        tone[index : index + 2] *= 0.72
-    wood = np.clip(tone[..., None] * np.array([168.0, 134.0, 98.0], np.float32), 0, 220).astype(np.uint8)
-    for edge in (wood[:TABLE_RIM_PX], wood[-TABLE_RIM_PX:], wood[:, :TABLE_RIM_PX], wood[:, -TABLE_RIM_PX:]):
+    for index in range(0, rows if wood.tile_m == 0.0 else 0, plank_px):
+        tone[index : index + plank_px] *= 1.0 + wood.unevenness * (rng.uniform(0.93, 1.06) - 1.0)
+        tone[index : index + 2] *= 1.0 - 0.28 * wood.unevenness
+    planks: Array = np.clip(tone[..., None] * np.array(wood.colour, np.float32), 0, 220).astype(np.uint8)
+    for edge in (
+        planks[:TABLE_RIM_PX],
+        planks[-TABLE_RIM_PX:],
+        planks[:, :TABLE_RIM_PX],
+        planks[:, -TABLE_RIM_PX:],
+    ):
         edge[:] = (edge * 0.55).astype(np.uint8)
-    return wood
+    return planks
 
 
 def _streaks(rng: np.random.Generator, shape: tuple[int, int], width_px: int) -> Array:

@@ -8,9 +8,11 @@ import numpy as np
 
 from hierax.nodes.tracking.geometry import Floats, exp_so3, make_pose
 from hierax.nodes.tracking.physics import Motion, Simulator, Solid
-from hierax.nodes.tracking.sim_light import Cube, cube_corners
+from hierax.nodes.tracking.showing import world_things
 from hierax.nodes.tracking.sim_scene import develop, draw
-from hierax.runtime import NO_TICK, Elements, Tick, Value, World
+from hierax.nodes.tracking.sim_shapes import Cube, cube_corners
+from hierax.runtime import NO_TICK, Elements, Step, Tick, Value, World
+from hierax.runtime.core.showing import Things
 
 DENSITY_KG_M3 = 600.0
 FRICTION = 0.6
@@ -130,6 +132,10 @@ class SimWorld(World):
             "camera": camera_at(time_s),
             "bodies": moved,
         }
+
+    def show(self, step: Step, before: Value) -> Things:
+        """The true poses."""
+        return world_things(step)
 
     def time_s(self, belief: Value, epoch: int) -> float:
         """The time of the belief's frame."""

@@ -10,12 +10,27 @@ import numpy as np
 
 from hierax.nodes.tracking.geometry import Array, Floats, exp_se3, exp_so3, invert, log_se3, log_so3, make_pose
 from hierax.nodes.tracking.physics import Motion, Simulator, Solid
-from hierax.runtime import NO_TICK, Elements, Node, Tick, Value
+from hierax.nodes.tracking.showing import spatial_things
+from hierax.runtime import NO_TICK, Elements, Node, Step, Tick, Value
+from hierax.runtime.core.showing import Things
 
 Body = dict[str, Any]
 
 DENSITY_KG_M3 = 500.0
 DEFAULT_INTERVAL_S = 1.0 / 30.0
+_MOVES_SIGMAS = 4.0
+_TURNING = 6.0
+"""Rad/s for a m/s: faster than this, relative to how it moves, a body about to turn over turns."""
+
+_RESTING_M = 0.0015
+_RESTING_RAD = 0.01
+_RESTING_M_S = 0.1
+_RESTING_RAD_S = 0.3
+"""How certain the height and the tilt of a body at rest are, and how fast one moves that is not."""
+
+_UNSURE = 0.2
+"""Standard deviation of how far one goes that is not seen, for every metre that it was on its way to go."""
+
 UNSEEN = np.diag([0.01**2] * 3 + [0.1**2] * 3)
 """The covariance of a body's pose before the first observation (m², rad²)."""
 
@@ -33,9 +48,11 @@ class SpatialNode(Node):
     ``intrinsics`` [fx, fy, cx, cy], ``size`` (w, h), ``frame``, ``time_s`` and
     ``interval_s`` of the last observation, and ``bodies``, a tuple of ``id``,
     ``obj_id``, ``pose`` (world_from_object, 4x4), ``velocity`` (6,: m/s of the object's
-    origin and rad/s, world frame), ``covariance`` (6, 6; m, rad, object frame),
-    ``status``, ``seen`` (the pose that the last observation gave it, None where it was not
-    tracked), ``model`` (``vertices`` (n, 3) m, ``faces`` (m, 3)) and ``mass`` (kg).
+    origin and rad/s, world frame), ``drift`` (the same as observed, also where it may be
+    nothing but errors), ``covariance`` (6, 6; m, rad, object frame), ``status``, ``seen`` (the
+    pose that the last observation gave it, None where it was not tracked), ``unseen`` (for how
+    many observations it was not), ``model`` (``vertices`` (n, 3) m, ``faces`` (m, 3)) and
+    ``mass`` (kg).
 
     Args:
         objects: the bodies to begin with: each with ``id``, ``obj_id``, ``pose`` and ``model``.
@@ -67,7 +84,10 @@ class SpatialNode(Node):
         self._damping = damping
         self._max_sigmas = max_sigmas
         self._simulator = Simulator()
-        self._solids = {body["id"]: Solid(body["model"]["vertices"], body["mass"], friction) for body in self._bodies}
+        self._solids = {
+            body["id"]: [Solid(body["model"]["vertices"], body["mass"], part * friction) for part in (1.0, 0.0)]
+            for body in self._bodies
+        }
 
     def initial_belief(self) -> Value:
         """The bodies at their first poses, at rest; no camera yet."""
@@ -103,10 +123,10 @@ class SpatialNode(Node):
         coasting = [self._coasted(Motion(body["pose"], body["velocity"]), interval_s) for body in bodies]
         if not self._table:
             return {**belief, "bodies": tuple(_at(body, to) for body, to in zip(bodies, coasting, strict=True))}
-        solids = [self._solids[body["id"]] for body in bodies]
+        solids = [self._solids[body["id"]][_is_driven(body)] for body in bodies]
         settled = self._simulator.run(solids, [Motion(body["pose"], body["velocity"]) for body in bodies], interval_s)
         after = tuple(
-            _at(body, self._bounded(body, free, physical))
+            _resting(_at(body, self._bounded(body, free, physical)))
             for body, free, physical in zip(bodies, coasting, settled, strict=True)
         )
         return {**belief, "bodies": after}
@@ -121,16 +141,34 @@ class SpatialNode(Node):
             "max_speed_mm_s": 1000.0 * max(speeds, default=0.0),
         }
 
+    def show(self, step: Step, before: Value) -> Things:
+        """The bodies, and what the camera is expected to see."""
+        return spatial_things(step, self._table)
+
     def _moved(self, body: Body, seen: Mapping[str, Any], interval_s: float | None) -> Body:
         """The body with what the arm says of it; one that it has lost stays where it was predicted."""
-        heard = {**body, "status": seen["status"], "covariance": seen["covariance"], "seen": None}
+        heard = {**body, "status": seen["status"], "covariance": seen["covariance"], "seen": None, "unseen": 0}
         if seen["status"] != "tracked":
-            return heard
-        pose, velocity = seen["pose"], body["velocity"]
+            return {**heard, **_adrift(body, seen["covariance"], interval_s)}
+        pose, drift = seen["pose"], body["drift"]
         if interval_s is not None and body["seen"] is not None:
             observed = _displacement(body["seen"], pose) / interval_s
-            velocity = velocity + self._velocity_gain * (observed - velocity)
-        return {**heard, "pose": pose, "velocity": velocity, "seen": pose}
+            drift = drift + self._gain((observed - drift) * interval_s, seen) * (observed - drift)
+        velocity = drift if interval_s is not None and self._moves(drift * interval_s, seen) else np.zeros(6)
+        return {**heard, "pose": pose, "velocity": velocity, "drift": drift, "seen": pose}
+
+    def _gain(self, change: Floats, seen: Mapping[str, Any]) -> float:
+        """How far the velocity follows: all the way where it changes by more than errors of poses do."""
+        square = _sigmas_squared(change, seen["pose"], 2.0 * seen["covariance"])
+        return self._velocity_gain + (1.0 - self._velocity_gain) * square / (square + _MOVES_SIGMAS**2)
+
+    def _moves(self, step: Floats, seen: Mapping[str, Any]) -> bool:
+        """Whether a mean displacement from frame to frame is more than errors of the poses make.
+
+        Errors of poses that follow one another cancel in a running mean of their differences but for a part.
+        """
+        share = 2.0 * self._velocity_gain**2 / (2.0 - self._velocity_gain)
+        return _sigmas_squared(step, seen["pose"], share * seen["covariance"]) > _MOVES_SIGMAS**2
 
     def _coasted(self, motion: Motion, interval_s: float) -> Motion:
         """Constant velocity, slowly dying down."""
@@ -163,12 +201,66 @@ def _body(item: Mapping[str, Any]) -> Body:
         "obj_id": item["obj_id"],
         "pose": np.asarray(item["pose"], dtype=np.float64),
         "velocity": np.zeros(6),
+        "drift": np.zeros(6),
         "covariance": UNSEEN,
         "status": "expected",
         "seen": None,
+        "unseen": 0,
         "model": model,
         "mass": DENSITY_KG_M3 * float(np.prod(np.ptp(vertices, axis=0))),
     }
+
+
+def _sigmas_squared(step: Floats, pose: Array, covariance: Array) -> float:
+    """How much a displacement in the world's frame is beside a covariance in the object's, in variances."""
+    rotation = pose[:3, :3]
+    turned = np.concatenate((rotation.T @ step[:3], rotation.T @ step[3:]))
+    return float(turned @ np.linalg.solve(covariance, turned))
+
+
+def _resting(body: Body) -> Body:
+    """What rests on something is as high, and as upright, as that leaves it: no longer less certain than this."""
+    velocity, pose = body["velocity"], body["pose"]
+    if body["status"] != "tracked" or np.abs(velocity[3:5]).max() > _RESTING_RAD_S or abs(velocity[2]) > _RESTING_M_S:
+        return body
+    up = pose[:3, :3].T @ np.array([0.0, 0.0, 1.0])
+    level = np.linalg.svd(up[None])[2][1:]
+    directions = np.zeros((3, 6))
+    directions[0, :3] = up
+    directions[1:, 3:] = level
+    covariance = body["covariance"]
+    for direction, spread in zip(directions, (_RESTING_M, _RESTING_RAD, _RESTING_RAD), strict=True):
+        along = covariance @ direction
+        variance = float(direction @ along)
+        if variance > spread**2:
+            covariance = covariance - np.outer(along, along) * ((variance - spread**2) / variance**2)
+    return {**body, "covariance": covariance}
+
+
+def _is_driven(body: Body) -> bool:
+    """Whether it slides: against friction, things that physics does not know of drive it, and will go on.
+
+    What turns over does not: its foot needs the friction.
+    """
+    velocity = body["velocity"]
+    speed, turning = float(np.linalg.norm(velocity[:2])), float(np.linalg.norm(velocity[3:5]))
+    return bool(speed > 0.0 and abs(velocity[2]) < 0.3 * speed and turning < _TURNING * speed)
+
+
+def _adrift(body: Body, covariance: Floats, interval_s: float | None) -> Body:
+    """One that is not seen moves on, but nobody knows how long.
+
+    Its uncertainty grows along its motion, and about the vertical.
+    """
+    step = body["velocity"] * (interval_s or 0.0)
+    along = body["pose"][:3, :3].T @ step[:3]
+    up = body["pose"][2, :3]
+    turn = up * float(np.linalg.norm(step[:3])) / float(np.ptp(body["model"]["vertices"], axis=0).min())
+    growth = _UNSURE**2 * (2 * body["unseen"] + 1)
+    grown = covariance.copy()
+    grown[:3, :3] += growth * np.outer(along, along)
+    grown[3:, 3:] += growth * np.outer(turn, turn)
+    return {"covariance": grown, "unseen": body["unseen"] + 1}
 
 
 def _at(body: Body, motion: Motion) -> Body:

@@ -15,9 +15,12 @@ from hierax.nodes.tracking.bop import BopScene
 from hierax.nodes.tracking.bop_world import BopWorld, frame_seen
 from hierax.nodes.tracking.geometry import Floats, invert
 from hierax.nodes.tracking.models import Mesh, box_mesh
+from hierax.nodes.tracking.paper_arm import PaperArmNode
 from hierax.nodes.tracking.sim_world import SCENE, SimWorld, camera_at, first_bodies, picture_seen
 from hierax.nodes.tracking.spatial import SpatialNode
 from hierax.runtime import NO_TICK, Elements, Tick, Value, World
+
+_ARMS: dict[str, type[ArmNode] | type[PaperArmNode]] = {"robust": ArmNode, "paper": PaperArmNode}
 
 
 def world(
@@ -49,18 +52,33 @@ def seen(belief: Value, tick: Tick = NO_TICK) -> Elements:
     return frame_seen(belief) if "scene" in belief else picture_seen(belief, tick)
 
 
-def arm(scene: str | None = None, cubes: int = len(SCENE), **options: Any) -> ArmNode:
+def arm(
+    scene: str | None = None, cubes: int = len(SCENE), method: str = "robust", prior: bool = True, **options: Any
+) -> ArmNode | PaperArmNode:
     """The arm node with the objects' first poses and nothing of their shapes.
 
     Args:
         scene, cubes: as for `world`.
-        options: further ones of `ArmNode`.
+        method: how images correct poses: ``robust`` or, by line segments and solvePnP, ``paper``.
+        prior: false: what was predicted of a pose does not count, where the method would have it count.
+        options: further ones of `ArmNode` or `PaperArmNode`.
+
+    Raises:
+        ValueError: there is no such method.
     """
-    return ArmNode(_first_objects(scene, cubes)[0], **options)
+    if method not in _ARMS:
+        raise ValueError(f"method is {method!r}; expected one of {', '.join(_ARMS)}")
+    if method == "robust":
+        options["prior"] = prior
+    return _ARMS[method](_first_objects(scene, cubes)[0], **options)
 
 
 def spatial(
-    scene: str | None = None, cubes: int = len(SCENE), table: bool | None = None, **options: Any
+    scene: str | None = None,
+    cubes: int = len(SCENE),
+    table: bool | None = None,
+    physics: bool = True,
+    **options: Any,
 ) -> SpatialNode:
     """The spatial node with the objects' first poses and their models.
 
@@ -68,6 +86,7 @@ def spatial(
         scene, cubes: as for `world`.
         table: whether the world's plane z = 0 carries the objects; None for yes in the
             simulated world, no in a scene folder, where nobody says which way is up.
+        physics: false for constant velocities in any case, without gravity and contacts.
         options: further ones of `SpatialNode`.
     """
     objects, camera = _first_objects(scene, cubes)
@@ -75,7 +94,8 @@ def spatial(
         {**item, "pose": camera @ item["pose"], "model": {"vertices": mesh.vertices, "faces": mesh.faces}}
         for item, mesh in zip(objects, _models(scene, objects), strict=True)
     ]
-    return SpatialNode(placed, table=scene is None if table is None else table, **options)
+    carried = scene is None if table is None else table
+    return SpatialNode(placed, table=carried and physics, **options)
 
 
 def _first_objects(scene: str | None, cubes: int) -> tuple[list[dict[str, Any]], Floats]:

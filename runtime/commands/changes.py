@@ -11,6 +11,7 @@ import typer
 
 from hierax.runtime.commands.errors import CommandError
 from hierax.runtime.commands.options import Format, OutputFormat
+from hierax.runtime.commands.which import Connect, Run, endpoint_of, nodes_here
 
 if TYPE_CHECKING:
     from hierax.runtime.deployment import Deployment
@@ -19,24 +20,10 @@ if TYPE_CHECKING:
     from hierax.schemas.changes import Change
 
 _LOOPBACK = re.compile(r"[a-z]+/(127\.|localhost|\[::1\])")
-_ENDPOINT = re.compile(r"[a-z]+/.+:[0-9]+")
 
 TIMEOUT_S = 120.0
 """How long a change may take: new processes import what they need, and the epoch under way must end."""
 
-Run = Annotated[
-    str | None,
-    typer.Option("--run", metavar="RUN", help="Which launch, as `hierax ps` lists them.", show_default=False),
-]
-Connect = Annotated[
-    str | None,
-    typer.Option(
-        "--connect",
-        metavar="ENDPOINT",
-        help="The launch on another machine: the endpoint that `hierax launch --host` prints.",
-        show_default=False,
-    ),
-]
 DeploymentFile = Annotated[
     str | None,
     typer.Option(
@@ -49,7 +36,9 @@ DeploymentFile = Annotated[
 Source = Annotated[
     str, typer.Argument(metavar="SOURCE", help="A YAML snippet with nodes and edges.", show_default=False)
 ]
-NodeArgument = Annotated[str, typer.Argument(metavar="NODE", help="A node's name.", show_default=False)]
+NodeArgument = Annotated[
+    str, typer.Argument(metavar="NODE", help="A node's name.", show_default=False, autocompletion=nodes_here)
+]
 
 
 def attach(
@@ -82,7 +71,7 @@ def attach(
         raise CommandError("--host: only with --here; the new processes come up where the launch runs")
     if here and host is None and connect is not None and not _LOOPBACK.match(connect):
         raise CommandError("--here: the others have to reach the new processes: give this machine's address by --host")
-    endpoint = _endpoint(run, connect)
+    endpoint = endpoint_of(run, connect)
     file = _deployment(endpoint, deployment)
     change = read_attach(source, file)
     restarts = read_restarts(source, file)
@@ -102,7 +91,7 @@ def detach(
     """Detach a node from a hierarchy that runs, and print the epoch at which it took effect."""
     from hierax.schemas.changes import Detach
 
-    return _tell(_change(_endpoint(run, connect), Detach(node, cascade), {}), f"detached {node}", output_format)
+    return _tell(_change(endpoint_of(run, connect), Detach(node, cascade), {}), f"detached {node}", output_format)
 
 
 def replace(
@@ -116,7 +105,7 @@ def replace(
     """Let another class or other parameters take a node's place and belief, and print the epoch."""
     from hierax.runtime.deployment.snippet import read_replace, read_restarts
 
-    endpoint = _endpoint(run, connect)
+    endpoint = endpoint_of(run, connect)
     file = _deployment(endpoint, deployment)
     change = read_replace(source, node, file)
     answer = _change(endpoint, change, read_restarts(source, file))
@@ -145,7 +134,7 @@ def _runs(run: str | None, connect: str | None) -> tuple[list[dict[str, Any]], l
     from hierax.runtime.transport.port import TransportError
 
     if run is not None or connect is not None:
-        return [_ask(_endpoint(run, connect), {"ask": "ps"})], []
+        return [_ask(endpoint_of(run, connect), {"ask": "ps"})], []
     found: list[dict[str, Any]] = []
     silent: list[str] = []
 
@@ -173,28 +162,6 @@ def _print_runs(runs: Sequence[Mapping[str, Any]]) -> None:
             for name, node in each["nodes"].items()
         ]
         print_table({"node": {}, "state": {}, "pid": right, "instance": right, "restarts": right}, rows)
-
-
-def _endpoint(run: str | None, connect: str | None) -> str:
-    """Where the launch is reached that is meant."""
-    from hierax.runtime.launch.run_file import known_runs
-    from hierax.runtime.nearest import did_you_mean
-
-    if connect is not None:
-        if not _ENDPOINT.fullmatch(connect):
-            raise CommandError(f"--connect: expected an endpoint such as tcp/192.168.1.2:40123, got {connect!r}")
-        return connect
-    runs = {each.run: each for each in known_runs()}
-    if run is not None:
-        if run not in runs:
-            raise CommandError(f"--run: no launch {run!r} runs on this machine{did_you_mean(run, runs, 'there are')}")
-        return runs[run].endpoint
-    if not runs:
-        raise CommandError("no launch runs on this machine")
-    if len(runs) > 1:
-        known = ", ".join(f"{each.run} ({each.hierarchy})" for each in runs.values())
-        raise CommandError(f"several launches run on this machine, say which with --run: {known}")
-    return next(iter(runs.values())).endpoint
 
 
 def _deployment(endpoint: str, file: str | None) -> Deployment:

@@ -5,12 +5,16 @@ from __future__ import annotations
 import functools
 import sys
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from hierax.runtime.commands.errors import CommandError
-from hierax.runtime.commands.options import Epochs, Format, Output, OutputFormat, Seed, Settings
+from hierax.runtime.commands.errors import OK, CommandError
+from hierax.runtime.commands.options import Epochs, Format, Output, OutputFormat, Seed, Settings, deployments_here
+from hierax.runtime.commands.recordings import Check, RecordFile, tell_ending, tell_violations
+
+if TYPE_CHECKING:
+    from hierax.runtime.launch.recorder import Wanted
 
 
 def launch(
@@ -20,6 +24,7 @@ def launch(
             metavar="FILE",
             help="A deployment file, or the name of a shipped deployment; none with --resume.",
             show_default=False,
+            autocompletion=deployments_here,
         ),
     ] = None,
     epochs: Epochs = None,
@@ -54,6 +59,8 @@ def launch(
             show_default=False,
         ),
     ] = None,
+    record: RecordFile = None,
+    check: Check = False,
     faults: Annotated[
         list[str] | None,
         typer.Option(
@@ -69,8 +76,12 @@ def launch(
     from hierax.runtime.commands.running import run_deployment
     from hierax.runtime.launch import supervisor
     from hierax.runtime.launch.faults import read_faults
+    from hierax.runtime.launch.recorder import Wanted
     from hierax.runtime.launch.run_file import read_run
+    from hierax.runtime.recording.writing import require_mcap
+    from hierax.runtime.watch import telemetry
 
+    telemetry.wanted()  # what is wrong there is told once, not by every process
     run = None
     if resume is not None:
         if file is not None or settings or state is not None:
@@ -81,6 +92,9 @@ def launch(
         output = output or (Path(run.output) if run.output else None)
     if file is None:
         raise CommandError("expected a deployment file, or --resume DIR")
+    if record is not None:
+        require_mcap()
+    wanted = Wanted(None if record is None else record.resolve(), check) if record is not None or check else None
     runner = functools.partial(
         supervisor.launch,
         tell=lambda what: print(f"hierax: {what}", file=sys.stderr, flush=True),
@@ -89,7 +103,17 @@ def launch(
         host=host,
         settings=tuple(settings or ()),
         faults=read_faults(faults or ()),
+        record=wanted,
     )
-    return run_deployment(
+    code = run_deployment(
         runner, file, settings or (), epochs=epochs, seed=seed, output=output, output_format=output_format
     )
+    return code if wanted is None else max(code, _tell(wanted))
+
+
+def _tell(wanted: Wanted) -> int:
+    """Say what is wrong with a recording or a check; the exit code."""
+    if wanted.failure:
+        raise CommandError(wanted.failure)
+    code = OK if wanted.file is None or wanted.ending is None else tell_ending(wanted.file, wanted.ending)
+    return max(code, tell_violations(wanted.violations))

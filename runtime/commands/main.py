@@ -9,23 +9,41 @@ from typing import Annotated
 
 import typer
 
-from hierax.runtime.commands.bench import epoch
+from hierax.runtime.commands.bench import epoch, tracking
+from hierax.runtime.commands.bench_bayes import bayes
 from hierax.runtime.commands.changes import attach, detach, ps, replace
+from hierax.runtime.commands.check import check
+from hierax.runtime.commands.diff import diff
+from hierax.runtime.commands.doctor import doctor
+from hierax.runtime.commands.echo import echo
 from hierax.runtime.commands.errors import OK, exit_code
 from hierax.runtime.commands.graph import graph
+from hierax.runtime.commands.infer import infer
+from hierax.runtime.commands.inspect import inspect
 from hierax.runtime.commands.launch import launch
+from hierax.runtime.commands.logs import logs
+from hierax.runtime.commands.new import new
+from hierax.runtime.commands.record import record
+from hierax.runtime.commands.replay import replay
 from hierax.runtime.commands.run import run
 from hierax.runtime.commands.sim import sim
+from hierax.runtime.commands.top import top
 from hierax.runtime.commands.validate import validate
+from hierax.runtime.commands.view import view
 
-COMMANDS: tuple[Callable[..., int], ...] = (run, launch, attach, detach, replace, ps, validate, graph, sim)
+COMMANDS: tuple[Callable[..., int], ...] = (
+    *(run, launch, attach, detach, replace),
+    *(ps, top, inspect, echo, logs, view),
+    *(record, replay, diff, check),
+    *(new, validate, graph, infer, sim, doctor),
+)
 
 app = typer.Typer(
     name="hierax",
     help="Run cognitive hierarchies with perceptual context.",
     epilog="Exit codes: 0 fine, 1 an expected failure, 2 usage, 3 a bug, 130 Ctrl-C. "
     "With HIERAX_TRACEBACK=1 failures are shown with the traceback.",
-    add_completion=False,
+    add_completion=True,
     no_args_is_help=True,
     pretty_exceptions_enable=False,
     rich_markup_mode=None,
@@ -86,11 +104,11 @@ def _register(command: Callable[..., int], group: typer.Typer) -> None:
 for _command in COMMANDS:
     _register(_command, app)
 
-bench = typer.Typer(name="bench", help="Time hierax beside a rival, in the same run.", no_args_is_help=True)
+bench = typer.Typer(name="bench", help="hierax beside a rival, or with less, in the same run.", no_args_is_help=True)
 app.add_typer(bench)
-# with a callback, a single benchmark still needs its name
-bench.callback()(lambda: None)
 _register(epoch, bench)
+_register(bayes, bench)
+_register(tracking, bench)
 
 
 if __name__ == "__main__":

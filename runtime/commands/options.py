@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import glob
 from enum import Enum
 from pathlib import Path
 from typing import Annotated
@@ -19,9 +20,30 @@ class Format(str, Enum):
     json = "json"
 
 
+def deployments_here(incomplete: str) -> list[str]:
+    """For completion: shipped deployments, YAML files, and folders, which end with a slash."""
+    from hierax.runtime.deployment.files import shipped
+
+    folder, _, begin = incomplete.rpartition("/")
+    base = Path(f"{folder}/" if incomplete.startswith("/") else folder or ".")
+    found = [name for name in shipped() if name.startswith(incomplete)]
+    for path in sorted(base.glob(f"{glob.escape(begin)}*")):
+        shown = f"{folder}/{path.name}" if "/" in incomplete else path.name
+        if path.is_dir():
+            found.append(f"{shown}/")
+        elif path.suffix in (".yaml", ".yml"):
+            found.append(shown)
+    return found
+
+
 File = Annotated[
     str,
-    typer.Argument(metavar="FILE", help="A deployment file, or the name of a shipped deployment.", show_default=False),
+    typer.Argument(
+        metavar="FILE",
+        help="A deployment file, or the name of a shipped deployment.",
+        show_default=False,
+        autocompletion=deployments_here,
+    ),
 ]
 Settings = Annotated[
     list[str] | None,

@@ -2,15 +2,19 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from hierax.runtime.commands.options import Epochs, File, Format, Output, OutputFormat, Seed, Settings
+from hierax.runtime.commands.recordings import Check, RecordFile, tell_ending, tell_violations
 
 if TYPE_CHECKING:
     from hierax.runtime.deployment import Deployment
+    from hierax.runtime.recording.in_process import InProcess
     from hierax.runtime.report import Report
+    from hierax.runtime.single import Watch
 
 
 def run(
@@ -30,15 +34,44 @@ def run(
     ] = None,
     output_format: OutputFormat = Format.text,
     output: Output = None,
+    record: RecordFile = None,
+    check: Check = False,
 ) -> int:
     """Run a deployment in this process: the deterministic mode."""
     from hierax.runtime import single
     from hierax.runtime.commands.running import run_deployment
     from hierax.runtime.deployment.schedule import read_schedule
+    from hierax.runtime.recording.in_process import InProcess
+
+    taking: list[InProcess] = []
 
     def run_scheduled(deployment: Deployment, **options: Any) -> Report:
-        return single.run(deployment, schedule=read_schedule(at or (), deployment), **options)
+        schedule = read_schedule(at or (), deployment)
+        if record is not None or check:
+            taking.append(InProcess(deployment, seed, settings or (), record, check))
+        try:
+            recording = taking[0] if taking else None
+            return single.run(deployment, schedule=schedule, watch=_spans(deployment), record=recording, **options)
+        finally:
+            for each in taking:
+                each.finish()
 
-    return run_deployment(
+    code = run_deployment(
         run_scheduled, file, settings or (), epochs=epochs, seed=seed, output=output, output_format=output_format
     )
+    return max([code, *(_tell(each, record) for each in taking)])
+
+
+def _tell(taking: InProcess, file: Path | None) -> int:
+    """Say what is wrong with a recording or a check; the exit code."""
+    code = 0 if file is None or taking.ending is None else tell_ending(file, taking.ending)
+    return code if taking.checker is None else max(code, tell_violations(taking.checker.close()))
+
+
+def _spans(deployment: Deployment) -> Watch | None:
+    """What has every node's epochs told to OpenTelemetry, where the environment says so."""
+    from hierax.runtime.watch import telemetry
+
+    if not telemetry.wanted():
+        return None
+    return lambda name, runner: runner.watch(telemetry.open_spans(deployment.name, "run", name))

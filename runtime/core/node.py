@@ -4,11 +4,15 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
-from typing import Any, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 
 from hierax.runtime.core.tick import NO_TICK, Tick
+
+if TYPE_CHECKING:
+    from hierax.runtime.core.probe import Step
+    from hierax.runtime.core.showing import Things
 
 Value = Any
 """A value as `hierax.schemas.values` describes it; never mutated."""
@@ -126,6 +130,19 @@ class Node(ABC):
     def metrics(self, belief: Value) -> Mapping[str, float]:
         """Figures about the belief, by name, for the report of a run. None by default."""
         return {}
+
+    def show(self, step: Step, before: Value) -> Things:
+        """What a viewer is to show of an epoch; never called while nobody looks, nor in the node's process.
+
+        Args:
+            step: what the node did in it.
+            before: the belief that the epoch began in; None where the viewer does not know it.
+
+        Returns:
+            Things of `hierax.runtime.core.showing` by path; the first part of a path names the
+            view. By default the figures of `metrics`, as curves in a view of the node's own.
+        """
+        return {f"metrics/{name}": value for name, value in self.metrics(step.belief).items()}
 
 
 class World(Node):

@@ -52,6 +52,20 @@ class RestartPolicy:
 
 
 @dataclass(frozen=True)
+class ViewSpec:
+    """How a viewer shows a deployment; no part of the run.
+
+    Attributes:
+        show: ``module:name`` of a function of all nodes' steps of an epoch, or None.
+        layout: columns, each of cells from top to bottom, each with the names of views that
+            share it; None: by what the nodes show.
+    """
+
+    show: str | None = None
+    layout: tuple[tuple[tuple[str, ...], ...], ...] | None = None
+
+
+@dataclass(frozen=True)
 class Deployment:
     """What a deployment file says, after ``--set``.
 
@@ -78,6 +92,7 @@ class Deployment:
             where none are given.
         import_paths: folders in which the deployment's own modules are looked for.
         document: where everything stands in the file.
+        view: how a viewer shows it.
     """
 
     path: Path
@@ -98,6 +113,7 @@ class Deployment:
     zenoh: Mapping[str, Value] | str | None
     import_paths: tuple[str, ...]
     document: Document = field(repr=False, compare=False)
+    view: ViewSpec = ViewSpec()
 
     def place(self, where: str) -> str:
         """``file:line`` of a path such as ``nodes.world.class``, or the ``--set`` that gave it."""

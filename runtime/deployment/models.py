@@ -195,6 +195,21 @@ class ProbeModel(_Model):
     parameters: Parameters = Field(default={}, description="keyword arguments of the class")
 
 
+class ViewModel(_Model):
+    """What `hierax view` shows of the deployment, beside what each node shows of itself."""
+
+    show: Target | None = Field(
+        default=None,
+        description="module:name of a function from all nodes' steps of an epoch, by name, to things by path",
+    )
+    layout: Annotated[
+        list[list[str | list[str]]] | None,
+        Field(
+            description="columns of views, each from top to bottom; a list of views in place of one: behind tabs",
+        ),
+    ] = None
+
+
 class DeploymentModel(_Model):
     """A cognitive hierarchy: its nodes, the edges between them, and how it is run."""
 
@@ -250,6 +265,9 @@ class DeploymentModel(_Model):
     start_timeout_s: float = Field(
         default=30.0, gt=0, allow_inf_nan=False, description="how long launch waits for all nodes to come up"
     )
+    view: Annotated[ViewModel, BeforeValidator(_none_as_map, json_schema_input_type=ViewModel | None)] = Field(
+        default=ViewModel(), description="how `hierax view` shows it; no part of the run"
+    )
     zenoh: Annotated[
         Any,
         AfterValidator(_zenoh),
@@ -299,5 +317,7 @@ def _model_at(keys: Keys, top: TopModel) -> type[_Model] | None:
             return ProbeModel
         case ("restart",):
             return RestartModel
+        case ("view",):
+            return ViewModel
         case _:
             return None

@@ -10,12 +10,12 @@ from pydantic import ValidationError
 
 from hierax.runtime.core.errors import HierarchyError
 from hierax.runtime.core.graph import check_graph
-from hierax.runtime.deployment.deployment import Deployment, RestartPolicy
+from hierax.runtime.deployment.deployment import Deployment, RestartPolicy, ViewSpec
 from hierax.runtime.deployment.document import Document
 from hierax.runtime.deployment.errors import DeploymentError
 from hierax.runtime.deployment.faults import first_error
 from hierax.runtime.deployment.files import find_file, import_paths, read_text
-from hierax.runtime.deployment.models import DeploymentModel, split_edge
+from hierax.runtime.deployment.models import DeploymentModel, ViewModel, split_edge
 from hierax.runtime.deployment.overrides import apply_override
 from hierax.runtime.deployment.parameters import substitute
 from hierax.runtime.deployment.parts import KINDS, check_known, reference, restart_policy, roster_edges, roster_nodes
@@ -69,6 +69,7 @@ def read_deployment(file: str | Path, overrides: Sequence[str] = ()) -> Deployme
         zenoh=_zenoh(model.zenoh, path, document),
         import_paths=import_paths(path),
         document=document,
+        view=_view(model.view),
     )
 
 
@@ -116,6 +117,13 @@ def _modules(model: DeploymentModel) -> tuple[str, ...]:
         functions = [getattr(edge, kind) for kind in KINDS]
         targets += [function.function for function in functions if function is not None]
     return tuple(sorted({*model.modules, *(target.partition(":")[0] for target in targets)}))
+
+
+def _view(model: ViewModel) -> ViewSpec:
+    if model.layout is None:
+        return ViewSpec(model.show)
+    columns = [[(cell,) if isinstance(cell, str) else tuple(cell) for cell in column] for column in model.layout]
+    return ViewSpec(model.show, tuple(map(tuple, columns)))
 
 
 def _check_structure(roster: Roster, document: Document) -> None:

@@ -32,6 +32,7 @@ class Engine:
         events: whether every call of an operator or edge function gives an event.
 
     Attributes:
+        events: likewise; may be set at any time, by any thread.
         begun: whether this engine has begun an epoch or attempt; one that was restored has not, yet.
 
     Not for two threads at once.
@@ -47,7 +48,7 @@ class Engine:
         events: bool = False,
     ) -> None:
         self._outlet = outlet
-        self._events = events
+        self.events = events
         self._joins = joins
         self.begun = False
         self._prepared: dict[int, Wiring] = {}
@@ -327,7 +328,7 @@ class Engine:
         self.time_s = time_s = inbox[node.below[0], OBSERVATIONS].header.time_s
         self._observations = observations = _union(inbox, node.below, OBSERVATIONS)
         self._sensed = node.observe(self.epoch, time_s, observations, self._belief)
-        if self._events:
+        if self.events:
             self._called(node.observe, self._sensed)
         self._send_up()
 
@@ -338,7 +339,7 @@ class Engine:
             elements: Elements = ()
             if sense is not None:
                 elements = sense.elements(epoch, time_s, belief)
-                if self._events:
+                if self.events:
                     self._called(sense, elements)
             self._send(OBSERVATIONS, upper, elements, b"")
         if not self._awaited:
@@ -355,15 +356,15 @@ class Engine:
         policy = self._state.policy
         if above:
             policy = node.choose(epoch, time_s, tasks)
-            if self._events:
+            if self.events:
                 self._called(node.select_policy, policy)
         act = node.policies[policy]
         actions = act.elements(epoch, time_s, sensed)
-        if self._events:
+        if self.events:
             self._called(act, actions)
         self._send_tasks(actions)
         belief = node.predict(epoch, time_s, context, actions, sensed)
-        if self._events:
+        if self.events:
             self._called(node.predict, belief)
         self._state = state = ActiveNode(belief, policy, actions)
         self._belief = belief
@@ -375,7 +376,7 @@ class Engine:
     def _send_tasks(self, actions: Elements) -> None:
         for lower, task in self.wiring.task:
             elements = task.elements(self.epoch, self.time_s, actions)
-            if self._events:
+            if self.events:
                 self._called(task, elements)
             self._send(TASKS, lower, elements, b"")
 
@@ -388,7 +389,7 @@ class Engine:
             elements: Elements = ()
             if enrich is not None:
                 elements = enrich.elements(epoch, time_s, state.belief)
-                if self._events:
+                if self.events:
                     self._called(enrich, elements)
             self._send(CONTEXT, lower, elements, self.digest)
         if self._world is not None:

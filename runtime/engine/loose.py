@@ -93,6 +93,9 @@ class LooseEngine(Engine):
         staleness: of the deployment.
 
     In free running it takes part in an epoch only when `poll` is called.
+
+    Attributes:
+        used: for each slot, of which epoch and attempt the input is that was used last.
     """
 
     def __init__(
@@ -112,6 +115,7 @@ class LooseEngine(Engine):
         self._is_rewired = True
         self.drains = False
         self.ages = Ages()
+        self.used: dict[Slot, tuple[int, int]] = {}
         super().__init__(wiring, outlet, saved=saved, joins=joins, events=events)
 
     @property
@@ -244,6 +248,7 @@ class LooseEngine(Engine):
 
     def _sense(self) -> None:
         headers = [message.header for message in self._inbox.values()]
+        self.used = {(header.sender, header.kind): (header.epoch, header.attempt) for header in headers}
         self.drains = any(DRAIN in header.extensions for header in headers if header.epoch == self.epoch)
         super()._sense()
 
@@ -263,6 +268,7 @@ class LooseEngine(Engine):
             message = self._choose(slot)
             if message is not None:
                 chosen[slot] = message
+                self.used[slot] = (message.header.epoch, message.header.attempt)
                 self.ages.add(self.epoch - message.header.epoch)
         return chosen
 

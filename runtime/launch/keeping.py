@@ -166,7 +166,7 @@ class Keeping:
                 continue
             if child.alive:
                 self._current[name] = child
-            elif child.heard.is_set() and name not in self._coming and not self._current[name].alive:
+            elif child.heard.is_set() and child.report is None and not self._is_replaced(name):
                 # the world's process has died before it could say that this one was taken in
                 self._current[name] = child
                 self.tasks.start_soon(self._on_end, child)
@@ -249,6 +249,10 @@ class Keeping:
         """Whether a process runs a node, here or elsewhere."""
         child = self._current.get(name)
         return (child is not None and child.alive) or (member not in self._children and member not in self._gone)
+
+    def _is_replaced(self, name: str) -> bool:
+        """Whether another process of a node is there, or comes."""
+        return name in self._coming or self._current[name].alive
 
     def _living(self) -> dict[str, str]:
         """The processes that live, as far as is known here: of those kept elsewhere, whether they are heard of."""

@@ -17,15 +17,21 @@ import numpy as np
 from hierax.runtime.core.binding import CALLS, Call, Setting, Waiter
 from hierax.runtime.core.errors import HieraxError
 from hierax.runtime.launch.building import build_member, preload
+from hierax.runtime.launch.desk import Desk
 from hierax.runtime.launch.pipe import BEGIN, COME_BACK, CUT_OFF, DISMISSED, FAILED, REPORT, TO_REPORT, UP, NodeOrder
 from hierax.runtime.launch.voice import Voice
 from hierax.runtime.loading import LoadError, extend_import_path
 from hierax.runtime.member import Member
 from hierax.runtime.node_loader import NodeLoader
+from hierax.runtime.recording.witness import Witness
 from hierax.runtime.transport.control import OWNER, ControlLine
 from hierax.runtime.transport.port import TransportError
+from hierax.runtime.transport.recording import StepTeller
+from hierax.runtime.transport.window import Window
 from hierax.runtime.transport.zenoh_port import EpochPublisher, ZenohPort
 from hierax.runtime.transport.zenoh_session import LOOPBACK, open_session
+from hierax.runtime.watch import telemetry
+from hierax.runtime.watch.logs import QUIET
 from hierax.runtime.world_member import WorldMember
 from hierax.schemas.control import AskStatus, Control, Order, decode_control
 from hierax.schemas.errors import SchemaError
@@ -35,6 +41,9 @@ from hierax.schemas.values import Value
 
 IDLE_S = 0.5
 """How long nothing may come before a node asks whether it is still part of the hierarchy."""
+
+RECORDER_TIMEOUT_S = 10.0
+"""How long a process waits for a recorder that is said to be there; then it goes on unheard, which is a gap."""
 
 BEAT_S = 0.2
 """How often the world's process says that it lives."""
@@ -58,6 +67,10 @@ class NodeLife:
         self._voice = Voice(status, self._stopping.set)
         self._port: ZenohPort | None = None
         self._member: Member | None = None
+        self._desk: Desk | None = None
+        self._teller: StepTeller
+        self._witness: Witness | None = None
+        self._recorded = False
         self._thread = 0
         self._inputs: deque[Control] = deque()
         self._ticks = False
@@ -72,6 +85,11 @@ class NodeLife:
         self.hurried = False
 
     # --- called by other threads
+
+    def when(self) -> tuple[int, int]:
+        """The epoch and attempt under way, or done last; zeros before the first."""
+        member = self._member
+        return (member.engine.epoch, member.engine.attempt) if member is not None and member.wired else (0, 0)
 
     def stop(self) -> None:
         """Make the node's thread come to its end."""
@@ -90,8 +108,12 @@ class NodeLife:
     def tick(self) -> None:
         """Time has passed."""
         member = self._member
+        if self._desk is not None:
+            self._desk.serve()
         if member is None:
             return
+        if self._teller.heard != self._recorded:
+            self._be_recorded(member, self._teller.heard)
         now = time.monotonic()
         if isinstance(member, WorldMember):
             self._watch_world(member, now)
@@ -139,6 +161,7 @@ class NodeLife:
             message = str(error)
             if isinstance(error, (TransportError, SchemaError)):  # the others name the node themselves
                 message = f"{self._order.name}: {message.removeprefix(f'{self._order.name}: ')}"
+            _log.error("%s", message, exc_info=True, extra=QUIET)
             self._voice.say(FAILED, message=message.encode(errors="backslashreplace").decode(), where=place)
             return 1
 
@@ -157,6 +180,12 @@ class NodeLife:
         member = build_member(order, loader, port, self._line, self._voice, EpochPublisher(session, keys))
         if isinstance(member, WorldMember):
             self._owners_line = ControlLine(session, keys, OWNER, self.post)
+        self._teller = StepTeller(session, keys, order.name)
+        if order.recorded and self._teller.wait(RECORDER_TIMEOUT_S):
+            self._be_recorded(member, True)
+        if telemetry.wanted():
+            member.watch(telemetry.open_spans(order.deployment, order.run, order.name))
+        self._desk = Desk(member, Window(session, keys, order.name), self.busy)
         gc.collect()
         gc.freeze()  # what is loaded stays; the collector need not look at it again in the middle of an epoch
         try:
@@ -167,6 +196,19 @@ class NodeLife:
         finally:
             member.close()
         return self._part(member)
+
+    def _be_recorded(self, member: Member, wanted: bool) -> None:
+        """Tell steps from now on, or no more."""
+        self._recorded = wanted
+        if not wanted and self._witness is not None:
+            member.unwatch(self._witness)
+        elif self._witness is not None:  # the same one again: what nobody was told of in between is a gap
+            self._witness.resume()
+            member.watch(self._witness)
+        elif wanted:
+            roster = (lambda: member.owner.roster) if isinstance(member, WorldMember) else None
+            self._witness = Witness(self._order.name, lambda: member.engine, self._teller, roster)
+            member.watch(self._witness)
 
     def _begin(self, member: Member, loader: NodeLoader, port: ZenohPort) -> bool:
         """Come into the run; whether it did."""
@@ -267,8 +309,11 @@ class NodeLife:
 
     def _part(self, member: Member) -> int:
         if member.dismissed:
+            _log.info("%s", member.dismissed)
             self._voice.say(CUT_OFF if member.again else DISMISSED, why=member.dismissed)
             return int(member.again)
+        if self.hurried:
+            return 1  # the run is not over: the node is lost, and has nothing to report
         if not member.wired:
             return 0
         report = member.report()

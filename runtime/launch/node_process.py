@@ -21,6 +21,7 @@ import anyio.to_thread
 
 from hierax.runtime.launch.life import NodeLife
 from hierax.runtime.launch.pipe import STOP, Frames, NodeOrder
+from hierax.runtime.watch.logs import QUIET, log_console, log_node
 from hierax.schemas.control import decode_control
 from hierax.schemas.values import Value
 
@@ -36,7 +37,7 @@ _log = logging.getLogger("hierax")
 
 def main() -> None:
     """Read the order, live, exit."""
-    logging.basicConfig(level=os.environ.get("HIERAX_LOG", "WARNING").upper(), format="%(name)s: %(message)s")
+    log_console()
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is the supervisor's to handle
     status = os.dup(sys.stdout.fileno())
     os.dup2(sys.stderr.fileno(), sys.stdout.fileno())  # what a node prints must not mix with the frames
@@ -48,6 +49,7 @@ def main() -> None:
         code = anyio.run(_main, orders, status)
     except BaseException:
         traceback.print_exc()
+        _log.critical("this is a bug, in hierax or in a node", exc_info=True, extra=QUIET)
     finally:
         _exit(code)
 
@@ -70,7 +72,10 @@ async def _main(orders: int, status: int) -> int:
     commands = await _next_frames(orders, frames)
     if not commands:
         return 0
-    life = NodeLife(NodeOrder.read(commands.pop(0)), status, _wait_in_event_loop)
+    order = NodeOrder.read(commands.pop(0))
+    life = NodeLife(order, status, _wait_in_event_loop)
+    log_node(order.run, order.name, life.when)
+    _log.info("process %d of %s: %s", os.getpid(), order.name, order.life)
     code = 0
     async with anyio.create_task_group() as tasks:
         tasks.start_soon(_obey, life, orders, frames, commands)

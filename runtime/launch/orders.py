@@ -14,6 +14,7 @@ from hierax.runtime.deployment.deployment import RestartPolicy
 from hierax.runtime.launch.pipe import COME_BACK, TO_REPORT, NodeOrder
 from hierax.runtime.launch.run_file import Run, write_run
 from hierax.runtime.owner.outlet import OwnerSettings
+from hierax.runtime.recording.info import RunInfo
 from hierax.runtime.recovery.disk import MappedFile
 from hierax.runtime.recovery.slots import Slots
 from hierax.runtime.world_member import read_record
@@ -39,6 +40,7 @@ class Orders:
 
     Attributes:
         hub: endpoint of the supervisor; set when it is known.
+        recorders: the processes that record the run, or have; 0: one on another machine.
     """
 
     def __init__(
@@ -58,6 +60,7 @@ class Orders:
         self.seed = seed
         self.output = output
         self.hub = ""
+        self.recorders: set[int] = set()
         self.host = host
         self.settings = tuple(settings)
         self._epochs = epochs
@@ -117,6 +120,7 @@ class Orders:
             processes=dict(processes or {}) if is_world else {},
             proposals=(),
             fault=self._next_fault(name),
+            recorded=self._is_recorded(),
         )
 
     def again(
@@ -134,6 +138,7 @@ class Orders:
             processes=dict(processes),
             proposals=tuple(proposals) if is_world else (),
             fault=self._next_fault(order.name),
+            recorded=self._is_recorded(),
         )
 
     def to_report(self, order: NodeOrder, token: str, roster: Roster) -> NodeOrder:
@@ -199,6 +204,17 @@ class Orders:
     def _next_fault(self, name: str) -> str:
         left = self._faults.get(name)
         return left.popleft() if left else ""
+
+    def info(self, from_start: bool) -> RunInfo:
+        """What a recording says of the run.
+
+        Args:
+            from_start: whether it begins with the run.
+        """
+        return RunInfo.of(self.deployment, self.run_id, "launch", self.seed, self.settings, from_start)
+
+    def _is_recorded(self) -> bool:
+        return any(not pid or Path(f"/proc/{pid}").exists() for pid in self.recorders)
 
     def _settings(self) -> OwnerSettings:
         deployment = self.deployment

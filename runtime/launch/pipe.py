@@ -82,6 +82,7 @@ class NodeOrder:
         processes: of the world's process: those of the other nodes that live.
         proposals: of the world's process that comes back: control messages for the owner.
         fault: where the process kills itself, as `hierax.runtime.launch.faults` has it; empty: nowhere.
+        recorded: whether somebody records the run, who has to hear the process from its first message on.
     """
 
     name: str
@@ -110,6 +111,7 @@ class NodeOrder:
     processes: Mapping[str, str]
     proposals: tuple[bytes, ...]
     fault: str = ""
+    recorded: bool = False
 
     @property
     def output_path(self) -> Path | None:

@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 
 Reply = Callable[[Value], None]
 
-PS, CHANGE, AWAIT = "ps", "change", "await"
+PS, CHANGE, AWAIT, RECORD = "ps", "change", "await", "record"
 """What can be asked for; see `Requests`."""
 
 
@@ -57,7 +57,9 @@ class Requests:
     "here"}`` is answered with ``{"epoch"}``, the first one under the changed roster when it
     is committed, or ``{"refusal"}``. With ``here`` the processes of new nodes are kept by
     who asks: the answer is ``{"request", "orders"}``, what they are to be started with, and
-    ``{"ask": "await", "request"}`` is answered in the end.
+    ``{"ask": "await", "request"}`` is answered in the end. ``{"ask": "record", "pid"}`` says
+    that a process, 0 for one on another machine, is about to record; the answer is the fields
+    of a `RunInfo`.
     """
 
     def __init__(self, keeping: Keeping) -> None:
@@ -115,6 +117,9 @@ class Requests:
         ask = query["ask"]
         if ask == PS:
             return self._tell_all()
+        if ask == RECORD:
+            self._keeping.orders.recorders.add(query["pid"])
+            return self._keeping.orders.info(from_start=False).plain()
         if ask == AWAIT:
             return await self._wait(query["request"])
         if ask != CHANGE:

@@ -24,10 +24,12 @@ from hierax.runtime.launch.pipe import (
     COME_BACK,
     STOP,
 )
+from hierax.runtime.launch.recorder import RecorderChild, Wanted
 from hierax.runtime.launch.run_file import Run, Running, register
 from hierax.runtime.report import NodeReport, Report, make_report
 from hierax.runtime.transport.hub import Hub
 from hierax.runtime.transport.zenoh_session import remove_orphaned_segments
+from hierax.runtime.watch.logs import begin_log
 from hierax.schemas.keys import Keys
 
 REPORT_TIMEOUT_S = 60.0
@@ -59,6 +61,7 @@ def launch(
     host: str | None = None,
     settings: Sequence[str] = (),
     faults: Mapping[str, Sequence[str]] | None = None,
+    record: Wanted | None = None,
 ) -> Report:
     """Run a deployment with each node in a process of its own, over Zenoh.
 
@@ -75,6 +78,7 @@ def launch(
         host: address of this machine at which processes on others may join; None: none may.
         settings: with which the deployment file was read, for those who read it again.
         faults: by node, where its processes kill themselves, one after the other; see `hierax.runtime.launch.faults`.
+        record: whether and where it is recorded; told how that ended.
 
     Raises:
         HieraxError: a node cannot be loaded, did not come up in time, or failed.
@@ -94,7 +98,7 @@ def launch(
             orders.take_up(run)
         orders.keep()
         supervisor = Supervisor(
-            deployment, orders, Keys(deployment.name, run_id), tell or _say_nothing, run is not None
+            deployment, orders, Keys(deployment.name, run_id), tell or _say_nothing, run is not None, record
         )
         try:
             return anyio.run(supervisor.run, progress)
@@ -113,20 +117,25 @@ class Supervisor:
         keys: Keys,
         tell: Callable[[str], None],
         resume: bool,
+        record: Wanted | None = None,
     ) -> None:
         self._deployment = deployment
         self._orders = orders
         self._keys = keys
-        self._say = tell
+        self._tell = tell
         self._resume = resume
         self._broken = anyio.Event()
         self._why: Exception | None = None
-        self._keeping = Keeping(orders, tell, self._break)
+        self._hub: Hub | None = None
+        self._recorder = None if record is None else RecorderChild(record, self._say)
+        self._keeping = Keeping(orders, self._say, self._break)
+        self._log = begin_log(orders.run_id, deployment.name, deployment.path, tell, lambda: self._keeping.epoch)
 
     async def run(self, progress: Callable[[int], None] | None) -> Report:
         """The whole launch."""
         begun = time.perf_counter()
         hub = Hub(self._keys, self._deployment.zenoh, progress, self._orders.host)
+        self._hub = hub
         self._orders.hub = hub.endpoint
         registered = register(self._running(hub.endpoint))
         if self._orders.host:
@@ -136,6 +145,7 @@ class Supervisor:
                 self._keeping.tasks = tasks
                 tasks.start_soon(self._watch_signals)
                 try:
+                    await self._start_recorder(tasks)
                     await self._start_all()
                     async with self._keeping.requests.served(hub):
                         start_s = await self._until_finished(begun)
@@ -143,9 +153,13 @@ class Supervisor:
                 finally:
                     with anyio.CancelScope(shield=True):
                         await self._end_all()
+                        if self._recorder is not None:
+                            await self._recorder.finish(self._last_epoch())
                     tasks.cancel_scope.cancel()
         finally:
             registered.unlink(missing_ok=True)
+            end = "the run is over" if self._why is None else f"the run is broken off: {self._why}"
+            self._log.close(f"{end}by a signal" if isinstance(self._why, Interrupted) else end)
             for name, token in self._keeping.members.items():
                 if self._keeping.child(token) is None:  # nobody else tells who is kept elsewhere
                     hub.dismiss(
@@ -156,11 +170,32 @@ class Supervisor:
             raise self._why
         return self._make_report(start_s)
 
+    def _say(self, what: str) -> None:
+        self._log.tell(what)
+        self._tell(what)
+        if self._hub is not None:
+            self._hub.note(what)
+
     def _running(self, endpoint: str) -> Running:
         orders, deployment = self._orders, self._deployment
         return Running(
             orders.run_id, deployment.name, endpoint, os.getpid(), str(deployment.path.resolve()), orders.settings
         )
+
+    async def _start_recorder(self, tasks: anyio.abc.TaskGroup) -> None:
+        if self._recorder is None:
+            return
+        orders = self._orders
+        info = orders.info(from_start=not self._resume)
+        await self._recorder.start(info, orders.hub, self._deployment.zenoh, orders.host)
+        orders.recorders.add(self._recorder.pid)
+        tasks.start_soon(self._recorder.listen)
+
+    def _last_epoch(self) -> int | None:
+        """The last one committed, by the world's report."""
+        world = self._orders.deployment.roster.world
+        said = [child.report for child in self._keeping.present if child.name == world and child.report is not None]
+        return int(said[0]["run"][0]) if said else None
 
     async def _start_all(self) -> None:
         roster = self._orders.known_roster(self._resume)

@@ -97,6 +97,13 @@ class Hub:
         except zenoh.ZError as error:
             _log.info("%s is not dismissed: %s", process, error)
 
+    def note(self, what: str) -> None:
+        """Tell whoever records what happens, if somebody does."""
+        try:
+            self._session.put(self._keys.notes, encode_value(what))
+        except zenoh.ZError as error:
+            _log.info("a note is not told: %s", error)
+
     def close(self) -> None:
         """Close the session."""
         close_session(self._session)

@@ -8,7 +8,7 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 from hierax.runtime.transport.port import Port, TransportError
-from hierax.schemas.messages import Message, decode_message, encode_message
+from hierax.schemas.messages import Header, Message, decode_message, encode_message
 from hierax.schemas.roster import Roster
 
 Lane = tuple[str, str]
@@ -24,7 +24,12 @@ class MemoryNetwork:
     Args:
         seed: decides which of the messages under way is delivered next.
         queue_size: how many messages of one sender, receiver and kind may be under way.
+
+    Attributes:
+        tap: shown the header and the bytes of every message; None: nobody is.
     """
+
+    tap: Callable[[Header, bytes], None] | None = None
 
     def __init__(self, seed: int = 0, queue_size: int = QUEUE_SIZE) -> None:
         self._random = np.random.Generator(np.random.PCG64(seed))
@@ -63,7 +68,10 @@ class MemoryNetwork:
             raise TransportError(
                 f"{header.sender}: {len(lane)} {header.kind} messages to {header.receiver} are not received yet"
             )
-        lane.append(encode_message(message))
+        data = encode_message(message)
+        if self.tap is not None:
+            self.tap(header, data)
+        lane.append(data)
 
     def forget(self, name: str) -> None:
         """Take a port out."""

@@ -114,18 +114,24 @@ def remove_orphaned_segments() -> int:
     """
     removed = 0
     for path in sorted(_SHARED_MEMORY.glob("*.zenoh")):
-        removed += _remove_if_orphaned(path)
+        removed += _is_orphaned(path, remove=True)
     return removed
 
 
-def _remove_if_orphaned(path: Path) -> bool:
+def orphaned_segments(folder: Path = _SHARED_MEMORY) -> list[Path]:
+    """The shared-memory segments of sessions that are gone."""
+    return [path for path in sorted(folder.glob("*.zenoh")) if _is_orphaned(path)]
+
+
+def _is_orphaned(path: Path, remove: bool = False) -> bool:
     try:
         descriptor = os.open(path, os.O_RDWR | os.O_CLOEXEC)
     except OSError:
         return False  # gone already, or another user's
     try:
         fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        path.unlink()
+        if remove:
+            path.unlink()
     except OSError:
         return False  # in use
     finally:

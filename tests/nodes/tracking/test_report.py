@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 
 import cv2
@@ -11,7 +12,7 @@ import pytest
 from hierax.nodes.tracking.bop import ResultsFile
 from hierax.nodes.tracking.errors import DataError
 from hierax.nodes.tracking.geometry import exp_so3, make_pose
-from hierax.nodes.tracking.report import main, read_errors, table
+from hierax.nodes.tracking.report import ErrorPlot, main, read_errors, table
 
 
 @pytest.fixture
@@ -66,3 +67,37 @@ def test_a_folder_without_truth_is_named(tmp_path: Path, capsys: pytest.CaptureF
     assert "truth.csv: no such file" in capsys.readouterr().err
     with pytest.raises(DataError, match="truth"):
         read_errors(tmp_path)
+
+
+def test_the_probe_draws_where_the_truth_is_known(output: Path, tmp_path: Path) -> None:
+    probe = ErrorPlot()
+    probe.open(output)
+    probe.close()
+    picture = cv2.imread(str(output / "errors.png"))
+    assert picture is not None
+    (output / "errors.png").unlink()
+    (output / "truth.csv").unlink()
+    probe.open_again(output)
+    probe.close()
+    assert not (output / "errors.png").exists()
+    pose = {"cam_R_m2c": np.eye(3).ravel().tolist(), "cam_t_m2c": [100.0, 200.0, 500.0], "obj_id": 1}
+    folder = tmp_path / "apart"
+    folder.mkdir()
+    (folder / "scene_gt.json").write_text(json.dumps({"0": [pose], "1": [pose]}))
+    probe = ErrorPlot(str(folder))
+    probe.open(output)
+    probe.close()
+    assert (output / "errors.png").exists()
+    assert main([str(output), "--truth", str(folder)]) == 0
+    with pytest.raises(DataError, match=r"scene_gt\.json: cannot be read"):
+        ErrorPlot(str(tmp_path / "none")).open(output)
+    nowhere = ErrorPlot(str(folder))
+    nowhere.open(None)
+    nowhere.close()
+
+
+def test_a_truth_that_is_being_written_counts_as_far_as_it_is_whole(output: Path) -> None:
+    text = (output / "truth.csv").read_text()
+    (output / "truth.csv").write_text(text[:-40])
+    first, second = read_errors(output)
+    assert (len(first.frames), len(second.frames)) == (8, 7)

@@ -7,10 +7,11 @@ from itertools import product
 import numpy as np
 import pytest
 
-from hierax.nodes.tracking import sim_light, sim_scene
+from hierax.nodes.tracking import sim_scene
 from hierax.nodes.tracking.geometry import Array, Floats, exp_so3, invert, make_pose, rays
-from hierax.nodes.tracking.sim_light import AMBIENT, DIFFUSE, LIGHT, Cube, Face, cube_corners, light_on, shadows
-from hierax.nodes.tracking.sim_scene import FACE_PX, cube_faces, develop, draw
+from hierax.nodes.tracking.sim_light import LAMP, Lamp, light_on, shadows
+from hierax.nodes.tracking.sim_scene import FACE_PX, develop, draw
+from hierax.nodes.tracking.sim_shapes import Cube, Face, cube_corners
 from hierax.nodes.tracking.sim_world import camera_at
 
 SIZE = (160, 120)
@@ -60,12 +61,12 @@ def test_every_pixel_shows_the_cube_that_a_ray_meets(order: tuple[int, ...]) -> 
 
 
 def test_a_silhouette_is_where_it_belongs_to_a_hundredth_of_a_pixel(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(sim_light, "DIFFUSE", 0.0)
     monkeypatch.setattr(sim_scene, "_grain", lambda: np.ones((FACE_PX, FACE_PX), np.float32))
     cube, camera = CUBES[2]._replace(colour=(250, 0, 0)), camera_at(0.0)
-    bright = draw([cube], camera, INTRINSICS, SIZE)[..., 0]
-    dark = draw([cube._replace(colour=(0, 0, 0))], camera, INTRINSICS, SIZE)[..., 0]
-    cover = (bright - dark) / (250.0 * AMBIENT)
+    even = Lamp(diffuse=0.0)
+    bright = draw([cube], camera, INTRINSICS, SIZE, even)[..., 0]
+    dark = draw([cube._replace(colour=(0, 0, 0))], camera, INTRINSICS, SIZE, even)[..., 0]
+    cover = (bright - dark) / (250.0 * even.ambient)
     samples = 6
     expected = np.zeros(cover.shape)
     for dx, dy in product((np.arange(samples) + 0.5) / samples - 0.5, repeat=2):
@@ -78,7 +79,7 @@ def test_a_silhouette_is_where_it_belongs_to_a_hundredth_of_a_pixel(monkeypatch:
 
 
 def test_faces_look_outwards() -> None:
-    for face in cube_faces(CUBES[2]):
+    for face in CUBES[2].faces():
         middle = face.corner + (face.right + face.up) / 2
         outwards = middle - CUBES[2].pose[:3, 3]
         np.testing.assert_allclose(face.normal * CUBES[2].side_m / 2, outwards, atol=1e-12)
@@ -90,28 +91,28 @@ def test_a_shadow_lies_where_rays_to_the_lamp_are_blocked() -> None:
     table = Face(np.array([-0.5, -0.5, 0.0]), np.array([1.0, 0.0, 0.0]), np.array([0.0, 1.0, 0.0]))
     pixels = 200
     homography = np.array([[pixels, 0.0, -0.5], [0.0, pixels, -0.5], [0.0, 0.0, 1.0]])
-    light = light_on(table, [cube], (pixels, pixels), homography)
+    light = light_on(table, cube.parts(), (pixels, pixels), homography)
     place = (np.arange(pixels) + 0.5) / pixels - 0.5
     points = np.stack((*np.meshgrid(place, place), np.zeros((pixels, pixels))), axis=-1)
     to_object = invert(cube.pose)
-    starts, along = points @ to_object[:3, :3].T + to_object[:3, 3], to_object[:3, :3] @ LIGHT
+    starts, along = points @ to_object[:3, :3].T + to_object[:3, 3], to_object[:3, :3] @ LAMP.direction
     ends = np.stack([(sign * cube.side_m / 2 - starts) / along for sign in (-1.0, 1.0)])
     blocked = ends.min(axis=0).max(axis=-1) < ends.max(axis=0).min(axis=-1)
-    full = AMBIENT + DIFFUSE * LIGHT[2]
+    full = LAMP.ambient + LAMP.diffuse * LAMP.direction[2]
     assert light.max() == pytest.approx(full, rel=1e-5)
-    dark = (full - light) / (DIFFUSE * LIGHT[2])
+    dark = (full - light) / (LAMP.diffuse * LAMP.direction[2])
     assert dark[blocked].mean() > 0.9
     assert dark.sum() == pytest.approx(blocked.sum(), rel=0.02)
 
 
 def test_a_cube_that_stands_on_a_face_throws_no_shadow_below_it() -> None:
     lower, upper = CUBES[0], CUBES[1]
-    top, bottom = cube_faces(lower)[5], cube_faces(lower)[4]
+    top, bottom = lower.faces()[5], lower.faces()[4]
     corners = cube_corners(upper.side_m) @ upper.pose[:3, :3].T + upper.pose[:3, 3]
     assert len(shadows(corners, top)) > 0
     assert shadows(corners, bottom) == []
     standing_below = cube_corners(lower.side_m) @ lower.pose[:3, :3].T + lower.pose[:3, 3]
-    assert shadows(standing_below, cube_faces(upper)[5]) == []
+    assert shadows(standing_below, upper.faces()[5]) == []
 
 
 def test_drawing_is_equal_to_the_bit() -> None:

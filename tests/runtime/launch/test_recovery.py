@@ -112,6 +112,17 @@ def test_processes_may_be_killed_at_random(seed: int, device: Device) -> None:
     assert sorted(set(acts(device.log))) == list(range(1, epochs + 1))
 
 
+@pytest.mark.parametrize("node", ["arm", "world"])
+def test_a_process_that_somebody_ends_kindly_is_lost_all_the_same(node: str, device: Device) -> None:
+    device.write()
+    wanted = device.digest(EPOCHS)
+    with device.launch(EPOCHS, moves_s=MOVE_S) as launch:
+        launch.until_epoch(3)
+        os.kill(launch.until_pid(node), signal.SIGTERM)
+        assert launch.report()["digest"] == wanted
+        assert launch.err.count(f"{node}: its process ended with exit code 1; it is started again") == 1
+
+
 def test_a_run_goes_on_when_all_of_it_was_killed(device: Device) -> None:
     epochs = 150
     device.write()

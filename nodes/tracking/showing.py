@@ -1,0 +1,168 @@
+"""What the nodes of a tracking deployment show: `hierax view`.
+
+The views: ``camera``, the image with edges as they were expected (red) and as the correction
+puts them (green); ``imagined``, the depth image with labels that the spatial node expects;
+``scene``, the camera and the bodies at their poses; ``error_mm`` and ``turn_deg`` against the
+truth, where the world knows it; ``scores`` of the arm's objects.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from hierax.nodes.tracking.geometry import Array, Floats, invert, pose_error, project, transform
+from hierax.nodes.tracking.pictures import CORRECTED, EXPECTED
+from hierax.nodes.tracking.render import DepthRenderer, Item
+from hierax.runtime import Step, Value
+from hierax.runtime.core.showing import (
+    WHITE,
+    Axes,
+    Camera,
+    Curve,
+    Depth,
+    Image,
+    Labels,
+    Lines2D,
+    Lines3D,
+    Mesh,
+    Points2D,
+    Thing,
+    colour_of,
+)
+
+_NEAREST_M = 0.02
+_FRUSTUM_M = 0.12
+_COARSER = 4
+"""The image is drawn in the scene, too: small, so with every so manieth pixel."""
+
+_TRUE_M = 0.06
+_EXPECTED_PX, _CORRECTED_PX = 3.5, 1.5
+"""Widths: where both are at one place, both are seen."""
+_GRID_M, _GRID_STEP_M = 0.4, 0.1
+_LOST = (120, 120, 120)
+_GRID = (170, 170, 170)
+
+_renderer = DepthRenderer()
+"""A cache of the bodies' meshes, prepared."""
+
+
+def world_things(step: Step) -> dict[str, Thing]:
+    """The true poses of the bodies, where the world knows them, as axes."""
+    return {f"/scene/true/{body['id']}": Axes(body["pose"], _TRUE_M) for body in step.sensed.get("bodies", ())}
+
+
+def arm_things(step: Step, before: Value) -> dict[str, Thing]:
+    """The image with edges, the camera in the scene, and the objects' scores.
+
+    Args:
+        step: of the arm.
+        before: what it expected: the red edges; None: there are none.
+    """
+    corrected = step.sensed
+    objects = corrected["objects"]
+    things: dict[str, Thing] = {f"/scores/{item['id']}": _curve(item["id"], item["score"]) for item in objects}
+    if not step.observations or corrected["camera"] is None:
+        return things
+    image, intrinsics = step.observations[0]["image"], corrected["intrinsics"]
+    things["/camera/image"] = Image(image)
+    if before is not None and before["camera"] is not None:
+        moved = invert(corrected["camera"]) @ before["camera"]
+        things["/camera/expected"] = Lines2D(_edges(before["objects"], moved, intrinsics), EXPECTED, _EXPECTED_PX)
+    tracked = [item for item in objects if item["status"] == "tracked"]
+    things["/camera/corrected"] = Lines2D(_edges(tracked, np.eye(4), intrinsics), CORRECTED, _CORRECTED_PX)
+    things.update(_names(objects, intrinsics))
+    things["/scene/camera"] = Camera(
+        corrected["camera"],
+        np.asarray(intrinsics) / _COARSER,
+        (corrected["size"][0] // _COARSER, corrected["size"][1] // _COARSER),
+        image[::_COARSER, ::_COARSER],
+        depth_m=_FRUSTUM_M,
+    )
+    return things
+
+
+def spatial_things(step: Step, table: bool) -> dict[str, Thing]:
+    """The bodies where they are expected, and what the camera is expected to see of them.
+
+    Args:
+        step: of the spatial node.
+        table: whether the plane z = 0 carries the bodies; it is drawn as a grid.
+    """
+    belief = step.belief
+    things: dict[str, Thing] = {"/scene/table": Lines3D(_grid(), _GRID, 0.0005)} if table else {}
+    for body in belief["bodies"]:
+        colour = _LOST if body["status"] == "lost" else colour_of(body["id"])
+        model = body["model"]
+        things[f"/scene/bodies/{body['id']}"] = Mesh(model["vertices"], model["faces"], body["pose"], colour)
+    if belief["camera"] is None:
+        return things
+    depth, labels = _imagined(belief)
+    return {**things, "/imagined/depth": Depth(depth), "/imagined/labels": Labels(labels)}
+
+
+def errors(steps: Mapping[str, Step]) -> dict[str, Thing]:
+    """How far the arm's poses are from the truth, seen from the camera, where the world knows it.
+
+    Args:
+        steps: of an epoch, of all nodes.
+
+    Returns:
+        Of each tracked object ``/error_mm/ID`` and ``/turn_deg/ID``.
+    """
+    worlds = [step.sensed for step in steps.values() if not step.observations and "bodies" in step.sensed]
+    arms = [step.sensed for step in steps.values() if "objects" in step.sensed]
+    truth = {body["id"]: invert(world["camera"]) @ body["pose"] for world in worlds for body in world["bodies"]}
+    things: dict[str, Thing] = {}
+    for item in (item for arm in arms for item in arm["objects"]):
+        number = item["id"]
+        if item["status"] == "tracked" and number in truth:
+            distance_m, angle_rad = pose_error(item["pose"], truth[number])
+            things[f"/error_mm/{number}"] = _curve(number, 1000.0 * distance_m)
+            things[f"/turn_deg/{number}"] = _curve(number, float(np.degrees(angle_rad)))
+    return things
+
+
+def _curve(number: int, value: float) -> Curve:
+    return Curve(value, colour_of(number))
+
+
+def _edges(objects: Any, moved: Floats, intrinsics: Array) -> Floats:
+    """The expected edges of objects in the image, (n, 2, 2) pixels; `moved` goes before their poses."""
+    lines = [transform(moved @ item["pose"], np.asarray(item["edges"])) for item in objects if len(item["edges"])]
+    if not lines:
+        return np.zeros((0, 2, 2))
+    points = np.concatenate(lines)
+    ahead = points[points[..., 2].min(axis=1) > _NEAREST_M]
+    return project(ahead, intrinsics)
+
+
+def _names(objects: Any, intrinsics: Array) -> dict[str, Thing]:
+    """At its origin, what an object is that is not tracked."""
+    things: dict[str, Thing] = {}
+    for item in objects:
+        origin = np.asarray(item["pose"])[:3, 3]
+        if item["status"] != "tracked" and origin[2] > _NEAREST_M:
+            name = f"{item['id']} {item['status']}"
+            things[f"/camera/names/{item['id']}"] = Points2D(project(origin[None], intrinsics), WHITE, 3.0, (name,))
+    return things
+
+
+def _imagined(belief: Mapping[str, Any]) -> tuple[Array, Array]:
+    """Depth and labels that the camera is expected to see."""
+    from_world = invert(belief["camera"])
+    items = [
+        Item(body["id"], body["model"]["vertices"], body["model"]["faces"], from_world @ body["pose"])
+        for body in belief["bodies"]
+    ]
+    return _renderer.render(items, belief["intrinsics"], tuple(belief["size"]))
+
+
+def _grid() -> Floats:
+    """Lines of the plane z = 0, (n, 2, 3) metres."""
+    at = np.arange(-_GRID_M, _GRID_M + _GRID_STEP_M / 2, _GRID_STEP_M)
+    along = [[[x, -_GRID_M, 0.0], [x, _GRID_M, 0.0]] for x in at]
+    across = [[[-_GRID_M, y, 0.0], [_GRID_M, y, 0.0]] for y in at]
+    return np.array(along + across)

@@ -1,0 +1,28 @@
+"""``hierax check``: a recorded trace against the formal order."""
+
+from __future__ import annotations
+
+from hierax.runtime.commands.options import Format, OutputFormat
+from hierax.runtime.commands.recordings import RecordingFile, recording_of, tell_violations
+
+
+def check(file: RecordingFile, output_format: OutputFormat = Format.text) -> int:
+    """Check a recording against the formal order: sense up before predict down, each edge once, inputs of the epoch."""
+    from hierax.runtime.commands.show import print_json
+    from hierax.runtime.recording.check import check_recording
+
+    recording = recording_of(file)
+    checker = check_recording(recording)
+    violations = checker.close()
+    if output_format is Format.json:
+        print_json(
+            {
+                "file": str(file),
+                "epochs": checker.epochs,
+                "steps": checker.checked,
+                "violations": [each._asdict() for each in violations],
+            }
+        )
+    elif not violations:
+        print(f"{file}: {checker.epochs} epochs, {checker.checked} steps of nodes: the formal order is kept")
+    return tell_violations(violations)

@@ -1,0 +1,105 @@
+"""``hierax diff``: the first place where two runs differ."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Iterable
+from contextlib import redirect_stdout
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from hierax.runtime.commands.errors import FAILED, OK, CommandError
+from hierax.runtime.commands.options import Format, OutputFormat, Settings
+from hierax.runtime.commands.recordings import (
+    First,
+    Last,
+    RecordingFile,
+    Tolerance,
+    WorldMode,
+    comparison_json,
+    print_comparison,
+    recording_of,
+)
+from hierax.runtime.commands.replay import wait
+
+if TYPE_CHECKING:
+    from hierax.runtime.recording.diff import EpochView
+    from hierax.runtime.recording.reading import Recording
+
+
+def diff(
+    file: RecordingFile,
+    other: Annotated[
+        str,
+        typer.Argument(
+            metavar="OTHER", help="A recording, a deployment file, or the name of a shipped one.", show_default=False
+        ),
+    ],
+    first: First = 1,
+    last: Last = None,
+    tolerance: Tolerance = 0.0,
+    world: Annotated[
+        WorldMode | None,
+        typer.Option(
+            "--world",
+            help="With a deployment: its world is done again, or gives what was recorded. By default again, "
+            "unless it has actuators.",
+            show_default=False,
+        ),
+    ] = None,
+    settings: Settings = None,
+    output_format: OutputFormat = Format.text,
+) -> int:
+    """Name the first epoch, node, operator and field in which two runs differ. Exit code 1 where they do.
+
+    The other run is a recording, or a deployment that is given what the first one's nodes were given.
+    """
+    from hierax.runtime.commands.show import print_json
+    from hierax.runtime.recording.diff import compare
+
+    recording = recording_of(file)
+    epochs = _other(recording, other, first, last, world, settings or ())
+    with redirect_stdout(sys.stderr):
+        comparison = compare(recording.epochs(first, last), epochs, tolerance)
+    if not comparison.epochs:
+        raise CommandError(f"{file} and {other}: there is no epoch that both have")
+    if output_format is Format.json:
+        print_json({"a": str(file), "b": other, **comparison_json(comparison)})
+    else:
+        print_comparison(comparison, str(file), other)
+    return OK if comparison.alike else FAILED
+
+
+def _other(
+    recording: Recording, other: str, first: int, last: int | None, world: WorldMode | None, settings: Iterable[str]
+) -> Iterable[EpochView]:
+    from hierax.runtime.deployment.read import read_deployment
+    from hierax.runtime.loading import extend_import_path
+    from hierax.runtime.recording.deployments import in_place_of
+    from hierax.runtime.recording.replay import Replay, has_actuators
+
+    settings = list(settings)
+    if _is_recording(other):
+        if settings or world is not None:
+            raise CommandError("--set and --world: only with a deployment as the other run")
+        return recording_of(Path(other)).epochs(first, last)
+    deployment = read_deployment(other, settings)
+    extend_import_path(deployment.import_paths)
+    rosters = recording.rosters()
+    if not rosters:
+        raise CommandError(f"{recording.path}: no roster is recorded, so there is no epoch to compare")
+    again = world is WorldMode.again or (world is None and not has_actuators(deployment.roster))
+    rewrite = in_place_of(rosters[min(rosters)], deployment)
+    return Replay(recording, world=again, rewrite=rewrite, first=first, last=last, wait=wait).epochs()
+
+
+def _is_recording(name: str) -> bool:
+    path = Path(name)
+    if not path.is_file():
+        if path.suffix == ".mcap":
+            raise CommandError(f"{name}: there is no such recording")
+        return False
+    with path.open("rb") as file:
+        return file.read(5) == b"\x89MCAP"

@@ -1,0 +1,133 @@
+"""``hierax echo``: the messages of a launch as they go."""
+
+from __future__ import annotations
+
+import json
+import queue
+import time
+from collections.abc import Iterator
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from hierax.runtime.commands.options import Format, OutputFormat
+from hierax.runtime.commands.which import Connect, Run, endpoint_of, keys_here
+
+if TYPE_CHECKING:
+    from hierax.runtime.plain import Json
+    from hierax.runtime.tools.echoes import Echo, Edge
+    from hierax.runtime.tools.looking import Looking, Seen
+    from hierax.runtime.transport.window import Glass
+
+ASK_AGAIN_S = 1.5
+"""Well within the time for which nodes show copies when they are asked."""
+
+QUEUE_SIZE = 10_000
+"""How many messages wait to be printed; of more than that, new ones are left out."""
+
+
+def echo(
+    key: Annotated[
+        str,
+        typer.Argument(
+            metavar="KEY",
+            help="KIND/FROM/TO, where KIND is obs, task or ctx; * stands for any name, ** for all that is left.",
+            show_default=False,
+            autocompletion=keys_here,
+        ),
+    ],
+    run: Run = None,
+    connect: Connect = None,
+    count: Annotated[
+        int | None, typer.Option("--count", "-n", min=1, help="End after so many messages.", show_default=False)
+    ] = None,
+    full: Annotated[bool, typer.Option("--full", help="In JSON, arrays with all their elements.")] = False,
+    output_format: OutputFormat = Format.text,
+) -> int:
+    """Show messages as they go, with size and rate, until Ctrl-C. The run never waits for this."""
+    from hierax.runtime.tools.looking import Looking
+    from hierax.runtime.transport.window import Glass
+
+    with Glass(endpoint_of(run, connect)) as glass:
+        for number, each in enumerate(echoes(glass, Looking(glass), key), start=1):
+            if output_format is Format.json:
+                print(json.dumps(as_json(each, full), allow_nan=False), flush=True)
+            else:
+                print(line(each), flush=True)
+            if number == count:
+                return 0
+    print("the launch is over")
+    return 0
+
+
+def echoes(glass: Glass, looking: Looking, pattern: str) -> Iterator[Echo]:
+    """Messages as they come; ends when the launch does."""
+    from hierax.runtime.tools.echoes import Counter
+    from hierax.runtime.transport.port import TransportError
+    from hierax.schemas.messages import decode_message
+
+    came: queue.Queue[bytes] = queue.Queue(QUEUE_SIZE)
+
+    def heard(_: str, data: bytes) -> None:
+        if not came.full():  # what is left out is seen by its epoch
+            came.put_nowait(data)
+
+    seen = looking.look()
+    _ask(looking, seen, pattern)
+    glass.listen(f"{seen.keys.root}/seen/**", heard)
+    wanted = _ask(looking, seen, pattern)
+    asked_s = time.monotonic()
+    counter = Counter()
+    while True:
+        try:
+            data = came.get(timeout=max(asked_s + ASK_AGAIN_S - time.monotonic(), 0))
+        except queue.Empty:
+            data = b""
+        if time.monotonic() - asked_s >= ASK_AGAIN_S:
+            try:
+                seen = looking.look()
+                wanted = _ask(looking, seen, pattern)
+            except TransportError:
+                return
+            asked_s = time.monotonic()
+        if data:
+            message = decode_message(data)
+            if message.header[:3] in wanted:  # another one who looks may want others
+                yield counter.take(message, len(data))
+
+
+def _ask(looking: Looking, seen: Seen, pattern: str) -> set[Edge]:
+    """Have the nodes show what is wanted for some seconds more."""
+    from hierax.runtime.tools.echoes import chosen, edges_of
+
+    wanted = chosen(pattern, edges_of(looking.pairs(seen)))
+    senders = {sender for _, sender, _ in wanted}
+    looking.ask(seen, {"look": "echo", "edges": [list(edge) for edge in wanted]}, senders & seen.nodes.keys())
+    return set(wanted)
+
+
+def as_json(echo: Echo, full: bool = False) -> Json:
+    """A message as plain JSON."""
+    from hierax.runtime.plain import plain
+    from hierax.runtime.tools.summary import summarised
+
+    header, payload = echo.message
+    fields = {**header._asdict(), "payload": payload}
+    return {
+        **{name: plain(value) if full else summarised(value) for name, value in fields.items()},
+        "size": echo.size,
+        "rate_hz": echo.rate_hz,
+        "missed": echo.missed,
+    }
+
+
+def line(echo: Echo) -> str:
+    """A message as a line of text, and what it carries below, where that is long."""
+    from hierax.runtime.tools.summary import tree
+
+    header, payload = echo.message
+    rate = "" if echo.rate_hz is None else f"{echo.rate_hz:.4g}/s, "
+    again = f", attempt {header.attempt}" if header.attempt else ""
+    missed = f" ({echo.missed} before it not seen)" if echo.missed else ""
+    head = f"{header.kind}/{header.sender}/{header.receiver} epoch {header.epoch}{again}{missed}: {rate}"
+    return "\n".join([f"{head}{echo.size} bytes", *tree(payload, depth=1)])

@@ -1,0 +1,70 @@
+"""``hierax inspect``: what a node of a launch believes, and why."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from hierax.runtime.commands.options import Format, OutputFormat
+from hierax.runtime.commands.which import Connect, Run, endpoint_of, nodes_here
+
+if TYPE_CHECKING:
+    from hierax.runtime.plain import Json
+    from hierax.runtime.tools.looking import Answer, Seen
+
+NodeArgument = Annotated[
+    str, typer.Argument(metavar="NODE", help="A node's name.", show_default=False, autocompletion=nodes_here)
+]
+
+
+def inspect(
+    node: NodeArgument,
+    run: Run = None,
+    connect: Connect = None,
+    full: Annotated[bool, typer.Option("--full", help="In JSON, arrays with all their elements.")] = False,
+    output_format: OutputFormat = Format.text,
+) -> int:
+    """Show what a node has observed, believes, was told from above and does, after its last epoch."""
+    from hierax.runtime.commands.show import print_json
+    from hierax.runtime.tools.looking import Looking
+    from hierax.runtime.transport.window import Glass
+
+    with Glass(endpoint_of(run, connect)) as glass:
+        looking = Looking(glass)
+        seen = looking.look()
+        answer = looking.state(seen, node)
+    if output_format is Format.json:
+        print_json(as_json(seen, node, answer, full))
+    else:
+        _print(seen, node, answer)
+    return 0
+
+
+def as_json(seen: Seen, node: str, answer: Answer, full: bool = False) -> Json:
+    """All of it as plain JSON."""
+    from hierax.runtime.plain import plain
+    from hierax.runtime.tools.summary import summarised
+
+    told = {key: value for key, value in answer.items() if key != "process"}
+    return {
+        "hierarchy": seen.hierarchy,
+        "run": seen.run,
+        "node": node,
+        **{key: plain(value) if full else summarised(value) for key, value in told.items()},
+    }
+
+
+def _print(seen: Seen, node: str, answer: Mapping[str, Any]) -> None:
+    from hierax.runtime.tools.summary import tree
+
+    counts = {True: "committed", False: "not committed yet", None: "epochs overlap"}[answer["committed"]]
+    print(f"{node} of {seen.hierarchy}, run {seen.run}: after epoch {answer['epoch']} ({counts})")
+    print(f"class  {answer['class']}")
+    for where in ("below", "above"):
+        print(f"{where}  {', '.join(answer[where]) or 'nothing'}")
+    print(f"policy  {answer['policy']} (of {', '.join(answer['policies'])})")
+    for what in ("observations", "sensed", "tasks", "context", "actions", "belief"):
+        if what in answer:
+            print("\n".join(tree(answer[what], what)))

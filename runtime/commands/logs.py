@@ -1,0 +1,117 @@
+"""``hierax logs``: what the processes of a launch have said."""
+
+from __future__ import annotations
+
+import json
+import time
+from collections.abc import Iterator
+from datetime import datetime, timezone
+from enum import Enum
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from hierax.runtime.commands.options import Format, OutputFormat
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from hierax.runtime.tools.logs import Entry, Wanted
+
+POLL_S = 0.2
+
+
+class Level(str, Enum):
+    """The levels of `logging`."""
+
+    debug = "debug"
+    info = "info"
+    warning = "warning"
+    error = "error"
+    critical = "critical"
+
+
+def _runs_logged() -> list[str]:
+    """For completion."""
+    from hierax.runtime.watch.run_folder import known_folders
+
+    return [folder.name for folder in known_folders()]
+
+
+def _names_logged() -> list[str]:
+    """For completion."""
+    from hierax.runtime.tools.logs import Reader
+    from hierax.runtime.watch.run_folder import known_folders
+
+    return sorted({name for folder in known_folders() for name in Reader(folder).names})
+
+
+def logs(
+    run: Annotated[
+        str | None,
+        typer.Option(
+            "--run",
+            metavar="RUN",
+            help="Which launch, also one that has ended; by default the youngest that runs, or else the last one.",
+            show_default=False,
+            autocompletion=_runs_logged,
+        ),
+    ] = None,
+    node: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--node",
+            metavar="NODE",
+            help="Of this node alone; `launch` is what happened to the processes. May be given several times.",
+            show_default=False,
+            autocompletion=_names_logged,
+        ),
+    ] = None,
+    level: Annotated[Level, typer.Option("--level", help="From this level on.")] = Level.debug,
+    since: Annotated[
+        str | None,
+        typer.Option(
+            "--since",
+            metavar="TIME",
+            help="From then on: how long ago, such as 30s, 10m, 2h, 1d, or a time such as 2030-01-02T03:04.",
+            show_default=False,
+        ),
+    ] = None,
+    grep: Annotated[
+        str | None,
+        typer.Option("--grep", metavar="REGEX", help="With this in message or traceback.", show_default=False),
+    ] = None,
+    follow: Annotated[bool, typer.Option("--follow", "-f", help="Go on until the launch is over, or Ctrl-C.")] = False,
+    output_format: OutputFormat = Format.text,
+) -> int:
+    """Show the log of a launch: of all its processes, in order of time. JSON is one object a line."""
+    from hierax.runtime.tools.logs import Wanted, find_folder, line, read_pattern, read_since
+
+    wanted = Wanted(
+        nodes=tuple(node or ()),
+        level=level.value.upper(),
+        since=None if since is None else read_since(since, datetime.now(timezone.utc)),
+        pattern=None if grep is None else read_pattern(grep),
+    )
+    for entry in _entries(find_folder(run), wanted, follow):
+        print(json.dumps(entry, ensure_ascii=False) if output_format is Format.json else line(entry), flush=follow)
+    return 0
+
+
+def _entries(folder: Path, wanted: Wanted, follow: bool) -> Iterator[Entry]:
+    from hierax.runtime.core.errors import HieraxError
+    from hierax.runtime.nearest import did_you_mean
+    from hierax.runtime.tools.logs import Reader
+    from hierax.runtime.watch.run_folder import is_alive
+
+    reader = Reader(folder)
+    unknown = [name for name in wanted.nodes if name not in reader.names]
+    if unknown and not follow:  # else it may come yet
+        known = did_you_mean(unknown[0], reader.names, "there are those of")
+        raise HieraxError(f"--node: there is no log of {unknown[0]!r} in run {folder.name}{known}")
+    while True:
+        goes_on = follow and is_alive(folder)
+        yield from filter(wanted, reader.read())
+        if not goes_on:
+            return
+        time.sleep(POLL_S)

@@ -1,0 +1,33 @@
+"""``hierax new``: a project of one's own."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from hierax.runtime.commands.options import Format, OutputFormat
+
+
+def new(
+    name: Annotated[
+        Path, typer.Argument(metavar="NAME", help="The project's name, or the path of its folder.", show_default=False)
+    ],
+    output_format: OutputFormat = Format.text,
+) -> int:
+    """Begin a project: a folder with a node, a deployment file that runs at once, and tests. Overwrites nothing."""
+    from hierax.runtime.commands.show import print_json
+    from hierax.runtime.tools.project import make_project
+
+    made = make_project(name)
+    steps = [f"cd {name}", f"hierax run {name.resolve().name}.yaml", "pytest"]
+    if output_format is Format.json:
+        print_json({"folder": str(name), "files": [str(path) for path in made], "next": steps})
+        return 0
+    for path in made:
+        print(f"made {path}")
+    print("\nnow:")
+    for step in steps:
+        print(f"  {step}")
+    return 0

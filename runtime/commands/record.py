@@ -1,0 +1,88 @@
+"""``hierax record``: a launch that runs, into an MCAP file."""
+
+from __future__ import annotations
+
+import os
+import signal
+import sys
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from hierax.runtime.commands.errors import CommandError
+from hierax.runtime.commands.options import LARGEST, Format, OutputFormat
+from hierax.runtime.commands.recordings import tell_ending
+from hierax.runtime.commands.which import Connect, Run, endpoint_of
+
+
+def record(
+    output: Annotated[
+        Path, typer.Option("-o", "--output", metavar="FILE", help="The MCAP file.", show_default=False, dir_okay=False)
+    ],
+    hierarchy: Annotated[
+        str | None,
+        typer.Argument(
+            metavar="LAUNCH", help="Its hierarchy's name, or its run, as `hierax ps` lists them.", show_default=False
+        ),
+    ] = None,
+    run: Run = None,
+    connect: Connect = None,
+    host: Annotated[
+        str | None,
+        typer.Option(
+            "--host",
+            metavar="ADDRESS",
+            help="With --connect: this machine's address for the others.",
+            show_default=False,
+        ),
+    ] = None,
+    epochs: Annotated[
+        int | None,
+        typer.Option("--epochs", min=1, max=LARGEST, metavar="N", help="Stop after N epochs.", show_default=False),
+    ] = None,
+    output_format: OutputFormat = Format.text,
+) -> int:
+    """Record a launch that runs, until it is over, or Ctrl-C. Exit code 1 if something said is not in the file."""
+    from hierax.runtime.commands.show import print_json
+    from hierax.runtime.recording.info import RunInfo
+    from hierax.runtime.recording.process import LiveRecording
+    from hierax.runtime.recording.writing import require_mcap
+    from hierax.runtime.transport.hub import ask
+
+    require_mcap()
+    endpoint = endpoint_of(run if hierarchy is None else _run_of(hierarchy, run), connect)
+    said = ask(endpoint, {"ask": "record", "pid": 0 if connect else os.getpid()})
+    if not isinstance(said, dict) or "refusal" in said:
+        raise CommandError(f"the launch at {endpoint} cannot be recorded: {said}")
+    info = RunInfo.read(said)
+    recording = LiveRecording(info, endpoint, output, check=False, host=host, epochs=epochs, watches=True)
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, lambda *_: recording.stop())
+    print(f"hierax: recording {info.hierarchy}, run {info.run}; Ctrl-C ends it", file=sys.stderr, flush=True)
+    ending = recording.record()
+    if output_format is Format.json:
+        print_json({"file": str(output), "hierarchy": info.hierarchy, "run": info.run, **ending.plain()})
+    else:
+        count = max(ending.last - ending.first + 1, 0) if ending.first else 0
+        print(f"{output}: {count} epochs, {ending.first} to {ending.last}, {ending.messages} messages")
+    return tell_ending(output, ending)
+
+
+def _run_of(which: str, run: str | None) -> str:
+    """The run that is meant by its identification or its hierarchy's name."""
+    from hierax.runtime.launch.run_file import known_runs
+    from hierax.runtime.nearest import did_you_mean
+
+    if run is not None:
+        raise CommandError("give the launch or --run, not both")
+    runs = known_runs()
+    meant = [each.run for each in runs if which in (each.run, each.hierarchy)]
+    if len(meant) > 1:
+        raise CommandError(
+            f"several launches of {which!r} run on this machine, say which with --run: {', '.join(meant)}"
+        )
+    if not meant:
+        known = [name for each in runs for name in (each.run, each.hierarchy)]
+        raise CommandError(f"no launch {which!r} runs on this machine{did_you_mean(which, known, 'there are')}")
+    return meant[0]

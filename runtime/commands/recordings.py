@@ -1,0 +1,146 @@
+"""What commands about recordings have in common."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Sequence
+from enum import Enum
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from hierax.runtime.commands.errors import FAILED, OK
+
+if TYPE_CHECKING:
+    from hierax.runtime.recording.diff import Comparison
+    from hierax.runtime.recording.info import Ending
+    from hierax.runtime.recording.reading import Recording
+
+SHOWN = 10
+"""How many gaps or violations are listed."""
+
+SHOWN_CHARS = 400
+
+RecordingFile = Annotated[Path, typer.Argument(metavar="FILE", help="A recording.", show_default=False, dir_okay=False)]
+First = Annotated[
+    int, typer.Option("--from", min=1, metavar="K", help="The first epoch; by default the first that can be done.")
+]
+Last = Annotated[
+    int | None,
+    typer.Option("--to", min=1, metavar="K", help="The last epoch; by default the last one.", show_default=False),
+]
+Tolerance = Annotated[
+    float,
+    typer.Option(
+        "--tolerance",
+        min=0.0,
+        metavar="T",
+        help="Numbers are alike that differ by no more than T, or than this share of the greater one. 0: to the bit.",
+    ),
+]
+RecordFile = Annotated[
+    Path | None,
+    typer.Option(
+        "--record",
+        metavar="FILE",
+        help="Record the run into this MCAP file. Exit code 1 if something said is not in it.",
+        show_default=False,
+        dir_okay=False,
+    ),
+]
+Check = Annotated[
+    bool, typer.Option("--check", help="Check the formal order while it runs. Exit code 1 where it is broken.")
+]
+
+
+class WorldMode(str, Enum):
+    """What the world does in a replay."""
+
+    recorded = "recorded"
+    again = "again"
+
+
+def recording_of(path: Path) -> Recording:
+    """Open a recording, and say what is known to lack in it."""
+    from hierax.runtime.recording.reading import Recording
+
+    recording = Recording.open(path)
+    if recording.loss:
+        print(f"hierax: {path}: {recording.loss}", file=sys.stderr, flush=True)
+    return recording
+
+
+def tell_ending(file: Path, ending: Ending) -> int:
+    """Say what a recording lacks.
+
+    Returns:
+        The exit code: 1 where it lacks something.
+    """
+    for gap in ending.cut_short[:SHOWN]:
+        print(f"hierax: cut short by its sender's death: {gap}", file=sys.stderr, flush=True)
+    if not ending.lost:
+        return OK
+    for gap in ending.gaps[:SHOWN]:
+        print(f"hierax: not recorded: {gap}", file=sys.stderr)
+    print(f"error: {file}: {ending.lost} things that were said in the run are not in it", file=sys.stderr, flush=True)
+    return FAILED
+
+
+def tell_violations(violations: Sequence[Any]) -> int:
+    """Say where the formal order is broken.
+
+    Returns:
+        The exit code: 1 where it is.
+    """
+    if not violations:
+        return OK
+    for violation in violations[:SHOWN]:
+        print(f"hierax: {violation}", file=sys.stderr)
+    several = f"{len(violations)} times" if len(violations) > 1 else "once"
+    print(f"error: the formal order is broken {several}", file=sys.stderr, flush=True)
+    return FAILED
+
+
+def comparison_json(comparison: Comparison) -> dict[str, Any]:
+    """A comparison as plain JSON."""
+    from hierax.runtime.plain import plain
+
+    difference = comparison.difference
+    return {
+        "alike": comparison.alike,
+        "epochs": comparison.epochs,
+        "equal": comparison.equal,
+        "digests": comparison.digests,
+        "not_told": comparison.unknown,
+        "rosters": [plain(each._asdict()) for each in comparison.rosters],
+        "difference": None if difference is None else plain(difference._asdict()),
+    }
+
+
+def print_comparison(comparison: Comparison, a: str, b: str) -> None:
+    """A comparison as text.
+
+    Args:
+        comparison: to be printed.
+        a, b: what the two sides are called.
+    """
+    for roster in comparison.rosters:
+        print(f"rosters differ from epoch {roster.epoch}: {roster.path}")
+        _print_sides(a, roster.a, b, roster.b)
+    difference = comparison.difference
+    untold = f"; {comparison.unknown} results are not told on one side" if comparison.unknown else ""
+    if difference is None:
+        what = f"{comparison.epochs} epochs, {comparison.digests} digests: all results are alike"
+        print(f"{what}{untold}")
+        return
+    print(f"first difference: epoch {difference.epoch}, {difference.subject}, {difference.operator}: {difference.path}")
+    _print_sides(a, difference.a, b, difference.b)
+    print(f"{comparison.equal} epochs before it are alike{untold}")
+
+
+def _print_sides(a: str, left: Any, b: str, right: Any) -> None:
+    width = max(len(a), len(b))
+    for name, value in ((a, left), (b, right)):
+        text = value.hex() if isinstance(value, bytes) else repr(value)
+        print(f"  {name:<{width}}  {text if len(text) <= SHOWN_CHARS else text[:SHOWN_CHARS] + '…'}")

@@ -1,0 +1,179 @@
+"""``hierax replay``: a recording done again, whole or one node, as it was or with other parameters or classes."""
+
+from __future__ import annotations
+
+import sys
+import time
+from collections.abc import Awaitable, Iterable, Iterator, Mapping, Sequence
+from contextlib import redirect_stdout
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from hierax.runtime.commands.errors import FAILED, OK, CommandError
+from hierax.runtime.commands.options import Format, OutputFormat, Settings
+from hierax.runtime.commands.recordings import (
+    First,
+    Last,
+    RecordingFile,
+    Tolerance,
+    WorldMode,
+    comparison_json,
+    print_comparison,
+    recording_of,
+)
+
+if TYPE_CHECKING:
+    from hierax.runtime.recording.diff import Comparison
+    from hierax.runtime.recording.replay import Replay, ReplayedEpoch
+    from hierax.runtime.report import Report
+
+
+def replay(
+    file: RecordingFile,
+    node: Annotated[
+        str | None,
+        typer.Option("--node", metavar="NAME", help="This node alone, on its recorded inputs.", show_default=False),
+    ] = None,
+    world: Annotated[
+        WorldMode,
+        typer.Option(
+            "--world", help="The world gives what it gave, or, one without actuators, is done again like the others."
+        ),
+    ] = WorldMode.recorded,
+    first: First = 1,
+    last: Last = None,
+    speed: Annotated[
+        float,
+        typer.Option("--speed", min=0.0, metavar="S", help="S times as fast as it was; 0: as fast as it goes."),
+    ] = 0.0,
+    settings: Settings = None,
+    classes: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--with",
+            metavar="NODE=MODULE:CLASS",
+            help="Another class in a node's place. May be given several times.",
+            show_default=False,
+        ),
+    ] = None,
+    verify: Annotated[
+        bool,
+        typer.Option(
+            "--verify", help="Compare every result and digest with the recording; exit code 1 where one differs."
+        ),
+    ] = False,
+    tolerance: Tolerance = 0.0,
+    output_format: OutputFormat = Format.text,
+) -> int:
+    """Do a recording again, in this process: whole, from an epoch on, or one node on its recorded inputs."""
+    from hierax.runtime.commands.show import print_json, print_report
+    from hierax.runtime.loading import extend_import_path
+    from hierax.runtime.recording.deployments import check_classes, other_settings
+    from hierax.runtime.recording.diff import compare
+    from hierax.runtime.recording.replay import Replay, check_node
+
+    recording = recording_of(file)
+    info = recording.info
+    extend_import_path(tuple(info.import_paths))
+    replaced = _classes(classes or ())
+    if replaced:
+        check_classes(recording.rosters(), replaced)
+    if node is not None:
+        check_node(recording, node)
+    replaying = Replay(
+        recording,
+        node=node,
+        world=world is WorldMode.again,
+        rewrite=other_settings(info, settings or (), replaced),
+        first=first,
+        last=last,
+        wait=wait,
+    )
+    epochs = _Paced(replaying, speed)
+    comparison: Comparison | None = None
+    with redirect_stdout(sys.stderr):  # what a node prints must not mix with the report
+        if verify:
+            comparison = compare(recording.epochs(first, last), epochs, tolerance)
+        else:
+            for _ in epochs:
+                pass
+    if not epochs.times_s:
+        raise CommandError(f"{file}: there is no epoch to replay{_range(first, last)}")
+    report = epochs.report(file.name)
+    if output_format is Format.json:
+        print_json({**report.plain(), "verify": None if comparison is None else comparison_json(comparison)})
+    else:
+        print_report(report)
+        if comparison is not None:
+            print()
+            print_comparison(comparison, "recorded", "replayed")
+    return OK if comparison is None or comparison.alike else FAILED
+
+
+class _Paced:
+    """Epochs of a replay, each when it is due."""
+
+    def __init__(self, replay: Replay, speed: float) -> None:
+        self._replay = replay
+        self._speed = speed
+        self._epochs: Iterable[ReplayedEpoch] = replay.epochs()
+        self._last: ReplayedEpoch | None = None
+        self.times_s: list[float] = []
+
+    def __iter__(self) -> Iterator[ReplayedEpoch]:
+        begun_s, begun_ns = time.monotonic(), 0
+        done_s = time.perf_counter()
+        for epoch in self._epochs:
+            self.times_s.append(time.perf_counter() - done_s)
+            heard_ns = epoch.recorded.heard_ns
+            if self._speed and heard_ns:
+                begun_ns = begun_ns or heard_ns
+                due_s = begun_s + (heard_ns - begun_ns) / 1e9 / self._speed
+                time.sleep(max(due_s - time.monotonic(), 0.0))
+            self._last = epoch
+            yield epoch
+            done_s = time.perf_counter()
+
+    def report(self, name: str) -> Report:
+        """What the replay has come to: the live nodes after its last epoch."""
+        from hierax.runtime.core.binding import metrics_of
+        from hierax.runtime.report import NodeReport, make_report
+
+        assert self._last is not None
+        epoch, states = self._last.epoch, self._replay.states
+        nodes = {
+            node: NodeReport(*state, metrics_of(node, self._replay.wiring(node).node.node, state.belief, epoch))
+            for node, state in sorted(states.items())
+        }
+        total_s = sum(self.times_s)
+        seed = self._replay.seed
+        return make_report(
+            self._replay.hierarchy, "replay", seed, len(self.times_s), self._last.digest, total_s, self.times_s, nodes
+        )
+
+
+def _classes(texts: Sequence[str]) -> Mapping[str, str]:
+    found: dict[str, str] = {}
+    for text in texts:
+        name, equals, target = text.partition("=")
+        if not equals or target.count(":") != 1:
+            raise CommandError(f"--with {text}: expected NODE=package.module:Class")
+        found[name.strip()] = target.strip()
+    return found
+
+
+def _range(first: int, last: int | None) -> str:
+    if first == 1 and last is None:
+        return ""
+    return f" from {first}" + ("" if last is None else f" to {last}")
+
+
+def wait(awaitable: Awaitable[Any]) -> Any:
+    """Drive an async operator."""
+    import anyio
+
+    async def waiting() -> Any:
+        return await awaitable
+
+    return anyio.run(waiting)

@@ -1,0 +1,169 @@
+"""``hierax top``: what the nodes of a launch spend their time on."""
+
+from __future__ import annotations
+
+import json
+import sys
+import time
+from collections.abc import Callable, Iterator, Mapping
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from hierax.runtime.commands.options import Format, OutputFormat
+from hierax.runtime.commands.which import Connect, Run, endpoint_of
+
+if TYPE_CHECKING:
+    from rich.table import Table
+
+    from hierax.runtime.tools.looking import Looking
+
+_TIMES = ("observe", "policy", "predict", "edges", "act", "other", "waiting")
+_COLUMNS = ("node", "state", "epoch", *_TIMES, "for", "cpu", "memory", "restarts")
+_DISPENSABLE = ("state", "other", "cpu")
+WIDE, NARROW = 140, 100
+"""Widths of a terminal, from which columns have space between them, and below which some are left out."""
+
+_UNITS = ((1e6, "s"), (1e3, "ms"), (1.0, "µs"))
+_WAITED_FOR = 3
+"""How many of those that a node waits for are named in its row."""
+
+
+def top(
+    run: Run = None,
+    connect: Connect = None,
+    once: Annotated[bool, typer.Option("--once", help="Look for one interval, print it, and end.")] = False,
+    interval: Annotated[
+        float, typer.Option("--interval", min=0.1, max=3600, metavar="SECONDS", help="How long each look takes.")
+    ] = 1.0,
+    output_format: OutputFormat = Format.text,
+) -> int:
+    """Show where the time of a launch's nodes goes, until Ctrl-C: per epoch, in which operator, waiting for whom."""
+    from hierax.runtime.tools.looking import Looking
+    from hierax.runtime.transport.window import Glass
+
+    with Glass(endpoint_of(run, connect)) as glass:
+        looks = overviews(Looking(glass), interval, time.sleep)
+        if once:
+            _print_one(next(looks), output_format)
+        elif output_format is Format.json or not sys.stdout.isatty():
+            for look in looks:
+                _print_next(look, output_format)
+        else:
+            _show_live(looks)
+    return 0
+
+
+def overviews(looking: Looking, interval_s: float, sleep: Callable[[float], None]) -> Iterator[Mapping[str, Any]]:
+    """One overview after the other, each of an interval; ends when the launch does."""
+    from hierax.runtime.tools.looking import Answer
+    from hierax.runtime.tools.rates import overview
+    from hierax.runtime.transport.port import TransportError
+
+    question = {"look": "meter"}
+    seen = looking.look()
+    before: dict[str, Answer] = looking.ask(seen, question, seen.nodes)
+    while True:
+        sleep(interval_s)
+        try:
+            seen = looking.look()
+        except TransportError:
+            return  # it is over
+        after = looking.ask(seen, question, seen.nodes)
+        yield overview(seen, before, after)
+        before = after
+
+
+def _print_one(look: Mapping[str, Any], output_format: Format) -> None:
+    from hierax.runtime.commands.show import console, print_json
+
+    if output_format is Format.json:
+        print_json(look)
+        return
+    print(headline(look), flush=True)
+    out = console()
+    out.print(table(look, out.width))
+
+
+def _print_next(look: Mapping[str, Any], output_format: Format) -> None:
+    """One of many, on no terminal: a line of JSON each, or one table below the other."""
+    if output_format is Format.json:
+        print(json.dumps(look, allow_nan=False), flush=True)
+    else:
+        _print_one(look, output_format)
+
+
+def _show_live(looks: Iterator[Mapping[str, Any]]) -> None:
+    from rich.console import Group
+    from rich.live import Live
+
+    from hierax.runtime.commands.show import console
+
+    out = console()
+    with Live(console=out, auto_refresh=False, transient=True) as live:
+        shown = None
+        for look in looks:
+            shown = Group(headline(look), table(look, out.width))
+            live.update(shown, refresh=True)
+    if shown is not None:
+        out.print(shown)
+    print("the launch is over")
+
+
+def headline(look: Mapping[str, Any]) -> str:
+    """A launch in one line."""
+    line = f"{look['hierarchy']}, run {look['run']}: epoch {look['epoch']}, {look['epochs_per_s']:.4g} epochs/s"
+    if look["epoch_us"]["p50"] is not None:
+        line += f", an epoch p50 {_time(look['epoch_us']['p50'])}, p99 {_time(look['epoch_us']['p99'])}"
+    return f"{line}, roster version {look['roster']}"
+
+
+def table(look: Mapping[str, Any], width: int = WIDE) -> Table:
+    """The nodes of a launch as rows: times are per epoch.
+
+    Args:
+        look: an overview.
+        width: of the terminal, in characters; on a narrow one, some columns are left out.
+    """
+    from rich.box import SIMPLE_HEAD
+    from rich.table import Table
+    from rich.text import Text
+
+    made = Table(box=SIMPLE_HEAD, pad_edge=False, show_edge=False, padding=(0, 1) if width >= WIDE else 0)
+    acts = any((node.get("per_epoch_us") or {}).get("act") for node in look["nodes"].values())
+    shown = [column for column in _COLUMNS if column != "act" or acts]
+    if width < NARROW:
+        shown = [column for column in shown if column not in _DISPENSABLE]
+    for heading in shown:
+        left = heading in ("node", "state", "for")
+        made.add_column(heading, justify="left" if left else "right", overflow="fold", no_wrap=not left)
+    for name, node in look["nodes"].items():
+        cells = _cells(name, node)
+        made.add_row(*(Text(cells.get(heading, "")) for heading in shown))
+    return made
+
+
+def _cells(name: str, node: Mapping[str, Any]) -> dict[str, str]:
+    """A node's row, by heading."""
+    cells = {"node": name, "restarts": str(node["restarts"])}
+    if not node["answers"]:
+        state = node["state"] if node["state"] != "running" else "no answer"
+        return {**cells, "state": state, "for": state}
+    spent = node["per_epoch_us"]
+    waits = [f"{who or 'its turn'} {part:.0%}" for who, part in list(node["waits_for"].items())[:_WAITED_FOR]]
+    return {
+        **cells,
+        "state": node["doing"] if spent is None else node["state"],
+        "epoch": str(node["epoch"]),
+        **{what: f"{node['share'][what]:.0%}" if spent is None else _time(spent[what]) for what in _TIMES},
+        "for": ", ".join(waits),
+        "cpu": f"{node['cpu']:.0%}",
+        "memory": f"{node['rss_bytes'] / 2**20:.0f} MB",
+    }
+
+
+def _time(us: float) -> str:
+    for size, unit in _UNITS:
+        if us >= size:
+            return f"{us / size:.3g} {unit}"
+    return f"{us:.1f} µs" if us >= 0.05 else "0"

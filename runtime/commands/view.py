@@ -1,0 +1,204 @@
+"""``hierax view``: what the nodes of a launch, a recording or a run in this process believe, in Rerun."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import AbstractContextManager, contextmanager, redirect_stdout, suppress
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from hierax.runtime.commands.errors import CommandError
+from hierax.runtime.commands.options import Epochs, Seed, Settings
+from hierax.runtime.commands.which import Connect, Run
+
+if TYPE_CHECKING:
+    from hierax.runtime.deployment import Deployment
+    from hierax.runtime.viewing.exhibit import Exhibit
+    from hierax.runtime.viewing.viewer import Place, Stream
+
+RECORDING_SUFFIX = ".mcap"
+
+Show = Callable[["Exhibit"], None]
+
+
+def view(
+    source: Annotated[
+        str | None,
+        typer.Argument(
+            metavar="FILE",
+            help="A recording (.mcap); or a deployment file, or the name of a shipped deployment, which is then run "
+            "in this process. None: the launch that runs on this machine.",
+            show_default=False,
+        ),
+    ] = None,
+    run: Run = None,
+    connect: Connect = None,
+    first: Annotated[
+        int, typer.Option("--from", min=1, metavar="EPOCH", help="Of a recording: the first epoch to show.")
+    ] = 1,
+    last: Annotated[
+        int | None,
+        typer.Option("--to", min=1, metavar="EPOCH", help="Of a recording: the last epoch.", show_default=False),
+    ] = None,
+    epochs: Epochs = None,
+    seed: Seed = 0,
+    settings: Settings = None,
+    native: Annotated[bool, typer.Option("--native", help="In a window of Rerun's, in place of a browser.")] = False,
+    save: Annotated[
+        Path | None,
+        typer.Option(
+            "--save", metavar="FILE.rrd", help="Into a file, for `rerun FILE.rrd`; no viewer.", show_default=False
+        ),
+    ] = None,
+    port: Annotated[
+        int | None,
+        typer.Option(
+            "--port",
+            min=1,
+            max=65535,
+            metavar="PORT",
+            help="Of the page, on this machine's loopback; by default 9090, or a free one where that is taken.",
+            show_default=False,
+        ),
+    ] = None,
+    opens: Annotated[bool, typer.Option("--open", help="Open the page in a browser.")] = False,
+    memory: Annotated[
+        str,
+        typer.Option("--memory", metavar="SIZE", help="How much the viewer keeps; what is older is dropped."),
+    ] = "1GiB",
+) -> int:
+    """See what the nodes believe: of a launch that runs, a recording, or a run in this process."""
+    _require_rerun()
+    if native and save is not None:
+        raise CommandError("--native and --save: give one of them")
+    if source is not None and (run is not None or connect is not None):
+        raise CommandError("give a file, or say which launch is meant: not both")
+    if source is None:
+        deployment, hierarchy, show = _of_launch(run, connect)
+    elif source.endswith(RECORDING_SUFFIX):
+        deployment, hierarchy, show = _of_recording(Path(source), first, last)
+    else:
+        deployment, hierarchy, show = _of_deployment(source, settings, epochs, seed)
+    from hierax.runtime.viewing.viewer import stream_of
+
+    stream = stream_of(hierarchy)
+    with _viewer(stream, native, save, port, memory, opens) as place:
+        _say(f"seen at {place.name}")
+        with _explained(deployment):
+            show(_exhibit(deployment, stream))
+        if place.until_closed is not None:
+            _say("that is all; Ctrl-C ends the viewer")
+            with suppress(KeyboardInterrupt):  # the ordinary end
+                place.until_closed()
+    return 0
+
+
+Source = tuple["Deployment | None", str, Show]
+"""The deployment as far as it is known, the hierarchy's name, and what shows it."""
+
+
+def _of_deployment(source: str, settings: Settings, epochs: int | None, seed: int) -> Source:
+    from hierax.runtime.deployment.read import read_deployment
+    from hierax.runtime.viewing.running import run_seen
+
+    deployment = read_deployment(source, settings or ())
+
+    def show(exhibit: Exhibit) -> None:
+        with redirect_stdout(sys.stderr):
+            run_seen(deployment, exhibit, epochs=epochs, seed=seed)
+
+    return deployment, deployment.name, show
+
+
+def _of_recording(file: Path, first: int, last: int | None) -> Source:
+    from hierax.runtime.recording.deployments import recorded_deployment
+    from hierax.runtime.recording.reading import Recording
+    from hierax.runtime.viewing.recorded import show_recording
+
+    recording = Recording.open(file)
+
+    def show(exhibit: Exhibit) -> None:
+        if not show_recording(recording, exhibit, first, last):
+            raise CommandError(f"{file}: there is no committed epoch in it from {first} to {last or 'its end'}")
+        if recording.loss:
+            _say(f"{file}: {recording.loss}")
+
+    return recorded_deployment(recording.info), recording.info.hierarchy, show
+
+
+def _of_launch(run: str | None, connect: str | None) -> Source:
+    from hierax.runtime.commands.which import endpoint_of
+    from hierax.runtime.core.errors import HieraxError
+    from hierax.runtime.deployment.read import read_deployment
+    from hierax.runtime.launch.run_file import known_runs
+    from hierax.runtime.transport.window import Glass
+    from hierax.runtime.viewing.live import show_launch
+
+    endpoint = endpoint_of(run, connect)
+    running = next((each for each in known_runs() if each.endpoint == endpoint), None)
+    deployment: Deployment | None = None
+    try:
+        deployment = None if running is None else read_deployment(running.deployment, running.settings)
+    except HieraxError as error:
+        _say(f"the layout is not that of the deployment, whose file cannot be read any more: {error}")
+
+    def show(exhibit: Exhibit) -> None:
+        try:
+            with Glass(endpoint) as glass, redirect_stdout(sys.stderr):
+                show_launch(glass, exhibit)
+        except KeyboardInterrupt:
+            _say("no longer looking")
+
+    return deployment, "launch" if running is None else running.hierarchy, show
+
+
+@contextmanager
+def _explained(deployment: Deployment | None) -> Iterator[None]:
+    """Errors with their place in the deployment file, where they have one."""
+    from hierax.runtime.core.errors import HieraxError
+
+    try:
+        yield
+    except HieraxError as error:
+        explained = error if deployment is None else deployment.explain(error)
+        if explained is error:
+            raise
+        raise explained from error
+
+
+def _require_rerun() -> None:
+    from importlib.util import find_spec
+
+    if find_spec("rerun") is None:
+        raise CommandError("hierax view needs Rerun, the extra [view]: pip install 'hierax[view]'")
+
+
+def _viewer(
+    stream: Stream, native: bool, save: Path | None, port: int | None, memory: str, opens: bool
+) -> AbstractContextManager[Place]:
+    from hierax.runtime.viewing.viewer import file, web_viewer, window
+
+    if save is not None:
+        return file(stream, save)
+    return window(stream, memory) if native else web_viewer(stream, port, memory, opens)
+
+
+def _exhibit(deployment: Deployment | None, stream: Stream) -> Exhibit:
+    from hierax.runtime.loading import extend_import_path, load
+    from hierax.runtime.viewing.exhibit import Exhibit
+    from hierax.runtime.viewing.rerun_canvas import RerunCanvas
+
+    canvas = RerunCanvas(stream)
+    if deployment is None:
+        return Exhibit(canvas, tell=_say)
+    extend_import_path(deployment.import_paths)
+    spec = deployment.view
+    together = None if spec.show is None else load(spec.show, "view.show")
+    return Exhibit(canvas, spec.layout, together, _say)
+
+
+def _say(line: str) -> None:
+    print(f"hierax: {line}", file=sys.stderr, flush=True)

@@ -1,0 +1,96 @@
+"""Which launch a command means, and how it is asked."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+from contextlib import suppress
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from hierax.runtime.commands.errors import CommandError
+from hierax.runtime.core.errors import HieraxError
+
+if TYPE_CHECKING:
+    from hierax.runtime.tools.looking import Looking, Seen
+
+_ENDPOINT = re.compile(r"[a-z]+/.+:[0-9]+")
+
+
+def _runs_here() -> list[tuple[str, str]]:
+    """For completion: the launches that run on this machine, and what they run."""
+    from hierax.runtime.launch.run_file import known_runs
+
+    return [(each.run, each.hierarchy) for each in known_runs()]
+
+
+Run = Annotated[
+    str | None,
+    typer.Option(
+        "--run",
+        metavar="RUN",
+        help="Which launch, as `hierax ps` lists them.",
+        show_default=False,
+        autocompletion=_runs_here,
+    ),
+]
+Connect = Annotated[
+    str | None,
+    typer.Option(
+        "--connect",
+        metavar="ENDPOINT",
+        help="The launch on another machine: the endpoint that `hierax launch --host` prints.",
+        show_default=False,
+    ),
+]
+
+
+def endpoint_of(run: str | None, connect: str | None) -> str:
+    """Where the launch is reached that is meant.
+
+    Raises:
+        CommandError: there is none, or several; or an option is wrong.
+    """
+    from hierax.runtime.launch.run_file import known_runs
+    from hierax.runtime.nearest import did_you_mean
+
+    if connect is not None:
+        if not _ENDPOINT.fullmatch(connect):
+            raise CommandError(f"--connect: expected an endpoint such as tcp/192.168.1.2:40123, got {connect!r}")
+        return connect
+    runs = {each.run: each for each in known_runs()}
+    if run is not None:
+        if run not in runs:
+            raise CommandError(f"--run: no launch {run!r} runs on this machine{did_you_mean(run, runs, 'there are')}")
+        return runs[run].endpoint
+    if not runs:
+        raise CommandError("no launch runs on this machine")
+    if len(runs) > 1:
+        known = ", ".join(f"{each.run} ({each.hierarchy})" for each in runs.values())
+        raise CommandError(f"several launches run on this machine, say which with --run: {known}")
+    return next(iter(runs.values())).endpoint
+
+
+def _looks() -> Iterator[tuple[Looking, Seen]]:
+    """For completion: the launches on this machine that answer."""
+    from hierax.runtime.launch.run_file import known_runs
+    from hierax.runtime.tools.looking import Looking
+    from hierax.runtime.transport.window import Glass
+
+    for running in known_runs():
+        with suppress(HieraxError), Glass(running.endpoint) as glass:  # it may have ended just now
+            looking = Looking(glass)
+            yield looking, looking.look()
+
+
+def nodes_here() -> list[str]:
+    """For completion: the nodes of the launches on this machine."""
+    return sorted({name for _, seen in _looks() for name in seen.nodes})
+
+
+def keys_here() -> list[str]:
+    """For completion: the keys of the launches on this machine."""
+    from hierax.runtime.tools.echoes import edges_of, short_key
+
+    return sorted({short_key(edge) for looking, seen in _looks() for edge in edges_of(looking.pairs(seen))})

@@ -1,0 +1,374 @@
+"""Whether what was recorded keeps to the formal order: a checker that shares nothing with the engine.
+
+It looks at what went in and out at the nodes' ports, in the order in which each port saw
+it, and at the messages and digests themselves:
+
+    EDGE     a message runs along an edge of its roster, from the process that the roster names:
+             observations upward, context downward, tasks downward where there is a task function
+    ONCE     of an edge and kind there is one message in an attempt (said again, it is the same)
+    SENSE    a node sends observations after it has those of every child
+    UP       a node sends nothing down before it has sent its observations to every parent
+    PREDICT  a node sends nothing down before it has context, and tasks, of every parent
+    ALL      a node that has done an epoch has sent all that its roster wants of it
+    EPOCH    inputs are of the epoch itself; with a staleness, of one that may be used
+    TIME     all messages of an attempt have the same time
+    COMMIT   epochs are committed once and in order, and nothing of an epoch follows its commit
+    DIGEST   a node's digest is that of its state and its parents' digests, the run's the chain of the world's
+    GRAPH    a roster is a hierarchy
+
+"Before" and "after" are as the node's own port saw them: nothing that comes over a network
+says in which order two others acted, but what one has received another has sent before.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, field
+from typing import NamedTuple
+from zlib import crc32
+
+from hierax.runtime.core.digest import epoch_digest, node_digest
+from hierax.runtime.core.errors import HierarchyError
+from hierax.runtime.core.graph import check_graph
+from hierax.runtime.core.hierarchy import neighbours_above, neighbours_below
+from hierax.runtime.engine.loose import BARRIER, Staleness
+from hierax.runtime.recording.reading import Recording
+from hierax.runtime.recording.topics import MESSAGE, ROSTER, STEP, Glance, glance
+from hierax.schemas.messages import CONTEXT, OBSERVATIONS, TASKS
+from hierax.schemas.roster import Roster
+from hierax.schemas.steps import NodeStep, Passage
+
+KEPT_EPOCHS = 64
+"""For how many epochs back what a port saw is remembered."""
+
+SETTLED_EPOCHS = 4096
+SETTLED_BYTES = 64 << 20
+"""So many commits, or so much, later everything of an epoch is here: links may be far behind each other."""
+
+SHOWN = 100
+
+HELD_STEPS = 10_000
+"""How many steps may wait for their roster."""
+
+Attempt = tuple[int, int]
+Slot = tuple[str, str, str]
+
+
+class Violation(NamedTuple):
+    """Where the formal order is broken.
+
+    Attributes:
+        rule: which one, as listed above.
+        epoch, attempt: when.
+        what: who and how.
+    """
+
+    rule: str
+    epoch: int
+    attempt: int
+    what: str
+
+    def __str__(self) -> str:
+        return f"{self.rule}: epoch {self.epoch}, attempt {self.attempt}: {self.what}"
+
+
+@dataclass
+class _Seat:
+    """A node's place under a version of the roster: what it has to hear and to say."""
+
+    below: tuple[str, ...]
+    above: tuple[str, ...]
+    from_above: tuple[tuple[str, str], ...]
+    to_below: tuple[tuple[str, str], ...]
+
+
+@dataclass
+class _PortLog:
+    """What a node's port saw, by its own words, in order."""
+
+    stream: str
+    number: int
+    unsure: int
+    seen: dict[Passage, int] = field(default_factory=dict)
+    count: int = 0
+
+    def add(self, passages: Iterable[Passage], epoch: int) -> None:
+        for passage in passages:
+            self.count += 1
+            self.seen.setdefault(passage, self.count)
+        if len(self.seen) > 64 * KEPT_EPOCHS:
+            self.seen = {each: at for each, at in self.seen.items() if each.epoch > epoch - KEPT_EPOCHS}
+
+    def place(self, sent: bool, kind: str, peer: str, when: Attempt) -> int | None:
+        return self.seen.get(Passage(sent, kind, peer, *when))
+
+
+class Checker:
+    """Sees all that is recorded, as it comes, and says what breaks the order.
+
+    Args:
+        staleness: of the run.
+    """
+
+    def __init__(self, staleness: Staleness = BARRIER) -> None:
+        self._staleness = staleness
+        self._found: list[Violation] = []
+        self._count = 0
+        self._checked = 0
+        self._rosters: dict[int, Roster] = {}
+        self._seats: dict[tuple[int, str], _Seat] = {}
+        self._logs: dict[str, _PortLog] = {}
+        self._messages: dict[Attempt, dict[Slot, tuple[int, bytes]]] = {}
+        self._times: dict[Attempt, float] = {}
+        self._order: deque[Attempt] = deque()
+        self._waiting: deque[NodeStep] = deque()
+        self._bytes = 0
+        self._held: list[Glance] = []
+        self._early: deque[NodeStep] = deque()
+        self._committed: tuple[int, int, bytes] = (0, 0, b"")
+        self._epochs = 0
+        self._since: dict[int, int] = {}
+
+    @property
+    def epochs(self) -> int:
+        """How many commits were seen."""
+        return self._epochs
+
+    @property
+    def checked(self) -> int:
+        """How many steps were checked."""
+        return self._checked
+
+    @property
+    def violations(self) -> Sequence[Violation]:
+        """What was found so far, the first ones."""
+        return tuple(self._found)
+
+    def roster(self, roster: Roster) -> None:
+        """A version of the roster."""
+        if roster.version in self._rosters:
+            return
+        self._rosters[roster.version] = roster
+        try:
+            check_graph(roster.world, roster.nodes, [edge.pair for edge in roster.edges])
+        except HierarchyError as error:
+            self._break("GRAPH", (self._committed[0] + 1, 0), f"roster version {roster.version}: {error}")
+        held, self._held = self._held, []
+        for header in held:
+            self._check_edge(header)
+        early, self._early = self._early, deque()
+        for step in early:
+            self.step(step)
+
+    def message(self, data: bytes) -> None:
+        """A message along an edge."""
+        header = glance(data)
+        when = (header.epoch, header.attempt)
+        slot = (header.kind, header.sender, header.receiver)
+        if when not in self._messages:
+            self._messages[when] = {}
+            self._order.append(when)
+        known = self._messages[when]
+        content = crc32(memoryview(data)[header.payload_at :])  # what is in the extensions may change
+        before = known.get(slot)
+        first = self._since.get(header.roster)
+        if first is None or header.epoch < first:
+            self._since[header.roster] = header.epoch
+        if before is None:
+            known[slot] = (content, header.digest)
+            self._check_edge(header)
+        elif before[0] != content:
+            self._break("ONCE", when, f"{header.kind} {header.sender} -> {header.receiver} was sent twice, unlike")
+        time_s = self._times.setdefault(when, header.time_s)
+        if time_s != header.time_s:
+            self._break("TIME", when, f"{header.sender} says it is {header.time_s} s, another one {time_s} s")
+        epoch, attempt, _ = self._committed
+        if self._staleness.barrier and header.epoch == epoch and header.attempt > attempt:
+            self._break("COMMIT", when, f"{header.kind} {header.sender} -> {header.receiver} after its commit")
+
+    def step(self, step: NodeStep) -> None:
+        """A step of a node."""
+        if self._early or step.roster > max(self._rosters, default=-1):
+            self._early.append(step)  # its roster comes along another link
+            if len(self._early) > HELD_STEPS:
+                self._logs.pop(self._early.popleft().name, None)
+            return
+        log = self._log(step)
+        log.add(step.passages, step.epoch)
+        roster = self._rosters.get(step.roster)
+        if roster is None:
+            return  # of before the recording
+        self._waiting.append(step)
+        self._bytes += len(step.state)
+        if not log.unsure:
+            self._check_order(step, log, self._seat(roster, step.name))
+        log.unsure = max(log.unsure - 1, 0)
+        if step.name == roster.world:
+            self._commit(step, roster)
+            while self._waiting and self._is_settled(step.epoch):
+                self._check_digest(self._waiting.popleft())
+            self._forget(step.epoch)
+
+    def close(self) -> Sequence[Violation]:
+        """What was found, the first ones; after the end."""
+        while self._waiting:
+            self._check_digest(self._waiting.popleft())
+        return self.violations
+
+    # --- the rules
+
+    def _check_edge(self, header: Glance) -> None:
+        roster = self._rosters.get(header.roster)
+        if roster is None:
+            if len(self._held) < SHOWN:
+                self._held.append(header)  # it is told a little later than the first messages under it go
+            return
+        upward = header.kind == OBSERVATIONS
+        pair = (header.sender, header.receiver) if upward else (header.receiver, header.sender)
+        edge = next((edge for edge in roster.edges if edge.pair == pair), None)
+        when = (header.epoch, header.attempt)
+        where = f"{header.kind} {header.sender} -> {header.receiver}"
+        if edge is None:
+            self._break("EDGE", when, f"{where}: version {header.roster} has no such edge")
+        elif header.kind == TASKS and edge.task is None:
+            self._break("EDGE", when, f"{where}: the edge has no task function")
+        elif header.instance != roster.instance(header.sender):
+            named = roster.instance(header.sender)
+            self._break("EDGE", when, f"{where}: from instance {header.instance}, the roster names {named}")
+
+    def _check_order(self, step: NodeStep, log: _PortLog, seat: _Seat) -> None:
+        self._checked += 1
+        when = (step.epoch, step.attempt)
+        ups = {peer: log.place(True, OBSERVATIONS, peer, when) for peer in seat.above}
+        downs = {(kind, peer): log.place(True, kind, peer, when) for kind, peer in seat.to_below}
+        lacking = [f"{OBSERVATIONS} to {peer}" for peer, at in ups.items() if at is None]
+        lacking += [f"{kind} to {peer}" for (kind, peer), at in downs.items() if at is None]
+        if lacking:
+            self._break("ALL", when, f"{step.name} has not sent {', '.join(lacking)}")
+        first_up = min((at for at in ups.values() if at is not None), default=None)
+        last_up = max((at for at in ups.values() if at is not None), default=0)
+        first_down = min((at for at in downs.values() if at is not None), default=None)
+        if first_down is not None and first_down < last_up:
+            self._break("UP", when, f"{step.name} sent something down before its observations had all gone up")
+        used = self._used(step, seat, when)
+        for peer in seat.below:
+            received = log.place(False, OBSERVATIONS, peer, used.get((peer, OBSERVATIONS), when))
+            if received is None or (first_up is not None and received > first_up):
+                self._break("SENSE", when, f"{step.name} sent observations without those of {peer}")
+        for kind, peer in seat.from_above:
+            received = log.place(False, kind, peer, used.get((peer, kind), when))
+            if received is None or (first_down is not None and received > first_down):
+                self._break("PREDICT", when, f"{step.name} predicted without {kind} of {peer}")
+
+    def _used(self, step: NodeStep, seat: _Seat, when: Attempt) -> dict[tuple[str, str], Attempt]:
+        """Of which epochs the inputs were, and whether they may be."""
+        used = {(peer, kind): (epoch, attempt) for peer, kind, epoch, attempt in step.used}
+        bound = self._staleness.epochs
+        for (peer, kind), (epoch, _) in used.items():
+            age = step.epoch - epoch
+            oldest = 0 if bound == 0 or (kind == OBSERVATIONS and bound is not None) else bound
+            if age < 0 or (oldest is not None and age > oldest):
+                self._break("EPOCH", when, f"{step.name} used {kind} of {peer} of epoch {epoch}")
+            elif self._staleness.exact and kind != OBSERVATIONS and not self._is_exact(step, age):
+                self._break("EPOCH", when, f"{step.name} used {kind} of {peer} of epoch {epoch}, not exactly as old")
+        return used
+
+    def _is_exact(self, step: NodeStep, age: int) -> bool:
+        """Whether inputs are exactly as old as the staleness has it; none are of before their roster."""
+        since = step.epoch - self._since.get(step.roster, step.epoch)
+        return age in (0, min(self._staleness.epochs or 0, since))
+
+    def _commit(self, step: NodeStep, roster: Roster) -> None:
+        epoch, attempt, chain = self._committed
+        when = (step.epoch, step.attempt)
+        if step.epoch == epoch and step.attempt != attempt:
+            self._break("COMMIT", when, f"epoch {epoch} was committed before, as attempt {attempt}")
+        elif 0 < step.epoch < epoch:
+            self._break("COMMIT", when, f"epoch {epoch} was committed before")
+        if chain and step.chain and step.epoch == epoch + 1:
+            expected = epoch_digest(chain, step.epoch, roster.content_hash(), step.digest)
+            if expected != step.chain:
+                self._break("DIGEST", when, "the run's digest does not follow from the last one and the world's")
+        self._committed = (step.epoch, step.attempt, step.chain)
+        self._epochs += 1
+
+    def _is_settled(self, epoch: int) -> bool:
+        return self._waiting[0].epoch <= epoch - SETTLED_EPOCHS or self._bytes > SETTLED_BYTES
+
+    def _check_digest(self, step: NodeStep) -> None:
+        self._bytes -= len(step.state)
+        roster = self._rosters.get(step.roster)
+        if roster is None:
+            return
+        when = (step.epoch, step.attempt)
+        used = {(peer, kind): (epoch, attempt) for peer, kind, epoch, attempt in step.used}
+        digests = []
+        for peer in self._seat(roster, step.name).above:
+            heard = self._messages.get(used.get((peer, CONTEXT), when), {}).get((CONTEXT, peer, step.name))
+            if heard is None:
+                return  # not recorded: a gap, which is told elsewhere
+            digests.append(heard[1])
+        if node_digest(step.state, digests) != step.digest:
+            what = f"{step.name}'s digest does not follow from its state and the context of this epoch"
+            self._break("DIGEST", when, what)
+
+    # --- helpers
+
+    def _log(self, step: NodeStep) -> _PortLog:
+        known = self._logs.get(step.name)
+        if known is not None and known.stream == step.stream and step.number == known.number + 1:
+            known.number += 1
+            return known
+        roster = self._rosters.get(min(self._rosters, default=-1))
+        joined = roster is not None and step.name in roster.nodes and known is None and step.epoch > 1
+        unsure = 0
+        if joined or step.number != 1:  # its port saw things before anybody recorded
+            unsure = 1 if self._staleness.barrier else KEPT_EPOCHS
+        self._logs[step.name] = log = _PortLog(step.stream, step.number, unsure)
+        return log
+
+    def _seat(self, roster: Roster, name: str) -> _Seat:
+        key = (roster.version, name)
+        if key not in self._seats:
+            pairs = [edge.pair for edge in roster.edges]
+            tasking = {edge.pair for edge in roster.edges if edge.task is not None}
+            below, above = neighbours_below(name, pairs), neighbours_above(name, pairs)
+            self._seats[key] = _Seat(
+                below,
+                above,
+                tuple((CONTEXT, peer) for peer in above)
+                + tuple((TASKS, peer) for peer in above if (name, peer) in tasking),
+                tuple((CONTEXT, peer) for peer in below)
+                + tuple((TASKS, peer) for peer in below if (peer, name) in tasking),
+            )
+        return self._seats[key]
+
+    def _forget(self, epoch: int) -> None:
+        oldest = epoch - SETTLED_EPOCHS
+        while self._order and self._order[0][0] < oldest:
+            when = self._order.popleft()
+            self._messages.pop(when, None)
+            self._times.pop(when, None)
+
+    def _break(self, rule: str, when: Attempt, what: str) -> None:
+        self._count += 1
+        if len(self._found) < SHOWN:
+            self._found.append(Violation(rule, *when, what))
+
+
+def check_recording(recording: Recording) -> Checker:
+    """A checker that has seen all of a recording.
+
+    Raises:
+        RecordingError: the recording is damaged.
+    """
+    checker = Checker(recording.info.how_stale)
+    for entry in recording.entries(MESSAGE, STEP, ROSTER):
+        if entry.topic.what == MESSAGE:
+            checker.message(entry.data)
+        elif entry.topic.what == STEP:
+            checker.step(entry.step())
+        else:
+            checker.roster(entry.roster())
+    return checker

@@ -1,0 +1,94 @@
+"""The deployment of a recording, and others in its place."""
+
+from __future__ import annotations
+
+import tempfile
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+
+from hierax.runtime.deployment import Deployment
+from hierax.runtime.deployment.read import read_deployment
+from hierax.runtime.nearest import did_you_mean
+from hierax.runtime.recording.info import RecordingError, RunInfo
+from hierax.runtime.recording.replay import Rewrite, rewriting
+from hierax.schemas.roster import Reference, Roster
+
+
+def recorded_deployment(info: RunInfo, settings: Sequence[str] = ()) -> Deployment:
+    """The deployment as it was recorded, whether or not its file is still there.
+
+    Args:
+        info: of the recording.
+        settings: further ones, as ``--set`` has them.
+
+    Raises:
+        DeploymentError: a setting is wrong.
+    """
+    with tempfile.TemporaryDirectory(prefix="hierax-") as folder:
+        path = Path(folder) / Path(info.deployment).name
+        path.write_text(info.deployment_text, encoding="utf-8")
+        # a file that the deployment names beside it is not here, and not needed
+        deployment = read_deployment(path, ["zenoh=null", *info.settings, *settings])
+    return replace(deployment, path=Path(info.deployment), import_paths=tuple(info.import_paths))
+
+
+def other_settings(info: RunInfo, settings: Sequence[str], classes: Mapping[str, str]) -> Rewrite | None:
+    """What replays a recording with other parameters or classes; None where none are given.
+
+    Args:
+        info: of the recording.
+        settings: as ``--set`` has them, of the deployment file.
+        classes: ``package.module:Class`` by node.
+
+    Raises:
+        DeploymentError: a setting is wrong.
+    """
+    if not settings and not classes:
+        return None
+    rewrite = rewriting(recorded_deployment(info).roster, recorded_deployment(info, settings).roster)
+
+    def rewritten(roster: Roster) -> Roster:
+        return _with_classes(rewrite(roster), classes)
+
+    return rewritten
+
+
+def in_place_of(recorded: Roster, deployment: Deployment) -> Rewrite:
+    """What replays a recording with a deployment in the place of its own.
+
+    Args:
+        recorded: the recording's first roster.
+        deployment: the other one.
+    """
+    content, other = recorded.content(), deployment.roster
+    rewrite = rewriting(recorded, other)
+
+    def rewritten(roster: Roster) -> Roster:
+        if roster.content() == content:
+            return Roster(other.world, other.nodes, other.edges, roster.version, roster.instances)
+        return rewrite(roster)  # it was changed since
+
+    return rewritten
+
+
+def check_classes(rosters: Mapping[int, Roster], classes: Mapping[str, str]) -> None:
+    """Whether there are the nodes that get another class.
+
+    Raises:
+        RecordingError: there is no such node; with the nearest one.
+    """
+    names = {name for roster in rosters.values() for name in roster.nodes}
+    for name in classes:
+        if name not in names:
+            raise RecordingError(
+                f"--with {name}: there is no node {name!r}{did_you_mean(name, names, 'the nodes are')}"
+            )
+
+
+def _with_classes(roster: Roster, classes: Mapping[str, str]) -> Roster:
+    nodes = {
+        name: Reference(classes[name], reference.parameters) if name in classes else reference
+        for name, reference in roster.nodes.items()
+    }
+    return Roster(roster.world, nodes, roster.edges, roster.version, roster.instances)

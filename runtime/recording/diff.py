@@ -1,0 +1,256 @@
+"""The first place where two runs differ: epoch, node or edge, operator, and field.
+
+In each epoch results are compared in the formal order: upward each node's `observe` and
+its edges' `sense`, downward its `select_policy`, policy, `task`, `predict` and `context`.
+So everything that went into the first one that differs was the same.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass, field
+from typing import NamedTuple, Protocol
+
+from hierax.runtime.core.hierarchy import neighbours_above, neighbours_below
+from hierax.runtime.core.node import Elements, Value
+from hierax.runtime.core.process import ActiveNode
+from hierax.runtime.recording.values import ABSENT, Unlike, first_unlike
+from hierax.schemas.messages import CONTEXT, OBSERVATIONS, TASKS
+from hierax.schemas.roster import Roster
+
+Slot = tuple[str, str]
+Attempt = tuple[int, int]
+
+LINE_OPERATORS = {OBSERVATIONS: "sense", TASKS: "task", CONTEXT: "context"}
+"""By kind of message, the edge function that gives it."""
+
+
+class EpochView(Protocol):
+    """An epoch as it can be compared, recorded or replayed; None stands for what is not known."""
+
+    @property
+    def epoch(self) -> int:
+        """Its number."""
+
+    @property
+    def roster(self) -> Roster:
+        """Under which it was done."""
+
+    @property
+    def order(self) -> tuple[str, ...]:
+        """The nodes from below to above."""
+
+    @property
+    def time_s(self) -> float | None:
+        """Its time."""
+
+    @property
+    def digest(self) -> bytes:
+        """The run's; empty: not known."""
+
+    def start_of(self, name: str) -> ActiveNode | None:
+        """A node's state at its beginning, where that does not follow from the epoch before."""
+
+    def used_of(self, name: str) -> Mapping[Slot, Attempt] | None:
+        """By sender and kind, of which epoch and attempt a node's inputs were."""
+
+    def sensed_of(self, name: str) -> tuple[Value] | None:
+        """A node's belief after `observe`, in a tuple."""
+
+    def state_of(self, name: str) -> ActiveNode | None:
+        """A node's state after it."""
+
+    def elements(self, kind: str, sender: str, receiver: str) -> Elements | None:
+        """What a message held."""
+
+
+class Difference(NamedTuple):
+    """Where two runs differ first.
+
+    Attributes:
+        epoch: in which one.
+        subject: the node, or the edge as ``lower->upper``.
+        operator: whose result differs: an operator, a policy as ``policy NAME``, an edge function;
+            ``time`` and ``digest`` where that is all that does.
+        path: of the field.
+        a, b: what is there.
+    """
+
+    epoch: int
+    subject: str
+    operator: str
+    path: str
+    a: Value
+    b: Value
+
+
+class RosterDifference(NamedTuple):
+    """Where two rosters differ."""
+
+    epoch: int
+    path: str
+    a: Value
+    b: Value
+
+
+@dataclass
+class Comparison:
+    """What became of a comparison.
+
+    Attributes:
+        epochs: how many there are on both sides.
+        equal: how many were equal, up to the first difference.
+        last: the last one that was compared; 0: none.
+        difference: the first one.
+        rosters: where the rosters differ, the first time that they do.
+        unknown: results that one of both did not tell, and so were not compared.
+        digests: how many digests were compared.
+    """
+
+    epochs: int = 0
+    equal: int = 0
+    last: int = 0
+    difference: Difference | None = None
+    rosters: list[RosterDifference] = field(default_factory=list)
+    unknown: int = 0
+    digests: int = 0
+
+    @property
+    def alike(self) -> bool:
+        """Whether no difference was found."""
+        return self.difference is None and not self.rosters
+
+
+def compare(a: Iterable[EpochView], b: Iterable[EpochView], tolerance: float = 0.0, digests: bool = True) -> Comparison:
+    """Compare the epochs that both have, up to the first difference.
+
+    Args:
+        a, b: in the order of their numbers.
+        tolerance: of numbers, as `first_unlike` has it; with one digests are not compared.
+        digests: whether the runs' digests are compared, where the rosters were equal so far.
+    """
+    result = Comparison()
+    for left, right in _paired(iter(a), iter(b)):
+        result.epochs += 1
+        result.last = left.epoch
+        if not result.rosters:
+            result.rosters = roster_differences(left.epoch, left.roster, right.roster)
+        result.difference = next(_differences(left, right, tolerance, result), None)
+        if result.difference is None and digests and not tolerance and not result.rosters:
+            result.difference = _digest_difference(left, right, result)
+        if result.difference is not None:
+            return result
+        result.equal += 1
+    return result
+
+
+def roster_differences(epoch: int, a: Roster, b: Roster) -> list[RosterDifference]:
+    """Where the contents of two rosters differ: nodes and edges, each once."""
+    found = []
+    for what, left, right in (("nodes", _nodes(a), _nodes(b)), ("edges", _edges(a), _edges(b))):
+        for name in sorted(left.keys() | right.keys()):
+            unlike = first_unlike(left.get(name, ABSENT), right.get(name, ABSENT), f"{what}.{name}")
+            if unlike is not None:
+                found.append(RosterDifference(epoch, *unlike))
+    return found
+
+
+def _paired(a: Iterator[EpochView], b: Iterator[EpochView]) -> Iterator[tuple[EpochView, EpochView]]:
+    left, right = next(a, None), next(b, None)
+    while left is not None and right is not None:
+        if left.epoch == right.epoch:
+            yield left, right
+            left, right = next(a, None), next(b, None)
+        elif left.epoch < right.epoch:
+            left = next(a, None)
+        else:
+            right = next(b, None)
+
+
+def _differences(a: EpochView, b: EpochView, tolerance: float, result: Comparison) -> Iterator[Difference]:
+    epoch = a.epoch
+    if a.time_s is not None and b.time_s is not None and a.time_s != b.time_s:
+        yield Difference(epoch, a.roster.world, "time", "time_s", a.time_s, b.time_s)
+    pairs = sorted({edge.pair for edge in a.roster.edges} & {edge.pair for edge in b.roster.edges})
+    names = [name for name in a.order if name in b.roster.nodes]
+
+    def unlike(subject: str, operator: str, path: str, left: Value, right: Value) -> Iterator[Difference]:
+        if left is None or right is None:
+            result.unknown += 1
+            return
+        found = first_unlike(left[0], right[0], path, tolerance)
+        if found is not None:
+            yield Difference(epoch, subject, operator, *found)
+
+    def line(kind: str, sender: str, receiver: str) -> Iterator[Difference]:
+        subject = f"{sender}->{receiver}" if kind == OBSERVATIONS else f"{receiver}->{sender}"
+        sides = (_wrapped(view.elements(kind, sender, receiver)) for view in (a, b))
+        yield from unlike(subject, LINE_OPERATORS[kind], "elements", *sides)
+
+    for name in names:
+        starts = a.start_of(name), b.start_of(name)
+        if None not in starts:
+            which = "initial_belief" if epoch == 1 else "start"
+            yield from unlike(name, which, "belief", *((start.belief,) for start in starts if start))
+        yield from _used_unlike(a, b, name, upward=True)
+        if name != a.roster.world:
+            yield from unlike(name, "observe", "belief", a.sensed_of(name), b.sensed_of(name))
+        for upper in neighbours_above(name, pairs):
+            yield from line(OBSERVATIONS, name, upper)
+    for name in reversed(names):
+        yield from _used_unlike(a, b, name, upward=False)
+        left, right = a.state_of(name), b.state_of(name)
+        if left is None or right is None:
+            result.unknown += 1
+            left = right = None
+        below = neighbours_below(name, pairs)
+        if left is not None and right is not None:
+            yield from unlike(name, "select_policy", "policy", (left.policy,), (right.policy,))
+            yield from unlike(name, f"policy {left.policy}", "actions", (left.actions,), (right.actions,))
+        for lower in below:
+            if _has_task(a.roster, lower, name) and _has_task(b.roster, lower, name):
+                yield from line(TASKS, name, lower)
+        if left is not None and right is not None:
+            yield from unlike(name, "predict", "belief", (left.belief,), (right.belief,))
+        for lower in below:
+            yield from line(CONTEXT, name, lower)
+
+
+def _used_unlike(a: EpochView, b: EpochView, name: str, upward: bool) -> Iterator[Difference]:
+    """Where epochs overlap, inputs of other epochs are what makes results differ."""
+    left, right = a.used_of(name), b.used_of(name)
+    if left is None or right is None:
+        return
+    for slot in sorted(left.keys() & right.keys()):
+        sender, kind = slot
+        if (kind == OBSERVATIONS) == upward and left[slot][0] != right[slot][0]:
+            path = f"epoch of the {kind} message {sender} -> {name}"
+            yield Difference(a.epoch, name, "inputs", path, left[slot][0], right[slot][0])
+
+
+def _digest_difference(a: EpochView, b: EpochView, result: Comparison) -> Difference | None:
+    if not a.digest or not b.digest:
+        return None
+    result.digests += 1
+    if a.digest == b.digest:
+        return None
+    return Difference(a.epoch, "run", "digest", "digest", a.digest, b.digest)
+
+
+def _wrapped(elements: Elements | None) -> tuple[Elements] | None:
+    return None if elements is None else (elements,)
+
+
+def _has_task(roster: Roster, lower: str, upper: str) -> bool:
+    return any(edge.pair == (lower, upper) and edge.task is not None for edge in roster.edges)
+
+
+def _nodes(roster: Roster) -> dict[str, Value]:
+    return {name: reference.plain() for name, reference in roster.nodes.items()}
+
+
+def _edges(roster: Roster) -> dict[str, Value]:
+    return {f"{each['lower']} -> {each['upper']}": each for each in roster.content()["edges"]}
+
+
+__all__ = ["Comparison", "Difference", "EpochView", "RosterDifference", "Unlike", "compare", "roster_differences"]

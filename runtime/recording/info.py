@@ -1,0 +1,215 @@
+"""What a recording says of itself: the run, where it was recorded, and how it ended."""
+
+from __future__ import annotations
+
+import json
+import os
+import platform
+import sys
+import time
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, field, fields
+from importlib.metadata import PackageNotFoundError, version
+from typing import Any
+
+from hierax.runtime.core.errors import HieraxError
+from hierax.runtime.deployment import Deployment
+from hierax.runtime.engine.loose import Staleness
+
+FORMAT = 1
+
+_PACKAGES = ("hierax", "numpy", "opencv-python-headless", "eclipse-zenoh", "msgpack", "mcap", "pybullet")
+
+
+class RecordingError(HieraxError):
+    """A recording cannot be written, read or used."""
+
+
+@dataclass(frozen=True)
+class RunInfo:
+    """What is recorded.
+
+    Attributes:
+        hierarchy: its name.
+        run: identification of the run.
+        mode: ``launch`` or ``run``.
+        seed: of the run.
+        staleness, exact: as the deployment has them.
+        deployment: path of the deployment file.
+        deployment_text: what it said.
+        settings: with which it was read.
+        import_paths: where the deployment's own modules were looked for.
+        from_start: whether the recording begins with the run.
+        started_ns: when it began, since 1970.
+        machine: what it was recorded on.
+        versions: of hierax and what it uses.
+        format: of the recording.
+    """
+
+    hierarchy: str
+    run: str
+    mode: str
+    seed: int
+    staleness: int | None
+    exact: bool
+    deployment: str
+    deployment_text: str
+    settings: Sequence[str]
+    import_paths: Sequence[str]
+    from_start: bool
+    started_ns: int = field(default_factory=time.time_ns)
+    machine: Mapping[str, Any] = field(default_factory=lambda: _machine())
+    versions: Mapping[str, str] = field(default_factory=lambda: _versions())
+    format: int = FORMAT
+
+    @staticmethod
+    def of(
+        deployment: Deployment, run: str, mode: str, seed: int, settings: Sequence[str], from_start: bool
+    ) -> RunInfo:
+        """What is recorded of a run of a deployment."""
+        return RunInfo(
+            deployment.name,
+            run,
+            mode,
+            seed,
+            deployment.staleness.epochs,
+            deployment.staleness.exact,
+            str(deployment.path.resolve()),
+            _text(deployment),
+            tuple(settings),
+            deployment.import_paths,
+            from_start,
+        )
+
+    @property
+    def how_stale(self) -> Staleness:
+        """How old inputs from above may be."""
+        return Staleness(self.staleness, self.exact)
+
+    def plain(self) -> dict[str, Any]:
+        """As a value."""
+        return asdict(self)
+
+    @staticmethod
+    def read(plain: Mapping[str, Any]) -> RunInfo:
+        """From a value; fields of later versions are left out.
+
+        Raises:
+            RecordingError: it is of another format, or a field lacks.
+        """
+        if plain.get("format") != FORMAT:
+            raise RecordingError(f"format {plain.get('format')!r:.20}; this version reads format {FORMAT}")
+        known = {each.name for each in fields(RunInfo)}
+        try:
+            return RunInfo(**{name: value for name, value in plain.items() if name in known})
+        except TypeError as error:
+            raise RecordingError(f"it says too little of its run: {error}") from error
+
+
+@dataclass(frozen=True)
+class Gap:
+    """Something that was said in the run and is not in the recording.
+
+    Attributes:
+        epoch: of which epoch.
+        what: in words: whose message or step.
+        count: how many.
+    """
+
+    epoch: int
+    what: str
+    count: int = 1
+
+    def __str__(self) -> str:
+        return f"epoch {self.epoch}: {self.what}"
+
+
+@dataclass(frozen=True)
+class Ending:
+    """How a recording ended; it lacks where the recorder was killed.
+
+    Attributes:
+        first, last: the epochs that were committed meanwhile; 0: none.
+        messages: how many things were heard.
+        gaps: what lacks, the first ones.
+        lost: how many things lack in all.
+        cut_short: messages that lack as their senders' processes died while they were sent; no fault of the recorder's.
+    """
+
+    first: int
+    last: int
+    messages: int
+    gaps: tuple[Gap, ...]
+    lost: int
+    cut_short: tuple[Gap, ...] = ()
+
+    def plain(self) -> dict[str, Any]:
+        """As a value."""
+        return asdict(self)
+
+    @staticmethod
+    def read(plain: Mapping[str, Any]) -> Ending:
+        """From a value.
+
+        Raises:
+            RecordingError: a field lacks.
+        """
+        try:
+            gaps, cut_short = (tuple(Gap(**gap) for gap in plain.get(name, ())) for name in ("gaps", "cut_short"))
+            return Ending(plain["first"], plain["last"], plain["messages"], gaps, plain["lost"], cut_short)
+        except (KeyError, TypeError) as error:
+            raise RecordingError(f"what it says of its end cannot be read: {error}") from error
+
+
+def to_metadata(plain: Mapping[str, Any]) -> dict[str, str]:
+    """A map as metadata of the file: text as it is, everything else as JSON."""
+    return {name: value if isinstance(value, str) else json.dumps(value) for name, value in plain.items()}
+
+
+def from_metadata(metadata: Mapping[str, str], texts: Sequence[str] = ()) -> dict[str, Any]:
+    """The map that metadata was made from.
+
+    Args:
+        metadata: of the file.
+        texts: the names of values that are text.
+
+    Raises:
+        RecordingError: it is no such metadata.
+    """
+    try:
+        return {name: text if name in texts else json.loads(text) for name, text in metadata.items()}
+    except ValueError as error:
+        raise RecordingError(f"its metadata is not what hierax writes: {error}") from error
+
+
+INFO_TEXTS = ("hierarchy", "run", "mode", "deployment", "deployment_text")
+
+
+def _text(deployment: Deployment) -> str:
+    try:
+        return deployment.path.read_text(encoding="utf-8-sig")
+    except OSError as error:
+        raise RecordingError(f"{deployment.path}: cannot be read: {error.strerror or error}") from error
+
+
+def _machine() -> dict[str, Any]:
+    return {
+        "host": platform.node(),
+        "system": platform.platform(),
+        "processor": platform.machine(),
+        "processors": os.cpu_count(),
+        "python": sys.version.split()[0],
+    }
+
+
+def _versions() -> dict[str, str]:
+    found = {package: _version(package) for package in _PACKAGES}
+    return {package: text for package, text in found.items() if text}
+
+
+def _version(package: str) -> str:
+    """Of a package; empty: it is not installed."""
+    try:
+        return version(package)
+    except PackageNotFoundError:
+        return ""

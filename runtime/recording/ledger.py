@@ -1,0 +1,216 @@
+"""The ledger of a recording: what was said, by the words of those who said and heard it, against what was recorded.
+
+Every step names the messages that went in and out at its node's port, and counts the
+steps. So what lacks is known whoever has lost it, and how.
+"""
+
+from __future__ import annotations
+
+import time
+from collections import deque
+from collections.abc import Callable, Mapping
+
+from hierax.runtime.recording.info import Gap
+from hierax.schemas.steps import NodeStep
+
+Attempt = tuple[int, int]
+"""An epoch and which attempt of it."""
+
+Slot = tuple[str, str, str]
+"""Kind, sender and receiver."""
+
+PATIENCE_S = 30.0
+"""How long steps may come after the messages that they tell of."""
+
+KEPT_GAPS = 1000
+
+
+class Ledger:
+    """Keeps account of one recording.
+
+    Args:
+        from_start: whether it begins with the run; else with the first epoch that all nodes have told of.
+        epochs: how many are wanted; None: all.
+        clock: seconds.
+
+    Attributes:
+        last: the last epoch whose commit was recorded.
+        cut: the last epoch that is wanted; None: all are.
+    """
+
+    def __init__(
+        self, from_start: bool, epochs: int | None = None, clock: Callable[[], float] = time.monotonic
+    ) -> None:
+        self._from_start = from_start
+        self._epochs = epochs
+        self._clock = clock
+        self._bits: dict[Slot, int] = {}
+        self._slots: list[Slot] = []
+        self._heard: dict[Attempt, int] = {}
+        self._missing: dict[Attempt, int] = {}
+        self._sent: dict[Attempt, int] = {}
+        self._deaths: set[str] = set()
+        self._names: frozenset[str] = frozenset()
+        self._cut_short: list[Gap] = []
+        self._ages: deque[tuple[float, Attempt]] = deque()
+        self._streams: dict[str, tuple[str, int]] = {}
+        self._first: dict[str, int] = {}
+        self._expected: frozenset[str] = frozenset()
+        self._gaps: list[Gap] = []
+        self._lost = 0
+        self._told: dict[str, int] = {}
+        self.last = 0
+        self.cut: int | None = None
+
+    @property
+    def first(self) -> int:
+        """The first epoch that is recorded as a whole; 0: not known yet."""
+        if self._from_start:
+            return 1
+        told = [self._first.get(name, 0) for name in self._expected]
+        return max(told) + 1 if told and min(told) > 0 else 0
+
+    @property
+    def settled(self) -> bool:
+        """Whether nothing is known to have been said that was not heard."""
+        return not self._missing
+
+    @property
+    def complete(self) -> bool:
+        """Whether every node that told anything has told of the last epoch that is wanted, and nothing lacks."""
+        return self.settled and self.cut is not None and min(self._told.values(), default=0) >= self.cut
+
+    @property
+    def ended(self) -> bool:
+        """Whether the last epoch that is wanted is committed."""
+        return self.cut is not None and self.last >= self.cut
+
+    def wants(self, epoch: int) -> bool:
+        """Whether something of an epoch is wanted."""
+        return self.cut is None or epoch <= self.cut
+
+    @property
+    def cut_short(self) -> tuple[Gap, ...]:
+        """Messages that reached their receivers and not the recorder, as their senders' processes died meanwhile."""
+        return tuple(self._cut_short)
+
+    def expect(self, names: Mapping[str, object]) -> None:
+        """The nodes of a roster that was not known yet."""
+        self._deaths |= self._names - names.keys()
+        self._names = frozenset(names)
+        if not self._expected:
+            self._expected = self._names
+
+    def message(self, slot: Slot, epoch: int, attempt: int) -> None:
+        """A message was recorded."""
+        bit = self._bit(slot)
+        when = (epoch, attempt)
+        heard = self._heard.get(when)
+        if heard is None:
+            heard = 0
+            self._ages.append((self._clock(), when))
+            self._forget()
+        self._heard[when] = heard | bit
+        missing = self._missing.get(when)
+        if missing:
+            self._settle(when, missing & ~bit)
+
+    def step(self, step: NodeStep) -> None:
+        """A step was recorded."""
+        self._told[step.name] = max(step.epoch, self._told.get(step.name, 0))
+        if not self.wants(step.epoch):
+            return
+        self.number(step.name, step.stream, step.number, step.epoch)
+        if step.chain:
+            self.last = max(self.last, step.epoch)
+        needed: dict[Attempt, int] = {}
+        oldest = self._ages[0][1] if self._ages else (0, 0)
+        for sent, kind, peer, epoch, attempt in step.passages:
+            if not self.wants(epoch):
+                continue
+            slot = (kind, step.name, peer) if sent else (kind, peer, step.name)
+            when = (epoch, attempt)
+            needed[when] = needed.get(when, 0) | self._bit(slot)
+            if sent and when >= oldest:
+                self._sent[when] = self._sent.get(when, 0) | self._bit(slot)
+        for when, bits in needed.items():
+            missing = bits & ~self._heard.get(when, 0)
+            if missing and when >= oldest:
+                self._settle(when, self._missing.get(when, 0) | missing)
+
+    def number(self, name: str, stream: str, number: int, epoch: int) -> None:
+        """A node has told its step of this number, whether or not it was recorded."""
+        last_stream, last = self._streams.get(name, ("", 0))
+        if name not in self._streams and not self._from_start:
+            last = number - 1  # somebody else may have recorded before
+        elif stream != last_stream:
+            last = 0
+            if last_stream:
+                self._deaths.add(name)  # another process is there: what the old one had not told, it never will
+        if number > last + 1:
+            self.add(Gap(epoch, f"steps of {name} before this one", number - last - 1))
+        self._streams[name] = (stream, max(number, last))
+        self._first.setdefault(name, epoch)
+        if self._epochs is not None and self.cut is None and self.first:
+            self.cut = self.first + self._epochs - 1
+
+    def add(self, gap: Gap) -> None:
+        """Something is known to lack."""
+        self._lost += gap.count
+        if len(self._gaps) < KEPT_GAPS:
+            self._gaps.append(gap)
+
+    def close(self, last: int | None = None) -> tuple[tuple[Gap, ...], int]:
+        """What lacks, the first ones, and how much in all; after the end.
+
+        Args:
+            last: an epoch that every node has done, the last one of a run; None: not known.
+        """
+        first = self.first
+        for name in sorted(self._names if last is not None else ()):
+            told = self._told.get(name, 0)
+            if 0 < told < (last or 0):
+                self.add(Gap(told + 1, f"steps of {name} from here on", (last or 0) - told))
+        for when in sorted(self._missing):
+            self._report(when, first)
+        self._missing.clear()
+        silent = sorted(self._expected - self._first.keys())
+        if silent and (self._from_start or self._first):
+            self.add(Gap(self.last, f"all steps of {', '.join(silent)}", len(silent)))
+        return tuple(self._gaps), self._lost
+
+    def _bit(self, slot: Slot) -> int:
+        bit = self._bits.get(slot)
+        if bit is None:
+            bit = self._bits[slot] = 1 << len(self._slots)
+            self._slots.append(slot)
+        return bit
+
+    def _settle(self, when: Attempt, missing: int) -> None:
+        if missing:
+            self._missing[when] = missing
+        else:
+            self._missing.pop(when, None)
+
+    def _forget(self) -> None:
+        oldest_s = self._clock() - PATIENCE_S
+        while len(self._ages) > 1 and self._ages[0][0] < oldest_s:
+            _, when = self._ages.popleft()
+            self._heard.pop(when, None)
+            if when in self._missing:
+                self._report(when, self.first)
+                del self._missing[when]
+            self._sent.pop(when, None)
+
+    def _report(self, when: Attempt, first: int) -> None:
+        if not first or when[0] < first:
+            return  # of an epoch that the recording does not have as a whole
+        missing, sent = self._missing[when], self._sent.get(when, 0)
+        for number, (kind, sender, receiver) in enumerate(self._slots):
+            if not missing >> number & 1:
+                continue
+            gap = Gap(when[0], f"{kind} message {sender} -> {receiver} of attempt {when[1]}")
+            if sender in self._deaths and not sent >> number & 1:
+                self._cut_short.append(gap)
+            else:
+                self.add(gap)

@@ -1,0 +1,272 @@
+"""Reading a recording, also one whose recorder was killed."""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from hierax.runtime.recording.info import INFO_TEXTS, Ending, RecordingError, RunInfo, from_metadata
+from hierax.runtime.recording.topics import EPOCH, MESSAGE, NOTE, ROSTER, STEP, TOKEN, Topic, topic_of
+from hierax.runtime.recording.trace import EpochTrace, assemble
+from hierax.runtime.recording.writing import ENDING, INFO, PROFILE, require_mcap
+from hierax.schemas.errors import SchemaError
+from hierax.schemas.messages import Message, decode_message
+from hierax.schemas.roster import Roster
+from hierax.schemas.steps import NodeStep, decode_step
+from hierax.schemas.values import decode_value
+
+_LARGEST_RECORD = 1 << 30
+_MAGIC = b"\x89MCAP0\r\n"
+
+
+class Entry(NamedTuple):
+    """Something that was recorded.
+
+    Attributes:
+        key: on which it came.
+        topic: the key, taken apart.
+        time_ns: when, since 1970.
+        epoch: of it, modulo 2³²; 0: of none.
+        data: its bytes.
+    """
+
+    key: str
+    topic: Topic
+    time_ns: int
+    epoch: int
+    data: bytes
+
+    def message(self) -> Message:
+        """The message that it is.
+
+        Raises:
+            SchemaError: it is none.
+        """
+        return decode_message(self.data)
+
+    def step(self) -> NodeStep:
+        """The step that it is.
+
+        Raises:
+            SchemaError: it is none.
+        """
+        return decode_step(self.data)
+
+    def roster(self) -> Roster:
+        """The roster that it is.
+
+        Raises:
+            SchemaError: it is none.
+        """
+        return Roster.read(decode_value(self.data, "roster"))
+
+
+class Fault(NamedTuple):
+    """Something that happened to a process.
+
+    Attributes:
+        time_ns: when, since 1970.
+        what: in words.
+        node: whose process; empty: the words say it.
+    """
+
+    time_ns: int
+    what: str
+    node: str = ""
+
+
+@dataclass(frozen=True)
+class Recording:
+    """A recording; what is in it is read when it is asked for.
+
+    Attributes:
+        path: of the file.
+        info: what it is of.
+        ending: how it ended; None: it was cut off, its recorder was killed.
+    """
+
+    path: Path
+    info: RunInfo
+    ending: Ending | None
+
+    @staticmethod
+    def open(path: Path | str) -> Recording:
+        """Open a recording.
+
+        Raises:
+            RecordingError: it cannot be read, or is none.
+        """
+        require_mcap()
+        path = Path(path)
+        try:
+            with path.open("rb") as file:
+                if file.read(len(_MAGIC)) != _MAGIC:
+                    raise RecordingError(f"{path}: is no recording; expected an MCAP file that hierax wrote")
+            info, ending = _metadata(path)
+        except OSError as error:
+            raise RecordingError(f"{path}: cannot be read: {error.strerror or error}") from error
+        except RecordingError as error:
+            raise RecordingError(f"{path}: {str(error).removeprefix(f'{path}: ')}") from error
+        return Recording(path, info, ending)
+
+    @property
+    def loss(self) -> str:
+        """What is known to lack, in words; empty: nothing."""
+        ending = self.ending
+        if ending is None:
+            return "it was cut off: its last chunk, of a second or 1 MiB, and what waited to be written, is not in it"
+        return f"{ending.lost} things that were said in the run are not in it" if ending.lost else ""
+
+    def entries(self, *what: str) -> Iterator[Entry]:
+        """All that was recorded, in the order in which it was heard.
+
+        Args:
+            what: kinds, as `hierax.runtime.recording.topics` has them; none: all.
+
+        Raises:
+            RecordingError: the file is damaged.
+        """
+        topics: dict[int, tuple[str, Topic] | None] = {}
+        from mcap.records import Channel
+        from mcap.records import Message as McapMessage
+
+        for record in _records(self.path):
+            if isinstance(record, McapMessage):
+                known = topics.get(record.channel_id)
+                if known is not None:
+                    yield Entry(known[0], known[1], record.log_time, record.sequence, record.data)
+            elif isinstance(record, Channel):
+                topic = topic_of(record.topic)
+                wanted = topic is not None and (not what or topic.what in what)
+                topics[record.id] = (record.topic, topic) if topic is not None and wanted else None
+
+    def messages(
+        self, first: int = 0, last: int | None = None, node: str | None = None, kind: str | None = None
+    ) -> Iterator[tuple[int, Message]]:
+        """Messages along edges, of all attempts, in the order in which they were heard.
+
+        Args:
+            first, last: epochs.
+            node: sender or receiver.
+            kind: obs, task or ctx.
+
+        Yields:
+            When it came, in nanoseconds since 1970, and the message.
+        """
+        for entry in self.entries(MESSAGE):
+            _, entry_kind, names = entry.topic
+            outside = entry.epoch < first or (last is not None and entry.epoch > last)
+            if not outside and (node is None or node in names) and (kind is None or kind == entry_kind):
+                yield entry.time_ns, self._read(entry, entry.message)
+
+    def steps(self, node: str | None = None) -> Iterator[NodeStep]:
+        """What nodes did in each epoch, of all attempts."""
+        for entry in self.entries(STEP):
+            if node is None or entry.topic.names == (node,):
+                yield self._read(entry, entry.step)
+
+    def rosters(self) -> Mapping[int, Roster]:
+        """The rosters, by version."""
+        found = (self._read(entry, entry.roster) for entry in self.entries(ROSTER))
+        return {roster.version: roster for roster in found}
+
+    def digests(self) -> Mapping[int, bytes]:
+        """The run's digests by epoch, as the world told them."""
+        digests = {step.epoch: step.chain for step in self.steps() if step.chain}
+        for entry in self.entries(EPOCH):
+            epoch, digest = self._read(entry, lambda entry=entry: decode_value(entry.data, "epoch"))
+            digests.setdefault(epoch, digest)
+        return dict(sorted(digests.items()))
+
+    def faults(self) -> Iterator[Fault]:
+        """What happened to processes: those that came and went, and what their keeper said."""
+        for entry in self.entries(TOKEN, NOTE):
+            value = self._read(entry, lambda entry=entry: decode_value(entry.data, "note"))
+            if entry.topic.what == TOKEN:
+                name, process, up = value
+                yield Fault(entry.time_ns, f"process {process} {'is there' if up else 'is gone'}", name)
+            else:
+                yield Fault(entry.time_ns, str(value))
+
+    def epochs(self, first: int = 1, last: int | None = None) -> Iterator[EpochTrace]:
+        """The epochs that were committed, in order; of each the attempt that was.
+
+        Args:
+            first, last: which ones.
+        """
+        for epoch in assemble(self.entries(MESSAGE, STEP, ROSTER, EPOCH), self.info.how_stale):
+            if last is not None and epoch.epoch > last:
+                return
+            if epoch.epoch >= first:
+                yield epoch
+
+    def _read(self, entry: Entry, reads: Any) -> Any:
+        try:
+            return reads()
+        except SchemaError as error:
+            raise RecordingError(f"{self.path}: {entry.key}: {error}") from error
+
+
+def _metadata(path: Path) -> tuple[RunInfo, Ending | None]:
+    """The first metadata, and the last if the file has its end."""
+    from mcap.records import Header, Metadata
+
+    info: RunInfo | None = None
+    for record in _records(path):
+        if isinstance(record, Header) and record.profile != PROFILE:
+            raise RecordingError(f"is an MCAP file of profile {record.profile!r:.40}, not one that hierax wrote")
+        if isinstance(record, Metadata) and record.name == INFO:
+            info = RunInfo.read(from_metadata(record.metadata, INFO_TEXTS))
+            break
+    if info is None:
+        raise RecordingError("was cut off before it says what it is of")
+    return info, _ending(path)
+
+
+def _ending(path: Path) -> Ending | None:
+    """How it ended, by the file's index, without going through all of it; None where there is no index."""
+    from mcap.exceptions import McapError
+    from mcap.reader import make_reader
+
+    with path.open("rb") as file:
+        file.seek(0, 2)
+        if file.tell() < 2 * len(_MAGIC):
+            return None
+        file.seek(-len(_MAGIC), 2)
+        if file.read() != _MAGIC:
+            return None
+        file.seek(0)
+        try:
+            for record in make_reader(file).iter_metadata():
+                if record.name == ENDING:
+                    return Ending.read(from_metadata(record.metadata))
+        except (McapError, struct.error, UnicodeDecodeError):
+            return None
+    return None
+
+
+def _records(path: Path) -> Iterator[Any]:
+    """The file's records, those in chunks too, up to where it was cut off.
+
+    Raises:
+        RecordingError: it is damaged before its end.
+    """
+    from mcap.exceptions import EndOfFile, McapError
+    from mcap.records import Chunk
+    from mcap.stream_reader import StreamReader, breakup_chunk
+    from zstandard import ZstdError
+
+    with path.open("rb") as file:
+        try:
+            for record in StreamReader(file, emit_chunks=True, record_size_limit=_LARGEST_RECORD).records:
+                if isinstance(record, Chunk):
+                    yield from breakup_chunk(record, validate_crc=True)
+                else:
+                    yield record
+        except (EndOfFile, struct.error):
+            return  # it was cut off
+        except (McapError, ValueError, RuntimeError, ZstdError) as error:
+            raise RecordingError(f"{path}: is damaged before byte {file.tell()}: {error}") from error

@@ -1,0 +1,176 @@
+"""A recorder: takes in what is said in a run, writes it down, keeps account of it, and has it checked."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Iterable
+from typing import Protocol
+
+import msgpack
+
+from hierax.runtime.recording.info import Ending, Gap
+from hierax.runtime.recording.ledger import Ledger
+from hierax.runtime.recording.topics import EPOCH, MESSAGE, ROSTER, STEP, TOKEN, Topic, glance, topic_of
+from hierax.runtime.recording.writing import McapFile
+from hierax.runtime.transport.recording import Heard
+from hierax.schemas.messages import HELLO
+from hierax.schemas.roster import Roster
+from hierax.schemas.steps import NodeStep, decode_step
+from hierax.schemas.values import decode_value, encode_value
+
+_log = logging.getLogger("hierax")
+
+
+class Auditor(Protocol):
+    """What sees everything that a recorder takes in, as it comes; see `hierax.runtime.recording.check`."""
+
+    def message(self, data: bytes) -> None:
+        """A message along an edge."""
+
+    def step(self, step: NodeStep) -> None:
+        """A step of a node."""
+
+    def roster(self, roster: Roster) -> None:
+        """A version of the roster."""
+
+
+class Recorder:
+    """Takes in what comes on the keys of a run.
+
+    Args:
+        file: where it is written; None: nowhere.
+        auditors: who sees it as well.
+        from_start: whether it begins with the run.
+        epochs: how many are recorded; None: all.
+        barrier: whether every node does every epoch.
+    """
+
+    def __init__(
+        self,
+        file: McapFile | None,
+        auditors: Iterable[Auditor] = (),
+        from_start: bool = True,
+        epochs: int | None = None,
+        barrier: bool = True,
+    ) -> None:
+        self._file = file
+        self._auditors = tuple(auditors)
+        self.ledger = Ledger(from_start, epochs)
+        self._barrier = barrier
+        self._versions: set[int] = set()
+        self._messages = 0
+
+    def take(self, heard: Heard) -> None:
+        """Take in what came on a key.
+
+        Raises:
+            RecordingError: the file cannot be written.
+        """
+        topic = topic_of(heard.key)
+        if topic is None:
+            return
+        try:
+            epoch, data = self._account(topic, heard)
+        except (ValueError, TypeError) as error:  # a SchemaError is one
+            _log.warning("not recorded, as it is not of this kind: %s: %s", heard.key, error)
+            self.ledger.add(Gap(0, f"{heard.key}: {error}"))
+            return
+        if epoch < 0 or not self.ledger.wants(epoch):
+            return
+        self._messages += 1
+        if self._file is not None:
+            self._file.add(heard.key, topic.what, heard.time_ns, epoch, data)
+
+    def drop(self, key: str, data: bytes) -> None:
+        """Something was heard, but there was no room for it.
+
+        Args:
+            key: on which it came.
+            data: its beginning.
+        """
+        topic = topic_of(key)
+        if topic is None:
+            return
+        if topic.what == MESSAGE:
+            seen = glance(data)
+            self.ledger.message((seen.kind, seen.sender, seen.receiver), seen.epoch, seen.attempt)
+            what = f"{seen.kind} message {seen.sender} -> {seen.receiver}: the recorder could not keep up"
+            self.ledger.add(Gap(seen.epoch, what))
+        elif topic.what == STEP:
+            unpacker = msgpack.Unpacker()
+            unpacker.feed(data)
+            unpacker.read_array_header()
+            _, name, stream, number, epoch = (unpacker.unpack() for _ in range(5))
+            self.ledger.number(name, stream, number, epoch)
+            self.ledger.add(Gap(epoch, f"step of {name}: the recorder could not keep up"))
+        else:
+            self.ledger.add(Gap(self.ledger.last, f"{key}: the recorder could not keep up"))
+
+    def flush(self) -> None:
+        """Write what has waited for long enough.
+
+        Raises:
+            RecordingError: the file cannot be written.
+        """
+        if self._file is not None:
+            self._file.flush()
+
+    def finish(self, last: int | None = None) -> Ending:
+        """Nothing more comes.
+
+        Args:
+            last: the last epoch of the run; None: not known.
+
+        Raises:
+            RecordingError: the file cannot be written.
+        """
+        ledger = self.ledger
+        ledger.cut = None
+        gaps, lost = ledger.close(last if self._barrier else None)
+        first = ledger.first if ledger.last >= ledger.first else 0
+        ending = Ending(first, ledger.last, self._messages, gaps, lost, ledger.cut_short)
+        if self._file is not None:
+            self._file.close(ending)
+        return ending
+
+    def _account(self, topic: Topic, heard: Heard) -> tuple[int, bytes]:
+        """Epoch and bytes of what is recorded; an epoch below 0: it is not."""
+        data = heard.data
+        if topic.what == MESSAGE:
+            return self._on_message(data)
+        if topic.what == STEP:
+            step = decode_step(data)
+            self.ledger.step(step)
+            if self.ledger.wants(step.epoch):
+                for auditor in self._auditors:
+                    auditor.step(step)
+            return step.epoch, data
+        if topic.what == ROSTER:
+            return self._on_roster(data)
+        if topic.what == EPOCH:
+            epoch, _ = decode_value(data, "epoch")
+            return int(epoch), data
+        if topic.what == TOKEN:
+            return 0, encode_value((*topic.names, heard.is_up))
+        return 0, data
+
+    def _on_message(self, data: bytes) -> tuple[int, bytes]:
+        seen = glance(data)
+        if seen.kind == HELLO:
+            return -1, data
+        if self.ledger.wants(seen.epoch):
+            self.ledger.message((seen.kind, seen.sender, seen.receiver), seen.epoch, seen.attempt)
+            for auditor in self._auditors:
+                auditor.message(data)
+        return seen.epoch, data
+
+    def _on_roster(self, data: bytes) -> tuple[int, bytes]:
+        """Versions are told again and again; each is recorded once."""
+        roster = Roster.read(decode_value(data, "roster"))
+        if roster.version in self._versions:
+            return -1, data
+        self._versions.add(roster.version)
+        self.ledger.expect(roster.nodes)
+        for auditor in self._auditors:
+            auditor.roster(roster)
+        return 0, data

@@ -1,0 +1,154 @@
+"""What is on which key, and how it is described in the file."""
+
+from __future__ import annotations
+
+import json
+from typing import Any, NamedTuple
+
+import msgpack
+
+from hierax.schemas.errors import SchemaError
+from hierax.schemas.messages import CONTEXT, KINDS, OBSERVATIONS, TASKS
+
+MESSAGE, STEP, ROSTER, EPOCH, NOTE, CONTROL, TOKEN = "message", "step", "roster", "epoch", "note", "control", "token"
+"""What there is in a recording."""
+
+_EDGE_KINDS = (OBSERVATIONS, TASKS, CONTEXT)
+_BY_SEGMENT = {"steps": STEP, "roster": ROSTER, "epochs": EPOCH, "notes": NOTE, "control": CONTROL, "alive": TOKEN}
+_ROOT_SEGMENTS = 3
+
+
+class Topic(NamedTuple):
+    """A key, taken apart.
+
+    Attributes:
+        what: one of `MESSAGE` to `TOKEN`.
+        kind: of a message, one of obs, task and ctx; else empty.
+        names: what stands behind: sender and receiver, a node, an address, a node and its process.
+    """
+
+    what: str
+    kind: str
+    names: tuple[str, ...]
+
+
+def topic_of(key: str) -> Topic | None:
+    """A key of a run, taken apart; None: nothing that is recorded."""
+    segments = key.split("/")
+    if len(segments) <= _ROOT_SEGMENTS:
+        return None
+    head, *names = segments[_ROOT_SEGMENTS:]
+    if head in _EDGE_KINDS:
+        return Topic(MESSAGE, head, tuple(names)) if len(names) == 2 else None
+    what = _BY_SEGMENT.get(head)
+    return None if what is None else Topic(what, "", tuple(names))
+
+
+class Glance(NamedTuple):
+    """A message's header, and where its payload begins."""
+
+    kind: str
+    sender: str
+    receiver: str
+    epoch: int
+    attempt: int
+    roster: int
+    instance: int
+    time_s: float
+    digest: bytes
+    payload_at: int
+
+
+def glance(data: bytes) -> Glance:
+    """Read a message's header and nothing of its payload, however large.
+
+    Raises:
+        SchemaError: the bytes do not begin like a message.
+    """
+    unpacker = msgpack.Unpacker()
+    unpacker.feed(data[:_GLANCED_BYTES])
+    try:
+        unpacker.read_array_header()
+        _, code, *fields = (unpacker.unpack() for _ in range(10))
+        unpacker.skip()  # the extensions
+        return Glance._make((KINDS[code], *fields, unpacker.tell()))
+    except (ValueError, TypeError, IndexError, msgpack.exceptions.UnpackException) as error:
+        raise SchemaError(f"does not begin like a message: {data[:8].hex()}", "message") from error
+
+
+_GLANCED_BYTES = 4096
+
+_WHOLE: dict[str, Any] = {"type": "integer", "minimum": 0}
+_TEXT: dict[str, Any] = {"type": "string"}
+_BYTES: dict[str, Any] = {"description": "bytes"}
+
+
+def _array(title: str, description: str, **fields: dict[str, Any]) -> dict[str, Any]:
+    return {
+        "$schema": "https://json-schema.org/draft/2020-12/schema",
+        "title": title,
+        "description": description,
+        "type": "array",
+        "prefixItems": [{"title": name, **schema} for name, schema in fields.items()],
+    }
+
+
+_SCHEMAS: dict[str, dict[str, Any]] = {
+    MESSAGE: _array(
+        "hierax.Message",
+        "One msgpack array; see hierax.schemas.messages. Numpy arrays are msgpack extension 1 (hierax.schemas.arrays); "
+        "large ones stand behind the payload.",
+        format=_WHOLE,
+        kind={
+            "enum": list(range(len(KINDS))),
+            "description": ", ".join(f"{i}: {kind}" for i, kind in enumerate(KINDS)),
+        },
+        sender=_TEXT,
+        receiver=_TEXT,
+        epoch=_WHOLE,
+        attempt=_WHOLE,
+        roster=_WHOLE,
+        instance=_WHOLE,
+        time_s={"type": "number"},
+        digest=_BYTES,
+        extensions={"type": "object"},
+        payload={"type": "array", "description": "observations, task parameters or context elements"},
+    ),
+    STEP: _array(
+        "hierax.NodeStep",
+        "What a node did in an epoch; see hierax.schemas.steps.",
+        format=_WHOLE,
+        name=_TEXT,
+        stream=_TEXT,
+        number=_WHOLE,
+        epoch=_WHOLE,
+        attempt=_WHOLE,
+        roster=_WHOLE,
+        instance=_WHOLE,
+        time_s={"type": "number"},
+        digest=_BYTES,
+        state={**_BYTES, "description": "encoded [belief, policy, actions]"},
+        sensed=_BYTES,
+        start=_BYTES,
+        used={"type": "array"},
+        passages={"type": "array"},
+        chain=_BYTES,
+    ),
+    ROSTER: {"title": "hierax.Roster", "type": "object", "description": "see hierax.schemas.roster"},
+    EPOCH: _array("hierax.Epoch", "A committed epoch and the run's digest.", epoch=_WHOLE, digest=_BYTES),
+    NOTE: {"title": "hierax.Note", "type": "string", "description": "what happened to a process, in words"},
+    CONTROL: {
+        "title": "hierax.Control",
+        "type": "array",
+        "description": "what the roster's owner and the processes say to one another; see hierax.schemas.control",
+    },
+    TOKEN: _array(
+        "hierax.Token", "A node's process appeared, or is gone.", name=_TEXT, process=_TEXT, up={"type": "boolean"}
+    ),
+}
+
+
+def schema_of(what: str) -> tuple[str, bytes]:
+    """Name and JSON Schema of what is in a recording."""
+    schema = _SCHEMAS[what]
+    return schema["title"], json.dumps(schema, indent=1).encode()

@@ -1,0 +1,281 @@
+"""Traces: what happened in each epoch, put together from what was heard in any order."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import TYPE_CHECKING
+
+from hierax.runtime.core.digest import NO_DIGEST
+from hierax.runtime.core.graph import topological_order
+from hierax.runtime.core.node import Elements, Value
+from hierax.runtime.core.process import ActiveNode
+from hierax.runtime.engine.loose import Staleness
+from hierax.runtime.recording.topics import EPOCH, MESSAGE, ROSTER, glance
+from hierax.schemas.checkpoint import decode_state
+from hierax.schemas.messages import CONTEXT, OBSERVATIONS, TASKS, decode_message
+from hierax.schemas.roster import Roster
+from hierax.schemas.steps import NodeStep
+from hierax.schemas.values import decode_value
+
+if TYPE_CHECKING:
+    from hierax.runtime.recording.reading import Entry
+
+PENDING_BYTES = 256 << 20
+PENDING_EPOCHS = 20_000
+"""So much is kept while a node that has not told of an epoch may still do so: links may be far behind each other."""
+
+Line = tuple[str, str, str]
+"""Kind, sender and receiver."""
+
+
+@dataclass(frozen=True)
+class NodeTrace:
+    """What a node did in an epoch; values are decoded when they are asked for."""
+
+    step: NodeStep
+
+    @cached_property
+    def state(self) -> ActiveNode:
+        """Belief, policy and actions after it."""
+        return ActiveNode(*decode_state(self.step.state))
+
+    @cached_property
+    def start(self) -> ActiveNode | None:
+        """The state at its beginning, where that was told."""
+        return ActiveNode(*decode_state(self.step.start)) if self.step.start else None
+
+    @property
+    def has_sensed(self) -> bool:
+        """Whether the belief after `observe` was told."""
+        return bool(self.step.sensed)
+
+    @cached_property
+    def sensed(self) -> Value:
+        """The belief after `observe`."""
+        return decode_value(self.step.sensed, "sensed")
+
+
+@dataclass
+class EpochTrace:
+    """A committed epoch.
+
+    Attributes:
+        epoch, attempt: which one, and which attempt of it was committed.
+        roster: under which it was done.
+        nodes: what each node did, by name; one that is not told of lacks: its process died first, or, where
+            epochs overlap, it left the epoch out.
+        lines: messages as bytes, by kind, sender and receiver, then by attempt.
+        digest: of the run; empty: not told.
+        heard_ns: when the world told of it, since 1970; 0: it did not.
+        previous: the run's digest of the epoch before; empty: not told.
+    """
+
+    epoch: int
+    attempt: int
+    roster: Roster
+    nodes: Mapping[str, NodeTrace]
+    lines: Mapping[Line, Mapping[int, bytes]] = field(repr=False)
+    digest: bytes
+    heard_ns: int = 0
+    previous: bytes = b""
+
+    @property
+    def time_s(self) -> float | None:
+        """Its time; None: nobody told."""
+        for trace in self.nodes.values():
+            return trace.step.time_s
+        for attempts in self.lines.values():
+            if self.attempt in attempts:
+                return decode_message(attempts[self.attempt]).header.time_s
+        return None
+
+    @cached_property
+    def order(self) -> tuple[str, ...]:
+        """The nodes from below to above."""
+        return order_of(self.roster)
+
+    def elements(self, kind: str, sender: str, receiver: str, attempt: int | None = None) -> Elements | None:
+        """What a message held; None: it was not recorded.
+
+        Args:
+            kind, sender, receiver: of the message.
+            attempt: of the epoch; None: the one that was committed.
+        """
+        data = self.lines.get((kind, sender, receiver), {}).get(self.attempt if attempt is None else attempt)
+        return None if data is None else decode_message(data).payload
+
+    def start_of(self, name: str) -> ActiveNode | None:
+        """A node's state at its beginning, where that was told."""
+        trace = self.nodes.get(name)
+        return None if trace is None else trace.start
+
+    def used_of(self, name: str) -> Mapping[tuple[str, str], tuple[int, int]] | None:
+        """By sender and kind, of which epoch and attempt a node's inputs were; None: of this one."""
+        trace = self.nodes.get(name)
+        if trace is None or not trace.step.used:
+            return None
+        return {(sender, kind): (epoch, attempt) for sender, kind, epoch, attempt in trace.step.used}
+
+    def sensed_of(self, name: str) -> tuple[Value] | None:
+        """A node's belief after `observe`, in a tuple; None: not told."""
+        trace = self.nodes.get(name)
+        return None if trace is None or not trace.has_sensed else (trace.sensed,)
+
+    def state_of(self, name: str) -> ActiveNode | None:
+        """A node's state after it; None: not told."""
+        trace = self.nodes.get(name)
+        return None if trace is None else trace.state
+
+    @cached_property
+    def lacking(self) -> tuple[str, ...]:
+        """What a barrier's epoch has and this one lacks, in words."""
+        lacking = [f"step of {name}" for name in sorted(self.roster.nodes.keys() - self.nodes.keys())]
+        for kind, sender, receiver in wanted_lines(self.roster):
+            if self.attempt not in self.lines.get((kind, sender, receiver), {}):
+                lacking.append(f"{kind} message {sender} -> {receiver}")
+        return tuple(lacking)
+
+
+def order_of(roster: Roster) -> tuple[str, ...]:
+    """The nodes of a roster from below to above, ties by name."""
+    return topological_order(roster.nodes, [edge.pair for edge in roster.edges])
+
+
+def wanted_lines(roster: Roster) -> Iterator[Line]:
+    """Kind, sender and receiver of every message of an epoch."""
+    for edge in roster.edges:
+        yield OBSERVATIONS, edge.lower, edge.upper
+        yield CONTEXT, edge.upper, edge.lower
+        if edge.task is not None:
+            yield TASKS, edge.upper, edge.lower
+
+
+@dataclass
+class _Pending:
+    """An epoch that is being put together."""
+
+    steps: dict[str, dict[int, NodeStep]] = field(default_factory=dict)
+    lines: dict[Line, dict[int, bytes]] = field(default_factory=dict)
+    digest: bytes = b""
+    heard_ns: int = 0
+    size: int = 0
+
+
+class _Assembly:
+    def __init__(self, staleness: Staleness) -> None:
+        self._barrier = staleness.barrier
+        self._pending: dict[int, _Pending] = {}
+        self._rosters: dict[int, Roster] = {}
+        self._told: dict[str, tuple[int, int]] = {}
+        self._bytes = 0
+        self._world = 0  # the last epoch of which the world has told
+        self._next = 0
+        self._digest = (0, NO_DIGEST)
+
+    def take(self, entry: Entry) -> bool:
+        """Take something in; whether epochs may be whole now."""
+        what = entry.topic.what
+        if what == ROSTER:
+            roster = entry.roster()
+            self._rosters.setdefault(roster.version, roster)
+            return False
+        if what == MESSAGE:
+            seen = glance(entry.data)
+            line = (seen.kind, seen.sender, seen.receiver)
+            pending = self._at(seen.epoch)
+            pending.lines.setdefault(line, {})[seen.attempt] = entry.data
+            pending.size += len(entry.data)
+            self._bytes += len(entry.data)
+            return False
+        if what == EPOCH:
+            epoch, digest = decode_value(entry.data, "epoch")
+            self._at(epoch).digest = digest
+            return False
+        step = entry.step()
+        self._at(step.epoch).steps.setdefault(step.name, {})[step.attempt] = step
+        self._told[step.name] = max((step.epoch, step.attempt), self._told.get(step.name, (0, 0)))
+        under = self._rosters.get(step.roster)
+        if under is not None and step.name == under.world:
+            self._world = max(self._world, step.epoch)
+            self._at(step.epoch).heard_ns = entry.time_ns
+            self._next = self._next or min(self._pending)
+        return True
+
+    def ripe(self, at_end: bool = False) -> Iterator[EpochTrace]:
+        """The committed epochs of which nothing more comes."""
+        while self._next and self._next <= self._world:
+            pending = self._pending.get(self._next)
+            if not (at_end or self._is_ripe(pending)):
+                return
+            self._pending.pop(self._next, None)
+            self._bytes -= 0 if pending is None else pending.size
+            self._next += 1
+            trace = None if pending is None else self._trace(self._next - 1, pending)
+            if pending is not None:
+                digest = pending.digest if trace is None else trace.digest
+                self._digest = (self._next - 1, digest)
+            if trace is not None:
+                yield trace
+
+    def _is_ripe(self, pending: _Pending | None) -> bool:
+        if pending is None or self._bytes > PENDING_BYTES or self._world >= self._next + PENDING_EPOCHS:
+            return True
+        roster = self._roster(pending)
+        if roster is None:
+            return True  # of before the recording
+        attempts = pending.steps.get(roster.world)
+        # with its commit untold, nobody knows which attempt is the last one until the next epoch is told of
+        done = (self._next, max(attempts)) if attempts else (self._next + 1, 0)
+        return all(self._told.get(name, (0, 0)) >= done for name in roster.nodes)
+
+    def _roster(self, pending: _Pending) -> Roster | None:
+        versions = [step.roster for steps in pending.steps.values() for step in steps.values()]
+        known = [self._rosters[version] for version in sorted(versions) if version in self._rosters]
+        return known[-1] if known else None
+
+    def _trace(self, epoch: int, pending: _Pending) -> EpochTrace | None:
+        roster = self._roster(pending)
+        if roster is None:
+            return None  # of before the recording
+        world = pending.steps.get(roster.world)
+        attempt = max(world) if world else max(each for steps in pending.steps.values() for each in steps)
+        nodes = {}
+        for name, steps in sorted(pending.steps.items()):
+            step = steps.get(attempt) if self._barrier else steps[max(steps)]
+            if step is not None and name in roster.nodes:
+                nodes[name] = NodeTrace(step)
+        for name in roster.nodes.keys() - nodes.keys():
+            later = self._state_from(name, epoch + 1)
+            if later is not None and self._barrier:
+                nodes[name] = NodeTrace(later._replace(epoch=epoch, attempt=attempt, roster=roster.version))
+        digest = (world[attempt].chain if world else b"") or pending.digest
+        previous = self._digest[1] if self._digest[0] == epoch - 1 else b""
+        named = dict(sorted(nodes.items()))
+        return EpochTrace(epoch, attempt, roster, named, pending.lines, digest, pending.heard_ns, previous)
+
+    def _state_from(self, name: str, epoch: int) -> NodeStep | None:
+        """What the next process of a node that died before it could tell began the next epoch with."""
+        following = self._pending.get(epoch)
+        for step in following.steps.get(name, {}).values() if following is not None else ():
+            if step.start:
+                return step._replace(state=step.start, sensed=b"", start=b"", digest=b"", passages=(), chain=b"")
+        return None
+
+    def _at(self, epoch: int) -> _Pending:
+        if epoch < self._next:
+            return _Pending()  # it comes too late
+        pending = self._pending.get(epoch)
+        if pending is None:
+            pending = self._pending[epoch] = _Pending()
+        return pending
+
+
+def assemble(entries: Iterable[Entry], staleness: Staleness) -> Iterator[EpochTrace]:
+    """Committed epochs, in order, from entries in the order in which they were heard."""
+    assembly = _Assembly(staleness)
+    for entry in entries:
+        if assembly.take(entry):
+            yield from assembly.ripe()
+    yield from assembly.ripe(at_end=True)

@@ -1,0 +1,106 @@
+"""Where two values differ."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from hierax.runtime.core.node import Value
+from hierax.schemas.errors import SchemaError
+from hierax.schemas.values import encode_value
+
+ABSENT = "(absent)"
+"""Stands for a value on the side where there is none."""
+
+
+class Unlike(NamedTuple):
+    """The first place where two values differ.
+
+    Attributes:
+        path: of the field, such as ``belief.pose[3]``.
+        a, b: what is there.
+    """
+
+    path: str
+    a: Value
+    b: Value
+
+
+def first_unlike(a: Value, b: Value, path: str, tolerance: float = 0.0) -> Unlike | None:
+    """The first place where two values differ; None: nowhere.
+
+    Args:
+        a, b: the values.
+        path: what they are called.
+        tolerance: numbers are alike that differ by no more than this, or by no more than
+            this share of the greater one; 0: to the bit.
+    """
+    if tolerance == 0.0 and _encoded(a) == _encoded(b):
+        return None
+    return next(_walk(a, b, path, tolerance), None)
+
+
+def _walk(a: Value, b: Value, path: str, tolerance: float) -> Iterator[Unlike]:
+    if isinstance(a, np.ndarray) and isinstance(b, np.ndarray):
+        yield from _walk_arrays(a, b, path, tolerance)
+    elif isinstance(a, dict) and isinstance(b, dict):
+        for key in [*a, *(key for key in b if key not in a)]:
+            yield from _walk(a.get(key, ABSENT), b.get(key, ABSENT), f"{path}.{key}", tolerance)
+        if list(a) != list(b) and a.keys() == b.keys() and tolerance == 0.0:
+            yield Unlike(f"{path} (order of keys)", list(a), list(b))
+    elif isinstance(a, (tuple, list)) and isinstance(b, (tuple, list)):
+        for index in range(max(len(a), len(b))):
+            left, right = (value[index] if index < len(value) else ABSENT for value in (a, b))
+            yield from _walk(left, right, f"{path}[{index}]", tolerance)
+    elif not _alike(a, b, tolerance):
+        yield Unlike(path, a, b)
+
+
+def _walk_arrays(a: np.ndarray[Any, Any], b: np.ndarray[Any, Any], path: str, tolerance: float) -> Iterator[Unlike]:
+    if a.shape != b.shape or (tolerance == 0.0 and a.dtype != b.dtype):
+        yield Unlike(f"{path} (array)", _described(a), _described(b))
+        return
+    if tolerance and a.dtype.kind in "fciub" and b.dtype.kind in "fciub":
+        near = np.isclose(a.astype(_wide(a)), b.astype(_wide(b)), rtol=tolerance, atol=tolerance, equal_nan=True)
+        different = ~near
+    else:
+        different = _bits(a) != _bits(b)
+        different = different.any(axis=-1)
+    places = np.argwhere(different)
+    for place in places[:1]:
+        at = tuple(int(index) for index in place)
+        where = "".join(f"[{index}]" for index in at)
+        rest = f" (and {len(places) - 1} more of {a.size})" if len(places) > 1 else ""
+        yield Unlike(f"{path}{where}{rest}", a[at].item(), b[at].item())
+
+
+def _bits(array: np.ndarray[Any, Any]) -> np.ndarray[Any, Any]:
+    """The bytes of each element, in one further dimension."""
+    flat = np.ascontiguousarray(array).reshape(-1)
+    return flat.view(np.uint8).reshape(*array.shape, array.dtype.itemsize)
+
+
+def _wide(array: np.ndarray[Any, Any]) -> Any:
+    return np.complex128 if array.dtype.kind == "c" else np.float64
+
+
+def _described(array: np.ndarray[Any, Any]) -> str:
+    return f"{array.dtype} {'×'.join(map(str, array.shape)) or 'scalar'}"
+
+
+def _alike(a: Value, b: Value, tolerance: float) -> bool:
+    numbers = all(isinstance(value, (int, float)) and not isinstance(value, bool) for value in (a, b))
+    if tolerance and numbers:
+        return bool(np.isclose(float(a), float(b), rtol=tolerance, atol=tolerance, equal_nan=True))
+    if isinstance(a, np.ndarray) or isinstance(b, np.ndarray):
+        return False
+    return type(a) is type(b) and _encoded(a) == _encoded(b)
+
+
+def _encoded(value: Value) -> bytes | str:
+    try:
+        return encode_value(value)
+    except SchemaError:  # ABSENT is a text, and everything else a value; a belief in the middle of an epoch need not be
+        return repr(value)

@@ -1,0 +1,157 @@
+"""The watcher that tells whoever records what a node does."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from secrets import token_hex
+from typing import Protocol
+
+from hierax.runtime.engine.engine import Engine
+from hierax.runtime.engine.loose import LooseEngine
+from hierax.runtime.engine.outlet import Called, Completed
+from hierax.runtime.watch.watcher import Watcher
+from hierax.schemas.errors import SchemaError
+from hierax.schemas.messages import Message
+from hierax.schemas.roster import Roster
+from hierax.schemas.steps import NodeStep, Passage, encode_step
+from hierax.schemas.values import Value, encode_value
+
+ROSTER_EVERY_S = 0.5
+"""How often the roster is told again, for those who have begun to record meanwhile."""
+
+_KEPT = 64
+"""Of how many epochs that were begun, and may still be completed, something is kept."""
+
+
+class Teller(Protocol):
+    """Where steps and rosters go."""
+
+    def step(self, data: bytes) -> None:
+        """An encoded step."""
+
+    def roster(self, data: bytes) -> None:
+        """An encoded roster."""
+
+
+@dataclass
+class _Begun:
+    """What is known of an epoch before it is completed."""
+
+    roster: int
+    instance: int
+    start: bytes
+    used: tuple[tuple[str, str, int, int], ...]
+
+
+class Witness(Watcher):
+    """Tells a step for each epoch that a node completes.
+
+    Args:
+        name: of the node.
+        engine: gives the node's engine, which may not be there yet.
+        teller: where steps go.
+        roster: of the world: gives the roster in force; None for other nodes.
+    """
+
+    def __init__(
+        self, name: str, engine: Callable[[], Engine], teller: Teller, roster: Callable[[], Roster] | None = None
+    ) -> None:
+        self._name = name
+        self._engine = engine
+        self._teller = teller
+        self._roster = roster
+        self._stream = token_hex(4)
+        self._number = 0
+        self._last = 0
+        self._fresh = True
+        self._resumed = False
+        self._passages: list[Passage] = []
+        self._begun: dict[tuple[int, int], _Begun] = {}
+        self._chain = (0, b"")
+        self._told_version = -1
+        self._told_s = 0.0
+
+    def resume(self) -> None:
+        """Somebody listens again: the epochs that nobody was told of count as steps that lack."""
+        self._fresh = True
+        self._passages = []
+        self._begun = {}
+        self._resumed = self._number > 0
+
+    def received(self, message: Message) -> None:
+        header = message.header
+        self._passages.append(Passage(False, header.kind, header.sender, header.epoch, header.attempt))
+
+    def sent(self, message: Message) -> None:
+        header = message.header
+        if self._roster is not None and header.roster != self._told_version:
+            self._tell_roster(self._roster())
+        self._passages.append(Passage(True, header.kind, header.receiver, header.epoch, header.attempt))
+
+    def called(self, called: Called) -> None:
+        """At the prediction the engine is still in its epoch; when that is told as completed, no more."""
+        if called.operator != "predict":
+            return
+        engine = self._engine()
+        used: tuple[tuple[str, str, int, int], ...] = ()
+        if isinstance(engine, LooseEngine):
+            used = tuple((sender, kind, *when) for (sender, kind), when in sorted(engine.used.items()))
+        wiring = engine.wiring
+        start = engine.encoded_start if self._fresh else b""
+        self._fresh = False
+        self._begun[called.epoch, called.attempt] = _Begun(wiring.roster, wiring.instance, start, used)
+        while len(self._begun) > _KEPT:
+            del self._begun[next(iter(self._begun))]
+
+    def committed(self, epoch: int, digest: bytes) -> None:
+        self._chain = (epoch, digest)
+
+    def completed(self, completed: Completed) -> None:
+        step = completed.step
+        begun = self._begun.pop((step.epoch, step.attempt), None)
+        if begun is None:
+            return  # begun before anybody recorded
+        if self._roster is not None:
+            self._tell_roster(self._roster())
+        self._number += max(step.epoch - self._last, 1) if self._resumed else 1
+        self._resumed = False
+        self._last = step.epoch
+        passages, self._passages = self._passages, []
+        self._teller.step(
+            encode_step(
+                NodeStep(
+                    self._name,
+                    self._stream,
+                    self._number,
+                    step.epoch,
+                    step.attempt,
+                    begun.roster,
+                    begun.instance,
+                    step.time_s,
+                    completed.digest,
+                    completed.state,
+                    b"" if self._roster is not None else _encoded(step.sensed),
+                    begun.start,
+                    begun.used,
+                    tuple(passages),
+                    self._chain[1] if self._chain[0] == step.epoch else b"",
+                )
+            )
+        )
+
+    def _tell_roster(self, roster: Roster) -> None:
+        now_s = time.monotonic()
+        if roster.version == self._told_version and now_s - self._told_s < ROSTER_EVERY_S:
+            return
+        self._told_version, self._told_s = roster.version, now_s
+        self._teller.roster(encode_value(roster.plain()))
+
+
+def _encoded(belief: Value) -> bytes:
+    """A belief in the middle of an epoch: unlike a state it need not be a value, and is left out then."""
+    try:
+        return encode_value(belief)
+    except SchemaError:
+        return b""

@@ -1,0 +1,152 @@
+"""The pytest plugin: fixtures for tests of one's own nodes and hierarchies.
+
+Every pytest in an environment with hierax loads this module, so it imports nothing heavy.
+"""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import pytest
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+
+    from hierax.runtime.core.hierarchy import Edge
+    from hierax.runtime.core.node import Elements, Node
+    from hierax.runtime.core.probe import Step
+    from hierax.runtime.testing.recorded import Recorded
+    from hierax.runtime.testing.running import Ran
+
+
+class Runs:
+    """What the fixture `hierax_run` gives: call it to run a hierarchy in this process.
+
+    Args:
+        folder: of the test's file, where deployment files are looked for first.
+    """
+
+    def __init__(self, folder: Path) -> None:
+        self._folder = folder
+
+    def __call__(
+        self,
+        deployment: str | Path | None = None,
+        *,
+        nodes: Mapping[str, Node] | None = None,
+        edges: Sequence[Edge] = (),
+        world: str = "world",
+        epochs: int | None = None,
+        seed: int = 0,
+        set: Mapping[str, Any] | None = None,
+    ) -> Ran:
+        """Run a deployment file, or nodes and edges made by the test.
+
+        Args:
+            deployment: a file, beside the test or in the current folder, or the name of a shipped deployment.
+            nodes, edges, world: in its place: nodes by name, the edges between them, and which one is N₀.
+            epochs: how many; by default what the file says, or one.
+            seed: of all random numbers, and of the order in which messages are delivered.
+            set: changes of the file, as ``--set`` has them, by path.
+
+        Raises:
+            HieraxError: the file is wrong, the nodes form no hierarchy, or one failed.
+        """
+        from hierax.runtime.testing.running import run_deployment, run_hierarchy
+
+        if (deployment is None) == (nodes is None):
+            raise TypeError("hierax_run: expected a deployment or nodes, one of them")
+        if nodes is not None:
+            return run_hierarchy(nodes, edges, world=world, epochs=1 if epochs is None else epochs, seed=seed)
+        beside = self._folder / str(deployment)
+        file = beside if beside.is_file() else Path(str(deployment))
+        return run_deployment(file, epochs=epochs, seed=seed, settings=set)
+
+
+class NodeRuns:
+    """What the fixture `hierax_node` gives: call it to run one node on inputs."""
+
+    def __call__(
+        self,
+        node: Node,
+        *,
+        observations: Sequence[Elements] = (),
+        tasks: Sequence[Elements] = (),
+        context: Sequence[Elements] = (),
+        epochs: int | None = None,
+        seed: int = 0,
+    ) -> list[Step]:
+        """Run a node by itself, and check that it is one (`hierax.runtime.testing.node.check_node`).
+
+        Args:
+            node: of one's own.
+            observations, tasks, context: what it is given in the first epoch, the second one, …
+            epochs: how many; by default as many as there are inputs.
+            seed: of its random numbers.
+
+        Returns:
+            What it did in each epoch.
+        """
+        from hierax.runtime.testing.node import check_node
+
+        count = max(len(observations), len(tasks), len(context), 1) if epochs is None else epochs
+        return check_node(node, observations=observations, tasks=tasks, context=context, epochs=count, seed=seed)
+
+
+class Recordings:
+    """What the fixture `hierax_recorded` gives: call it for a node in a recording.
+
+    Args:
+        folder: of the test's file, where recordings are looked for first.
+    """
+
+    def __init__(self, folder: Path) -> None:
+        self._folder = folder
+
+    def __call__(self, file: str | Path, node: str, *, epochs: int | None = None) -> Recorded:
+        """A node with the inputs that it had in a recording: `run` and `check` do its epochs again.
+
+        Args:
+            file: a recording, beside the test or in the current folder.
+            node: its name.
+            epochs: how many at most.
+
+        Raises:
+            HieraxError: the file is no recording, has no such node, or lacks something that it was given.
+        """
+        from hierax.runtime.testing.recorded import read_recorded
+
+        beside = self._folder / str(file)
+        return read_recorded(beside if beside.is_file() else file, node, epochs)
+
+
+@pytest.fixture
+def hierax_run(request: pytest.FixtureRequest) -> Iterator[Runs]:
+    """Runs hierarchies: ``hierax_run("robot.yaml", epochs=10, seed=1, set={"noise": 0})``."""
+    with _import_path():
+        yield Runs(request.path.parent)
+
+
+@pytest.fixture
+def hierax_recorded(request: pytest.FixtureRequest) -> Iterator[Recordings]:
+    """A node in a recording: ``hierax_recorded("robot.mcap", "arm").check()``."""
+    with _import_path():
+        yield Recordings(request.path.parent)
+
+
+@pytest.fixture
+def hierax_node() -> NodeRuns:
+    """Runs one node: ``hierax_node(Arm(), observations=[({"x": 1.0},), ()])``."""
+    return NodeRuns()
+
+
+@contextmanager
+def _import_path() -> Iterator[None]:
+    """Folders of deployments are looked into for their own test alone."""
+    paths = list(sys.path)
+    yield
+    sys.path[:] = paths

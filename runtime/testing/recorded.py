@@ -1,0 +1,157 @@
+"""One node on the inputs that it had in a recording."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TypeVar
+
+from hierax.runtime.core.binding import BoundNode, Setting
+from hierax.runtime.core.errors import HieraxError
+from hierax.runtime.core.hierarchy import neighbours_above, neighbours_below
+from hierax.runtime.core.node import Elements, Node, Value
+from hierax.runtime.core.probe import Step
+from hierax.runtime.core.process import ActiveNode
+from hierax.runtime.loading import build_node, extend_import_path
+from hierax.runtime.nearest import did_you_mean
+from hierax.runtime.recording.reading import Recording
+from hierax.runtime.recording.trace import EpochTrace
+from hierax.runtime.testing.node import Input, difference, wait_for
+from hierax.schemas.messages import CONTEXT, OBSERVATIONS, TASKS
+from hierax.schemas.roster import Reference, Roster
+from hierax.schemas.values import encode_value
+
+Known = TypeVar("Known")
+
+
+@dataclass(frozen=True)
+class Recorded:
+    """A node in a recording.
+
+    Attributes:
+        name: of the node.
+        reference: its class and parameters.
+        below, above: its neighbours.
+        seed: of the run.
+        inputs: what it was given in each epoch.
+        start: its state before the first of them.
+        states: its state after each of them.
+    """
+
+    name: str
+    reference: Reference
+    below: tuple[str, ...]
+    above: tuple[str, ...]
+    seed: int
+    inputs: Sequence[Input]
+    start: ActiveNode = field(repr=False)
+    states: Sequence[ActiveNode] = field(repr=False)
+
+    @property
+    def beliefs(self) -> list[Value]:
+        """After each epoch, as recorded."""
+        return [state.belief for state in self.states]
+
+    def run(self, node: Node | None = None) -> list[Step]:
+        """Do the epochs again, one node alone.
+
+        Args:
+            node: in the place of the recorded one; None: its class, with its parameters.
+
+        Raises:
+            HieraxError: it cannot be loaded, or failed.
+        """
+        made = build_node(self.reference, f"nodes.{self.name}") if node is None else node
+        bound = BoundNode(self.name, made, self.below, self.above, Setting(self.seed, wait_for))
+        belief, policy = self.start.belief, self.start.policy
+        steps: list[Step] = []
+        for epoch, time_s, observations, tasks, context in self.inputs:
+            sensed = bound.observe(epoch, time_s, observations, belief) if self.below else belief
+            if self.above:
+                policy = bound.choose(epoch, time_s, tasks)
+            actions = bound.policies[policy].elements(epoch, time_s, sensed)
+            belief = bound.predict(epoch, time_s, context, actions, sensed)
+            steps.append(Step(epoch, 0, time_s, observations, sensed, tasks, context, policy, actions, belief))
+        return steps
+
+    def check(self, node: Node | None = None) -> list[Step]:
+        """Do the epochs again, and see that they are as recorded, to the bit.
+
+        Args:
+            node: as `run` has it.
+
+        Raises:
+            AssertionError: they are not; says in which epoch, and where.
+        """
+        steps = self.run(node)
+        for step, state in zip(steps, self.states, strict=True):
+            for what in ("policy", "actions", "belief"):
+                then, now = getattr(state, what), getattr(step, what)
+                if encode_value(then) != encode_value(now):
+                    where = difference(then, now, where=what)
+                    raise AssertionError(f"{self.name}: epoch {step.epoch} is not as recorded ({where})")
+        return steps
+
+
+def read_recorded(file: str | Path, name: str, epochs: int | None = None) -> Recorded:
+    """A node's inputs in a recording.
+
+    Args:
+        file: of the recording.
+        name: of the node.
+        epochs: how many at most; None: all.
+
+    Raises:
+        HieraxError: the file is no recording, has no such node, or lacks something that it was given.
+    """
+    recording = Recording.open(file)
+    if not recording.info.how_stale.barrier:
+        raise HieraxError(f"{file}: its epochs overlap; replay it by `hierax replay --node {name}`")
+    extend_import_path(recording.info.import_paths)
+    inputs: list[Input] = []
+    states: list[ActiveNode] = []
+    first: EpochTrace | None = None
+    for trace in recording.epochs():
+        if name not in trace.roster.nodes:
+            if first is None:
+                continue  # it may be attached later
+            break
+        first = first or trace
+        if _place(trace.roster, name) != _place(first.roster, name) or len(inputs) == epochs:
+            break
+        inputs.append(_input(file, trace, name))
+        states.append(_known(file, trace, name, trace.state_of(name), "its state"))
+    if first is None:
+        names = {known for roster in recording.rosters().values() for known in roster.nodes}
+        raise HieraxError(f"{file}: there is no node {name!r} in it{did_you_mean(name, names, 'the nodes are')}")
+    reference, below, above = _place(first.roster, name)
+    start = _known(file, first, name, first.start_of(name), "its state at the beginning")
+    return Recorded(name, reference, below, above, recording.info.seed, inputs, start, states)
+
+
+def _place(roster: Roster, name: str) -> tuple[Reference, tuple[str, ...], tuple[str, ...]]:
+    pairs = [edge.pair for edge in roster.edges]
+    return roster.nodes[name], neighbours_below(name, pairs), neighbours_above(name, pairs)
+
+
+def _input(file: str | Path, trace: EpochTrace, name: str) -> Input:
+    _, below, above = _place(trace.roster, name)
+    tasking = {edge.upper for edge in trace.roster.edges if edge.task is not None and edge.lower == name}
+
+    def given(kind: str, senders: Sequence[str]) -> Elements:
+        found: Elements = ()
+        for sender in senders:
+            elements = trace.elements(kind, sender, name)
+            found += _known(file, trace, name, elements, f"the {kind} message from {sender}")
+        return found
+
+    taskers = [upper for upper in above if upper in tasking]
+    time_s = _known(file, trace, name, trace.time_s, "its time")
+    return Input(trace.epoch, time_s, given(OBSERVATIONS, below), given(TASKS, taskers), given(CONTEXT, above))
+
+
+def _known(file: str | Path, trace: EpochTrace, name: str, value: Known | None, what: str) -> Known:
+    if value is None:
+        raise HieraxError(f"{file}: {name}, epoch {trace.epoch}: {what} is not in the recording")
+    return value

@@ -1,0 +1,233 @@
+"""What is wrong with this machine, and how it is mended."""
+
+from __future__ import annotations
+
+import os
+import platform
+import re
+import resource
+import shutil
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from pathlib import Path
+from typing import Any
+
+from hierax.runtime.core.errors import HieraxError
+from hierax.runtime.tools.finding import FINE, NOTE, WRONG, Finding
+from hierax.runtime.tools.packages import check_packages
+
+OLDEST_PYTHON = (3, 10)
+NEWEST_PYTHON = (3, 11)
+"""The versions that hierax is tested with."""
+
+FREE_SHARED_BYTES = 64 << 20
+FREE_MEMORY_BYTES = 512 << 20
+OPEN_FILES = 1024
+PROCESSES = 1024
+BUSY_LOAD = 2.0
+"""How many programs may want each core before times say little."""
+
+LOOP_TIMEOUT_S = 10.0
+
+
+def check_python(found: tuple[int, int] | None = None) -> Iterator[Finding]:
+    """Python's version, and what `hierax launch` needs of the system."""
+    now = found or (sys.version_info.major, sys.version_info.minor)
+    text = platform.python_version() if found is None else ".".join(map(str, now))
+    what = f"Python {text} ({sys.executable})"
+    tested = " and ".join(".".join(map(str, each)) for each in (OLDEST_PYTHON, NEWEST_PYTHON))
+    if now < OLDEST_PYTHON:
+        yield Finding("python", WRONG, what, f"install Python {tested}; hierax is tested with these")
+    elif now > NEWEST_PYTHON:
+        yield Finding("python", NOTE, what, f"hierax is tested with {tested}; pybullet has to be built from source")
+    else:
+        yield Finding("python", FINE, what)
+    if not sys.platform.startswith("linux"):
+        yield Finding("system", WRONG, f"{platform.system()}: `hierax launch` needs Linux", "use `hierax run` here")
+        return
+    try:
+        os.close(os.pidfd_open(os.getpid()))
+    except OSError as error:
+        what = f"{platform.system()} {platform.release()}: processes cannot be watched: pidfd_open: {error.strerror}"
+        yield Finding("system", WRONG, what, "Linux 5.3 or newer is needed, and a container that allows pidfd_open")
+    else:
+        yield Finding("system", FINE, f"{platform.system()} {platform.release()}, {platform.machine()}")
+
+
+def check_machine(load: float | None = None, cores: int | None = None) -> Iterator[Finding]:
+    """Processor cores, who else wants them, and memory."""
+    count = cores or len(os.sched_getaffinity(0))
+    busy = os.getloadavg()[0] if load is None else load
+    what = f"{count} cores, {busy:.1f} programs want them"
+    if count == 1:
+        yield Finding("cores", NOTE, f"{what}: the processes of a launch take turns", "give the container more of them")
+    elif busy > BUSY_LOAD * count:
+        yield Finding("cores", NOTE, f"{what}: epochs take longer than they need", "measure when the machine is idle")
+    else:
+        yield Finding("cores", FINE, what)
+    try:
+        free = int(re.findall(r"MemAvailable:\s+(\d+)", Path("/proc/meminfo").read_text())[0]) << 10
+    except (OSError, IndexError):
+        return
+    what = f"{_size(free)} of memory free; each node's process takes some 60 MB and what it loads"
+    enough = free >= FREE_MEMORY_BYTES
+    yield Finding("memory", FINE if enough else WRONG, what, "" if enough else "end other programs, or add memory")
+
+
+def check_limits(files: int | None = None, processes: int | None = None) -> Iterator[Finding]:
+    """How many files and processes this user may have."""
+    for name, kind, least, given, flag in (
+        ("open files", resource.RLIMIT_NOFILE, OPEN_FILES, files, "-n"),
+        ("processes", resource.RLIMIT_NPROC, PROCESSES, processes, "-u"),
+    ):
+        limit = resource.getrlimit(kind)[0] if given is None else given
+        shown = "any number of" if limit == resource.RLIM_INFINITY else str(limit)
+        if limit != resource.RLIM_INFINITY and limit < least:
+            mend = f"ulimit {flag} {least}, or more in /etc/security/limits.conf"
+            yield Finding("limits", WRONG, f"at most {shown} {name}; large hierarchies need more", mend)
+        else:
+            yield Finding("limits", FINE, f"{shown} {name}")
+
+
+def check_shared_memory(folder: Path = Path("/dev/shm")) -> Iterator[Finding]:
+    """Where large messages go, and what launches that were killed have left there."""
+    from hierax.runtime.transport.zenoh_session import orphaned_segments
+
+    if not os.access(folder, os.W_OK):
+        mend = f"mount a tmpfs at {folder}; without it large messages are copied through sockets"
+        yield Finding("shared memory", WRONG, f"{folder} cannot be written", mend)
+        return
+    free = shutil.disk_usage(folder).free
+    enough = free >= FREE_SHARED_BYTES
+    mend = "" if enough else f"mount -o remount,size=512M {folder}; for a container: docker run --shm-size=512m"
+    yield Finding("shared memory", FINE if enough else WRONG, f"{_size(free)} free in {folder}", mend)
+    orphans = orphaned_segments(folder)
+    if orphans:
+        size = _size(sum(path.stat().st_size for path in orphans if path.exists()))
+        what = f"{len(orphans)} segments ({size}) of launches that were killed: {orphans[0]} …"
+        yield Finding("shared memory", WRONG, what, "hierax doctor --mend removes them, as does the next launch")
+
+
+def check_loopback() -> Iterator[Finding]:
+    """Whether two processes of a launch would find each other; multicast is not needed."""
+    from hierax.runtime.transport.hub import Hub
+    from hierax.runtime.transport.window import Glass
+    from hierax.schemas.keys import Keys
+
+    settings = os.environ.get("ZENOH_CONFIG")
+    begun = time.monotonic()
+    try:
+        hub = Hub(Keys("doctor", f"p{os.getpid()}"), None, None)
+        try:
+            hub.serve(lambda question, reply: reply(question))
+            with Glass(hub.endpoint) as glass:
+                glass.ask_keeper({"doctor": True}, LOOP_TIMEOUT_S)
+        finally:
+            hub.close()
+    except HieraxError as error:
+        mend = "allow programs to listen and connect at 127.0.0.1 (firewall, container without `lo`)"
+        if settings:
+            mend = f"mend or unset ZENOH_CONFIG={settings}; or {mend}"
+        yield Finding("network", WRONG, f"Zenoh over 127.0.0.1: {error}", mend)
+        return
+    what = f"Zenoh over 127.0.0.1 answers in {1e3 * (time.monotonic() - begun):.0f} ms; multicast is not needed"
+    yield Finding("network", FINE, what)
+    if settings:
+        yield Finding("network", NOTE, f"ZENOH_CONFIG={settings} changes Zenoh's settings for every launch")
+
+
+def check_folders() -> Iterator[Finding]:
+    """Where launches are registered, and where their logs are."""
+    from hierax.runtime.launch.run_file import known_runs
+    from hierax.runtime.watch.run_folder import known_folders, runs_folder
+
+    try:
+        runs = known_runs()
+    except HieraxError as error:
+        yield Finding("folders", WRONG, str(error), "set XDG_RUNTIME_DIR to a folder of your own")
+        return
+    what = ", ".join(f"{each.run} ({each.hierarchy})" for each in runs) or "no launch runs"
+    yield Finding("launches", FINE, what)
+    folder = runs_folder()
+    home = next(each for each in (folder, *folder.parents) if each.exists())
+    if not os.access(home, os.W_OK):
+        mend = "set XDG_STATE_HOME to a folder that can be written"
+        yield Finding("folders", WRONG, f"{home} cannot be written: launches leave no logs", mend)
+        return
+    kept = known_folders()
+    size = sum(path.stat().st_size for each in kept for path in each.rglob("*") if path.is_file())
+    yield Finding("folders", FINE, f"logs of {len(kept)} launches ({_size(size)}) in {folder}")
+
+
+def _size(count: int) -> str:
+    for power, unit in ((30, "GB"), (20, "MB"), (10, "kB")):
+        if count >= 1 << power:
+            return f"{count / (1 << power):.3g} {unit}"
+    return f"{count} bytes"
+
+
+def check_leftovers() -> Iterator[Finding]:
+    """Processes and folders of launches that were killed."""
+    from hierax.runtime.tools.leftovers import orphaned_processes, unused_folders
+
+    found = list(orphaned_processes())
+    if found:
+        pids = " ".join(str(each.pid) for each in found)
+        what = f"{len(found)} processes of nodes whose launch is gone, and that have not ended: {pids}"
+        yield Finding("leftovers", WRONG, what, f"hierax doctor --mend ends them, or: kill -9 {pids}")
+    folders = list(unused_folders())
+    if folders:
+        what = f"{len(folders)} folders with checkpoints of launches that were killed: {folders[0]} …"
+        yield Finding("leftovers", WRONG, what, "hierax doctor --mend removes them")
+    if not found and not folders:
+        yield Finding("leftovers", FINE, "nothing was left behind")
+
+
+CHECKS: Mapping[str, Callable[[], Iterator[Finding]]] = {
+    "python": check_python,
+    "packages": check_packages,
+    "machine": check_machine,
+    "limits": check_limits,
+    "shared memory": check_shared_memory,
+    "network": check_loopback,
+    "folders": check_folders,
+    "leftovers": check_leftovers,
+}
+
+
+def examine(checks: Mapping[str, Callable[[], Iterator[Finding]]] = CHECKS) -> Iterator[Finding]:
+    """All findings; what cannot be looked at is one, too."""
+    for name, check in checks.items():
+        yield from _done(name, check)
+
+
+def _done(name: str, check: Callable[[], Iterator[Finding]]) -> Iterator[Finding]:
+    try:
+        yield from check()
+    except (OSError, subprocess.SubprocessError) as error:
+        yield Finding(name, NOTE, f"cannot be looked at: {error}")
+
+
+def mend() -> list[str]:
+    """Remove what launches that were killed have left behind; what was done."""
+    from hierax.runtime.tools.leftovers import end_process, orphaned_processes, unused_folders
+    from hierax.runtime.transport.zenoh_session import remove_orphaned_segments
+
+    done: list[str] = []
+    for each in orphaned_processes():
+        end_process(each)
+        done.append(f"ended process {each.pid}")
+    segments = remove_orphaned_segments()
+    if segments:
+        done.append(f"removed {segments} segments of shared memory")
+    for folder in unused_folders():
+        shutil.rmtree(folder)
+        done.append(f"removed {folder}")
+    return done
+
+
+def as_json(findings: Iterable[Finding]) -> list[dict[str, Any]]:
+    """Findings as plain JSON."""
+    return [finding._asdict() for finding in findings]

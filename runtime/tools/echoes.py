@@ -1,0 +1,103 @@
+"""Which messages somebody wants to see, and how many of them come, how large."""
+
+from __future__ import annotations
+
+import time
+from collections import deque
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
+from fnmatch import fnmatchcase
+from typing import NamedTuple
+
+from hierax.runtime.core.errors import HieraxError
+from hierax.runtime.nearest import did_you_mean
+from hierax.schemas.messages import CONTEXT, OBSERVATIONS, TASKS, Message
+
+Edge = tuple[str, str, str]
+"""Kind, sender and receiver."""
+
+WINDOW = 100
+"""Over how many messages, the last ones, a rate is taken."""
+
+SHORTEST_S = 0.1
+"""Over a shorter time than this none is: messages may come in bursts."""
+
+
+def short_key(edge: Edge) -> str:
+    """``KIND/FROM/TO``."""
+    return "/".join(edge)
+
+
+def edges_of(pairs: Iterable[tuple[str, str]]) -> list[Edge]:
+    """The keys of all messages along edges, given as (lower, upper), in order."""
+    found: list[Edge] = []
+    for lower, upper in pairs:
+        found += [(OBSERVATIONS, lower, upper), (TASKS, upper, lower), (CONTEXT, upper, lower)]
+    return sorted(found)
+
+
+def chosen(pattern: str, edges: Sequence[Edge]) -> list[Edge]:
+    """The edges that a pattern stands for.
+
+    Args:
+        pattern: ``KIND/FROM/TO``, where ``*`` stands for any name and ``?`` for any letter, or
+            ``**`` for all that is left; as a key in full it may begin with ``hierax/…/…/``.
+        edges: those that there are.
+
+    Raises:
+        HieraxError: it stands for none; with the nearest one.
+    """
+    given = pattern.split("/")
+    parts = given[3:] if given[0] == "hierax" and len(given) > 3 else given
+    if parts and parts[-1] == "**":
+        parts = [*parts[:-1], *("*" for _ in range(4 - len(parts)))]
+    found = [edge for edge in edges if len(parts) == 3 and all(map(fnmatchcase, edge, parts))]
+    if not found:
+        known = did_you_mean(pattern, map(short_key, edges), "there are")
+        raise HieraxError(f"no key fits {pattern!r}: expected KIND/FROM/TO, with * for any{known}")
+    return found
+
+
+class Echo(NamedTuple):
+    """A message that somebody sees.
+
+    Attributes:
+        message: decoded.
+        size: bytes on the wire.
+        rate_hz: how often messages with this key have come of late; None where there are too few to say.
+        missed: epochs between the last message with this key and this one of which none came here.
+    """
+
+    message: Message
+    size: int
+    rate_hz: float | None
+    missed: int
+
+
+@dataclass
+class _Lane:
+    times_s: deque[float]
+    epoch: int = 0
+
+
+class Counter:
+    """Counts the messages of each key.
+
+    Args:
+        clock: seconds.
+    """
+
+    def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
+        self._clock = clock
+        self._lanes: dict[Edge, _Lane] = {}
+
+    def take(self, message: Message, size: int) -> Echo:
+        """One more message."""
+        kind, sender, receiver, epoch = message.header[:4]
+        lane = self._lanes.setdefault((kind, sender, receiver), _Lane(deque(maxlen=WINDOW)))
+        lane.times_s.append(self._clock())
+        passed_s = lane.times_s[-1] - lane.times_s[0]
+        rate_hz = (len(lane.times_s) - 1) / passed_s if passed_s >= SHORTEST_S else None
+        missed = max(epoch - lane.epoch - 1, 0) if lane.epoch else 0
+        lane.epoch = max(epoch, lane.epoch)
+        return Echo(message, size, rate_hz, missed)

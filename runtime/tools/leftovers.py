@@ -1,0 +1,102 @@
+"""What launches leave behind when they are killed: processes, and folders of checkpoints."""
+
+from __future__ import annotations
+
+import fcntl
+import os
+import re
+import signal
+import tempfile
+from collections.abc import Iterator
+from pathlib import Path
+from typing import NamedTuple
+
+NODE_PROCESS = "hierax.runtime.launch.node_process"
+
+_FOLDER = re.compile(r"hierax-[a-z0-9_]{8}")
+_SLOT = re.compile(r".+\.(0|1|lock)|run\.json")
+
+
+class Orphan(NamedTuple):
+    """A process of a node without a supervisor; `began` tells it from a later one with its number."""
+
+    pid: int
+    began: str
+
+
+def orphaned_processes(proc: Path = Path("/proc")) -> Iterator[Orphan]:
+    """This user's processes of nodes whose parent is no Python program any more.
+
+    A node's process ends within 2 s when its supervisor dies; one that hangs in an operator may not.
+    """
+    for folder in sorted(proc.glob("[0-9]*")):
+        try:
+            if folder.stat().st_uid != os.getuid() or NODE_PROCESS not in _command(folder):
+                continue
+            state, parent, began = _status(folder)
+            if state != "Z" and "python" not in _executable(proc / parent) and "hierax" not in _command(proc / parent):
+                yield Orphan(int(folder.name), began)
+        except (OSError, IndexError):
+            continue  # it has ended just now
+
+
+def end_process(orphan: Orphan, proc: Path = Path("/proc")) -> None:
+    """Kill an orphan, if it is still the same process."""
+    try:
+        handle = os.pidfd_open(orphan.pid)
+    except ProcessLookupError:
+        return
+    try:
+        if _status(proc / str(orphan.pid))[2] == orphan.began:
+            signal.pidfd_send_signal(handle, signal.SIGKILL)
+    except (ProcessLookupError, FileNotFoundError):
+        return
+    finally:
+        os.close(handle)
+
+
+def _command(process: Path) -> list[str]:
+    try:
+        return [part.decode(errors="replace") for part in (process / "cmdline").read_bytes().split(b"\0")]
+    except FileNotFoundError:
+        return []
+
+
+def _executable(process: Path) -> str:
+    return Path((_command(process) or [""])[0]).name
+
+
+def _status(process: Path) -> tuple[str, str, str]:
+    """State, parent's number, and when it began."""
+    fields = (process / "stat").read_text().rpartition(")")[2].split()
+    return fields[0], fields[1], fields[19]
+
+
+def unused_folders(base: Path | None = None) -> Iterator[Path]:
+    """This user's temporary folders of launches in which no checkpoint is in use."""
+    for folder in sorted((base or Path(tempfile.gettempdir())).glob("hierax-*")):
+        if _FOLDER.fullmatch(folder.name) and _is_unused(folder):
+            yield folder
+
+
+def _is_unused(folder: Path) -> bool:
+    try:
+        files = list(folder.iterdir())
+        if folder.is_symlink() or folder.stat().st_uid != os.getuid() or not files:
+            return False
+        if not all(_SLOT.fullmatch(path.name) for path in files):
+            return False  # not ours after all
+        return not any(_is_locked(path) for path in files if path.suffix == ".lock")
+    except OSError:
+        return False  # being removed
+
+
+def _is_locked(path: Path) -> bool:
+    descriptor = os.open(path, os.O_RDONLY | os.O_CLOEXEC)
+    try:
+        fcntl.flock(descriptor, fcntl.LOCK_SH | fcntl.LOCK_NB)
+    except BlockingIOError:
+        return True
+    finally:
+        os.close(descriptor)
+    return False

@@ -1,0 +1,165 @@
+"""Reading the logs of a launch, that runs or has ended."""
+
+from __future__ import annotations
+
+import json
+import logging
+import os
+import re
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from datetime import datetime, timedelta, timezone
+from pathlib import Path
+from typing import Any
+
+from hierax.runtime.core.errors import HieraxError
+from hierax.runtime.nearest import did_you_mean
+from hierax.runtime.watch.logs import LAUNCH, LAUNCH_FILE, SUFFIX
+from hierax.runtime.watch.run_folder import LOGS, is_alive, known_folders, run_folder
+
+Entry = dict[str, Any]
+
+LEVELS = ("DEBUG", "INFO", "WARNING", "ERROR", "CRITICAL")
+
+_AGO = re.compile(r"(\d+(?:\.\d+)?)\s*([smhd])")
+_SECONDS = {"s": 1, "m": 60, "h": 3600, "d": 86400}
+
+
+def find_folder(run: str | None) -> Path:
+    """The folder of a launch; of none in particular, the youngest, one that runs before those that have ended.
+
+    Raises:
+        HieraxError: there is none; with the nearest name.
+    """
+    folders = known_folders()
+    if run is not None:
+        folder = run_folder(run)
+        if folder not in folders:
+            known = did_you_mean(run, [each.name for each in folders], "there are")
+            raise HieraxError(f"--run: there is no log of a launch {run!r}{known}")
+        return folder
+    if not folders:
+        raise HieraxError("no launch has left a log on this machine")
+    return next(filter(is_alive, folders), folders[0])
+
+
+def read_since(text: str, now: datetime) -> datetime:
+    """A point in time: ``10m`` ago (s, m, h, d), or ISO 8601; without a zone, it is local time.
+
+    Raises:
+        HieraxError: it is neither.
+    """
+    ago = _AGO.fullmatch(text.strip())
+    if ago is not None:
+        return now - timedelta(seconds=float(ago[1]) * _SECONDS[ago[2]])
+    try:
+        return datetime.fromisoformat(text.strip().replace("Z", "+00:00")).astimezone(timezone.utc)
+    except ValueError as error:
+        what = f"--since: expected how long ago, such as 10m, or a time such as 2030-01-02T03:04, got {text!r}"
+        raise HieraxError(what) from error
+
+
+def read_pattern(text: str) -> re.Pattern[str]:
+    """A regular expression.
+
+    Raises:
+        HieraxError: it is none.
+    """
+    try:
+        return re.compile(text)
+    except re.error as error:
+        raise HieraxError(f"--grep: {text!r} is no regular expression: {error}") from error
+
+
+@dataclass(frozen=True)
+class Wanted:
+    """Which entries of a log are shown.
+
+    Attributes:
+        nodes: of these alone; empty: of all.
+        level: from this one on.
+        since: not from before; None: from the beginning.
+        pattern: found in message, logger's name or traceback; None: anything.
+    """
+
+    nodes: Sequence[str] = ()
+    level: str = "DEBUG"
+    since: datetime | None = None
+    pattern: re.Pattern[str] | None = None
+
+    def __call__(self, entry: Entry) -> bool:
+        """Whether an entry is."""
+        if self.nodes and entry.get("node") not in self.nodes:
+            return False
+        if _number(entry.get("level")) < _number(self.level):
+            return False
+        if self.since is not None and _time(entry) < self.since:
+            return False
+        texts = (str(entry.get(field, "")) for field in ("message", "logger", "exception"))
+        return self.pattern is None or any(map(self.pattern.search, texts))
+
+
+class Reader:
+    """Reads the files of a launch's logs, again and again, each time what is new.
+
+    Args:
+        folder: of the launch.
+    """
+
+    def __init__(self, folder: Path) -> None:
+        self._logs = folder / LOGS
+        self._places: dict[int, int] = {}
+
+    @property
+    def names(self) -> list[str]:
+        """Who has a log: nodes, and ``launch``."""
+        files = {path.name.removesuffix(SUFFIX) for path in self._logs.glob(f"*{SUFFIX}")}
+        return sorted({LAUNCH if name == LAUNCH_FILE else name for name in files})
+
+    def read(self) -> list[Entry]:
+        """What was written since the last time, in order of time."""
+        entries: list[Entry] = []
+        for path in sorted(self._logs.glob(f"*{SUFFIX}*"), reverse=True):  # what was put aside before what was not
+            entries += self._read(path)
+        return sorted(entries, key=_time)
+
+    def _read(self, path: Path) -> Iterator[Entry]:
+        try:
+            with path.open("rb") as file:
+                number = os.fstat(file.fileno()).st_ino  # a file that was put aside goes on where it was read to
+                file.seek(self._places.get(number, 0))
+                for line in file:
+                    if not line.endswith(b"\n"):
+                        return  # being written
+                    self._places[number] = self._places.get(number, 0) + len(line)
+                    yield from _parsed(line)
+        except FileNotFoundError:
+            return  # put aside just now: it is read under its other name the next time
+
+
+def _parsed(line: bytes) -> Iterable[Entry]:
+    try:
+        entry = json.loads(line)
+    except ValueError:
+        return []  # torn by the death of its process
+    return [entry] if isinstance(entry, dict) and isinstance(entry.get("time"), str) else []
+
+
+def _time(entry: Mapping[str, Any]) -> datetime:
+    try:
+        return datetime.fromisoformat(entry["time"].replace("Z", "+00:00")).astimezone(timezone.utc)
+    except ValueError:
+        return datetime.min.replace(tzinfo=timezone.utc)
+
+
+def _number(level: Any) -> int:
+    number = logging.getLevelName(level) if isinstance(level, str) else level
+    return number if isinstance(number, int) else logging.INFO
+
+
+def line(entry: Entry) -> str:
+    """An entry as text: local time, level, node and epoch, message; a traceback below."""
+    clock = _time(entry).astimezone().strftime("%H:%M:%S.%f")[:-3]
+    where = f"{entry.get('node', '?')} epoch {entry.get('epoch', 0)}"
+    text = f"{clock} {entry.get('level', '')} {where}: {entry.get('message', '')}"
+    return f"{text}\n{entry['exception']}" if entry.get("exception") else text

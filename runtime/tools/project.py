@@ -1,0 +1,76 @@
+"""A project of one's own, to begin with: nodes, a deployment file that runs at once, tests."""
+
+from __future__ import annotations
+
+import importlib.util
+import keyword
+import re
+import sys
+from importlib.resources import files
+from pathlib import Path
+
+from hierax.runtime.core.errors import HieraxError
+from hierax.schemas.errors import SchemaError
+from hierax.schemas.keys import check_name
+
+_TEMPLATES = {
+    "README.md": "README.md.txt",
+    "@NAME@.yaml": "deployment.yaml.txt",
+    "@MODULE@.py": "module.py.txt",
+    "test_@MODULE@.py": "test_module.py.txt",
+}
+
+
+def module_name(name: str) -> str:
+    """The module of a project."""
+    return re.sub(r"[^a-z0-9_]", "_", name.lower())
+
+
+def make_project(folder: Path) -> list[Path]:
+    """Write a project into a folder that is not there yet, or empty.
+
+    Args:
+        folder: its last part is the project's name.
+
+    Returns:
+        The files, in order.
+
+    Raises:
+        HieraxError: the name cannot be one, there is something already, or it cannot be written.
+    """
+    name = folder.resolve().name
+    module = module_name(name)
+    _check_name(name, module)
+    if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
+        raise HieraxError(f"{folder} is there already, and nothing is overwritten; give another name")
+    made: list[Path] = []
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        for target, template in _TEMPLATES.items():
+            path = folder / _filled(target, name, module)
+            with path.open("x", encoding="utf-8") as file:
+                file.write(_filled(_template(template), name, module))
+            made.append(path)
+    except OSError as error:
+        raise HieraxError(f"{folder}: cannot be written: {error.strerror or error}") from error
+    return made
+
+
+def _check_name(name: str, module: str) -> None:
+    try:
+        check_name(name, "project's name")
+    except SchemaError as error:
+        raise HieraxError(str(error)) from error
+    if not module.isidentifier() or keyword.iskeyword(module):
+        raise HieraxError(f"{name!r} gives no name of a Python module; begin it with a letter")
+    known = module in sys.stdlib_module_names or importlib.util.find_spec(module) is not None
+    if known:
+        raise HieraxError(f"{name!r}: there is a Python module {module!r} already; give another name")
+
+
+def _template(name: str) -> str:
+    return (files("hierax.runtime.tools") / "template" / name).read_text(encoding="utf-8")
+
+
+def _filled(text: str, name: str, module: str) -> str:
+    return text.replace("@NAME@", name).replace("@MODULE@", module)

@@ -1,0 +1,195 @@
+"""How tools see a launch that runs: a node's window, and the glass that is held to it.
+
+Nothing of the run goes through here, and nothing waits for it. Tools do not subscribe to
+the keys of edges: what is put there waits for slow receivers, and a tool that its user
+has stopped would hold the run up. A node shows copies, which are dropped where they
+cannot go at once.
+"""
+
+from __future__ import annotations
+
+import logging
+import time
+from collections import deque
+from collections.abc import Callable, Collection, Iterator, Mapping
+from types import TracebackType
+from typing import Any
+
+import zenoh
+
+from hierax.runtime.transport.hub import KEEPER
+from hierax.runtime.transport.port import TransportError
+from hierax.runtime.transport.zenoh_session import Settings, close_session, open_session
+from hierax.schemas.errors import SchemaError
+from hierax.schemas.keys import Keys
+from hierax.schemas.values import Value, decode_value, encode_value
+
+QUESTIONS = 64
+"""How many questions wait at a window; of more than that, the oldest are not answered."""
+
+FIND_TIMEOUT_S = 5.0
+LOOK_AGAIN_S = 0.02
+
+Reply = Callable[[Value], None]
+
+_log = logging.getLogger("hierax")
+
+
+class Window:
+    """A node's end, in its process.
+
+    Args:
+        session: an open session.
+        keys: of the run.
+        name: of the node.
+    """
+
+    def __init__(self, session: zenoh.Session, keys: Keys, name: str) -> None:
+        self._session = session
+        self._keys = keys
+        self._key = keys.look(name)
+        self._questions: deque[tuple[Value, Reply]] = deque(maxlen=QUESTIONS)
+        self._queryable: Any = session.declare_queryable(self._key, self._on_query)
+
+    def questions(self) -> Iterator[tuple[Value, Reply]]:
+        """What was asked since the last time, each with what gives the answer."""
+        while self._questions:
+            yield self._questions.popleft()
+
+    def show(self, kind: str, sender: str, receiver: str, data: bytes) -> None:
+        """Show the bytes of a message to who listens; dropped where they cannot go at once."""
+        try:
+            self._session.put(
+                self._keys.seen(kind, sender, receiver),
+                data,
+                congestion_control=zenoh.CongestionControl.DROP,
+                priority=zenoh.Priority.DATA_LOW,
+            )
+        except zenoh.ZError as error:
+            _log.info("a copy of a message is not shown: %s", error)
+
+    def _on_query(self, query: zenoh.Query) -> None:
+        """In a thread of Zenoh's; answered in another one."""
+
+        def reply(value: Value) -> None:
+            with query:
+                try:
+                    query.reply(self._key, encode_value(value))
+                except zenoh.ZError as error:
+                    _log.info("an answer is not sent: %s", error)  # who asked has gone
+
+        payload = query.payload
+        try:
+            question = decode_value(b"" if payload is None else payload.to_bytes(), "question")
+        except SchemaError as error:
+            reply({"refusal": str(error)})
+            return
+        self._questions.append((question, reply))
+
+
+class Glass:
+    """A tool's end: a session of its own, through the launch's hub.
+
+    Args:
+        endpoint: of the hub.
+        settings: Zenoh's own.
+
+    Raises:
+        TransportError: the launch cannot be reached.
+    """
+
+    def __init__(self, endpoint: str, settings: Settings = None) -> None:
+        self._endpoint = endpoint
+        try:  # a client, as the processes of the run would link to a peer
+            self._session = open_session((), [endpoint], settings, shared_memory=False, mode="client")
+        except TransportError as error:
+            raise TransportError(f"the launch at {endpoint} cannot be reached: {error}") from error
+
+    def ask_keeper(self, question: Value, timeout_s: float = 60.0) -> Value:
+        """Ask the launch's keeper.
+
+        Args:
+            question: see `hierax.runtime.launch.requests`.
+            timeout_s: how long the answer may take.
+
+        Raises:
+            TransportError: it does not answer.
+        """
+        patience = time.monotonic() + FIND_TIMEOUT_S
+        while time.monotonic() < patience:  # whom nobody has heard of yet is not waited for by `get`
+            for _, answer in self._get(Keys("*", "*").control(KEEPER), question, timeout_s):
+                return answer
+            time.sleep(LOOK_AGAIN_S)
+        raise TransportError(f"the launch at {self._endpoint} does not answer")
+
+    def ask_nodes(
+        self, keys: Keys, question: Mapping[str, Value], names: Collection[str], timeout_s: float = 2.0
+    ) -> dict[str, list[Value]]:
+        """Ask nodes at their windows.
+
+        Args:
+            keys: of the run.
+            question: see `hierax.runtime.launch.desk`.
+            names: of the nodes; those that answer sooner are asked again where others are waited for.
+            timeout_s: how long all of them may take.
+
+        Returns:
+            The answers of those that gave one, by name; of two processes of a node, both.
+        """
+        patience = time.monotonic() + timeout_s
+        answers: dict[str, list[Value]] = {}
+        missing = set(names)
+        while missing:
+            where = keys.look(next(iter(missing)) if len(missing) == 1 else "*")
+            left_s = max(patience - time.monotonic(), LOOK_AGAIN_S)
+            came: dict[str, list[Value]] = {}
+            for key, answer in self._get(where, question, left_s):
+                came.setdefault(key.rpartition("/")[2], []).append(answer)
+            answers.update({name: came[name] for name in sorted(missing & came.keys())})
+            missing -= came.keys()
+            if not missing or time.monotonic() >= patience:
+                break
+            time.sleep(LOOK_AGAIN_S)
+        return answers
+
+    def listen(self, key: str, heard: Callable[[str, bytes], None]) -> None:
+        """Have every sample on matching keys told, by key and bytes, in a thread of Zenoh's.
+
+        Raises:
+            TransportError: Zenoh refuses the key.
+        """
+
+        def on_sample(sample: zenoh.Sample) -> None:
+            heard(str(sample.key_expr), sample.payload.to_bytes())
+
+        try:
+            self._session.declare_subscriber(key, on_sample)
+        except zenoh.ZError as error:
+            raise TransportError(f"{key!r} is no key to listen to: {error}") from error
+
+    def close(self) -> None:
+        """Close the session."""
+        close_session(self._session)
+
+    def __enter__(self) -> Glass:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def _get(self, key: str, question: Value, timeout_s: float) -> Iterator[tuple[str, Value]]:
+        try:
+            replies = self._session.get(
+                key,
+                payload=encode_value(question),
+                timeout=timeout_s,
+                target=zenoh.QueryTarget.ALL,
+                consolidation=zenoh.ConsolidationMode.NONE,
+            )
+            for reply in replies:
+                if reply.ok is not None:
+                    yield str(reply.ok.key_expr), decode_value(reply.ok.payload.to_bytes(), "answer")
+        except (zenoh.ZError, SchemaError) as error:
+            raise TransportError(f"the launch at {self._endpoint} cannot be asked: {error}") from error

@@ -1,0 +1,146 @@
+"""Seeing a launch that runs; it never waits for who looks, and epochs that cannot be shown in time are left out."""
+
+from __future__ import annotations
+
+import time
+from collections import deque
+from collections.abc import Callable
+from math import ceil
+from threading import Condition
+
+from hierax.runtime.core.probe import Step
+from hierax.runtime.tools.looking import Looking, Seen
+from hierax.runtime.transport.port import TransportError
+from hierax.runtime.transport.window import Glass
+from hierax.runtime.viewing.exhibit import Exhibit
+from hierax.runtime.viewing.nodes import ShownNodes
+from hierax.runtime.watch.stepper import read_step
+from hierax.schemas.keys import STEP
+from hierax.schemas.roster import Roster
+
+MOST_EPOCHS_PER_S = 30.0
+"""Of a quicker launch every second, third, … epoch is shown."""
+
+ASK_EVERY_S = 1.0
+"""Nodes tell their steps for some seconds after they were asked."""
+
+STEPS_WAITING = 512
+"""How many steps wait to be shown; of more than that, the oldest are forgotten."""
+
+
+def show_launch(glass: Glass, exhibit: Exhibit, over: Callable[[], bool] = lambda: False) -> int:
+    """Show a launch until it ends.
+
+    Args:
+        glass: held to it.
+        exhibit: shows it.
+        over: whether it has been looked at long enough; asked often.
+
+    Returns:
+        How many steps of nodes were shown.
+
+    Raises:
+        TransportError: it does not answer from the beginning.
+        HieraxError: a node cannot be loaded here, or what it shows cannot be shown.
+    """
+    looking = Looking(glass)
+    seen = looking.look()
+    inbox = _Inbox()
+    glass.listen(seen.keys.seen(STEP, "*", "*"), inbox.put)
+    stage = _Stage(exhibit, inbox)
+    asked = _Asked(seen.epoch, time.monotonic())
+    stage.set_roster(_ask(looking, seen, 1))
+    while not over():
+        if time.monotonic() - asked.at_s >= ASK_EVERY_S:
+            try:
+                seen = looking.look()
+                every, asked = asked.next(seen.epoch)
+                stage.set_roster(_ask(looking, seen, every))
+            except TransportError:
+                break  # it has ended
+        stage.show(inbox.take(ASK_EVERY_S / 4))
+    stage.show(inbox.take(0.0))
+    exhibit.close()
+    return stage.shown
+
+
+class _Asked:
+    """When the launch was asked last, and which epoch it was in."""
+
+    def __init__(self, epoch: int, at_s: float) -> None:
+        self.epoch = epoch
+        self.at_s = at_s
+
+    def next(self, epoch: int) -> tuple[int, _Asked]:
+        """How many epochs there are to each that can be shown; and what is remembered for the next time."""
+        now_s = time.monotonic()
+        rate = (epoch - self.epoch) / max(now_s - self.at_s, 1e-3)
+        return max(1, ceil(rate / MOST_EPOCHS_PER_S)), _Asked(epoch, now_s)
+
+
+def _ask(looking: Looking, seen: Seen, every: int) -> Roster | None:
+    """Have all nodes tell their steps for a while; the roster, if the world answers."""
+    answers = looking.ask(seen, {"look": "steps", "every": every}, seen.nodes)
+    for answer in answers.values():
+        if answer.get("roster") is not None:
+            return Roster.read(answer["roster"])
+    return None
+
+
+class _Inbox:
+    """Steps as they come, in a thread of the transport's, until they are shown."""
+
+    def __init__(self) -> None:
+        self._waiting: deque[tuple[str, bytes]] = deque(maxlen=STEPS_WAITING)
+        self._changed = Condition()
+
+    def put(self, key: str, data: bytes) -> None:
+        """A step has come."""
+        with self._changed:
+            self._waiting.append((key.rpartition("/")[2], data))
+            self._changed.notify()
+
+    def take(self, timeout_s: float) -> list[tuple[str, bytes]]:
+        """Names and steps since the last time; waits a while for one where there is none."""
+        with self._changed:
+            if not self._waiting:
+                self._changed.wait(timeout_s)
+            taken = list(self._waiting)
+            self._waiting.clear()
+        return taken
+
+
+class _Stage:
+    """Shows steps under the roster that is in force."""
+
+    def __init__(self, exhibit: Exhibit, inbox: _Inbox) -> None:
+        self._exhibit = exhibit
+        self._inbox = inbox
+        self._nodes = ShownNodes()
+        self._roster: Roster | None = None
+        self._last: tuple[int, int] | None = None
+        self.shown = 0
+
+    def set_roster(self, roster: Roster | None) -> None:
+        """The roster as the world tells it; None: it did not."""
+        if roster is not None and (self._roster is None or roster.version != self._roster.version):
+            self._roster = roster
+            self._exhibit.set_roster(roster)
+
+    def show(self, steps: list[tuple[str, bytes]]) -> None:
+        """Show what nodes did."""
+        for name, data in steps:
+            if self._roster is None or name not in self._roster.nodes:
+                continue  # of a roster that this one has not been told of yet
+            done_ns, step = read_step(data)
+            if name == self._roster.world:
+                self._time(step, done_ns)
+            self._exhibit.step(name, self._nodes.node(self._roster, name), step)
+            self.shown += 1
+
+    def _time(self, step: Step, done_ns: int) -> None:
+        """From one epoch of the world to the next; where some are left out, their mean."""
+        if self._last is not None and step.epoch > self._last[0]:
+            took_s = (done_ns - self._last[1]) / 1e9 / (step.epoch - self._last[0])
+            self._exhibit.epoch_took(step.epoch, step.time_s, took_s)
+        self._last = (step.epoch, done_ns)

@@ -1,0 +1,27 @@
+"""The nodes of a roster as objects, for what they show."""
+
+from __future__ import annotations
+
+from hierax.runtime.core.node import Node
+from hierax.runtime.loading import build_node
+from hierax.schemas.roster import Roster
+from hierax.schemas.values import encode_value
+
+
+class ShownNodes:
+    """Builds nodes; one whose class and parameters stay is kept."""
+
+    def __init__(self) -> None:
+        self._built: dict[str, tuple[bytes, Node]] = {}
+
+    def node(self, roster: Roster, name: str) -> Node:
+        """A node of a roster.
+
+        Raises:
+            LoadError: it cannot be loaded.
+        """
+        reference = roster.nodes[name]
+        key = encode_value(reference.plain())
+        if name not in self._built or self._built[name][0] != key:
+            self._built[name] = (key, build_node(reference, f"nodes.{name}"))
+        return self._built[name][1]

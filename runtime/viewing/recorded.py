@@ -1,0 +1,126 @@
+"""Seeing a recording."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from itertools import chain
+
+from hierax.runtime.core.hierarchy import neighbours_above, neighbours_below
+from hierax.runtime.core.node import Elements, Value
+from hierax.runtime.core.probe import Step
+from hierax.runtime.recording.reading import Recording
+from hierax.runtime.recording.trace import EpochTrace, Line
+from hierax.runtime.viewing.exhibit import Exhibit
+from hierax.runtime.viewing.nodes import ShownNodes
+from hierax.schemas.messages import CONTEXT, OBSERVATIONS, TASKS, decode_message
+from hierax.schemas.roster import Roster
+
+MESSAGES_KEPT = 64
+"""Where epochs overlap: of each line, as a later epoch may have used them."""
+
+
+def show_recording(
+    recording: Recording,
+    exhibit: Exhibit,
+    first: int = 1,
+    last: int | None = None,
+    progress: Callable[[int], None] = lambda _: None,
+) -> int:
+    """Show what was recorded.
+
+    Args:
+        recording: open.
+        exhibit: shows it.
+        first, last: epochs; None: all.
+        progress: told the number of each epoch that is shown.
+
+    Returns:
+        How many epochs were shown.
+
+    Raises:
+        HieraxError: the file is damaged, a node cannot be loaded, or what it shows cannot be shown.
+    """
+    playing = _Playing(exhibit)
+    shown = 0
+    for trace in recording.epochs(first, last):
+        playing.epoch(trace)
+        progress(trace.epoch)
+        shown += 1
+    exhibit.close()
+    return shown
+
+
+class _Playing:
+    """Makes steps of a recording's epochs."""
+
+    def __init__(self, exhibit: Exhibit) -> None:
+        self._exhibit = exhibit
+        self._nodes = ShownNodes()
+        self._roster: Roster | None = None
+        self._lines: dict[Line, dict[tuple[int, int], bytes]] = {}
+        self._beliefs: dict[str, tuple[int, Value]] = {}
+        self._committed = (0, 0)
+
+    def epoch(self, trace: EpochTrace) -> None:
+        """Show an epoch."""
+        roster = trace.roster
+        if self._roster is None or roster.version != self._roster.version:
+            self._roster = roster
+            self._exhibit.set_roster(roster)
+        self._remember(trace)
+        epoch, heard_ns = self._committed
+        self._committed = (trace.epoch, trace.heard_ns)
+        if epoch == trace.epoch - 1 and heard_ns and trace.heard_ns and trace.time_s is not None:
+            self._exhibit.epoch_took(trace.epoch, trace.time_s, (trace.heard_ns - heard_ns) / 1e9)
+        for name in trace.order:
+            self._node(trace, name)
+
+    def _node(self, trace: EpochTrace, name: str) -> None:
+        known = trace.nodes.get(name)
+        state, start = trace.state_of(name), trace.start_of(name)
+        if known is None or state is None:
+            return  # its process died before it could tell
+        before = self._belief_before(trace.epoch, name) if start is None else start.belief
+        self._beliefs[name] = (trace.epoch, state.belief)
+        sensed = trace.sensed_of(name)
+        if sensed is None and name == trace.roster.world:
+            sensed = None if before is None else (before,)  # the world senses nothing
+        if sensed is None:
+            return
+        pairs = [edge.pair for edge in trace.roster.edges]
+        below, above = neighbours_below(name, pairs), neighbours_above(name, pairs)
+        step = Step(
+            trace.epoch,
+            trace.attempt,
+            known.step.time_s,
+            self._inputs(trace, name, OBSERVATIONS, below),
+            sensed[0],
+            self._inputs(trace, name, TASKS, above),
+            self._inputs(trace, name, CONTEXT, above),
+            state.policy,
+            state.actions,
+            state.belief,
+        )
+        self._exhibit.step(name, self._nodes.node(trace.roster, name), step, before)
+
+    def _belief_before(self, epoch: int, name: str) -> Value:
+        known = self._beliefs.get(name)
+        return known[1] if known is not None and known[0] < epoch else None
+
+    def _inputs(self, trace: EpochTrace, name: str, kind: str, senders: tuple[str, ...]) -> Elements:
+        """What a node was given along all edges, in the order of their other ends' names; what lacks is left out."""
+        used = trace.used_of(name) or {}
+        found = (self._given((kind, sender, name), used.get((sender, kind)), trace) for sender in senders)
+        return tuple(chain.from_iterable(found))
+
+    def _given(self, line: Line, used: tuple[int, int] | None, trace: EpochTrace) -> Elements:
+        data = self._lines.get(line, {}).get(used or (trace.epoch, trace.attempt))
+        return () if data is None else decode_message(data).payload
+
+    def _remember(self, trace: EpochTrace) -> None:
+        for line, attempts in trace.lines.items():
+            kept = self._lines.setdefault(line, {})
+            for attempt, data in attempts.items():
+                kept[trace.epoch, attempt] = data
+            for old in sorted(kept)[:-MESSAGES_KEPT]:
+                del kept[old]

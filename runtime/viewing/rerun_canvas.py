@@ -1,0 +1,284 @@
+"""A canvas of Rerun's: things as its archetypes, views as its blueprint."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from functools import singledispatch
+from typing import Any
+
+import numpy as np
+import rerun as rr
+import rerun.blueprint as rrb
+
+from hierax.runtime.core.showing import (
+    Array,
+    Axes,
+    Box,
+    Camera,
+    Curve,
+    Depth,
+    Graph,
+    Image,
+    Labels,
+    Lines2D,
+    Lines3D,
+    Mesh,
+    Points2D,
+    Points3D,
+    Thing,
+    colour_of,
+)
+from hierax.runtime.viewing.exhibit import Canvas
+from hierax.runtime.viewing.layout import Column
+from hierax.runtime.viewing.views import Kind, Placed, View
+
+TIMELINE, TIME = "epoch", "time"
+"""The timelines: the epoch's number, and the world's time in seconds."""
+
+JPEG_QUALITY = 85
+"""Of pictures: they take a tenth of the room."""
+
+DEPTH_MARGIN = 0.7
+"""The nearest depth is not drawn as black, which is where nothing is."""
+
+Parts = Sequence[tuple[str, Any]]
+"""Archetypes, each with where it goes, relative to the thing's path."""
+
+
+class RerunCanvas(Canvas):
+    """Draws into a stream.
+
+    Args:
+        stream: of Rerun's; it is joined to a viewer or a file before or after.
+    """
+
+    def __init__(self, stream: rr.RecordingStream) -> None:
+        self._stream = stream
+        self._styled: set[str] = set()
+        self._meshes: dict[str, Mesh] = {}
+
+    def draw(self, epoch: int, time_s: float, things: Iterable[Placed]) -> None:
+        self._set_time(epoch, time_s)
+        for each in things:
+            self._style(each)
+            for below, archetype in self._parts(each):
+                self._stream.log(f"{each.path}{below}", archetype)
+
+    def clear(self, epoch: int, time_s: float, paths: Iterable[str]) -> None:
+        self._set_time(epoch, time_s)
+        for path in paths:
+            self._meshes.pop(path, None)
+            self._stream.log(path, rr.Clear(recursive=False))
+
+    def arrange(self, columns: tuple[Column, ...]) -> None:
+        self._stream.send_blueprint(blueprint(columns))
+
+    def _set_time(self, epoch: int, time_s: float) -> None:
+        self._stream.set_time(TIMELINE, sequence=epoch)
+        self._stream.set_time(TIME, duration=time_s)
+
+    def _style(self, each: Placed) -> None:
+        """How a curve is drawn is said once."""
+        if each.view.kind is not Kind.PLOT or each.path in self._styled:
+            return
+        self._styled.add(each.path)
+        colours = [each.thing.colour] if isinstance(each.thing, Curve) and each.thing.colour else None
+        self._stream.log(
+            each.path,
+            rr.SeriesLines(names=each.label, colors=colours, widths=1.5),
+            # a run of one epoch has points, and no lines
+            rr.SeriesPoints(names=each.label, colors=colours, markers="circle", marker_sizes=2.0),
+            static=True,
+        )
+
+    def _parts(self, each: Placed) -> Parts:
+        if not isinstance(each.thing, Mesh):
+            return archetypes(each.thing)
+        shape = self._meshes.get(each.path)
+        self._meshes[each.path] = each.thing
+        pose = ("", _transform(each.thing.pose))
+        return [pose] if shape is not None and _same(shape, each.thing) else [pose, ("", _mesh(each.thing))]
+
+
+@singledispatch
+def archetypes(thing: Thing) -> Parts:
+    """A thing as Rerun's archetypes."""
+    return [("", rr.Scalars(float(thing)))]  # type: ignore[arg-type]
+
+
+@archetypes.register
+def _(thing: Curve) -> Parts:
+    return [("", rr.Scalars(thing.value))]
+
+
+@archetypes.register
+def _(thing: str) -> Parts:
+    return [("", rr.TextDocument(thing, media_type=rr.MediaType.MARKDOWN))]
+
+
+@archetypes.register
+def _(thing: Image) -> Parts:
+    return [("", _compressed(thing.pixels))]
+
+
+@archetypes.register
+def _(thing: Depth) -> Parts:
+    metres = np.asarray(thing.metres, np.float32)
+    known = metres[metres > 0.0]
+    span = (DEPTH_MARGIN * float(known.min()), float(known.max())) if known.size else None
+    return [("", rr.DepthImage(metres, meter=1.0, colormap="grayscale", depth_range=span))]
+
+
+@archetypes.register
+def _(thing: Labels) -> Parts:
+    labels = np.asarray(thing.labels)
+    names, colours = thing.names or {}, thing.colours or {}
+    known = sorted({int(label) for label in np.unique(labels)} | set(names) | set(colours))
+    classes = [
+        rr.AnnotationInfo(
+            label, names.get(label), (*colours.get(label, colour_of(label))[:3], 255) if label else (0, 0, 0, 0)
+        )
+        for label in known
+    ]
+    return [("", rr.AnnotationContext(classes)), ("", rr.SegmentationImage(labels, opacity=thing.opacity))]
+
+
+@archetypes.register
+def _(thing: Points2D) -> Parts:
+    return [
+        (
+            "",
+            rr.Points2D(
+                thing.points,
+                colors=thing.colour,
+                radii=rr.Radius.ui_points(thing.radius_px),
+                labels=thing.labels or None,
+            ),
+        )
+    ]
+
+
+@archetypes.register
+def _(thing: Lines2D) -> Parts:
+    radius = rr.Radius.ui_points(thing.width_px / 2)
+    return [("", rr.LineStrips2D(np.asarray(thing.lines), colors=thing.colour, radii=radius))]
+
+
+@archetypes.register
+def _(thing: Points3D) -> Parts:
+    return [("", rr.Points3D(thing.points, colors=thing.colour, radii=thing.radius_m, labels=thing.labels or None))]
+
+
+@archetypes.register
+def _(thing: Lines3D) -> Parts:
+    return [("", rr.LineStrips3D(np.asarray(thing.lines), colors=thing.colour, radii=thing.radius_m))]
+
+
+@archetypes.register
+def _(thing: Mesh) -> Parts:
+    return [("", _transform(thing.pose)), ("", _mesh(thing))]
+
+
+@archetypes.register
+def _(thing: Box) -> Parts:
+    box = rr.Boxes3D(
+        half_sizes=[np.asarray(thing.size) / 2],
+        colors=thing.colour,
+        fill_mode="solid" if thing.filled else "majorwireframe",
+        labels=[thing.label] if thing.label else None,
+    )
+    return [("", _transform(thing.pose)), ("", box)]
+
+
+@archetypes.register
+def _(thing: Axes) -> Parts:
+    return [("", _transform(thing.pose)), ("", rr.TransformAxes3D(thing.length_m))]
+
+
+@archetypes.register
+def _(thing: Camera) -> Parts:
+    fx, fy, cx, cy = np.asarray(thing.intrinsics).tolist()
+    # Rerun's pixels have their centres at halves
+    pinhole = rr.Pinhole(
+        focal_length=(fx, fy),
+        principal_point=(cx + 0.5, cy + 0.5),
+        resolution=thing.size,
+        camera_xyz=rr.ViewCoordinates.RDF,
+        image_plane_distance=thing.depth_m,
+    )
+    parts: list[tuple[str, Any]] = [("", _transform(thing.pose)), ("", pinhole)]
+    if thing.image is not None:
+        parts.append(("/image", _compressed(thing.image)))
+    return parts
+
+
+@archetypes.register
+def _(thing: Graph) -> Parts:
+    names = list(thing.nodes)
+    colours = thing.colours or {}
+    nodes = rr.GraphNodes(
+        names,
+        labels=[thing.nodes[name] for name in names],
+        positions=None if thing.places is None else [thing.places[name] for name in names],
+        colors=[colours.get(name, colour_of(2)) for name in names],
+    )
+    edges = rr.GraphEdges(list(thing.edges), graph_type="directed" if thing.directed else "undirected")
+    return [("", nodes), ("", edges)]
+
+
+def blueprint(columns: Sequence[Column]) -> rrb.Blueprint:
+    """The columns, side by side."""
+    contents = [rrb.Vertical(*(_cell(cell) for cell in column.cells)) for column in columns]
+    return rrb.Blueprint(
+        rrb.Horizontal(*contents, column_shares=[column.share for column in columns]),
+        rrb.TimePanel(state="collapsed", timeline=TIMELINE, play_state="following"),
+        rrb.BlueprintPanel(state="collapsed"),
+        rrb.SelectionPanel(state="collapsed"),
+    )
+
+
+def _cell(views: Sequence[View]) -> Any:
+    cells = [_view(view) for view in views]
+    return cells[0] if len(cells) == 1 else rrb.Tabs(*cells)
+
+
+def _view(view: View) -> Any:
+    kinds = {
+        Kind.PICTURE: rrb.Spatial2DView,
+        Kind.SCENE: rrb.Spatial3DView,
+        Kind.TEXT: rrb.TextDocumentView,
+        Kind.GRAPH: rrb.GraphView,
+        Kind.PLOT: rrb.TimeSeriesView,
+    }
+    return kinds[view.kind](origin=f"/{view.name}", name=view.name.replace("/", " · "))
+
+
+def _transform(pose: Any) -> rr.Transform3D:
+    pose = np.asarray(pose)
+    return rr.Transform3D(translation=pose[:3, 3], mat3x3=pose[:3, :3])
+
+
+def _mesh(thing: Mesh) -> rr.Mesh3D:
+    """Each triangle by itself, so that its normal is its own and edges are seen."""
+    corners = np.asarray(thing.vertices)[np.asarray(thing.faces)]
+    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    lengths = np.linalg.norm(normals, axis=1, keepdims=True)
+    normals = np.divide(normals, lengths, out=np.zeros_like(normals), where=lengths > 0.0)
+    return rr.Mesh3D(
+        vertex_positions=corners.reshape(-1, 3),
+        vertex_normals=np.repeat(normals, 3, axis=0),
+        albedo_factor=thing.colour,
+    )
+
+
+def _same(first: Mesh, second: Mesh) -> bool:
+    return (
+        first.colour == second.colour
+        and np.array_equal(first.vertices, second.vertices)
+        and np.array_equal(first.faces, second.faces)
+    )
+
+
+def _compressed(pixels: Any) -> Any:
+    image: Array = np.ascontiguousarray(pixels)
+    return rr.Image(image).compress(jpeg_quality=JPEG_QUALITY)

@@ -1,0 +1,238 @@
+"""Where a stream of Rerun's goes: a web viewer on this machine, a window, or a file."""
+
+from __future__ import annotations
+
+import ctypes
+import importlib.util
+import re
+import signal
+import socket
+import subprocess
+import time
+import webbrowser
+from collections import deque
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from threading import Event, Thread
+from urllib.parse import quote
+
+import rerun as rr
+
+from hierax.runtime.core.errors import HieraxError
+
+HOST = "127.0.0.1"
+WEB_PORT = 9090
+UP_TIMEOUT_S = 20.0
+_TRY_AGAIN_S = 0.02
+_PR_SET_PDEATHSIG = 1
+_COLOURS = re.compile(r"\x1b\[[0-9;]*m")
+
+
+Stream = rr.RecordingStream
+
+
+class ViewerError(HieraxError):
+    """A viewer cannot be started, or a file not be written."""
+
+
+def stream_of(hierarchy: str, run: str | None = None) -> Stream:
+    """A stream for what is shown of a run."""
+    return rr.RecordingStream(f"hierax {hierarchy}", recording_id=run)
+
+
+@dataclass(frozen=True)
+class Place:
+    """Where a stream is seen.
+
+    Attributes:
+        name: for the user.
+        until_closed: returns when the user has seen enough; None: there is nobody who looks.
+    """
+
+    name: str
+    until_closed: Callable[[], object] | None
+
+
+@contextmanager
+def web_viewer(stream: Stream, port: int | None, memory: str, opens: bool) -> Iterator[Place]:
+    """A web viewer that shows a stream, on this machine's loopback alone; its place is the page's address.
+
+    Rerun's own server listens on all addresses where it runs inside of a Python process, so
+    it is started as a process, which is told where to. It ends with this one.
+
+    Args:
+        stream: what it shows.
+        port: of the page; None: `WEB_PORT`, or a free one where that is taken.
+        memory: how much the server keeps for pages that are opened later, such as ``1GiB``.
+        opens: whether the page is opened in a browser.
+
+    Raises:
+        ViewerError: the port is taken, or the server does not start.
+    """
+    web_port, data_port = _port(port), _free_port()
+    options = ["--serve-web", "--web-viewer-port", str(web_port), "--server-memory-limit", memory]
+    with _viewer(stream, options, data_port, web_port):
+        address = f"http://{HOST}:{web_port}/?url={quote(_data_address(data_port), safe='')}"
+        if opens:
+            webbrowser.open(address)
+        yield Place(address, Event().wait)
+
+
+@contextmanager
+def window(stream: Stream, memory: str) -> Iterator[Place]:
+    """Rerun's own window. It ends with this process.
+
+    Args:
+        stream: what it shows.
+        memory: how much it keeps.
+
+    Raises:
+        ViewerError: it does not open.
+    """
+    options = ["--hide-welcome-screen", "--memory-limit", memory]
+    with _viewer(stream, options, _free_port()) as process:
+        yield Place("Rerun's window", process.wait)
+
+
+@contextmanager
+def file(stream: Stream, path: Path) -> Iterator[Place]:
+    """A file for Rerun, ``.rrd``.
+
+    Raises:
+        ViewerError: it cannot be written.
+    """
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.touch()
+        stream.save(path)
+    except Exception as error:  # Rerun's own have no common class
+        raise ViewerError(f"{path}: cannot be written: {getattr(error, 'strerror', None) or error}") from error
+    try:
+        yield Place(str(path), None)
+        stream.flush()
+    finally:
+        stream.disconnect()
+
+
+class _Program:
+    """Rerun's program, and what it says."""
+
+    def __init__(self, command: Sequence[str]) -> None:
+        self.process = subprocess.Popen(
+            command,
+            stdin=subprocess.DEVNULL,
+            stdout=subprocess.DEVNULL,
+            stderr=subprocess.PIPE,
+            preexec_fn=_dies_with_us,
+        )
+        self._said: deque[str] = deque(maxlen=20)
+        self._listener = Thread(target=self._listen, daemon=True)
+        self._listener.start()
+
+    @property
+    def last_words(self) -> str:
+        """The line with the error, where there is one."""
+        if self.process.poll() is not None:
+            self._listener.join()
+        lines = [_COLOURS.sub("", line).strip() for line in list(self._said)]
+        return next((line for line in reversed(lines) if "error" in line.lower()), lines[-1] if lines else "")[:400]
+
+    def close(self) -> None:
+        """End it."""
+        self.process.terminate()
+        self.process.wait()
+        self._listener.join()
+
+    def _listen(self) -> None:
+        assert self.process.stderr is not None
+        with self.process.stderr as lines:
+            for line in lines:
+                self._said.append(line.decode(errors="replace"))
+
+
+@contextmanager
+def _viewer(stream: Stream, options: Sequence[str], data_port: int, *ports: int) -> Iterator[subprocess.Popen[bytes]]:
+    """Rerun's program, joined to a stream, until the block ends."""
+    program = _Program([str(_path()), "--bind", HOST, "--port", str(data_port), *options])
+    try:
+        for port in (data_port, *ports):
+            _wait_for(port, program)
+        stream.connect_grpc(_data_address(data_port))
+        yield program.process
+        _flush(stream, program)
+    finally:
+        stream.disconnect()
+        program.close()
+
+
+def _flush(stream: Stream, program: _Program) -> None:
+    """Have everything arrive, unless the window was closed."""
+    ended = program.process.poll()
+    if ended == 0:
+        return
+    try:
+        if ended is None:
+            stream.flush()
+            return
+        reason = f"exit code {ended}"
+    except Exception as error:  # Rerun's own have no common class
+        reason = str(error)
+    raise ViewerError(f"Rerun's viewer has ended: {program.last_words or reason}")
+
+
+def _data_address(port: int) -> str:
+    return f"rerun+http://{HOST}:{port}/proxy"
+
+
+def _path() -> Path:
+    """Rerun's program, which comes with the library."""
+    spec = importlib.util.find_spec("rerun_cli")
+    folders = [] if spec is None or spec.submodule_search_locations is None else spec.submodule_search_locations
+    for folder in folders:
+        program = Path(folder) / "rerun"
+        if program.exists():
+            return program
+    raise ViewerError("the installed rerun-sdk has no viewer: expected the program rerun_cli/rerun in it")
+
+
+def _port(wanted: int | None) -> int:
+    if wanted is None:
+        return WEB_PORT if _is_free(WEB_PORT) else _free_port()
+    if not _is_free(wanted):
+        raise ViewerError(f"--port {wanted}: another process listens there")
+    return wanted
+
+
+def _is_free(port: int) -> bool:
+    with socket.socket() as probe:
+        probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        try:
+            probe.bind((HOST, port))
+        except OSError:
+            return False
+    return True
+
+
+def _free_port() -> int:
+    with socket.socket() as probe:
+        probe.bind((HOST, 0))
+        port: int = probe.getsockname()[1]
+        return port
+
+
+def _wait_for(port: int, program: _Program) -> None:
+    deadline = time.monotonic() + UP_TIMEOUT_S
+    while True:
+        try:
+            socket.create_connection((HOST, port), timeout=1.0).close()
+            return
+        except OSError:
+            if program.process.poll() is not None or time.monotonic() > deadline:
+                raise ViewerError(f"Rerun's viewer does not listen on port {port}: {program.last_words}") from None
+        time.sleep(_TRY_AGAIN_S)
+
+
+def _dies_with_us() -> None:
+    ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGKILL)

@@ -1,0 +1,198 @@
+"""The logs of a launch: one file of JSON lines for each node, and one for the supervisor.
+
+Whatever a node's process says by Python's `logging` goes there, from level INFO; warnings
+and errors go to the console as well. Every record has the fields ``run``, ``node``,
+``epoch`` and ``attempt``, for formatters of one's own too.
+
+    {"time": "2030-01-02T03:04:05.678901Z", "level": "WARNING", "run": "5163af85", "node": "arm",
+     "epoch": 12, "attempt": 0, "logger": "hierax", "message": "…"}
+
+``exception`` holds a traceback; what is given as ``extra`` stands under its own names.
+"""
+
+from __future__ import annotations
+
+import json
+import logging
+import logging.handlers
+import os
+import sys
+from collections.abc import Callable
+from contextlib import suppress
+from datetime import datetime, timezone
+from pathlib import Path
+from typing import Any
+
+from hierax.runtime.watch.run_folder import ABOUT, LOGS, begin_run, run_folder
+
+MAX_BYTES = 4 << 20
+"""A file that has grown larger is put aside, in the place of the one put aside before."""
+
+SUFFIX = ".jsonl"
+LAUNCH = "launch"
+"""The supervisor's name among those of nodes."""
+
+LAUNCH_FILE = f"_{LAUNCH}"
+"""Its file's name, which no node's can have."""
+
+LEVEL_VARIABLE = "HIERAX_LOG"
+"""From which level on records go to the console; below INFO also to the files."""
+
+QUIET = {"quiet": True}
+"""As ``extra`` of a record: it is told on the console in another way, and goes to the file alone."""
+
+When = Callable[[], tuple[int, int]]
+"""The epoch and attempt under way."""
+
+_CONSOLE_FORMAT = "%(name)s: %(message)s"
+_OURS = ("run", "node", "epoch", "attempt")
+_STANDARD = frozenset(vars(logging.makeLogRecord({}))) | {*_OURS, "message", "asctime", "taskName", "quiet"}
+
+
+def log_console() -> None:
+    """Have records go to standard error, but for those with ``quiet``, which are told there in another way."""
+    given = os.environ.get(LEVEL_VARIABLE, "WARNING").upper()
+    known = logging.getLevelName(given)
+    level = known if isinstance(known, int) else logging.WARNING
+    handler = logging.StreamHandler()
+    handler.setLevel(level)
+    handler.setFormatter(logging.Formatter(_CONSOLE_FORMAT))
+    handler.addFilter(lambda record: not getattr(record, "quiet", False))
+    root = logging.getLogger()
+    root.addHandler(handler)
+    root.setLevel(level)
+    if level is not known:
+        expected = "DEBUG, INFO, WARNING, ERROR or CRITICAL"
+        logging.getLogger("hierax").warning("%s: expected %s, got %r", LEVEL_VARIABLE, expected, given)
+
+
+def log_node(run: str, node: str, when: When) -> None:
+    """Have all records of this process go to a node's file too, and know where they come from.
+
+    Args:
+        run, node: their names.
+        when: asked at every record.
+    """
+    make = logging.getLogRecordFactory()
+
+    def make_with_fields(*arguments: Any, **options: Any) -> logging.LogRecord:
+        record = make(*arguments, **options)
+        record.run, record.node = run, node
+        record.epoch, record.attempt = when()
+        return record
+
+    logging.setLogRecordFactory(make_with_fields)
+    root = logging.getLogger()
+    handler = open_log(_logs_folder(run), node)
+    if handler is not None:
+        root.addHandler(handler)
+        root.setLevel(min(root.level or logging.WARNING, logging.INFO))
+
+
+def _logs_folder(run: str) -> Path:
+    """Where the supervisor has made it; or, on another machine, for who keeps processes of the run here."""
+    folder = run_folder(run)
+    if not (folder / ABOUT).exists():
+        with suppress(OSError):  # it is told when the file cannot be opened
+            begin_run(run, {"hierarchy": "", "deployment": "", "pid": os.getppid()})
+    return folder / LOGS
+
+
+def open_log(folder: Path, name: str) -> logging.Handler | None:
+    """A handler that appends to the file of a name; None, with a warning, where it cannot be written."""
+    path = folder / f"{name}{SUFFIX}"
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        handler = _File(path, maxBytes=MAX_BYTES, backupCount=1, encoding="utf-8", errors="backslashreplace")
+    except OSError as error:
+        logging.getLogger("hierax").warning("%s: the log cannot be written: %s", path, error.strerror or error)
+        return None
+    handler.setFormatter(JsonLine())
+    return handler
+
+
+class JsonLine(logging.Formatter):
+    """A record as one line of JSON."""
+
+    def format(self, record: logging.LogRecord) -> str:
+        when = datetime.fromtimestamp(record.created, timezone.utc)
+        fields: dict[str, Any] = {
+            "time": when.isoformat(timespec="microseconds").replace("+00:00", "Z"),
+            "level": record.levelname,
+            **{name: getattr(record, name) for name in _OURS if hasattr(record, name)},
+            "logger": record.name,
+            "message": _message(record),
+        }
+        if record.exc_info and record.exc_info[0] is not None:
+            fields["exception"] = self.formatException(record.exc_info)
+        more = {name: value for name, value in vars(record).items() if name not in _STANDARD}
+        return json.dumps({**more, **fields}, ensure_ascii=False, default=str)
+
+
+def _message(record: logging.LogRecord) -> str:
+    try:
+        return record.getMessage()
+    except (TypeError, ValueError):  # its arguments do not fit its text; `logging` itself tells on the console
+        return f"{record.msg} {record.args!r}"
+
+
+class _File(logging.handlers.RotatingFileHandler):
+    """Gives up where the disk does: a node goes on without its log."""
+
+    _told = False
+
+    def handleError(self, record: logging.LogRecord) -> None:  # noqa: N802 - the name in `logging`
+        if not self._told:
+            self._told = True
+            print(f"hierax: {self.baseFilename}: cannot be written: {sys.exc_info()[1]}", file=sys.stderr)
+
+
+class LaunchLog:
+    """The supervisor's own file: what happens to the processes.
+
+    Args:
+        handler: of the file; None: nothing is written.
+        run: its identification.
+        epoch: asked at every line.
+    """
+
+    def __init__(self, handler: logging.Handler | None, run: str, epoch: Callable[[], int]) -> None:
+        self._handler = handler
+        self._run = run
+        self._epoch = epoch
+
+    def tell(self, message: str) -> None:
+        """Write a line."""
+        if self._handler is None:
+            return
+        fields = {"name": "hierax.launch", "levelno": logging.INFO, "levelname": "INFO", "msg": message}
+        where = {"run": self._run, "node": LAUNCH, "epoch": self._epoch(), "attempt": 0}
+        self._handler.handle(logging.makeLogRecord({**fields, **where}))
+
+    def close(self, message: str) -> None:
+        """Write a last line."""
+        self.tell(message)
+        if self._handler is not None:
+            self._handler.close()
+
+
+def begin_log(
+    run: str, hierarchy: str, deployment: Path, tell: Callable[[str], None], epoch: Callable[[], int]
+) -> LaunchLog:
+    """Make the folder of a launch, and its log; a launch goes on without where that cannot be.
+
+    Args:
+        run: its identification.
+        hierarchy, deployment: what is launched, and from which file.
+        tell: tells people what is wrong.
+        epoch: asked at every line.
+    """
+    about = {"hierarchy": hierarchy, "deployment": str(deployment.resolve()), "pid": os.getpid()}
+    try:
+        folder = begin_run(run, about)
+    except OSError as error:
+        tell(f"{run_folder(run)}: there will be no logs: {error.strerror or error}")
+        return LaunchLog(None, run, epoch)
+    log = LaunchLog(open_log(folder / LOGS, LAUNCH_FILE), run, epoch)
+    log.tell(f"{hierarchy} is launched from {about['deployment']}")
+    return log

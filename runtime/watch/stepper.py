@@ -1,0 +1,56 @@
+"""What a node did in its last epochs, for who wants to see it; the run never waits for them."""
+
+from __future__ import annotations
+
+import time
+from collections import deque
+from collections.abc import Iterator
+
+from hierax.runtime.core.probe import Step
+from hierax.runtime.engine.outlet import Completed
+from hierax.runtime.watch.watcher import Watcher
+from hierax.schemas.errors import SchemaError
+from hierax.schemas.values import decode_value, encode_value
+
+STEPS_KEPT = 16
+"""Of those that nobody has taken yet; of more than that, the oldest are forgotten."""
+
+
+class Stepper(Watcher):
+    """Keeps a node's last steps until they are taken, by another thread.
+
+    Attributes:
+        every: keeps only epochs that this divides.
+    """
+
+    def __init__(self) -> None:
+        self.every = 1
+        self._steps: deque[tuple[int, Step]] = deque(maxlen=STEPS_KEPT)
+
+    def completed(self, completed: Completed) -> None:
+        if completed.step.epoch % self.every == 0:
+            self._steps.append((time.time_ns(), completed.step))
+
+    def take(self) -> Iterator[bytes]:
+        """The steps that have come since the last time, encoded; those that cannot travel are left out."""
+        while self._steps:
+            done_ns, step = self._steps.popleft()
+            try:
+                data = encode_value({"done_ns": done_ns, **step._asdict()})
+            except SchemaError:
+                continue  # in the midst of an epoch a belief may be anything
+            yield data
+
+
+def read_step(data: bytes) -> tuple[int, Step]:
+    """When an epoch was done, in nanoseconds since 1970, and what was done in it.
+
+    Raises:
+        SchemaError: it is nothing that `Stepper` has encoded.
+    """
+    value = decode_value(data, "step")
+    try:
+        done_ns = value.pop("done_ns")
+        return done_ns, Step(**value)
+    except (AttributeError, KeyError, TypeError) as error:
+        raise SchemaError(f"is no step of a node: {error}") from error

@@ -1,0 +1,127 @@
+"""What a node tells whoever records: one step for each epoch that it has done.
+
+A step is one msgpack array that any msgpack library reads, a format number in front::
+
+    [format, name, stream, number, epoch, attempt, roster, instance, time_s, digest, state,
+     sensed, start, used, passages, chain]
+
+State, sensed belief and start are in it as bytes, each one encoded value.
+"""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+from hierax.schemas.errors import SchemaError, shown
+from hierax.schemas.values import Packers, Value, array_in_place, decode_value, pack
+
+FORMAT = 1
+
+_PACKERS = Packers(array_in_place)
+
+
+class Passage(NamedTuple):
+    """A message that went in or out at a node's port.
+
+    Attributes:
+        sent: whether it went out.
+        kind: of the message.
+        peer: the other end.
+        epoch, attempt: of the message.
+    """
+
+    sent: bool
+    kind: str
+    peer: str
+    epoch: int
+    attempt: int
+
+
+class NodeStep(NamedTuple):
+    """An epoch of a node.
+
+    Attributes:
+        name: of the node.
+        stream: a token; steps of one process, told without a break, share it.
+        number: counts the steps of a stream from 1.
+        epoch, attempt: which one.
+        roster: version of the roster.
+        instance: of the node's process.
+        time_s: the epoch's time in seconds.
+        digest: the node's, of the epoch.
+        state: the state after it, encoded as [belief, policy, actions].
+        sensed: the belief after `observe`, encoded; empty for the world, which does not observe.
+        start: in the first step of a stream the state at the epoch's start, encoded; else empty.
+        used: where inputs may be of other epochs, which ones were used: (sender, kind, epoch, attempt).
+        passages: what went in and out since the last step, in order; some may be of the next epoch.
+        chain: of the world's step the run's digest of the epoch, where it is known; else empty.
+    """
+
+    name: str
+    stream: str
+    number: int
+    epoch: int
+    attempt: int
+    roster: int
+    instance: int
+    time_s: float
+    digest: bytes
+    state: bytes
+    sensed: bytes = b""
+    start: bytes = b""
+    used: tuple[tuple[str, str, int, int], ...] = ()
+    passages: tuple[Passage, ...] = ()
+    chain: bytes = b""
+
+
+_FIELDS: tuple[tuple[str, type], ...] = (
+    ("name", str),
+    ("stream", str),
+    ("number", int),
+    ("epoch", int),
+    ("attempt", int),
+    ("roster", int),
+    ("instance", int),
+    ("time_s", float),
+    ("digest", bytes),
+    ("state", bytes),
+    ("sensed", bytes),
+    ("start", bytes),
+    ("used", tuple),
+    ("passages", tuple),
+    ("chain", bytes),
+)
+_USED = (str, str, int, int)
+_PASSAGE = (bool, str, str, int, int)
+
+
+def encode_step(step: NodeStep) -> bytes:
+    """The bytes of a step."""
+    return pack((FORMAT, *step), _PACKERS)
+
+
+def decode_step(data: bytes) -> NodeStep:
+    """Read a step.
+
+    Raises:
+        SchemaError: the bytes are none; says which field and what was expected.
+    """
+    value = decode_value(data, "step")
+    if not isinstance(value, tuple) or len(value) != len(_FIELDS) + 1:
+        raise SchemaError(f"expected an array of {len(_FIELDS) + 1} fields", "step")
+    if value[0] != FORMAT:
+        raise SchemaError(f"format {shown(value[0])}; this version reads format {FORMAT}", "step.format")
+    for (name, expected), field in zip(_FIELDS, value[1:], strict=True):
+        if type(field) is not expected:
+            raise SchemaError(f"expected {expected.__name__}, got {shown(field)}", f"step.{name}")
+    step: NodeStep = NodeStep._make(value[1:])
+    _check_rows(step.used, _USED, "step.used")
+    _check_rows(step.passages, _PASSAGE, "step.passages")
+    return step._replace(passages=tuple(Passage(*row) for row in step.passages))
+
+
+def _check_rows(rows: tuple[Value, ...], types: tuple[type, ...], where: str) -> None:
+    for index, row in enumerate(rows):
+        given: Any = tuple(map(type, row)) if isinstance(row, tuple) else None
+        if given != types:
+            raise SchemaError(f"expected [{', '.join(kind.__name__ for kind in types)}]", f"{where}[{index}]")

@@ -1,0 +1,85 @@
+from __future__ import annotations
+
+import importlib.util
+import os
+import signal
+from pathlib import Path
+from typing import Any
+
+import pytest
+from support.launched import Command, until
+
+from hierax.runtime.commands.main import main
+
+needs_rerun = pytest.mark.skipif(importlib.util.find_spec("rerun") is None, reason="the extra [view] is not installed")
+
+
+def failure(capsys: pytest.CaptureFixture[str], *arguments: str) -> str:
+    assert main(["view", *arguments]) == 1
+    return capsys.readouterr().err.strip().splitlines()[-1]
+
+
+def test_without_rerun_the_extra_is_named(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    found = importlib.util.find_spec
+
+    def find_spec(name: str, *more: Any) -> Any:
+        return None if name == "rerun" else found(name, *more)
+
+    monkeypatch.setattr(importlib.util, "find_spec", find_spec)
+    expected = "error: hierax view needs Rerun, the extra [view]: pip install 'hierax[view]'"
+    assert failure(capsys, "servo") == expected
+
+
+@needs_rerun
+@pytest.mark.parametrize(
+    ("arguments", "what"),
+    [
+        (("servo", "--native", "--save", "x.rrd"), "--native and --save: give one of them"),
+        (("servo", "--run", "5163af85"), "give a file, or say which launch is meant: not both"),
+        (("srvo",), "did you mean 'servo'?"),
+        (("nowhere.mcap",), "nowhere.mcap: cannot be read: No such file or directory"),
+        ((), "no launch runs on this machine"),
+        (("servo", "--set", "view.show=no.where:thing", "--save", "x.rrd"), "--set view.show=no.where:thing: "),
+        (("servo", "--set", "view.layout=[[1]]", "--save", "x.rrd"), "view.layout"),
+    ],
+)
+def test_what_cannot_be_done_is_told_in_a_line(
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+    arguments: tuple[str, ...],
+    what: str,
+) -> None:
+    monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
+    monkeypatch.chdir(tmp_path)
+    assert what in failure(capsys, *arguments)
+
+
+@needs_rerun
+def test_a_run_and_its_recording_go_into_files(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    pytest.importorskip("mcap", reason="the extra [record] is not installed")
+    run, seen, again = tmp_path / "run.mcap", tmp_path / "seen.rrd", tmp_path / "again.rrd"
+    assert main(["view", "servo", "--epochs", "5", "--save", str(seen)]) == 0
+    assert main(["run", "servo", "--epochs", "5", "--record", str(run)]) == 0
+    assert main(["view", str(run), "--from", "2", "--save", str(again)]) == 0
+    for path in (seen, again):
+        assert b"/position_m/world/object" in path.read_bytes()
+    assert "there is no committed epoch in it from 9 to its end" in failure(
+        capsys, str(run), "--from", "9", "--save", str(again)
+    )
+
+
+@needs_rerun
+def test_ctrl_c_ends_looking_at_a_launch_that_runs_on(tmp_path: Path) -> None:
+    saved = tmp_path / "live.rrd"
+    with Command(tmp_path, "launch", "servo", "--epochs", "10000000") as launch:
+        until(lambda: any(tmp_path.rglob("*.json")), "the launch runs")
+        with Command(tmp_path, "view", "--save", str(saved)) as view:
+            until(lambda: saved.exists() and saved.stat().st_size > 50_000, "something is shown")
+            os.kill(view.process.pid, signal.SIGINT)
+            view.end()
+            assert view.process.returncode == 0, view.err
+        assert launch.process.poll() is None, launch.err
+        os.kill(launch.process.pid, signal.SIGINT)
+        launch.end()
+    assert b"/position_m/world/object" in saved.read_bytes()

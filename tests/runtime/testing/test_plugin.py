@@ -1,0 +1,115 @@
+"""The fixtures, which every pytest in this environment has."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from importlib.metadata import entry_points
+from pathlib import Path
+
+import pytest
+from support.deployments import write
+from support.hierarchies import random_hierarchy
+
+from hierax.runtime import Elements, Node, Value, World
+from hierax.runtime.core.binding import Setting
+from hierax.runtime.core.errors import HieraxError
+from hierax.runtime.core.hierarchy import Edge
+from hierax.runtime.core.process import ActiveHierarchy, update
+from hierax.runtime.testing.plugin import NodeRuns, Runs
+from hierax.schemas.values import encode_value
+
+
+class Clock(World):
+    """Counts."""
+
+    def initial_belief(self) -> Value:
+        return 0
+
+    def predict(self, context: Elements, actions: Elements, belief: Value) -> Value:
+        return belief + 1 + sum(context)
+
+    def finished(self, belief: Value) -> bool:
+        return bool(belief >= 100)
+
+
+class Follower(Node):
+    """Believes what it sees last."""
+
+    def initial_belief(self) -> Value:
+        return -1
+
+    def observe(self, observations: Elements, belief: Value) -> Value:
+        return observations[-1] if observations else belief
+
+
+def seen(belief: Value) -> Elements:
+    return (belief,)
+
+
+def test_pytest_finds_the_plugin() -> None:
+    (found,) = entry_points(group="pytest11", name="hierax")
+    assert found.value == "hierax.runtime.testing.plugin"
+
+
+def test_the_plugin_imports_nothing_heavy() -> None:
+    heavy = ("numpy", "zenoh", "anyio", "pydantic", "rich", "cv2", "msgpack")
+    script = (
+        "import sys, pytest; before = set(sys.modules); import hierax.runtime.testing.plugin; "
+        f"print(sorted((set(sys.modules) - before) & set({heavy!r})), len(set(sys.modules) - before))"
+    )
+    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, timeout=60, check=True)
+    found, count = done.stdout.rsplit(" ", 1)
+    assert found == "[]"
+    assert int(count) < 20
+
+
+def test_a_deployment_file(hierax_run: Runs, tmp_path: Path) -> None:
+    ran = hierax_run(write(tmp_path), epochs=4, seed=3, set={"step": 5})
+    assert ran.beliefs["world"] == 20
+    assert ran.history("world") == [5, 10, 15, 20]
+    assert ran.metrics["world"] == {"count": 20.0}
+    assert len(ran.digests) == 4
+    assert ran.digests[-1] == ran.digest
+    assert [step.observations for step in ran.steps["left"]] == [(0.0,), (5.0,), (10.0,), (15.0,)]
+    assert hierax_run(write(tmp_path), epochs=4, seed=3, set={"step": 5}).digests == ran.digests
+
+
+def test_a_shipped_deployment(hierax_run: Runs) -> None:
+    beliefs = hierax_run("letters").beliefs
+    assert beliefs["word"]["posterior"] == {"THE": 0.0, "CAT": 1.0}
+
+
+def test_nodes_that_the_test_has_made(hierax_run: Runs) -> None:
+    edge = Edge("world", "eye", sense=seen, context=lambda belief: (belief,))
+    ran = hierax_run(nodes={"world": Clock(), "eye": Follower()}, edges=[edge], epochs=5)
+    assert ran.history("eye") == [0, 1, 3, 7, 15]
+    assert ran.report.epochs == 5
+    assert hierax_run(nodes={"world": Clock(), "eye": Follower()}, edges=[edge], epochs=50).report.epochs == 7
+
+
+@pytest.mark.parametrize("seed", [0, 1, 2])
+def test_a_run_is_what_the_formal_core_says(hierax_run: Runs, seed: int) -> None:
+    hierarchy = random_hierarchy(seed, nodes=5, setting=Setting(seed))
+    ran = hierax_run(nodes=hierarchy.nodes, edges=hierarchy.edges, world=hierarchy.world, epochs=3, seed=seed)
+    active = ActiveHierarchy.initial(hierarchy)
+    for epoch in range(3):
+        active = update(active)
+        for name, state in active.states.items():
+            assert encode_value(ran.history(name)[epoch]) == encode_value(state.belief), (name, epoch)
+
+
+def test_one_node(hierax_node: NodeRuns) -> None:
+    steps = hierax_node(Follower(), observations=[(1,), (), (2, 3)])
+    assert [step.belief for step in steps] == [1, 1, 3]
+
+
+def test_either_a_file_or_nodes(hierax_run: Runs) -> None:
+    for arguments in ({}, {"deployment": "letters", "nodes": {}}):
+        with pytest.raises(TypeError, match="expected a deployment or nodes, one of them"):
+            hierax_run(**arguments)  # type: ignore[arg-type]
+
+
+def test_what_is_wrong_with_a_file_is_told(hierax_run: Runs) -> None:
+    with pytest.raises(HieraxError, match="did you mean 'letters'"):
+        hierax_run("leters")

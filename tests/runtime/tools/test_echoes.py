@@ -1,0 +1,67 @@
+from __future__ import annotations
+
+import pytest
+
+from hierax.runtime.core.errors import HieraxError
+from hierax.runtime.tools.echoes import Counter, chosen, edges_of, short_key
+from hierax.schemas.messages import OBSERVATIONS, Header, Message
+
+EDGES = edges_of([("world", "arm"), ("arm", "spatial")])
+
+
+def test_an_edge_has_three_keys() -> None:
+    assert [short_key(edge) for edge in EDGES] == [
+        "ctx/arm/world",
+        "ctx/spatial/arm",
+        "obs/arm/spatial",
+        "obs/world/arm",
+        "task/arm/world",
+        "task/spatial/arm",
+    ]
+
+
+@pytest.mark.parametrize(
+    ("pattern", "count"),
+    [
+        ("obs/world/arm", 1),
+        ("obs/*/*", 2),
+        ("**", 6),
+        ("ctx/**", 2),
+        ("ctx/spatial/**", 1),
+        ("*/arm/*", 3),
+        ("hierax/tracking/5163af85/obs/world/arm", 1),
+        ("*/*/s?atial", 1),
+    ],
+)
+def test_patterns(pattern: str, count: int) -> None:
+    assert len(chosen(pattern, EDGES)) == count
+
+
+@pytest.mark.parametrize("pattern", ["obs/world/amr", "obs", "", "obs/world/arm/more", "**/arm"])
+def test_what_fits_nothing_is_told(pattern: str) -> None:
+    with pytest.raises(HieraxError, match="no key fits"):
+        chosen(pattern, EDGES)
+    with pytest.raises(HieraxError, match="did you mean 'obs/world/arm'"):
+        chosen("obs/world/amr", EDGES)
+
+
+def test_rates_and_gaps_are_those_of_each_key() -> None:
+    now = 0.0
+    counter = Counter(lambda: now)
+
+    def take(epoch: int, sender: str = "arm") -> tuple[float | None, int]:
+        echo = counter.take(Message(Header(OBSERVATIONS, sender, "top", epoch), ()), 50)
+        return echo.rate_hz, echo.missed
+
+    assert take(7) == (None, 0)
+    now = 0.5
+    assert take(8) == (2.0, 0)
+    assert take(1, "other") == (None, 0)
+    now = 1.5
+    assert take(12) == (pytest.approx(2 / 1.5), 3)
+    now = 2.0
+    assert take(12) == (1.5, 0)  # another attempt
+    for _ in range(500):
+        now += 0.01
+        take(13)
+    assert counter.take(Message(Header(OBSERVATIONS, "arm", "top", 14), ()), 50).rate_hz == pytest.approx(101, rel=0.05)

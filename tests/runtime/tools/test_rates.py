@@ -1,0 +1,96 @@
+from __future__ import annotations
+
+from typing import Any
+
+import pytest
+
+from hierax.runtime.tools.looking import Seen
+from hierax.runtime.tools.rates import NodeRates, doing, overview
+
+
+def answer(seconds: float, epochs: int, process: str = "a", **change: Any) -> dict[str, Any]:
+    """What a node says that has worked for a quarter of the time, and waited for `low` the rest."""
+    ns = int(seconds * 1e9)
+    work = {"observe": ns // 8, "policy": 0, "predict": ns // 8, "edges": 0, "act": 0, "other": 0}
+    return {
+        "process": process,
+        "pid": 7,
+        "epoch": epochs + 1,
+        "busy": "",
+        "waits_for": [["low", "obs"]],
+        "rss_bytes": 1 << 20,
+        "cpu_s": seconds / 2,
+        "meter": {
+            "ns": ns,
+            "epochs": epochs,
+            "work_ns": work,
+            "waiting_ns": {"low": ns // 2, "top": ns // 4},
+            "epochs_ns": [1_000_000, 3_000_000],
+        },
+        **change,
+    }
+
+
+SEEN = Seen(
+    "toys",
+    "5163af85",
+    9,
+    2,
+    {name: {"process": "a", "pid": 7, "state": "running", "restarts": 1, "instance": 0} for name in ("low", "mid")},
+)
+
+
+def test_rates_are_of_what_was_done_in_between() -> None:
+    rates = NodeRates.between(answer(2, 10), answer(4, 30))
+    assert (rates.epochs, rates.interval_s, rates.epochs_per_s, rates.cpu_s) == (20, 2, 10, 1)
+    assert rates.shares() == {
+        "observe": 0.125,
+        "policy": 0,
+        "predict": 0.125,
+        "edges": 0,
+        "act": 0,
+        "other": 0,
+        "waiting": 0.75,
+    }
+    per_epoch = rates.per_epoch_us()
+    assert per_epoch is not None
+    assert (per_epoch["observe"], per_epoch["waiting"]) == (12_500, 75_000)
+    assert rates.waits_for() == {"low": pytest.approx(2 / 3), "top": pytest.approx(1 / 3)}
+    assert rates.epoch_us(0.5) == 2000
+
+
+@pytest.mark.parametrize("before", [None, answer(2, 10, process="another"), answer(9, 10)])
+def test_a_process_that_is_new_counts_from_its_beginning(before: dict[str, Any] | None) -> None:
+    rates = NodeRates.between(before, answer(4, 30))
+    assert (rates.epochs, rates.interval_s) == (30, 4)
+
+
+def test_without_an_epoch_there_are_shares_alone() -> None:
+    rates = NodeRates.between(answer(2, 10), answer(4, 10))
+    assert rates.per_epoch_us() is None
+    assert rates.shares()["waiting"] == 0.75
+
+
+@pytest.mark.parametrize(
+    ("change", "text"),
+    [
+        ({"busy": "observe of mid"}, "in observe of mid"),
+        ({"waits_for": [["top", "ctx"], ["top", "task"], ["a", "ctx"]]}, "waits for a, top"),
+        ({"waits_for": []}, "between epochs"),
+    ],
+)
+def test_what_a_node_does_now(change: dict[str, Any], text: str) -> None:
+    assert doing(answer(1, 1, **change)) == text
+
+
+def test_an_overview_has_all_nodes_also_those_that_are_silent() -> None:
+    look = overview(SEEN, {"mid": answer(2, 10)}, {"mid": answer(4, 30)})
+    assert (look["epoch"], look["epochs_per_s"], look["epoch_us"]["p50"]) == (30, 10, 2000)
+    assert look["nodes"]["low"] == {"state": "running", "pid": 7, "instance": 0, "restarts": 1, "answers": False}
+    mid = look["nodes"]["mid"]
+    assert (mid["answers"], mid["cpu"], mid["rss_bytes"], mid["doing"]) == (True, 0.5, 1 << 20, "waits for low")
+
+
+def test_an_overview_of_nobody() -> None:
+    look = overview(SEEN, {}, {})
+    assert (look["epoch"], look["epochs_per_s"], look["epoch_us"]) == (9, 0.0, {"p50": None, "p99": None})

@@ -1,0 +1,64 @@
+from __future__ import annotations
+
+import os
+import signal
+from pathlib import Path
+
+import pytest
+from support.canvas import KeptCanvas
+from support.deployments import write
+from support.launched import Command, until
+
+from hierax.runtime.core.showing import Graph
+from hierax.runtime.launch.run_file import known_runs
+from hierax.runtime.transport.window import Glass
+from hierax.runtime.viewing.exhibit import Exhibit
+from hierax.runtime.viewing.live import MOST_EPOCHS_PER_S, _Asked, show_launch
+
+SNIPPET = """\
+nodes:
+  second: {class: "hierax.nodes.servo:MotionNode"}
+edges:
+  camera -> second: {sense: "hierax.nodes.servo:position"}
+"""
+
+
+def test_a_quick_launch_is_not_shown_in_every_epoch(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("time.monotonic", lambda: 12.0)
+    every, asked = _Asked(100, 10.0).next(round(100 + 2 * 7.5 * MOST_EPOCHS_PER_S))
+    assert every == 8
+    assert asked.next(asked.epoch)[0] == 1
+
+
+def test_a_launch_is_seen_until_it_ends(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
+    canvas = KeptCanvas()
+    attached: list[Command] = []
+
+    def whole(*nodes: str) -> int:
+        """Epochs that are shown of all these nodes."""
+        wanted = {"hierarchy", "epochs/took_ms", *(f"{node}/belief" for node in nodes)}
+        return sum(wanted <= things.keys() for things in canvas.drawn.values())
+
+    def over() -> bool:
+        """Attach a node, and when that is seen end the launch."""
+        assert launch.process.poll() is None or attached, launch.err
+        if not attached and whole("world", "camera", "motion") >= 5:
+            attached.append(Command(tmp_path, "attach", str(write(tmp_path, SNIPPET, "second.yaml"))))
+        if whole("world", "camera", "motion", "second") >= 3 and launch.process.poll() is None:
+            os.kill(launch.process.pid, signal.SIGINT)
+            launch.end()
+        return False
+
+    with Command(tmp_path, "launch", "servo", "--epochs", "10000000") as launch:
+        until(lambda: bool(known_runs()), "the launch runs")
+        with Glass(known_runs()[0].endpoint) as glass:
+            assert show_launch(glass, Exhibit(canvas), over) > 15
+        attached[0].end()
+        assert attached[0].process.returncode == 0, attached[0].err
+        last = max(epoch for epoch, things in canvas.drawn.items() if "velocity_m_s/second/believed" in things)
+        graph = canvas.drawn[last]["hierarchy"].thing
+        assert isinstance(graph, Graph)
+        assert set(graph.nodes) == {"world", "camera", "motion", "second"}
+        assert launch.process.returncode == 130, launch.err
+        assert canvas.layouts
