@@ -24,7 +24,9 @@ EXPECTED = "expected"
 LOST = "lost"
 
 _DRIFT_GAIN = 0.3
-_USUAL_GAIN = 0.1
+_PROBATION = 20
+"""For so many images an object that was found again is looked for elsewhere, too."""
+
 _LEAST_SHOWN = 10.0
 """An object of which fewer control points should be seen is neither supported nor missed."""
 
@@ -60,7 +62,7 @@ class ArmNode(Node):
     - ``id``: label in this scene, 1 to 255; ``obj_id``: number of the model;
     - ``pose``: camera_from_object, seen from ``camera``; ``before``: the same an image earlier;
       ``covariance``: (6, 6) of the pose's error as a twist in the object's frame (m², rad²);
-    - ``score``: 0 to 1; ``usual``: its running mean; ``status``: ``tracked`` (the newest image supports the pose),
+    - ``score``: 0 to 1; ``probation``: for how many more images it may turn out to be elsewhere; ``status``: ``tracked`` (the newest image supports the pose),
       ``expected`` (known from prediction alone) or ``lost``; ``misses``: images in a row without support;
       ``unrest``: 0 to 1, how much of `motion_m` and `motion_rad` its latest motion asks for; ``trend``: (6,) running
       mean of how far images had it from its predictions, in standard deviations; ``vain``: for how many images in a
@@ -220,7 +222,9 @@ class ArmNode(Node):
         """One object after the image: where it was found, or where it was expected."""
         needed = self._found_score if _is_vague(item) or item["status"] == LOST else self._kept_score
         if estimate.shown < _LEAST_SHOWN or estimate.score < needed:
-            return self._missed(item, expected, estimate)
+            # Not enough to say that it is there; but enough to look there, at what would be seen of it, next.
+            guess = estimate.pose if estimate.elsewhere and estimate.score > self._kept_score else expected
+            return self._missed(item, guess, estimate)
         return {
             **item,
             "pose": estimate.pose,
@@ -228,7 +232,7 @@ class ArmNode(Node):
             "unrest": estimate.unrest,
             "trend": estimate.trend,
             "score": estimate.score,
-            "usual": item["usual"] + _USUAL_GAIN * (estimate.score - item["usual"]),
+            "probation": _PROBATION if _is_vague(item) else max(0, item["probation"] - 1),
             "slots": estimate.slots,
             "vain": estimate.vain,
             "status": TRACKED,
@@ -302,7 +306,7 @@ def _first_belief(item: Mapping[str, Any], covariance: Floats) -> Tracked:
         "before": pose,
         "covariance": covariance,
         "score": 1.0,
-        "usual": 1.0,
+        "probation": 0,
         "status": EXPECTED,
         "misses": 0,
         "unrest": _FIRST_UNREST,

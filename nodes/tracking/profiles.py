@@ -208,7 +208,7 @@ def read_profiles(image: Image, lines: Lines, edges: Indices, reach: int, contra
     bend = np.where(top, 2.0 * middle - before - after, np.float32(1.0))
     shift = np.clip(0.5 * (after - before) / bend, -0.5, 0.5)
     near = np.arange(-reach, reach + 1, dtype=np.float32)
-    places = np.where(top, near + shift, np.float32(np.inf))
+    places: Singles = np.where(top, near + shift, np.float32(np.inf))
     sharpness = np.where(top, bend / np.maximum(middle, contrast), np.float32(0.0))
     inside, outside = (_beside(values, half, reach, side) for side in (1, -1))
     return Profiles(places, np.where(top, middle, np.float32(0.0)), sharpness, inside, outside, reach)
@@ -248,5 +248,6 @@ def _along_edges(values: Singles, edges: Indices) -> Singles:
     before, after = values.copy(), values.copy()
     before[1:] = np.where(same, values[:-1], values[1:])
     after[:-1] = np.where(same, values[1:], values[:-1])
-    smooth: Singles = (before + after + 2 * values) * np.float32(0.25)
-    return smooth
+    total: Singles = before + after + values + values
+    total *= np.float32(0.25)
+    return total

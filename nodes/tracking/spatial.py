@@ -22,6 +22,9 @@ _MOVES_SIGMAS = 4.0
 _TURNING = 6.0
 """Rad/s for a m/s: faster than this, relative to how it moves, a body about to turn over turns."""
 
+_ACCELERATION = np.array([10.0, 150.0])
+"""Largest of a body that is believed: m/s², rad/s²."""
+
 _RESTING_M = 0.0015
 _RESTING_RAD = 0.01
 _RESTING_M_S = 0.1
@@ -149,11 +152,13 @@ class SpatialNode(Node):
         """The body with what the arm says of it; one that it has lost stays where it was predicted."""
         heard = {**body, "status": seen["status"], "covariance": seen["covariance"], "seen": None, "unseen": 0}
         if seen["status"] != "tracked":
-            return {**heard, **_adrift(body, seen["covariance"], interval_s)}
+            supposed = seen["pose"] if seen["status"] == "expected" else body["pose"]
+            return {**heard, **_adrift(body, seen["covariance"], interval_s), "pose": supposed}
         pose, drift = seen["pose"], body["drift"]
         if interval_s is not None and body["seen"] is not None:
             observed = _displacement(body["seen"], pose) / interval_s
-            drift = drift + self._gain((observed - drift) * interval_s, seen) * (observed - drift)
+            change = self._gain((observed - drift) * interval_s, seen) * (observed - drift)
+            drift = drift + _limited(change, _ACCELERATION * interval_s)
         velocity = drift if interval_s is not None and self._moves(drift * interval_s, seen) else np.zeros(6)
         return {**heard, "pose": pose, "velocity": velocity, "drift": drift, "seen": pose}
 
@@ -209,6 +214,13 @@ def _body(item: Mapping[str, Any]) -> Body:
         "model": model,
         "mass": DENSITY_KG_M3 * float(np.prod(np.ptp(vertices, axis=0))),
     }
+
+
+def _limited(change: Floats, most: Floats) -> Floats:
+    """A change of velocity, no larger than what forces make of it in a frame; more is an error of the poses."""
+    sizes = np.array([np.linalg.norm(change[:3]), np.linalg.norm(change[3:])])
+    limited: Floats = change * np.repeat(np.minimum(1.0, most / np.maximum(sizes, 1e-12)), 3)
+    return limited
 
 
 def _sigmas_squared(step: Floats, pose: Array, covariance: Array) -> float:

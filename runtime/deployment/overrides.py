@@ -20,8 +20,8 @@ def apply_override(document: Document, text: str) -> None:
 
     Args:
         document: is changed.
-        text: ``PATH=VALUE``. The path is a name in ``parameters``, or a dotted path into
-            the document; the value is read as YAML.
+        text: ``PATH=VALUE``. The path is a name in ``parameters``, or a dotted path into one of
+            these or into the document; the value is read as YAML.
 
     Raises:
         DeploymentError: there is no such path, with the nearest valid name; or the
@@ -46,6 +46,8 @@ def _resolve(document: Document, path: str, text: str) -> Keys:
         return ("parameters", path.strip())
     keys: Keys = ()
     rest = normal_path(path)
+    if isinstance(parameters, dict) and rest.partition(".")[0] not in field_names(()):
+        rest = rest if longest_key(parameters, rest) is None else f"parameters.{rest}"
     value: Any = document.root
     while rest:
         key = _next_key(document, keys, value, rest, text)

@@ -106,3 +106,9 @@ def test_the_last_one_wins() -> None:
 def test_a_broken_file_is_no_reason_to_crash(text: str, override: str) -> None:
     with pytest.raises(DeploymentError):
         apply_override(document(text), override)
+
+
+def test_a_path_may_go_on_inside_a_parameter() -> None:
+    changed = document("parameters: {draw: {sets: 3}}\n")
+    apply_override(changed, "draw.sets=5")
+    assert changed.root["parameters"] == {"draw": {"sets": 5}}
