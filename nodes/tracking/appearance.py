@@ -131,9 +131,9 @@ def strangeness(memory: Memory, controls: Controls, rows: Indices, profiles: Pro
 
 
 def moved(slots: Slots) -> Slots:
-    """What is remembered of an object that moved: its shadows move, too."""
+    """What is remembered of an object that moved: its shadows move, too, and the light on its sides changes."""
     offsets = slots["offsets"] * np.array([1.0, _FADING], dtype=np.float32)
-    return {**slots, "offsets": offsets}
+    return {**slots, "offsets": offsets, "weights": slots["weights"] * np.float32(_FADING)}
 
 
 def remembered(slots: Slots, controls: Controls, rows: Indices, colours: Singles) -> Slots:

@@ -31,6 +31,9 @@ _LEAST_SHOWN = 10.0
 """An object of which fewer control points should be seen is neither supported nor missed."""
 
 _FIRST_UNREST = 0.2
+_LEAST_FOUND = 20.0
+"""One whose place is vague is not found by fewer control points than these."""
+
 _VAGUE_M = 0.02
 """An object whose place is less certain than this (standard deviation) has to be found, not kept."""
 
@@ -62,7 +65,8 @@ class ArmNode(Node):
     - ``id``: label in this scene, 1 to 255; ``obj_id``: number of the model;
     - ``pose``: camera_from_object, seen from ``camera``; ``before``: the same an image earlier;
       ``covariance``: (6, 6) of the pose's error as a twist in the object's frame (m², rad²);
-    - ``score``: 0 to 1; ``probation``: for how many more images it may turn out to be elsewhere; ``status``: ``tracked`` (the newest image supports the pose),
+    - ``score``: 0 to 1; ``probation``: for how many more images it may turn out to be elsewhere;
+      ``status``: ``tracked`` (the newest image supports the pose),
       ``expected`` (known from prediction alone) or ``lost``; ``misses``: images in a row without support;
       ``unrest``: 0 to 1, how much of `motion_m` and `motion_rad` its latest motion asks for; ``trend``: (6,) running
       mean of how far images had it from its predictions, in standard deviations; ``vain``: for how many images in a
@@ -98,7 +102,7 @@ class ArmNode(Node):
         camera_m: float = 0.0015,
         camera_rad: float = 0.0025,
         error_px: float = 0.7,
-        sure_score: float = 0.8,
+        sure_score: float = 0.75,
         kept_score: float = 0.35,
         found_score: float = 0.7,
         patience: int = 10,
@@ -221,7 +225,8 @@ class ArmNode(Node):
     def _judged(self, item: Tracked, expected: Floats, estimate: Estimate) -> Tracked:
         """One object after the image: where it was found, or where it was expected."""
         needed = self._found_score if _is_vague(item) or item["status"] == LOST else self._kept_score
-        if estimate.shown < _LEAST_SHOWN or estimate.score < needed:
+        enough = _LEAST_FOUND if _is_vague(item) else _LEAST_SHOWN
+        if estimate.shown < enough or estimate.score < needed:
             # Not enough to say that it is there; but enough to look there, at what would be seen of it, next.
             guess = estimate.pose if estimate.elsewhere and estimate.score > self._kept_score else expected
             return self._missed(item, guess, estimate)

@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from hierax.nodes.tracking.alignment import Aligned, Start, align, offsets_at
-from hierax.nodes.tracking.appearance import measured, moved, of_mapping, recalled, remembered
+from hierax.nodes.tracking.appearance import NOTHING, measured, moved, of_mapping, recalled, remembered
 from hierax.nodes.tracking.fusion import Prior, fuse
 from hierax.nodes.tracking.geometry import Array, Floats
 from hierax.nodes.tracking.profiles import EDGE_SLOTS, Controls, Image, gathered
@@ -23,6 +23,7 @@ from hierax.nodes.tracking.stages import Search
 
 _NEAR = Search()
 _CALM = Search(reach_px=(8,), scale_px=((8.0, 1.0),), iterations=7)
+_SEARCHED_AT_ONCE = 3
 _SETTLED_M = 0.004
 """Where no object moves, and all are known better than this, the image is searched near by."""
 
@@ -36,6 +37,7 @@ _CHANGE_PER_M = 50.0
 _CHANGE_PER_RAD = 4.0
 _MOST_CHANGE = 0.5
 
+_FAMILIAR_UNREST = 0.3
 _SURE_SEEN = 0.9
 _LEARNED_UNREST = 0.1
 _LEARNED_SCORE = 0.6
@@ -106,7 +108,9 @@ def associate(
     """
     controls = gathered([item["controls"] for item in objects])
     slots = [of_mapping(item["slots"]) for item in objects]
-    memory = recalled(slots, controls, image.shape[2])
+    # The light on what moves changes.
+    known = [part if item["unrest"] < _FAMILIAR_UNREST else NOTHING for part, item in zip(slots, objects, strict=True)]
+    memory = recalled(known, controls, image.shape[2])
     predicted = np.stack([item["pose"] for item in objects])
     covariance = np.stack([item["covariance"] for item in objects])
     unrest = np.array([_with_motion(item) for item in objects])
@@ -132,12 +136,13 @@ def associate(
         np.zeros(len(objects), dtype=bool),
     )
     doubtful = [at for at, item in enumerate(objects) if _is_doubtful(found, at, item, options)]
-    searched = [at for at in doubtful if in_turn(objects[at])]
+    searched = sorted((at for at in doubtful if in_turn(objects[at])), key=lambda at: objects[at]["vain"])
+    searched = sorted(searched[:_SEARCHED_AT_ONCE])
     if searched:
         looking = Looking(image, controls, memory, intrinsics, options.error_px)
         found = search_elsewhere(looking, objects, shift, found, searched, prior)
     learned = _learned(together, found, controls, slots, doubtful, intrinsics)
-    vain = [item["vain"] + 1 if at in doubtful else 0 for at, item in enumerate(objects)]
+    vain = [item["vain"] + 1 if at in doubtful else max(0, item["vain"] - 1) for at, item in enumerate(objects)]
     vain = [0 if found.elsewhere[at] else count for at, count in enumerate(vain)]
     return shift, _estimates(found, learned, vain)
 

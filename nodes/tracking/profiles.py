@@ -57,10 +57,14 @@ class Controls(NamedTuple):
     slots: NDArray[np.int64]
     visible: Floats
 
-    def of(self, chosen: Sequence[int]) -> Controls:
-        """The controls of some objects, one after the other; an object may be chosen more than once."""
-        places = [np.nonzero(self.owners == number)[0] for number in chosen]
-        owners = np.repeat(np.arange(len(chosen)), [len(rows) for rows in places])
+    def rows_of(self, chosen: Sequence[int], most: int) -> list[Indices]:
+        """Of each of some objects the rows of its controls, evenly thinned out to at most so many."""
+        rows = {number: np.nonzero(self.owners == number)[0] for number in set(chosen)}
+        return [rows[number][:: max(1, -(-len(rows[number]) // most))] for number in chosen]
+
+    def of(self, places: Sequence[Indices]) -> Controls:
+        """The controls in some rows, as if each group of rows were an object of its own."""
+        owners = np.repeat(np.arange(len(places)), [len(rows) for rows in places])
         rows = np.concatenate(places) if places else np.zeros(0, dtype=np.intp)
         count = int(self.edges[-1]) + 1 if len(self.edges) else 1
         return Controls(
@@ -226,8 +230,7 @@ def _sampled(image: Image, across: Singles, down: Singles) -> Singles:
         )
         for start in range(0, max(1, len(across)), _MOST_ROWS)
     ]
-    values: Singles = parts[0] if len(parts) == 1 else np.concatenate(parts)
-    return values
+    return np.asarray(np.concatenate(parts), dtype=np.float32)
 
 
 def _beside(values: Singles, half: int, reach: int, side: int) -> Singles:

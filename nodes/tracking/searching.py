@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from hierax.nodes.tracking.alignment import Aligned, Start, align
 from hierax.nodes.tracking.appearance import Memory
+from hierax.nodes.tracking.controls import POINTS_MAX
 from hierax.nodes.tracking.fusion import Prior
 from hierax.nodes.tracking.geometry import Array, Floats
 from hierax.nodes.tracking.profiles import Controls, Image
@@ -26,8 +27,9 @@ _ROUGH = Search(
     reach_px=(20,), scale_px=((20.0, 6.0),), iterations=5, fine_px=(4.0, 4.0), fine_iterations=1, support_px=3.0
 )
 _FINE = Search(reach_px=(10, 5), scale_px=((10.0, 4.0), (4.0, 1.0)), iterations=5)
-_KEPT = 6
-"""How many of an object's starts are aligned finely."""
+_KEPT = 4
+_ROUGH_POINTS = 40
+"""How many of an object's starts are aligned finely, and with how many of its control points all are roughly."""
 
 _BETTER = 0.05
 """By so much of its control points another explanation must be better than the expected one."""
@@ -116,13 +118,13 @@ def search_elsewhere(
         starts += own
         tries += [at] * len(own)
     information = inverse(spread)
-    rough = _aligned(looking, tries, Start(np.stack(starts), information[tries]), _ROUGH)
+    rough = _aligned(looking, tries, Start(np.stack(starts), information[tries]), _ROUGH, _ROUGH_POINTS)
     if rough is None:
         return found
     kept = np.sort(np.concatenate([_best(rough, tries, at) for at in doubtful]))
     tries = [tries[number] for number in kept]
     start = Start(rough.poses[kept], information[tries])
-    fine = _aligned(looking, tries, start, _FINE)
+    fine = _aligned(looking, tries, start, _FINE, POINTS_MAX)
     if fine is None:
         return found
     predicted = np.stack([shift @ objects[at]["pose"] for at in tries])
@@ -132,9 +134,10 @@ def search_elsewhere(
     return _chosen(found, tries, start, fine, fine.gains - unlikely)
 
 
-def _aligned(looking: Looking, tries: Sequence[int], start: Start, search: Search) -> Aligned | None:
-    several = looking.controls.of(tries)
-    rows = np.concatenate([np.nonzero(looking.controls.owners == at)[0] for at in tries])
+def _aligned(looking: Looking, tries: Sequence[int], start: Start, search: Search, most: int) -> Aligned | None:
+    places = looking.controls.rows_of(tries, most)
+    rows = np.concatenate(places)
+    several = looking.controls.of(places)
     memory = Memory(*(part[rows] for part in looking.memory))
     search = search._replace(noise_px=looking.noise_px)
     return align(looking.image, several, start, looking.intrinsics, memory, search)

@@ -75,12 +75,12 @@ def test_a_body_is_moved_to_where_the_arm_tracks_it_and_the_camera_is_kept() -> 
         np.testing.assert_array_equal(belief[name], value)
 
 
-@pytest.mark.parametrize("status", ["lost", "expected"])
-def test_a_body_that_is_not_tracked_keeps_its_prediction(status: str) -> None:
+@pytest.mark.parametrize(("status", "x"), [("lost", 0.02), ("expected", 0.3)])
+def test_a_body_that_is_lost_keeps_its_prediction_and_one_that_is_expected_the_arms(status: str, x: float) -> None:
     spatial = node(at(0.02))
     belief = spatial.observe((sighting(at(0.3), status=status), CAMERA), spatial.initial_belief(), Tick(time_s=0.0))
     (body,) = belief["bodies"]
-    np.testing.assert_array_equal(body["pose"], at(0.02))
+    np.testing.assert_array_equal(body["pose"], at(x))
     assert body["status"] == status
     assert spatial.metrics(belief)["lost"] == (1.0 if status == "lost" else 0.0)
 

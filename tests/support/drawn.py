@@ -1,0 +1,43 @@
+"""Drawn images of boxes with the control points that are expected of them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from hierax.nodes.tracking.appearance import NOTHING
+from hierax.nodes.tracking.controls import controls_of
+from hierax.nodes.tracking.geometry import exp_so3, make_pose
+from hierax.nodes.tracking.models import box_mesh
+from hierax.nodes.tracking.shapes import shape_of
+from support.boxes import INTRINSICS, SIZE, Box
+
+START = np.diag([0.005**2] * 3 + [0.035**2] * 3)
+FIRST = Box(1, (0.08, 0.07, 0.09), make_pose(exp_so3(np.array([0.5, 0.6, 0.1])), [-0.07, -0.01, 0.5]))
+SECOND = Box(2, (0.06, 0.09, 0.07), make_pose(exp_so3(np.array([0.7, -0.4, 0.3])), [0.08, 0.02, 0.55]))
+BOXES = (FIRST, SECOND)
+
+
+def expected(box: Box, predicted: np.ndarray[Any, Any]) -> dict[str, Any]:
+    """An object as the arm's belief has it before an image."""
+    mesh = box_mesh(box.size)
+    controls = controls_of(shape_of(mesh.vertices, mesh.faces), predicted, INTRINSICS, SIZE)
+    return {
+        "id": box.label,
+        "pose": predicted,
+        "before": predicted,
+        "covariance": START,
+        "unrest": 0.2,
+        "trend": np.zeros(6),
+        "probation": 0,
+        "vain": 0,
+        "slots": NOTHING,
+        "controls": controls._asdict(),
+    }
+
+
+def all_expected(boxes: Sequence[Box], predicted: Sequence[np.ndarray[Any, Any]]) -> list[dict[str, Any]]:
+    """Several objects."""
+    return [expected(box, pose) for box, pose in zip(boxes, predicted, strict=True)]
