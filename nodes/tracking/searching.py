@@ -38,6 +38,12 @@ _UNLIKELIEST = 0.25
 """So large a share of the control points that support the expected explanation must speak for another one beyond
 that, however unlikely it was before."""
 
+_SUPPORTED = 0.35
+_REACH = 36.0
+"""An object that the image supports by that score where it was expected is not farther away than a push can have
+moved it (one of which no image has told yet: than its first pose can be off): the square of the distance, in
+standard deviations."""
+
 _FARTHER = (1.0, 0.0, 0.5, 1.5, 2.0)
 _AROUND = np.random.default_rng(1).normal(size=(4, 24, 6))
 _VAGUE_M = 0.015
@@ -108,6 +114,8 @@ def search_elsewhere(
         prior: what was known before the image.
     """
     spread = prior._replace(unrest=np.ones(len(objects))).spread()
+    seen = np.array([len(item["slots"]["keys"]) > 0 for item in objects])
+    pushed = inverse(prior._replace(unrest=np.where(seen, 1.0, prior.unrest)).spread())
     for at in doubtful:
         if _is_astray(objects[at]):
             spread[at] += _ASTRAY
@@ -131,7 +139,10 @@ def search_elsewhere(
     away = log_many(invert_many(predicted) @ fine.poses)
     squares = np.einsum("mi,mij,mj->m", away, inverse(prior.spread())[tries], away)
     unlikely = np.minimum(0.5 * squares, _UNLIKELIEST * (found.scores * found.shown)[tries])
-    return _chosen(found, tries, start, fine, fine.gains - unlikely)
+    worth = fine.gains - unlikely
+    within_reach = np.einsum("mi,mij,mj->m", away, pushed[tries], away) <= _REACH
+    worth[(found.scores[tries] >= _SUPPORTED) & ~within_reach] = -np.inf
+    return _chosen(found, tries, start, fine, worth)
 
 
 def _aligned(looking: Looking, tries: Sequence[int], start: Start, search: Search, most: int) -> Aligned | None:

@@ -1,7 +1,8 @@
 """What the pages show works as shown: their commands are run, page by page, in the order in which they stand.
 
-In a page, a block `console` holds commands behind `$ `; what else stands in it is output. A block with a title is a
-file: ``title="NAME"`` makes it, ``title="at the end of NAME"`` adds to it. A page is run by one shell in an empty folder.
+In a page, a block `console` holds commands behind `$ `; what else stands in it is output. A block with a title is
+a file: ``title="NAME"`` makes it, ``title="at the end of NAME"`` adds to it. A page is run by one shell in an empty
+folder.
 """
 
 from __future__ import annotations
