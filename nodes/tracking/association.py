@@ -7,14 +7,14 @@ pulled farther than its prediction allows, is then looked for alone.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from hierax.nodes.tracking.alignment import Aligned, Start, align, offsets_at
 from hierax.nodes.tracking.appearance import NOTHING, measured, moved, of_mapping, recalled, remembered
-from hierax.nodes.tracking.fusion import Prior, fuse
+from hierax.nodes.tracking.fusion import Fused, Prior, fuse
 from hierax.nodes.tracking.geometry import Array, Floats
 from hierax.nodes.tracking.profiles import EDGE_SLOTS, Controls, Image, gathered
 from hierax.nodes.tracking.rigid import exp_many, inverse, invert_many, log_many
@@ -29,6 +29,10 @@ _SETTLED_M = 0.004
 
 _LEAST_FREEDOM = 0.3
 """Share of a push's motion that the search leaves open for an object at rest."""
+
+_AT_REST = 0.1
+_CLEARLY = 0.1
+"""An object with that little unrest rests; by so much of its control points another explanation is clearly better."""
 
 _LEAST_SHOWN = 10.0
 """An object of which fewer control points should be seen is not judged by the image."""
@@ -120,10 +124,14 @@ def associate(
     start = Start(predicted, inverse(free.spread()), camera)
     calm = float(free.unrest.max()) <= _LEAST_FREEDOM and float(covariance[:, :3, :3].max()) < _SETTLED_M**2
     near = (_CALM if calm else _NEAR)._replace(noise_px=options.error_px)
-    together = align(image, controls, start, intrinsics, memory, near)
+
+    def aligned(information: Floats) -> Aligned | None:
+        return align(image, controls, start._replace(information=information), intrinsics, memory, near)
+
+    together = aligned(start.information)
     if together is None:
         return None
-    fused = fuse(together, prior)
+    together, fused = _unless_held(together, aligned, start.information, prior)
     shift = exp_many(fused.shift[None])[0]
     found = Found(
         shift @ predicted @ exp_many(fused.own),
@@ -145,6 +153,31 @@ def associate(
     vain = [item["vain"] + 1 if at in doubtful else max(0, item["vain"] - 1) for at, item in enumerate(objects)]
     vain = [0 if found.elsewhere[at] else count for at, count in enumerate(vain)]
     return shift, _estimates(found, learned, vain)
+
+
+def _unless_held(
+    free: Aligned, aligned: Callable[[Floats], Aligned | None], information: Floats, prior: Prior
+) -> tuple[Aligned, Fused]:
+    """What is surprising of an object at rest is only believed where resting explains the image clearly less well.
+
+    Args:
+        free: found with room for motion.
+        aligned: does it again with another (m, 6, 6) information of the predictions.
+        information: the one that leaves room.
+        prior: what was known before.
+    """
+    fused = fuse(free, prior)
+    held = (fused.unrest == 1.0) & (prior.unrest < _AT_REST)
+    calm = inverse(prior.spread())
+    for _ in range(2):  # all of them, then those alone of which resting explains enough
+        tried = aligned(np.where(held[:, None, None], calm, information)) if held.any() else None
+        if tried is None:
+            return free, fused
+        explained = held & (tried.gains >= free.gains - _CLEARLY * free.shown)
+        if (explained == held).all():
+            return tried, fuse(tried, prior, held)
+        held = explained
+    return free, fused
 
 
 def _is_doubtful(found: Found, at: int, item: Mapping[str, Any], options: Options) -> bool:

@@ -9,6 +9,7 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from hierax.nodes.tracking.alignment import Aligned
 from hierax.nodes.tracking.geometry import Floats
@@ -63,12 +64,13 @@ class Fused(NamedTuple):
     trend: Floats
 
 
-def fuse(aligned: Aligned, prior: Prior) -> Fused:
+def fuse(aligned: Aligned, prior: Prior, resting: NDArray[np.bool_] | None = None) -> Fused:
     """The correction that prediction and image speak for together (a Kalman filter's update).
 
     Args:
         aligned: what the image says, found with priors that leave room for motion.
         prior: what was known before.
+        resting: (m,) which objects are known to rest, however the image surprises; None: none.
     """
     shift, own = _solved(aligned, prior)
     off = _off(aligned, prior, shift)
@@ -77,6 +79,8 @@ def fuse(aligned: Aligned, prior: Prior) -> Fused:
     squares = np.maximum((off * off).sum(axis=1), (trend * trend).sum(axis=1) * (2.0 / _TREND_GAIN - 1.0))
     surprise = np.sqrt(squares / 6.0)
     surprised = surprise > _SURPRISED
+    if resting is not None:
+        surprised &= ~resting
     if surprised.any():
         prior = prior._replace(unrest=np.where(surprised, 1.0, prior.unrest))
         shift, own = _solved(aligned, prior)

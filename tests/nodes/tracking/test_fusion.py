@@ -38,6 +38,14 @@ def test_what_moved_is_believed_at_once() -> None:
     assert np.array_equal(fused.shift, np.zeros(6))
 
 
+def test_what_is_known_to_rest_is_not_believed_to_have_moved() -> None:
+    twist = np.array([0.006, 0.0, 0.0, 0.0, 0.02, 0.0])
+    found, prior = aligned(twist)
+    fused = fuse(found, prior, np.array([True, False]))
+    assert fused.unrest[0] < 1.0 == fused.unrest[1]
+    assert np.linalg.norm(fused.own[0]) < 0.9 * np.linalg.norm(fused.own[1])
+
+
 def test_what_rests_calms_down_and_grows_certain() -> None:
     found, prior = aligned(np.zeros(6))
     restless = prior._replace(unrest=np.full(2, 0.5))
