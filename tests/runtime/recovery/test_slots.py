@@ -86,17 +86,20 @@ def numbered(history: list[Write]) -> list[Write]:
 @example(
     [Write(bytes(43) + b"\1"), Write(b""), Write(bytes(44), frozenset({1})), Write(bytes(43) + b"\1", frozenset({1}))]
 )
+@example([Write(bytes(43) + b"\1", frozenset({1})), Write(bytes(44), 21), Write(bytes(44), frozenset({1}))])
 @example([Write(b"a" * 100), Write(b"b" * 100, frozenset({1}))])
 def test_only_the_last_two_whole_records_are_ever_read(history: list[Write]) -> None:
     disk = TornDisk()
     slots = Slots(disk)
     whole: list[bytes] = []
     frames: dict[int, bytes] = {}  # by slot, the last one that is whole in it
+    torn: dict[int, list[tuple[bytes, bytes]]] = {0: [], 1: []}  # by slot, frames and data since then
     for write in numbered(history):
         disk.reaches = write.reaches
         if write.reaches is None:
             slots.write(write.data)
             frames[disk.written[0]] = disk.written[1]
+            torn[disk.written[0]].clear()
             whole.append(write.data)
             assert disk.flushed
             assert [read.data for read in slots.read() if not read.empty] == whole[:-3:-1]
@@ -105,9 +108,13 @@ def test_only_the_last_two_whole_records_are_ever_read(history: list[Write]) -> 
             slots.write(write.data)
         slot, frame = disk.written
         reads = Slots(disk).read()
-        if disk.slots[slot].startswith(frame):
-            whole.append(write.data)
-            frames[slot] = frame
+        torn[slot].append((frame, write.data))
+        # the newest one, or an earlier one that a later one has completed: it says itself which it is
+        completed = [each for each in reversed(torn[slot]) if disk.slots[slot].startswith(each[0])]
+        if completed:
+            frames[slot], data = completed[0]
+            whole.append(data)
+            torn[slot].clear()
             expected: list[bytes | None] = list(whole[:-3:-1])
         elif slot in frames and disk.slots[slot].startswith(frames[slot]):
             expected = list(whole[:-3:-1])
