@@ -117,13 +117,11 @@ class ArmNode(Node):
             raise ValueError(f"expected 0 <= kept_score <= found_score <= 1, got {kept_score} and {found_score}")
         if patience < 1:
             raise ValueError(f"patience is {patience}; expected at least 1 image")
-        start = _covariance(start_m, start_rad)
+        start = diagonal_covariance(start_m, start_rad)
         self._objects = tuple(_first_belief(item, start) for item in objects)
-        ids = [item["id"] for item in self._objects]
-        if len(set(ids)) != len(ids) or not all(1 <= number <= 255 for number in ids):
-            raise ValueError(f"ids must be different and from 1 to 255, got {ids}")
-        self._options = Options(_covariance(motion_m, motion_rad), error_px, sure_score)
-        self._camera = np.diag(1.0 / np.diag(_covariance(camera_m, camera_rad)))
+        check_ids(self._objects)
+        self._options = Options(diagonal_covariance(motion_m, motion_rad), error_px, sure_score)
+        self._camera = np.diag(1.0 / np.diag(diagonal_covariance(camera_m, camera_rad)))
         self._kept_score = kept_score
         self._found_score = found_score
         self._patience = patience
@@ -323,5 +321,17 @@ def _first_belief(item: Mapping[str, Any], covariance: Floats) -> Tracked:
     }
 
 
-def _covariance(length_m: float, angle_rad: float) -> Floats:
+def check_ids(objects: Sequence[Mapping[str, Any]]) -> None:
+    """See that objects can be told apart in a label image.
+
+    Raises:
+        ValueError: ids are doubled or out of range.
+    """
+    ids = [item["id"] for item in objects]
+    if len(set(ids)) != len(ids) or not all(1 <= number <= 255 for number in ids):
+        raise ValueError(f"ids must be different and from 1 to 255, got {ids}")
+
+
+def diagonal_covariance(length_m: float, angle_rad: float) -> Floats:
+    """(6, 6) of a pose whose standard deviations are these along and about each axis."""
     return np.diag([length_m**2] * 3 + [angle_rad**2] * 3)

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from hierax.nodes.tracking.arm import EXPECTED, LOST, TRACKED
+from hierax.nodes.tracking.arm import EXPECTED, LOST, TRACKED, check_ids, diagonal_covariance
 from hierax.nodes.tracking.geometry import Array, Floats, invert, transform
 from hierax.nodes.tracking.paper import expected_lines, image_lines, match_lines
 from hierax.runtime import Elements, Node, Value
@@ -55,14 +55,12 @@ class PaperArmNode(Node):
             raise ValueError(f"kept_score is {kept_score}; expected a number from 0 to 1")
         if patience < 1:
             raise ValueError(f"patience is {patience}; expected at least 1 image")
-        self._start = np.diag([start_m**2] * 3 + [start_rad**2] * 3)
+        self._start = diagonal_covariance(start_m, start_rad)
         self._error_px = error_px
         self._kept_score = kept_score
         self._patience = patience
         self._objects = tuple(self._first(item) for item in objects)
-        ids = [item["id"] for item in self._objects]
-        if len(set(ids)) != len(ids) or not all(1 <= number <= 255 for number in ids):
-            raise ValueError(f"ids must be different and from 1 to 255, got {ids}")
+        check_ids(self._objects)
 
     def initial_belief(self) -> Value:
         """The objects where they are said to be; no camera, no edges yet."""

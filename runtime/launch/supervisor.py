@@ -37,12 +37,6 @@ REPORT_TIMEOUT_S = 60.0
 
 POLL_S = 0.01
 
-BEAT_S = 0.2
-"""How often it says something."""
-
-SILENCE_S = 1.0
-"""How long the world's process may say nothing, beyond the epoch's deadline."""
-
 
 class Interrupted(Exception):  # noqa: N818 - no error: somebody pressed Ctrl-C
     """The run was broken off by a signal."""

@@ -8,10 +8,11 @@ from typing import Any
 import cv2
 import numpy as np
 import pytest
+from support.arm_steps import arm_belief, step
 
 from hierax.nodes.tracking.bop import read_image
 from hierax.nodes.tracking.errors import DataError
-from hierax.nodes.tracking.geometry import Floats, make_pose
+from hierax.nodes.tracking.geometry import make_pose
 from hierax.nodes.tracking.pictures import (
     CONTACT_SHEET,
     CORRECTED,
@@ -22,27 +23,6 @@ from hierax.nodes.tracking.pictures import (
     write_picture,
     write_video,
 )
-from hierax.runtime import Step, Value
-
-INTRINSICS = np.array([200.0, 200.0, 79.5, 59.5])
-SQUARE = np.array([[-1.0, -1.0, 0.0], [1.0, -1.0, 0.0], [1.0, 1.0, 0.0], [-1.0, 1.0, 0.0]]) * 0.05
-EDGES = np.stack((SQUARE, np.roll(SQUARE, -1, axis=0)), axis=1)
-
-
-def placed(x: float) -> Floats:
-    return make_pose(np.eye(3), np.array([x, 0.0, 0.4]))
-
-
-def arm_belief(frame: int | None, x: float = 0.0, status: str = "tracked") -> dict[str, Any]:
-    item = {"id": 1, "obj_id": 7, "pose": placed(x), "score": 0.75, "status": status, "edges": EDGES}
-    return {"camera": np.eye(4), "intrinsics": INTRINSICS, "size": (160, 120), "frame": frame, "objects": (item,)}
-
-
-def step(epoch: int, sensed: Value, image: Any = None, belief: Value = None, attempt: int = 0) -> Step:
-    observations = () if image is None else ({"image": image},)
-    return Step(
-        epoch, attempt, 0.1 * epoch, observations, sensed, (), (), "default", (), sensed if belief is None else belief
-    )
 
 
 def grey() -> Any:

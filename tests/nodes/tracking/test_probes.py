@@ -7,34 +7,14 @@ from typing import Any
 
 import numpy as np
 import pytest
+from support.arm_steps import arm_belief, placed, step
 
 from hierax.nodes.tracking.bop import RESULTS_HEADER, read_results
 from hierax.nodes.tracking.errors import DataError
-from hierax.nodes.tracking.geometry import Floats, invert, make_pose
+from hierax.nodes.tracking.geometry import invert
 from hierax.nodes.tracking.pictures import Pictures
 from hierax.nodes.tracking.probes import BopResults, Truth, scene_number
 from hierax.nodes.tracking.sim_world import SimWorld
-from hierax.runtime import Step, Value
-
-INTRINSICS = np.array([200.0, 200.0, 79.5, 59.5])
-SQUARE = np.array([[-1.0, -1.0, 0.0], [1.0, -1.0, 0.0], [1.0, 1.0, 0.0], [-1.0, 1.0, 0.0]]) * 0.05
-EDGES = np.stack((SQUARE, np.roll(SQUARE, -1, axis=0)), axis=1)
-
-
-def placed(x: float) -> Floats:
-    return make_pose(np.eye(3), np.array([x, 0.0, 0.4]))
-
-
-def arm_belief(frame: int | None, x: float = 0.0, status: str = "tracked") -> dict[str, Any]:
-    item = {"id": 1, "obj_id": 7, "pose": placed(x), "score": 0.75, "status": status, "edges": EDGES}
-    return {"camera": np.eye(4), "intrinsics": INTRINSICS, "size": (160, 120), "frame": frame, "objects": (item,)}
-
-
-def step(epoch: int, sensed: Value, image: Any = None, belief: Value = None, attempt: int = 0) -> Step:
-    observations = () if image is None else ({"image": image},)
-    return Step(
-        epoch, attempt, 0.1 * epoch, observations, sensed, (), (), "default", (), sensed if belief is None else belief
-    )
 
 
 def grey() -> Any:
