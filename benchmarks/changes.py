@@ -64,6 +64,8 @@ LAST_CHANGE = 0.7
 
 TIMES = "commits.npy"
 START_TIMEOUT_S = 60.0
+PAUSE_S = 0.1
+"""After each change, as what asks for the next one, and its start, would be taken for a part of this one's cost."""
 KINDS = ("attach", "detach", "replace")
 NONE = "no change"
 AROUND = 10
@@ -323,6 +325,7 @@ class Launch:
             except RunOverError:
                 return  # refused, so it did not take effect
             self._made.append((kind, epoch, f"{epoch}:{schedule}"))
+            time.sleep(PAUSE_S)
 
     def _spell(self, kind: str, change: Change) -> tuple[list[str], str]:
         """A change as a command's arguments, and as ``--at`` has it."""

@@ -84,6 +84,7 @@ class Member(NodeRunner):
         self._took = 0
         self._linking: set[int] = set()
         self._linked: set[int] = set()
+        self._asked: set[int] = set()
         self._fetched: set[int] = set()
 
     @property
@@ -162,7 +163,7 @@ class Member(NodeRunner):
 
     def _say_ready(self, version: int) -> None:
         engine_has_it = self.wired and (version == self.engine.wiring.roster or version in self.engine.prepared)
-        if version in self._linked and engine_has_it:
+        if version in self._asked and version in self._linked and engine_has_it:
             self._say(Ready(self.name, self.process, version, ""))
 
     def save(self, epoch: int, attempt: int, start: bytes, now: bytes) -> None:
@@ -185,6 +186,7 @@ class Member(NodeRunner):
         super().rewired(version)
         self.port.unlink(version)
         self._linked = {later for later in self._linked if later >= version}
+        self._asked = {later for later in self._asked if later >= version}
         self._fetched = {later for later in self._fetched if later > version}
 
     def _gravity(self, verdict: Verdict) -> int:
@@ -215,6 +217,8 @@ class Member(NodeRunner):
             self.dismissed = f"{self.name}: another process runs it under version {version} of the roster"
             return
         self._fetched.discard(version)
+        if order.asks:
+            self._asked.add(version)
         self._say_ready(version)
         if version in self._linked or version in self._linking:
             return

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from hierax.runtime.core.binding import Setting
+from hierax.runtime.core.binding import BoundNode, Setting
+from hierax.runtime.core.graph import Pair
 from hierax.runtime.core.hierarchy import BoundEdge
 from hierax.runtime.core.node import Node
 from hierax.runtime.engine.wiring import Place, Wiring
@@ -24,6 +25,8 @@ class NodeLoader:
         self._setting = setting
         self._nodes: dict[bytes, Node] = {}
         self._edges: dict[RosterEdgeKey, BoundEdge] = {}
+        self._bound: BoundNode | None = None
+        self._pairs: list[Pair] = []
 
     def wiring(self, roster: Roster) -> Wiring:
         """The node's wiring under a version of the roster.
@@ -31,11 +34,18 @@ class NodeLoader:
         Raises:
             LoadError: something cannot be loaded or called.
         """
-        name = self._name
-        pairs = [edge.pair for edge in roster.edges]
-        bound = bind_node(name, self._node(roster), roster.world, pairs, self._setting)
-        edges = [self._edge(edge) for edge in roster.edges if name in edge.pair]
-        return Wiring(bound, edges, Place.of(roster))
+        edges = [edge for edge in roster.edges if self._name in edge.pair]
+        bound = self._bind(roster, [edge.pair for edge in edges])
+        place = Place.of(roster, hashed=self._name == roster.world)
+        return Wiring(bound, [self._edge(edge) for edge in edges], place)
+
+    def _bind(self, roster: Roster, pairs: list[Pair]) -> BoundNode:
+        """The node with its neighbours; where neither changes the same one, as looking at operators takes long."""
+        name, node, last = self._name, self._node(roster), self._bound
+        if last is not None and last.node is node and sorted(pairs) == self._pairs:
+            return last
+        self._bound, self._pairs = bind_node(name, node, roster.world, pairs, self._setting), sorted(pairs)
+        return self._bound
 
     def _node(self, roster: Roster) -> Node:
         reference = roster.nodes[self._name]

@@ -17,9 +17,10 @@ NEVER = -1
 
 
 class Prepare(NamedTuple):
-    """Owner to process: get ready for a version of the roster (as `Roster.plain` gives it)."""
+    """Owner to process: get ready for a version of the roster (as `Roster.plain` gives it), and say so if it asks."""
 
     roster: dict[str, Value]
+    asks: bool = True
 
 
 class HandOver(NamedTuple):

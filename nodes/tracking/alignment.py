@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hierax.nodes.tracking.appearance import Memory
+from hierax.nodes.tracking.encoding import Tone, told_by
 from hierax.nodes.tracking.geometry import Array, Floats
 from hierax.nodes.tracking.profiles import Controls, Image, Indices, Lines, Profiles
 from hierax.nodes.tracking.rigid import exp_many, log_many, solved
@@ -76,6 +77,7 @@ class Aligned(NamedTuple):
         scores: (m,) 0 to 1: the share of control points that the image supports, beyond chance.
         shown: (m,) how many control points should be seen.
         gains: (m,) how many of them speak for the pose, each by how near and how familiar its hypothesis is.
+        tone, told: how far edges seem to be moved by the encoding of light, beyond what was known; see `encoding`.
         lines, profiles, matches: of the last stage.
     """
 
@@ -87,6 +89,8 @@ class Aligned(NamedTuple):
     scores: Floats
     shown: Floats
     gains: Floats
+    tone: Tone
+    told: Floats
     lines: Lines
     profiles: Profiles
     matches: Matches
@@ -196,22 +200,30 @@ def _judged(state: _State, start: Start, stage: Stage, scale: Floats, intrinsics
     columns, residuals, strange = chosen_near(seen, stage, np.full(len(stage.owners), search.support_px))
     supported = (np.abs(residuals) < search.support_px) & (strange < _STRANGE)
     weights = weights_of(stage, columns, residuals, strange, scale, search)
-    blocks, slopes = normal_equations(state.poses, stage, seen, residuals, weights, weights > 0, intrinsics)
+    moved = -stage.contrasts[np.arange(len(columns)), columns].astype(np.float64)
+    blocks, slopes = normal_equations(state.poses, stage, seen, residuals, weights, weights > 0, intrinsics, moved)
+    tone = Tone(blocks[:, 12, :12], blocks[:, 12, 12], slopes[:, 12])
+    blocks, slopes = blocks[:, :12, :12], slopes[:, :12]
+    told = told_by(tone, blocks, slopes)
     count = len(start.poses)
 
     def summed(values: Floats) -> Floats:
         return np.asarray(np.bincount(stage.owners, weights=values, minlength=count), dtype=np.float64)
 
-    shown = summed(stage.visible)
-    share = summed(np.where(supported, stage.visible, 0.0)) / np.maximum(shown, 1e-6)
-    chance = summed(stage.visible * _chance(stage, search)) / np.maximum(shown, 1e-6)
+    # Where edges crowd, they may claim the same one in the image; it counts for neither.
+    counted = stage.visible * stage.apart
+    shown = summed(counted)
+    share = summed(np.where(supported, counted, 0.0)) / np.maximum(shown, 1e-6)
+    chance = summed(counted * _chance(stage, search)) / np.maximum(shown, 1e-6)
     scores = np.maximum(0.0, (share - chance) / np.maximum(1.0 - chance, _LEAST_RARITY))
     part = np.minimum(np.abs(residuals) / (2.0 * search.support_px), 1.0)
-    gains = summed(stage.visible * (1.0 - part * part) ** 2 * np.exp(-STRANGE_WEIGHT * strange))
+    gains = summed(counted * (1.0 - part * part) ** 2 * np.exp(-STRANGE_WEIGHT * strange))
     matches = Matches(columns, residuals, strange, supported)
     own = log_many(state.own)
     lines, profiles = stage.lines, stage.profiles
-    return Aligned(state.poses, state.shift, own, blocks, slopes, scores, shown, gains, lines, profiles, matches)
+    return Aligned(
+        state.poses, state.shift, own, blocks, slopes, scores, shown, gains, tone, told, lines, profiles, matches
+    )
 
 
 def _chance(stage: Stage, search: Search) -> Floats:

@@ -13,6 +13,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from hierax.nodes.tracking.encoding import UNTOLD
 from hierax.nodes.tracking.geometry import Floats
 from hierax.nodes.tracking.profiles import EDGE_SLOTS, Controls, Indices, Profiles, Singles
 
@@ -20,7 +21,8 @@ Slots = dict[str, Any]
 """What is remembered of one object: "keys" (s,) int64 ascending, "colours" (s, channels) float32 grey levels,
 "spread" (s,) float32 variance of one channel, "weights" (s,) float32 how many frames it comes from; "edges" (e,)
 int64 ascending, numbers of edges, and "offsets" (e, 2) float32, by how many pixels each was off in the mean, and in
-how many frames."""
+how many frames; "parts" (p,) int64 ascending, parts of edges, and "hits" (p, 2) float32, in how many frames each was
+found and looked for, older ones fading; "encoding" (2,), what it told of `hierax.nodes.tracking.encoding`."""
 
 NOTHING: Slots = {
     "keys": np.zeros(0, dtype=np.int64),
@@ -29,6 +31,9 @@ NOTHING: Slots = {
     "weights": np.zeros(0, dtype=np.float32),
     "edges": np.zeros(0, dtype=np.int64),
     "offsets": np.zeros((0, 2), dtype=np.float32),
+    "parts": np.zeros(0, dtype=np.int64),
+    "hits": np.zeros((0, 2), dtype=np.float32),
+    "encoding": UNTOLD,
 }
 
 _LEAST_SPREAD = 64.0
@@ -44,6 +49,9 @@ _FIRST_WEIGHT = 2.0
 _TRUSTED_PX = 0.2
 _OFFSET_FRAMES = 40.0
 _FADING = 0.7
+_DOUBT = 2.0
+"""A part of an edge is trusted by the share of images that it was found in, as if it had been found in one more,
+to this power."""
 
 
 class Memory(NamedTuple):
@@ -53,11 +61,15 @@ class Memory(NamedTuple):
         colours: (n, 2, channels) inside and outside; any where nothing is remembered.
         precision: (n, 2) 1/variance; 0 where nothing is remembered or the object is not on that side.
         trust: (n,) 0 to 1, less on edges that are off in image after image: shadows at an object's foot, mostly.
+        apart: (n,) 0 to 1, how far the edge stands alone, see `hierax.nodes.tracking.crowding`.
+        factor: (n,) how far light's encoding moves edges, the same for all; see `hierax.nodes.tracking.encoding`.
     """
 
     colours: Singles
     precision: Singles
     trust: Singles
+    apart: Singles
+    factor: Singles
 
 
 def recalled(objects: list[Slots], controls: Controls, channels: int) -> Memory:
@@ -71,7 +83,7 @@ def recalled(objects: list[Slots], controls: Controls, channels: int) -> Memory:
         keys = slots["keys"]
         view = slice(ends[at], ends[at + 1])
         wanted = controls.slots[view]
-        trust[view] = _trust(slots, wanted[:, 0] // EDGE_SLOTS)
+        trust[view] = _trust(slots, wanted[:, 0] // EDGE_SLOTS) * _usual(slots, wanted[:, 0])
         if not len(keys) or slots["colours"].shape[1] != channels:
             continue
         place = np.minimum(np.searchsorted(keys, wanted), len(keys) - 1)
@@ -79,7 +91,7 @@ def recalled(objects: list[Slots], controls: Controls, channels: int) -> Memory:
         known[:, 1] &= controls.creases[view]
         colours[view] = slots["colours"][place]
         precision[view] = np.where(known, 1.0 / (_LEAST_SPREAD + slots["spread"][place]), 0.0)
-    return Memory(colours, precision, trust)
+    return Memory(colours, precision, trust, np.ones(count, dtype=np.float32), np.zeros(count, dtype=np.float32))
 
 
 def _trust(slots: Slots, edges: NDArray[np.int64]) -> Singles:
@@ -91,6 +103,45 @@ def _trust(slots: Slots, edges: NDArray[np.int64]) -> Singles:
     part = offset * np.minimum(frames / np.float32(_FRAMES), np.float32(1.0)) / np.float32(_TRUSTED_PX)
     trust: Singles = np.where(known[place] == edges, 1.0 / (1.0 + part * part), np.float32(1.0)).astype(np.float32)
     return trust
+
+
+def _usual(slots: Slots, parts: NDArray[np.int64]) -> Singles:
+    """(n,) how usual it is that parts of edges are found.
+
+    Where an object has no contrast of its own, what is found in the end belongs to something else.
+    """
+    known = slots["parts"]
+    if not len(known):
+        return np.ones(len(parts), dtype=np.float32)
+    place = np.minimum(np.searchsorted(known, parts), len(known) - 1)
+    found, sought = slots["hits"][place].T
+    usual: Singles = np.where(known[place] == parts, ((found + 1.0) / (sought + 1.0)) ** _DOUBT, 1.0).astype(np.float32)
+    return usual
+
+
+def sought(slots: Slots, parts: NDArray[np.int64], found: NDArray[np.bool_]) -> Slots:
+    """What is remembered of the parts of edges after an image.
+
+    Args:
+        slots: before.
+        parts: (n,) of one object's control points that surely nothing hides: numbers of the parts that they are on.
+        found: (n,) which of them were.
+    """
+    if not len(parts):
+        return slots
+    now, place = np.unique(parts, return_inverse=True)
+    share = np.bincount(place, weights=found) / np.bincount(place)
+    every = np.union1d(slots["parts"], now)
+    hits = np.zeros((len(every), 2))
+    hits[np.searchsorted(every, slots["parts"])] = slots["hits"]
+    at = np.searchsorted(every, now)
+    hits[at] = (1.0 - 1.0 / _FRAMES) * hits[at] + np.stack((share, np.ones(len(now))), axis=1)
+    return {**slots, "parts": every, "hits": hits.astype(np.float32)}
+
+
+def only_found(slots: Slots) -> Slots:
+    """What is remembered of an object in another light: which parts of its edges are found."""
+    return {**NOTHING, "parts": slots["parts"], "hits": slots["hits"]}
 
 
 def measured(slots: Slots, edges: NDArray[np.int64], offsets: Floats) -> Slots:

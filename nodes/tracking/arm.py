@@ -30,12 +30,18 @@ _PROBATION = 20
 _LEAST_SHOWN = 10.0
 """An object of which fewer control points should be seen is neither supported nor missed."""
 
+_LESS = 0.85
+"""Something happens to an object that the image supports by less than this part of what it did before."""
+
 _FIRST_UNREST = 0.2
 _LEAST_FOUND = 20.0
 """One whose place is vague is not found by fewer control points than these."""
 
 _VAGUE_M = 0.02
 """An object whose place is less certain than this (standard deviation) has to be found, not kept."""
+
+_UPWARDS, _TILTING = 0.1, 0.15
+"""Of what its motion may change in a frame, what stands on something rises, and tilts, by so much."""
 
 _DASH_M = 0.002
 _UNKNOWN = np.diag([0.1**2] * 3 + [0.6**2] * 3)
@@ -211,7 +217,10 @@ class ArmNode(Node):
         image = smoothed(seen["image"])
         camera = None if still else self._camera
         known = objects if self._prior else tuple({**item, "covariance": _UNKNOWN} for item in objects)
-        found = associate(image, known, camera, np.asarray(seen["intrinsics"]), self._options)
+        motion = np.stack([self._motion(item) for item in objects])
+        options = self._options._replace(motion=motion)
+        known = tuple({**item, "motion": self._options.motion} for item in known)
+        found = associate(image, known, camera, np.asarray(seen["intrinsics"]), options)
         if found is None:
             return np.eye(4), tuple(self._missed(item, item["pose"], None) for item in objects)
         shift, estimates = found
@@ -219,6 +228,16 @@ class ArmNode(Node):
             self._judged(item, shift @ item["pose"], estimate)
             for item, estimate in zip(objects, estimates, strict=True)
         )
+
+    def _motion(self, item: Tracked) -> Floats:
+        """(6, 6) how far it may leave its prediction within a frame: what stands on something slides, and turns on it."""
+        up = item["support"]
+        held = np.zeros((6, 6))
+        held[:3, :3] = (1.0 - _UPWARDS) * np.outer(up, up)
+        held[3:, 3:] = (1.0 - _TILTING) * (float(up @ up) * np.eye(3) - np.outer(up, up))
+        free = np.eye(6) - held
+        motion: Floats = free @ self._options.motion @ free
+        return motion
 
     def _judged(self, item: Tracked, expected: Floats, estimate: Estimate) -> Tracked:
         """One object after the image: where it was found, or where it was expected."""
@@ -237,7 +256,7 @@ class ArmNode(Node):
             "score": estimate.score,
             "probation": _PROBATION if _is_vague(item) else max(0, item["probation"] - 1),
             "slots": estimate.slots,
-            "vain": estimate.vain,
+            "vain": _vain(item, estimate),
             "status": TRACKED,
             "misses": 0,
         }
@@ -259,8 +278,8 @@ class ArmNode(Node):
             "status": LOST if lost else EXPECTED,
             "misses": misses,
             "unrest": unrest,
-            "vain": item["vain"] if estimate is None else estimate.vain,
-            "covariance": item["covariance"] + unrest**2 * self._options.motion,
+            "vain": item["vain"] if estimate is None else _vain(item, estimate),
+            "covariance": item["covariance"] + unrest**2 * self._motion(item),
         }
 
 
@@ -273,9 +292,16 @@ def _imagined(item: Tracked, expected: Mapping[str, Any], camera: Floats) -> Tra
         "before": item["pose"],
         "pose": invert(camera) @ expected["pose"],
         "covariance": expected["covariance"],
+        "support": expected["support"],
         "controls": controls,
         "edges": np.stack((controls["points"] - half, controls["points"] + half), axis=1),
     }
+
+
+def _vain(item: Tracked, estimate: Estimate) -> int:
+    """For how many images it was looked for elsewhere in vain; that counts anew when something happens to it."""
+    startled = estimate.unrest == 1.0 and item["unrest"] < 1.0
+    return 0 if startled or estimate.score < _LESS * item["score"] else estimate.vain
 
 
 def _is_vague(item: Tracked) -> bool:
@@ -315,6 +341,7 @@ def _first_belief(item: Mapping[str, Any], covariance: Floats) -> Tracked:
         "unrest": _FIRST_UNREST,
         "trend": np.zeros(6),
         "vain": 0,
+        "support": np.zeros(3),
         "controls": _NO_CONTROLS,
         "edges": np.zeros((0, 2, 3)),
         "slots": NOTHING,

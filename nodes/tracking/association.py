@@ -7,19 +7,30 @@ pulled farther than its prediction allows, is then looked for alone.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
 
+from hierax.nodes.tracking import encoding
 from hierax.nodes.tracking.alignment import Aligned, Start, align, offsets_at
-from hierax.nodes.tracking.appearance import NOTHING, measured, moved, of_mapping, recalled, remembered
-from hierax.nodes.tracking.fusion import Fused, Prior, fuse
+from hierax.nodes.tracking.appearance import (
+    Memory,
+    measured,
+    moved,
+    of_mapping,
+    only_found,
+    recalled,
+    remembered,
+    sought,
+)
+from hierax.nodes.tracking.crowding import apartness
+from hierax.nodes.tracking.fusion import SURPRISED, Fused, Prior, fuse
 from hierax.nodes.tracking.geometry import Array, Floats
 from hierax.nodes.tracking.profiles import EDGE_SLOTS, Controls, Image, gathered
-from hierax.nodes.tracking.rigid import exp_many, inverse, invert_many, log_many
+from hierax.nodes.tracking.rigid import exp_many, inverse, invert_many, log_many, solved
 from hierax.nodes.tracking.searching import Found, Looking, in_turn, search_elsewhere
-from hierax.nodes.tracking.stages import Search
+from hierax.nodes.tracking.stages import NEAREST_M, Search
 
 _NEAR = Search()
 _CALM = Search(reach_px=(8,), scale_px=((8.0, 1.0),), iterations=7)
@@ -37,6 +48,9 @@ _CLEARLY = 0.1
 _LEAST_SHOWN = 10.0
 """An object of which fewer control points should be seen is not judged by the image."""
 
+_JUMP_PX = 2.0
+"""A camera's error that moves an object's origin by more is large."""
+
 _CHANGE_PER_M = 50.0
 _CHANGE_PER_RAD = 4.0
 _MOST_CHANGE = 0.5
@@ -45,6 +59,7 @@ _FAMILIAR_UNREST = 0.3
 _SURE_SEEN = 0.9
 _LEARNED_UNREST = 0.1
 _LEARNED_SCORE = 0.6
+_FOUND_PX = 1.0
 
 
 class Options(NamedTuple):
@@ -110,67 +125,138 @@ def associate(
         What the camera's error does to all poses (4, 4), and each object's estimate; None
         where nothing is expected in the image.
     """
-    controls = gathered([item["controls"] for item in objects])
     slots = [of_mapping(item["slots"]) for item in objects]
+    task = _task(image, objects, slots, camera, intrinsics, options)
+    together = _aligned(task, task.start)
+    if together is None:
+        return None
+    together, fused = _unless_held(together, task)
+    together, fused = _once_more(together, fused, task, objects, options)
+    shift = exp_many(fused.shift[None])[0]
+    found = _found(together, fused, shift @ task.start.poses)
+    doubtful = [at for at, item in enumerate(objects) if _is_doubtful(found, at, item, options)]
+    searched = sorted((at for at in doubtful if in_turn(objects[at])), key=lambda at: objects[at]["vain"])
+    searched = sorted(searched[:_SEARCHED_AT_ONCE])
+    if searched:
+        looking = Looking(image, task.controls, task.memory, intrinsics, options.error_px)
+        found = _if_expected(search_elsewhere(looking, objects, shift, found, searched, task.prior), found, task, shift)
+    learned = _learned(together, found, task, slots, doubtful)
+    vain = [item["vain"] + 1 if at in doubtful else max(0, item["vain"] - 1) for at, item in enumerate(objects)]
+    vain = [0 if found.elsewhere[at] else count for at, count in enumerate(vain)]
+    return shift, _estimates(found, learned, vain)
+
+
+class _Task(NamedTuple):
+    """What is aligned: the image, the control points, what is remembered of them, where they are expected, how far the
+    image is searched, what is known before it; and of light's encoding, the factor and its information."""
+
+    image: Image
+    controls: Controls
+    memory: Memory
+    intrinsics: Array
+    start: Start
+    search: Search
+    prior: Prior
+    encoding: tuple[float, float]
+
+
+def _task(
+    image: Image,
+    objects: Sequence[Mapping[str, Any]],
+    slots: list[dict[str, Any]],
+    camera: Floats | None,
+    intrinsics: Array,
+    options: Options,
+) -> _Task:
+    controls = gathered([item["controls"] for item in objects])
     # The light on what moves changes.
-    known = [part if item["unrest"] < _FAMILIAR_UNREST else NOTHING for part, item in zip(slots, objects, strict=True)]
-    memory = recalled(known, controls, image.shape[2])
+    known = [
+        part if item["unrest"] < _FAMILIAR_UNREST else only_found(part)
+        for part, item in zip(slots, objects, strict=True)
+    ]
+    factor = encoding.believed([part["encoding"] for part in slots])
     predicted = np.stack([item["pose"] for item in objects])
+    memory = recalled(known, controls, image.shape[2])
+    memory = memory._replace(
+        factor=np.full(len(controls.owners), factor[0], dtype=np.float32),
+        apart=apartness(controls, predicted, intrinsics).astype(np.float32),
+    )
     covariance = np.stack([item["covariance"] for item in objects])
     unrest = np.array([_with_motion(item) for item in objects])
     trend = np.array([item["trend"] for item in objects])
     prior = Prior(covariance, options.motion, unrest, trend, camera)
     free = prior._replace(unrest=np.maximum(prior.unrest, _LEAST_FREEDOM))
-    start = Start(predicted, inverse(free.spread()), camera)
     calm = float(free.unrest.max()) <= _LEAST_FREEDOM and float(covariance[:, :3, :3].max()) < _SETTLED_M**2
     near = (_CALM if calm else _NEAR)._replace(noise_px=options.error_px)
+    start = Start(predicted, inverse(free.spread()), camera)
+    return _Task(image, controls, memory, intrinsics, start, near, prior, factor)
 
-    def aligned(information: Floats) -> Aligned | None:
-        return align(image, controls, start._replace(information=information), intrinsics, memory, near)
 
-    together = aligned(start.information)
-    if together is None:
+def _aligned(task: _Task, start: Start) -> Aligned | None:
+    """What the image says of the poses, when light's encoding is not known better than it is."""
+    found = align(task.image, task.controls, start, task.intrinsics, task.memory, task.search)
+    if found is None:
         return None
-    together, fused = _unless_held(together, aligned, start.information, prior)
-    shift = exp_many(fused.shift[None])[0]
-    found = Found(
-        shift @ predicted @ exp_many(fused.own),
+    told = np.where(found.scores[:, None] < _LEARNED_SCORE, 0.0, found.told)
+    blocks, slopes = encoding.allowed_for(found.tone, told, *task.encoding)
+    return found._replace(blocks=found.blocks + blocks, slopes=found.slopes + slopes)
+
+
+def _found(together: Aligned, fused: Fused, expected: Floats) -> Found:
+    """What is found where objects are expected, the camera's error corrected."""
+    return Found(
+        expected @ exp_many(fused.own),
         fused.covariance,
         together.scores,
         together.shown,
         together.gains,
         fused.unrest,
         fused.trend,
-        np.zeros(len(objects), dtype=bool),
+        np.zeros(len(expected), dtype=bool),
     )
-    doubtful = [at for at, item in enumerate(objects) if _is_doubtful(found, at, item, options)]
-    searched = sorted((at for at in doubtful if in_turn(objects[at])), key=lambda at: objects[at]["vain"])
-    searched = sorted(searched[:_SEARCHED_AT_ONCE])
-    if searched:
-        looking = Looking(image, controls, memory, intrinsics, options.error_px)
-        found = search_elsewhere(looking, objects, shift, found, searched, prior)
-    learned = _learned(together, found, controls, slots, doubtful, intrinsics)
-    vain = [item["vain"] + 1 if at in doubtful else max(0, item["vain"] - 1) for at, item in enumerate(objects)]
-    vain = [0 if found.elsewhere[at] else count for at, count in enumerate(vain)]
-    return shift, _estimates(found, learned, vain)
 
 
-def _unless_held(
-    free: Aligned, aligned: Callable[[Floats], Aligned | None], information: Floats, prior: Prior
+def _once_more(
+    together: Aligned, fused: Fused, task: _Task, objects: Sequence[Mapping[str, Any]], options: Options
 ) -> tuple[Aligned, Fused]:
+    """The same from where the camera's error puts the objects, when it is large and that leaves one in doubt.
+
+    Far from its edges an object may have taken others; what the rest of them says of the camera brings it near.
+    """
+    shift = exp_many(fused.shift[None])[0]
+    expected = shift @ task.start.poses
+    if task.prior.camera is None:
+        return together, fused
+    found = _found(together, fused, expected)
+    doubtful = [at for at, item in enumerate(objects) if _is_doubtful(found, at, item, options)]
+    jumps = _flat(expected[doubtful]) - _flat(task.start.poses[doubtful])
+    if np.abs(jumps * task.intrinsics[:2]).max(initial=0.0) < _JUMP_PX:
+        return together, fused
+    again = _aligned(task, task.start._replace(poses=expected))
+    if again is None or (again.gains - together.gains)[doubtful].sum() <= 0.0:
+        return together, fused
+    return _unless_held(again._replace(shift=again.shift @ shift), task)
+
+
+def _flat(poses: Floats) -> Floats:
+    flat: Floats = poses[:, :2, 3] / np.maximum(poses[:, 2:3, 3], NEAREST_M)
+    return flat
+
+
+def _unless_held(free: Aligned, task: _Task) -> tuple[Aligned, Fused]:
     """What is surprising of an object at rest is only believed where resting explains the image clearly less well.
 
     Args:
         free: found with room for motion.
-        aligned: does it again with another (m, 6, 6) information of the predictions.
-        information: the one that leaves room.
-        prior: what was known before.
+        task: to do it again.
     """
+    prior = task.prior
     fused = fuse(free, prior)
     held = (fused.unrest == 1.0) & (prior.unrest < _AT_REST)
     calm = inverse(prior.spread())
     for _ in range(2):  # all of them, then those alone of which resting explains enough
-        tried = aligned(np.where(held[:, None, None], calm, information)) if held.any() else None
+        information = np.where(held[:, None, None], calm, task.start.information)
+        tried = _aligned(task, task.start._replace(information=information)) if held.any() else None
         if tried is None:
             return free, fused
         explained = held & (tried.gains >= free.gains - _CLEARLY * free.shown)
@@ -178,6 +264,28 @@ def _unless_held(
             return tried, fuse(tried, prior, held)
         held = explained
     return free, fused
+
+
+def _if_expected(after: Found, before: Found, task: _Task, shift: Floats) -> Found:
+    """What was found elsewhere, but no farther away than predictions err, did not move: it is averaged as ever."""
+    spread = task.prior.spread()
+    expected = shift @ task.start.poses
+    away = log_many(invert_many(expected) @ after.poses)
+    both = spread + after.covariance
+    squares = np.einsum("mi,mi->m", away, solved(both, away[..., None])[..., 0])
+    same = after.elsewhere & (squares < 6.0 * SURPRISED**2)
+    if not same.any():
+        return after
+    known, seen = inverse(spread), inverse(after.covariance)
+    covariance = inverse(known + seen)
+    own = (covariance @ (seen @ away[..., None]))[..., 0]
+    return after._replace(
+        poses=np.where(same[:, None, None], expected @ exp_many(own), after.poses),
+        covariance=np.where(same[:, None, None], covariance, after.covariance),
+        unrest=np.where(same, task.prior.unrest, after.unrest),
+        trend=np.where(same[:, None], before.trend, after.trend),
+        elsewhere=after.elsewhere & ~same,
+    )
 
 
 def _is_doubtful(found: Found, at: int, item: Mapping[str, Any], options: Options) -> bool:
@@ -197,21 +305,24 @@ def _with_motion(item: Mapping[str, Any]) -> float:
 def _learned(
     together: Aligned,
     found: Found,
-    controls: Controls,
+    task: _Task,
     slots: list[dict[str, Any]],
     doubtful: list[int],
-    intrinsics: Array,
 ) -> list[dict[str, Any]]:
     """What is remembered of the looks of those objects that are surely where they were expected."""
-    lines, profiles, matches = together.lines, together.profiles, together.matches
-    sure = matches.supported & (controls.visible[lines.rows] > _SURE_SEEN)
-    offsets = offsets_at(together, controls, found.poses, intrinsics)
+    controls, lines, profiles, matches = task.controls, together.lines, together.profiles, together.matches
+    seen = controls.visible[lines.rows] > _SURE_SEEN
+    sure = matches.supported & seen
+    offsets = offsets_at(together, controls, found.poses, task.intrinsics)
     learned = []
     for at, known in enumerate(slots):
         if at in doubtful or found.scores[at] < _LEARNED_SCORE:
             learned.append(known)
             continue
         chosen = np.nonzero(sure & (controls.owners[lines.rows] == at))[0]
+        every = np.nonzero(seen & (controls.owners[lines.rows] == at))[0]
+        near = sure[every] & (np.abs(offsets[every]) < _FOUND_PX)
+        known = sought(known, controls.slots[lines.rows[every], 0], near)
         columns = matches.columns[chosen]
         colours = np.stack((profiles.inside[chosen, columns], profiles.outside[chosen, columns]), axis=1)
         known = remembered(known, controls, lines.rows[chosen], colours)
@@ -219,7 +330,9 @@ def _learned(
             known = measured(known, controls.slots[lines.rows[chosen], 0] // EDGE_SLOTS, offsets[chosen])
         else:
             known = moved(known)
-        learned.append(known)
+        learned.append(
+            {**known, "encoding": encoding.remembered(known["encoding"], together.told[at], task.encoding[0])}
+        )
     return learned
 
 

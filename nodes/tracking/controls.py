@@ -11,7 +11,6 @@ from __future__ import annotations
 
 from typing import Any, NamedTuple
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -19,8 +18,6 @@ from hierax.nodes.tracking.geometry import Array, Floats, cross, invert, project
 from hierax.nodes.tracking.layers import NEAREST_M, Layer
 from hierax.nodes.tracking.outlines import outline_of
 from hierax.nodes.tracking.shapes import Ints, Shape
-
-cv2.setNumThreads(1)
 
 OUTLINE = 0
 CREASE = 1
@@ -37,8 +34,8 @@ _OUTSIDE_PX = 8.0
 _SECTORS = 12
 """Directions that parts of smooth outlines are told apart by."""
 
-_OWN_PX = 5
-"""Side of the square in which an object's own depth is looked up."""
+_BESIDE_PX = 1.0
+"""How far beside an edge an object's own depth is looked up."""
 
 _OWN_SHARE = 0.01
 """Of the object's size: a point that is deeper by more than this under its own surface is hidden by it."""
@@ -126,7 +123,7 @@ def controls_of(
     )
     kept = _in_image(project(transform(pose, points), intrinsics), size)
     if layer is not None and not shape.convex:
-        kept = kept & ~_hidden_by_itself(points, pose, intrinsics, layer, _OWN_SHARE * float(np.ptp(shape.vertices)))
+        kept &= ~_hidden_by_itself(controls, pose, intrinsics, layer, _OWN_SHARE * float(np.ptp(shape.vertices)))
     listed: list[Any] = [part[kept] for part in controls]
     return _numbered(shape, pose, Controls(*listed))
 
@@ -235,18 +232,40 @@ def _in_image(pixels: Floats, size: tuple[int, int]) -> NDArray[np.bool_]:
 
 
 def _hidden_by_itself(
-    points: Floats, pose: Floats, intrinsics: Array, layer: Layer, depth_m: float
+    controls: Controls, pose: Floats, intrinsics: Array, layer: Layer, depth_m: float
 ) -> NDArray[np.bool_]:
-    """Whether the object's own surface is in front of each point, all around it.
+    """Whether the object's own surface is in front of each point.
 
-    Beside an outline there is no surface, or one that is farther away: so the farthest of the neighbours counts.
+    Just outside an outline that is seen there is nothing of the object, or something farther away; beside a crease,
+    on one side at least, nothing that is nearer. What is hidden by the width of a pixel is hidden: an edge that is
+    taken for seen there would claim the outline of what hides it.
     """
-    seen = transform(pose, points)
-    at = np.rint(project(seen, intrinsics) - layer.window.corner).astype(np.intp)
+    seen = transform(pose, controls.points)
+    inwards = _across(controls, seen, pose, intrinsics)
+    middle = project(seen, intrinsics) - layer.window.corner
     width, height = layer.window.size
-    inside = ((at >= 0) & (at < (width, height))).all(axis=1)
-    farthest = cv2.erode(layer.inverse, np.ones((_OWN_PX, _OWN_PX)), borderType=cv2.BORDER_REPLICATE)
-    columns, rows = np.clip(at, 0, (width - 1, height - 1)).T
-    around = farthest[rows, columns]
-    hidden: NDArray[np.bool_] = inside & (around > 0.0) & ((seen[:, 2] - depth_m) * around > 1.0)
+    hidden = np.ones(len(seen), dtype=bool)
+    for side in (-_BESIDE_PX, _BESIDE_PX):
+        at = np.rint(middle + side * inwards).astype(np.intp)
+        inside = ((at >= 0) & (at < (width, height))).all(axis=1)
+        columns, rows = np.clip(at, 0, (width - 1, height - 1)).T
+        there = np.where(inside, layer.inverse[rows, columns], 0.0)
+        nearer = (there > 0.0) & ((seen[:, 2] - depth_m) * there > 1.0)
+        hidden &= nearer | ((side > 0.0) & (controls.kinds == OUTLINE))
     return hidden
+
+
+def _across(controls: Controls, seen: Floats, pose: Floats, intrinsics: Array) -> Floats:
+    """(n, 2) unit vectors in the image, square to the edge, to the side of `Controls.inwards`."""
+    flat = seen[:, :2] / seen[:, 2:]
+
+    def moved(directions: Floats) -> Floats:
+        turned = directions @ pose[:3, :3].T
+        step: Floats = intrinsics[:2] * (turned[:, :2] - flat * turned[:, 2:])
+        return step
+
+    along, inward = moved(controls.tangents), moved(controls.inwards)
+    normals = np.stack((-along[:, 1], along[:, 0]), axis=1)
+    normals *= np.where(np.sum(normals * inward, axis=1, keepdims=True) < 0.0, -1.0, 1.0)
+    across: Floats = normals / np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-12)
+    return across

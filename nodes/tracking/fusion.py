@@ -13,10 +13,10 @@ from numpy.typing import NDArray
 
 from hierax.nodes.tracking.alignment import Aligned
 from hierax.nodes.tracking.geometry import Floats
-from hierax.nodes.tracking.rigid import inverse, log_many, solved
+from hierax.nodes.tracking.rigid import adjoints, inverse, invert_many, log_many, solved
 
 LEAST_UNREST = 0.02
-_SURPRISED = 1.5
+SURPRISED = 1.5
 _CALMING = 0.85
 _TREND_GAIN = 0.3
 _EASE = 1e-3
@@ -72,18 +72,18 @@ def fuse(aligned: Aligned, prior: Prior, resting: NDArray[np.bool_] | None = Non
         prior: what was known before.
         resting: (m,) which objects are known to rest, however the image surprises; None: none.
     """
-    shift, own = _solved(aligned, prior)
-    off = _off(aligned, prior, shift)
+    shift, own, vague = _solved(aligned, prior)
+    off = _off(aligned, prior, shift, vague)
     trend = prior.trend + _TREND_GAIN * (off - prior.trend)
     # Many small deviations the same way are as surprising as one large one.
     squares = np.maximum((off * off).sum(axis=1), (trend * trend).sum(axis=1) * (2.0 / _TREND_GAIN - 1.0))
     surprise = np.sqrt(squares / 6.0)
-    surprised = surprise > _SURPRISED
+    surprised = surprise > SURPRISED
     if resting is not None:
         surprised &= ~resting
     if surprised.any():
         prior = prior._replace(unrest=np.where(surprised, 1.0, prior.unrest))
-        shift, own = _solved(aligned, prior)
+        shift, own, _ = _solved(aligned, prior)
     covariance = inverse(inverse(prior.spread()) + aligned.blocks[:, 6:, 6:])
     calmer = np.clip(prior.unrest * np.maximum(_CALMING, surprise), LEAST_UNREST, 1.0)
     unrest = np.where(surprised, 1.0, calmer)
@@ -91,8 +91,9 @@ def fuse(aligned: Aligned, prior: Prior, resting: NDArray[np.bool_] | None = Non
     return Fused(shift, own, covariance, unrest, trend)
 
 
-def _solved(aligned: Aligned, prior: Prior) -> tuple[Floats, Floats]:
-    """Twists of the camera and of the objects, by the image's loss as a quadratic around what was found."""
+def _solved(aligned: Aligned, prior: Prior) -> tuple[Floats, Floats, Floats]:
+    """Twists of the camera (6,) and of the objects (m, 6), by the image's loss as a quadratic around what was found;
+    and the covariance (6, 6) of the camera's."""
     count = len(aligned.own)
     known = inverse(prior.spread())
     found = log_many(aligned.shift[None])[0]
@@ -111,11 +112,13 @@ def _solved(aligned: Aligned, prior: Prior) -> tuple[Floats, Floats]:
         right[view] += blocks[6:, :6] @ found
         right[:6] += blocks[:6] @ np.concatenate((found, aligned.own[at])) - aligned.slopes[at, :6]
     twists = solved(whole, right).reshape(count + 1, 6)
-    return twists[0], twists[1:]
+    vague = np.zeros((6, 6)) if prior.camera is None else solved(whole, np.eye(size)[:, :6])[:6]
+    return twists[0], twists[1:], vague
 
 
-def _off(aligned: Aligned, prior: Prior, shift: Floats) -> Floats:
-    """(m, 6) how far the image alone would have each object from its prediction, in standard deviations of both."""
+def _off(aligned: Aligned, prior: Prior, shift: Floats, vague: Floats) -> Floats:
+    """(m, 6) how far the image alone would have each object from its prediction, in standard deviations of both, and of
+    what the camera's error, as far as it is known, makes of it."""
     spread = prior.spread()
     known = inverse(spread)
     information = aligned.blocks[:, 6:, 6:] + _EASE * known
@@ -123,6 +126,7 @@ def _off(aligned: Aligned, prior: Prior, shift: Floats) -> Floats:
     right = (information @ aligned.own[..., None])[..., 0] - aligned.slopes[:, 6:]
     right -= aligned.blocks[:, 6:, :6] @ moved
     alone = solved(information, right[..., None])
-    both = spread + inverse(information)
+    carried = adjoints(invert_many(aligned.poses))
+    both = spread + inverse(information) + carried @ vague @ carried.transpose(0, 2, 1)
     whitened: Floats = solved(np.asarray(np.linalg.cholesky(both)), alone)[..., 0]
     return whitened

@@ -166,7 +166,7 @@ class SegmentedDepth:
         controls = self._controls(items, belief["bodies"], layers, intrinsics, size)
         window = surrounding([layer.window for layer in layers.values()])
         depth, labels = composed(layers, window)
-        kept = ("id", "obj_id", "pose", "covariance", "status")
+        kept = ("id", "obj_id", "pose", "covariance", "status", "support")
         return (
             {
                 "depth": depth,

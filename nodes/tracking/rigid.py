@@ -46,6 +46,14 @@ def invert_many(poses: Floats) -> Floats:
     return back
 
 
+def adjoints(poses: Floats) -> Floats:
+    """(m, 6, 6) what twists are, seen from another frame: ``pose @ exp(twist) = exp(adjoint @ twist) @ pose``."""
+    carried = np.zeros((len(poses), 6, 6))
+    carried[:, :3, :3] = carried[:, 3:, 3:] = poses[:, :3, :3]
+    carried[:, :3, 3:] = hat_many(poses[:, :3, 3]) @ poses[:, :3, :3]
+    return carried
+
+
 def hat_many(vectors: Floats) -> Floats:
     """The skew-symmetric matrices (m, 3, 3) of cross products with vectors (m, 3)."""
     cross = np.zeros((len(vectors), 3, 3))

@@ -38,6 +38,9 @@ _UNLIKELIEST = 0.25
 """So large a share of the control points that support the expected explanation must speak for another one beyond
 that, however unlikely it was before."""
 
+_TOPPLING = 2.0
+"""Minus the logarithm of the chance that what stands on something leaves it."""
+
 _SUPPORTED = 0.35
 _REACH = 36.0
 """An object that the image supports by that score where it was expected is not farther away than a push can have
@@ -113,9 +116,10 @@ def search_elsewhere(
         doubtful: which of them to look for.
         prior: what was known before the image.
     """
-    spread = prior._replace(unrest=np.ones(len(objects))).spread()
+    free = prior._replace(motion=np.stack([item["motion"] for item in objects]))
+    spread = free._replace(unrest=np.ones(len(objects))).spread()
     seen = np.array([len(item["slots"]["keys"]) > 0 for item in objects])
-    pushed = inverse(prior._replace(unrest=np.where(seen, 1.0, prior.unrest)).spread())
+    pushed = inverse(free._replace(unrest=np.where(seen, 1.0, prior.unrest)).spread())
     for at in doubtful:
         if _is_astray(objects[at]):
             spread[at] += _ASTRAY
@@ -138,6 +142,8 @@ def search_elsewhere(
     predicted = np.stack([shift @ objects[at]["pose"] for at in tries])
     away = log_many(invert_many(predicted) @ fine.poses)
     squares = np.einsum("mi,mij,mj->m", away, inverse(prior.spread())[tries], away)
+    loose = np.einsum("mi,mij,mj->m", away, inverse(free.spread())[tries], away)
+    squares = np.minimum(squares, loose + 2.0 * _TOPPLING)
     unlikely = np.minimum(0.5 * squares, _UNLIKELIEST * (found.scores * found.shown)[tries])
     worth = fine.gains - unlikely
     within_reach = np.einsum("mi,mij,mj->m", away, pushed[tries], away) <= _REACH

@@ -25,8 +25,8 @@ _TURNING = 6.0
 _ACCELERATION = np.array([10.0, 150.0])
 """Largest of a body that is believed: m/s², rad/s²."""
 
-_RESTING_M = 0.0015
-_RESTING_RAD = 0.01
+_RESTING_M = 0.0005
+_RESTING_RAD = 0.004
 _RESTING_M_S = 0.1
 _RESTING_RAD_S = 0.3
 """How certain the height and the tilt of a body at rest are, and how fast one moves that is not."""
@@ -211,6 +211,7 @@ def _body(item: Mapping[str, Any]) -> Body:
         "status": "expected",
         "seen": None,
         "unseen": 0,
+        "support": np.zeros(3),
         "model": model,
         "mass": DENSITY_KG_M3 * float(np.prod(np.ptp(vertices, axis=0))),
     }
@@ -233,9 +234,11 @@ def _sigmas_squared(step: Floats, pose: Array, covariance: Array) -> float:
 def _resting(body: Body) -> Body:
     """What rests on something is as high, and as upright, as that leaves it: no longer less certain than this."""
     velocity, pose = body["velocity"], body["pose"]
-    if body["status"] != "tracked" or np.abs(velocity[3:5]).max() > _RESTING_RAD_S or abs(velocity[2]) > _RESTING_M_S:
-        return body
+    if np.abs(velocity[3:5]).max() > _RESTING_RAD_S or abs(velocity[2]) > _RESTING_M_S:
+        return {**body, "support": np.zeros(3)}
     up = pose[:3, :3].T @ np.array([0.0, 0.0, 1.0])
+    if body["status"] != "tracked":
+        return {**body, "support": up}
     level = np.linalg.svd(up[None])[2][1:]
     directions = np.zeros((3, 6))
     directions[0, :3] = up
@@ -246,7 +249,7 @@ def _resting(body: Body) -> Body:
         variance = float(direction @ along)
         if variance > spread**2:
             covariance = covariance - np.outer(along, along) * ((variance - spread**2) / variance**2)
-    return {**body, "covariance": covariance}
+    return {**body, "covariance": covariance, "support": up}
 
 
 def _is_driven(body: Body) -> bool:

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hierax.nodes.tracking.appearance import Memory, strangeness
+from hierax.nodes.tracking.encoding import contrasts
 from hierax.nodes.tracking.geometry import Array, Floats
 from hierax.nodes.tracking.profiles import Controls, Image, Indices, Lines, Profiles, Singles, lines_of, read_profiles
 from hierax.nodes.tracking.rigid import cross_rows
@@ -61,6 +62,8 @@ class Stage(NamedTuple):
     edges: Indices
     visible: Floats
     trust: Singles
+    apart: Singles
+    contrasts: Singles
     outlines: NDArray[np.bool_]
 
 
@@ -80,6 +83,8 @@ def read_stage(
     edges = controls.edges[lines.rows]
     profiles = read_profiles(image, lines, edges, reach, search.contrast)
     strange = strangeness(memory, controls, lines.rows, profiles)
+    contrast = contrasts(profiles)
+    profiles = profiles._replace(places=profiles.places + memory.factor[lines.rows, None] * contrast)
     owners = controls.owners[lines.rows]
     return Stage(
         lines,
@@ -90,6 +95,8 @@ def read_stage(
         edges,
         controls.visible[lines.rows],
         memory.trust[lines.rows],
+        memory.apart[lines.rows],
+        contrast,
         ~controls.creases[lines.rows],
     )
 
@@ -121,7 +128,7 @@ def weights_of(
     """
     part = np.minimum(np.abs(residuals) / scale, 1.0)
     weights = (1.0 - part * part) ** 2 * stage.visible * np.exp(-STRANGE_WEIGHT * strange)
-    weights *= stage.trust / search.noise_px**2
+    weights *= stage.trust * stage.apart / search.noise_px**2
     near = weights > 1e-6
     if not near.any():
         return np.zeros_like(weights)
@@ -150,14 +157,21 @@ def normal_equations(
     weights: Floats,
     used: NDArray[np.bool_],
     intrinsics: Array,
+    further: Floats | None = None,
 ) -> tuple[Floats, Floats]:
-    """Of each object the (12, 12) matrix and the (12,) gradient over (camera, own) twists."""
+    """Of each object the (12, 12) matrix and the (12,) gradient over (camera, own) twists.
+
+    With `further`, (n,) how one more unknown, common to all, moves residuals, (13, 13) and (13,).
+    """
     owners = stage.owners[used]
     jacobian = _jacobian(poses, stage.points[used], owners, stage.lines.normals[used], seen.points[used], intrinsics)
+    if further is not None:
+        jacobian = np.concatenate((jacobian, further[used, None]), axis=1)
+    unknowns = jacobian.shape[1]
     weighted = jacobian * weights[used, None]
     ends = np.searchsorted(owners, np.arange(len(poses) + 1))
-    blocks = np.zeros((len(poses), 12, 12))
-    gradients = np.zeros((len(poses), 12))
+    blocks = np.zeros((len(poses), unknowns, unknowns))
+    gradients = np.zeros((len(poses), unknowns))
     count = len(poses)
     for at in range(count):
         view = slice(ends[at], ends[at + 1])

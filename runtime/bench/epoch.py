@@ -22,6 +22,9 @@ Times = NDArray[np.float64]
 """How long epochs took, in microseconds."""
 
 PICTURE_BYTES = 2_400_000
+LOW_LATENCY, ORDINARY = "low-latency", "ordinary"
+"""Kinds of links of ours; the bare chain has ordinary ones."""
+
 WARM_UP = 0.1
 """Share of the epochs, at the beginning of each run, that is not counted."""
 
@@ -75,13 +78,18 @@ def bench_epoch(epochs: int, rounds: int, told: Callable[[str], None]) -> list[R
         HieraxError: a process failed.
     """
     rows = []
-    for name, picture in (("small messages", 0), (f"{PICTURE_BYTES / 1e6:g} MB in the context", PICTURE_BYTES)):
-        ours, bare = [], []
+    for name, picture, kinds in (
+        ("small messages", 0, (LOW_LATENCY, ORDINARY)),
+        (f"{PICTURE_BYTES / 1e6:g} MB in the context", PICTURE_BYTES, (ORDINARY,)),
+    ):
+        bare: list[Times] = []
+        ours: dict[str, list[Times]] = {links: [] for links in kinds}
         for number in range(rounds):
             told(f"{name}, round {number + 1} of {rounds}")
             bare.append(_counted(_bare(epochs, picture)))
-            ours.append(_counted(_ours(epochs, picture)))
-        rows.append(Row(name, ours, bare))
+            for links, times in ours.items():
+                times.append(_counted(_ours(epochs, picture, links)))
+        rows += [Row(f"{name}, {links} links", times, bare) for links, times in ours.items()]
     trips = []
     for number in range(rounds):
         told(f"bare round trip, round {number + 1} of {rounds}")
@@ -90,8 +98,9 @@ def bench_epoch(epochs: int, rounds: int, told: Callable[[str], None]) -> list[R
     return rows
 
 
-def _ours(epochs: int, picture: int) -> Sequence[float]:
-    deployment = read_deployment("chain", [f"picture={picture}"])
+def _ours(epochs: int, picture: int, links: str) -> Sequence[float]:
+    low_latency = json.dumps(links == LOW_LATENCY)
+    deployment = read_deployment("chain", [f"picture={picture}", f"low_latency={low_latency}"])
     return launch(deployment, epochs=epochs, seed=0).epochs_us
 
 

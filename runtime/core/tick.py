@@ -6,7 +6,7 @@ import hashlib
 from dataclasses import dataclass
 from functools import cached_property
 
-import numpy as np
+from numpy.random import Generator, Philox  # by name: `np.random` would be imported in the first epoch that draws
 
 
 @dataclass(frozen=True)
@@ -32,11 +32,11 @@ class Tick:
     above: tuple[str, ...] = ()
 
     @cached_property
-    def rng(self) -> np.random.Generator:
+    def rng(self) -> Generator:
         """Random numbers of this call: the same ones when the epoch is done again."""
         key = f"{self.seed}/{self.subject}/{self.operator}/{self.epoch}"
         entropy = hashlib.blake2b(key.encode(), digest_size=16).digest()
-        return np.random.Generator(np.random.Philox(int.from_bytes(entropy, "little")))
+        return Generator(Philox(int.from_bytes(entropy, "little")))
 
 
 NO_TICK = Tick()

@@ -90,6 +90,7 @@ class Deployment:
         start_timeout_s: how long all nodes may take to come up, in seconds.
         zenoh: Zenoh's own settings: a map, JSON5 text in braces, or the path of a file; None
             where none are given.
+        low_latency: whether processes have links that carry short messages more quickly, and no long ones.
         import_paths: folders in which the deployment's own modules are looked for.
         document: where everything stands in the file.
         view: how a viewer shows it.
@@ -111,6 +112,7 @@ class Deployment:
     rates_hz: Mapping[str, float]
     start_timeout_s: float
     zenoh: Mapping[str, Value] | str | None
+    low_latency: bool
     import_paths: tuple[str, ...]
     document: Document = field(repr=False, compare=False)
     view: ViewSpec = ViewSpec()

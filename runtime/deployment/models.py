@@ -265,6 +265,10 @@ class DeploymentModel(_Model):
     start_timeout_s: float = Field(
         default=30.0, gt=0, allow_inf_nan=False, description="how long launch waits for all nodes to come up"
     )
+    low_latency: bool = Field(
+        default=False,
+        description="quicker links between processes, for messages of at most 32 KiB; a longer one ends the run",
+    )
     view: Annotated[ViewModel, BeforeValidator(_none_as_map, json_schema_input_type=ViewModel | None)] = Field(
         default=ViewModel(), description="how `hierax view` shows it; no part of the run"
     )

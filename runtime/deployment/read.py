@@ -67,6 +67,7 @@ def read_deployment(file: str | Path, overrides: Sequence[str] = ()) -> Deployme
         rates_hz={name: node.rate_hz for name, node in model.nodes.items() if node.rate_hz is not None},
         start_timeout_s=model.start_timeout_s,
         zenoh=_zenoh(model.zenoh, path, document),
+        low_latency=_low_latency(model, document),
         import_paths=import_paths(path),
         document=document,
         view=_view(model.view),
@@ -142,6 +143,13 @@ def _staleness(model: DeploymentModel, document: Document) -> Staleness:
         if node.rate_hz is not None and not staleness.free:
             raise document.error(("nodes", name, "rate_hz"), "nodes have rates only in free running (staleness: null)")
     return staleness
+
+
+def _low_latency(model: DeploymentModel, document: Document) -> bool:
+    if model.low_latency and model.staleness != 0:
+        what = "goes with a staleness of 0 only: nodes that do not wait for one another may fill its links"
+        raise document.error(("low_latency",), what)
+    return model.low_latency
 
 
 def _zenoh(value: str | dict[str, Any] | None, path: Path, document: Document) -> dict[str, Any] | str | None:

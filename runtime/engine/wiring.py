@@ -22,7 +22,7 @@ class Place:
 
     Attributes:
         roster: the roster's version.
-        roster_hash: hash of its content.
+        roster_hash: hash of its content; nobody but the world needs it.
         instances: instance numbers, of the node itself and of its neighbours.
         tasking: the edges (lower, upper) that have a task function ψ.
     """
@@ -33,10 +33,11 @@ class Place:
     tasking: frozenset[Pair] = frozenset()
 
     @staticmethod
-    def of(roster: Roster) -> Place:
-        """The place of any node of a roster."""
+    def of(roster: Roster, hashed: bool = True) -> Place:
+        """The place of any node of a roster, with the hash or without."""
         tasking = frozenset(edge.pair for edge in roster.edges if edge.task is not None)
-        return Place(roster.version, roster.content_hash(), roster.instances, tasking)
+        content = roster.content_hash() if hashed else NO_DIGEST
+        return Place(roster.version, content, roster.instances, tasking)
 
     def instance(self, name: str) -> int:
         """The instance number of a node."""

@@ -29,7 +29,7 @@ from hierax.runtime.transport.port import TransportError
 from hierax.runtime.transport.recording import StepTeller
 from hierax.runtime.transport.window import Window
 from hierax.runtime.transport.zenoh_port import EpochPublisher, ZenohPort
-from hierax.runtime.transport.zenoh_session import LOOPBACK, open_session
+from hierax.runtime.transport.zenoh_session import LOOPBACK, LOW_LATENCY_BYTES, open_session
 from hierax.runtime.watch import telemetry
 from hierax.runtime.watch.logs import QUIET
 from hierax.runtime.world_member import WorldMember
@@ -173,13 +173,14 @@ class NodeLife:
         if order.roster is not None:
             loader.wiring(order.roster)  # what cannot be loaded is told before anybody is waited for
         listen = [f"tcp/{order.host}:0"] if order.host else [LOOPBACK]
-        session = open_session(listen, [order.hub], order.settings)
+        session = open_session(listen, [order.hub], order.settings, low_latency=order.low_latency)
+        most_bytes = LOW_LATENCY_BYTES if order.low_latency else None
         keys = Keys(order.deployment, order.run)
-        port = self._port = ZenohPort(session, keys, order.name, order.process)
-        self._line = ControlLine(session, keys, order.process, self.post)
+        port = self._port = ZenohPort(session, keys, order.name, order.process, most_bytes)
+        self._line = ControlLine(session, keys, order.process, self.post, most_bytes)
         member = build_member(order, loader, port, self._line, self._voice, EpochPublisher(session, keys))
         if isinstance(member, WorldMember):
-            self._owners_line = ControlLine(session, keys, OWNER, self.post)
+            self._owners_line = ControlLine(session, keys, OWNER, self.post, most_bytes)
         self._teller = StepTeller(session, keys, order.name)
         if order.recorded and self._teller.wait(RECORDER_TIMEOUT_S):
             self._be_recorded(member, True)

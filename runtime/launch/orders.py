@@ -110,6 +110,7 @@ class Orders:
             hub=self.hub,
             host=self.host or "",
             settings=deployment.zenoh,
+            low_latency=deployment.low_latency,
             output="" if self.output is None else str(self.output),
             probes=deployment.probes,
             import_paths=tuple(deployment.import_paths),

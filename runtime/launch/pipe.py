@@ -72,6 +72,7 @@ class NodeOrder:
         hub: endpoint of the supervisor, through which the processes find one another.
         host: address of the process's machine at which others may link; empty: this machine's processes only.
         settings: Zenoh's own.
+        low_latency: whether the processes' links are low-latency ones.
         output: folder for states and probes; empty: none.
         probes: of this node.
         import_paths: where modules of the deployment's own are looked for.
@@ -101,6 +102,7 @@ class NodeOrder:
     hub: str
     host: str
     settings: Value
+    low_latency: bool
     output: str
     probes: tuple[ProbeSpec, ...]
     import_paths: tuple[str, ...]

@@ -209,8 +209,9 @@ class Planning:
         waiting = set(touched(members.roster, roster)) | {roster.world}
         self.plan = Plan(roster, processes, request, along, back, waiting, bool(members.lost), now, now, replaced)
         self._tell_waiting(self.plan)
+        early = Prepare(roster.plain(), asks=False)
         for name in sorted(roster.nodes.keys() - waiting):  # so that they need not ask when the first message comes
-            self._outlet.tell(processes[name], Prepare(roster.plain()))
+            self._outlet.tell(processes[name], early)
 
     # --- from the plan to the roster in force
 

@@ -10,6 +10,7 @@ import numpy as np
 from hierax.runtime.transport.port import Port, TransportError
 from hierax.schemas.errors import SchemaError
 from hierax.schemas.messages import CONTEXT, OBSERVATIONS, TASKS, Header, Message, encode_message
+from hierax.schemas.values import Value
 
 Edges = Sequence[tuple[str, str]]
 OpenPorts = Callable[[Edges], Mapping[str, Port]]
@@ -20,18 +21,20 @@ LANE_MESSAGES = 500
 BURST = 50
 
 
-def check_transport(open_ports: OpenPorts) -> None:
+def check_transport(open_ports: OpenPorts, most_bytes: int | None = None) -> None:
     """Check a transport.
 
     Args:
         open_ports: given edges (lower, upper), opens a port for each node and connects them;
             they are closed here.
+        most_bytes: how long a message it carries; None: any that is a message. Of a longer one it has to say that it
+            does not.
 
     Raises:
         AssertionError: the transport does not do what `Port` promises; says what.
     """
     for check in (
-        _carries_everything,
+        _carries_everything if most_bytes is None else _carries_up_to(most_bytes),
         _keeps_order,
         _refuses_strangers,
         _refuses_what_cannot_travel,
@@ -58,7 +61,26 @@ def receive(port: Port, timeout_s: float = TIMEOUT_S) -> Message | None:
 
 def _carries_everything(ports: Mapping[str, Port]) -> None:
     picture = np.random.default_rng(0).integers(0, 255, (480, 640, 8), np.uint8)
-    payloads = ((), ("small", 1.5, None), ({"picture": picture, "line": np.arange(3.0)}, picture[:100]))
+    _carries(ports, ((), ("small", 1.5, None), ({"picture": picture, "line": np.arange(3.0)}, picture[:100])))
+
+
+def _carries_up_to(most_bytes: int) -> Callable[[Mapping[str, Port]], None]:
+    def check(ports: Mapping[str, Port]) -> None:
+        header = Header(OBSERVATIONS, "world", "right", 3, 2, 3, 0, 0.25, bytes(range(32)), {"trace": 3})
+        # none of the others has longer names
+        room = most_bytes - len(encode_message(Message(header, (bytes(most_bytes // 2),)))) + most_bytes // 2
+        _carries(ports, ((), ("small", 1.5, None), (bytes(room),)))
+        try:
+            ports["world"].send(Message(header, (bytes(room + 1),)))
+        except TransportError as error:
+            assert str(most_bytes) in str(error), f"world: of a message that is too long it says: {error}"
+            return
+        raise AssertionError(f"world: a message of {most_bytes + 1} bytes was sent, or lost")
+
+    return check
+
+
+def _carries(ports: Mapping[str, Port], payloads: Sequence[tuple[Value, ...]]) -> None:
     sent: dict[str, list[bytes]] = {name: [] for name in ports}
     for number, payload in enumerate(payloads, start=1):
         for lower, upper in EDGES:

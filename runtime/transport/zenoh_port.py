@@ -16,6 +16,7 @@ from hierax.runtime.transport.rendezvous import Rendezvous
 from hierax.runtime.transport.zenoh_session import close_session
 from hierax.schemas.errors import SchemaError
 from hierax.schemas.keys import Keys
+from hierax.schemas.limits import MAX_MESSAGE_BYTES
 from hierax.schemas.messages import HELLO, TASKS, Message, decode_message, encode_message
 from hierax.schemas.roster import Roster
 from hierax.schemas.values import encode_value
@@ -61,13 +62,17 @@ class ZenohPort(Port):
         keys: of the run.
         name: of the node.
         process: the process's token.
+        most_bytes: how long a message the session's links carry; None: any.
 
     Raises:
         TransportError: Zenoh refuses a declaration.
     """
 
-    def __init__(self, session: zenoh.Session, keys: Keys, name: str, process: str = "") -> None:
+    def __init__(
+        self, session: zenoh.Session, keys: Keys, name: str, process: str = "", most_bytes: int | None = None
+    ) -> None:
         self._session = session
+        self._most_bytes = MAX_MESSAGE_BYTES if most_bytes is None else most_bytes
         self._keys = keys
         self._name = name
         self._interrupted = False
@@ -262,6 +267,9 @@ class ZenohPort(Port):
         if publisher is None:
             raise TransportError(f"{self._name}: {message.header.receiver!r} takes no {kind} messages from it")
         data = encode_message(message)
+        if len(data) > self._most_bytes:
+            what = f"a {kind} message of {len(data)} bytes for {message.header.receiver}"
+            raise TransportError(f"{self._name}: {what}; low-latency links carry at most {self._most_bytes}")
         try:
             publisher.put(data)
         except zenoh.ZError as error:

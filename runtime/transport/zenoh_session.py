@@ -30,9 +30,14 @@ more than greetings, which are said again until they are answered, and news that
 """
 
 LEASE_MS = 1000
+LOW_LATENCY_BYTES = 32 * 1024
+"""What a low-latency link surely carries at once. Zenoh loses a longer message without a word (from 48 KiB on,
+with its key and header)."""
+
 CLOSE_TIMEOUT_S = 1.0
 
 _SHARED_MEMORY = Path("/dev/shm")
+_LOW_LATENCY = "transport/unicast/lowlatency"
 
 
 def open_session(
@@ -41,6 +46,7 @@ def open_session(
     settings: Settings = None,
     shared_memory: bool = True,
     mode: Literal["peer", "client"] = "peer",
+    low_latency: bool = False,
 ) -> zenoh.Session:
     """Open a session.
 
@@ -49,9 +55,12 @@ def open_session(
         settings: Zenoh's own; they win over ours, and over the file that ZENOH_CONFIG names.
         shared_memory: whether large messages may go through shared memory.
         mode: a ``peer`` links directly to every peer it hears of; a ``client`` only to what it connects to.
+        low_latency: links to others that want the same are written to at once, by the thread that sends, without
+            priorities. They carry messages of up to `LOW_LATENCY_BYTES`, and whoever sends to a peer that reads
+            no more waits as soon as the buffers between them are full. Links to others are as ever.
 
     Raises:
-        TransportError: Zenoh refuses the settings or cannot listen.
+        TransportError: Zenoh refuses the settings or cannot listen, or they ask for low latency by themselves.
     """
     zenoh.init_log_from_env_or(LOGGED)
     ours: dict[str, Any] = {
@@ -68,8 +77,11 @@ def open_session(
         "transport/link/tx/lease": LEASE_MS,
         "transport/shared_memory/enabled": shared_memory,
     }
+    if low_latency:
+        ours["transport/unicast/qos/enabled"] = False  # Zenoh has one or the other
     try:
         config = _configured(ours, settings)
+        _set_low_latency(config, low_latency)
         return zenoh.open(config)
     except zenoh.ZError as error:
         raise TransportError(f"Zenoh: {error}") from error
@@ -147,6 +159,13 @@ def _configured(ours: Mapping[str, Any], settings: Settings) -> zenoh.Config:
         if config.get_json(path) == default.get_json(path):
             config.insert_json5(path, json.dumps(value))
     return config
+
+
+def _set_low_latency(config: zenoh.Config, low_latency: bool) -> None:
+    if config.get_json(_LOW_LATENCY) == "true":
+        what = f"Zenoh's settings have {_LOW_LATENCY}, with which long messages get lost"
+        raise TransportError(f"{what}; leave it out, and say low_latency: true in the deployment")
+    config.insert_json5(_LOW_LATENCY, json.dumps(low_latency))
 
 
 def _given(settings: Settings) -> zenoh.Config:

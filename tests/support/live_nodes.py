@@ -7,10 +7,13 @@ import threading
 from pathlib import Path
 
 from hierax.runtime import Elements, Value
-from hierax.runtime.sim.nodes import MixingWorld
+from hierax.runtime.sim.nodes import Mixer, MixingWorld
 
 PACE_S = "HIERAX_TEST_PACE_S"
 """Environment variable: how long the world waits in each epoch, so that there are not too many to repeat."""
+
+
+BULK = bytes(range(256)) * 400
 
 
 class Gated(MixingWorld):
@@ -32,3 +35,13 @@ class Gated(MixingWorld):
 
     def finished(self, belief: Value) -> bool:
         return self._stop.exists()
+
+
+class Bulky(Mixer):
+    """One whose belief is longer than a low-latency link carries at once."""
+
+    def initial_belief(self) -> Value:
+        return {**super().initial_belief(), "bulk": BULK}
+
+    def _know(self, what: str, belief: Value, *parts: Value) -> Value:
+        return {**super()._know(what, belief, *parts), "bulk": belief["bulk"]}

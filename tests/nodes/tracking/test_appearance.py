@@ -8,7 +8,16 @@ import numpy as np
 from support.boxes import INTRINSICS, photograph
 from support.drawn import FIRST, expected
 
-from hierax.nodes.tracking.appearance import NOTHING, measured, moved, recalled, remembered, strangeness
+from hierax.nodes.tracking.appearance import (
+    NOTHING,
+    measured,
+    moved,
+    only_found,
+    recalled,
+    remembered,
+    sought,
+    strangeness,
+)
 from hierax.nodes.tracking.profiles import Controls, Profiles, gathered, lines_of, read_profiles, smoothed
 from hierax.schemas.values import decode_value, encode_value
 
@@ -62,6 +71,22 @@ def test_edges_that_are_off_again_and_again_are_trusted_less_until_the_object_mo
     for _ in range(20):
         slots = moved(slots)
     assert recalled([slots], controls, 1).trust.min() > 0.9
+
+
+def test_parts_of_edges_that_are_never_found_are_trusted_less_until_they_are() -> None:
+    controls, _, _ = read(photograph([FIRST], 2.0, np.random.default_rng(1)))
+    parts = controls.slots[:, 0]
+    blank = parts == parts[0]
+    slots = NOTHING
+    for _ in range(12):
+        slots = sought(slots, parts, ~blank)
+    trust = recalled([only_found(slots)], controls, 1).trust
+    assert trust[blank].max() < 0.05
+    assert trust[~blank].min() == 1.0
+    for _ in range(30):
+        slots = sought(slots, parts, np.ones(len(parts), dtype=bool))
+    assert recalled([slots], controls, 1).trust.min() > 0.75
+    assert sought(slots, parts[:0], blank[:0]) is slots
 
 
 def test_a_memory_is_a_value_and_what_it_came_from_stays() -> None:

@@ -92,6 +92,22 @@ def test_what_a_body_hides_of_itself_is_left_out(seed: int) -> None:
     assert 0.6 * border < SPACING_PX * (found.kinds == OUTLINE).sum() < 1.6 * border
 
 
+@pytest.mark.parametrize("degrees", [-4.0, -3.0, -1.5, 0.0])
+def test_a_sides_far_edge_is_listed_until_the_side_turns_away(degrees: float) -> None:
+    # Without a back its sides may be seen from within: it is what stands before the edge that hides it.
+    mesh = box_mesh((0.1, 0.1, 0.1))
+    back = (mesh.vertices[mesh.faces][:, :, 2] > 0).all(axis=1)
+    pose = make_pose(exp_so3(np.array([0.0, np.arctan2(0.01, 0.45) + np.radians(degrees), 0.0])), [-0.06, 0.0, 0.5])
+    found = controls((mesh.vertices, mesh.faces[~back]), pose)
+    upright = (found.points[:, 0] > 0.0499) & (np.abs(found.tangents[:, 1]) > 0.9)
+    far = upright & (found.points[:, 2] > 0.0499)
+    ends = project(transform(pose, np.array([[0.05, 0.0, 0.05], [0.05, 0.0, -0.05]])), INTRINSICS)
+    assert (upright & ~far).sum() > 20
+    assert far.sum() == (0 if degrees < -2.0 else 23)
+    assert (ends[0, 0] > ends[1, 0]) == (degrees > -2.0)
+    assert abs(ends[0, 0] - ends[1, 0]) < 5.0
+
+
 def test_an_open_box_shows_its_inside() -> None:
     mesh = box_mesh((0.1, 0.1, 0.06))
     top = np.nonzero((mesh.vertices[mesh.faces][:, :, 2] > 0).all(axis=1))[0]

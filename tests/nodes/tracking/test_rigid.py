@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from hierax.nodes.tracking.geometry import exp_se3, invert, log_se3
-from hierax.nodes.tracking.rigid import cross_rows, exp_many, inverse, invert_many, log_many
+from hierax.nodes.tracking.rigid import adjoints, cross_rows, exp_many, inverse, invert_many, log_many
 
 
 def twists() -> np.ndarray:
@@ -23,6 +23,12 @@ def test_logarithm_takes_the_exponential_back() -> None:
     poses = exp_many(twists())
     np.testing.assert_allclose(log_many(poses), [log_se3(pose) for pose in poses], atol=1e-9)
     np.testing.assert_allclose(exp_many(log_many(poses)), poses, atol=1e-9)
+
+
+def test_adjoints_carry_twists_from_frame_to_frame() -> None:
+    poses, others = exp_many(twists()), twists()[::-1]
+    carried = np.einsum("mij,mj->mi", adjoints(poses), others)
+    np.testing.assert_allclose(poses @ exp_many(others), exp_many(carried) @ poses, atol=1e-9)
 
 
 def test_cross_products_and_inverses() -> None:

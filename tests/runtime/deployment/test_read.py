@@ -139,6 +139,11 @@ def test_zenohs_own_settings(tmp_path: Path) -> None:
     assert read_deployment(path, ["zenoh=zenoh.json5"]).zenoh == str(tmp_path / "zenoh.json5")
 
 
+def test_low_latency(tmp_path: Path) -> None:
+    assert not read_deployment(write(tmp_path)).low_latency
+    assert read_deployment(write(tmp_path), ["low_latency=true"]).low_latency
+
+
 MISTAKES = [
     # a part of the right file, what stands there instead, the mistake's line, the message after file and line
     ("hierarchy: toys", "hierarchie: toys", "hierarchie:", "hierarchie: unknown field; did you mean 'hierarchy'?"),
@@ -154,6 +159,8 @@ MISTAKES = [
     ("epochs: 3", "start_timeout_s: 0", "start", "start_timeout_s: expected more than 0, got 0"),
     ("epochs: 3", "start_timeout_s: .inf", "start", "start_timeout_s: expected a finite number, got inf"),
     ("epochs: 3", "start_timeout_s: soon", "start", "start_timeout_s: expected a number, got 'soon'"),
+    ("epochs: 3", "low_latency: 1", "low_latency", "low_latency: expected true or false, got 1"),
+    ("epochs: 3", "low_latency: true\nstaleness: 1", "low_latency", "low_latency: goes with a staleness of 0 only"),
     ("epochs: 3", "zenoh: [a]", "zenoh", "zenoh: expected the path of a file, JSON5 text or a map, got ['a']"),
     ("epochs: 3", "zenoh: nowhere.json5", "zenoh", "zenoh: there is no file '"),
     ("epochs: 3", "restart_policy: always", "restart", "restart_policy: unknown field; "),
@@ -476,6 +483,7 @@ PATHS = [
     "edges",
     "probes",
     "start_timeout_s",
+    "low_latency",
     "zenoh",
     "step",
     "nodes.world",

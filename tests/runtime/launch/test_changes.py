@@ -11,6 +11,8 @@ from pathlib import Path
 import pytest
 from support.live import Live, Program, until
 
+BULKY = "support.live_nodes:Bulky"
+
 
 @pytest.fixture
 def live(tmp_path: Path) -> Iterator[Live]:
@@ -33,6 +35,24 @@ def test_attach_replace_and_detach_are_repeated_to_the_bit(live: Live) -> None:
     said = "".join(live.launch.err)
     assert "high: its process exits: high: another process runs it from epoch " in said
     assert "top: its process exits: top: it is detached from epoch " in said
+
+
+def test_beliefs_longer_than_low_latency_links_carry_at_once_are_handed_over(tmp_path: Path) -> None:
+    live = Live(tmp_path, "--set", "low_latency=true")
+    try:
+        top, other = live.snippet("top", "high"), live.snippet("top", generation=1)
+        for path in (top, other):
+            snippet = Path(path)
+            text = snippet.read_text(encoding="utf-8").replace("hierax.runtime.sim.nodes:Mixer", BULKY)
+            snippet.write_text(text, encoding="utf-8")
+        schedule = [
+            f"{live.change('attach', top)}:attach:{top}",
+            f"{live.change('replace', 'top', other)}:replace:top:{other}",
+        ]
+        live.goes_on()
+        live.is_repeated_by(*schedule)
+    finally:
+        live.close()
 
 
 def test_changes_that_are_asked_for_at_once_are_made_one_after_the_other(live: Live) -> None:

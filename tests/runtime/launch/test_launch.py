@@ -76,7 +76,8 @@ def is_free(path: Path) -> bool:
         ("letters-image", ["--epochs", "5"]),
         ("servo", ["--set", "context=true"]),
         ("servo", ["--set", "context=false"]),
-        ("chain", ["--epochs", "50", "--set", "picture=100000"]),
+        ("letters", ["--epochs", "20", "--set", "low_latency=true"]),
+        ("chain", ["--epochs", "50", "--set", "picture=100000", "--set", "low_latency=false"]),
     ],
 )
 @pytest.mark.parametrize("seed", ["0", "7"])
@@ -91,6 +92,16 @@ def test_launch_is_run(deployment: str, options: list[str], seed: str, tmp_path:
         reports[mode] = json.loads(done.stdout)
     assert reports["launch"]["digest"] == reports["run"]["digest"]
     assert reports["launch"]["nodes"] == reports["run"]["nodes"]
+    assert not orphans()
+
+
+def test_a_message_that_is_too_long_for_low_latency_links_ends_it_with_one_line() -> None:
+    done = hierax("launch", "chain", "--epochs", "9", "--set", "picture=100000")
+    assert done.returncode == 1
+    said = [line for line in done.stderr.splitlines() if "error" in line]
+    assert len(said) == 1, done.stderr
+    assert "spatial: a ctx message of 1" in said[0]
+    assert said[0].endswith("for arm; low-latency links carry at most 32768")
     assert not orphans()
 
 

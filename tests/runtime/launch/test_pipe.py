@@ -52,6 +52,7 @@ def test_an_order_comes_out_as_it_went_in() -> None:
         hub="tcp/127.0.0.1:1",
         host="",
         settings={"mode": "peer"},
+        low_latency=True,
         output="",
         probes=probes,
         import_paths=("a", "b"),

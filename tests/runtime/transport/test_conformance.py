@@ -13,7 +13,7 @@ from hierax.runtime.testing.transport import check_transport, receive
 from hierax.runtime.transport.memory import MemoryNetwork
 from hierax.runtime.transport.port import Port, TransportError
 from hierax.runtime.transport.zenoh_port import INTERRUPT, ZenohPort
-from hierax.runtime.transport.zenoh_session import LOOPBACK, free_endpoint, open_session
+from hierax.runtime.transport.zenoh_session import LOOPBACK, LOW_LATENCY_BYTES, free_endpoint, open_session
 from hierax.schemas.errors import SchemaError
 from hierax.schemas.keys import Keys
 from hierax.schemas.messages import CONTEXT, HELLO, OBSERVATIONS, Header, Message, encode_message
@@ -29,7 +29,10 @@ def open_memory(edges: Sequence[tuple[str, str]]) -> Mapping[str, Port]:
 
 
 def open_zenoh(
-    edges: Sequence[tuple[str, str]], keys: Keys | None = None, early: Sequence[bytes] = ()
+    edges: Sequence[tuple[str, str]],
+    keys: Keys | None = None,
+    early: Sequence[bytes] = (),
+    low_latency: bool = False,
 ) -> dict[str, ZenohPort]:
     """A session for each node; the first one is what the others find one another through.
 
@@ -37,13 +40,14 @@ def open_zenoh(
         edges: (lower, upper).
         keys: of the run.
         early: what somebody puts on keys of each port before it connects.
+        low_latency: of the links.
     """
     keys = keys or Keys("conformance", token_hex(4))
     hub = free_endpoint()
     ports = {}
     for number, name in enumerate(sorted({name for edge in edges for name in edge})):
-        session = open_session([LOOPBACK if number else hub], [hub] if number else [])
-        ports[name] = ZenohPort(session, keys, name)
+        session = open_session([LOOPBACK if number else hub], [hub] if number else [], low_latency=low_latency)
+        ports[name] = ZenohPort(session, keys, name, most_bytes=LOW_LATENCY_BYTES if low_latency else None)
         ports[name].link(neighbours_below(name, edges), neighbours_above(name, edges), NOBODY, lambda _: None)
         for data in early:
             for kind in (OBSERVATIONS, CONTEXT, INTERRUPT):
@@ -79,6 +83,10 @@ def test_memory() -> None:
 
 def test_zenoh() -> None:
     check_transport(open_zenoh)
+
+
+def test_low_latency_zenoh() -> None:
+    check_transport(lambda edges: open_zenoh(edges, low_latency=True), LOW_LATENCY_BYTES)
 
 
 def test_memory_is_bounded() -> None:

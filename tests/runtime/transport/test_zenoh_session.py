@@ -53,6 +53,12 @@ def test_the_file_that_zenoh_config_names_is_read(tmp_path: Path, monkeypatch: p
     assert found
 
 
+def test_low_latency_is_not_to_be_had_by_zenoh_s_settings_alone() -> None:
+    settings = "{transport: {unicast: {lowlatency: true, qos: {enabled: false}}}}"
+    with pytest.raises(TransportError, match="long messages get lost; leave it out, and say low_latency: true"):
+        open_session(settings=settings)
+
+
 @pytest.mark.parametrize("settings", ["{mode: }", '{mode: "king"}', "there/is/no/such.json5"])
 def test_settings_that_zenoh_refuses_are_one_clear_error(settings: str) -> None:
     with pytest.raises(TransportError, match="Zenoh: "):
