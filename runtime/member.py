@@ -28,6 +28,7 @@ from hierax.schemas.control import (
     Prepare,
     Ready,
     Resend,
+    Same,
     State,
     Status,
     Taken,
@@ -84,7 +85,6 @@ class Member(NodeRunner):
         self._took = 0
         self._linking: set[int] = set()
         self._linked: set[int] = set()
-        self._asked: set[int] = set()
         self._fetched: set[int] = set()
 
     @property
@@ -134,6 +134,8 @@ class Member(NodeRunner):
     def _do(self, order: Order) -> None:
         if isinstance(order, Prepare):
             self._prepare(order)
+        elif isinstance(order, Same):
+            self._go_on_as(order)
         elif isinstance(order, HandOver):
             self._hand_over(order)
         elif isinstance(order, TakeOver):
@@ -157,13 +159,16 @@ class Member(NodeRunner):
 
     def linked(self, version: int) -> None:
         """The port's links of a version are open, in both directions."""
+        self._note_link(version)
+        self._say_ready(version)
+
+    def _note_link(self, version: int) -> None:
         self._linking.discard(version)
         self._linked.add(version)
-        self._say_ready(version)
 
     def _say_ready(self, version: int) -> None:
         engine_has_it = self.wired and (version == self.engine.wiring.roster or version in self.engine.prepared)
-        if version in self._asked and version in self._linked and engine_has_it:
+        if version in self._linked and engine_has_it:
             self._say(Ready(self.name, self.process, version, ""))
 
     def save(self, epoch: int, attempt: int, start: bytes, now: bytes) -> None:
@@ -186,7 +191,6 @@ class Member(NodeRunner):
         super().rewired(version)
         self.port.unlink(version)
         self._linked = {later for later in self._linked if later >= version}
-        self._asked = {later for later in self._asked if later >= version}
         self._fetched = {later for later in self._fetched if later > version}
 
     def _gravity(self, verdict: Verdict) -> int:
@@ -217,8 +221,6 @@ class Member(NodeRunner):
             self.dismissed = f"{self.name}: another process runs it under version {version} of the roster"
             return
         self._fetched.discard(version)
-        if order.asks:
-            self._asked.add(version)
         self._say_ready(version)
         if version in self._linked or version in self._linking:
             return
@@ -229,14 +231,31 @@ class Member(NodeRunner):
         except HieraxError as error:
             self._say(Ready(self.name, self.process, version, str(error)))
             return
-        self._linking.add(version)
-        # first the links: what is held for the version may be taken, and answered, at once
-        self.port.link(wiring.node.below, wiring.node.above, roster, self.linked)
+        self._link(wiring, self.linked)
         if self.wired:
             self.engine.prepare(wiring)
         else:
             self.wire(wiring, self._saved, joins=self._saved is None)
         self._say_ready(version)
+
+    def _go_on_as(self, order: Same) -> None:
+        """A version that changes nothing here: there is nothing to load, and nobody waits for an answer."""
+        version = order.version
+        self._fetched.discard(version)
+        if version in self._linked or version in self._linking or not self.wired:
+            return
+        wiring = self.engine.wiring_of(order.earlier)
+        if wiring is None:
+            self.lacks(version)
+        elif version > self.engine.wiring.roster:
+            again = wiring.under(version)
+            self._link(again, self._note_link)
+            self.engine.prepare(again)
+
+    def _link(self, wiring: Wiring, opened: Callable[[int], None]) -> None:
+        """First the links: what is held for the version may be taken, and answered, at once."""
+        self._linking.add(wiring.roster)
+        self.port.link(wiring.node.below, wiring.node.above, wiring.roster, wiring.place.instances, opened)
 
     def _hand_over(self, order: HandOver) -> None:
         engine = self.engine

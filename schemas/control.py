@@ -17,10 +17,16 @@ NEVER = -1
 
 
 class Prepare(NamedTuple):
-    """Owner to process: get ready for a version of the roster (as `Roster.plain` gives it), and say so if it asks."""
+    """Owner to process: get ready for a version of the roster (as `Roster.plain` gives it), and say so."""
 
     roster: dict[str, Value]
-    asks: bool = True
+
+
+class Same(NamedTuple):
+    """Owner to process: a version has its node, its neighbours and their edges as an earlier one has them."""
+
+    version: int
+    earlier: int
 
 
 class HandOver(NamedTuple):
@@ -164,6 +170,7 @@ class Propose(NamedTuple):
 
 Control = (
     Prepare
+    | Same
     | HandOver
     | TakeOver
     | AskStatus
@@ -179,7 +186,7 @@ Control = (
     | Census
     | Propose
 )
-Order = Prepare | HandOver | TakeOver | AskStatus | Resend | Dismiss
+Order = Prepare | Same | HandOver | TakeOver | AskStatus | Resend | Dismiss
 """What a process is told by the owner."""
 
 _KINDS: dict[str, Callable[..., object]] = {kind.__name__: kind for kind in get_args(Control)}

@@ -97,6 +97,10 @@ class Engine:
         """The versions that can be taken up."""
         return frozenset(self._prepared)
 
+    def wiring_of(self, version: int) -> Wiring | None:
+        """The wiring of a version that is taken up, or can be."""
+        return self.wiring if self._roster == version else self._prepared.get(version)
+
     @property
     def encoded_start(self) -> bytes:
         """The encoding of `start`."""

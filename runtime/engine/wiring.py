@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from copy import copy
+from dataclasses import dataclass, field, replace
 
 from hierax.runtime.core.binding import BoundNode, Call
 from hierax.runtime.core.digest import NO_DIGEST
@@ -79,3 +80,10 @@ class Wiring:
         self.sense: Sequence[tuple[str, Call | None]] = [(upper, by_pair[name, upper].sense) for upper in node.above]
         self.task: Sequence[tuple[str, Call]] = [(lower, edge.task) for lower, edge in downward.items() if edge.task]
         self.context: Sequence[tuple[str, Call | None]] = [(lower, edge.context) for lower, edge in downward.items()]
+
+    def under(self, version: int) -> Wiring:
+        """The same under a version of the roster that changes nothing of the node, its edges and its neighbours."""
+        again = copy(self)
+        again.place = replace(self.place, roster=version)
+        again.roster = version
+        return again

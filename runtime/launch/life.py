@@ -218,7 +218,7 @@ class NodeLife:
             wiring = loader.wiring(order.roster)
             if not isinstance(member, WorldMember):
                 member.wire(wiring)
-            port.link(wiring.node.below, wiring.node.above, order.roster, lambda _: None)
+            port.link(wiring.node.below, wiring.node.above, wiring.roster, wiring.place.instances, lambda _: None)
             while not port.connect():
                 if self._stopping.is_set():
                     return False

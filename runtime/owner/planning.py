@@ -14,7 +14,7 @@ from hierax.runtime.owner.members import Members
 from hierax.runtime.owner.outlet import OwnerOutlet, OwnerSettings
 from hierax.runtime.owner.plan import Plan, Request, Stage
 from hierax.schemas.changes import Detach, Replace
-from hierax.schemas.control import Dismiss, HandOver, Prepare, Ready, State, Taken, TakeOver
+from hierax.schemas.control import Dismiss, HandOver, Prepare, Ready, Same, State, Taken, TakeOver
 from hierax.schemas.roster import Roster
 
 TELL_AGAIN_S = 0.1
@@ -209,9 +209,9 @@ class Planning:
         waiting = set(touched(members.roster, roster)) | {roster.world}
         self.plan = Plan(roster, processes, request, along, back, waiting, bool(members.lost), now, now, replaced)
         self._tell_waiting(self.plan)
-        early = Prepare(roster.plain(), asks=False)
+        same = Same(roster.version, members.roster.version)
         for name in sorted(roster.nodes.keys() - waiting):  # so that they need not ask when the first message comes
-            self._outlet.tell(processes[name], early)
+            self._outlet.tell(processes[name], same)
 
     # --- from the plan to the roster in force
 

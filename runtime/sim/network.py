@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from random import Random
 from typing import TYPE_CHECKING
 
@@ -11,7 +11,6 @@ from hierax.runtime.sim.scenario import DELAY, DOUBLE, LOSS, REORDER, Fault
 from hierax.runtime.transport.port import Port
 from hierax.schemas.control import Control, encode_control
 from hierax.schemas.messages import Header, Message, encode_message
-from hierax.schemas.roster import Roster
 
 if TYPE_CHECKING:
     from hierax.runtime.sim.process import SimProcess
@@ -38,12 +37,19 @@ class SimPort(Port):
     def receive(self) -> Message | None:
         return None
 
-    def link(self, below: Sequence[str], above: Sequence[str], roster: Roster, opened: Callable[[int], None]) -> None:
+    def link(
+        self,
+        below: Sequence[str],
+        above: Sequence[str],
+        version: int,
+        instances: Mapping[str, int],
+        opened: Callable[[int], None],
+    ) -> None:
         process = self._process
         process.point("link")
-        own = roster.instance(process.name)
-        process.links[roster.version] = frozenset((own, other, roster.instance(other)) for other in (*below, *above))
-        process.opening[roster.version] = opened
+        own = instances.get(process.name, 0)
+        process.links[version] = frozenset((own, other, instances.get(other, 0)) for other in (*below, *above))
+        process.opening[version] = opened
         self._network.declare(process)
 
     def unlink(self, version: int) -> None:

@@ -175,7 +175,7 @@ class Simulation:
     def _link_world(self, process: SimProcess) -> None:
         roster = self.scenario.roster
         above = tuple(sorted(edge.upper for edge in roster.edges if edge.lower == process.name))
-        process.member.port.link((), above, roster, process.member.linked)
+        process.member.port.link((), above, roster.version, roster.instances, process.member.linked)
 
     def begin(self, process: SimProcess) -> None:
         """The world's process begins the run, or goes on with it."""

@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
 
 from hierax.runtime.transport.port import Port, TransportError
 from hierax.schemas.messages import Header, Message, decode_message, encode_message
-from hierax.schemas.roster import Roster
 
 Lane = tuple[str, str]
 """Sender and kind: what of one receiver's messages stays in order."""
@@ -104,8 +103,15 @@ class MemoryPort(Port):
             del self.lanes[lane]
         return decode_message(data)
 
-    def link(self, below: Sequence[str], above: Sequence[str], roster: Roster, opened: Callable[[int], None]) -> None:
-        opened(roster.version)
+    def link(
+        self,
+        below: Sequence[str],
+        above: Sequence[str],
+        version: int,
+        instances: Mapping[str, int],
+        opened: Callable[[int], None],
+    ) -> None:
+        opened(version)
 
     def unlink(self, version: int) -> None:
         return

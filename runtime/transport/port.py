@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 
 from hierax.runtime.core.errors import HieraxError
 from hierax.schemas.messages import Message
-from hierax.schemas.roster import Roster
 
 
 class TransportError(HieraxError):
@@ -53,12 +52,20 @@ class Port(ABC):
         return self.receive()
 
     @abstractmethod
-    def link(self, below: Sequence[str], above: Sequence[str], roster: Roster, opened: Callable[[int], None]) -> None:
+    def link(
+        self,
+        below: Sequence[str],
+        above: Sequence[str],
+        version: int,
+        instances: Mapping[str, int],
+        opened: Callable[[int], None],
+    ) -> None:
         """Open links to the neighbours of a version of the roster, beside those that there are.
 
         Args:
             below, above: names of the neighbours.
-            roster: its version and instances.
+            version: of the roster.
+            instances: instance numbers, by node; 0 for those that are not there.
             opened: called with the version when every neighbour hears this node and is heard:
                 at once, or in a later `receive`, by the thread that receives.
 

@@ -18,7 +18,6 @@ from hierax.schemas.errors import SchemaError
 from hierax.schemas.keys import Keys
 from hierax.schemas.limits import MAX_MESSAGE_BYTES
 from hierax.schemas.messages import HELLO, TASKS, Message, decode_message, encode_message
-from hierax.schemas.roster import Roster
 from hierax.schemas.values import encode_value
 
 _log = logging.getLogger("hierax")
@@ -97,8 +96,15 @@ class ZenohPort(Port):
         """Whether the links of every version are open."""
         return all(link.rendezvous.ready for link in self._links.values())
 
-    def link(self, below: Sequence[str], above: Sequence[str], roster: Roster, opened: Callable[[int], None]) -> None:
-        rendezvous = Rendezvous(self._name, below, above, roster.instances, roster.version)
+    def link(
+        self,
+        below: Sequence[str],
+        above: Sequence[str],
+        version: int,
+        instances: Mapping[str, int],
+        opened: Callable[[int], None],
+    ) -> None:
+        rendezvous = Rendezvous(self._name, below, above, instances, version)
         for link in self._links.values():
             rendezvous.take_over(link.rendezvous)
         try:
@@ -106,7 +112,7 @@ class ZenohPort(Port):
         except zenoh.ZError as error:
             raise TransportError(f"{self._name}: Zenoh: {error}") from error
         link = Link(rendezvous, opened)
-        self._links = {**self._links, roster.version: link}
+        self._links = {**self._links, version: link}
         self._tell_if_open(link)
         self.greet()
 

@@ -14,7 +14,7 @@ from hierax.runtime.member import Member, read_checkpoint
 from hierax.runtime.recovery.disk import MappedFile
 from hierax.runtime.recovery.slots import Slots
 from hierax.runtime.transport.memory import MemoryNetwork
-from hierax.schemas.control import Control, Taken, TakeOver
+from hierax.schemas.control import Control, Fetch, Same, Taken, TakeOver
 
 NODE = MixingNode("n")
 STATE = encode_state(NODE.initial_belief(), NODE.initial_policy, ())
@@ -71,3 +71,24 @@ def test_what_is_no_state_is_refused_and_nothing_is_kept(slots: Slots) -> None:
     assert said[0].refusal.startswith("cannot take over the belief: ")
     assert member.engine.epoch == 0
     assert read_checkpoint(slots) is None
+
+
+def test_a_version_that_changes_nothing_here_is_prepared_without_a_word(slots: Slots) -> None:
+    said: list[Control] = []
+    member = newcomer(slots, said)
+    member.obey(Same(1, 0))
+    member.obey(Same(2, 1))
+    assert member.engine.prepared == {1, 2}
+    first, second = member.engine.wiring_of(0), member.engine.wiring_of(2)
+    assert first is not None
+    assert second is not None
+    assert (second.roster, second.place.roster, second.node) == (2, 2, first.node)
+    assert said == []
+
+
+def test_a_version_like_one_that_it_never_had_is_asked_for(slots: Slots) -> None:
+    said: list[Control] = []
+    member = newcomer(slots, said)
+    member.obey(Same(5, 4))
+    assert member.engine.prepared == frozenset()
+    assert said == [Fetch("n", "token", 5)]

@@ -23,6 +23,7 @@ from hierax.schemas.control import (
     Propose,
     Ready,
     Resend,
+    Same,
     State,
     Status,
     Taken,
@@ -134,7 +135,8 @@ def test_an_attach_takes_both_phases() -> None:
     assert owned.hear(propose(TOP)) == []
     calls = owned.hear(join("top.1", request="c1"))
     assert calls[0] == ("keep", 1), "nobody hears of a version before its number is recorded"
-    assert sorted(prepares(calls)) == ["high.1", "low.1", "top.1", "world.1"]
+    assert sorted(prepares(calls)) == ["high.1", "top.1", "world.1"]
+    assert ("low.1", Same(1, 0)) in calls, "it has nothing to load, and no answer to give"
     assert owned.ready(1, "high.1", "world.1") == []
     assert owned.commit() == [("begin", 2, 0, 0)], "it waits for the newcomer, and the epochs do not"
     assert owned.ready(1, "top.1") == [], "it takes effect between two epochs"
@@ -435,7 +437,7 @@ def test_the_world_comes_back() -> None:
     owned.owner.take_back("world.2")
     calls = owned.take()
     assert calls[0] == ("keep", 7)
-    assert sorted(prepares(calls)) == ["high.1", "low.1", "world.2"]
+    assert sorted(prepares(calls)) == ["low.1", "world.2"]
     assert owned.ready(7, "low.1", "world.2")[0] == ("begin", 5, 3, 7)
     assert owned.commit() == [("begin", 6, 1, 7)], "the first attempt may have been begun, and forgotten"
 

@@ -17,10 +17,6 @@ from hierax.runtime.transport.zenoh_session import LOOPBACK, LOW_LATENCY_BYTES, 
 from hierax.schemas.errors import SchemaError
 from hierax.schemas.keys import Keys
 from hierax.schemas.messages import CONTEXT, HELLO, OBSERVATIONS, Header, Message, encode_message
-from hierax.schemas.roster import Roster
-
-NOBODY = Roster("world", {}, ())
-"""A roster of which only the version and the instances count."""
 
 
 def open_memory(edges: Sequence[tuple[str, str]]) -> Mapping[str, Port]:
@@ -48,7 +44,7 @@ def open_zenoh(
     for number, name in enumerate(sorted({name for edge in edges for name in edge})):
         session = open_session([LOOPBACK if number else hub], [hub] if number else [], low_latency=low_latency)
         ports[name] = ZenohPort(session, keys, name, most_bytes=LOW_LATENCY_BYTES if low_latency else None)
-        ports[name].link(neighbours_below(name, edges), neighbours_above(name, edges), NOBODY, lambda _: None)
+        ports[name].link(neighbours_below(name, edges), neighbours_above(name, edges), 0, {}, lambda _: None)
         for data in early:
             for kind in (OBSERVATIONS, CONTEXT, INTERRUPT):
                 session.put(keys.edge(kind, name, name), data)
