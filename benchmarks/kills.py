@@ -142,7 +142,9 @@ def kill_at_random(options: argparse.Namespace) -> list[str]:
         if frames != list(range(EPOCHS)):
             faults.append(f"random, seed {options.seed}: poses of the frames {frames}")
     named = ", ".join(f"{name} {kills[name]}" for name in NODES)
-    print(f"{kills.total()} kills at random ({named}): {table(costs)}; frames in poses.csv: each once")
+    each_once = not any("poses" in fault for fault in faults)
+    frames_are = "each once" if each_once else "NOT each once"
+    print(f"{kills.total()} kills at random ({named}): {table(costs)}; frames in poses.csv: {frames_are}")
     return faults
 
 

@@ -46,7 +46,8 @@ _log = logging.getLogger("hierax")
 class NodeRunner(Outlet):
     """Moves messages between a node's engine and its port.
 
-    Sends go out first; probes and the state log are served when nobody waits for this node.
+    What must lack no epoch, wherever the process dies, is written before the checkpoint and what is sent: the state
+    log, and what prompt probes see. Other probes and watchers are served when nobody waits for this node.
 
     Args:
         wiring: of the node; None: `wire` gives it later.
@@ -190,6 +191,15 @@ class NodeRunner(Outlet):
         for watcher in self.watchers:
             watcher.rewired(version)
 
+    def predicted(self, completed: Completed) -> None:
+        if self.states is not None:
+            step = completed.step
+            self.states.write(step.epoch, step.attempt, completed.state, completed.digest)
+            self.states.flush()
+        for probe in self.probes:
+            if probe.prompt:
+                self._show(probe, completed)
+
     def completed(self, completed: Completed) -> None:
         self._completed.append(completed)
 
@@ -264,12 +274,9 @@ class NodeRunner(Outlet):
             self.last = each
             for watcher in self.watchers:
                 watcher.completed(each)
-            if self.states is not None:
-                step = each.step
-                self.states.write(step.epoch, step.attempt, each.state, each.digest)
-                self.states.flush()
             for probe in self.probes:
-                self._show(probe, each)
+                if not probe.prompt:
+                    self._show(probe, each)
 
     def _close(self, probe: Probe) -> None:
         try:

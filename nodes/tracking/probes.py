@@ -23,6 +23,8 @@ class BopResults(Probe):
         scene: the scene's folder, whose name is the scene's number; None gives number 0.
     """
 
+    prompt = True
+
     def __init__(self, file: str | None = None, scene: str | None = None) -> None:
         self._file = file
         self._scene_id = scene_number(scene)
@@ -73,6 +75,8 @@ class Truth(Probe):
     Of a scene folder's world nothing is written: it knows no truth. A frame that is told
     again replaces what was written of it.
     """
+
+    prompt = True
 
     def __init__(self) -> None:
         self._results: ResultsFile | None = None

@@ -36,7 +36,14 @@ class Step(NamedTuple):
 
 
 class Probe(ABC):
-    """Watches one node, in the node's process. Named in the deployment file under ``probes``."""
+    """Watches one node, in the node's process. Named in the deployment file under ``probes``.
+
+    Attributes:
+        prompt: whether it is told of an epoch before the node's checkpoint is written and its context sent. What it
+            writes lacks no epoch then, wherever the process dies; but the other nodes wait for it.
+    """
+
+    prompt: bool = False
 
     def open(self, output: Path | None) -> None:
         """Called once before the first epoch.
@@ -57,7 +64,10 @@ class Probe(ABC):
 
     @abstractmethod
     def record(self, step: Step) -> None:
-        """Called after each epoch, when the node's messages are sent. Nothing in `step` may be changed."""
+        """Called after each epoch, when the node's messages are sent, or before if it is prompt.
+
+        Nothing in `step` may be changed. Epochs may be told again, with a later attempt.
+        """
 
     def close(self) -> None:
         """Called once after the last epoch."""

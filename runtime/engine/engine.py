@@ -387,18 +387,6 @@ class Engine:
     def _hand_on(self, tasks: Elements, context: Elements) -> None:
         """What follows the prediction."""
         epoch, attempt, time_s, state, outlet = self.epoch, self.attempt, self.time_s, self._state, self._outlet
-        if self._world is None:
-            outlet.save(epoch, attempt, self._encoded_start, self._encoded_now)
-        for lower, enrich in self.wiring.context:
-            elements: Elements = ()
-            if enrich is not None:
-                elements = enrich.elements(epoch, time_s, state.belief)
-                if self.events:
-                    self._called(enrich, elements)
-            self._send(CONTEXT, lower, elements, self.digest)
-        if self._world is not None:
-            outlet.act(epoch, state.actions)
-            outlet.committed(Committed(epoch, attempt, self.digest))
         step = Step(
             epoch,
             attempt,
@@ -411,7 +399,21 @@ class Engine:
             state.actions,
             state.belief,
         )
-        outlet.completed(Completed(step, self._encoded_now, self.digest))
+        completed = Completed(step, self._encoded_now, self.digest)
+        outlet.predicted(completed)
+        if self._world is None:
+            outlet.save(epoch, attempt, self._encoded_start, self._encoded_now)
+        for lower, enrich in self.wiring.context:
+            elements: Elements = ()
+            if enrich is not None:
+                elements = enrich.elements(epoch, time_s, state.belief)
+                if self.events:
+                    self._called(enrich, elements)
+            self._send(CONTEXT, lower, elements, self.digest)
+        if self._world is not None:
+            outlet.act(epoch, state.actions)
+            outlet.committed(Committed(epoch, attempt, self.digest))
+        outlet.completed(completed)
         if self._held:
             self._release()
 

@@ -87,6 +87,10 @@ class Outlet(ABC):
     def completed(self, completed: Completed) -> None:
         """The node is done with an epoch, and all its messages are sent."""
 
+    def predicted(self, completed: Completed) -> None:
+        """The node is done with an epoch but for what follows: nothing of its outcome is kept or sent yet."""
+        return
+
     def save(self, epoch: int, attempt: int, start: bytes, now: bytes) -> None:
         """Keep the states (encoded) at an epoch's start and after it, before anything else goes out.
 

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import io
 from collections.abc import Mapping
 from itertools import count
 from pathlib import Path
 from typing import Any
 
+import msgpack
 import pytest
 from support.hierarchies import MixingNode
 from support.toy_nodes import Counter, Keeper
@@ -112,6 +114,33 @@ def test_a_world_acts_once_an_epoch_after_its_prediction_and_before_the_commit()
     runner.start()
     expected = [[("predict", epoch), ("act", epoch, epoch - 1.0, (), "act"), ("commit",)] for epoch in (1, 2)]
     assert done == [each for epoch in expected for each in epoch]
+
+
+def test_what_must_lack_no_epoch_is_written_before_anything_of_it_is_done(tmp_path: Path) -> None:
+    """A process may die at any instant; what other probes see comes when nobody waits."""
+    log = tmp_path / "states" / "w.msgpack"
+    done: list[tuple[str, int]] = []
+
+    class Seen(Probe):
+        def __init__(self, prompt: bool) -> None:
+            self.prompt = prompt
+
+        def record(self, step: Step) -> None:
+            done.append(("prompt" if self.prompt else "other", step.epoch))
+
+    class Acting(Counter):
+        def act(self, actions: Any, tick: Tick = NO_TICK) -> None:
+            logged = [row[0] for row in msgpack.Unpacker(io.BytesIO(log.read_bytes()))]
+            assert logged == list(range(1, tick.epoch + 1))
+            done.append(("act", tick.epoch))
+
+    runner = alone(Acting(), 2, Seen(False), Seen(True))
+    runner.states = Log(log)
+    runner.start()
+    runner.close()
+    assert [each for each in done if each[0] != "other"] == [("prompt", 1), ("act", 1), ("prompt", 2), ("act", 2)]
+    assert [each for each in done if each[0] == "other"] == [("other", 1), ("other", 2)]
+    assert done.index(("other", 1)) > done.index(("act", 1))
 
 
 def test_an_epoch_whose_act_failed_is_not_committed() -> None:

@@ -6,6 +6,7 @@ by the digests that are written, acts by the device's own log.
 
 from __future__ import annotations
 
+import io
 import os
 import random
 import re
@@ -13,9 +14,11 @@ import signal
 import time
 from pathlib import Path
 
+import msgpack
 import pytest
 from support.device_nodes import DEVICE, MOVES_S, acts
 from support.launched import Command, Launched, hierax, is_alive, processes_of, until
+from support.recompute_digest import main as recompute_digest
 
 EPOCHS = 40
 NODES = ("arm", "eye", "spatial", "world")
@@ -73,6 +76,10 @@ def test_a_process_may_be_killed_at_every_instant(node: str, device: Device) -> 
         report = launch.report()
         assert launch.err.count(f"{node}: its process ended by signal SIGKILL; it is started again") == len(faults)
         assert sorted(launch.written) == list(range(1, EPOCHS + 1))
+        for name in NODES:
+            rows = msgpack.Unpacker(io.BytesIO((launch.output / "states" / f"{name}.msgpack").read_bytes()))
+            assert sorted({row[0] for row in rows}) == list(range(1, EPOCHS + 1)), f"the states of {name}"
+        assert recompute_digest([str(launch.output)]) == 0
     assert report["digest"] == wanted
     assert report["epochs"] == EPOCHS
     assert sorted(set(acts(device.log))) == list(range(1, EPOCHS + 1))
