@@ -170,7 +170,8 @@ def _step(state: _State, start: Start, stage: Stage, scale: Floats, intrinsics: 
     weights = weights_of(stage, columns, residuals, strange, scale, search)
     used = weights > 0
     blocks, gradients = normal_equations(state.poses, stage, seen, residuals, weights, used, intrinsics)
-    own = log_many(state.own)
+    twists = log_many(np.concatenate((state.shift[None], state.own)))
+    shift, own = twists[0], twists[1:]
     count = len(start.poses)
     information = blocks[:, 6:, 6:] + start.information
     slope = gradients[:, 6:] + (start.information @ own[:, :, None])[..., 0]
@@ -181,7 +182,6 @@ def _step(state: _State, start: Start, stage: Stage, scale: Floats, intrinsics: 
     size = 6 * (count + 1)
     whole = np.zeros((size, size))
     right = np.zeros(size)
-    shift = log_many(state.shift[None])[0]
     whole[:6, :6] = blocks[:, :6, :6].sum(axis=0) + start.camera
     right[:6] = gradients[:, :6].sum(axis=0) + start.camera @ shift
     for at in range(count):

@@ -49,9 +49,8 @@ _FIRST_WEIGHT = 2.0
 _TRUSTED_PX = 0.2
 _OFFSET_FRAMES = 40.0
 _FADING = 0.7
-_DOUBT = 2.0
-"""A part of an edge is trusted by the share of images that it was found in, as if it had been found in one more,
-to this power."""
+_DOUBT = 2
+"""A part of an edge is trusted by the share of images that it was found in to this power."""
 
 
 class Memory(NamedTuple):
@@ -83,7 +82,7 @@ def recalled(objects: list[Slots], controls: Controls, channels: int) -> Memory:
         keys = slots["keys"]
         view = slice(ends[at], ends[at + 1])
         wanted = controls.slots[view]
-        trust[view] = _trust(slots, wanted[:, 0] // EDGE_SLOTS) * _usual(slots, wanted[:, 0])
+        trust[view] = _trust(slots, wanted[:, 0] // EDGE_SLOTS) * _share_found(slots, wanted[:, 0]) ** _DOUBT
         if not len(keys) or slots["colours"].shape[1] != channels:
             continue
         place = np.minimum(np.searchsorted(keys, wanted), len(keys) - 1)
@@ -105,8 +104,8 @@ def _trust(slots: Slots, edges: NDArray[np.int64]) -> Singles:
     return trust
 
 
-def _usual(slots: Slots, parts: NDArray[np.int64]) -> Singles:
-    """(n,) how usual it is that parts of edges are found.
+def _share_found(slots: Slots, parts: NDArray[np.int64]) -> Singles:
+    """(n,) in what share of images parts of edges were found, as if in one more.
 
     Where an object has no contrast of its own, what is found in the end belongs to something else.
     """
@@ -115,8 +114,8 @@ def _usual(slots: Slots, parts: NDArray[np.int64]) -> Singles:
         return np.ones(len(parts), dtype=np.float32)
     place = np.minimum(np.searchsorted(known, parts), len(known) - 1)
     found, sought = slots["hits"][place].T
-    usual: Singles = np.where(known[place] == parts, ((found + 1.0) / (sought + 1.0)) ** _DOUBT, 1.0).astype(np.float32)
-    return usual
+    share: Singles = np.where(known[place] == parts, (found + 1.0) / (sought + 1.0), 1.0).astype(np.float32)
+    return share
 
 
 def sought(slots: Slots, parts: NDArray[np.int64], found: NDArray[np.bool_]) -> Slots:

@@ -11,17 +11,25 @@ from typing import Any
 
 import numpy as np
 
-from hierax.nodes.tracking.appearance import NOTHING
 from hierax.nodes.tracking.association import Estimate, Options, associate
-from hierax.nodes.tracking.geometry import Array, Floats, exp_se3, invert, log_se3
+from hierax.nodes.tracking.geometry import Floats, exp_se3, invert, log_se3
 from hierax.nodes.tracking.profiles import smoothed
+from hierax.nodes.tracking.searching import FALLING, held, in_turn
 from hierax.nodes.tracking.showing import arm_things
+from hierax.nodes.tracking.tracked import (
+    EXPECTED,
+    LOST,
+    NO_CONTROLS,
+    NO_POSES,
+    TRACKED,
+    Tracked,
+    check_ids,
+    diagonal_covariance,
+    first_belief,
+    imagined,
+)
 from hierax.runtime import Elements, Node, Step, Value
 from hierax.runtime.core.showing import Things
-
-TRACKED = "tracked"
-EXPECTED = "expected"
-LOST = "lost"
 
 _DRIFT_GAIN = 0.3
 _PROBATION = 20
@@ -33,31 +41,18 @@ _LEAST_SHOWN = 10.0
 _LESS = 0.85
 """Something happens to an object that the image supports by less than this part of what it did before."""
 
-_FIRST_UNREST = 0.2
 _LEAST_FOUND = 20.0
 """One whose place is vague is not found by fewer control points than these."""
 
 _VAGUE_M = 0.02
+_VAGUE_RAD = 0.3
 """An object whose place is less certain than this (standard deviation) has to be found, not kept."""
 
 _UPWARDS, _TILTING = 0.1, 0.15
 """Of what its motion may change in a frame, what stands on something rises, and tilts, by so much."""
 
-_DASH_M = 0.002
 _UNKNOWN = np.diag([0.1**2] * 3 + [0.6**2] * 3)
 """A covariance that says next to nothing of a pose (m², rad²)."""
-
-_NO_CONTROLS: dict[str, Array] = {
-    "points": np.zeros((0, 3)),
-    "tangents": np.zeros((0, 3)),
-    "inwards": np.zeros((0, 3)),
-    "kinds": np.zeros(0, dtype=np.uint8),
-    "edges": np.zeros(0, dtype=np.int32),
-    "faces": np.zeros((0, 2), dtype=np.int32),
-    "visible": np.zeros(0, dtype=np.float32),
-}
-
-Tracked = dict[str, Any]
 
 
 class ArmNode(Node):
@@ -77,6 +72,10 @@ class ArmNode(Node):
       ``unrest``: 0 to 1, how much of `motion_m` and `motion_rad` its latest motion asks for; ``trend``: (6,) running
       mean of how far images had it from its predictions, in standard deviations; ``vain``: for how many images in a
       row it was looked for elsewhere and not found;
+    - ``support``: (3,) upwards in its frame where something carries it, else zeros; ``stands``: whether it lies on
+      a face there; ``sought``: whether it is to be imagined elsewhere, too; ``others``: what came of that, {"pose",
+      "controls", "kept": whether it is one of the earlier guesses}; ``guesses``: (n, 4, 4) camera_from_object that
+      explain the newest image nearly as well;
     - ``controls``: points on the edges expected to be seen, see `hierax.nodes.tracking.controls`;
       ``edges``: (n, 2, 3) a dash along the edge at each, object's frame, metres;
       ``slots``: what it looks like beside them, see `hierax.nodes.tracking.appearance`.
@@ -124,7 +123,7 @@ class ArmNode(Node):
         if patience < 1:
             raise ValueError(f"patience is {patience}; expected at least 1 image")
         start = diagonal_covariance(start_m, start_rad)
-        self._objects = tuple(_first_belief(item, start) for item in objects)
+        self._objects = tuple(first_belief(item, start) for item in objects)
         check_ids(self._objects)
         self._options = Options(diagonal_covariance(motion_m, motion_rad), error_px, sure_score)
         self._camera = np.diag(1.0 / np.diag(diagonal_covariance(camera_m, camera_rad)))
@@ -159,7 +158,13 @@ class ArmNode(Node):
         camera = reported @ belief["drift"]
         moved = np.eye(4) if belief["camera"] is None else invert(camera) @ belief["camera"]
         objects = tuple(
-            {**item, "pose": moved @ item["pose"], "before": moved @ item["before"]} for item in belief["objects"]
+            {
+                **item,
+                "pose": moved @ item["pose"],
+                "before": moved @ item["before"],
+                "others": tuple({**other, "pose": moved @ other["pose"]} for other in item["others"]),
+            }
+            for item in belief["objects"]
         )
         still = belief["reported"] is None or np.array_equal(belief["reported"], reported)
         shift, objects = self._corrected(objects, seen, still)
@@ -187,9 +192,9 @@ class ArmNode(Node):
         """
         expected = {item["id"]: item for item in context[0]["poses"]} if context else {}
         objects = tuple(
-            _imagined(item, expected[item["id"]], belief["camera"])
+            imagined(item, expected[item["id"]], belief["camera"])
             if item["id"] in expected
-            else {**item, "controls": _NO_CONTROLS, "edges": np.zeros((0, 2, 3)), "score": 0.0, "status": LOST}
+            else {**item, "controls": NO_CONTROLS, "edges": np.zeros((0, 2, 3)), "score": 0.0, "status": LOST}
             for item in belief["objects"]
         )
         return {**belief, "objects": objects}
@@ -219,33 +224,31 @@ class ArmNode(Node):
         known = objects if self._prior else tuple({**item, "covariance": _UNKNOWN} for item in objects)
         motion = np.stack([self._motion(item) for item in objects])
         options = self._options._replace(motion=motion)
-        known = tuple({**item, "motion": self._options.motion} for item in known)
+        falling = [held(self._options.motion, item["support"], FALLING, 1.0) for item in known]
+        known = tuple({**item, "motion": each} for item, each in zip(known, falling, strict=True))
         found = associate(image, known, camera, np.asarray(seen["intrinsics"]), options)
         if found is None:
-            return np.eye(4), tuple(self._missed(item, item["pose"], None) for item in objects)
+            return np.eye(4), tuple(_sought(self._missed(item, item["pose"], None)) for item in objects)
         shift, estimates = found
         return shift, tuple(
-            self._judged(item, shift @ item["pose"], estimate)
+            _sought(self._judged(item, shift @ item["pose"], estimate))
             for item, estimate in zip(objects, estimates, strict=True)
         )
 
     def _motion(self, item: Tracked) -> Floats:
-        """(6, 6) how far it may leave its prediction within a frame: what stands on something slides, and turns on it."""
-        up = item["support"]
-        held = np.zeros((6, 6))
-        held[:3, :3] = (1.0 - _UPWARDS) * np.outer(up, up)
-        held[3:, 3:] = (1.0 - _TILTING) * (float(up @ up) * np.eye(3) - np.outer(up, up))
-        free = np.eye(6) - held
-        motion: Floats = free @ self._options.motion @ free
-        return motion
+        """(6, 6) how far it may leave its prediction within a frame: what stands slides, and turns where it is."""
+        upwards, tilting = (_UPWARDS, _TILTING) if item["stands"] else (FALLING, 1.0)
+        return held(self._options.motion, item["support"], upwards, tilting)
 
     def _judged(self, item: Tracked, expected: Floats, estimate: Estimate) -> Tracked:
         """One object after the image: where it was found, or where it was expected."""
-        needed = self._found_score if _is_vague(item) or item["status"] == LOST else self._kept_score
-        enough = _LEAST_FOUND if _is_vague(item) else _LEAST_SHOWN
-        if estimate.shown < enough or estimate.score < needed:
+        gone = _is_vague(item) or item["status"] == LOST
+        needed = self._found_score if gone else self._kept_score
+        enough = _LEAST_FOUND if gone else _LEAST_SHOWN
+        if estimate.shown < enough or estimate.score < needed or (gone and not estimate.sure):
             # Not enough to say that it is there; but enough to look there, at what would be seen of it, next.
-            guess = estimate.pose if estimate.elsewhere and estimate.score > self._kept_score else expected
+            searched = estimate.elsewhere and not item["others"]
+            guess = estimate.pose if searched and estimate.score > self._kept_score else expected
             return self._missed(item, guess, estimate)
         return {
             **item,
@@ -254,9 +257,10 @@ class ArmNode(Node):
             "unrest": estimate.unrest,
             "trend": estimate.trend,
             "score": estimate.score,
-            "probation": _PROBATION if _is_vague(item) else max(0, item["probation"] - 1),
+            "probation": _PROBATION if gone else max(0, item["probation"] - 1),
             "slots": estimate.slots,
             "vain": _vain(item, estimate),
+            "guesses": estimate.guesses,
             "status": TRACKED,
             "misses": 0,
         }
@@ -266,7 +270,7 @@ class ArmNode(Node):
 
         That something which nothing is to be seen of is not seen says nothing against it.
         """
-        hidden = estimate is None or estimate.shown < _LEAST_SHOWN
+        hidden = estimate is None or float(item["controls"]["visible"].sum()) < _LEAST_SHOWN
         misses = item["misses"] + (not hidden)
         lost = item["status"] == LOST or misses >= self._patience
         score = 0.0 if lost or estimate is None else estimate.score
@@ -279,33 +283,28 @@ class ArmNode(Node):
             "misses": misses,
             "unrest": unrest,
             "vain": item["vain"] if estimate is None else _vain(item, estimate),
+            "guesses": NO_POSES if estimate is None else estimate.guesses,
             "covariance": item["covariance"] + unrest**2 * self._motion(item),
         }
 
 
-def _imagined(item: Tracked, expected: Mapping[str, Any], camera: Floats) -> Tracked:
-    """One object's prediction and its visible edges."""
-    controls = expected["controls"]
-    half = _DASH_M / 2.0 * controls["tangents"]
-    return {
-        **item,
-        "before": item["pose"],
-        "pose": invert(camera) @ expected["pose"],
-        "covariance": expected["covariance"],
-        "support": expected["support"],
-        "controls": controls,
-        "edges": np.stack((controls["points"] - half, controls["points"] + half), axis=1),
-    }
+def _sought(item: Tracked) -> Tracked:
+    """The same, with whether it is to be imagined elsewhere, too: it is not seen, or was found just now."""
+    missing = item["status"] != TRACKED or item["probation"] > 0
+    return {**item, "sought": missing and in_turn(item), "others": ()}
 
 
 def _vain(item: Tracked, estimate: Estimate) -> int:
     """For how many images it was looked for elsewhere in vain; that counts anew when something happens to it."""
     startled = estimate.unrest == 1.0 and item["unrest"] < 1.0
+    startled |= len(estimate.guesses) > 0
     return 0 if startled or estimate.score < _LESS * item["score"] else estimate.vain
 
 
 def _is_vague(item: Tracked) -> bool:
-    return float(np.trace(item["covariance"][:3, :3])) > _VAGUE_M**2
+    covariance = item["covariance"]
+    turned = float(np.trace(covariance[3:, 3:])) > _VAGUE_RAD**2
+    return turned or float(np.trace(covariance[:3, :3])) > _VAGUE_M**2
 
 
 def poses_seen(belief: Value) -> Elements:
@@ -313,52 +312,15 @@ def poses_seen(belief: Value) -> Elements:
 
     Returns:
         Of each object {"id", "obj_id", "pose": world_from_object, "covariance", "score",
-        "status", "unrest"}, then {"camera": world_from_camera, corrected, "intrinsics", "size",
-        "frame"}; none before the first image.
+        "status", "unrest", "sought", "guesses": (n, 4, 4) world_from_object}, then {"camera":
+        world_from_camera, corrected, "intrinsics", "size", "frame"}; none before the first image.
     """
     camera = belief["camera"]
     if camera is None:
         return ()
-    kept = ("id", "obj_id", "covariance", "score", "status", "unrest")
-    objects = tuple({**{key: item[key] for key in kept}, "pose": camera @ item["pose"]} for item in belief["objects"])
+    kept = ("id", "obj_id", "covariance", "score", "status", "unrest", "sought")
+    objects = tuple(
+        {**{key: item[key] for key in kept}, "pose": camera @ item["pose"], "guesses": camera @ item["guesses"]}
+        for item in belief["objects"]
+    )
     return (*objects, {key: belief[key] for key in ("camera", "intrinsics", "size", "frame")})
-
-
-def _first_belief(item: Mapping[str, Any], covariance: Floats) -> Tracked:
-    pose = np.asarray(item["pose"], dtype=np.float64)
-    if pose.shape != (4, 4) or not np.all(np.isfinite(pose)):
-        raise ValueError(f"object {item['id']}: pose: expected a 4 × 4 matrix of finite numbers")
-    return {
-        "id": int(item["id"]),
-        "obj_id": int(item["obj_id"]),
-        "pose": pose,
-        "before": pose,
-        "covariance": covariance,
-        "score": 1.0,
-        "probation": 0,
-        "status": EXPECTED,
-        "misses": 0,
-        "unrest": _FIRST_UNREST,
-        "trend": np.zeros(6),
-        "vain": 0,
-        "support": np.zeros(3),
-        "controls": _NO_CONTROLS,
-        "edges": np.zeros((0, 2, 3)),
-        "slots": NOTHING,
-    }
-
-
-def check_ids(objects: Sequence[Mapping[str, Any]]) -> None:
-    """See that objects can be told apart in a label image.
-
-    Raises:
-        ValueError: ids are doubled or out of range.
-    """
-    ids = [item["id"] for item in objects]
-    if len(set(ids)) != len(ids) or not all(1 <= number <= 255 for number in ids):
-        raise ValueError(f"ids must be different and from 1 to 255, got {ids}")
-
-
-def diagonal_covariance(length_m: float, angle_rad: float) -> Floats:
-    """(6, 6) of a pose whose standard deviations are these along and about each axis."""
-    return np.diag([length_m**2] * 3 + [angle_rad**2] * 3)

@@ -12,8 +12,8 @@ import numpy as np
 from hierax.nodes.tracking.geometry import Array, Floats
 from hierax.nodes.tracking.profiles import Controls
 
-_APART_PX = 4.0
-"""Parallel edges that far apart have peaks of their own: four standard deviations of the lens's blur and ours."""
+_APART_PX = 3.0
+"""Parallel edges that far apart have peaks of their own: three standard deviations of the lens's blur and ours."""
 
 _PARALLEL = 0.9
 _BEYOND_PX = 4.0

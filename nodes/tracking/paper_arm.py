@@ -7,9 +7,9 @@ from typing import Any
 
 import numpy as np
 
-from hierax.nodes.tracking.arm import EXPECTED, LOST, TRACKED, check_ids, diagonal_covariance
 from hierax.nodes.tracking.geometry import Array, Floats, invert, transform
 from hierax.nodes.tracking.paper import expected_lines, image_lines, match_lines
+from hierax.nodes.tracking.tracked import EXPECTED, LOST, NO_POSES, TRACKED, check_ids, diagonal_covariance
 from hierax.runtime import Elements, Node, Value
 
 _NO_EDGES = np.zeros((0, 2, 3))
@@ -132,6 +132,8 @@ class PaperArmNode(Node):
             "status": EXPECTED,
             "misses": 0,
             "unrest": 1.0,
+            "sought": False,
+            "guesses": NO_POSES,
             "edges": _NO_EDGES,
         }
 

@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from hierax.nodes.tracking.controls import controls_of
+from hierax.nodes.tracking.controls import Controls, controls_of
 from hierax.nodes.tracking.geometry import Array, Floats, invert
 from hierax.nodes.tracking.layers import Layer, LayerRenderer, Window, surrounding
 from hierax.nodes.tracking.occlusion import Placed, chances_seen
@@ -20,6 +20,10 @@ from hierax.runtime import Elements, Value
 
 LEAST_CHANCE = 0.02
 """Control points that are less likely to be seen are left out."""
+
+
+_NEAR = 0.1
+"""Of a body's covariance, so much is left around each of its other poses."""
 
 
 class Item(NamedTuple):
@@ -145,16 +149,17 @@ class SegmentedDepth:
         Args:
             belief: of the spatial node: "camera" (world_from_camera or None), "intrinsics",
                 "size", and "bodies" with "id", "obj_id", "pose" (world_from_object),
-                "covariance", "status" and "model" {"vertices", "faces"}.
+                "covariance", "status", "support", "stands", "others", "kept" and "model" {"vertices", "faces"}.
 
         Returns:
             {"depth": float32 (h, w), metres along the camera's z, 0 where nothing is;
             "labels": uint8 (h, w), ids, 0 where nothing is; both of the part of the image
             that holds all bodies, with "corner" (left, top) in the whole one of "size"
             (w, h), and "intrinsics" (4,) of that part; "camera": world_from_camera at which
-            it was drawn; "poses": tuple of {"id", "obj_id", "pose", "covariance", "status",
-            "controls"}}, the last with the fields of `hierax.nodes.tracking.controls.Controls`,
-            of the points whose chance to be seen is at least `LEAST_CHANCE`.
+            it was drawn; "poses": tuple of {"id", "obj_id", "pose", "covariance", "status", "support",
+            "stands", "controls", "others"}}: controls with the fields of
+            `hierax.nodes.tracking.controls.Controls`, of the points whose chance to be seen is at least
+            `LEAST_CHANCE`; others of the poses that it may have besides, each {"pose", "controls", "kept"}.
         """
         camera = belief["camera"]
         if camera is None:
@@ -164,9 +169,10 @@ class SegmentedDepth:
         items = [_item(body, camera_from_world) for body in belief["bodies"]]
         layers = self._renderer.layers(items, intrinsics, size)
         controls = self._controls(items, belief["bodies"], layers, intrinsics, size)
+        others = self._others(belief["bodies"], items, layers, camera_from_world, intrinsics, size)
         window = surrounding([layer.window for layer in layers.values()])
         depth, labels = composed(layers, window)
-        kept = ("id", "obj_id", "pose", "covariance", "status", "support")
+        kept = ("id", "obj_id", "pose", "covariance", "status", "support", "stands")
         return (
             {
                 "depth": depth,
@@ -176,8 +182,8 @@ class SegmentedDepth:
                 "corner": (window.left, window.top),
                 "size": size,
                 "poses": tuple(
-                    {**{key: body[key] for key in kept}, "controls": expected}
-                    for body, expected in zip(belief["bodies"], controls, strict=True)
+                    {**{key: body[key] for key in kept}, "controls": expected, "others": elsewhere}
+                    for body, expected, elsewhere in zip(belief["bodies"], controls, others, strict=True)
                 ),
             },
         )
@@ -205,9 +211,60 @@ class SegmentedDepth:
             chances = [np.ones(len(controls.points), dtype=np.float32) for controls in alone]
         found = []
         for controls, seen in zip(alone, chances, strict=True):
-            kept = seen >= LEAST_CHANCE
-            found.append({name: part[kept] for name, part in controls._replace(visible=seen)._asdict().items()})
+            found.append(_likely(controls, seen))
         return found
+
+    def _others(
+        self,
+        bodies: Sequence[Mapping[str, Value]],
+        items: Sequence[Item],
+        layers: Mapping[int, Layer],
+        camera_from_world: Floats,
+        intrinsics: Array,
+        size: tuple[int, int],
+    ) -> list[tuple[dict[str, Value], ...]]:
+        """Of each body its other poses, each with the controls that it would have there."""
+        found: list[tuple[dict[str, Value], ...]] = []
+        for number, (body, item) in enumerate(zip(bodies, items, strict=True)):
+            if not len(body["others"]):
+                found.append(())
+                continue
+            renderer = self._renderer.renderer(item)
+            poses = [camera_from_world @ pose for pose in body["others"]]
+            hollow = not renderer.shape.convex
+            alone = [
+                controls_of(
+                    renderer.shape,
+                    pose,
+                    intrinsics,
+                    size,
+                    renderer.layer(pose, intrinsics, size) if hollow else None,
+                )
+                for pose in poses
+            ]
+            if self._occlusion:
+                hiders = [
+                    Placed(other.pose, np.asarray(bodies[at]["covariance"], dtype=np.float64), layers.get(other.label))
+                    for at, other in enumerate(items)
+                    if at != number
+                ]
+                near = _NEAR * np.asarray(body["covariance"], dtype=np.float64)
+                placed = [*hiders, *(Placed(pose, near, None) for pose in poses)]
+                points = [np.zeros((0, 3))] * len(hiders) + [controls.points for controls in alone]
+                chances = chances_seen(points, placed, intrinsics)[len(hiders) :]
+            else:
+                chances = [np.ones(len(controls.points), dtype=np.float32) for controls in alone]
+            each = [
+                {"pose": pose, "controls": _likely(controls, seen), "kept": place < body["kept"]}
+                for place, (pose, controls, seen) in enumerate(zip(body["others"], alone, chances, strict=True))
+            ]
+            found.append(tuple(each))
+        return found
+
+
+def _likely(controls: Controls, seen: Array) -> dict[str, Array]:
+    kept = seen >= LEAST_CHANCE
+    return {name: part[kept] for name, part in controls._replace(visible=seen)._asdict().items()}
 
 
 def _item(body: Mapping[str, Value], camera_from_world: Floats) -> Item:

@@ -7,6 +7,7 @@ import numpy as np
 from hierax.nodes.tracking.geometry import Floats
 
 _SMALL = 1e-8
+_SMALL_SQUARE = 1e-6
 
 
 def exp_many(twists: Floats) -> Floats:
@@ -31,10 +32,15 @@ def log_many(poses: Floats) -> Floats:
     cosine = 0.5 * (np.trace(poses[:, :3, :3], axis1=1, axis2=2) - 1.0)
     angle = np.arctan2(sine, cosine)
     rotation = axis * np.where(sine < _SMALL, 1.0, angle / np.maximum(sine, _SMALL))[:, None]
-    _, second, third = _series(angle * angle)
-    cross = hat_many(rotation)
-    left = np.eye(3) + second * cross + third * cross @ cross
-    return np.concatenate((np.linalg.solve(left, poses[:, :3, 3, None])[..., 0], rotation), axis=1)
+    first, second, _ = _series(angle * angle)
+    square = (angle * angle)[:, None]
+    # What takes the translation back: 1 - [w]/2 + (1 - first/(2 second))/angle² [w]².
+    last = np.where(
+        square < _SMALL_SQUARE, 1.0 / 12.0, (1.0 - 0.5 * (first / second)[..., 0]) / np.maximum(square, _SMALL)
+    )
+    moved = poses[:, :3, 3]
+    once = cross_rows(rotation, moved)
+    return np.concatenate((moved - 0.5 * once + last * cross_rows(rotation, once), rotation), axis=1)
 
 
 def invert_many(poses: Floats) -> Floats:

@@ -23,29 +23,39 @@ from hierax.nodes.tracking.profiles import Controls, Image
 from hierax.nodes.tracking.rigid import exp_many, inverse, invert_many, log_many
 from hierax.nodes.tracking.stages import Search
 
-_ROUGH = Search(
+ROUGH = Search(
     reach_px=(20,), scale_px=((20.0, 6.0),), iterations=5, fine_px=(4.0, 4.0), fine_iterations=1, support_px=3.0
 )
-_FINE = Search(reach_px=(10, 5), scale_px=((10.0, 4.0), (4.0, 1.0)), iterations=5)
+FINE = Search(reach_px=(10, 5), scale_px=((10.0, 4.0), (4.0, 1.0)), iterations=5)
 _KEPT = 4
-_ROUGH_POINTS = 40
+ROUGH_POINTS = 40
 """How many of an object's starts are aligned finely, and with how many of its control points all are roughly."""
 
 _BETTER = 0.05
 """By so much of its control points another explanation must be better than the expected one."""
 
+_LEAST_FOUND = 18.0
+"""Where fewer of its control points should be seen, an object is not found."""
+
 _UNLIKELIEST = 0.25
 """So large a share of the control points that support the expected explanation must speak for another one beyond
 that, however unlikely it was before."""
 
-_TOPPLING = 2.0
-"""Minus the logarithm of the chance that what stands on something leaves it."""
+_EVENT, _EVENT_SEEN = 0.18, 0.08
+"""Such a share speaks against one that lies within a push, or a fall, of the expected one, besides its distance; the
+second where an image of a still camera supports the expected one suddenly less."""
+
+_WORSE = 0.85
+"""By less than this part of what it did before."""
 
 _SUPPORTED = 0.35
 _REACH = 36.0
 """An object that the image supports by that score where it was expected is not farther away than a push can have
 moved it (one of which no image has told yet: than its first pose can be off): the square of the distance, in
 standard deviations."""
+
+_MUCH = 0.12
+"""Unless the image supports it there by so large a share of its control points more."""
 
 _FARTHER = (1.0, 0.0, 0.5, 1.5, 2.0)
 _AROUND = np.random.default_rng(1).normal(size=(4, 24, 6))
@@ -63,6 +73,25 @@ _ASTRAY = np.diag([0.01**2] * 3 + [0.3**2] * 3)
 """How much farther an object may be that was looked for in vain, or that was found again just now (m², rad²)."""
 
 
+FALLING = 0.3
+"""Of what its motion may change in a frame, what falls over rises or sinks by so much: by less than it slides."""
+
+
+def held(motion: Floats, support: Floats, upwards: float, tilting: float) -> Floats:
+    """(6, 6) how far something may move that stands on something else.
+
+    Args:
+        motion: (6, 6) covariance of how far it may if nothing carries it, twist in its frame.
+        support: (3,) unit vector upwards in its frame; zeros where nothing carries it.
+        upwards, tilting: shares of that motion (as standard deviations) upwards, and about level axes.
+    """
+    kept = np.eye(6)
+    kept[:3, :3] -= (1.0 - upwards) * np.outer(support, support)
+    kept[3:, 3:] -= (1.0 - tilting) * (float(support @ support) * np.eye(3) - np.outer(support, support))
+    result: Floats = kept @ motion @ kept
+    return result
+
+
 class Found(NamedTuple):
     """What is found of the objects in an image.
 
@@ -75,6 +104,8 @@ class Found(NamedTuple):
         unrest: (m,) how much of a push the latest motion asks for.
         trend: (m, 6) see `hierax.nodes.tracking.fusion.Prior`.
         elsewhere: (m,) whether it was found elsewhere than expected.
+        sure: (m,) false where another pose explains the image nearly as well.
+        guesses: of each object the (n, 4, 4) poses that explain the image best besides.
     """
 
     poses: Floats
@@ -85,6 +116,13 @@ class Found(NamedTuple):
     unrest: Floats
     trend: Floats
     elsewhere: NDArray[np.bool_]
+    sure: NDArray[np.bool_]
+    guesses: list[Floats]
+
+    def copied(self) -> Found:
+        """The same, to be changed."""
+        parts: list[Any] = [part.copy() for part in self]
+        return Found(*parts)
 
 
 class Looking(NamedTuple):
@@ -118,11 +156,12 @@ def search_elsewhere(
     """
     free = prior._replace(motion=np.stack([item["motion"] for item in objects]))
     spread = free._replace(unrest=np.ones(len(objects))).spread()
+    startled = inverse(spread)
     seen = np.array([len(item["slots"]["keys"]) > 0 for item in objects])
     pushed = inverse(free._replace(unrest=np.where(seen, 1.0, prior.unrest)).spread())
     for at in doubtful:
         if _is_astray(objects[at]):
-            spread[at] += _ASTRAY
+            spread[at] += held(_ASTRAY, objects[at]["support"], FALLING, 1.0)
     tries: list[int] = []
     starts: list[Floats] = []
     for at in doubtful:
@@ -130,24 +169,30 @@ def search_elsewhere(
         starts += own
         tries += [at] * len(own)
     information = inverse(spread)
-    rough = _aligned(looking, tries, Start(np.stack(starts), information[tries]), _ROUGH, _ROUGH_POINTS)
+    rough = _aligned(looking, tries, Start(np.stack(starts), information[tries]), ROUGH, ROUGH_POINTS)
     if rough is None:
         return found
     kept = np.sort(np.concatenate([_best(rough, tries, at) for at in doubtful]))
     tries = [tries[number] for number in kept]
     start = Start(rough.poses[kept], information[tries])
-    fine = _aligned(looking, tries, start, _FINE, POINTS_MAX)
+    fine = _aligned(looking, tries, start, FINE, POINTS_MAX)
     if fine is None:
         return found
     predicted = np.stack([shift @ objects[at]["pose"] for at in tries])
     away = log_many(invert_many(predicted) @ fine.poses)
     squares = np.einsum("mi,mij,mj->m", away, inverse(prior.spread())[tries], away)
-    loose = np.einsum("mi,mij,mj->m", away, inverse(free.spread())[tries], away)
-    squares = np.minimum(squares, loose + 2.0 * _TOPPLING)
-    unlikely = np.minimum(0.5 * squares, _UNLIKELIEST * (found.scores * found.shown)[tries])
-    worth = fine.gains - unlikely
+    loose = np.einsum("mi,mij,mj->m", away, startled[tries], away)
+    still = prior.camera is None
+    worse = np.array([still and _is_worse(found.scores[at], item) for at, item in enumerate(objects)])
+    # Where something happens to an object the light on it changes, too: then its looks say little.
+    found = found._replace(gains=np.where(worse, found.scores * found.shown, found.gains))
+    support = (found.scores * found.shown)[tries]
+    event = np.where(worse[tries], _EVENT_SEEN, _EVENT) * support
+    unlikely = np.minimum(0.5 * squares, np.minimum(0.5 * loose + event, _UNLIKELIEST * support))
+    worth = np.where(worse[tries], fine.scores * found.shown[tries], fine.gains) - unlikely
     within_reach = np.einsum("mi,mij,mj->m", away, pushed[tries], away) <= _REACH
-    worth[(found.scores[tries] >= _SUPPORTED) & ~within_reach] = -np.inf
+    much_better = seen[tries] & (fine.gains > found.gains[tries] + _MUCH * found.shown[tries])
+    worth[(found.scores[tries] >= _SUPPORTED) & ~within_reach & ~much_better] = -np.inf
     return _chosen(found, tries, start, fine, worth)
 
 
@@ -168,9 +213,9 @@ def _best(rough: Aligned, tries: Sequence[int], at: int) -> NDArray[np.intp]:
 
 
 def _chosen(found: Found, tries: Sequence[int], start: Start, fine: Aligned, worth: Floats) -> Found:
-    after = Found(*(part.copy() for part in found))
+    after = found.copied()
     for number, at in enumerate(tries):
-        if worth[number] <= after.gains[at] + _BETTER * found.shown[at]:
+        if fine.shown[number] < _LEAST_FOUND or worth[number] <= after.gains[at] + _BETTER * found.shown[at]:
             continue
         after.poses[at] = fine.poses[number]
         after.covariance[at] = inverse(start.information[number] + fine.blocks[number, 6:, 6:])
@@ -183,6 +228,10 @@ def in_turn(item: Mapping[str, Any]) -> bool:
     """Whether an object is looked for in this image: at once, but when that was in vain, only now and then."""
     vain = int(item["vain"])
     return vain < _VAIN_AT_ONCE or (vain + int(item["id"])) % _VAIN_EVERY == 0
+
+
+def _is_worse(score: float, item: Mapping[str, Any]) -> bool:
+    return bool(item["status"] == "tracked" and score < _WORSE * item["score"])
 
 
 def _is_astray(item: Mapping[str, Any]) -> bool:

@@ -8,8 +8,10 @@ from typing import Any
 
 import numpy as np
 
+from hierax.nodes.tracking.alternatives import elsewhere
 from hierax.nodes.tracking.geometry import Array, Floats, exp_se3, exp_so3, invert, log_se3, log_so3, make_pose
-from hierax.nodes.tracking.physics import Motion, Simulator, Solid
+from hierax.nodes.tracking.physics import GRAVITY_M_S2, Motion, Simulator, Solid
+from hierax.nodes.tracking.resting import resting
 from hierax.nodes.tracking.showing import spatial_things
 from hierax.runtime import NO_TICK, Elements, Node, Step, Tick, Value
 from hierax.runtime.core.showing import Things
@@ -18,21 +20,26 @@ Body = dict[str, Any]
 
 DENSITY_KG_M3 = 500.0
 DEFAULT_INTERVAL_S = 1.0 / 30.0
-_MOVES_SIGMAS = 4.0
 _TURNING = 6.0
 """Rad/s for a m/s: faster than this, relative to how it moves, a body about to turn over turns."""
 
 _ACCELERATION = np.array([10.0, 150.0])
 """Largest of a body that is believed: m/s², rad/s²."""
 
-_RESTING_M = 0.0005
-_RESTING_RAD = 0.004
-_RESTING_M_S = 0.1
-_RESTING_RAD_S = 0.3
-"""How certain the height and the tilt of a body at rest are, and how fast one moves that is not."""
+_MOVES_SIGMAS, _STOPPED_SIGMAS = 4.0, 1.0
+"""A mean displacement that makes a body at rest one that moves, and one that moves one at rest."""
+
+_FALLS = 0.6
+"""What sinks by this part of a free fall is not carried."""
 
 _UNSURE = 0.2
 """Standard deviation of how far one goes that is not seen, for every metre that it was on its way to go."""
+
+_HEARD = ("status", "covariance", "sought", "guesses")
+_NO_POSES = np.zeros((0, 4, 4))
+
+_ASTRAY = np.diag([0.02**2] * 3 + [0.5**2] * 3)
+"""How much farther a body may be that was found again just now (m², rad²)."""
 
 UNSEEN = np.diag([0.01**2] * 3 + [0.1**2] * 3)
 """The covariance of a body's pose before the first observation (m², rad²)."""
@@ -54,7 +61,11 @@ class SpatialNode(Node):
     origin and rad/s, world frame), ``drift`` (the same as observed, also where it may be
     nothing but errors), ``covariance`` (6, 6; m, rad, object frame), ``status``, ``seen`` (the
     pose that the last observation gave it, None where it was not tracked), ``unseen`` (for how
-    many observations it was not), ``model`` (``vertices`` (n, 3) m, ``faces`` (m, 3)) and
+    many observations it was not), ``known`` (whether it ever was), ``support`` (3,: upwards in its
+    frame where something carries it, else zeros), ``stands`` (whether it lies on a face there),
+    ``sought`` and ``guesses`` (as the arm gave them), ``others`` ((n, 4, 4): where it may be besides,
+    the first ``kept`` of them the guesses; see `hierax.nodes.tracking.alternatives`), ``turn`` (how
+    often that was asked for), ``model`` (``vertices`` (n, 3) m, ``faces`` (m, 3)) and
     ``mass`` (kg).
 
     Args:
@@ -125,14 +136,15 @@ class SpatialNode(Node):
         bodies, interval_s = belief["bodies"], belief["interval_s"]
         coasting = [self._coasted(Motion(body["pose"], body["velocity"]), interval_s) for body in bodies]
         if not self._table:
-            return {**belief, "bodies": tuple(_at(body, to) for body, to in zip(bodies, coasting, strict=True))}
+            after = tuple(_at(body, to) for body, to in zip(bodies, coasting, strict=True))
+            return {**belief, "bodies": self._looked_for(after, interval_s)}
         solids = [self._solids[body["id"]][_is_driven(body)] for body in bodies]
         settled = self._simulator.run(solids, [Motion(body["pose"], body["velocity"]) for body in bodies], interval_s)
         after = tuple(
-            _resting(_at(body, self._bounded(body, free, physical)))
+            resting(_at(body, self._bounded(body, free, physical)), _is_carried(free, physical, interval_s))
             for body, free, physical in zip(bodies, coasting, settled, strict=True)
         )
-        return {**belief, "bodies": after}
+        return {**belief, "bodies": self._looked_for(after, interval_s)}
 
     def metrics(self, belief: Value) -> Mapping[str, float]:
         """How many bodies the arm tracks and has lost, and the fastest one's speed in mm/s."""
@@ -150,7 +162,7 @@ class SpatialNode(Node):
 
     def _moved(self, body: Body, seen: Mapping[str, Any], interval_s: float | None) -> Body:
         """The body with what the arm says of it; one that it has lost stays where it was predicted."""
-        heard = {**body, "status": seen["status"], "covariance": seen["covariance"], "seen": None, "unseen": 0}
+        heard = {**body, "seen": None, "unseen": 0, **{name: seen[name] for name in _HEARD}}
         if seen["status"] != "tracked":
             supposed = seen["pose"] if seen["status"] == "expected" else body["pose"]
             return {**heard, **_adrift(body, seen["covariance"], interval_s), "pose": supposed}
@@ -159,21 +171,23 @@ class SpatialNode(Node):
             observed = _displacement(body["seen"], pose) / interval_s
             change = self._gain((observed - drift) * interval_s, seen) * (observed - drift)
             drift = drift + _limited(change, _ACCELERATION * interval_s)
-        velocity = drift if interval_s is not None and self._moves(drift * interval_s, seen) else np.zeros(6)
-        return {**heard, "pose": pose, "velocity": velocity, "drift": drift, "seen": pose}
+        needed = _STOPPED_SIGMAS if body["velocity"].any() else _MOVES_SIGMAS
+        moves = interval_s is not None and self._moves(drift * interval_s, seen, needed)
+        velocity = drift if moves else np.zeros(6)
+        return {**heard, "pose": pose, "velocity": velocity, "drift": drift, "seen": pose, "known": True}
 
     def _gain(self, change: Floats, seen: Mapping[str, Any]) -> float:
         """How far the velocity follows: all the way where it changes by more than errors of poses do."""
         square = _sigmas_squared(change, seen["pose"], 2.0 * seen["covariance"])
         return self._velocity_gain + (1.0 - self._velocity_gain) * square / (square + _MOVES_SIGMAS**2)
 
-    def _moves(self, step: Floats, seen: Mapping[str, Any]) -> bool:
+    def _moves(self, step: Floats, seen: Mapping[str, Any], needed: float) -> bool:
         """Whether a mean displacement from frame to frame is more than errors of the poses make.
 
         Errors of poses that follow one another cancel in a running mean of their differences but for a part.
         """
         share = 2.0 * self._velocity_gain**2 / (2.0 - self._velocity_gain)
-        return _sigmas_squared(step, seen["pose"], share * seen["covariance"]) > _MOVES_SIGMAS**2
+        return _sigmas_squared(step, seen["pose"], share * seen["covariance"]) > needed**2
 
     def _coasted(self, motion: Motion, interval_s: float) -> Motion:
         """Constant velocity, slowly dying down."""
@@ -181,6 +195,14 @@ class SpatialNode(Node):
         step = velocity * interval_s
         moved = make_pose(exp_so3(step[3:]) @ pose[:3, :3], pose[:3, 3] + step[:3])
         return Motion(moved, velocity * np.exp(-self._damping * interval_s))
+
+    def _looked_for(self, bodies: Sequence[Body], interval_s: float) -> tuple[Body, ...]:
+        """The bodies with the poses at which they are to be looked for besides."""
+        found = []
+        for body in bodies:
+            moved = [self._coasted(Motion(guess, body["velocity"]), interval_s).pose for guess in body["guesses"]]
+            found.append(_with_others(body, np.array(moved).reshape(-1, 4, 4)))
+        return tuple(found)
 
     def _bounded(self, body: Body, free: Motion, physical: Motion) -> Motion:
         """What physics says, drawn back towards the free motion as far as the arm's certainty of the pose asks.
@@ -212,6 +234,13 @@ def _body(item: Mapping[str, Any]) -> Body:
         "seen": None,
         "unseen": 0,
         "support": np.zeros(3),
+        "stands": False,
+        "known": False,
+        "sought": False,
+        "turn": 0,
+        "guesses": _NO_POSES,
+        "others": _NO_POSES,
+        "kept": 0,
         "model": model,
         "mass": DENSITY_KG_M3 * float(np.prod(np.ptp(vertices, axis=0))),
     }
@@ -231,25 +260,28 @@ def _sigmas_squared(step: Floats, pose: Array, covariance: Array) -> float:
     return float(turned @ np.linalg.solve(covariance, turned))
 
 
-def _resting(body: Body) -> Body:
-    """What rests on something is as high, and as upright, as that leaves it: no longer less certain than this."""
-    velocity, pose = body["velocity"], body["pose"]
-    if np.abs(velocity[3:5]).max() > _RESTING_RAD_S or abs(velocity[2]) > _RESTING_M_S:
-        return {**body, "support": np.zeros(3)}
-    up = pose[:3, :3].T @ np.array([0.0, 0.0, 1.0])
-    if body["status"] != "tracked":
-        return {**body, "support": up}
-    level = np.linalg.svd(up[None])[2][1:]
-    directions = np.zeros((3, 6))
-    directions[0, :3] = up
-    directions[1:, 3:] = level
-    covariance = body["covariance"]
-    for direction, spread in zip(directions, (_RESTING_M, _RESTING_RAD, _RESTING_RAD), strict=True):
-        along = covariance @ direction
-        variance = float(direction @ along)
-        if variance > spread**2:
-            covariance = covariance - np.outer(along, along) * ((variance - spread**2) / variance**2)
-    return {**body, "covariance": covariance, "support": up}
+def _with_others(body: Body, guesses: Floats) -> Body:
+    """The same, with poses to look for it at besides the imagined one, where the arm asks for them.
+
+    Args:
+        body: as it is imagined for the next image.
+        guesses: (n, 4, 4) where it may be by then by what the arm saw.
+    """
+    if not body["sought"] or not body["known"]:
+        return {**body, "others": _NO_POSES, "kept": 0}
+    covariance = body["covariance"] if body["status"] != "tracked" else body["covariance"] + _ASTRAY
+    others = elsewhere(body["pose"], covariance, body["support"] * body["stands"], body["turn"])
+    return {
+        **body,
+        "others": np.concatenate((guesses, others[len(guesses) :])),
+        "kept": len(guesses),
+        "turn": body["turn"] + 1,
+    }
+
+
+def _is_carried(free: Motion, physical: Motion, interval_s: float) -> bool:
+    """Whether something below keeps a body from falling, by what physics has it do."""
+    return bool(free.pose[2, 3] - physical.pose[2, 3] < _FALLS * 0.5 * GRAVITY_M_S2 * interval_s**2)
 
 
 def _is_driven(body: Body) -> bool:

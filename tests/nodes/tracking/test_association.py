@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
 from support.boxes import INTRINSICS, photograph
 from support.drawn import BOXES, FIRST, all_expected, expected
 
+from hierax.nodes.tracking import association
 from hierax.nodes.tracking.association import Options, associate
 from hierax.nodes.tracking.geometry import exp_se3, pose_error
 from hierax.nodes.tracking.profiles import smoothed
+from hierax.nodes.tracking.searching import Found
 
 OPTIONS = Options(np.diag([0.01**2] * 3 + [0.06**2] * 3), 0.7, 0.75)
 CAMERA = np.diag([1.0 / 0.0015**2] * 3 + [1.0 / 0.0025**2] * 3)
@@ -92,3 +96,27 @@ def test_equal_to_the_bit_when_done_again() -> None:
     for one, other in zip(first[1], second[1], strict=True):
         assert one.pose.tobytes() == other.pose.tobytes()
         assert one.covariance.tobytes() == other.covariance.tobytes()
+
+
+@pytest.mark.parametrize(("away_m", "rests"), [(0.0005, True), (0.003, False)])
+def test_what_is_found_elsewhere_no_farther_away_than_predictions_err_did_not_move(
+    away_m: float, rests: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def found_there(_looking: Any, _objects: Any, _shift: Any, found: Found, *_: Any) -> Found:
+        there = found.poses @ exp_se3(np.array([away_m, 0.0, 0.0, 0.0, 0.0, 0.0]))
+        seen = np.diag([0.0003**2] * 3 + [0.003**2] * 3)[None]
+        return found._replace(poses=there, covariance=seen, unrest=np.ones(1), elsewhere=np.ones(1, dtype=bool))
+
+    monkeypatch.setattr(association, "look_elsewhere", found_there)
+    known = np.diag([0.0004**2] * 3 + [0.004**2] * 3)
+    item = {**expected(FIRST, FIRST.pose), "unrest": 0.02, "covariance": known, "probation": 1}
+    blank = smoothed(np.full((480, 640), 120, dtype=np.uint8))
+    found = associate(blank, [item], None, INTRINSICS, OPTIONS)
+    assert found is not None
+    estimate = found[1][0]
+    assert estimate.elsewhere != rests
+    assert (estimate.unrest == 1.0) != rests
+    moved = pose_error(estimate.pose, FIRST.pose)[0]
+    # Prediction and image are averaged, or the image alone is believed.
+    assert 0.2 * away_m < moved < 0.8 * away_m if rests else moved == pytest.approx(away_m)
+    assert np.trace(estimate.covariance) < np.trace(known)

@@ -100,7 +100,7 @@ def test_context_is_the_scene_as_the_camera_sees_it() -> None:
     camera = make_pose(exp_so3(np.array([0.3, -0.2, 0.1])), [0.1, 0.2, -0.4])
     pose = make_pose(np.eye(3), [0.05, 0.1, 0.2])
     body = {"id": 5, "obj_id": 2, "pose": pose, "velocity": np.zeros(6), "covariance": np.eye(6), "status": "tracked"}
-    body["support"] = np.zeros(3)
+    body.update(support=np.zeros(3), stands=False, others=np.zeros((0, 4, 4)), kept=0)
     body["model"] = {"vertices": mesh.vertices, "faces": mesh.faces}
     belief = {"camera": camera, "intrinsics": INTRINSICS, "size": SIZE, "frame": 3, "bodies": (body,)}
     context = SegmentedDepth()

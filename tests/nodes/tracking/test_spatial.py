@@ -35,7 +35,9 @@ def node(*poses: Floats, **options: Any) -> SpatialNode:
     return SpatialNode(objects, **options)
 
 
-def sighting(pose: Floats, number: int = 1, status: str = "tracked", covariance: Floats = CERTAIN) -> dict[str, Any]:
+def sighting(
+    pose: Floats, number: int = 1, status: str = "tracked", covariance: Floats = CERTAIN, sought: bool = False
+) -> dict[str, Any]:
     return {
         "id": number,
         "obj_id": 10 + number,
@@ -43,6 +45,8 @@ def sighting(pose: Floats, number: int = 1, status: str = "tracked", covariance:
         "covariance": covariance,
         "score": 0.9,
         "status": status,
+        "sought": sought,
+        "guesses": np.zeros((0, 4, 4)),
     }
 
 
