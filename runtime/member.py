@@ -239,15 +239,16 @@ class Member(NodeRunner):
         self._say_ready(version)
 
     def _go_on_as(self, order: Same) -> None:
-        """A version that changes nothing here: there is nothing to load, and nobody waits for an answer."""
+        """A version that changes nothing here: there is nothing to load, and nobody waits for an answer.
+
+        Where the earlier one lacks, the version is fetched when its first message comes.
+        """
         version = order.version
         self._fetched.discard(version)
         if version in self._linked or version in self._linking or not self.wired:
             return
         wiring = self.engine.wiring_of(order.earlier)
-        if wiring is None:
-            self.lacks(version)
-        elif version > self.engine.wiring.roster:
+        if wiring is not None and version > self.engine.wiring.roster:
             again = wiring.under(version)
             self._link(again, self._note_link)
             self.engine.prepare(again)

@@ -66,7 +66,8 @@ class Probe(ABC):
     def record(self, step: Step) -> None:
         """Called after each epoch, when the node's messages are sent, or before if it is prompt.
 
-        Nothing in `step` may be changed. Epochs may be told again, with a later attempt.
+        Nothing in `step` may be changed. Epochs may be told again, with a later attempt; a prompt probe may be
+        told of one that is never committed.
         """
 
     def close(self) -> None:

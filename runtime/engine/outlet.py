@@ -88,7 +88,7 @@ class Outlet(ABC):
         """The node is done with an epoch, and all its messages are sent."""
 
     def predicted(self, completed: Completed) -> None:
-        """The node is done with an epoch but for what follows: nothing of its outcome is kept or sent yet."""
+        """The node is done with an epoch but for what follows: neither its checkpoint nor its context is out yet."""
         return
 
     def save(self, epoch: int, attempt: int, start: bytes, now: bytes) -> None:

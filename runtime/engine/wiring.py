@@ -82,7 +82,10 @@ class Wiring:
         self.context: Sequence[tuple[str, Call | None]] = [(lower, edge.context) for lower, edge in downward.items()]
 
     def under(self, version: int) -> Wiring:
-        """The same under a version of the roster that changes nothing of the node, its edges and its neighbours."""
+        """The same under a version of the roster that changes nothing of the node, its edges and its neighbours.
+
+        What the place says of others stays that of the version before.
+        """
         again = copy(self)
         again.place = replace(self.place, roster=version)
         again.roster = version

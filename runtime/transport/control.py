@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 import logging
-import threading
 from collections.abc import Callable
 from typing import Any
 
 import zenoh
 
-from hierax.runtime.transport.pieces import Joiner, in_pieces
 from hierax.schemas.control import Control, decode_control, encode_control
 from hierax.schemas.errors import SchemaError
 from hierax.schemas.keys import Keys
@@ -28,7 +26,7 @@ class ControlLine:
         keys: of the run.
         address: where this end is reached.
         heard: called with each message, in a thread of Zenoh's: it must not take long.
-        most_bytes: how long a message the session's links carry; None: any.
+        most_bytes: how long a message the session's links carry; None: any. A longer one is not sent, and logged.
     """
 
     def __init__(
@@ -41,33 +39,31 @@ class ControlLine:
     ) -> None:
         self._session = session
         self._most_bytes = most_bytes
-        self._joiner = Joiner()
-        self._hearing = threading.Lock()
         self._keys = keys
         self._heard = heard
         self._subscriber: Any = session.declare_subscriber(keys.control(address), self._on_sample)
 
     def tell(self, address: str, control: Control) -> None:
         """Send a message; any thread may call it."""
+        data = encode_control(control)
+        if self._most_bytes is not None and len(data) > self._most_bytes:
+            what = f"{type(control).__name__} of {len(data)} bytes"
+            _log.warning("not sent: %s for %s; low-latency links carry at most %d", what, address, self._most_bytes)
+            return
         try:
-            for piece in in_pieces(encode_control(control), self._most_bytes):
-                self._session.put(
-                    self._keys.control(address),
-                    piece,
-                    congestion_control=zenoh.CongestionControl.DROP,
-                    priority=zenoh.Priority.INTERACTIVE_HIGH,
-                    express=True,
-                )
+            self._session.put(
+                self._keys.control(address),
+                data,
+                congestion_control=zenoh.CongestionControl.DROP,
+                priority=zenoh.Priority.INTERACTIVE_HIGH,
+                express=True,
+            )
         except zenoh.ZError as error:
             _log.info("a control message is not sent: %s", error)  # closing, or cut off: it is said again
 
     def _on_sample(self, sample: zenoh.Sample) -> None:
         try:
-            with self._hearing:  # each link has a thread of its own
-                data = self._joiner.join(sample.payload.to_bytes())
-            if data is None:
-                return
-            control = decode_control(data)
+            control = decode_control(sample.payload.to_bytes())
         except SchemaError as error:
             _log.warning("dropped what is no control message: %s", error)
             return

@@ -6,13 +6,11 @@ import logging
 import threading
 import time
 from collections import deque
-from contextlib import suppress
 from typing import Any, NamedTuple
 
 import zenoh
 
 from hierax.runtime.transport.hub import KEEPER
-from hierax.runtime.transport.pieces import Joiner
 from hierax.runtime.transport.port import TransportError
 from hierax.runtime.transport.zenoh_session import Settings, close_session, open_session
 from hierax.schemas.errors import SchemaError
@@ -135,8 +133,6 @@ class Ear:
         self._dropped: deque[tuple[str, bytes]] = deque()
         self._changed = threading.Condition()
         self._closed = False
-        self._control = keys.control("")
-        self._joiner = Joiner()
         try:
             self._channel = self._session.declare_subscriber(keys.everything, zenoh.handlers.FifoChannel(CHANNEL_SIZE))
             self._tokens = self._session.liveliness().declare_subscriber(keys.alive("*"), self._on_token, history=True)
@@ -189,18 +185,10 @@ class Ear:
             except zenoh.ZError:
                 break  # the session is closed
             if sample is not None:
-                self._hear(str(sample.key_expr), sample.payload.to_bytes())
+                self._keep(Heard(time.time_ns(), str(sample.key_expr), sample.payload.to_bytes()))
         with self._changed:
             self._closed = True
             self._changed.notify()
-
-    def _hear(self, key: str, data: bytes) -> None:
-        whole: bytes | None = data
-        if key.startswith(self._control):
-            with suppress(SchemaError):  # what makes no sense is kept as it came
-                whole = self._joiner.join(data)
-        if whole is not None:
-            self._keep(Heard(time.time_ns(), key, whole))
 
     def _on_token(self, sample: zenoh.Sample) -> None:
         is_up = sample.kind == zenoh.SampleKind.PUT

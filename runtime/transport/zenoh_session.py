@@ -38,6 +38,7 @@ CLOSE_TIMEOUT_S = 1.0
 
 _SHARED_MEMORY = Path("/dev/shm")
 _LOW_LATENCY = "transport/unicast/lowlatency"
+_BATCH = "transport/link/tx/batch_size"
 
 
 def open_session(
@@ -164,7 +165,10 @@ def _configured(ours: Mapping[str, Any], settings: Settings) -> zenoh.Config:
 def _set_low_latency(config: zenoh.Config, low_latency: bool) -> None:
     if config.get_json(_LOW_LATENCY) == "true":
         what = f"Zenoh's settings have {_LOW_LATENCY}, with which long messages get lost"
-        raise TransportError(f"{what}; leave it out, and say low_latency: true in the deployment")
+        raise TransportError(f"{what}; leave it out: low_latency: true in the deployment takes care of that")
+    if low_latency and config.get_json(_BATCH) != zenoh.Config().get_json(_BATCH):
+        what = f"Zenoh's settings have {_BATCH}, which bounds what low-latency links carry"
+        raise TransportError(f"{what}; leave it out, or low_latency: true")
     config.insert_json5(_LOW_LATENCY, json.dumps(low_latency))
 
 

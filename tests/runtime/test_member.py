@@ -15,6 +15,7 @@ from hierax.runtime.recovery.disk import MappedFile
 from hierax.runtime.recovery.slots import Slots
 from hierax.runtime.transport.memory import MemoryNetwork
 from hierax.schemas.control import Control, Fetch, Same, Taken, TakeOver
+from hierax.schemas.messages import OBSERVATIONS, Header, Message
 
 NODE = MixingNode("n")
 STATE = encode_state(NODE.initial_belief(), NODE.initial_policy, ())
@@ -86,9 +87,11 @@ def test_a_version_that_changes_nothing_here_is_prepared_without_a_word(slots: S
     assert said == []
 
 
-def test_a_version_like_one_that_it_never_had_is_asked_for(slots: Slots) -> None:
+def test_a_version_like_one_that_it_never_had_is_asked_for_when_a_message_of_it_comes(slots: Slots) -> None:
     said: list[Control] = []
     member = newcomer(slots, said)
     member.obey(Same(5, 4))
     assert member.engine.prepared == frozenset()
+    assert said == []
+    member.step(Message(Header(OBSERVATIONS, "other", "n", 1, roster=5), ()))
     assert said == [Fetch("n", "token", 5)]

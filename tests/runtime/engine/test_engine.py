@@ -6,7 +6,7 @@ from typing import Any
 
 import pytest
 from support.engines import EPOCH, Solo, encoded, message, other, wiring
-from support.recording import Acted, Completed, Kept, Sent, of, sent, steps
+from support.recording import Acted, Completed, Kept, Recorder, Sent, of, sent, steps
 
 from hierax.runtime.core.process import ActiveNode
 from hierax.runtime.engine.engine import Engine
@@ -91,6 +91,27 @@ def test_a_node_saves_before_it_sends_context_and_is_done_after_that() -> None:
     assert kinds == [Kept, OBSERVATIONS, TASKS, Kept, CONTEXT, Completed]
     outputs = mixing().take(message(OBSERVATIONS), message(TASKS))
     assert [each.header.kind for each in sent(outputs)] == [OBSERVATIONS]
+
+
+class Prompt(Recorder):
+    """Keeps what was predicted, too, as if it were completed then."""
+
+    def predicted(self, completed: Completed) -> None:
+        self.outputs.append(completed)
+
+
+def test_the_outcome_is_told_before_the_checkpoint_the_context_and_the_act() -> None:
+    node, above = mixing(), world("mid")
+    for solo in (node, above):
+        solo.recorder = Prompt()
+        solo.engine = Engine(solo.engine.wiring, solo.recorder)
+    outputs = node.epoch()
+    kinds = [each.message.header.kind if isinstance(each, Sent) else type(each) for each in outputs]
+    assert kinds == [Kept, OBSERVATIONS, TASKS, Completed, Kept, CONTEXT, Completed]
+    first, second = of(Completed, outputs)
+    assert first is second
+    outputs = above.begin() + above.take(down("mid"))
+    assert [type(output) for output in outputs] == [Sent, Completed, Acted, Committed, Completed]
 
 
 def test_the_first_thing_that_a_node_keeps_is_its_initial_state() -> None:

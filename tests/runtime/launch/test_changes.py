@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 import signal
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
@@ -37,18 +38,23 @@ def test_attach_replace_and_detach_are_repeated_to_the_bit(live: Live) -> None:
     assert "top: its process exits: top: it is detached from epoch " in said
 
 
-def test_beliefs_longer_than_low_latency_links_carry_at_once_are_handed_over(tmp_path: Path) -> None:
+def test_low_latency_links_hand_over_short_beliefs_and_say_what_is_too_long(tmp_path: Path) -> None:
     live = Live(tmp_path, "--set", "low_latency=true")
     try:
         top, other = live.snippet("top", "high"), live.snippet("top", generation=1)
-        for path in (top, other):
-            snippet = Path(path)
-            text = snippet.read_text(encoding="utf-8").replace("hierax.runtime.sim.nodes:Mixer", BULKY)
-            snippet.write_text(text, encoding="utf-8")
         schedule = [
             f"{live.change('attach', top)}:attach:{top}",
             f"{live.change('replace', 'top', other)}:replace:top:{other}",
         ]
+        big, too = live.snippet("big", "high"), live.snippet("big", generation=1)
+        for path in (big, too):
+            text = Path(path).read_text(encoding="utf-8").replace("hierax.runtime.sim.nodes:Mixer", BULKY)
+            Path(path).write_text(text, encoding="utf-8")
+        schedule.append(f"{live.change('attach', big)}:attach:{big}")
+        done = live.hierax("replace", "big", too)
+        assert (done.returncode, done.stderr) == (1, "error: no answer from big within 5 s\n")
+        said = "".join(live.launch.err)
+        assert re.search(r"not sent: State of 1\d+ bytes for owner; low-latency links carry at most 32768", said)
         live.goes_on()
         live.is_repeated_by(*schedule)
     finally:

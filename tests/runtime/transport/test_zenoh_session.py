@@ -4,12 +4,20 @@ from __future__ import annotations
 
 import subprocess
 import sys
+import time
 from pathlib import Path
 
 import pytest
+import zenoh
 
 from hierax.runtime.transport.port import TransportError
-from hierax.runtime.transport.zenoh_session import close_session, free_endpoint, open_session, remove_orphaned_segments
+from hierax.runtime.transport.zenoh_session import (
+    LOW_LATENCY_BYTES,
+    close_session,
+    free_endpoint,
+    open_session,
+    remove_orphaned_segments,
+)
 
 
 def test_it_listens_on_loopback_only() -> None:
@@ -55,8 +63,34 @@ def test_the_file_that_zenoh_config_names_is_read(tmp_path: Path, monkeypatch: p
 
 def test_low_latency_is_not_to_be_had_by_zenoh_s_settings_alone() -> None:
     settings = "{transport: {unicast: {lowlatency: true, qos: {enabled: false}}}}"
-    with pytest.raises(TransportError, match="long messages get lost; leave it out, and say low_latency: true"):
-        open_session(settings=settings)
+    with pytest.raises(TransportError, match="long messages get lost; leave it out: low_latency: true in"):
+        open_session(settings=settings, low_latency=True)
+    settings = "{transport: {link: {tx: {batch_size: 8192}}}}"
+    with pytest.raises(TransportError, match="batch_size, which bounds what low-latency links carry"):
+        open_session(settings=settings, low_latency=True)
+
+
+@pytest.mark.parametrize("low_latency", [False, True])
+def test_low_latency_links_carry_no_long_messages(low_latency: bool) -> None:
+    """What Zenoh does, and why ports refuse them; the short message that follows a long one tells when to look."""
+    endpoint = free_endpoint()
+    sender = open_session([endpoint], low_latency=low_latency, shared_memory=False)
+    receiver = open_session(connect=[endpoint], low_latency=low_latency, shared_memory=False)
+    try:
+        came = receiver.declare_subscriber("long", zenoh.handlers.FifoChannel(8))
+        publisher = sender.declare_publisher("long", congestion_control=zenoh.CongestionControl.BLOCK)
+        patience = time.monotonic() + 20.0
+        while not publisher.matching_status.matching:
+            assert time.monotonic() < patience
+        for size in (LOW_LATENCY_BYTES, 100_000, 1):
+            publisher.put(bytes(size))
+        sizes: list[int] = []
+        while not sizes or sizes[-1] != 1:
+            sizes.append(len(came.recv().payload.to_bytes()))
+        assert sizes == ([LOW_LATENCY_BYTES, 1] if low_latency else [LOW_LATENCY_BYTES, 100_000, 1])
+    finally:
+        close_session(receiver)
+        close_session(sender)
 
 
 @pytest.mark.parametrize("settings", ["{mode: }", '{mode: "king"}', "there/is/no/such.json5"])
