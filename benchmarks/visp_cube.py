@@ -2,7 +2,7 @@
 
     python benchmarks/visp_cube.py OUT_DIR [--every N] [--images DIR]
     hierax launch deploy/tracking.yaml --set scene=OUT_DIR/test/000001 --set output=poses.csv
-    python benchmarks/visp_cube.py --score poses.csv
+    python benchmarks/visp_cube.py --score poses.csv [--every N] [--against all.csv]
 
 The package is under the GPL: nothing of it is part of hierax; what is written to OUT_DIR
 is. The cube slides on a table before a still camera. So its bottom centre stays in one
@@ -21,7 +21,7 @@ import numpy as np
 
 from hierax.nodes.tracking.bop import read_results
 from hierax.nodes.tracking.errors import DataError
-from hierax.nodes.tracking.geometry import Array, Floats, exp_so3, make_pose, transform
+from hierax.nodes.tracking.geometry import Array, Floats, exp_so3, make_pose, pose_error, transform
 from hierax.nodes.tracking.models import Mesh
 from hierax.nodes.tracking.ply import write_ply
 
@@ -158,6 +158,52 @@ def planarity(poses: Floats) -> tuple[float, float]:
     return residual * 1000.0, float(np.degrees(tilt))
 
 
+def straightened(poses: Floats) -> Floats:
+    """Poses of a sliding cube, put onto their own plane and upright on it: what is known of the truth.
+
+    A pose is moved along the ray through its bottom centre, as depth is what pictures tell least.
+    """
+    bottom = np.array(BOTTOM_CENTRE_M)
+    centres = np.array([transform(pose, bottom) for pose in poses])
+    middle = centres.mean(axis=0)
+    normal = np.linalg.svd(centres - middle)[2][-1]
+    up = poses[:, :3, 2].mean(axis=0)
+    up /= np.linalg.norm(up)
+    placed = []
+    for pose, centre in zip(poses, centres, strict=True):
+        turn = exp_so3(rotation_between(pose[:3, 2], up))
+        rotation = turn @ pose[:3, :3]
+        place = centre * (middle @ normal) / (centre @ normal)
+        placed.append(make_pose(rotation, place - rotation @ bottom))
+    return np.array(placed)
+
+
+def rotation_between(before: Floats, after: Floats) -> Floats:
+    """The rotation vector (radians) that turns one unit vector to another, the short way."""
+    axis = np.cross(before, after)
+    size = float(np.linalg.norm(axis))
+    angle = float(np.arctan2(size, before @ after))
+    return axis * (angle / size) if size > 0.0 else np.zeros(3)
+
+
+def share_right(poses: dict[int, Floats], against: dict[int, Floats], most_mm: float, most_deg: float) -> float:
+    """Percentage of poses that are no farther than this from those of the same frames."""
+    errors = [pose_error(against[frame], pose) for frame, pose in poses.items()]
+    return 100.0 * float(np.mean([1e3 * off <= most_mm and np.degrees(turn) <= most_deg for off, turn in errors]))
+
+
+def compare(path: Path, full: Path) -> None:
+    """Print how many poses of a results file are those of another one with all frames, straightened."""
+    found = {result.im_id: result.pose for result in read_results(path)}
+    every = {result.im_id: result.pose for result in read_results(full)}
+    if found.keys() - every.keys():
+        raise DataError(f"{full}: frame {min(found.keys() - every.keys())} is missing")
+    against = dict(zip(every, straightened(np.array(list(every.values()))), strict=True))
+    for most in (5.0, 2.0):
+        share = share_right(found, against, most, most)
+        print(f"within {most:g} mm and {most:g}°  {share:.1f} % of {full.name}, straightened")
+
+
 def score(path: Path, frames: int) -> None:
     """Print how many frames a results file reports and how planar the motion in it is."""
     results = read_results(path)
@@ -177,12 +223,15 @@ def main() -> int:
     parser.add_argument("--every", type=int, default=1, metavar="N", help="take every N-th photograph")
     parser.add_argument("--images", type=Path, default=PACKAGE_FOLDER, metavar="DIR", help="the folder 'mbt'")
     parser.add_argument("--score", type=Path, metavar="CSV", help="score this results file")
+    parser.add_argument("--against", type=Path, metavar="CSV", help="beside the results file of all photographs")
     arguments = parser.parse_args()
     if (arguments.out is None) == (arguments.score is None) or arguments.every < 1:
         parser.error("give either OUT_DIR or --score, and an N of at least 1")
     try:
         if arguments.score is not None:
             score(arguments.score, len(range(0, FRAMES, arguments.every)))
+            if arguments.against is not None:
+                compare(arguments.score, arguments.against)
         else:
             count = convert(arguments.images, arguments.out, arguments.every)
             print(f"{count} frames in {arguments.out / 'test' / '000001'}")

@@ -51,6 +51,22 @@ def sliding(count: int, rng: np.random.Generator) -> Floats:
     return np.array(poses)
 
 
+def test_poses_beside_those_of_the_full_run_put_onto_its_plane() -> None:
+    rng = np.random.default_rng(2)
+    truth = sliding(60, rng)
+    rough = truth.copy()
+    for pose in rough:
+        pose[:3, 3] *= rng.uniform(0.997, 1.003)  # along the rays through where the object's frame is
+    straight = visp_cube.straightened(rough)
+    off = [np.linalg.norm(each[:3, 3] - true[:3, 3]) for each, true in zip(straight, truth, strict=True)]
+    assert max(off) < 0.0012
+    assert visp_cube.planarity(straight) == pytest.approx((0.0, 0.0), abs=1e-3)
+    wrong = {0: truth[0], 3: truth[3] @ make_pose(np.eye(3), [0.0, 0.0, 0.004])}
+    against = dict(enumerate(truth))
+    assert visp_cube.share_right(wrong, against, 5.0, 5.0) == 100.0
+    assert visp_cube.share_right(wrong, against, 2.0, 2.0) == 50.0
+
+
 def test_planarity_of_sliding_is_nil_and_of_lifting_is_measured() -> None:
     poses = sliding(40, np.random.default_rng(1))
     assert visp_cube.planarity(poses) == pytest.approx((0.0, 0.0), abs=1e-4)
