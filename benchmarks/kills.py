@@ -123,6 +123,7 @@ def kill_at_random(options: argparse.Namespace) -> list[str]:
     rng = random.Random(options.seed)
     faults: list[str] = []
     costs: list[float] = []
+    frames_are = "each once"
     wanted = undisturbed(with_device=False)
     left, kills = options.kills, Counter[str]()
     while left:
@@ -141,9 +142,8 @@ def kill_at_random(options: argparse.Namespace) -> list[str]:
             faults.append(f"random, seed {options.seed}: {found.kills} ends noticed of {len(run.victims)}")
         if frames != list(range(EPOCHS)):
             faults.append(f"random, seed {options.seed}: poses of the frames {frames}")
+            frames_are = "NOT each once"
     named = ", ".join(f"{name} {kills[name]}" for name in NODES)
-    each_once = not any("poses" in fault for fault in faults)
-    frames_are = "each once" if each_once else "NOT each once"
     print(f"{kills.total()} kills at random ({named}): {table(costs)}; frames in poses.csv: {frames_are}")
     return faults
 

@@ -147,15 +147,18 @@ def planarity(poses: Floats) -> tuple[float, float]:
         The bottom centre's distance from its best plane (mm rms), the up axis's angle to
         its mean direction (degrees rms).
     """
-    centres = np.array([transform(pose, np.array(BOTTOM_CENTRE_M)) for pose in poses])
-    around = centres - centres.mean(axis=0)
-    normal = np.linalg.svd(around)[2][-1]
-    residual = float(np.sqrt(np.mean((around @ normal) ** 2)))
-    ups = poses[:, :3, 2]
-    mean = ups.mean(axis=0)
-    cosine = np.clip(ups @ (mean / np.linalg.norm(mean)), -1.0, 1.0)
+    centres, normal, up = sliding_plane(poses)
+    residual = float(np.sqrt(np.mean(((centres - centres.mean(axis=0)) @ normal) ** 2)))
+    cosine = np.clip(poses[:, :3, 2] @ up, -1.0, 1.0)
     tilt = float(np.sqrt(np.mean(np.arccos(cosine) ** 2)))
     return residual * 1000.0, float(np.degrees(tilt))
+
+
+def sliding_plane(poses: Floats) -> tuple[Floats, Floats, Floats]:
+    """The bottom centres (n, 3) of poses (n, 4, 4), the normal of their best plane, and the mean up axis."""
+    centres = np.array([transform(pose, np.array(BOTTOM_CENTRE_M)) for pose in poses])
+    up = poses[:, :3, 2].mean(axis=0)
+    return centres, np.linalg.svd(centres - centres.mean(axis=0))[2][-1], up / np.linalg.norm(up)
 
 
 def straightened(poses: Floats) -> Floats:
@@ -164,11 +167,8 @@ def straightened(poses: Floats) -> Floats:
     A pose is moved along the ray through its bottom centre, as depth is what pictures tell least.
     """
     bottom = np.array(BOTTOM_CENTRE_M)
-    centres = np.array([transform(pose, bottom) for pose in poses])
+    centres, normal, up = sliding_plane(poses)
     middle = centres.mean(axis=0)
-    normal = np.linalg.svd(centres - middle)[2][-1]
-    up = poses[:, :3, 2].mean(axis=0)
-    up /= np.linalg.norm(up)
     placed = []
     for pose, centre in zip(poses, centres, strict=True):
         turn = exp_so3(rotation_between(pose[:3, 2], up))

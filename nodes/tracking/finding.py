@@ -12,15 +12,16 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from hierax.nodes.tracking.alignment import Aligned, Start, align
+from hierax.nodes.tracking.alignment import Aligned, Start
 from hierax.nodes.tracking.appearance import Memory, of_mapping, recalled
 from hierax.nodes.tracking.controls import POINTS_MAX
 from hierax.nodes.tracking.fusion import Prior
 from hierax.nodes.tracking.geometry import Array, Floats
 from hierax.nodes.tracking.profiles import Controls, Indices, gathered, lines_of
 from hierax.nodes.tracking.rigid import inverse, invert_many, log_many
-from hierax.nodes.tracking.searching import FINE, ROUGH, ROUGH_POINTS, Found, Looking, search_elsewhere
+from hierax.nodes.tracking.searching import FINE, ROUGH, ROUGH_POINTS, Found, Looking, aligned_each, search_elsewhere
 from hierax.nodes.tracking.stages import Search
+from hierax.nodes.tracking.tracked import TRACKED
 
 GUESSES = 3
 """So many candidates of an object are kept from one image to the next."""
@@ -115,16 +116,13 @@ def find_again(
         prior: what was known before the image.
     """
     candidates, controls, memory = _candidates(looking, objects, shift, found, sought)
+    imagined = looking._replace(controls=controls, memory=memory)
     covariance = prior._replace(unrest=np.ones(len(objects))).spread()
     information = inverse(covariance)
 
     def aligned(which: _Candidates, search: Search, most: int) -> Aligned | None:
-        places = controls.rows_of([int(view) for view in which.views], most)
-        rows = np.concatenate(places)
-        beside = Memory(*(part[rows] for part in memory))
         start = Start(which.starts, information[which.owners])
-        search = search._replace(noise_px=looking.noise_px)
-        return align(looking.image, controls.of(places), start, looking.intrinsics, beside, search)
+        return aligned_each(imagined, [int(view) for view in which.views], start, search, most)
 
     fresh = candidates.only(~candidates.settled)
     rough = aligned(fresh, ROUGH, ROUGH_POINTS) if len(fresh.owners) else None
@@ -144,7 +142,7 @@ def find_again(
     evidence, shown = _evidence(looking, found, fine, controls, memory, candidates)
     worth = evidence - np.minimum(0.5 * squares, _UNLIKELIEST * shown)
     eligible = (fine.scores >= _FOUND_SCORE) & (shown >= _LEAST_FOUND)
-    tracked = np.array([item["status"] == "tracked" for item in objects])
+    tracked = np.array([item["status"] == TRACKED for item in objects])
     return _chosen(found, candidates, fine, worth, eligible, information, sought, tracked)
 
 

@@ -22,6 +22,7 @@ from hierax.nodes.tracking.geometry import Array, Floats
 from hierax.nodes.tracking.profiles import Controls, Image
 from hierax.nodes.tracking.rigid import exp_many, inverse, invert_many, log_many
 from hierax.nodes.tracking.stages import Search
+from hierax.nodes.tracking.tracked import TRACKED
 
 ROUGH = Search(
     reach_px=(20,), scale_px=((20.0, 6.0),), iterations=5, fine_px=(4.0, 4.0), fine_iterations=1, support_px=3.0
@@ -169,13 +170,13 @@ def search_elsewhere(
         starts += own
         tries += [at] * len(own)
     information = inverse(spread)
-    rough = _aligned(looking, tries, Start(np.stack(starts), information[tries]), ROUGH, ROUGH_POINTS)
+    rough = aligned_each(looking, tries, Start(np.stack(starts), information[tries]), ROUGH, ROUGH_POINTS)
     if rough is None:
         return found
     kept = np.sort(np.concatenate([_best(rough, tries, at) for at in doubtful]))
     tries = [tries[number] for number in kept]
     start = Start(rough.poses[kept], information[tries])
-    fine = _aligned(looking, tries, start, FINE, POINTS_MAX)
+    fine = aligned_each(looking, tries, start, FINE, POINTS_MAX)
     if fine is None:
         return found
     predicted = np.stack([shift @ objects[at]["pose"] for at in tries])
@@ -196,7 +197,16 @@ def search_elsewhere(
     return _chosen(found, tries, start, fine, worth)
 
 
-def _aligned(looking: Looking, tries: Sequence[int], start: Start, search: Search, most: int) -> Aligned | None:
+def aligned_each(looking: Looking, tries: Sequence[int], start: Start, search: Search, most: int) -> Aligned | None:
+    """Several starts of the same objects, each aligned as if it were an object of its own.
+
+    Args:
+        looking: the image, and what is known of the objects' edges.
+        tries: (n,) which object's control points each start has.
+        start: of each.
+        search: how.
+        most: how many control points each has at most.
+    """
     places = looking.controls.rows_of(tries, most)
     rows = np.concatenate(places)
     several = looking.controls.of(places)
@@ -231,7 +241,7 @@ def in_turn(item: Mapping[str, Any]) -> bool:
 
 
 def _is_worse(score: float, item: Mapping[str, Any]) -> bool:
-    return bool(item["status"] == "tracked" and score < _WORSE * item["score"])
+    return bool(item["status"] == TRACKED and score < _WORSE * item["score"])
 
 
 def _is_astray(item: Mapping[str, Any]) -> bool:
