@@ -246,10 +246,13 @@ class _Assembly:
             step = steps.get(attempt) if self._barrier else steps[max(steps)]
             if step is not None and name in roster.nodes:
                 nodes[name] = NodeTrace(step)
+        told = next((trace.step for trace in nodes.values()), None)
         for name in roster.nodes.keys() - nodes.keys():
             later = self._state_from(name, epoch + 1)
-            if later is not None and self._barrier:
-                nodes[name] = NodeTrace(later._replace(epoch=epoch, attempt=attempt, roster=roster.version))
+            if later is not None and told is not None and self._barrier:
+                nodes[name] = NodeTrace(
+                    later._replace(epoch=epoch, attempt=attempt, roster=roster.version, time_s=told.time_s)
+                )
         digest = (world[attempt].chain if world else b"") or pending.digest
         previous = self._digest[1] if self._digest[0] == epoch - 1 else b""
         named = dict(sorted(nodes.items()))

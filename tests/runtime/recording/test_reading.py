@@ -17,6 +17,7 @@ from hierax.runtime.recording.topics import MESSAGE, STEP, glance, topic_of
 from hierax.runtime.recording.writing import McapFile
 from hierax.schemas.errors import SchemaError
 from hierax.schemas.messages import CONTEXT, Header, Message, encode_message
+from hierax.schemas.steps import encode_step
 from hierax.schemas.values import encode_value
 
 SEED = 20
@@ -114,6 +115,33 @@ def test_cut_off_anywhere_all_whole_chunks_are_there(recording: Recording, chunk
         if complete:
             assert compare(cut.epochs(last=complete[-1]), Replay(cut, last=complete[-1]).epochs()).alike
     assert last == len(whole)
+
+
+@pytest.mark.parametrize("name", ["high", "low", "world"])
+def test_what_a_killed_process_did_not_tell_its_next_one_does(recording: Recording, name: str, tmp_path: Path) -> None:
+    """Of its last epoch: the state at the beginning of the next one, and none of that one's time or inputs."""
+    path = tmp_path / "killed.mcap"
+    file = McapFile(path, recording.info)
+    state = b""
+    for entry in recording.entries():
+        data = entry.data
+        if entry.topic.what == STEP and entry.topic.names == (name,):
+            step = entry.step()
+            if step.epoch == 4:
+                state = step.state
+                continue
+            data = encode_step(step._replace(start=state)) if step.epoch == 5 else data
+        file.add(entry.key, entry.topic.what, entry.time_ns, entry.epoch, data)
+    assert recording.ending is not None
+    file.close(recording.ending)
+    killed = Recording.open(path)
+    whole, lacking = (next(each.epochs(first=4)) for each in (recording, killed))
+    assert lacking.lacking == ()
+    assert whole.nodes.keys() == lacking.nodes.keys()
+    assert {trace.step.time_s for trace in lacking.nodes.values()} == {whole.time_s}
+    comparison = compare(killed.epochs(), Replay(killed, world=True).epochs())
+    assert comparison.alike, comparison
+    assert comparison.digests == comparison.epochs == 12
 
 
 def test_damage_before_the_end_is_named(chunked: Path, tmp_path: Path) -> None:
