@@ -23,8 +23,9 @@ demo: $(RUNS)
 	$(BIN)/python -m hierax.nodes.tracking.report demo-output
 	@echo "Look at demo-output/pictures/contact-sheet.png and demo-output/errors.png"
 
+# two workers; one of them has all tests that start processes (tests/conftest.py)
 test: $(INSTALLED)
-	$(BIN)/python -m pytest
+	$(BIN)/python -m pytest --numprocesses 2
 
 # docs/model.md; Debian's spin is installed where it is missing, if root may
 model: $(INSTALLED)

@@ -1,4 +1,4 @@
-"""For all tests: launches leave their logs where nobody looks for those of real ones."""
+"""For all tests: how two workers share them, and where launches leave their logs."""
 
 from __future__ import annotations
 
@@ -6,6 +6,40 @@ import os
 from collections.abc import Iterator
 
 import pytest
+
+STARTING = (
+    "tests/benchmarks/",
+    "tests/docs/",
+    "tests/nodes/causal_tree/",
+    "tests/nodes/picking/",
+    "tests/runtime/bench/",
+    "tests/runtime/commands/",
+    "tests/runtime/core/test_digest.py",
+    "tests/runtime/launch/",
+    "tests/runtime/recording/",
+    "tests/runtime/recovery/",
+    "tests/runtime/test_loading.py",
+    "tests/runtime/testing/",
+    "tests/runtime/tools/",
+    "tests/runtime/transport/",
+    "tests/runtime/viewing/",
+    "tests/runtime/watch/",
+    "tests/test_docs_testing.py",
+    "tests/test_readme.py",
+)
+"""Tests that start processes, or look for what processes leave on the machine: one worker has them all, one by one."""
+
+
+@pytest.hookimpl(optionalhook=True)
+def pytest_xdist_make_scheduler(config: pytest.Config, log: object) -> object:
+    """How `make test` divides the tests among its workers."""
+    from xdist.scheduler import LoadScopeScheduling
+
+    class ByFile(LoadScopeScheduling):
+        def _split_scope(self, nodeid: str) -> str:
+            return STARTING[0] if nodeid.startswith(STARTING) else nodeid.partition("::")[0]
+
+    return ByFile(config, log)
 
 
 @pytest.fixture(scope="session", autouse=True)
