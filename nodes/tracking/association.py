@@ -38,6 +38,10 @@ _LEAST_SHOWN = 10.0
 
 _SURE_SEEN = 0.9
 _LEARNED_UNREST = 0.1
+_STILL_M, _STILL_RAD = 0.0005, 0.002
+"""What is predicted to move less than this from one image to the next, and is as calm, tells where its edges are off:
+by its shadows. Of what moves, the prediction is, and an edge that comes into view would soon not be trusted."""
+
 _FOUND_PX = 1.0
 
 
@@ -127,7 +131,8 @@ def associate(
         looking = Looking(image, task.controls, task.memory, intrinsics, options.error_px)
         elsewhere = look_elsewhere(looking, objects, shift, found, searched, prior)
         found = _if_expected(elsewhere, found, prior, shift @ task.start.poses)
-    learned = _learned(best.aligned, found, task, slots, doubtful)
+    still = [_is_still(item, found.unrest[at]) for at, item in enumerate(objects)]
+    learned = _learned(best.aligned, found, task, slots, doubtful, still)
     vain = [item["vain"] + 1 if at in doubtful else max(0, item["vain"] - 1) for at, item in enumerate(objects)]
     vain = [0 if found.elsewhere[at] else count for at, count in enumerate(vain)]
     return shift, _estimates(found, learned, vain)
@@ -185,12 +190,19 @@ def _is_doubtful(found: Found, at: int, item: Mapping[str, Any], options: Option
     return bool(found.scores[at] < enough or (found.unrest[at] == 1.0 and item["unrest"] < 1.0))
 
 
+def _is_still(item: Mapping[str, Any], unrest: float) -> bool:
+    motion = log_many(invert_many(item["before"][None]) @ item["pose"][None])[0]
+    slow = np.linalg.norm(motion[:3]) < _STILL_M and np.linalg.norm(motion[3:]) < _STILL_RAD
+    return bool(slow and unrest < _LEARNED_UNREST)
+
+
 def _learned(
     aligned: Aligned,
     found: Found,
     task: Task,
     slots: list[dict[str, Any]],
     doubtful: list[int],
+    still: list[bool],
 ) -> list[dict[str, Any]]:
     """What is remembered of the looks of those objects that are surely where they were expected."""
     controls, lines, profiles, matches = task.controls, aligned.lines, aligned.profiles, aligned.matches
@@ -209,7 +221,7 @@ def _learned(
         columns = matches.columns[chosen]
         colours = np.stack((profiles.inside[chosen, columns], profiles.outside[chosen, columns]), axis=1)
         known = remembered(known, controls, lines.rows[chosen], colours)
-        if found.unrest[at] < _LEARNED_UNREST:
+        if still[at]:
             known = measured(known, controls.slots[lines.rows[chosen], 0] // EDGE_SLOTS, offsets[chosen])
         else:
             known = moved(known)

@@ -32,7 +32,7 @@ _KEPT = 4
 ROUGH_POINTS = 40
 """How many of an object's starts are aligned finely, and with how many of its control points all are roughly."""
 
-_BETTER = 0.05
+_BETTER = 0.03
 """By so much of its control points another explanation must be better than the expected one."""
 
 _LEAST_FOUND = 18.0

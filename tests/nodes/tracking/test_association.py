@@ -78,6 +78,21 @@ def test_images_without_the_object_score_low() -> None:
     assert np.allclose(held[1][0].pose, FIRST.pose, atol=1e-9)
 
 
+@pytest.mark.parametrize("away", [0.0, 0.002])
+def test_where_its_edges_are_off_is_told_by_what_is_still(away: float) -> None:
+    """Of what moves it is rather the prediction that is off."""
+    item = expected(FIRST, FIRST.pose)
+    item = {**item, "unrest": 0.02, "before": FIRST.pose @ exp_se3(np.array([away, 0.0, 0.0, 0.0, 0.0, 0.0]))}
+    item = {**item, "covariance": 0.01 * item["covariance"]}
+    image = smoothed(photograph([FIRST], 1.0, np.random.default_rng(12)))
+    for _ in range(3):
+        found = associate(image, [item], None, INTRINSICS, OPTIONS)
+        assert found is not None
+        item = {**item, "slots": found[1][0].slots}
+    assert len(item["slots"]["keys"]) > 0
+    assert (len(item["slots"]["edges"]) > 0) == (away == 0.0)
+
+
 def test_nothing_is_said_where_nothing_is_expected_in_the_image() -> None:
     image = smoothed(np.full((480, 640), 120, dtype=np.uint8))
     behind = FIRST.pose.copy()
