@@ -146,7 +146,10 @@ class Live:
 
     def hierax(self, *arguments: str) -> subprocess.CompletedProcess[str]:
         """What a command says, in the launch's namespace."""
-        return hierax(self.folder, *arguments, namespace=self.namespace)
+        try:
+            return hierax(self.folder, *arguments, namespace=self.namespace)
+        except subprocess.TimeoutExpired as error:
+            raise AssertionError(f"{error}; the launch has said\n{''.join(self.launch.err)}") from error
 
     def change(self, *arguments: str) -> int:
         """The first epoch under a change."""
