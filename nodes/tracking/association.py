@@ -31,6 +31,7 @@ from hierax.nodes.tracking.together import (
     prior_of,
     task_of,
 )
+from hierax.nodes.tracking.tracked import motion_of
 
 _SEARCHED_AT_ONCE = 3
 _LEAST_SHOWN = 10.0
@@ -191,7 +192,7 @@ def _is_doubtful(found: Found, at: int, item: Mapping[str, Any], options: Option
 
 
 def _is_still(item: Mapping[str, Any], unrest: float) -> bool:
-    motion = log_many(invert_many(item["before"][None]) @ item["pose"][None])[0]
+    motion = motion_of(item)
     slow = np.linalg.norm(motion[:3]) < _STILL_M and np.linalg.norm(motion[3:]) < _STILL_RAD
     return bool(slow and unrest < _LEARNED_UNREST)
 

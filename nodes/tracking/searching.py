@@ -22,7 +22,7 @@ from hierax.nodes.tracking.geometry import Array, Floats
 from hierax.nodes.tracking.profiles import Controls, Image
 from hierax.nodes.tracking.rigid import exp_many, inverse, invert_many, log_many
 from hierax.nodes.tracking.stages import Search
-from hierax.nodes.tracking.tracked import TRACKED
+from hierax.nodes.tracking.tracked import TRACKED, motion_of
 
 ROUGH = Search(
     reach_px=(20,), scale_px=((20.0, 6.0),), iterations=5, fine_px=(4.0, 4.0), fine_iterations=1, support_px=3.0
@@ -250,7 +250,7 @@ def _is_astray(item: Mapping[str, Any]) -> bool:
 
 def _starts(item: Mapping[str, Any], shift: Floats, spread: Floats) -> list[Floats]:
     """Where an object may be: on its way from where it was, and around where it was expected."""
-    motion = log_many(invert_many(item["before"][None]) @ item["pose"][None])[0]
+    motion = motion_of(item)
     moves = np.array([1.0] if np.linalg.norm(motion) < 1e-4 else _FARTHER)
     ways = [shift @ item["before"] @ way for way in exp_many(moves[:, None] * motion)]
     turn = (int(item["vain"]) + int(item["id"])) // _VAIN_EVERY

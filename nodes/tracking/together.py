@@ -14,8 +14,9 @@ from hierax.nodes.tracking.crowding import apartness
 from hierax.nodes.tracking.fusion import Fused, Prior, fuse
 from hierax.nodes.tracking.geometry import Array, Floats
 from hierax.nodes.tracking.profiles import Controls, Image, gathered
-from hierax.nodes.tracking.rigid import exp_many, inverse, invert_many, log_many
+from hierax.nodes.tracking.rigid import exp_many, inverse
 from hierax.nodes.tracking.stages import NEAREST_M, Search
+from hierax.nodes.tracking.tracked import motion_of
 
 FAMILIAR_UNREST = 0.3
 """An object with less unrest is lit as it was."""
@@ -192,6 +193,6 @@ def _flat(poses: Floats) -> Floats:
 
 def _with_motion(item: Mapping[str, Any]) -> float:
     """How much an object that moves may change its motion: the faster it is, the more."""
-    motion = log_many(invert_many(item["before"][None]) @ item["pose"][None])[0]
+    motion = motion_of(item)
     least = _CHANGE_PER_M * float(np.linalg.norm(motion[:3])) + _CHANGE_PER_RAD * float(np.linalg.norm(motion[3:]))
     return max(float(item["unrest"]), min(least, _MOST_CHANGE))

@@ -9,6 +9,7 @@ import numpy as np
 
 from hierax.nodes.tracking.appearance import NOTHING
 from hierax.nodes.tracking.geometry import Array, Floats, invert
+from hierax.nodes.tracking.rigid import invert_many, log_many
 
 TRACKED = "tracked"
 EXPECTED = "expected"
@@ -67,6 +68,12 @@ def first_belief(item: Mapping[str, Any], covariance: Floats) -> Tracked:
         "edges": np.zeros((0, 2, 3)),
         "slots": NOTHING,
     }
+
+
+def motion_of(item: Mapping[str, Any]) -> Floats:
+    """(6,) twist in its frame by which an object is predicted to move from one image to the next."""
+    motion: Floats = log_many(invert_many(item["before"][None]) @ item["pose"][None])[0]
+    return motion
 
 
 def check_ids(objects: Sequence[Mapping[str, Any]]) -> None:
