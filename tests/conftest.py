@@ -6,6 +6,11 @@ import os
 from collections.abc import Iterator
 
 import pytest
+from hypothesis import HealthCheck, settings
+
+# Nothing is judged by how long it takes: machines are shared.
+settings.register_profile("hierax", deadline=None, print_blob=True, suppress_health_check=[HealthCheck.too_slow])
+settings.load_profile("hierax")
 
 STARTING = (
     "tests/benchmarks/",
