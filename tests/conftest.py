@@ -42,7 +42,7 @@ def pytest_xdist_make_scheduler(config: pytest.Config, log: object) -> object:
 
     class ByFile(LoadScopeScheduling):
         def _split_scope(self, nodeid: str) -> str:
-            return STARTING[0] if nodeid.startswith(STARTING) else nodeid.partition("::")[0]
+            return "starting" if nodeid.startswith(STARTING) else nodeid.partition("::")[0]
 
     return ByFile(config, log)
 

@@ -69,7 +69,7 @@ records = st.builds(
     st.binary(min_size=32, max_size=32),
     states,
 )
-patient = settings(deadline=None, max_examples=60)
+patient = settings(max_examples=60)
 
 
 @patient

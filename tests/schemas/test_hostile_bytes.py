@@ -9,7 +9,7 @@ from collections.abc import Callable, Iterator
 from typing import Any
 
 import pytest
-from hypothesis import HealthCheck, given, settings
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from support.golden import encoded
 from support.strategies import messages, randoms, values
@@ -30,7 +30,7 @@ HEADS = (
     *(head + b"\xff\xff" for head in (b"\xc5", b"\xc8", b"\xda", b"\xdc", b"\xde")),
     *(b"\xd6\xff" + bytes(4), b"\xd4\x01\x00", b"\xd5\x02\x00\x00", b"\xc7\x04\xff" + bytes(4)),
 )
-patient = settings(deadline=None, max_examples=80, suppress_health_check=[HealthCheck.too_slow])
+patient = settings(max_examples=80)
 
 
 @pytest.fixture(autouse=True, scope="module")

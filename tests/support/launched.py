@@ -162,6 +162,7 @@ class Launched(Command):
     def __init__(self, folder: Path, *arguments: str) -> None:
         self.state = folder / "state"
         self.output = folder / "output"
+        self._killed: dict[str, int] = {}
         places = () if "--resume" in arguments else ("--state", str(self.state))
         super().__init__(folder, "launch", *arguments, *places, "--output", str(self.output), "--format", "json")
 
@@ -185,6 +186,11 @@ class Launched(Command):
         until(is_there, f"a process of {node}")
         assert self.running, f"it has ended; it said\n{self.err}"
         return found
+
+    def kill(self, node: str) -> None:
+        """Kill a node's process; one that was killed here and is still about is not killed for the next one."""
+        pid = self._killed[node] = self.until_pid(node, other_than=self._killed.get(node, 0))
+        os.kill(pid, signal.SIGKILL)
 
     @property
     def epoch(self) -> int:

@@ -94,7 +94,7 @@ def test_a_digest_once_taken_stays_what_it_is() -> None:
     assert digest.hex() == "92ec07a6b754b0b29599e9038c548db3563d535ccf8456b29c7a794393d03c90"
 
 
-@settings(deadline=None, max_examples=30)
+@settings(max_examples=30)
 @given(hierarchies())
 def test_the_independent_script_recomputes_the_formal_cores_digest(
     tmp_path_factory: pytest.TempPathFactory, hierarchy: Hierarchy

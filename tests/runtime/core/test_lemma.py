@@ -18,7 +18,7 @@ from hierax.runtime.core.process import ActiveHierarchy, update
 from hierax.schemas.values import encode_value
 
 EPOCHS = 3
-patient = settings(deadline=None, max_examples=100)
+patient = settings(max_examples=100)
 
 
 def states(active: ActiveHierarchy) -> bytes:

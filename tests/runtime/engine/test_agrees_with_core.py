@@ -20,7 +20,7 @@ doublings = st.sampled_from([0.0, 0.2, 0.5])
 
 
 def patient(examples: int) -> settings:
-    return settings(max_examples=examples, deadline=None, print_blob=True)
+    return settings(max_examples=examples)
 
 
 def check(hierarchy_seed: int, seed: int, faults: Faults, epochs: int = EPOCHS, nodes: int | None = None) -> Network:

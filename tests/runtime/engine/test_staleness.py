@@ -124,7 +124,7 @@ def take_turns(runners: Mapping[str, NodeRunner], pacemaker: Pacemaker, rng: ran
         runner.poll()
 
 
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=30)
 @given(seed=st.integers(0, 2**32), order=st.integers(0, 2**32), staleness=st.sampled_from((1, 2, 3, 8)))
 def test_an_exact_staleness_is_the_formal_core_with_inputs_so_old_in_any_order(
     seed: int, order: int, staleness: int
@@ -135,7 +135,7 @@ def test_an_exact_staleness_is_the_formal_core_with_inputs_so_old_in_any_order(
     assert digests == formal_digests(hierarchy, epochs, staleness)
 
 
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=30)
 @given(
     seed=st.integers(0, 2**32),
     order=st.integers(0, 2**32),

@@ -112,7 +112,7 @@ def test_processes_may_be_killed_at_random(seed: int, device: Device) -> None:
     with device.launch(epochs, moves_s=MOVE_S) as launch:
         for _ in range(kills):
             launch.until_epoch(launch.epoch + rng.randrange(1, 20))
-            os.kill(launch.until_pid(rng.choice(NODES)), signal.SIGKILL)
+            launch.kill(rng.choice(NODES))
         report = launch.report()
         assert launch.err.count("by signal SIGKILL; it is started again") == kills, f"seed {seed}"
     assert report["digest"] == wanted, f"seed {seed}"

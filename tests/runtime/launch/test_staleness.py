@@ -180,13 +180,10 @@ def test_a_run_goes_on_when_processes_are_killed(
     text = DEVICE.format(log=log, on_uncertain_act="skip", deadline_s=60.0, eye="")
     file.write_text(f"{text}{fields}\n", encoding="utf-8")
     rng = random.Random(seed)
-    killed: dict[str, int] = {}
     with Launched(tmp_path, str(file), "--epochs", str(epochs)) as launch:
         for node in [*NODES, *rng.choices(NODES, k=kills - len(NODES))]:
             launch.until_epoch(launch.epoch + rng.randrange(1, 20))
-            # where epochs do not wait for a node, some may pass before its next process is there
-            killed[node] = launch.until_pid(node, other_than=killed.get(node, 0))
-            os.kill(killed[node], signal.SIGKILL)
+            launch.kill(node)
         report = launch.report()
         assert launch.err.count("by signal SIGKILL; it is started again") == kills, f"seed {seed}"
         assert sorted(launch.written) == list(range(1, epochs + 1))

@@ -15,7 +15,7 @@ from hierax.runtime.recovery.slots import Read, Slots
 BLOCK_BYTES = 64
 MAX_BLOCKS = 8
 FIRST_BYTES = 128
-patient = settings(deadline=None, max_examples=400)
+patient = settings(max_examples=400)
 
 
 class TornError(HieraxError):
