@@ -20,7 +20,7 @@ $(INSTALLED): $(RUNS)
 
 demo: $(RUNS)
 	$(BIN)/hierax launch deploy/tracking.yaml --epochs 60 --output demo-output
-	$(BIN)/python -m hierax.nodes.tracking.report demo-output
+	$(BIN)/python -m hierax.nodes.tracking.evaluation.report demo-output
 	@echo "Look at demo-output/pictures/contact-sheet.png and demo-output/errors.png"
 
 # two workers; one of them has all tests that start processes (tests/conftest.py)

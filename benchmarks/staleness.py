@@ -30,8 +30,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from hierax.nodes.tracking.report import read_errors
-from hierax.nodes.tracking.scoring import Course
+from hierax.nodes.tracking.evaluation.report import read_errors
+from hierax.nodes.tracking.evaluation.scoring import Course
 
 HIERAX = [sys.executable, "-m", "hierax.runtime.commands.main"]
 TIMEOUT_S = 300.0

@@ -8,7 +8,7 @@ The package is under the GPL: nothing of it is part of hierax; what is written t
 A castle and a cube beside it stand still, and are two objects; a camera moves, of which every
 pose is known. The truth goes to OUT_DIR/truth/000001, which no node reads. With an unknown
 camera the scene gives none, so that the objects seem to move; with `--wrong` start and camera
-are said wrongly, as in generated scenes (hierax.nodes.tracking.synthetic).
+are said wrongly, as in generated scenes (hierax.nodes.tracking.generator.scenes).
 """
 
 from __future__ import annotations
@@ -21,16 +21,16 @@ from typing import Any
 import cv2
 import numpy as np
 
-from hierax.nodes.tracking.bop import read_results
-from hierax.nodes.tracking.cad import read_cao, read_vrml
+from hierax.nodes.tracking.datasets.bop import read_results
+from hierax.nodes.tracking.datasets.truth import read_truth
 from hierax.nodes.tracking.errors import DataError
-from hierax.nodes.tracking.geometry import Floats, invert, orthonormal
-from hierax.nodes.tracking.models import Mesh
-from hierax.nodes.tracking.ply import BOP_UNIT_M, write_ply
-from hierax.nodes.tracking.scoring import courses, score, table
-from hierax.nodes.tracking.synthetic import model_info, start_error, write_json
-from hierax.nodes.tracking.synthetic_camera import reported_path
-from hierax.nodes.tracking.truth import read_truth
+from hierax.nodes.tracking.evaluation.scoring import courses, score, table
+from hierax.nodes.tracking.generator.camera import reported_path
+from hierax.nodes.tracking.generator.scenes import model_info, start_error, write_json
+from hierax.nodes.tracking.math.geometry import Floats, invert, orthonormal
+from hierax.nodes.tracking.model.cad import read_cao, read_vrml
+from hierax.nodes.tracking.model.mesh import Mesh
+from hierax.nodes.tracking.model.ply import BOP_UNIT_M, write_ply
 
 PACKAGE_FOLDER = Path("/usr/share/visp-images-data/ViSP-images/mbt-depth/Castle-simu")
 SCENE = "000001"

@@ -3,7 +3,7 @@
     make rival
     python benchmarks/visp_rival/compare.py SCENE [--truth DIR] [--table] [--keep DIR]
 
-SCENE is a folder in the BOP format, as `python -m hierax.nodes.tracking.synthetic` writes one.
+SCENE is a folder in the BOP format, as `python -m hierax.nodes.tracking.generator.scenes` writes one.
 ViSP tracks each object by itself, in grey pictures; its models are the plane faces of the
 meshes. "fed" moves each pose by the reported camera's motion before a frame is tracked. ViSP's
 settings are those that its own data set of a castle comes with.
@@ -23,12 +23,12 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from hierax.nodes.tracking.bop import BopScene, read_image, read_results
+from hierax.nodes.tracking.datasets.bop import BopScene, read_image, read_results
+from hierax.nodes.tracking.datasets.truth import read_truth
 from hierax.nodes.tracking.errors import DataError
-from hierax.nodes.tracking.geometry import Floats, invert
-from hierax.nodes.tracking.models import Mesh
-from hierax.nodes.tracking.scoring import Score, courses, score, table
-from hierax.nodes.tracking.truth import read_truth
+from hierax.nodes.tracking.evaluation.scoring import Score, courses, score, table
+from hierax.nodes.tracking.math.geometry import Floats, invert
+from hierax.nodes.tracking.model.mesh import Mesh
 
 TRACKER = Path(__file__).parents[2] / ".build" / "visp_rival" / "tracker"
 HIERAX = [sys.executable, "-m", "hierax.runtime.commands.main"]

@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from hierax.nodes.tracking.geometry import Array, make_pose, quaternion_of, rotation_of
+from hierax.nodes.tracking.math.geometry import Array, make_pose, quaternion_of, rotation_of
 from hierax.runtime import Elements, Value
 from hierax.runtime.core.node import Policy, do_nothing
 

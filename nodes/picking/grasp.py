@@ -10,7 +10,7 @@ import numpy as np
 from hierax.nodes.picking.commands import Command, command
 from hierax.nodes.picking.panda import HOME_GRIPPER, WIDEST_M
 from hierax.nodes.picking.planning import OPENING_M, before, choose
-from hierax.nodes.tracking.geometry import Floats, pose_error
+from hierax.nodes.tracking.math.geometry import Floats, pose_error
 from hierax.runtime import NO_TICK, Elements, Node, Tick, Value
 from hierax.runtime.core.node import Policy
 

@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from hierax.nodes.tracking.geometry import Floats, exp_so3, make_pose
+from hierax.nodes.tracking.math.geometry import Floats, exp_so3, make_pose
 
 SIDES_M = (0.055, 0.040, 0.048, 0.044, 0.051)
 COLOURS = ((196, 52, 44), (45, 96, 190), (58, 150, 72), (235, 190, 40), (120, 70, 160))

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from hierax.nodes.tracking.geometry import Array, Floats, exp_so3, invert, log_so3, make_pose
+from hierax.nodes.tracking.math.geometry import Array, Floats, exp_so3, invert, log_so3, make_pose
 
 JOINTS = 7
 

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hierax.nodes.picking.panda import HOME_GRIPPER, HOME_RAD, WIDEST_M, joints_for
-from hierax.nodes.tracking.geometry import Floats, invert, make_pose, transform
+from hierax.nodes.tracking.math.geometry import Floats, invert, make_pose, transform
 
 APPROACH_M = 0.10
 """How far before the grasp the gripper begins to approach it in a straight line."""

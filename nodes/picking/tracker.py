@@ -15,8 +15,8 @@ from hierax.nodes.picking.commands import Command, Commanded, name_of
 from hierax.nodes.picking.layout import SIDES_M, guessed, planned
 from hierax.nodes.picking.panda import CAMERA_FROM_GRIPPER, HOME_RAD, camera_of, gripper_at
 from hierax.nodes.tracking.arm import ArmNode, poses_seen
-from hierax.nodes.tracking.geometry import invert
-from hierax.nodes.tracking.models import box_mesh
+from hierax.nodes.tracking.math.geometry import invert
+from hierax.nodes.tracking.model.mesh import box_mesh
 from hierax.nodes.tracking.spatial import SpatialNode
 from hierax.runtime import NO_TICK, Elements, Tick, Value
 from hierax.runtime.core.node import Policy

@@ -10,9 +10,9 @@ import numpy as np
 
 from hierax.nodes.picking.panda import JOINTS
 from hierax.nodes.picking.panda_model import panda_file
-from hierax.nodes.tracking.bullet import load_pybullet
-from hierax.nodes.tracking.geometry import Array, Floats, quaternion_of
-from hierax.nodes.tracking.pictures import contact_sheet, write_picture
+from hierax.nodes.tracking.evaluation.pictures import contact_sheet, write_picture
+from hierax.nodes.tracking.imagery.bullet import load_pybullet
+from hierax.nodes.tracking.math.geometry import Array, Floats, quaternion_of
 from hierax.runtime import Probe, Step, Value
 
 VIEWS_FOLDER = "views"

@@ -1,6 +1,6 @@
 """Arm, gripper, table and cubes: pybullet as a pure function of values.
 
-As in `hierax.nodes.tracking.physics`, the client is emptied and built again from the values
+As in `hierax.nodes.tracking.imagery.physics`, the client is emptied and built again from the values
 at every call. What is lost thereby, the contacts that the solver had, it finds again within
 a step: a cube that the gripper holds slips by a fraction of a millimetre a second
 (docs/decisions/0017). There is no constraint between anything: a cube is held by friction.
@@ -17,8 +17,8 @@ import numpy as np
 
 from hierax.nodes.picking.panda import JOINTS, TORQUES_NM
 from hierax.nodes.picking.panda_model import panda_text
-from hierax.nodes.tracking.bullet import load_pybullet
-from hierax.nodes.tracking.geometry import Floats, make_pose, quaternion_of, rotation_of
+from hierax.nodes.tracking.imagery.bullet import load_pybullet
+from hierax.nodes.tracking.math.geometry import Floats, make_pose, quaternion_of, rotation_of
 
 STEP_HZ = 240
 STEP_S = 1.0 / STEP_HZ

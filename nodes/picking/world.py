@@ -11,9 +11,9 @@ from hierax.nodes.picking.commands import Commanded, name_of
 from hierax.nodes.picking.layout import SIDES_M, disturbed, planned
 from hierax.nodes.picking.panda import HOME_RAD, WIDEST_M, camera_of, gripper_at, joints_for
 from hierax.nodes.picking.workcell import STEP_HZ, Arm, Cube, Order, Touch, Workcell
-from hierax.nodes.tracking import sim_shapes
-from hierax.nodes.tracking.geometry import Floats, exp_so3, log_so3, make_pose
-from hierax.nodes.tracking.sim_scene import develop, draw
+from hierax.nodes.tracking.math.geometry import Floats, exp_so3, log_so3, make_pose
+from hierax.nodes.tracking.simworld import shapes as sim_shapes
+from hierax.nodes.tracking.simworld.scene import develop, draw
 from hierax.runtime import NO_TICK, Elements, Tick, Value, World
 from hierax.runtime.core.node import Policy
 

@@ -11,12 +11,8 @@ from typing import Any
 
 import numpy as np
 
-from hierax.nodes.tracking.association import Estimate, Options, associate
-from hierax.nodes.tracking.geometry import Floats, exp_se3, invert, log_se3
-from hierax.nodes.tracking.profiles import smoothed
-from hierax.nodes.tracking.searching import FALLING, held, in_turn
-from hierax.nodes.tracking.showing import arm_things
-from hierax.nodes.tracking.tracked import (
+from hierax.nodes.tracking.estimation.profiles import smoothed
+from hierax.nodes.tracking.estimation.tracked import (
     EXPECTED,
     LOST,
     NO_CONTROLS,
@@ -28,6 +24,10 @@ from hierax.nodes.tracking.tracked import (
     first_belief,
     imagined,
 )
+from hierax.nodes.tracking.math.geometry import Floats, exp_se3, invert, log_se3
+from hierax.nodes.tracking.search.association import Estimate, Options, associate
+from hierax.nodes.tracking.search.multistart import FALLING, held, in_turn
+from hierax.nodes.tracking.showing import arm_things
 from hierax.runtime import Elements, Node, Step, Value
 from hierax.runtime.core.showing import Things
 
@@ -76,9 +76,9 @@ class ArmNode(Node):
       a face there; ``sought``: whether it is to be imagined elsewhere, too; ``others``: what came of that, {"pose",
       "controls", "kept": whether it is one of the earlier guesses}; ``guesses``: (n, 4, 4) camera_from_object that
       explain the newest image nearly as well;
-    - ``controls``: points on the edges expected to be seen, see `hierax.nodes.tracking.controls`;
+    - ``controls``: points on the edges expected to be seen, see `hierax.nodes.tracking.imagery.controls`;
       ``edges``: (n, 2, 3) a dash along the edge at each, object's frame, metres;
-      ``slots``: what it looks like beside them, see `hierax.nodes.tracking.appearance`.
+      ``slots``: what it looks like beside them, see `hierax.nodes.tracking.estimation.appearance`.
 
     Args:
         objects: ``id``, ``obj_id`` and ``pose`` (camera_from_object in the first frame) of each.

@@ -11,11 +11,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from hierax.nodes.tracking.controls import Controls, controls_of
-from hierax.nodes.tracking.geometry import Array, Floats, invert
-from hierax.nodes.tracking.layers import Layer, LayerRenderer, Window, surrounding
-from hierax.nodes.tracking.occlusion import Placed, chances_seen
-from hierax.nodes.tracking.shapes import shape_of
+from hierax.nodes.tracking.imagery.controls import Controls, controls_of
+from hierax.nodes.tracking.imagery.layers import Layer, LayerRenderer, Window, surrounding
+from hierax.nodes.tracking.imagery.occlusion import Placed, chances_seen
+from hierax.nodes.tracking.math.geometry import Array, Floats, invert
+from hierax.nodes.tracking.model.shapes import shape_of
 from hierax.runtime import Elements, Value
 
 LEAST_CHANCE = 0.02
@@ -158,7 +158,7 @@ class SegmentedDepth:
             (w, h), and "intrinsics" (4,) of that part; "camera": world_from_camera at which
             it was drawn; "poses": tuple of {"id", "obj_id", "pose", "covariance", "status", "support",
             "stands", "controls", "others"}}: controls with the fields of
-            `hierax.nodes.tracking.controls.Controls`, of the points whose chance to be seen is at least
+            `hierax.nodes.tracking.imagery.controls.Controls`, of the points whose chance to be seen is at least
             `LEAST_CHANCE`; others of the poses that it may have besides, each {"pose", "controls", "kept"}.
         """
         camera = belief["camera"]

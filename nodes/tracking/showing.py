@@ -13,8 +13,8 @@ from typing import Any
 
 import numpy as np
 
-from hierax.nodes.tracking.geometry import Array, Floats, invert, pose_error, project, transform
-from hierax.nodes.tracking.pictures import CORRECTED, EXPECTED
+from hierax.nodes.tracking.evaluation.pictures import CORRECTED, EXPECTED
+from hierax.nodes.tracking.math.geometry import Array, Floats, invert, pose_error, project, transform
 from hierax.nodes.tracking.render import DepthRenderer, Item
 from hierax.runtime import Step, Value
 from hierax.runtime.core.showing import (

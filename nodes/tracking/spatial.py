@@ -8,10 +8,10 @@ from typing import Any
 
 import numpy as np
 
-from hierax.nodes.tracking.alternatives import elsewhere
-from hierax.nodes.tracking.geometry import Array, Floats, exp_se3, exp_so3, invert, log_se3, log_so3, make_pose
-from hierax.nodes.tracking.physics import GRAVITY_M_S2, Motion, Simulator, Solid
-from hierax.nodes.tracking.resting import resting
+from hierax.nodes.tracking.imagery.alternatives import elsewhere
+from hierax.nodes.tracking.imagery.physics import GRAVITY_M_S2, Motion, Simulator, Solid
+from hierax.nodes.tracking.imagery.resting import resting
+from hierax.nodes.tracking.math.geometry import Array, Floats, exp_se3, exp_so3, invert, log_se3, log_so3, make_pose
 from hierax.nodes.tracking.showing import spatial_things
 from hierax.runtime import NO_TICK, Elements, Node, Step, Tick, Value
 from hierax.runtime.core.showing import Things
@@ -64,7 +64,7 @@ class SpatialNode(Node):
     many observations it was not), ``known`` (whether it ever was), ``support`` (3,: upwards in its
     frame where something carries it, else zeros), ``stands`` (whether it lies on a face there),
     ``sought`` and ``guesses`` (as the arm gave them), ``others`` ((n, 4, 4): where it may be besides,
-    the first ``kept`` of them the guesses; see `hierax.nodes.tracking.alternatives`), ``turn`` (how
+    the first ``kept`` of them the guesses; see `hierax.nodes.tracking.imagery.alternatives`), ``turn`` (how
     often that was asked for), ``model`` (``vertices`` (n, 3) m, ``faces`` (m, 3)) and
     ``mass`` (kg).
 

@@ -11,12 +11,12 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from hierax.nodes.tracking.arm import ArmNode
-from hierax.nodes.tracking.bop import BopScene
-from hierax.nodes.tracking.bop_world import BopWorld, frame_seen
-from hierax.nodes.tracking.geometry import Floats, invert
-from hierax.nodes.tracking.models import Mesh, box_mesh
-from hierax.nodes.tracking.paper_arm import PaperArmNode
-from hierax.nodes.tracking.sim_world import SCENE, SimWorld, camera_at, first_bodies, picture_seen
+from hierax.nodes.tracking.datasets.bop import BopScene
+from hierax.nodes.tracking.datasets.bop_world import BopWorld, frame_seen
+from hierax.nodes.tracking.math.geometry import Floats, invert
+from hierax.nodes.tracking.model.mesh import Mesh, box_mesh
+from hierax.nodes.tracking.paper.arm import PaperArmNode
+from hierax.nodes.tracking.simworld.world import SCENE, SimWorld, camera_at, first_bodies, picture_seen
 from hierax.nodes.tracking.spatial import SpatialNode
 from hierax.runtime import NO_TICK, Elements, Tick, Value, World
 

@@ -162,7 +162,7 @@ class Speed:
 
 def kinds() -> list[str]:
     """The kinds of scenes that can be generated."""
-    return list(_nodes("synthetic_kinds", "KINDS"))
+    return list(_nodes("generator.kinds", "KINDS"))
 
 
 def generated(names: Sequence[str], seeds: int, frames: int, exact: bool, folder: Path, told: Tell) -> list[Scene]:
@@ -179,7 +179,7 @@ def generated(names: Sequence[str], seeds: int, frames: int, exact: bool, folder
     Raises:
         HieraxError: something cannot be written.
     """
-    write = _nodes("synthetic", "write_scene")
+    write = _nodes("generator.scenes", "write_scene")
     scenes = []
     for name in names:
         for seed in range(seeds):
@@ -244,7 +244,7 @@ def bench_speed(frames: int, rounds: int, settings: Sequence[str], folder: Path,
     Raises:
         HieraxError: a process failed.
     """
-    write = _nodes("synthetic", "write_scene")
+    write = _nodes("generator.scenes", "write_scene")
     deployments = {}
     for objects in SPEED_OBJECTS:
         told(f"drawing {frames} frames with {objects} objects")
@@ -263,8 +263,9 @@ def _track(scene: Scene, way: str, settings: Sequence[str], folder: Path) -> Tra
     poses = folder / f"{scene.name}-{scene.seed}-{way.replace(' ', '-').replace(',', '')}.{_POSES}"
     changes = [f"scene={scene.folder}", f"table={str(scene.table).lower()}", f"output={poses}", *WAYS[way], *settings]
     stage_ms = _stages_ms(read_deployment(DEPLOYMENT, changes))
-    truth = _nodes("truth", "read_truth")(scene.truth)
-    return Tracked(scene, way, _nodes("scoring", "courses")(_nodes("bop", "read_results")(poses), truth), stage_ms)
+    truth = _nodes("datasets.truth", "read_truth")(scene.truth)
+    results = _nodes("datasets.bop", "read_results")(poses)
+    return Tracked(scene, way, _nodes("evaluation.scoring", "courses")(results, truth), stage_ms)
 
 
 def _stages_ms(deployment: Deployment) -> dict[str, float]:
@@ -287,7 +288,7 @@ def _stage_ms(meter: Meter) -> float:
 
 
 def _row(name: str, way: str, done: Sequence[Tracked]) -> Row:
-    score = _nodes("scoring", "score")
+    score = _nodes("evaluation.scoring", "score")
     stages = {stage: float(np.median([each.stage_ms[stage] for each in done])) for stage in done[0].stage_ms}
     hidden = [score(each.courses).hidden.shares[1] for each in done]
     return Row(name, way, score([course for each in done for course in each.courses]), stages, hidden)

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from hierax.nodes.tracking.scoring import Course
+from hierax.nodes.tracking.evaluation.scoring import Course
 
 PATH = Path(__file__).parents[2] / "benchmarks" / "pick.py"
 

@@ -13,9 +13,9 @@ import pytest
 
 from hierax.nodes.tracking import world as tracking
 from hierax.nodes.tracking.arm import poses_seen
-from hierax.nodes.tracking.bop import BopScene, ResultsFile, read_image
+from hierax.nodes.tracking.datasets.bop import BopScene, ResultsFile, read_image
 from hierax.nodes.tracking.errors import DataError
-from hierax.nodes.tracking.geometry import Floats, exp_so3, make_pose, project, transform
+from hierax.nodes.tracking.math.geometry import Floats, exp_so3, make_pose, project, transform
 from hierax.nodes.tracking.render import SegmentedDepth
 from hierax.runtime.core.hierarchy import Edge, Hierarchy
 from hierax.runtime.core.process import ActiveHierarchy, update

@@ -9,13 +9,13 @@ from types import ModuleType
 import numpy as np
 import pytest
 
-from hierax.nodes.tracking.bop import BopScene
-from hierax.nodes.tracking.cad import read_cao
+from hierax.nodes.tracking.datasets.bop import BopScene
 from hierax.nodes.tracking.errors import DataError
-from hierax.nodes.tracking.geometry import invert
-from hierax.nodes.tracking.models import Mesh
-from hierax.nodes.tracking.sim_shapes import angle_piece, box, wedge
-from hierax.nodes.tracking.synthetic import write_scene
+from hierax.nodes.tracking.generator.scenes import write_scene
+from hierax.nodes.tracking.math.geometry import invert
+from hierax.nodes.tracking.model.cad import read_cao
+from hierax.nodes.tracking.model.mesh import Mesh
+from hierax.nodes.tracking.simworld.shapes import angle_piece, box, wedge
 
 SCRIPT = Path(__file__).parents[2] / "benchmarks" / "visp_rival" / "compare.py"
 

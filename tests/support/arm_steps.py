@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from hierax.nodes.tracking.geometry import Floats, make_pose
+from hierax.nodes.tracking.math.geometry import Floats, make_pose
 from hierax.runtime import Step, Value
 
 INTRINSICS = np.array([200.0, 200.0, 79.5, 59.5])

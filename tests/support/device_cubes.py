@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 from typing import Any
 
-from hierax.nodes.tracking.sim_world import SimWorld
+from hierax.nodes.tracking.simworld.world import SimWorld
 from hierax.runtime import NO_TICK, Elements, Tick
 
 LOG = "HIERAX_DEVICE_LOG"

@@ -7,11 +7,11 @@ from typing import Any
 
 import numpy as np
 
-from hierax.nodes.tracking.appearance import NOTHING
-from hierax.nodes.tracking.controls import controls_of
-from hierax.nodes.tracking.geometry import exp_so3, make_pose
-from hierax.nodes.tracking.models import box_mesh
-from hierax.nodes.tracking.shapes import shape_of
+from hierax.nodes.tracking.estimation.appearance import NOTHING
+from hierax.nodes.tracking.imagery.controls import controls_of
+from hierax.nodes.tracking.math.geometry import exp_so3, make_pose
+from hierax.nodes.tracking.model.mesh import box_mesh
+from hierax.nodes.tracking.model.shapes import shape_of
 from support.boxes import INTRINSICS, SIZE, Box
 
 START = np.diag([0.005**2] * 3 + [0.035**2] * 3)

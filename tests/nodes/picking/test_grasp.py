@@ -20,7 +20,7 @@ from hierax.nodes.picking.grasp import (
 )
 from hierax.nodes.picking.panda import HOME_GRIPPER
 from hierax.nodes.picking.planning import before
-from hierax.nodes.tracking.geometry import make_pose
+from hierax.nodes.tracking.math.geometry import make_pose
 from hierax.runtime import Tick
 
 SIDE_M = 0.045

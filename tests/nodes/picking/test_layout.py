@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from hierax.nodes.picking.layout import GUESS_M, GUESS_RAD, SIDES_M, guessed, planned
-from hierax.nodes.tracking.geometry import pose_error
+from hierax.nodes.tracking.math.geometry import pose_error
 
 SCENES = range(40)
 

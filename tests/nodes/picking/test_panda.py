@@ -16,8 +16,8 @@ from hierax.nodes.picking.panda import (
     joints_for,
 )
 from hierax.nodes.picking.panda_model import panda_file
-from hierax.nodes.tracking.bullet import load_pybullet
-from hierax.nodes.tracking.geometry import Floats, make_pose, pose_error, rotation_of
+from hierax.nodes.tracking.imagery.bullet import load_pybullet
+from hierax.nodes.tracking.math.geometry import Floats, make_pose, pose_error, rotation_of
 
 SEED = 5
 HAND_LINK = 8

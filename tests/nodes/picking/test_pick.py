@@ -14,7 +14,7 @@ from hierax.nodes.picking.commands import handed_down
 from hierax.nodes.picking.grasp import GraspNode, held_now
 from hierax.nodes.picking.tracker import arm, poses_and_hand_seen, scene_known, spatial
 from hierax.nodes.picking.world import PickWorld, picture_and_hand_seen
-from hierax.nodes.tracking.geometry import invert, pose_error
+from hierax.nodes.tracking.math.geometry import invert, pose_error
 from hierax.nodes.tracking.render import SegmentedDepth
 from hierax.runtime.core.binding import Setting
 from hierax.runtime.core.hierarchy import Edge, Hierarchy

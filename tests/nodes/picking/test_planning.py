@@ -10,7 +10,7 @@ import pytest
 from hierax.nodes.picking.layout import planned
 from hierax.nodes.picking.panda import HOME_RAD, joints_for
 from hierax.nodes.picking.planning import Boxes, before, choose, overlapping
-from hierax.nodes.tracking.geometry import Floats, exp_so3, make_pose
+from hierax.nodes.tracking.math.geometry import Floats, exp_so3, make_pose
 
 SEED = 8
 SIDE_M = 0.045

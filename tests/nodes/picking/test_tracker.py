@@ -13,7 +13,7 @@ from hierax.nodes.picking.layout import SIDES_M, guessed
 from hierax.nodes.picking.panda import HOME_RAD, camera_of, gripper_at, gripper_down
 from hierax.nodes.picking.tracker import arm, poses_and_hand_seen, scene_known, spatial
 from hierax.nodes.picking.world import PickWorld, picture_and_hand_seen
-from hierax.nodes.tracking.geometry import exp_se3, invert
+from hierax.nodes.tracking.math.geometry import exp_se3, invert
 from hierax.runtime import Tick
 
 SEED = 2

@@ -10,7 +10,7 @@ import pytest
 from hierax.nodes.picking import workcell
 from hierax.nodes.picking.panda import HOME_RAD, gripper_at, gripper_down, joints_for
 from hierax.nodes.picking.workcell import Arm, Cube, Order, Touch, Workcell
-from hierax.nodes.tracking.geometry import Floats, invert, make_pose, pose_error
+from hierax.nodes.tracking.math.geometry import Floats, invert, make_pose, pose_error
 
 SIDE_M = 0.045
 STEPS = 12

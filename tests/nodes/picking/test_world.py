@@ -12,7 +12,7 @@ from hierax.nodes.picking.layout import GUESS_M, GUESS_RAD, guessed, planned
 from hierax.nodes.picking.panda import HOME_GRIPPER, gripper_at, gripper_down
 from hierax.nodes.picking.views import SceneView, opengl_lens, opengl_view
 from hierax.nodes.picking.world import OFF_PLAN_M, OFF_PLAN_RAD, PickWorld, picture_and_hand_seen
-from hierax.nodes.tracking.geometry import pose_error
+from hierax.nodes.tracking.math.geometry import pose_error
 from hierax.runtime import Tick
 
 SEED = 3

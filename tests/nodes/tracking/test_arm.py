@@ -9,8 +9,8 @@ import pytest
 from support.boxes import INTRINSICS, SIZE, Box, photograph
 
 from hierax.nodes.tracking.arm import ArmNode, poses_seen
-from hierax.nodes.tracking.geometry import exp_so3, invert, make_pose, pose_error
-from hierax.nodes.tracking.models import box_mesh
+from hierax.nodes.tracking.math.geometry import exp_so3, invert, make_pose, pose_error
+from hierax.nodes.tracking.model.mesh import box_mesh
 from hierax.nodes.tracking.render import SegmentedDepth
 from hierax.schemas.values import decode_value, encode_value
 

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from support.boxes import INTRINSICS, SIZE, Box, cast
 
-from hierax.nodes.tracking.geometry import exp_so3, invert, make_pose
-from hierax.nodes.tracking.models import box_mesh
+from hierax.nodes.tracking.math.geometry import exp_so3, invert, make_pose
+from hierax.nodes.tracking.model.mesh import box_mesh
 from hierax.nodes.tracking.render import DepthRenderer, Item, SegmentedDepth
 
 

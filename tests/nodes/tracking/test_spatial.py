@@ -7,8 +7,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from hierax.nodes.tracking.geometry import Floats, exp_se3, exp_so3, make_pose, pose_error
-from hierax.nodes.tracking.models import box_mesh
+from hierax.nodes.tracking.math.geometry import Floats, exp_se3, exp_so3, make_pose, pose_error
+from hierax.nodes.tracking.model.mesh import box_mesh
 from hierax.nodes.tracking.spatial import SpatialNode
 from hierax.runtime import Tick
 from hierax.schemas.values import decode_value, encode_value

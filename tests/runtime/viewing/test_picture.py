@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from support import chromium
 from support.launched import Command
 
-from hierax.nodes.tracking.pictures import CORRECTED, EXPECTED
+from hierax.nodes.tracking.evaluation.pictures import CORRECTED, EXPECTED
 from hierax.runtime.core.showing import PALETTE
 
 pytest.importorskip("rerun", reason="the extra [view] is not installed")

@@ -1,0 +1,355 @@
+"""Scene folders and results files of the BOP benchmark (https://bop.felk.cvut.cz).
+
+A scene is ``DATASET/SPLIT/000001`` with ``scene_camera.json``, ``scene_gt.json`` and
+``rgb/`` or ``gray/``; its models are ``DATASET/models/obj_000001.ply`` and
+``models_info.json``. Lengths in the files are millimetres, here metres. Of
+``scene_gt.json`` nothing but the first frame is ever read.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from types import TracebackType
+from typing import Any, NamedTuple
+
+import cv2
+import numpy as np
+
+from hierax.nodes.tracking.datasets.bop_json import read_json, read_numbers, read_obj_id, read_pose
+from hierax.nodes.tracking.errors import DataError
+from hierax.nodes.tracking.math.geometry import Array, Floats, invert, make_pose
+from hierax.nodes.tracking.model.mesh import Mesh
+from hierax.nodes.tracking.model.ply import BOP_UNIT_M, read_ply
+
+cv2.setNumThreads(1)
+
+RESULTS_HEADER = "scene_id,im_id,obj_id,score,R,t,time"
+
+_IMAGE_FOLDERS = ("rgb", "gray")
+_IMAGE_SUFFIXES = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".pgm", ".ppm", ".bmp")
+
+_FRAMES_AGAIN = 16
+"""How many of its last frames a results file can take back."""
+
+_TRAILING_BYTES = 1024
+"""Some cameras write a little behind an image's end."""
+
+
+class Frame(NamedTuple):
+    """One image of a scene.
+
+    Attributes:
+        im_id: its number in the scene.
+        image: the file.
+        intrinsics: (4,) fx, fy, cx, cy in pixels.
+        camera: world_from_camera; the identity where the scene gives no camera pose.
+    """
+
+    im_id: int
+    image: Path
+    intrinsics: Floats
+    camera: Floats
+
+
+class SceneObject(NamedTuple):
+    """An object of the first frame.
+
+    Attributes:
+        id: label in this scene, from 1 in the file's order.
+        obj_id: number of its model.
+        pose: camera_from_object in the first frame.
+    """
+
+    id: int
+    obj_id: int
+    pose: Floats
+
+
+class BopScene:
+    """A scene folder. Reading the constructor's files checks them; images and models are read when asked for.
+
+    Args:
+        folder: ``DATASET/SPLIT/000001``.
+
+    Raises:
+        DataError: a file is missing or damaged; it is named.
+    """
+
+    def __init__(self, folder: str | Path) -> None:
+        self.folder = Path(folder)
+        if not self.folder.is_dir():
+            raise DataError(f"{self.folder}: no such folder; expected a BOP scene, DATASET/SPLIT/000001")
+        self.scene_id = int(self.folder.name) if self.folder.name.isdecimal() else 0
+        self.frames = self._read_frames()
+
+    def first_objects(self) -> tuple[SceneObject, ...]:
+        """The objects of the first frame with their true poses there: the only truth that tracking starts from.
+
+        Raises:
+            DataError: ``scene_gt.json`` is missing or damaged.
+        """
+        path = self.folder / "scene_gt.json"
+        first = str(self.frames[0].im_id)
+        entries = read_json(path).get(first)
+        if not isinstance(entries, list) or not entries:
+            raise DataError(f"{path}: frame {first}: expected a list of objects for the first frame")
+        return tuple(_scene_object(path, first, at, entry) for at, entry in enumerate(entries))
+
+    def model(self, obj_id: int) -> Mesh:
+        """The mesh of a model, in metres.
+
+        Raises:
+            DataError: the model or ``models_info.json`` is missing or damaged.
+        """
+        folder = self.folder.parent.parent / "models"
+        info = folder / "models_info.json"
+        if str(obj_id) not in read_json(info):
+            raise DataError(f"{info}: no entry {str(obj_id)!r} for the object of that number")
+        return read_ply(folder / f"obj_{obj_id:06d}.ply", BOP_UNIT_M)
+
+    def _read_frames(self) -> tuple[Frame, ...]:
+        path = self.folder / "scene_camera.json"
+        cameras = read_json(path)
+        if not cameras:
+            raise DataError(f"{path}: no frames")
+        wrong = [key for key in cameras if not key.isdecimal()]
+        if wrong:
+            raise DataError(f"{path}: {wrong[0]!r} is no frame number")
+        images = _image_files(self.folder)
+        frames = []
+        for key in sorted(cameras, key=int):
+            im_id = int(key)
+            if im_id not in images:
+                raise DataError(
+                    f"{self.folder}: no image for frame {im_id}; expected rgb/{im_id:06d}.png or gray/{im_id:06d}.png "
+                    f"({', '.join(suffix[1:] for suffix in _IMAGE_SUFFIXES)})"
+                )
+            frames.append(_frame(path, key, cameras[key], images[im_id]))
+        return tuple(frames)
+
+
+def read_image(path: Path) -> Array:
+    """An image as uint8, (h, w) gray or (h, w, 3) RGB.
+
+    Raises:
+        DataError: the file is missing, damaged, or has other than 8 bits.
+    """
+    try:
+        data = path.read_bytes()
+    except FileNotFoundError as error:
+        raise DataError(f"{path}: no such file; expected an image") from error
+    except OSError as error:
+        raise DataError(f"{path}: cannot be read: {error.strerror}; expected an image") from error
+    _check_end(path, data)
+    image = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED) if data else None
+    if image is None:
+        raise DataError(f"{path}: cannot be decoded; expected an image")
+    if image.dtype != np.uint8 or image.ndim > 3:
+        raise DataError(f"{path}: {image.dtype} pixels; expected 8 bits")
+    if image.ndim == 2:
+        return image
+    return np.ascontiguousarray(image[:, :, 2::-1]) if image.shape[2] >= 3 else np.ascontiguousarray(image[:, :, 0])
+
+
+def _check_end(path: Path, data: bytes) -> None:
+    """Refuse what is cut off: decoders fill in what is missing of a JPEG, and print of a PNG what they think of it."""
+    for begin, end, name in ((b"\xff\xd8", b"\xff\xd9", "JPEG"), (b"\x89PNG", b"IEND\xaeB`\x82", "PNG")):
+        if data.startswith(begin) and end not in data[-_TRAILING_BYTES:]:
+            raise DataError(f"{path}: cut off; expected a whole {name} image")
+
+
+class ResultsFile:
+    """Writes a BOP results file: ``scene_id,im_id,obj_id,score,R,t,time``, one pose a line, after that header.
+
+    R is nine numbers, row by row, and t three in millimetres, separated by spaces; time is
+    the image's in seconds, -1 where it is not known. An object that is lost has no line in
+    that frame. A frame's lines are given to the system at once, and before `write` returns,
+    so that they outlive the process.
+
+    A frame that is written again takes the place of its earlier lines and of all behind
+    them: whoever tells a frame again tells those after it again, too.
+
+    Args:
+        path: the file; its folder is created.
+        scene_id: the scene's number.
+        again: go on behind what another process has left there; a line that it did not
+            finish is cut off. Else, or where there is no such file, one is begun.
+
+    Raises:
+        DataError: the file cannot be written, now or later, or what is there is no results file.
+    """
+
+    def __init__(self, path: str | Path, scene_id: int, again: bool = False) -> None:
+        self.path = Path(path)
+        self._scene_id = scene_id
+        with self._mapped():
+            self.path.parent.mkdir(parents=True, exist_ok=True)
+            written = self.path.read_bytes() if again and self.path.is_file() else b""
+        self._end = written.rfind(b"\n") + 1
+        self._begins = _last_frames(self.path, written[: self._end])
+        with self._mapped():
+            self._file = self.path.open("ab" if self._end else "wb", buffering=0)
+            if 0 < self._end < len(written):
+                self._cut(self._end)
+            if not self._end:
+                self._append(f"{RESULTS_HEADER}\n".encode("ascii"))
+
+    def write(self, im_id: int, objects: Sequence[Mapping[str, Any]], time_s: float = -1.0) -> None:
+        """One image's poses.
+
+        Args:
+            im_id: the image's number.
+            objects: with "obj_id", "pose" (camera_from_object, metres), "score" and "status".
+            time_s: how long the image took.
+
+        Raises:
+            DataError: the file cannot be written.
+        """
+        lines = [self._line(im_id, item, time_s) for item in objects if item["status"] != "lost"]
+        with self._mapped():
+            self._go_back(im_id)
+            self._begins.append((im_id, self._end))
+            self._append("".join(lines).encode("ascii"))
+
+    def close(self) -> None:
+        """End the file."""
+        self._file.close()
+
+    def __enter__(self) -> ResultsFile:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def _line(self, im_id: int, item: Mapping[str, Any], time_s: float) -> str:
+        pose = item["pose"]
+        rotation = " ".join(repr(float(part)) for part in pose[:3, :3].ravel())
+        translation = " ".join(repr(float(part) / BOP_UNIT_M) for part in pose[:3, 3])
+        head = f"{self._scene_id},{im_id},{item['obj_id']},{float(item['score'])!r}"
+        return f"{head},{rotation},{translation},{time_s!r}\n"
+
+    def _go_back(self, im_id: int) -> None:
+        if all(frame != im_id for frame, _ in self._begins):
+            return
+        frame, begin = self._begins.pop()
+        while frame != im_id:
+            frame, begin = self._begins.pop()
+        self._cut(begin)
+
+    def _cut(self, end: int) -> None:
+        self._file.truncate(end)
+        self._file.seek(end)
+        self._end = end
+
+    def _append(self, lines: bytes) -> None:
+        rest = memoryview(lines)
+        try:
+            while rest:
+                rest = rest[self._file.write(rest) :]
+        except OSError:
+            self._cut(self._end)  # no half line is left for readers
+            raise
+        self._end += len(lines)
+
+    @contextmanager
+    def _mapped(self) -> Iterator[None]:
+        try:
+            yield
+        except OSError as error:
+            raise DataError(f"{self.path}: cannot be written: {error.strerror}") from error
+
+
+def _last_frames(path: Path, lines: bytes) -> deque[tuple[int, int]]:
+    """Of a results file's last frames the number, and the offset in bytes at which each begins."""
+    begins: deque[tuple[int, int]] = deque(maxlen=_FRAMES_AGAIN)
+    offset = 0
+    for number, line in enumerate(lines.splitlines(keepends=True), start=1):
+        try:
+            im_id = _frame_of(line, number == 1)
+        except (ValueError, IndexError) as error:
+            raise DataError(f"{path}, line {number}: expected {RESULTS_HEADER}") from error
+        if im_id is not None and (not begins or begins[-1][0] != im_id):
+            begins.append((im_id, offset))
+        offset += len(line)
+    return begins
+
+
+def _frame_of(line: bytes, first: bool) -> int | None:
+    if not first:
+        return int(line.split(b",")[1])
+    if line.rstrip() != RESULTS_HEADER.encode("ascii"):
+        raise ValueError(line)
+    return None
+
+
+class Result(NamedTuple):
+    """One line of a results file; the pose is camera_from_object in metres."""
+
+    scene_id: int
+    im_id: int
+    obj_id: int
+    score: float
+    pose: Floats
+    time_s: float
+
+
+def read_results(path: str | Path, growing: bool = False) -> list[Result]:
+    """The lines of a BOP results file, in the file's order.
+
+    Args:
+        path: the file.
+        growing: somebody may be writing it: a last line without its end is left out.
+
+    Raises:
+        DataError: it is missing or a line is damaged.
+    """
+    path = Path(path)
+    try:
+        text = path.read_text(encoding="ascii", errors="replace")
+    except OSError as error:
+        raise DataError(f"{path}: cannot be read: {error.strerror}; expected a BOP results file") from error
+    rows = []
+    for number, line in enumerate(text[: text.rfind("\n") + 1 if growing else None].splitlines(), start=1):
+        if (number == 1 and line == RESULTS_HEADER) or not line.strip():
+            continue
+        fields = line.split(",")
+        try:
+            scene_id, im_id, obj_id = (int(part) for part in fields[:3])
+            score, time_s = float(fields[3]), float(fields[6])
+            rotation = np.array(fields[4].split(), dtype=np.float64).reshape(3, 3)
+            translation = np.array(fields[5].split(), dtype=np.float64).reshape(3) * BOP_UNIT_M
+        except (ValueError, IndexError) as error:
+            raise DataError(f"{path}, line {number}: expected {RESULTS_HEADER}") from error
+        rows.append(Result(scene_id, im_id, obj_id, score, make_pose(rotation, translation), time_s))
+    return rows
+
+
+def _image_files(folder: Path) -> dict[int, Path]:
+    for name in _IMAGE_FOLDERS:
+        if not (folder / name).is_dir():
+            continue
+        found = sorted(path for path in (folder / name).iterdir() if path.suffix.lower() in _IMAGE_SUFFIXES)
+        return {int(path.stem): path for path in reversed(found) if path.stem.isdecimal()}
+    raise DataError(f"{folder}: neither rgb/ nor gray/; expected a folder of images")
+
+
+def _frame(path: Path, key: str, entry: Any, image: Path) -> Frame:
+    where = f"{path}: frame {key}"
+    matrix = read_numbers(where, entry, "cam_K", 9).reshape(3, 3)
+    if matrix[0, 0] <= 0 or matrix[1, 1] <= 0 or abs(matrix[0, 1]) > 1e-6 * matrix[0, 0]:
+        raise DataError(f"{where}: cam_K: expected positive focal lengths and no skew")
+    intrinsics = np.array([matrix[0, 0], matrix[1, 1], matrix[0, 2], matrix[1, 2]])
+    camera = np.eye(4)
+    if "cam_R_w2c" in entry or "cam_t_w2c" in entry:
+        camera = invert(read_pose(where, entry, "cam_R_w2c", "cam_t_w2c"))
+    return Frame(int(key), image, intrinsics, camera)
+
+
+def _scene_object(path: Path, frame: str, at: int, entry: Any) -> SceneObject:
+    where = f"{path}: frame {frame}, object {at}"
+    return SceneObject(at + 1, read_obj_id(where, entry), read_pose(where, entry, "cam_R_m2c", "cam_t_m2c"))

@@ -1,0 +1,74 @@
+"""JSON files of the BOP format: each part is checked, and what is wrong is said with its place."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from hierax.nodes.tracking.errors import DataError
+from hierax.nodes.tracking.math.geometry import Floats, make_pose, orthonormal
+from hierax.nodes.tracking.model.ply import BOP_UNIT_M
+
+_ROTATION_TOLERANCE = 1e-2
+
+
+def read_json(path: Path) -> dict[str, Any]:
+    """A file that holds one object, with an entry for each number.
+
+    Raises:
+        DataError: it is missing or damaged.
+    """
+    try:
+        content = json.loads(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise DataError(f"{path}: cannot be read: {error.strerror}") from error
+    except UnicodeDecodeError as error:
+        raise DataError(f"{path}: not a text file; expected JSON") from error
+    except json.JSONDecodeError as error:
+        raise DataError(f"{path}, line {error.lineno}, column {error.colno}: {error.msg}; expected JSON") from error
+    if not isinstance(content, dict):
+        raise DataError(f"{path}: expected a JSON object with an entry for each number")
+    return content
+
+
+def read_obj_id(where: str, entry: Any) -> int:
+    """The number of an entry's model.
+
+    Raises:
+        DataError: there is none.
+    """
+    obj_id = entry.get("obj_id") if isinstance(entry, dict) else None
+    if not isinstance(obj_id, int) or obj_id < 0:
+        raise DataError(f"{where}: obj_id: expected the number of a model")
+    return obj_id
+
+
+def read_pose(where: str, entry: Any, rotation_key: str, translation_key: str) -> Floats:
+    """A pose in metres of an entry's rotation, row by row, and translation in millimetres.
+
+    Raises:
+        DataError: one is missing, or no rotation.
+    """
+    rotation = read_numbers(where, entry, rotation_key, 9).reshape(3, 3)
+    translation = read_numbers(where, entry, translation_key, 3) * BOP_UNIT_M
+    off = float(np.abs(rotation @ rotation.T - np.eye(3)).max())
+    if off > _ROTATION_TOLERANCE or np.linalg.det(rotation) < 0:
+        raise DataError(f"{where}: {rotation_key}: expected a rotation matrix, row by row")
+    return orthonormal(make_pose(rotation, translation))
+
+
+def read_numbers(where: str, entry: Any, key: str, count: int) -> Floats:
+    """A list of so many finite numbers.
+
+    Raises:
+        DataError: it is missing, or something else.
+    """
+    values = entry.get(key) if isinstance(entry, dict) else None
+    if isinstance(values, list) and len(values) == count and all(type(value) in (int, float) for value in values):
+        numbers = np.array(values, dtype=np.float64)
+        if np.all(np.isfinite(numbers)):
+            return numbers
+    raise DataError(f"{where}: {key}: expected {count} numbers")

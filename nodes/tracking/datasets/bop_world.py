@@ -1,0 +1,109 @@
+"""N₀ over a BOP scene folder: recorded images, one an epoch."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
+from functools import lru_cache
+from pathlib import Path
+
+from hierax.nodes.tracking.datasets.bop import BopScene, read_image
+from hierax.nodes.tracking.math.geometry import Array
+from hierax.runtime import NO_TICK, Elements, Tick, Value, World
+
+AHEAD = 8
+"""How many images are read ahead at most."""
+
+
+class BopWorld(World):
+    """Shows the frames of a scene in order; nothing acts on it.
+
+    The belief is {"scene": the folder, "index": which frame is seen next}.
+
+    Args:
+        scene: ``DATASET/SPLIT/000001``.
+        fps: frames per second; an epoch's time is its frame's place divided by it.
+
+    Raises:
+        DataError: a file of the scene is missing or damaged.
+        ValueError: `fps` is not positive.
+    """
+
+    def __init__(self, scene: str, fps: float = 30.0) -> None:
+        if not fps > 0:
+            raise ValueError(f"fps must be positive, got {fps}")
+        self._scene = str(scene)
+        self._fps = float(fps)
+        self._count = len(_scene(self._scene).frames)
+
+    def initial_belief(self) -> Value:
+        """The first frame is yet to be seen."""
+        return {"scene": self._scene, "index": 0}
+
+    def predict(self, context: Elements, actions: Elements, belief: Value, tick: Tick = NO_TICK) -> Value:
+        """Time passes: the next frame; after the last one it stays."""
+        return {**belief, "index": min(belief["index"] + 1, self._count)}
+
+    def time_s(self, belief: Value, epoch: int) -> float:
+        """The frame's place over the frames per second."""
+        return float(belief["index"]) / self._fps
+
+    def finished(self, belief: Value) -> bool:
+        """Whether all frames have been seen."""
+        return bool(belief["index"] >= self._count)
+
+
+def frame_seen(belief: Value) -> Elements:
+    """φ of a `BopWorld`: the frame and what its camera is known to be.
+
+    Returns:
+        One element {"image": uint8 (h, w) or (h, w, 3) RGB; "camera": world_from_camera;
+        "intrinsics": (4,) fx, fy, cx, cy; "frame": im_id}; none after the last frame.
+    """
+    frames = _scene(belief["scene"]).frames
+    if belief["index"] >= len(frames):
+        return ()
+    frame = frames[belief["index"]]
+    image = _images(belief["scene"]).read(belief["index"])
+    return ({"image": image, "camera": frame.camera, "intrinsics": frame.intrinsics, "frame": frame.im_id},)
+
+
+class ReadAhead:
+    """Files in an order, of which the next are read in a thread while one is used.
+
+    What `read` returns or raises does not depend on it.
+
+    Args:
+        paths: the images.
+        depth: how many are read ahead at most.
+    """
+
+    def __init__(self, paths: Sequence[Path], depth: int = AHEAD) -> None:
+        self._paths = paths
+        self._depth = depth
+        self._thread = ThreadPoolExecutor(1, thread_name_prefix="read-ahead")
+        self._begun: dict[int, Future[Array]] = {}
+
+    def read(self, index: int) -> Array:
+        """The image at an index.
+
+        Raises:
+            DataError: it is missing or damaged.
+        """
+        ahead = range(index, min(index + 1 + self._depth, len(self._paths)))
+        for at in [at for at in self._begun if at not in ahead]:
+            self._begun.pop(at).cancel()
+        for at in ahead:
+            if at not in self._begun:
+                self._begun[at] = self._thread.submit(read_image, self._paths[at])
+        return self._begun.pop(index).result()
+
+
+@lru_cache(maxsize=4)
+def _scene(folder: str) -> BopScene:
+    return BopScene(folder)
+
+
+@lru_cache(maxsize=1)
+def _images(folder: str) -> ReadAhead:
+    return ReadAhead([frame.image for frame in _scene(folder).frames])

@@ -1,0 +1,77 @@
+"""The true poses of a scene's frames, for judging a run after it: no node reads them."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from hierax.nodes.tracking.datasets.bop_json import read_json, read_numbers, read_obj_id, read_pose
+from hierax.nodes.tracking.errors import DataError
+from hierax.nodes.tracking.math.geometry import Floats
+
+POSES = "scene_gt.json"
+SHARES = "scene_gt_info.json"
+
+
+class TruePose(NamedTuple):
+    """An object in a frame.
+
+    Attributes:
+        obj_id: the object.
+        pose: camera_from_object, metres.
+        visible: share of its silhouette that is seen, 0 to 1; 1 where nobody says.
+    """
+
+    obj_id: int
+    pose: Floats
+    visible: float
+
+
+def read_truth(folder: Path) -> dict[int, list[TruePose]]:
+    """All frames of a folder with ``scene_gt.json`` and, where visible shares are known, ``scene_gt_info.json``.
+
+    Args:
+        folder: of a scene in the BOP format, or apart from one.
+
+    Returns:
+        By frame, in order.
+
+    Raises:
+        DataError: a file is missing or damaged, or an object stands twice in a frame.
+    """
+    path = folder / POSES
+    entries = read_json(path)
+    infos = read_json(folder / SHARES) if (folder / SHARES).is_file() else {}
+    wrong = [key for key in entries if not key.isdecimal()]
+    if wrong:
+        raise DataError(f"{path}: {wrong[0]!r} is no frame number")
+    if not entries:
+        raise DataError(f"{path}: no frames")
+    return {int(key): _frame(folder, key, entries[key], infos.get(key)) for key in sorted(entries, key=int)}
+
+
+def _frame(folder: Path, key: str, entries: Any, infos: Any) -> list[TruePose]:
+    path = folder / POSES
+    if not isinstance(entries, list):
+        raise DataError(f"{path}: frame {key}: expected a list of objects")
+    if infos is not None and (not isinstance(infos, list) or len(infos) != len(entries)):
+        raise DataError(f"{folder / SHARES}: frame {key}: expected {len(entries)} entries, as in {POSES}")
+    poses: list[TruePose] = []
+    for at, entry in enumerate(entries):
+        where = f"frame {key}, object {at}"
+        obj_id = read_obj_id(f"{path}: {where}", entry)
+        if any(earlier.obj_id == obj_id for earlier in poses):
+            raise DataError(f"{path}: {where}: obj_id {obj_id} stands twice; results files could not tell them apart")
+        pose = read_pose(f"{path}: {where}", entry, "cam_R_m2c", "cam_t_m2c")
+        visible = 1.0
+        if infos is not None:
+            visible = _share(f"{folder / SHARES}: {where}", infos[at])
+        poses.append(TruePose(obj_id, pose, visible))
+    return poses
+
+
+def _share(where: str, info: Any) -> float:
+    if not isinstance(info, dict):
+        raise DataError(f"{where}: expected an object with visib_fract")
+    (share,) = read_numbers(where, {"visib_fract": [info.get("visib_fract")]}, "visib_fract", 1)
+    return float(share)

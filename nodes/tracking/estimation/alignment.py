@@ -1,0 +1,237 @@
+"""Correcting the poses of all objects at once so that their expected edges lie on edges of the image.
+
+At each control point every peak of the image's gradient along the edge's normal is a
+hypothesis. Gauss-Newton on SE(3) moves the poses: in each iteration every control point takes
+the hypothesis that is nearest to where its pose now puts it and looks like its edge, weighted
+by Tukey's function. What all objects seem to do together is the camera's error: it is one
+further unknown, a twist in the camera's frame, with a prior of its own.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hierax.nodes.tracking.estimation.appearance import Memory
+from hierax.nodes.tracking.estimation.gamma_bias import Tone, told_by
+from hierax.nodes.tracking.estimation.profiles import Controls, Image, Indices, Lines, Profiles
+from hierax.nodes.tracking.estimation.stages import (
+    NEAREST_M,
+    STRANGE_WEIGHT,
+    Search,
+    Stage,
+    chosen_near,
+    normal_equations,
+    read_stage,
+    seen_from,
+    weights_of,
+)
+from hierax.nodes.tracking.math.batched import exp_many, log_many, solved
+from hierax.nodes.tracking.math.geometry import Array, Floats
+
+_LEAST_RARITY = 0.4
+"""Where edges are so dense that more than the rest of the places are near one, to be near one proves little."""
+
+_SPREADS = 3.5
+"""Where Tukey's weight ends in the end, in medians of the residuals' sizes."""
+
+_STRANGE = 4.5
+"""A peak that looks stranger than this supports no control point."""
+
+
+class Start(NamedTuple):
+    """Where the search begins.
+
+    Attributes:
+        poses: (m, 4, 4) camera_from_object, predicted.
+        information: (m, 6, 6) inverse covariance of each, twist in the object's frame.
+        camera: (6, 6) inverse covariance of the camera's error, twist in its own frame; None where it is known.
+    """
+
+    poses: Floats
+    information: Floats
+    camera: Floats | None = None
+
+
+class Matches(NamedTuple):
+    """Of each line: the column of its hypothesis, its residual (inf where none), how strange it looks,
+    whether it supports the pose."""
+
+    columns: Indices
+    pixels: Floats
+    strange: Floats
+    supported: NDArray[np.bool_]
+
+
+class Aligned(NamedTuple):
+    """What the image says of the poses.
+
+    Attributes:
+        poses: (m, 4, 4) camera_from_object, corrected.
+        shift: (4, 4) what the camera's error does to all of them: ``pose = shift @ predicted @ exp(own)``.
+        own: (m, 6) twist of each object in its frame.
+        blocks: (m, 12, 12) the image's information about (twist of the camera's frame, twist of the object's) here.
+        slopes: (m, 12) gradient of the image's loss over the same: zero but for what the priors hold back.
+        scores: (m,) 0 to 1: the share of control points that the image supports, beyond chance.
+        shown: (m,) how many control points should be seen.
+        gains: (m,) how many of them speak for the pose, each by how near and how familiar its hypothesis is.
+        tone, told: how far edges seem to be moved by the encoding of light, beyond what was known; see `encoding`.
+        lines, profiles, matches: of the last stage.
+    """
+
+    poses: Floats
+    shift: Floats
+    own: Floats
+    blocks: Floats
+    slopes: Floats
+    scores: Floats
+    shown: Floats
+    gains: Floats
+    tone: Tone
+    told: Floats
+    lines: Lines
+    profiles: Profiles
+    matches: Matches
+
+
+class _State(NamedTuple):
+    """poses = shift @ predicted @ exp(own)."""
+
+    poses: Floats
+    shift: Floats
+    own: Floats
+
+
+def align(
+    image: Image, controls: Controls, start: Start, intrinsics: Array, memory: Memory, search: Search
+) -> Aligned | None:
+    """Correct predicted poses.
+
+    Args:
+        image: of `smoothed`.
+        controls: the control points of all objects.
+        start: where they should be.
+        intrinsics: (4,) fx, fy, cx, cy in pixels.
+        memory: what the objects looked like beside their edges.
+        search: how.
+
+    Returns:
+        The corrected poses; None where no control point is in the image.
+    """
+    state = _State(start.poses, np.eye(4), np.broadcast_to(np.eye(4), start.poses.shape))
+    stage: Stage | None = None
+    for reach, scales in zip(search.reach_px, search.scale_px, strict=True):
+        stage = read_stage(image, controls, state.poses, intrinsics, memory, reach, search)
+        if stage is None:
+            return None
+        for scale in np.linspace(*scales, search.iterations):
+            state = _step(state, start, stage, np.full(len(stage.owners), scale), intrinsics, search)
+    assert stage is not None
+    scale = _fine_scale(state, stage, intrinsics, search)
+    for _ in range(search.fine_iterations):
+        state = _step(state, start, stage, scale, intrinsics, search)
+    return _judged(state, start, stage, scale, intrinsics, search)
+
+
+def _fine_scale(state: _State, stage: Stage, intrinsics: Array, search: Search) -> Floats:
+    """(n,) where Tukey's weight ends for each control point in the end, by how far its object's residuals spread."""
+    seen = seen_from(state.poses, stage, intrinsics)
+    _, residuals, _ = chosen_near(seen, stage, np.full(len(stage.owners), search.support_px))
+    sizes = np.abs(residuals)
+    scales = np.full(len(state.poses), search.fine_px[1])
+    ends = np.searchsorted(stage.owners, np.arange(len(scales) + 1))
+    for at in range(len(scales)):
+        near = sizes[ends[at] : ends[at + 1]]
+        near = near[near < search.support_px]
+        if len(near):
+            scales[at] = np.clip(_SPREADS * float(np.median(near)), *search.fine_px)
+    found: Floats = scales[stage.owners]
+    return found
+
+
+def offsets_at(aligned: Aligned, controls: Controls, poses: Floats, intrinsics: Array) -> Floats:
+    """(n,) of each line the pixels along the normal from where other poses, near by, put it to its hypothesis."""
+    rows = aligned.lines.rows
+    turned = poses[controls.owners[rows]]
+    points = (turned[:, :3, :3] @ controls.points[rows][:, :, None])[..., 0] + turned[:, :3, 3]
+    pixels = points[:, :2] / np.maximum(points[:, 2:], NEAREST_M) * intrinsics[:2] + intrinsics[2:]
+    moved = np.einsum("nk,nk->n", pixels - aligned.lines.pixels, aligned.lines.normals)
+    places = aligned.profiles.places[np.arange(len(rows)), aligned.matches.columns]
+    offsets: Floats = places.astype(np.float64) - moved
+    return offsets
+
+
+def _step(state: _State, start: Start, stage: Stage, scale: Floats, intrinsics: Array, search: Search) -> _State:
+    """One Gauss-Newton step of all objects and the camera."""
+    seen = seen_from(state.poses, stage, intrinsics)
+    columns, residuals, strange = chosen_near(seen, stage, scale)
+    weights = weights_of(stage, columns, residuals, strange, scale, search)
+    used = weights > 0
+    blocks, gradients = normal_equations(state.poses, stage, seen, residuals, weights, used, intrinsics)
+    twists = log_many(np.concatenate((state.shift[None], state.own)))
+    shift, own = twists[0], twists[1:]
+    count = len(start.poses)
+    information = blocks[:, 6:, 6:] + start.information
+    slope = gradients[:, 6:] + (start.information @ own[:, :, None])[..., 0]
+    if start.camera is None:
+        steps = -solved(information, slope[..., None])[..., 0]
+        moved = exp_many(steps)
+        return _State(state.poses @ moved, state.shift, state.own @ moved)
+    size = 6 * (count + 1)
+    whole = np.zeros((size, size))
+    right = np.zeros(size)
+    whole[:6, :6] = blocks[:, :6, :6].sum(axis=0) + start.camera
+    right[:6] = gradients[:, :6].sum(axis=0) + start.camera @ shift
+    for at in range(count):
+        view = slice(6 * at + 6, 6 * at + 12)
+        whole[view, view] = information[at]
+        whole[:6, view] = blocks[at, :6, 6:]
+        whole[view, :6] = blocks[at, 6:, :6]
+        right[view] = slope[at]
+    moved = exp_many(-solved(whole, right).reshape(count + 1, 6))
+    return _State(moved[0] @ state.poses @ moved[1:], moved[0] @ state.shift, state.own @ moved[1:])
+
+
+def _judged(state: _State, start: Start, stage: Stage, scale: Floats, intrinsics: Array, search: Search) -> Aligned:
+    """The poses with their information and scores."""
+    seen = seen_from(state.poses, stage, intrinsics)
+    columns, residuals, strange = chosen_near(seen, stage, np.full(len(stage.owners), search.support_px))
+    supported = (np.abs(residuals) < search.support_px) & (strange < _STRANGE)
+    weights = weights_of(stage, columns, residuals, strange, scale, search)
+    moved = -stage.contrasts[np.arange(len(columns)), columns].astype(np.float64)
+    blocks, slopes = normal_equations(state.poses, stage, seen, residuals, weights, weights > 0, intrinsics, moved)
+    tone = Tone(blocks[:, 12, :12], blocks[:, 12, 12], slopes[:, 12])
+    blocks, slopes = blocks[:, :12, :12], slopes[:, :12]
+    told = told_by(tone, blocks, slopes)
+    count = len(start.poses)
+
+    def summed(values: Floats) -> Floats:
+        return np.asarray(np.bincount(stage.owners, weights=values, minlength=count), dtype=np.float64)
+
+    # Where edges crowd, they may claim the same one in the image; it counts for neither.
+    counted = stage.visible * stage.apart
+    shown = summed(counted)
+    share = summed(np.where(supported, counted, 0.0)) / np.maximum(shown, 1e-6)
+    chance = summed(counted * _chance(stage, search)) / np.maximum(shown, 1e-6)
+    scores = np.maximum(0.0, (share - chance) / np.maximum(1.0 - chance, _LEAST_RARITY))
+    part = np.minimum(np.abs(residuals) / (2.0 * search.support_px), 1.0)
+    gains = summed(counted * (1.0 - part * part) ** 2 * np.exp(-STRANGE_WEIGHT * strange))
+    matches = Matches(columns, residuals, strange, supported)
+    own = log_many(state.own)
+    lines, profiles = stage.lines, stage.profiles
+    return Aligned(
+        state.poses, state.shift, own, blocks, slopes, scores, shown, gains, tone, told, lines, profiles, matches
+    )
+
+
+def _chance(stage: Stage, search: Search) -> Floats:
+    """Of each line the share of places that are as near to a peak as one that supports a pose."""
+    peaks = np.isfinite(stage.profiles.places) & (stage.strange < _STRANGE)
+    near = peaks.copy()
+    for step in range(1, int(search.support_px) + 1):
+        near[:, step:] |= peaks[:, :-step]
+        near[:, :-step] |= peaks[:, step:]
+    share: Floats = near.mean(axis=1)
+    return share

@@ -1,0 +1,237 @@
+"""What objects looked like beside their edges: a memory of colours that tells an object's edge from a shadow's.
+
+For each side of each edge where the object is (a face, always lit alike while the object is at
+rest) the colour beside the matched place is remembered. A peak with another colour on that
+side is strange: probably an edge of something else.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hierax.nodes.tracking.estimation.gamma_bias import UNTOLD
+from hierax.nodes.tracking.estimation.profiles import EDGE_SLOTS, Controls, Indices, Profiles, Singles
+from hierax.nodes.tracking.math.geometry import Floats
+
+Slots = dict[str, Any]
+"""What is remembered of one object: "keys" (s,) int64 ascending, "colours" (s, channels) float32 grey levels,
+"spread" (s,) float32 variance of one channel, "weights" (s,) float32 how many frames it comes from; "edges" (e,)
+int64 ascending, numbers of edges, and "offsets" (e, 2) float32, by how many pixels each was off in the mean, and in
+how many frames; "parts" (p,) int64 ascending, parts of edges, and "hits" (p, 2) float32, in how many frames each was
+found and looked for, older ones fading; "encoding" (2,), what it told of light's encoding, see
+`hierax.nodes.tracking.estimation.gamma_bias`."""
+
+NOTHING: Slots = {
+    "keys": np.zeros(0, dtype=np.int64),
+    "colours": np.zeros((0, 1), dtype=np.float32),
+    "spread": np.zeros(0, dtype=np.float32),
+    "weights": np.zeros(0, dtype=np.float32),
+    "edges": np.zeros(0, dtype=np.int64),
+    "offsets": np.zeros((0, 2), dtype=np.float32),
+    "parts": np.zeros(0, dtype=np.int64),
+    "hits": np.zeros((0, 2), dtype=np.float32),
+    "encoding": UNTOLD,
+}
+
+_LEAST_SPREAD = 64.0
+"""Variance of a colour that never changed: noise and the softness of the reading, grey levels²."""
+
+_MOST_STRANGE = 4.0
+_FORGIVEN = 2.0
+_FRAMES = 12.0
+"""Over so many frames a colour is remembered, once there have been so many."""
+
+_FIRST_WEIGHT = 2.0
+
+_TRUSTED_PX = 0.2
+_OFFSET_FRAMES = 40.0
+_FADING = 0.7
+_DOUBT = 2
+"""A part of an edge is trusted by the share of images that it was found in to this power."""
+
+
+class Memory(NamedTuple):
+    """What is remembered beside each control point.
+
+    Attributes:
+        colours: (n, 2, channels) inside and outside; any where nothing is remembered.
+        precision: (n, 2) 1/variance; 0 where nothing is remembered or the object is not on that side.
+        trust: (n,) 0 to 1, less on edges that are off in image after image: shadows at an object's foot, mostly.
+        apart: (n,) 0 to 1, how far the edge stands alone, see `hierax.nodes.tracking.estimation.crowding`.
+        factor: (n,) how far light's encoding moves edges, the same for all; see
+            `hierax.nodes.tracking.estimation.gamma_bias`.
+    """
+
+    colours: Singles
+    precision: Singles
+    trust: Singles
+    apart: Singles
+    factor: Singles
+
+
+def recalled(objects: list[Slots], controls: Controls, channels: int) -> Memory:
+    """The memory of all objects (by their index), laid beside the control points."""
+    count = len(controls.owners)
+    colours = np.zeros((count, 2, channels), dtype=np.float32)
+    precision = np.zeros((count, 2), dtype=np.float32)
+    trust = np.ones(count, dtype=np.float32)
+    ends = np.searchsorted(controls.owners, np.arange(len(objects) + 1))
+    for at, slots in enumerate(objects):
+        keys = slots["keys"]
+        view = slice(ends[at], ends[at + 1])
+        wanted = controls.slots[view]
+        trust[view] = _trust(slots, wanted[:, 0] // EDGE_SLOTS) * _share_found(slots, wanted[:, 0]) ** _DOUBT
+        if not len(keys) or slots["colours"].shape[1] != channels:
+            continue
+        place = np.minimum(np.searchsorted(keys, wanted), len(keys) - 1)
+        known = (keys[place] == wanted) & (slots["weights"][place] >= _FIRST_WEIGHT)
+        known[:, 1] &= controls.creases[view]
+        colours[view] = slots["colours"][place]
+        precision[view] = np.where(known, 1.0 / (_LEAST_SPREAD + slots["spread"][place]), 0.0)
+    return Memory(colours, precision, trust, np.ones(count, dtype=np.float32), np.zeros(count, dtype=np.float32))
+
+
+def _trust(slots: Slots, edges: NDArray[np.int64]) -> Singles:
+    known = slots["edges"]
+    if not len(known):
+        return np.ones(len(edges), dtype=np.float32)
+    place = np.minimum(np.searchsorted(known, edges), len(known) - 1)
+    offset, frames = slots["offsets"][place].T
+    part = offset * np.minimum(frames / np.float32(_FRAMES), np.float32(1.0)) / np.float32(_TRUSTED_PX)
+    trust: Singles = np.where(known[place] == edges, 1.0 / (1.0 + part * part), np.float32(1.0)).astype(np.float32)
+    return trust
+
+
+def _share_found(slots: Slots, parts: NDArray[np.int64]) -> Singles:
+    """(n,) in what share of images parts of edges were found, as if in one more.
+
+    Where an object has no contrast of its own, what is found in the end belongs to something else.
+    """
+    known = slots["parts"]
+    if not len(known):
+        return np.ones(len(parts), dtype=np.float32)
+    place = np.minimum(np.searchsorted(known, parts), len(known) - 1)
+    found, sought = slots["hits"][place].T
+    share: Singles = np.where(known[place] == parts, (found + 1.0) / (sought + 1.0), 1.0).astype(np.float32)
+    return share
+
+
+def sought(slots: Slots, parts: NDArray[np.int64], found: NDArray[np.bool_]) -> Slots:
+    """What is remembered of the parts of edges after an image.
+
+    Args:
+        slots: before.
+        parts: (n,) of one object's control points that surely nothing hides: numbers of the parts that they are on.
+        found: (n,) which of them were.
+    """
+    if not len(parts):
+        return slots
+    now, place = np.unique(parts, return_inverse=True)
+    share = np.bincount(place, weights=found) / np.bincount(place)
+    every = np.union1d(slots["parts"], now)
+    hits = np.zeros((len(every), 2))
+    hits[np.searchsorted(every, slots["parts"])] = slots["hits"]
+    at = np.searchsorted(every, now)
+    hits[at] = (1.0 - 1.0 / _FRAMES) * hits[at] + np.stack((share, np.ones(len(now))), axis=1)
+    return {**slots, "parts": every, "hits": hits.astype(np.float32)}
+
+
+def only_found(slots: Slots) -> Slots:
+    """What is remembered of an object in another light: which parts of its edges are found."""
+    return {**NOTHING, "parts": slots["parts"], "hits": slots["hits"]}
+
+
+def measured(slots: Slots, edges: NDArray[np.int64], offsets: Floats) -> Slots:
+    """What is remembered of the edges after an image.
+
+    Args:
+        slots: before.
+        edges: (n,) of one object's control points that were matched: numbers of their edges.
+        offsets: (n,) pixels from where the corrected pose puts each to where it was found.
+    """
+    if not len(edges):
+        return slots
+    found, place = np.unique(edges, return_inverse=True)
+    mean = np.bincount(place, weights=offsets) / np.bincount(place)
+    every = np.union1d(slots["edges"], found)
+    kept = np.zeros((len(every), 2))
+    kept[np.searchsorted(every, slots["edges"])] = slots["offsets"]
+    now = np.searchsorted(every, found)
+    kept[now, 1] = np.minimum(kept[now, 1] + 1.0, _OFFSET_FRAMES)
+    kept[now, 0] += (mean - kept[now, 0]) / kept[now, 1]
+    return {**slots, "edges": every, "offsets": kept.astype(np.float32)}
+
+
+def strangeness(memory: Memory, controls: Controls, rows: Indices, profiles: Profiles) -> Singles:
+    """(n, k): how far each peak's surroundings are from what is remembered, in variances of a channel, bounded."""
+    precision = memory.precision[rows]
+    total = np.zeros(profiles.places.shape, dtype=np.float32)
+    for side, colours in ((0, profiles.inside), (1, profiles.outside)):
+        known = np.nonzero(precision[:, side] > 0)[0]
+        if len(known):
+            off = colours[known] - memory.colours[rows[known], side][:, None, :]
+            square = np.einsum("pkc,pkc->pk", off, off) / np.float32(off.shape[2])
+            total[known] += np.minimum(square * precision[known, side][:, None], np.float32(_MOST_STRANGE))
+    # Where all look strange, the light has changed: then that says little.
+    usual = np.where(np.isfinite(profiles.places), total, np.float32(np.inf)).min(axis=1)
+    result: Singles = np.maximum(total - np.minimum(usual, np.float32(_FORGIVEN))[:, None], np.float32(0.0))
+    return result
+
+
+def moved(slots: Slots) -> Slots:
+    """What is remembered of an object that moved: its shadows move, too, and the light on its sides changes."""
+    offsets = slots["offsets"] * np.array([1.0, _FADING], dtype=np.float32)
+    return {**slots, "offsets": offsets, "weights": slots["weights"] * np.float32(_FADING)}
+
+
+def remembered(slots: Slots, controls: Controls, rows: Indices, colours: Singles) -> Slots:
+    """What is remembered after an image.
+
+    Args:
+        slots: before.
+        controls: of all objects.
+        rows: of one object's control points that were matched and are surely seen.
+        colours: (n, 2, channels) inside and outside of each.
+    """
+    used = np.stack((np.ones(len(rows), dtype=bool), controls.creases[rows]), axis=1)
+    keys = controls.slots[rows][used]
+    if not len(keys):
+        return slots
+    values = colours[used].astype(np.float64)
+    found, place = np.unique(keys, return_inverse=True)
+    count = np.bincount(place)
+    channels = values.shape[1]
+    mean = np.stack([np.bincount(place, weights=values[:, at]) for at in range(channels)], axis=1) / count[:, None]
+    square = np.bincount(place, weights=((values - mean[place]) ** 2).mean(axis=1)) / count
+    old = slots if slots["colours"].shape[1] == channels else {**NOTHING, "colours": np.zeros((0, channels))}
+    every = np.union1d(old["keys"], found)
+    before, now = np.searchsorted(every, old["keys"]), np.searchsorted(every, found)
+    weights = np.zeros(len(every))
+    weights[before] = old["weights"]
+    kept = np.zeros((len(every), channels))
+    kept[before] = old["colours"]
+    spread = np.zeros(len(every))
+    spread[before] = old["spread"]
+    gain = 1.0 / np.minimum(weights[now] + 1.0, _FRAMES)
+    off: Floats = mean - kept[now]
+    off[weights[now] == 0] = 0.0
+    change = (off * off).mean(axis=1)
+    kept[now] = np.where(weights[now, None] == 0, mean, kept[now] + gain[:, None] * off)
+    spread[now] += gain * (square + change - spread[now])
+    weights[now] += 1.0
+    return {
+        **slots,
+        "keys": every,
+        "colours": kept.astype(np.float32),
+        "spread": spread.astype(np.float32),
+        "weights": np.minimum(weights, _FRAMES).astype(np.float32),
+    }
+
+
+def of_mapping(item: Mapping[str, Any]) -> Slots:
+    """An object's slots as they stand in a belief."""
+    return {name: item[name] for name in NOTHING}

@@ -1,0 +1,198 @@
+"""All objects at once, each within what its prediction leaves open, with the camera's error as a common unknown."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from hierax.nodes.tracking.estimation import gamma_bias as encoding
+from hierax.nodes.tracking.estimation.alignment import Aligned, Start, align
+from hierax.nodes.tracking.estimation.appearance import Memory, Slots, only_found, recalled
+from hierax.nodes.tracking.estimation.crowding import apartness
+from hierax.nodes.tracking.estimation.fusion import Fused, Prior, fuse
+from hierax.nodes.tracking.estimation.profiles import Controls, Image, gathered
+from hierax.nodes.tracking.estimation.stages import NEAREST_M, Search
+from hierax.nodes.tracking.estimation.tracked import motion_of
+from hierax.nodes.tracking.math.batched import exp_many, inverse
+from hierax.nodes.tracking.math.geometry import Array, Floats
+
+FAMILIAR_UNREST = 0.3
+"""An object with less unrest is lit as it was."""
+
+LEARNED_SCORE = 0.6
+"""With a lower score an object tells nothing of its looks, nor of light's encoding."""
+
+_NEAR = Search()
+_CALM = Search(reach_px=(8,), scale_px=((8.0, 1.0),), iterations=7)
+_SETTLED_M = 0.004
+"""Where no object moves, and all are known better than this, the image is searched near by."""
+
+_LEAST_FREEDOM = 0.3
+"""Share of a push's motion that the search leaves open for an object at rest."""
+
+_AT_REST = 0.1
+_CLEARLY = 0.1
+"""An object with that little unrest rests; by so much of its control points another explanation is clearly better."""
+
+_JUMP_PX = 2.0
+"""A camera's error that moves an object's origin by more is large."""
+
+_CHANGE_PER_M = 50.0
+_CHANGE_PER_RAD = 4.0
+_MOST_CHANGE = 0.5
+
+
+class Task(NamedTuple):
+    """What is aligned.
+
+    Attributes:
+        image: of `hierax.nodes.tracking.estimation.profiles.smoothed`.
+        controls: the control points of all objects.
+        memory: what is remembered of them.
+        intrinsics: (4,) fx, fy, cx, cy in pixels.
+        start: where the objects are expected, with room for motion.
+        search: how the image is searched.
+        prior: what is known before it.
+        encoding: of light's encoding, the factor and its information.
+    """
+
+    image: Image
+    controls: Controls
+    memory: Memory
+    intrinsics: Array
+    start: Start
+    search: Search
+    prior: Prior
+    encoding: tuple[float, float]
+
+
+class Explained(NamedTuple):
+    """What the image says, and what it says together with the prediction."""
+
+    aligned: Aligned
+    fused: Fused
+
+
+def task_of(
+    image: Image,
+    objects: Sequence[Mapping[str, Any]],
+    slots: Sequence[Slots],
+    prior: Prior,
+    intrinsics: Array,
+    error_px: float,
+) -> Task:
+    """What is to be aligned.
+
+    Args:
+        image, objects, intrinsics: as for `hierax.nodes.tracking.search.association.associate`.
+        slots: what is remembered of each object.
+        prior: of `prior_of`.
+        error_px: standard deviation of a control point, as if they erred independently.
+    """
+    controls = gathered([item["controls"] for item in objects])
+    # The light on what moves changes.
+    known = [
+        part if item["unrest"] < FAMILIAR_UNREST else only_found(part)
+        for part, item in zip(slots, objects, strict=True)
+    ]
+    factor = encoding.believed([part["encoding"] for part in slots])
+    predicted = np.stack([item["pose"] for item in objects])
+    memory = recalled(known, controls, image.shape[2])
+    memory = memory._replace(
+        factor=np.full(len(controls.owners), factor[0], dtype=np.float32),
+        apart=apartness(controls, predicted, intrinsics).astype(np.float32),
+    )
+    free = prior._replace(unrest=np.maximum(prior.unrest, _LEAST_FREEDOM))
+    calm = float(free.unrest.max()) <= _LEAST_FREEDOM and float(prior.covariance[:, :3, :3].max()) < _SETTLED_M**2
+    near = (_CALM if calm else _NEAR)._replace(noise_px=error_px)
+    start = Start(predicted, inverse(free.spread()), prior.camera)
+    return Task(image, controls, memory, intrinsics, start, near, prior, factor)
+
+
+def prior_of(objects: Sequence[Mapping[str, Any]], motion: Floats, camera: Floats | None) -> Prior:
+    """What is known before an image.
+
+    Args:
+        objects: as for `hierax.nodes.tracking.search.association.associate`.
+        motion: (6, 6) or (m, 6, 6) of an object's deviation from its prediction within a frame, when it is pushed.
+        camera: (6, 6) inverse covariance of the camera's error; None where its pose is exact.
+    """
+    covariance = np.stack([item["covariance"] for item in objects])
+    unrest = np.array([_with_motion(item) for item in objects])
+    trend = np.array([item["trend"] for item in objects])
+    return Prior(covariance, motion, unrest, trend, camera)
+
+
+def explained(task: Task) -> Explained | None:
+    """The poses of all objects, and the camera's error; None where no control point is in the image."""
+    return _from(task, np.eye(4))
+
+
+def explained_again(task: Task, before: Explained, doubtful: Sequence[int]) -> Explained | None:
+    """The same from where the camera's error puts the objects, when it is large and some are in doubt.
+
+    Far from its edges an object may have taken others; what the rest of them says of the camera brings it near.
+    None where that is no better.
+    """
+    if task.prior.camera is None or not doubtful:
+        return None
+    shift = exp_many(before.fused.shift[None])[0]
+    jumps = _flat((shift @ task.start.poses)[doubtful]) - _flat(task.start.poses[doubtful])
+    if np.abs(jumps * task.intrinsics[:2]).max() < _JUMP_PX:
+        return None
+    again = _from(task, shift)
+    if again is None or (again.aligned.gains - before.aligned.gains)[doubtful].sum() <= 0.0:
+        return None
+    return again
+
+
+def _from(task: Task, shift: Floats) -> Explained | None:
+    """What is surprising of an object at rest is only believed where resting explains the image clearly less well."""
+    prior = task.prior
+    free = _aligned(task, task.start.information, shift)
+    if free is None:
+        return None
+    fused = fuse(free, prior)
+    held = (fused.unrest == 1.0) & (prior.unrest < _AT_REST)
+    calm = inverse(prior.spread())
+    for _ in range(2):  # all of them, then those alone of which resting explains enough
+        information = np.where(held[:, None, None], calm, task.start.information)
+        tried = _aligned(task, information, shift) if held.any() else None
+        if tried is None:
+            break
+        enough = held & (tried.gains >= free.gains - _CLEARLY * free.shown)
+        if (enough == held).all():
+            return Explained(tried, fuse(tried, prior, held))
+        held = enough
+    return Explained(free, fused)
+
+
+def _aligned(task: Task, information: Floats, shift: Floats) -> Aligned | None:
+    """What the image says of the poses, when light's encoding is not known better than it is.
+
+    Args:
+        task: what is aligned.
+        information: (m, 6, 6) of the predictions.
+        shift: (4, 4) what the camera's error is supposed to do to all poses.
+    """
+    start = Start(shift @ task.start.poses, information, task.start.camera)
+    found = align(task.image, task.controls, start, task.intrinsics, task.memory, task.search)
+    if found is None:
+        return None
+    told = np.where(found.scores[:, None] < LEARNED_SCORE, 0.0, found.told)
+    blocks, slopes = encoding.allowed_for(found.tone, told, *task.encoding)
+    return found._replace(shift=found.shift @ shift, blocks=found.blocks + blocks, slopes=found.slopes + slopes)
+
+
+def _flat(poses: Floats) -> Floats:
+    flat: Floats = poses[:, :2, 3] / np.maximum(poses[:, 2:3, 3], NEAREST_M)
+    return flat
+
+
+def _with_motion(item: Mapping[str, Any]) -> float:
+    """How much an object that moves may change its motion: the faster it is, the more."""
+    motion = motion_of(item)
+    least = _CHANGE_PER_M * float(np.linalg.norm(motion[:3])) + _CHANGE_PER_RAD * float(np.linalg.norm(motion[3:]))
+    return max(float(item["unrest"]), min(least, _MOST_CHANGE))

@@ -1,0 +1,256 @@
+"""What the image shows across the expected edges of all objects: grey profiles along the normals, and their peaks."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any, NamedTuple
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from hierax.nodes.tracking.math.geometry import Array, Floats
+
+cv2.setNumThreads(1)
+
+Image = NDArray[np.float32]
+Singles = NDArray[np.float32]
+Indices = NDArray[np.intp]
+
+_NEAREST_M = 0.02
+_MOST_ROWS = 30_000
+_MARGIN_PX = 3.0
+_ALONG_M = 1e-3
+_PART_M = 0.008
+_PARTS = 4096
+_FACES = 65536
+EDGE_SLOTS = _PARTS * _FACES
+"""A slot's number over this is its edge's."""
+
+_FLANK_PX = 4
+"""How far beyond the searched places a profile is read: what lies beside a peak tells whose edge it is."""
+
+_BESIDE_PX = (2, 3, 4)
+"""Where beside a peak the colour of a side is read."""
+
+
+class Controls(NamedTuple):
+    """Control points of several objects, each object's together.
+
+    Attributes:
+        owners: (n,) index of the object (of its pose in the stack of poses), ascending.
+        points: (n, 3) object's frame, metres.
+        tangents: (n, 3) unit vectors along the edge, object's frame.
+        inwards: (n, 3) unit vectors into a face that is seen, square to the edge, object's frame.
+        creases: (n,) whether the object is on both sides.
+        edges: (n,) number of the edge, different for different objects, ascending.
+        slots: (n, 2) where the colours inside and outside are remembered, see `appearance`.
+        visible: (n,) the chance that nothing hides it.
+    """
+
+    owners: Indices
+    points: Floats
+    tangents: Floats
+    inwards: Floats
+    creases: NDArray[np.bool_]
+    edges: Indices
+    slots: NDArray[np.int64]
+    visible: Floats
+
+    def rows_of(self, chosen: Sequence[int], most: int) -> list[Indices]:
+        """Of each of some objects the rows of its controls, evenly thinned out to at most so many."""
+        rows = {number: np.nonzero(self.owners == number)[0] for number in set(chosen)}
+        return [rows[number][:: max(1, -(-len(rows[number]) // most))] for number in chosen]
+
+    def of(self, places: Sequence[Indices]) -> Controls:
+        """The controls in some rows, as if each group of rows were an object of its own."""
+        owners = np.repeat(np.arange(len(places)), [len(rows) for rows in places])
+        rows = np.concatenate(places) if places else np.zeros(0, dtype=np.intp)
+        count = int(self.edges[-1]) + 1 if len(self.edges) else 1
+        return Controls(
+            owners,
+            self.points[rows],
+            self.tangents[rows],
+            self.inwards[rows],
+            self.creases[rows],
+            self.edges[rows] + owners * count,
+            self.slots[rows],
+            self.visible[rows],
+        )
+
+
+class Lines(NamedTuple):
+    """Control points as some poses show them.
+
+    Attributes:
+        rows: (n,) which of the controls are in the image.
+        pixels: (n, 2).
+        normals: (n, 2) unit, across the edge, into the face of `inwards`.
+    """
+
+    rows: Indices
+    pixels: Floats
+    normals: Floats
+
+
+class Profiles(NamedTuple):
+    """Profiles along the normals.
+
+    Attributes:
+        places: (n, k) pixels along the normal of each peak of the gradient, inf where there is none.
+        sizes: (n, k) its gradient, grey levels per pixel.
+        sharpness: (n, k) curvature over height, 1/px²: what a blurred step has more of than a shadow.
+        inside, outside: (n, k, channels) colours beside each place.
+        reach: places lie within so many pixels.
+    """
+
+    places: Singles
+    sizes: Singles
+    sharpness: Singles
+    inside: Singles
+    outside: Singles
+    reach: int
+
+
+def smoothed(image: Array) -> Image:
+    """The image that is searched: float32 (h, w, channels), lightly smoothed.
+
+    Args:
+        image: uint8, (h, w) gray or (h, w, 3) RGB.
+    """
+    soft = np.asarray(cv2.GaussianBlur(image.astype(np.float32), (5, 5), 0.9), dtype=np.float32)
+    return soft[:, :, None] if soft.ndim == 2 else soft
+
+
+def gathered(objects: Sequence[Mapping[str, Any]]) -> Controls:
+    """The controls of objects as the context gives them (keys as in `hierax.nodes.tracking.imagery.controls`)."""
+    counts = [len(item["points"]) for item in objects]
+    owners = np.repeat(np.arange(len(objects)), counts)
+    edges, begin = [], 0
+    for item in objects:
+        edges.append(np.asarray(item["edges"], dtype=np.intp) + begin)
+        begin += 1 + int(item["edges"].max(initial=-1))
+    slots = [_slots(item) for item in objects]
+
+    def joined(name: str) -> Floats:
+        return np.concatenate([np.asarray(item[name], dtype=np.float64) for item in objects])
+
+    return Controls(
+        owners,
+        joined("points"),
+        joined("tangents"),
+        joined("inwards"),
+        np.concatenate([np.asarray(item["kinds"]) == 1 for item in objects]),
+        np.concatenate(edges),
+        np.concatenate(slots),
+        joined("visible"),
+    )
+
+
+def _slots(item: Mapping[str, Any]) -> NDArray[np.int64]:
+    """(n, 2): numbers for an object's edge, the part of it that a point is on, and the face on either side."""
+    points, tangents = np.asarray(item["points"]), np.asarray(item["tangents"])
+    part = np.floor(np.einsum("nk,nk->n", points, tangents) / _PART_M).astype(np.int64)
+    place = np.asarray(item["edges"], dtype=np.int64) * _PARTS + (part + _PARTS // 2) % _PARTS
+    slots: NDArray[np.int64] = place[:, None] * _FACES + (np.asarray(item["faces"], dtype=np.int64) + 1)
+    return slots
+
+
+def lines_of(controls: Controls, poses: Floats, intrinsics: Array, shape: tuple[int, ...]) -> Lines:
+    """Where the poses (m, 4, 4) put the controls, those that are in an image of this shape."""
+    rotations = poses[controls.owners, :3, :3]
+    middle = (rotations @ controls.points[:, :, None])[..., 0] + poses[controls.owners, :3, 3]
+    along = (rotations @ controls.tangents[:, :, None])[..., 0]
+    inward = (rotations @ controls.inwards[:, :, None])[..., 0]
+    depth = np.maximum(middle[:, 2], _NEAREST_M)
+    focal = np.asarray(intrinsics[:2], dtype=np.float64)
+    flat = middle[:, :2] / depth[:, None]
+    pixels = focal * flat + intrinsics[2:]
+    direction = focal * (along[:, :2] - flat * along[:, 2:]) / depth[:, None]
+    length = np.sqrt(np.einsum("nk,nk->n", direction, direction))
+    direction = direction / np.maximum(length, 1e-9)[:, None]
+    normals = np.stack((-direction[:, 1], direction[:, 0]), axis=1)
+    side = np.einsum("nk,nk->n", normals, focal * (inward[:, :2] - flat * inward[:, 2:]))
+    normals = np.where(side[:, None] < 0, -normals, normals)
+    high, wide = shape[:2]
+    inside = (pixels > _MARGIN_PX).all(axis=1) & (pixels < (wide - _MARGIN_PX, high - _MARGIN_PX)).all(axis=1)
+    # Seen along their length, edges have no direction across.
+    inside &= (middle[:, 2] > _NEAREST_M) & (length * _ALONG_M > 0.02)
+    rows = np.nonzero(inside)[0]
+    return Lines(rows, pixels[rows], normals[rows])
+
+
+def read_profiles(image: Image, lines: Lines, edges: Indices, reach: int, contrast: float) -> Profiles:
+    """The profiles to `reach` pixels on both sides, and all extremes of their gradients.
+
+    A profile is averaged with its neighbours on the edge: noise falls, the edge stays.
+
+    Args:
+        image: of `smoothed`.
+        lines: where; its rows ascending, so that neighbours on an edge stand together.
+        edges: (n,) of each line.
+        reach: pixels.
+        contrast: smallest slope that counts as an edge, grey levels per pixel.
+    """
+    half = reach + 1 + _FLANK_PX
+    offsets = np.arange(-half, half + 1, dtype=np.float32)
+    pixels, normals = lines.pixels.astype(np.float32), lines.normals.astype(np.float32)
+    across = pixels[:, None, 0] + offsets * normals[:, None, 0]
+    down = pixels[:, None, 1] + offsets * normals[:, None, 1]
+    values = _sampled(image, across, down)
+    values = _along_edges(values.reshape(*across.shape, -1), edges)
+    slope = 0.5 * (values[:, 2:] - values[:, :-2])
+    begin = _FLANK_PX - 1
+    slope = slope[:, begin : begin + 2 * reach + 3]
+    size = np.sqrt(np.einsum("pkc,pkc->pk", slope, slope))
+    # Neighbours on the other flank of a thin line slope the other way: they do not shape this peak.
+    agree = np.einsum("pkc,pkc->pk", slope[:, 1:], slope[:, :-1]) > 0
+    middle = size[:, 1:-1]
+    before = np.where(agree[:, :-1], size[:, :-2], np.float32(0.0))
+    after = np.where(agree[:, 1:], size[:, 2:], np.float32(0.0))
+    top = (middle > contrast) & (middle >= before) & (middle > after)
+    bend = np.where(top, 2.0 * middle - before - after, np.float32(1.0))
+    shift = np.clip(0.5 * (after - before) / bend, -0.5, 0.5)
+    near = np.arange(-reach, reach + 1, dtype=np.float32)
+    places: Singles = np.where(top, near + shift, np.float32(np.inf))
+    sharpness = np.where(top, bend / np.maximum(middle, contrast), np.float32(0.0))
+    inside, outside = (_beside(values, half, reach, side) for side in (1, -1))
+    return Profiles(places, np.where(top, middle, np.float32(0.0)), sharpness, inside, outside, reach)
+
+
+def _sampled(image: Image, across: Singles, down: Singles) -> Singles:
+    """The image at places, row by row; OpenCV takes less than 32768 rows at a time."""
+    parts = [
+        cv2.remap(
+            image,
+            across[start : start + _MOST_ROWS],
+            down[start : start + _MOST_ROWS],
+            cv2.INTER_LINEAR,
+            borderMode=cv2.BORDER_REPLICATE,
+        )
+        for start in range(0, max(1, len(across)), _MOST_ROWS)
+    ]
+    return np.asarray(np.concatenate(parts), dtype=np.float32)
+
+
+def _beside(values: Singles, half: int, reach: int, side: int) -> Singles:
+    """(n, k, channels): the mean of the profiles a little to one side of each place."""
+    starts = [half - reach + side * step for step in _BESIDE_PX]
+    total: Singles = values[:, starts[0] : starts[0] + 2 * reach + 1].copy()
+    for start in starts[1:]:
+        total += values[:, start : start + 2 * reach + 1]
+    total *= np.float32(1.0 / len(starts))
+    return total
+
+
+def _along_edges(values: Singles, edges: Indices) -> Singles:
+    """Each profile averaged with those before and behind it on its edge, 1 : 2 : 1."""
+    if len(values) < 2:
+        return values
+    same = (edges[1:] == edges[:-1])[:, None, None]
+    before, after = values.copy(), values.copy()
+    before[1:] = np.where(same, values[:-1], values[1:])
+    after[:-1] = np.where(same, values[1:], values[:-1])
+    total: Singles = before + after + values + values
+    total *= np.float32(0.25)
+    return total

@@ -1,0 +1,115 @@
+"""What the arm believes of one object, see `hierax.nodes.tracking.arm.ArmNode`: at first, and for the next image."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from hierax.nodes.tracking.estimation.appearance import NOTHING
+from hierax.nodes.tracking.math.batched import invert_many, log_many
+from hierax.nodes.tracking.math.geometry import Array, Floats, invert
+
+TRACKED = "tracked"
+EXPECTED = "expected"
+LOST = "lost"
+
+_FIRST_UNREST = 0.2
+_DASH_M = 0.002
+
+NO_CONTROLS: dict[str, Array] = {
+    "points": np.zeros((0, 3)),
+    "tangents": np.zeros((0, 3)),
+    "inwards": np.zeros((0, 3)),
+    "kinds": np.zeros(0, dtype=np.uint8),
+    "edges": np.zeros(0, dtype=np.int32),
+    "faces": np.zeros((0, 2), dtype=np.int32),
+    "visible": np.zeros(0, dtype=np.float32),
+}
+
+NO_POSES = np.zeros((0, 4, 4))
+
+Tracked = dict[str, Any]
+
+
+def first_belief(item: Mapping[str, Any], covariance: Floats) -> Tracked:
+    """An object before the first image.
+
+    Args:
+        item: "id", "obj_id" and "pose", camera_from_object.
+        covariance: (6, 6) of the pose's error.
+
+    Raises:
+        ValueError: the pose is no 4 × 4 matrix of finite numbers.
+    """
+    pose = np.asarray(item["pose"], dtype=np.float64)
+    if pose.shape != (4, 4) or not np.all(np.isfinite(pose)):
+        raise ValueError(f"object {item['id']}: pose: expected a 4 × 4 matrix of finite numbers")
+    return {
+        "id": int(item["id"]),
+        "obj_id": int(item["obj_id"]),
+        "pose": pose,
+        "before": pose,
+        "covariance": covariance,
+        "score": 1.0,
+        "probation": 0,
+        "status": EXPECTED,
+        "misses": 0,
+        "unrest": _FIRST_UNREST,
+        "trend": np.zeros(6),
+        "vain": 0,
+        "support": np.zeros(3),
+        "stands": False,
+        "others": (),
+        "guesses": NO_POSES,
+        "sought": False,
+        "controls": NO_CONTROLS,
+        "edges": np.zeros((0, 2, 3)),
+        "slots": NOTHING,
+    }
+
+
+def motion_of(item: Mapping[str, Any]) -> Floats:
+    """(6,) twist in its frame by which an object is predicted to move from one image to the next."""
+    motion: Floats = log_many(invert_many(item["before"][None]) @ item["pose"][None])[0]
+    return motion
+
+
+def check_ids(objects: Sequence[Mapping[str, Any]]) -> None:
+    """See that objects can be told apart in a label image.
+
+    Raises:
+        ValueError: ids are doubled or out of range.
+    """
+    ids = [item["id"] for item in objects]
+    if len(set(ids)) != len(ids) or not all(1 <= number <= 255 for number in ids):
+        raise ValueError(f"ids must be different and from 1 to 255, got {ids}")
+
+
+def diagonal_covariance(length_m: float, angle_rad: float) -> Floats:
+    """(6, 6) of a pose whose standard deviations are these along and about each axis."""
+    return np.diag([length_m**2] * 3 + [angle_rad**2] * 3)
+
+
+def imagined(item: Tracked, expected: Mapping[str, Any], camera: Floats) -> Tracked:
+    """One object's prediction and its visible edges.
+
+    Args:
+        item: the object.
+        expected: its entry in the context, see `hierax.nodes.tracking.render.SegmentedDepth`.
+        camera: (4, 4) world_from_camera.
+    """
+    controls = expected["controls"]
+    half = _DASH_M / 2.0 * controls["tangents"]
+    return {
+        **item,
+        "before": item["pose"],
+        "pose": invert(camera) @ expected["pose"],
+        "covariance": expected["covariance"],
+        "support": expected["support"],
+        "stands": expected["stands"],
+        "others": tuple({**other, "pose": invert(camera) @ other["pose"]} for other in expected["others"]),
+        "controls": controls,
+        "edges": np.stack((controls["points"] - half, controls["points"] + half), axis=1),
+    }

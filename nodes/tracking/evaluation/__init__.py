@@ -1,0 +1,1 @@
+"""How well a run was tracked: results files, scores, plots and pictures."""

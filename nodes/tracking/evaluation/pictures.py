@@ -1,0 +1,234 @@
+"""Pictures of a tracking run: expected and corrected edges over the camera's images, and a video of them."""
+
+from __future__ import annotations
+
+import os
+import re
+from collections.abc import Sequence
+from pathlib import Path
+from typing import NamedTuple
+
+import cv2
+import numpy as np
+
+from hierax.nodes.tracking.datasets.bop import read_image
+from hierax.nodes.tracking.errors import DataError
+from hierax.nodes.tracking.math.geometry import Array, Floats, invert, project, transform
+from hierax.runtime import Probe, Step, Value
+
+cv2.setNumThreads(1)
+
+VIDEO_FILE = "video.mp4"
+PICTURES_FOLDER = "pictures"
+CONTACT_SHEET = "contact-sheet.png"
+
+EXPECTED = (235, 60, 50)
+CORRECTED = (60, 235, 80)
+"""RGB of edges where they were expected, and where the arm's correction puts them."""
+
+_EXPECTED_PX, _CORRECTED_PX = 2, 1
+"""Widths: where both are at one place, both are seen."""
+
+_STATUSES = ("tracked", "expected", "lost")
+_NEAREST_M = 0.02
+_WHITE = (255, 255, 255)
+_STRIP_PX = 24
+_SHIFT = 4
+_SHEET_COLUMNS = 3
+_SHEET_PICTURES = 9
+_SHEET_WIDTH_PX = 480
+_PICTURE = re.compile(r"frame-(\d{6,})\.png")
+_UNFINISHED = ".part"
+_EPOCHS_AGAIN = 4
+"""How many of the last epochs can be told again with their expected edges still known."""
+
+
+class _Shown(NamedTuple):
+    """What is seen in one epoch."""
+
+    frame: int
+    image: Array
+    expected: Value
+    corrected: Value
+
+
+class Pictures(Probe):
+    """Draws the arm's edges over the camera's images, into ``pictures/`` in the output folder.
+
+    Red are the edges where they were expected, before the image was seen; green where the
+    correction puts them; objects that are not tracked have no green. The first frame,
+    every `every`-th and the last one are written, and a contact sheet of them at the end;
+    with `video` every frame, and all of them as ``video.mp4`` in the output folder.
+
+    A frame that is told again is drawn again. The first frame that a new process of the arm
+    is told has no red: what was expected died with the process before.
+
+    Args:
+        every: from one picture to the next, in frames.
+        video: whether a video is made.
+        fps: of the video, frames per second.
+
+    Raises:
+        ValueError: `every` is below 1, or `fps` is not positive.
+    """
+
+    def __init__(self, every: int = 8, video: bool = False, fps: float = 30.0) -> None:
+        if every < 1:
+            raise ValueError(f"every is {every}; expected at least 1 frame")
+        if not fps > 0.0:
+            raise ValueError(f"fps is {fps}; expected a positive number")
+        self._every = 1 if video else every
+        self._video = video
+        self._fps = fps
+        self._folder: Path | None = None
+        self._frames: set[int] = set()
+        self._beliefs: dict[int, Value] = {}
+        self._last: _Shown | None = None
+
+    def open(self, output: Path | None) -> None:
+        """Make the folder; without an output folder nothing is drawn."""
+        self._frames = set()
+        self._folder = None if output is None else output / PICTURES_FOLDER
+        if self._folder is not None:
+            self._folder.mkdir(exist_ok=True)
+
+    def open_again(self, output: Path | None) -> None:
+        """Find the pictures that are there, for the contact sheet; a half one is removed."""
+        self.open(output)
+        if self._folder is None:
+            return
+        for path in self._folder.iterdir():
+            if path.name.endswith(_UNFINISHED):
+                path.unlink()
+            elif found := _PICTURE.fullmatch(path.name):
+                self._frames.add(int(found[1]))
+
+    def record(self, step: Step) -> None:
+        """Draw the frame, if it is one to be drawn."""
+        if self._folder is None:
+            return
+        epoch = step.epoch
+        expected = self._beliefs.get(epoch - 1)
+        kept = {at: belief for at, belief in self._beliefs.items() if epoch - _EPOCHS_AGAIN <= at < epoch}
+        self._beliefs = {**kept, epoch: step.belief}
+        if not step.observations:
+            return
+        shown = _Shown(step.sensed["frame"], step.observations[0]["image"], expected, step.sensed)
+        due = (epoch - 1) % self._every == 0
+        self._last = None if due else shown
+        if due:
+            self._write(shown)
+
+    def close(self) -> None:
+        """Draw the last frame and the contact sheet, and make the video."""
+        if self._folder is None:
+            return
+        if self._last is not None:
+            self._write(self._last)
+        self._last = None
+        if self._frames:
+            pictures = [self._path(self._folder, frame) for frame in sorted(self._frames)]
+            write_picture(self._folder / CONTACT_SHEET, contact_sheet(pictures))
+            if self._video:
+                write_video(self._folder.parent / VIDEO_FILE, pictures, self._fps)
+
+    def _write(self, shown: _Shown) -> None:
+        assert self._folder is not None
+        path = self._path(self._folder, shown.frame)
+        write_picture(path, overlay(shown.image, shown.expected, shown.corrected))
+        self._frames.add(shown.frame)
+
+    @staticmethod
+    def _path(folder: Path, frame: int) -> Path:
+        return folder / f"frame-{frame:06d}.png"
+
+
+def overlay(image: Array, expected: Value, corrected: Value) -> Array:
+    """An image with the edges of an arm's beliefs over it.
+
+    Args:
+        image: uint8, (h, w) gray or (h, w, 3) RGB.
+        expected: the arm's belief as predicted, before the image; None for none.
+        corrected: its belief after the image.
+
+    Returns:
+        uint8 RGB (h, w, 3).
+    """
+    picture: Array = cv2.cvtColor(image, cv2.COLOR_GRAY2RGB) if image.ndim == 2 else np.array(image)
+    camera, intrinsics = corrected["camera"], corrected["intrinsics"]
+    before = () if expected is None or expected["camera"] is None else expected["objects"]
+    for item in before:
+        moved = invert(camera) @ expected["camera"] @ item["pose"]
+        _draw_edges(picture, item["edges"], moved, intrinsics, EXPECTED, _EXPECTED_PX)
+    for item in corrected["objects"]:
+        if item["status"] == "tracked":
+            _draw_edges(picture, item["edges"], item["pose"], intrinsics, CORRECTED, _CORRECTED_PX)
+    counts = {status: sum(item["status"] == status for item in corrected["objects"]) for status in _STATUSES}
+    text = "  ".join(f"{count} {status}" for status, count in counts.items() if count)
+    height, width = picture.shape[:2]
+    picture[height - _STRIP_PX :] //= 4
+    _write_text(picture, f"frame {corrected['frame']}   {text}", (8, height - 8), _WHITE)
+    _write_text(picture, "expected", (width - 160, height - 8), EXPECTED)
+    _write_text(picture, "corrected", (width - 82, height - 8), CORRECTED)
+    return picture
+
+
+def contact_sheet(pictures: Sequence[Path]) -> Array:
+    """Up to nine of the pictures, evenly chosen, the first and the last among them, smaller and in full rows."""
+    columns = min(_SHEET_COLUMNS, len(pictures))
+    count = min(_SHEET_PICTURES, len(pictures) - len(pictures) % columns)
+    chosen = [pictures[round(at)] for at in np.linspace(0, len(pictures) - 1, count)]
+    tiles = []
+    for path in chosen:
+        picture = read_image(path)
+        height = round(picture.shape[0] * _SHEET_WIDTH_PX / picture.shape[1])
+        tiles.append(cv2.resize(picture, (_SHEET_WIDTH_PX, height), interpolation=cv2.INTER_AREA))
+    rows = [np.hstack(tiles[start : start + columns]) for start in range(0, len(tiles), columns)]
+    return np.vstack(rows)
+
+
+def write_video(path: Path, pictures: Sequence[Path], fps: float) -> None:
+    """Put pictures of one size together as an MP4 video.
+
+    Raises:
+        DataError: it cannot be written.
+    """
+    height, width = read_image(pictures[0]).shape[:2]
+    unfinished = path.with_name(f"unfinished-{path.name}")
+    writer = cv2.VideoWriter(str(unfinished), cv2.VideoWriter.fourcc(*"mp4v"), fps, (width, height))
+    try:
+        if not writer.isOpened():
+            raise DataError(f"{path}: cannot be written; OpenCV finds no MP4 encoder, or no such folder")
+        for picture in pictures:
+            writer.write(np.ascontiguousarray(read_image(picture)[..., ::-1]))
+    finally:
+        writer.release()
+    os.replace(unfinished, path)
+
+
+def write_picture(path: Path, picture: Array) -> None:
+    """Write an RGB picture as PNG. The file is whole at every moment at which it is there.
+
+    Raises:
+        DataError: it cannot be written.
+    """
+    _, content = cv2.imencode(".png", np.ascontiguousarray(picture[..., ::-1]))
+    unfinished = path.with_name(path.name + _UNFINISHED)
+    try:
+        unfinished.write_bytes(content.tobytes())
+        os.replace(unfinished, path)
+    except OSError as error:
+        raise DataError(f"{path}: cannot be written: {error.strerror}") from error
+
+
+def _draw_edges(
+    picture: Array, edges: Floats, pose: Floats, intrinsics: Array, colour: tuple[int, int, int], width_px: int
+) -> None:
+    points = transform(pose, np.asarray(edges))
+    ahead = points[points[..., 2].min(axis=1) > _NEAREST_M] if len(points) else points
+    pixels = np.rint(np.clip(project(ahead, intrinsics), -4096, 8192) * (1 << _SHIFT)).astype(np.int32)
+    cv2.polylines(picture, list(pixels), False, colour, width_px, cv2.LINE_AA, _SHIFT)
+
+
+def _write_text(picture: Array, text: str, at: tuple[int, int], colour: tuple[int, int, int]) -> None:
+    cv2.putText(picture, text, at, cv2.FONT_HERSHEY_SIMPLEX, 0.5, colour, 1, cv2.LINE_AA)

@@ -1,0 +1,128 @@
+"""What a tracking run leaves behind: poses as BOP results files; its pictures are in `evaluation.pictures`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from hierax.nodes.tracking.datasets.bop import ResultsFile
+from hierax.nodes.tracking.math.geometry import invert
+from hierax.runtime import Probe, Step
+
+POSES_FILE = "poses.csv"
+TRUTH_FILE = "truth.csv"
+
+
+class BopResults(Probe):
+    """The arm's corrected poses as BOP results files, written through at every epoch.
+
+    They go to `file` and, where the run has an output folder, to ``poses.csv`` in it. A
+    frame that is told again replaces what was written of it.
+
+    Args:
+        file: path, relative to the folder that the run was started in; None for none.
+        scene: the scene's folder, whose name is the scene's number; None gives number 0.
+    """
+
+    prompt = True
+
+    def __init__(self, file: str | None = None, scene: str | None = None) -> None:
+        self._file = file
+        self._scene_id = scene_number(scene)
+        self._results: list[ResultsFile] = []
+
+    def open(self, output: Path | None) -> None:
+        """Begin the files.
+
+        Raises:
+            DataError: one cannot be written.
+        """
+        self._begin(output, again=False)
+
+    def open_again(self, output: Path | None) -> None:
+        """Go on behind what is in the files.
+
+        Raises:
+            DataError: one cannot be written, or is no results file.
+        """
+        self._begin(output, again=True)
+
+    def record(self, step: Step) -> None:
+        """One frame's poses, as the arm has them after its observation."""
+        belief = step.sensed
+        if belief["frame"] is None:
+            return
+        for results in self._results:
+            results.write(belief["frame"], belief["objects"])
+
+    def close(self) -> None:
+        """End the files."""
+        for results in self._results:
+            results.close()
+        self._results = []
+
+    def _begin(self, output: Path | None, again: bool) -> None:
+        paths = [Path(self._file)] if self._file is not None else []
+        paths += [output / POSES_FILE] if output is not None else []
+        different = {path.resolve(): path for path in paths}
+        self._results = []
+        for path in different.values():
+            self._results.append(ResultsFile(path, self._scene_id, again))
+
+
+class Truth(Probe):
+    """The simulated world's true poses, seen by its camera, as a BOP results file ``truth.csv`` in the output folder.
+
+    Of a scene folder's world nothing is written: it knows no truth. A frame that is told
+    again replaces what was written of it.
+    """
+
+    prompt = True
+
+    def __init__(self) -> None:
+        self._results: ResultsFile | None = None
+        self._output: Path | None = None
+
+    def open(self, output: Path | None) -> None:
+        """Remember the folder; the file begins with the first true pose.
+
+        One that another run left there is removed: it is not this run's truth.
+        """
+        self._output = output
+        if output is not None:
+            (output / TRUTH_FILE).unlink(missing_ok=True)
+
+    def open_again(self, output: Path | None) -> None:
+        """Go on behind what is in the file.
+
+        Raises:
+            DataError: it cannot be written, or is no results file.
+        """
+        self._output = output
+        if output is not None and (output / TRUTH_FILE).exists():
+            self._results = ResultsFile(output / TRUTH_FILE, 0, again=True)
+
+    def record(self, step: Step) -> None:
+        """One frame's true poses."""
+        belief = step.sensed
+        if self._output is None or "bodies" not in belief:
+            return
+        if self._results is None:
+            self._results = ResultsFile(self._output / TRUTH_FILE, 0)
+        camera_from_world = invert(belief["camera"])
+        objects = [
+            {"obj_id": body["obj_id"], "pose": camera_from_world @ body["pose"], "score": 1.0, "status": "true"}
+            for body in belief["bodies"]
+        ]
+        self._results.write(belief["frame"], objects)
+
+    def close(self) -> None:
+        """End the file."""
+        if self._results is not None:
+            self._results.close()
+        self._results = None
+
+
+def scene_number(scene: str | None) -> int:
+    """A BOP scene's number: its folder's name, where that is one; else 0."""
+    name = Path(scene).name if scene is not None else ""
+    return int(name) if name.isdigit() else 0

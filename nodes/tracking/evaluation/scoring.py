@@ -1,0 +1,296 @@
+"""How well poses agree with the truth: ``python -m hierax.nodes.tracking.evaluation.scoring POSES.csv TRUTH_DIR``.
+
+Errors are those of camera_from_object: the distance of the origins, and the angle between the
+axes. A box looks the same when it is turned by half a turn, but the pose to be kept is the one
+that was given at first, so nothing is made of symmetries.
+
+An object that is hidden to more than 90 % is not counted until it is back.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+from collections.abc import Iterable, Mapping, Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from hierax.nodes.tracking.datasets.bop import Result, read_results
+from hierax.nodes.tracking.datasets.truth import TruePose, read_truth
+from hierax.nodes.tracking.errors import DataError
+from hierax.nodes.tracking.math.geometry import Array, Floats, pose_error
+
+LIMITS = ((2.0, 2.0), (5.0, 5.0), (10.0, 5.0))
+"""Millimetres and degrees within which a pose is right."""
+
+LEAST_VISIBLE = 0.1
+"""What is seen less of an object does not count."""
+
+BINS = ((0.1, 0.3), (0.3, 0.5), (0.5, 0.7), (0.7, 0.9), (0.9, 1.0))
+"""Visible shares that are judged apart; the last one's end is part of it."""
+
+HIDDEN = (0.1, 0.5)
+WIDE_BINS = (HIDDEN, (0.5, 0.9))
+_RIGHT_AGAIN = (5.0, 5.0)
+_LAST_FRAMES = 10
+_NEAR = (10.0, 5.0)
+_ASTRAY = (20.0, 10.0)
+
+
+class Course(NamedTuple):
+    """One object through all frames.
+
+    Attributes:
+        obj_id: the object.
+        frames: (n,) their numbers.
+        distance_mm, angle_deg: (n,) errors, nan where no pose was given.
+        visible: (n,) the visible share.
+    """
+
+    obj_id: int
+    frames: Array
+    distance_mm: Floats
+    angle_deg: Floats
+    visible: Floats
+
+    @property
+    def counted(self) -> Array:
+        """(n,) bool, whether enough of it is seen."""
+        return self.visible >= LEAST_VISIBLE
+
+    @property
+    def missing(self) -> int:
+        """In how many frames there is no pose."""
+        return int(np.isnan(self.distance_mm).sum())
+
+    def within(self, limit: tuple[float, float]) -> Array:
+        """(n,) bool, whether the pose is right by so many millimetres and degrees."""
+        return (self.distance_mm <= limit[0]) & (self.angle_deg <= limit[1])
+
+
+class Band(NamedTuple):
+    """Frames in which so much of an object is visible.
+
+    Attributes:
+        low, high: the visible share.
+        frames: how many frames of objects.
+        shares: right by each of `LIMITS`; nan where there is no frame.
+    """
+
+    low: float
+    high: float
+    frames: int
+    shares: tuple[float, ...]
+
+    def plain(self) -> dict[str, Any]:
+        """As plain JSON."""
+        return {"from": self.low, "to": self.high, "frames": self.frames, **_named(self.shares)}
+
+
+class Score(NamedTuple):
+    """A run's figures; shares are 0 to 1, nan where nothing falls under them.
+
+    Attributes:
+        objects, frames: how many there are; frames of all objects together that count.
+        shares: right by each of `LIMITS`.
+        bands: by how much is visible, as `BINS` and `WIDE_BINS` have it.
+        mean_mm, worst_mm, mean_deg, worst_deg: of the poses given.
+        missing: share without a pose.
+        astray: share with a pose that is off by more than 20 mm or 10 degrees.
+        lost: objects that in none of their last ten counted frames are right by 10 mm and 5°.
+        again_frames: of each time that an object came back, after how many frames it was right by
+            5 mm and 5°; None where it was not before it was gone again, or at all.
+    """
+
+    objects: int
+    frames: int
+    shares: tuple[float, ...]
+    bands: tuple[Band, ...]
+    mean_mm: float
+    worst_mm: float
+    mean_deg: float
+    worst_deg: float
+    missing: float
+    astray: float
+    lost: int
+    again_frames: tuple[int | None, ...]
+
+    def band(self, low: float, high: float) -> Band:
+        """One of the bands."""
+        return next(band for band in self.bands if (band.low, band.high) == (low, high))
+
+    @property
+    def hidden(self) -> Band:
+        """Where more than half is hidden."""
+        return self.band(*HIDDEN)
+
+    def plain(self) -> dict[str, Any]:
+        """As plain JSON; what there is none of is null."""
+        plain = {name: _plain(value) for name, value in self._asdict().items()}
+        plain["shares"] = _named(self.shares)
+        plain["bands"] = [band.plain() for band in self.bands]
+        return plain
+
+
+def courses(results: Iterable[Result], truth: Mapping[int, Sequence[TruePose]]) -> list[Course]:
+    """Each true object's errors, by its number.
+
+    Args:
+        results: poses that were given, of one scene.
+        truth: by frame, as `read_truth` gives it.
+    """
+    given = {(result.obj_id, result.im_id): result.pose for result in results}
+    true: dict[int, list[tuple[int, TruePose]]] = {}
+    for frame, poses in truth.items():
+        for pose in poses:
+            true.setdefault(pose.obj_id, []).append((frame, pose))
+    found = []
+    for obj_id in sorted(true):
+        errors = np.full((len(true[obj_id]), 2), np.nan)
+        for at, (frame, pose) in enumerate(true[obj_id]):
+            if (obj_id, frame) in given:
+                errors[at] = pose_error(given[obj_id, frame], pose.pose)
+        frames = np.array([frame for frame, _ in true[obj_id]])
+        visible = np.array([pose.visible for _, pose in true[obj_id]])
+        found.append(Course(obj_id, frames, errors[:, 0] * 1000.0, np.degrees(errors[:, 1]), visible))
+    return found
+
+
+def score(all_courses: Sequence[Course]) -> Score:
+    """The figures of some objects, of one run or of several."""
+    counted = [course.counted for course in all_courses]
+    visible = _joined(course.visible[kept] for course, kept in zip(all_courses, counted, strict=True))
+    distance = _joined(course.distance_mm[kept] for course, kept in zip(all_courses, counted, strict=True))
+    angle = _joined(course.angle_deg[kept] for course, kept in zip(all_courses, counted, strict=True))
+    right = np.array([(distance <= mm) & (angle <= degrees) for mm, degrees in LIMITS])
+    whole = np.ones(len(visible), bool)
+    known = ~np.isnan(distance)
+    astray = known & ((distance > _ASTRAY[0]) | (angle > _ASTRAY[1]))
+    return Score(
+        objects=len(all_courses),
+        frames=len(visible),
+        shares=_shares(right, whole),
+        bands=tuple(_band(right, visible, low, high) for low, high in (*BINS, *WIDE_BINS)),
+        mean_mm=_of(np.mean, distance[known]),
+        worst_mm=_of(np.max, distance[known]),
+        mean_deg=_of(np.mean, angle[known]),
+        worst_deg=_of(np.max, angle[known]),
+        missing=_of(np.mean, ~known),
+        astray=_of(np.mean, astray),
+        lost=sum(_is_lost(course) for course in all_courses),
+        again_frames=tuple(frames for course in all_courses for frames in _again(course)),
+    )
+
+
+def table(rows: Mapping[str, Score]) -> str:
+    """Scores as text, one line each."""
+    width = max(len(name) for name in rows)
+    lines = [
+        f"{'':{width}}  right, %              5 mm/5° by the visible share             error: mean (worst)"
+        "               no    off            back after",
+        f"{'':{width}}  2/2°   5/5°   10/5°   0.1–0.5  0.5–0.9  0.9–1   mm               °"
+        "              pose   20/10° lost  frames (never)",
+    ]
+    for name, each in rows.items():
+        bands = [each.hidden, each.band(0.5, 0.9), each.band(0.9, 1.0)]
+        lines.append(
+            f"{name:{width}} "
+            + "".join(f" {_percent(share):>5} " for share in each.shares)
+            + "".join(f" {_percent(band.shares[1]):>7} " for band in bands)
+            + f" {each.mean_mm:6.2f} ({each.worst_mm:6.1f})  {each.mean_deg:6.2f} ({each.worst_deg:5.1f})"
+            + f"  {_percent(each.missing):>5}  {_percent(each.astray):>5}  {each.lost:4}  {_times(each.again_frames)}"
+        )
+    return "\n".join(lines)
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Print a run's figures, all objects together and each alone.
+
+    Returns:
+        The exit code: 0, or 1 where a file is missing or damaged.
+    """
+    parser = argparse.ArgumentParser(
+        prog="python -m hierax.nodes.tracking.evaluation.scoring",
+        description=__doc__,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    parser.add_argument("poses", type=Path, metavar="POSES.csv", help="a BOP results file")
+    parser.add_argument("truth", type=Path, metavar="TRUTH_DIR", help="folder with scene_gt.json of all frames")
+    parser.add_argument("--format", choices=("text", "json"), default="text", help="how the figures are printed")
+    options = parser.parse_args(arguments)
+    try:
+        found = courses(read_results(options.poses), read_truth(options.truth))
+    except DataError as error:
+        print(f"error: {error}", file=sys.stderr)
+        return 1
+    rows = {"all": score(found), **{f"object {course.obj_id}": score([course]) for course in found}}
+    if options.format == "json":
+        print(json.dumps({name: each.plain() for name, each in rows.items()}, indent=2))
+    else:
+        print(table(rows))
+    return 0
+
+
+def _band(right: Array, visible: Floats, low: float, high: float) -> Band:
+    which = (visible >= low) & ((visible < high) | (high == BINS[-1][1]))
+    return Band(low, high, int(which.sum()), _shares(right, which))
+
+
+def _shares(right: Array, which: Array) -> tuple[float, ...]:
+    return tuple(_of(np.mean, row[which]) for row in right)
+
+
+def _is_lost(course: Course) -> bool:
+    last = np.nonzero(course.counted)[0][-_LAST_FRAMES:]
+    return len(last) > 0 and not course.within(_NEAR)[last].any()
+
+
+def _again(course: Course) -> list[int | None]:
+    """After how many frames an object that was gone, and came back, was right."""
+    counted, right = course.counted, course.within(_RIGHT_AGAIN)
+    found: list[int | None] = []
+    for back in np.nonzero(counted[1:] & ~counted[:-1])[0] + 1:
+        gone = np.nonzero(~counted[back:])[0]
+        end = back + gone[0] if len(gone) else len(counted)
+        first = np.nonzero(right[back:end])[0]
+        found.append(int(first[0]) if len(first) else None)
+    return found
+
+
+def _joined(parts: Iterable[Array]) -> Array:
+    return np.concatenate([*parts, np.zeros(0)])
+
+
+def _of(function: Any, values: Array) -> float:
+    return float(function(values)) if len(values) else float("nan")
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, float):
+        return value if np.isfinite(value) else None
+    return list(value) if isinstance(value, tuple) else value
+
+
+def _named(shares: Sequence[float]) -> dict[str, Any]:
+    return {
+        f"within_{mm:g}mm_{degrees:g}deg": _plain(share) for (mm, degrees), share in zip(LIMITS, shares, strict=True)
+    }
+
+
+def _percent(share: float) -> str:
+    return "–" if np.isnan(share) else f"{100.0 * share:.1f}"
+
+
+def _times(again: Sequence[int | None]) -> str:
+    known = [frames for frames in again if frames is not None]
+    if not again:
+        return "–"
+    middle = f"{np.mean(known):.1f}" if known else "–"
+    return f"{middle} ({len(again) - len(known)} of {len(again)})"
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,1 @@
+"""Generated scenes for tracking: what stands where, how it moves, and from where it is seen."""

@@ -1,0 +1,243 @@
+"""Kinds of generated scenes: what stands where, and from where it is seen."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from hierax.nodes.tracking.generator.camera import Swing, camera_path
+from hierax.nodes.tracking.generator.pushed import pushed
+from hierax.nodes.tracking.generator.things import (
+    Item,
+    colours,
+    flat_box,
+    greys,
+    random_box,
+    random_mesh,
+    scattered,
+    stacked,
+)
+from hierax.nodes.tracking.math.geometry import Array, Floats
+from hierax.nodes.tracking.simworld.light import Lamp
+from hierax.nodes.tracking.simworld.raster import visible_shares
+from hierax.nodes.tracking.simworld.scene import Wood
+from hierax.nodes.tracking.simworld.shapes import Thing
+
+SIZE = (640, 480)
+FOCAL_PX = 610.0
+INTRINSICS = np.array([FOCAL_PX, FOCAL_PX, 318.4, 241.2])
+
+_CANDIDATES = 40
+_LOOKS = 6
+_COARSE = 4
+"""Candidates are looked at in pictures that are smaller by this."""
+
+
+@dataclass(frozen=True)
+class Film:
+    """A scene in motion, all of it true.
+
+    Attributes:
+        things: the objects.
+        poses: (frames, objects, 4, 4) world_from_object.
+        camera: (frames, 4, 4) world_from_camera.
+        lamp, wood: the light and the table.
+        strangers: things that no model is given of.
+        stranger_poses: (frames, strangers, 4, 4).
+        still: whether start and camera are exact by the kind's nature.
+    """
+
+    things: Sequence[Thing]
+    poses: Floats
+    camera: Floats
+    lamp: Lamp
+    wood: Wood
+    strangers: Sequence[Thing] = ()
+    stranger_poses: Floats = field(default_factory=lambda: np.zeros((0, 0, 4, 4)))
+    still: bool = False
+
+    def first(self, objects: int | None) -> Film:
+        """The film with so many of its objects at most.
+
+        Raises:
+            ValueError: `objects` is not positive.
+        """
+        if objects is None:
+            return self
+        if objects < 1:
+            raise ValueError(f"objects is {objects}; expected at least 1")
+        return replace(self, things=self.things[:objects], poses=self.poses[:, :objects])
+
+    def bodies(self, frame: int) -> list[Thing]:
+        """Everything where it is in a frame, the objects first."""
+        known = [thing._replace(pose=pose) for thing, pose in zip(self.things, self.poses[frame], strict=True)]
+        if not self.strangers:
+            return known
+        poses = self.stranger_poses[frame]
+        return known + [thing._replace(pose=pose) for thing, pose in zip(self.strangers, poses, strict=True)]
+
+
+def film(kind: str, seed: int, frames: int) -> Film:
+    """A scene of a kind.
+
+    Args:
+        kind: one of `KINDS`.
+        seed: draws everything in it.
+        frames: how many.
+
+    Raises:
+        ValueError: there is no such kind, or `frames` is not positive.
+    """
+    if kind not in KINDS:
+        raise ValueError(f"kind is {kind!r}; expected one of {', '.join(KINDS)}")
+    if frames < 1:
+        raise ValueError(f"frames is {frames}; expected at least 1")
+    rng = np.random.default_rng([seed, *kind.encode()])
+    return KINDS[kind](rng, frames)
+
+
+def _scattered(rng: np.random.Generator, frames: int) -> Film:
+    return _still_life(rng, frames, lambda: scattered(_items(rng), rng, 0.17, 0.02), _swing(rng, 40.0), _mostly_seen)
+
+
+def _hidden(rng: np.random.Generator, frames: int) -> Film:
+    return _still_life(rng, frames, lambda: scattered(_items(rng), rng, 0.11, 0.004), _swing(rng, 24.0), _half_hidden)
+
+
+def _tower(rng: np.random.Generator, frames: int) -> Film:
+    def towers() -> list[Thing] | None:
+        paints = colours(rng, 6)
+        widths = np.sort(rng.uniform(0.05, 0.09, 6))[::-1]
+        flat = [flat_box(rng, paint, width) for paint, width in zip(paints, widths, strict=True)]
+        first = stacked([flat[0], flat[2], flat[4]], rng, -0.06, rng.uniform(-0.03, 0.03))
+        second = stacked([flat[1], flat[3]], rng, 0.06, rng.uniform(-0.03, 0.03))
+        single = scattered([random_mesh(rng, paints[5])], rng, 0.16, 0.01, [*first, *second])
+        return None if single is None else [*first, *second, *single]
+
+    return _still_life(rng, frames, towers, _swing(rng, 30.0), _mostly_seen)
+
+
+def _approach(rng: np.random.Generator, frames: int) -> Film:
+    swing = _swing(rng, 36.0)._replace(radius_m=(rng.uniform(0.85, 0.95), rng.uniform(0.42, 0.48)), swing_deg=10.0)
+    return _still_life(rng, frames, lambda: scattered(_items(rng), rng, 0.12, 0.015), swing, _mostly_seen)
+
+
+def _low_contrast(rng: np.random.Generator, frames: int) -> Film:
+    grey = rng.uniform(120.0, 150.0)
+
+    def boxes() -> list[Thing] | None:
+        paints = greys(rng, 5 + int(rng.integers(2)), grey)
+        return scattered([random_box(rng, paint) for paint in paints], rng, 0.14, 0.01)
+
+    level = round(grey)
+    wood = Wood((level, level - 1, level - 3), 0.5, int(rng.integers(1, 1000)))
+    return _still_life(rng, frames, boxes, _swing(rng, 32.0), _mostly_seen, wood)
+
+
+def _pushed(rng: np.random.Generator, frames: int) -> Film:
+    scene = pushed(rng, frames, INTRINSICS, SIZE)
+    return Film(
+        scene.things,
+        scene.poses,
+        scene.camera,
+        _lamp(rng),
+        _wood(rng),
+        scene.strangers,
+        scene.stranger_poses,
+        still=True,
+    )
+
+
+def _items(rng: np.random.Generator) -> list[Item]:
+    count = 5 + int(rng.integers(2))
+    paints = colours(rng, count)
+    meshes = 1 + int(rng.integers(2))
+    return [
+        random_mesh(rng, paint) if number < meshes else random_box(rng, paint) for number, paint in enumerate(paints)
+    ]
+
+
+def _still_life(
+    rng: np.random.Generator,
+    frames: int,
+    arranged: Callable[[], list[Thing] | None],
+    swing: Swing,
+    merit: Callable[[Floats], float],
+    wood: Wood | None = None,
+) -> Film:
+    """Of many arrangements the one that looks best for its purpose, along the whole path."""
+    best: tuple[float, list[Thing], Floats] | None = None
+    for _ in range(_CANDIDATES):
+        things = arranged()
+        if things is None:
+            continue
+        target = np.mean([thing.pose[:3, 3] for thing in things], axis=0)
+        path = camera_path(swing, target, frames, rng)
+        looks = np.linspace(0, frames - 1, _LOOKS).astype(int)
+        shares = np.array([visible_shares(things, path[at], _coarse(), _coarse_size()) for at in looks])
+        value = merit(1.0 - shares)
+        if best is None or value > best[0]:
+            best = (value, things, path)
+    assert best is not None, "of many tries one finds room"
+    _, things, path = best
+    poses = np.repeat(np.array([thing.pose for thing in things])[None], frames, axis=0)
+    return Film(things, poses, path, _lamp(rng), wood or _wood(rng))
+
+
+def _mostly_seen(hidden: Floats) -> float:
+    """High where little is hidden."""
+    return -float((hidden**2).mean()) - float((hidden > 0.6).mean())
+
+
+def _half_hidden(hidden: Floats) -> float:
+    """High where many objects are 30 to 80 % hidden, and none of them nearly all the time, or at first."""
+    wanted = ((hidden > 0.3) & (hidden < 0.8)).mean()
+    return float(wanted - 2.0 * (hidden > 0.88).mean() - 2.0 * (hidden[0] > 0.8).mean())
+
+
+def _swing(rng: np.random.Generator, elevation_deg: float) -> Swing:
+    distance = rng.uniform(0.56, 0.68)
+    return Swing(
+        azimuth_deg=rng.uniform(-180.0, 180.0),
+        elevation_deg=elevation_deg + rng.uniform(-3.0, 3.0),
+        radius_m=(distance, distance + rng.uniform(-0.04, 0.04)),
+        swing_deg=rng.uniform(16.0, 24.0),
+        period_s=rng.uniform(4.0, 6.0),
+        phase=rng.uniform(0.0, 2.0 * np.pi),
+    )
+
+
+def _lamp(rng: np.random.Generator) -> Lamp:
+    """Hard light from one side: shadows that are stronger than most edges of objects."""
+    turn, height = rng.uniform(-np.pi, np.pi), rng.uniform(1.0, 1.6)
+    return Lamp((float(np.cos(turn)), float(np.sin(turn)), float(height)), rng.uniform(0.015, 0.07), 0.34, 0.80)
+
+
+def _wood(rng: np.random.Generator) -> Wood:
+    """Planks or, one time in three, tiles, whose edges are as strong as those of objects."""
+    warm, cool = rng.uniform(0.75, 1.1), rng.uniform(0.0, 1.0)
+    colour = (round((160 - 24 * cool) * warm), round(134 * warm), round((104 + 28 * cool) * warm))
+    unevenness, grain = rng.uniform(0.8, 1.6), int(rng.integers(1000))
+    tile_m = rng.uniform(0.04, 0.09) if rng.random() < 1.0 / 3.0 else 0.0
+    return Wood(colour, unevenness, grain, tile_m)
+
+
+def _coarse() -> Array:
+    return np.array([FOCAL_PX, FOCAL_PX, INTRINSICS[2] + 0.5, INTRINSICS[3] + 0.5]) / _COARSE - [0.0, 0.0, 0.5, 0.5]
+
+
+def _coarse_size() -> tuple[int, int]:
+    return SIZE[0] // _COARSE, SIZE[1] // _COARSE
+
+
+KINDS: dict[str, Callable[[np.random.Generator, int], Film]] = {
+    "scattered": _scattered,
+    "hidden": _hidden,
+    "tower": _tower,
+    "approach": _approach,
+    "low-contrast": _low_contrast,
+    "pushed": _pushed,
+}
+"""By name."""

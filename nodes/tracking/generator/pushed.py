@@ -1,0 +1,241 @@
+"""Scenes in which a rod pushes things about: one slides behind a screen and out again, another topples.
+
+The motion is pybullet's, done beforehand. The rod belongs to nobody's model.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from hierax.nodes.tracking.generator.camera import FPS, Swing, camera_path
+from hierax.nodes.tracking.generator.things import Item, colours
+from hierax.nodes.tracking.imagery.bullet import load_pybullet
+from hierax.nodes.tracking.math.geometry import (
+    Array,
+    Floats,
+    exp_so3,
+    invert,
+    make_pose,
+    project,
+    quaternion_of,
+    rotation_of,
+)
+from hierax.nodes.tracking.simworld.raster import visible_shares
+from hierax.nodes.tracking.simworld.shapes import Thing, box, regular, wedge
+
+MOST_PX = 9.0
+"""The camera stands so far away that nothing moves by more than about this from frame to frame."""
+
+HIDDEN_FRAMES = 22
+"""For how many frames the screen hides what slides behind it."""
+
+_STEPS = 16
+_DENSITY_KG_M3 = 500.0
+_ROD_M = (0.007, 0.36)
+_ROD_FORCE_N = 60.0
+_GONE = 0.1
+_NEAREST_M, _FARTHEST_M = 0.62, 1.05
+
+
+class Pushed(NamedTuple):
+    """What happens: see `hierax.nodes.tracking.generator.kinds.Film`."""
+
+    things: list[Thing]
+    poses: Floats
+    camera: Floats
+    strangers: list[Thing]
+    stranger_poses: Floats
+
+
+class _Plan(NamedTuple):
+    """Things where they stand at first, and the rod's way.
+
+    Attributes:
+        things: the objects; the screen is 0, what slides behind it is 1.
+        rod: the rod at its first place.
+        times_s, tips_m: (n,) and (n, 3): when the rod's tip is where.
+    """
+
+    things: list[Thing]
+    rod: Thing
+    times_s: Floats
+    tips_m: Floats
+
+
+def pushed(rng: np.random.Generator, frames: int, intrinsics: Array, size: tuple[int, int]) -> Pushed:
+    """A scene of six objects; see the module.
+
+    Args:
+        rng: draws everything.
+        frames: how many.
+        intrinsics: fx, fy, cx, cy in pixels.
+        size: of the pictures, (w, h).
+    """
+    plan = _planned(rng)
+    poses, rods = _simulated(plan, frames)
+    azimuth_deg, elevation_deg = -90.0 + rng.uniform(-4.0, 4.0), rng.uniform(26.0, 30.0)
+    target = np.array([0.0, 0.02, 0.03])
+
+    def camera(radius_m: float) -> Floats:
+        swing = Swing(azimuth_deg, elevation_deg, (radius_m, radius_m), 0.0, 1.0, 0.0)
+        eye: Floats = camera_path(swing, target, 1, rng)[0]
+        return eye
+
+    trial_m = 0.8
+    fastest = _fastest_px(poses, camera(trial_m), intrinsics)
+    eye = camera(float(np.clip(trial_m * fastest / MOST_PX, _NEAREST_M, _FARTHEST_M)))
+    screen = _fitting_screen(plan.things, poses, eye, intrinsics, size)
+    things = [screen, *plan.things[1:]]
+    return Pushed(things, poses, np.repeat(eye[None], frames, axis=0), [plan.rod], rods[:, None])
+
+
+def _planned(rng: np.random.Generator) -> _Plan:
+    paints = colours(rng, 6)
+    side = float(rng.choice([-1.0, 1.0]))
+
+    def near(x_m: float, y_m: float, spread_m: float = 0.008) -> tuple[float, float]:
+        off = rng.uniform(-spread_m, spread_m, 2)
+        return side * x_m + off[0], y_m + off[1]
+
+    def yaw() -> float:
+        return float(rng.uniform(-0.25, 0.25))
+
+    slider = Item(
+        box((rng.uniform(0.04, 0.05), rng.uniform(0.045, 0.055), rng.uniform(0.033, 0.04))), np.eye(3), paints[1]
+    )
+    # It is thin in the direction in which it is to fall: over the flat one, or free of it.
+    over = rng.random() < 0.5
+    thin, broad = rng.uniform(0.034, 0.04), rng.uniform(0.044, 0.05)
+    pillar = Item(box((*((broad, thin) if over else (thin, broad)), rng.uniform(0.078, 0.09))), np.eye(3), paints[2])
+    flat = Item(
+        box((rng.uniform(0.06, 0.075), rng.uniform(0.055, 0.065), rng.uniform(0.03, 0.036))), np.eye(3), paints[3]
+    )
+    roof = Item(
+        wedge(rng.uniform(0.06, 0.075), rng.uniform(0.045, 0.055), rng.uniform(0.05, 0.07)),
+        np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]]),
+        paints[4],
+    )
+    rest = Item(box((rng.uniform(0.06, 0.07), rng.uniform(0.04, 0.05), rng.uniform(0.05, 0.06))), np.eye(3), paints[5])
+    screen = Item(box((0.14, 0.03, 0.11)), np.eye(3), paints[0])
+    start_x, row_y = -0.16, 0.075
+    tall_x, tall_y = 0.165, -0.015
+    fall = np.array([0.0, -1.0]) if over else np.array([1.0, 0.0])
+    things = [
+        screen.placed(0.0, -0.035, 0.0),
+        slider.placed(side * start_x, row_y, yaw()),
+        pillar.placed(*near(tall_x, tall_y), yaw()),
+        flat.placed(*near(tall_x + 0.003, tall_y - 0.085), yaw()),
+        roof.placed(*near(-0.165, -0.06), yaw()),
+        rest.placed(*near(0.02, 0.185), float(rng.uniform(-np.pi, np.pi))),
+    ]
+    tall = np.array([tall_x, tall_y])
+    speed = rng.uniform(0.12, 0.145)
+    way = [
+        (0.0, (start_x - 0.075, row_y, 0.018)),
+        (0.2, (start_x - 0.045, row_y, 0.018)),
+        (0.2 + 0.265 / speed, (start_x + 0.22, row_y, 0.018)),
+        (0.35 + 0.265 / speed, (start_x + 0.20, row_y, 0.03)),
+        (0.65 + 0.265 / speed, (*(tall - 0.07 * fall), 0.13)),
+        (0.8 + 0.265 / speed, (*(tall - 0.055 * fall), 0.062)),
+        (1.25 + 0.265 / speed, (*(tall + 0.02 * fall), 0.062)),
+        (1.4 + 0.265 / speed, (*(tall - 0.02 * fall), 0.14)),
+        (1.85 + 0.265 / speed, (-0.235, -0.05, 0.12)),
+        (1.95 + 0.265 / speed, (-0.235, -0.06, 0.02)),
+        (2.5 + 0.265 / speed, (-0.1, -0.07, 0.02)),
+        (9.0, (-0.1, -0.07, 0.02)),
+    ]
+    times = np.array([time_s for time_s, _ in way])
+    tips = np.array([tip for _, tip in way]) * np.array([side, 1.0, 1.0])
+    lean = exp_so3(np.array([-0.35, side * rng.uniform(-0.5, -0.3), 0.0]))
+    radius, length = _ROD_M
+    rod = Thing(make_pose(lean, tips[0] + lean[:, 2] * length / 2), regular(8, radius, length), (58, 56, 60))
+    return _Plan(things, rod, times, tips)
+
+
+def _simulated(plan: _Plan, frames: int) -> tuple[Floats, Floats]:
+    """world_from_object of things (frames, n, 4, 4) and rod (frames, 4, 4)."""
+    bullet = load_pybullet()
+    client = bullet.connect(bullet.DIRECT)
+    here = {"physicsClientId": client}
+    try:
+        bullet.setPhysicsEngineParameter(fixedTimeStep=1.0 / (FPS * _STEPS), deterministicOverlappingPairs=1, **here)
+        bullet.setGravity(0.0, 0.0, -9.81, **here)
+        slab = bullet.createCollisionShape(bullet.GEOM_BOX, halfExtents=[5.0] * 3, **here)
+        table = bullet.createMultiBody(0.0, slab, basePosition=[0.0, 0.0, -5.0], **here)
+        bullet.changeDynamics(table, -1, lateralFriction=0.7, **here)
+        handles = [_created(bullet, thing, here) for thing in plan.things]
+        # What is screwed to the table would not be pushed; the screen is heavy instead.
+        bullet.changeDynamics(handles[0], -1, mass=5.0, **here)
+        rod = _created(bullet, plan.rod, here)
+        hand = bullet.createConstraint(
+            rod, -1, -1, -1, bullet.JOINT_FIXED, [0, 0, 0], [0, 0, 0], plan.rod.pose[:3, 3].tolist(), **here
+        )
+        turn = quaternion_of(plan.rod.pose[:3, :3]).tolist()
+        from_tip = plan.rod.pose[:3, 3] - plan.tips_m[0]
+        poses, rods = [], []
+        for frame in range(frames):
+            poses.append([_pose_of(bullet, handle, here) for handle in handles])
+            rods.append(_pose_of(bullet, rod, here))
+            for step in range(_STEPS):
+                tip = _tip_at(plan, (frame + (step + 1) / _STEPS) / FPS)
+                bullet.changeConstraint(
+                    hand, (tip + from_tip).tolist(), jointChildFrameOrientation=turn, maxForce=_ROD_FORCE_N, **here
+                )
+                bullet.stepSimulation(**here)
+    finally:
+        bullet.disconnect(client)
+    return np.array(poses), np.array(rods)
+
+
+def _created(bullet: Any, thing: Thing, here: Mapping[str, int]) -> int:
+    vertices = thing.shape.mesh.vertices
+    half = np.ptp(vertices, axis=0) / 2
+    if len(vertices) == 8 and np.allclose(np.abs(vertices), half):
+        shape = bullet.createCollisionShape(bullet.GEOM_BOX, halfExtents=half.tolist(), **here)
+    else:
+        shape = bullet.createCollisionShape(bullet.GEOM_MESH, vertices=vertices.tolist(), **here)
+    mass = _DENSITY_KG_M3 * float(np.prod(2.0 * half))
+    handle: int = bullet.createMultiBody(
+        mass, shape, -1, thing.pose[:3, 3].tolist(), quaternion_of(thing.pose[:3, :3]).tolist(), **here
+    )
+    bullet.changeDynamics(handle, -1, lateralFriction=0.6, restitution=0.0, **here)
+    return handle
+
+
+def _pose_of(bullet: Any, handle: int, here: Mapping[str, int]) -> Floats:
+    position, quaternion = bullet.getBasePositionAndOrientation(handle, **here)
+    return make_pose(rotation_of(quaternion), np.array(position))
+
+
+def _tip_at(plan: _Plan, time_s: float) -> Floats:
+    return np.array([np.interp(time_s, plan.times_s, axis) for axis in plan.tips_m.T])
+
+
+def _fastest_px(poses: Floats, camera: Floats, intrinsics: Array) -> float:
+    """The farthest that the middle of a thing moves in the picture from one frame to the next."""
+    centres = poses[:, :, :3, 3] - camera[:3, 3]
+    pixels = project(centres @ invert(camera)[:3, :3].T, intrinsics)
+    return float(np.linalg.norm(np.diff(pixels, axis=0), axis=-1).max(initial=0.0))
+
+
+def _fitting_screen(
+    things: Sequence[Thing], poses: Floats, camera: Floats, intrinsics: Array, size: tuple[int, int]
+) -> Thing:
+    """The screen, so wide that what slides behind it is gone for `HIDDEN_FRAMES` frames, or nearly."""
+    slider, height = things[1], float(np.ptp(things[0].shape.mesh.vertices, axis=0)[2])
+    low, high = 0.06, 0.22
+    for _ in range(7):
+        width = (low + high) / 2
+        screen = things[0]._replace(shape=box((width, 0.03, height)))
+        gone = sum(
+            visible_shares([slider._replace(pose=pose), screen], camera, intrinsics / 2, (size[0] // 2, size[1] // 2))[
+                0
+            ]
+            < _GONE
+            for pose in poses[:, 1]
+        )
+        low, high = (low, width) if gone > HIDDEN_FRAMES else (width, high)
+    return screen

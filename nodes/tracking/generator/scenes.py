@@ -1,0 +1,193 @@
+"""Generated scenes for tracking: ``python -m hierax.nodes.tracking.generator.scenes OUT --kind hidden --seed 3``.
+
+Writes a dataset in the BOP format and, in a folder of its own that no node reads, the truth:
+
+    OUT/test/000001/                 the scene: rgb/, scene_camera.json (what is said of the
+                                     camera), scene_gt.json (what is said of the first frame)
+    OUT/models/                      PLY models
+    OUT/truth/000001/                scene_camera.json, scene_gt.json, scene_gt_info.json of all
+                                     frames; in the last ``visib_fract``, the visible share
+
+Pictures are drawn by the renderer of the simulated world, of which the mental image shares
+nothing. Unless `exact`, what is said of start and camera is wrong: each object's first pose by
+up to 7 mm and 3°, the camera's by a drift of up to 8 mm and 1° and a jitter of 1 mm and 0.1°.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+
+from hierax.nodes.tracking.errors import DataError
+from hierax.nodes.tracking.generator.camera import reported_path
+from hierax.nodes.tracking.generator.kinds import INTRINSICS, KINDS, SIZE, Film, film
+from hierax.nodes.tracking.math.geometry import Array, Floats, exp_se3, invert
+from hierax.nodes.tracking.model.mesh import Mesh
+from hierax.nodes.tracking.model.ply import BOP_UNIT_M, write_ply
+from hierax.nodes.tracking.simworld.raster import visible_shares
+from hierax.nodes.tracking.simworld.scene import develop, draw
+
+cv2.setNumThreads(1)
+
+FRAMES = 150
+START_M, START_DEG = 0.007, 3.0
+NOISE, BLUR_PX = 2.5, 0.7
+SCENE = "000001"
+_FAST_PNG = (cv2.IMWRITE_PNG_COMPRESSION, 1)
+
+
+def write_scene(
+    out: Path, kind: str, seed: int, frames: int = FRAMES, exact: bool = False, objects: int | None = None
+) -> Path:
+    """Write a scene; equal arguments give equal files.
+
+    Args:
+        out: the dataset's folder; what stands there of an earlier scene is replaced.
+        kind: one of `KINDS`.
+        seed: draws everything.
+        frames: how many, at 30 a second.
+        exact: say the truth of start and camera; the kind "pushed" always does.
+        objects: take so many of the objects at most, the first; None for all.
+
+    Returns:
+        The scene's folder.
+
+    Raises:
+        ValueError: there is no such kind, or `frames` or `objects` is not positive.
+        DataError: something cannot be written.
+    """
+    shown = film(kind, seed, frames).first(objects)
+    rng = np.random.default_rng([seed, *kind.encode(), 1])
+    told = exact or shown.still
+    camera = shown.camera if told else reported_path(shown.camera, rng)
+    first = [invert(shown.camera[0]) @ pose for pose in shown.poses[0]]
+    start = first if told else [pose @ start_error(rng) for pose in first]
+    scene = out / "test" / SCENE
+    try:
+        _write_models(out / "models", [thing.shape.mesh for thing in shown.things])
+        _write_images(scene / "rgb", shown, rng)
+        write_json(scene / "scene_camera.json", _cameras(camera))
+        write_json(scene / "scene_gt.json", {"0": _objects(start)})
+        _write_truth(out / "truth" / SCENE, shown)
+    except OSError as error:
+        raise DataError(f"{error.filename}: cannot be written: {error.strerror}") from error
+    return scene
+
+
+def start_error(rng: np.random.Generator) -> Floats:
+    """An error of a first pose: its translation and its rotation even within balls."""
+    parts = []
+    for limit in (START_M, np.radians(START_DEG)):
+        direction = rng.standard_normal(3)
+        parts.append(limit * np.cbrt(rng.random()) * direction / np.linalg.norm(direction))
+    return exp_se3(np.concatenate(parts))
+
+
+def model_info(mesh: Mesh) -> dict[str, float]:
+    """An entry of ``models_info.json``, millimetres."""
+    corners = mesh.vertices / BOP_UNIT_M
+    low, size = corners.min(axis=0), np.ptp(corners, axis=0)
+    spread = np.linalg.norm(corners[:, None] - corners[None], axis=-1)
+    info = {"diameter": float(spread.max())}
+    info.update({f"min_{axis}": float(part) for axis, part in zip("xyz", low, strict=True)})
+    info.update({f"size_{axis}": float(part) for axis, part in zip("xyz", size, strict=True)})
+    return info
+
+
+def write_json(path: Path, content: object) -> None:
+    """Write a JSON file, and its folder."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Write a scene.
+
+    Returns:
+        The exit code: 0, or 1 where something cannot be written.
+    """
+    parser = argparse.ArgumentParser(
+        prog="python -m hierax.nodes.tracking.generator.scenes",
+        description=__doc__,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    parser.add_argument("out", type=Path, metavar="OUT", help="folder of the dataset")
+    parser.add_argument("--kind", choices=tuple(KINDS), required=True)
+    parser.add_argument("--seed", type=int, default=0, help="draws everything (default: 0)")
+    parser.add_argument("--frames", type=int, default=FRAMES, help=f"how many (default: {FRAMES})")
+    parser.add_argument("--exact", action="store_true", help="say the truth of start and camera")
+    options = parser.parse_args(arguments)
+    if options.frames < 1 or options.seed < 0:
+        parser.error("expected at least 1 frame, and a seed from 0 on")
+    try:
+        scene = write_scene(options.out, options.kind, options.seed, options.frames, options.exact)
+    except DataError as error:
+        print(f"error: {error}", file=sys.stderr)
+        return 1
+    print(scene)
+    return 0
+
+
+def _write_models(folder: Path, meshes: Sequence[Mesh]) -> None:
+    folder.mkdir(parents=True, exist_ok=True)
+    for number, mesh in enumerate(meshes, start=1):
+        write_ply(folder / f"obj_{number:06d}.ply", mesh)
+    write_json(folder / "models_info.json", {str(at): model_info(mesh) for at, mesh in enumerate(meshes, start=1)})
+
+
+def _write_images(folder: Path, shown: Film, rng: np.random.Generator) -> None:
+    folder.mkdir(parents=True, exist_ok=True)
+    for old in folder.glob("*.png"):
+        old.unlink()
+    for frame, camera in enumerate(shown.camera):
+        picture = draw(shown.bodies(frame), camera, INTRINSICS, SIZE, shown.lamp, shown.wood)
+        image: Array = develop(picture, BLUR_PX, NOISE, rng)
+        _, content = cv2.imencode(".png", np.ascontiguousarray(image[..., ::-1]), _FAST_PNG)
+        (folder / f"{frame:06d}.png").write_bytes(content.tobytes())
+
+
+def _write_truth(folder: Path, shown: Film) -> None:
+    objects, infos = {}, {}
+    for frame, camera in enumerate(shown.camera):
+        shares = visible_shares(shown.bodies(frame), camera, INTRINSICS, SIZE)[: len(shown.things)]
+        objects[str(frame)] = _objects([invert(camera) @ pose for pose in shown.poses[frame]])
+        infos[str(frame)] = [{"visib_fract": round(float(share), 4)} for share in shares]
+    write_json(folder / "scene_camera.json", _cameras(shown.camera))
+    write_json(folder / "scene_gt.json", objects)
+    write_json(folder / "scene_gt_info.json", infos)
+
+
+def _cameras(path: Floats) -> dict[str, Any]:
+    fx, fy, cx, cy = INTRINSICS.tolist()
+    cameras = {}
+    for frame, camera in enumerate(path):
+        seen = invert(camera)
+        cameras[str(frame)] = {
+            "cam_K": [fx, 0.0, cx, 0.0, fy, cy, 0.0, 0.0, 1.0],
+            "cam_R_w2c": seen[:3, :3].ravel().tolist(),
+            "cam_t_w2c": (seen[:3, 3] / BOP_UNIT_M).tolist(),
+            "depth_scale": 1.0,
+        }
+    return cameras
+
+
+def _objects(poses: Sequence[Floats]) -> list[dict[str, Any]]:
+    return [
+        {
+            "cam_R_m2c": pose[:3, :3].ravel().tolist(),
+            "cam_t_m2c": (pose[:3, 3] / BOP_UNIT_M).tolist(),
+            "obj_id": number,
+        }
+        for number, pose in enumerate(poses, start=1)
+    ]
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,271 @@
+"""Control points on the edges of objects that a camera is expected to see, and the chance that each one is.
+
+An edge is an outline where all that the object shows beside it lies on one side of it in
+the image, a crease where faces on both sides are seen. A smooth surface has its outline
+where it turns away. What an object hides of itself is left out. What another may hide is
+kept with the chance that it does not, given how uncertain both poses are: a mask that is
+believed too firmly hides true edges.
+"""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hierax.nodes.tracking.imagery.layers import NEAREST_M, Layer
+from hierax.nodes.tracking.math.geometry import Array, Floats, cross, invert, project, transform
+from hierax.nodes.tracking.model.outlines import outline_of
+from hierax.nodes.tracking.model.shapes import Ints, Shape
+
+OUTLINE = 0
+CREASE = 1
+
+SPACING_PX = 4.0
+POINTS_MAX = 300
+
+_MARGIN_PX = 3.0
+"""From the ends of a chain: near a corner, another edge may be the nearest."""
+
+_OUTSIDE_PX = 8.0
+"""How far outside the image points are still listed: the camera may turn a little."""
+
+_SECTORS = 12
+"""Directions that parts of smooth outlines are told apart by."""
+
+_BESIDE_PX = 1.0
+"""How far beside an edge an object's own depth is looked up."""
+
+_OWN_SHARE = 0.01
+"""Of the object's size: a point that is deeper by more than this under its own surface is hidden by it."""
+
+
+class Controls(NamedTuple):
+    """Control points on one object, in the object's frame, sorted by edge.
+
+    Attributes:
+        points: (n, 3) float64, metres.
+        tangents: (n, 3) unit vectors along the edge.
+        inwards: (n, 3) unit vectors across the edge in the first face that is seen beside it, away from the edge;
+            on the outline of a smooth surface, into the body.
+        kinds: (n,) uint8, `OUTLINE` or `CREASE`.
+        edges: (n,) int32, number of the edge, the same whatever is seen of it; edges are about straight, rims in arcs.
+            An outline of a smooth surface is numbered by the direction to which it bounds the surface.
+        faces: (n, 2) int32, numbers of the patches of the surface seen beside it, the one of `inwards` first;
+            -1: none.
+        visible: (n,) float32, the chance that no other object hides it.
+    """
+
+    points: Floats
+    tangents: Floats
+    inwards: Floats
+    kinds: NDArray[np.uint8]
+    edges: Ints
+    faces: Ints
+    visible: NDArray[np.float32]
+
+
+class _Lines(NamedTuple):
+    """Lines (n) to put points on: ends (n, 2, 3), and the rest as in `Controls`."""
+
+    ends: Floats
+    inwards: Floats
+    kinds: NDArray[np.uint8]
+    edges: Ints
+    faces: Ints
+
+
+_NO_LINES = _Lines(
+    np.zeros((0, 2, 3)),
+    np.zeros((0, 3)),
+    np.zeros(0, dtype=np.uint8),
+    np.zeros(0, dtype=np.int32),
+    np.zeros((0, 2), dtype=np.int32),
+)
+
+
+def controls_of(
+    shape: Shape, pose: Floats, intrinsics: Array, size: tuple[int, int], layer: Layer | None = None
+) -> Controls:
+    """Points on the edges of an object that would be seen if it were alone.
+
+    Args:
+        shape: the object.
+        pose: camera_from_object.
+        intrinsics: (4,) fx, fy, cx, cy in pixels.
+        size: width and height of the image in pixels.
+        layer: the object drawn alone; needed of a body that is not convex.
+
+    Returns:
+        About `SPACING_PX` apart in the image, fewer where there would be more than `POINTS_MAX`; all with
+        ``visible`` 1.
+    """
+    viewpoint = invert(pose)[:3, 3]
+    lines = _joined(_sharp_lines(shape, viewpoint), _smooth_lines(shape, viewpoint))
+    seen = transform(pose, lines.ends)
+    ahead = seen[..., 2].min(axis=1, initial=np.inf) > NEAREST_M
+    chosen: list[Any] = [part[ahead] for part in lines]
+    lines = _Lines(*chosen)
+    pixels = project(seen[ahead], intrinsics)
+    outside = (pixels.max(axis=1, initial=-np.inf) < 0.0) | (pixels.min(axis=1, initial=np.inf) > np.array(size))
+    owners, shares = _spread(np.where(outside.any(axis=1), 0.0, _lengths(pixels)), lines.edges)
+    step = (lines.ends[:, 1] - lines.ends[:, 0])[owners]
+    points = lines.ends[owners, 0] + shares[:, None] * step
+    controls = Controls(
+        points,
+        step / np.linalg.norm(step, axis=1, keepdims=True),
+        lines.inwards[owners],
+        lines.kinds[owners],
+        lines.edges[owners],
+        lines.faces[owners],
+        np.ones(len(points), dtype=np.float32),
+    )
+    kept = _in_image(project(transform(pose, points), intrinsics), size)
+    if layer is not None and not shape.convex:
+        kept &= ~_hidden_by_itself(controls, pose, intrinsics, layer, _OWN_SHARE * float(np.ptp(shape.vertices)))
+    listed: list[Any] = [part[kept] for part in controls]
+    return _numbered(shape, pose, Controls(*listed))
+
+
+def _sharp_lines(shape: Shape, viewpoint: Floats) -> _Lines:
+    """The sharp edges beside which something faces the camera."""
+    if not len(shape.edges):
+        return _NO_LINES
+    corners = shape.vertices[shape.edges[:, :1]]
+    facing = np.sum(shape.normals[shape.edge_faces] * (viewpoint - corners), axis=2) > 0.0
+    seen = (facing | ~shape.closed[shape.edge_faces]) & (shape.edge_faces >= 0)
+    chosen = seen.any(axis=1)
+    seen, beside = seen[chosen], shape.edge_faces[chosen]
+    ends, inwards = shape.vertices[shape.edges[chosen]], shape.inwards[chosen]
+    # On which side of the plane through the camera and the edge each face lies.
+    plane = cross(ends[:, 0] - viewpoint, ends[:, 1] - viewpoint)
+    sides = np.einsum("ej,esj->es", plane, inwards)
+    crease = seen.all(axis=1) & (sides[:, 0] * sides[:, 1] < 0.0)
+    patches = np.where(seen, shape.patches[beside], -1)
+    first = np.where(seen[:, 0], 0, 1)
+    rows = np.arange(len(first))
+    kinds = np.where(crease, CREASE, OUTLINE).astype(np.uint8)
+    faces = np.stack((patches[rows, first], patches[rows, 1 - first]), axis=1)
+    return _Lines(ends, inwards[rows, first], kinds, shape.chains[chosen], faces)
+
+
+def _smooth_lines(shape: Shape, viewpoint: Floats) -> _Lines:
+    """Where smooth surfaces turn away from the camera; each chain has a number of its own, for the time being."""
+    if not len(shape.smooth):
+        return _NO_LINES
+    found = outline_of(shape, viewpoint)
+    patches = shape.patches[shape.smooth[found.smooth]]
+    beside = np.stack((patches, np.full_like(patches, -1)), axis=1)
+    kinds = np.full(len(patches), OUTLINE, dtype=np.uint8)
+    return _Lines(found.ends, -found.outwards, kinds, _sharp_count(shape) + found.chains, beside)
+
+
+def _sharp_count(shape: Shape) -> int:
+    return int(shape.chains.max(initial=-1)) + 1
+
+
+def _numbered(shape: Shape, pose: Floats, controls: Controls) -> Controls:
+    """Points on smooth outlines numbered by patch and by the direction to which the outline bounds it in the image.
+
+    So much of an outline stays the same from image to image, and is about straight.
+    """
+    smooth = controls.edges >= _sharp_count(shape)
+    if not smooth.any():
+        return controls
+    outwards = -controls.inwards @ pose[:2, :3].T
+    turn = np.arctan2(outwards[:, 1], outwards[:, 0]) / (2.0 * np.pi)
+    sector = np.floor(turn * _SECTORS + 0.5).astype(np.int32) % _SECTORS
+    patches = np.zeros(int(shape.patches.max()) + 1, dtype=np.int32)
+    patches[shape.patches[shape.smooth]] = shape.smooth_patches
+    numbers = _sharp_count(shape) + _SECTORS * patches[controls.faces[:, 0]] + sector
+    numbers = np.where(smooth, numbers, controls.edges).astype(np.int32)
+    places = np.arange(len(numbers))
+    for chain in np.unique(controls.edges[smooth]):
+        points = np.nonzero(controls.edges == chain)[0]
+        changes = np.nonzero(np.diff(sector[points]))[0]
+        # A ring's last points are before its first ones, where one sector holds both.
+        if len(changes) and sector[points[0]] == sector[points[-1]]:
+            places[points] = points[0] + (np.arange(len(points)) - changes[0] - 1) % len(points)
+    order = np.lexsort((places, numbers))
+    sorted_parts: list[Any] = [part[order] for part in controls._replace(edges=numbers)]
+    return Controls(*sorted_parts)
+
+
+def _joined(first: _Lines, second: _Lines) -> _Lines:
+    pairs: list[tuple[Any, Any]] = list(zip(first, second, strict=True))
+    both: list[Any] = [np.concatenate(pair) for pair in pairs]
+    return _Lines(*both)
+
+
+def _lengths(pixels: Floats) -> Floats:
+    lengths: Floats = np.linalg.norm(pixels[:, 1] - pixels[:, 0], axis=1)
+    return lengths
+
+
+def _spread(lengths: Floats, edges: Ints) -> tuple[NDArray[np.intp], Floats]:
+    """On which line each point is, and how far along it (0 to 1): evenly along each edge's lines, one after the other.
+
+    Args:
+        lengths: (n,) of the lines in pixels; 0 for no points.
+        edges: (n,) number of the edge that each line is a part of, in runs.
+    """
+    starts = np.nonzero(np.diff(edges, prepend=-1))[0]
+    if not len(starts):
+        return np.zeros(0, dtype=np.intp), np.zeros(0)
+    total = np.add.reduceat(lengths, starts)
+    spacing = max(SPACING_PX, float(total.sum()) / POINTS_MAX)
+    counts = np.where(total < 2.0 * _MARGIN_PX, 0, ((total - 2.0 * _MARGIN_PX) / spacing).astype(int) + 1)
+    run = np.repeat(np.arange(len(starts)), counts)
+    order = np.arange(len(run)) - np.repeat(np.cumsum(counts) - counts, counts)
+    before = np.concatenate(([0.0], np.cumsum(lengths)))
+    within = _MARGIN_PX + (total - 2.0 * _MARGIN_PX)[run] * (order + 0.5) / counts[run]
+    places = before[starts][run] + within
+    owners = np.clip(np.searchsorted(before, places, side="right") - 1, 0, len(lengths) - 1)
+    shares = (places - before[owners]) / np.maximum(lengths[owners], 1e-9)
+    return owners, np.clip(shares, 0.0, 1.0)
+
+
+def _in_image(pixels: Floats, size: tuple[int, int]) -> NDArray[np.bool_]:
+    inside = (pixels > -_OUTSIDE_PX) & (pixels < np.array(size) - 1.0 + _OUTSIDE_PX)
+    return np.asarray(inside.all(axis=1))
+
+
+def _hidden_by_itself(
+    controls: Controls, pose: Floats, intrinsics: Array, layer: Layer, depth_m: float
+) -> NDArray[np.bool_]:
+    """Whether the object's own surface is in front of each point.
+
+    Just outside an outline that is seen there is nothing of the object, or something farther away; beside a crease,
+    on one side at least, nothing that is nearer. What is hidden by the width of a pixel is hidden: an edge that is
+    taken for seen there would claim the outline of what hides it.
+    """
+    seen = transform(pose, controls.points)
+    inwards = _across(controls, seen, pose, intrinsics)
+    middle = project(seen, intrinsics) - layer.window.corner
+    width, height = layer.window.size
+    hidden = np.ones(len(seen), dtype=bool)
+    for side in (-_BESIDE_PX, _BESIDE_PX):
+        at = np.rint(middle + side * inwards).astype(np.intp)
+        inside = ((at >= 0) & (at < (width, height))).all(axis=1)
+        columns, rows = np.clip(at, 0, (width - 1, height - 1)).T
+        there = np.where(inside, layer.inverse[rows, columns], 0.0)
+        nearer = (there > 0.0) & ((seen[:, 2] - depth_m) * there > 1.0)
+        hidden &= nearer | ((side > 0.0) & (controls.kinds == OUTLINE))
+    return hidden
+
+
+def _across(controls: Controls, seen: Floats, pose: Floats, intrinsics: Array) -> Floats:
+    """(n, 2) unit vectors in the image, square to the edge, to the side of `Controls.inwards`."""
+    flat = seen[:, :2] / seen[:, 2:]
+
+    def moved(directions: Floats) -> Floats:
+        turned = directions @ pose[:3, :3].T
+        step: Floats = intrinsics[:2] * (turned[:, :2] - flat * turned[:, 2:])
+        return step
+
+    along, inward = moved(controls.tangents), moved(controls.inwards)
+    normals = np.stack((-along[:, 1], along[:, 0]), axis=1)
+    normals *= np.where(np.sum(normals * inward, axis=1, keepdims=True) < 0.0, -1.0, 1.0)
+    across: Floats = normals / np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-12)
+    return across

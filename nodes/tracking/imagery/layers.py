@@ -1,0 +1,311 @@
+"""Each object drawn alone: its depth in a window of the image, as if nothing hid it.
+
+A mesh of few triangles is drawn by exact ray casting. A ray r (z = 1) meets the triangle of
+corners a, b, c where r = a·α + b·β + c·γ with α, β, γ not below 0, at the inverse depth
+1/z = α + β + γ; all four are affine in the pixel. A large mesh is drawn by pybullet's
+TinyRenderer, each by a client of its own with nothing else in it: no table, no light, no
+physics. The client is a cache; a layer depends on the arguments alone, to the bit.
+"""
+
+from __future__ import annotations
+
+import atexit
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hierax.nodes.tracking.imagery.bullet import load_pybullet
+from hierax.nodes.tracking.math.geometry import Array, Floats, cross, project, quaternion_of, transform
+from hierax.nodes.tracking.model.shapes import Shape
+
+NEAREST_M = 0.01
+
+_FACES_PER_SHAPE = 15_000
+"""A pybullet visual shape refuses much larger meshes; larger ones are drawn in parts."""
+
+_CAST_MAX = 300
+"""Triangles up to which casting rays is quicker than TinyRenderer."""
+
+_MARGIN_PX = 3
+_BARELY = 1e-12
+"""A plane or a triangle that comes nearer to the camera's centre than this (m, m³) is seen edge-on."""
+
+_SEAM = 1e-9
+"""What α, β, γ may be below 0, 1/m: a ray between two triangles meets one of them."""
+
+
+class Window(NamedTuple):
+    """A part of an image: columns left to right, rows top to bottom, the ends excluded."""
+
+    left: int
+    top: int
+    right: int
+    bottom: int
+
+    @property
+    def size(self) -> tuple[int, int]:
+        """Width and height in pixels."""
+        return self.right - self.left, self.bottom - self.top
+
+    @property
+    def corner(self) -> Floats:
+        """The first pixel."""
+        return np.array([self.left, self.top], dtype=np.float64)
+
+
+class Layer(NamedTuple):
+    """One object as a camera sees it, were it alone.
+
+    Attributes:
+        window: where its image stands in the camera's.
+        inverse: (h, w) float64, 1/z of the surface, 1/m; 0 where it is not.
+        sides: (n, 3) of the far sides of its bounding box: 1/z at pixel (u, v) of the camera's image is
+            a·u + b·v + c; a ray leaves the box where the greatest of them is.
+    """
+
+    window: Window
+    inverse: Floats
+    sides: Floats
+
+    def leaving(self, pixels: Floats) -> Floats:
+        """1/z (n,) at which the rays through pixels (n, 2) of the camera's image leave that box; 0 for never."""
+        return np.asarray((pixels @ self.sides[:, :2].T + self.sides[:, 2]).max(axis=1, initial=0.0))
+
+
+class MeshRenderer:
+    """Draws the depth of one mesh; keeps its client from one image to the next."""
+
+    def __init__(self, vertices: Floats, faces: Array) -> None:
+        self._vertices = vertices
+        self._faces = faces
+        self._client: int | None = None
+        self._bodies: list[int] = []
+
+    def inverse_depth(self, pose: Floats, intrinsics: Array, window: Window) -> Floats:
+        """(h, w) float64, 1/z in 1/m, 0 where the mesh is not.
+
+        Args:
+            pose: camera_from_object.
+            intrinsics: (4,) fx, fy, cx, cy in pixels, pixel centres at integers.
+            window: the part of the image that is drawn.
+        """
+        pybullet = load_pybullet()
+        if self._client is None:
+            self._client = pybullet.connect(pybullet.DIRECT)
+            atexit.register(self.close)
+            self._create()
+        position, quaternion = pose[:3, 3].tolist(), quaternion_of(pose[:3, :3]).tolist()
+        for body in self._bodies:
+            pybullet.resetBasePositionAndOrientation(body, position, quaternion, physicsClientId=self._client)
+        near, far = _z_range(transform(pose, _corners(self._vertices.min(axis=0), self._vertices.max(axis=0))))
+        width, height = window.size
+        # OpenGL's camera looks along -z with y up; ours along z with y down.
+        view = np.diag([1.0, -1.0, -1.0, 1.0])
+        result = pybullet.getCameraImage(
+            width,
+            height,
+            viewMatrix=view.T.ravel().tolist(),
+            projectionMatrix=_frustum(intrinsics, window, (near, far)).T.ravel().tolist(),
+            shadow=0,
+            renderer=pybullet.ER_TINY_RENDERER,
+            physicsClientId=self._client,
+        )
+        z_buffer = np.asarray(result[3], dtype=np.float32).reshape(height, width).astype(np.float64)
+        seen = np.asarray(result[4], dtype=np.int32).reshape(height, width) >= 0
+        return np.where(seen, (far - (far - near) * z_buffer) / (near * far), 0.0)
+
+    def close(self) -> None:
+        """End the client; the next image starts a new one."""
+        if self._client is None:
+            return
+        pybullet = load_pybullet()
+        atexit.unregister(self.close)
+        if pybullet.isConnected(self._client):
+            pybullet.disconnect(self._client)
+        self._client = None
+        self._bodies = []
+
+    def _create(self) -> None:
+        pybullet = load_pybullet()
+        for start in range(0, len(self._faces), _FACES_PER_SHAPE):
+            used, faces = np.unique(self._faces[start : start + _FACES_PER_SHAPE], return_inverse=True)
+            shape = pybullet.createVisualShape(
+                pybullet.GEOM_MESH,
+                vertices=self._vertices[used].tolist(),
+                indices=faces.ravel().tolist(),
+                physicsClientId=self._client,
+            )
+            self._bodies.append(int(pybullet.createMultiBody(0, -1, shape, physicsClientId=self._client)))
+
+
+class LayerRenderer:
+    """Draws the layer of one shape.
+
+    Args:
+        shape: of `hierax.nodes.tracking.model.shapes.shape_of`.
+    """
+
+    def __init__(self, shape: Shape) -> None:
+        self.shape = shape
+        self._triangles = shape.vertices[shape.faces]
+        self._mesh = None if len(shape.faces) <= _CAST_MAX else MeshRenderer(shape.vertices, _both_sides(shape))
+
+    def layer(self, pose: Floats, intrinsics: Array, size: tuple[int, int]) -> Layer | None:
+        """The object alone; None where no part of it can be in the image.
+
+        Args:
+            pose: camera_from_object.
+            intrinsics: (4,) fx, fy, cx, cy in pixels, pixel centres at integers.
+            size: width and height of the image in pixels.
+        """
+        shape = self.shape
+        window = window_of(transform(pose, _corners(shape.low, shape.high)), intrinsics, size)
+        if window is None:
+            return None
+        if self._mesh is None:
+            inverse = _cast(transform(pose, self._triangles), shape.closed, intrinsics, window)
+        else:
+            inverse = self._mesh.inverse_depth(pose, intrinsics, window)
+        return Layer(window, inverse, _far_sides(_box_planes(shape.low, shape.high), pose, intrinsics))
+
+    def close(self) -> None:
+        """End what it keeps; the next image starts anew."""
+        if self._mesh is not None:
+            self._mesh.close()
+
+
+def window_of(corners: Floats, intrinsics: Array, size: tuple[int, int]) -> Window | None:
+    """The part of the image that corners (n, 3), camera's frame, span; None where that is nothing."""
+    width, height = size
+    nearest, farthest = float(corners[:, 2].min()), float(corners[:, 2].max())
+    if farthest <= NEAREST_M:
+        return None
+    if nearest <= NEAREST_M:
+        return Window(0, 0, width, height)
+    pixels = project(corners, intrinsics)
+    low = np.floor(pixels.min(axis=0)).astype(int) - _MARGIN_PX
+    high = np.ceil(pixels.max(axis=0)).astype(int) + _MARGIN_PX + 1
+    left, top = max(int(low[0]), 0), max(int(low[1]), 0)
+    right, bottom = min(int(high[0]), width), min(int(high[1]), height)
+    return Window(left, top, right, bottom) if left < right and top < bottom else None
+
+
+def surrounding(windows: Sequence[Window]) -> Window:
+    """The window that holds all; an empty one of none."""
+    if not windows:
+        return Window(0, 0, 0, 0)
+    lefts, tops, rights, bottoms = zip(*windows, strict=True)
+    return Window(min(lefts), min(tops), max(rights), max(bottoms))
+
+
+def _cast(corners: Floats, closed: Array, intrinsics: Array, window: Window) -> Floats:
+    """Inverse depth (h, w) at which each pixel's ray first meets a triangle, 0 where it meets none.
+
+    Args:
+        corners: (m, 3, 3) of triangles, camera's frame, metres.
+        closed: (m,) whether only one side is seen, the one from which they go counter-clockwise.
+        intrinsics: (4,) fx, fy, cx, cy in pixels.
+        window: the part of the image.
+    """
+    a, b, c = corners[:, 0], corners[:, 1], corners[:, 2]
+    sides = np.stack((cross(b, c), cross(c, a), cross(a, b)), axis=1)
+    volume = np.sum(sides[:, 0] * a, axis=1)
+    chosen = np.nonzero((volume < -_BARELY) | (~closed & (volume > _BARELY)))[0]
+    shares = sides[chosen] / volume[chosen, None, None]
+    fx, fy, cx, cy = (float(part) for part in intrinsics)
+    across, down = shares[..., 0] / fx, shares[..., 1] / fy
+    level = shares[..., 2] + across * (window.left - cx) + down * (window.top - cy)
+    boxes = _boxes(corners[chosen], intrinsics, window)
+    width, height = window.size
+    columns, rows = np.arange(float(width)), np.arange(float(height))
+    inverse = np.zeros((height, width))
+    for at, (left, top, right, bottom) in enumerate(boxes.tolist()):
+        alpha, beta, gamma = (
+            (down[at, side] * rows[top:bottom] + level[at, side])[:, None] + across[at, side] * columns[left:right]
+            for side in range(3)
+        )
+        met = alpha + beta
+        met += gamma
+        np.minimum(alpha, beta, out=alpha)
+        np.minimum(alpha, gamma, out=alpha)
+        part = inverse[top:bottom, left:right]
+        inside = alpha >= -_SEAM
+        inside &= met > part
+        np.copyto(part, met, where=inside)
+    inverse[inverse >= 1.0 / NEAREST_M] = 0.0
+    return inverse
+
+
+def _boxes(corners: Floats, intrinsics: Array, window: Window) -> NDArray[np.intp]:
+    """Of triangles (n, 3, 3): left, top, right, bottom (n, 4) in the window of the pixels that they can touch."""
+    whole = np.array([0, 0, *window.size], dtype=np.intp)
+    boxes = np.tile(whole, (len(corners), 1))
+    ahead = corners[..., 2].min(axis=1, initial=np.inf) > NEAREST_M
+    pixels = project(corners[ahead], intrinsics) - window.corner
+    boxes[ahead, :2] = np.floor(pixels.min(axis=1))
+    boxes[ahead, 2:] = np.ceil(pixels.max(axis=1)) + 1.0
+    return np.clip(boxes, 0, whole[[2, 3, 2, 3]])
+
+
+def _far_sides(planes: Floats, pose: Floats, intrinsics: Array) -> Floats:
+    """What the planes that a ray can leave half spaces n·x <= d through look like, as `Layer.sides`.
+
+    Args:
+        planes: (p, 4) n and d, object's frame.
+        pose: camera_from_object.
+        intrinsics: (4,) fx, fy, cx, cy in pixels.
+    """
+    fx, fy, cx, cy = (float(part) for part in intrinsics)
+    normals = planes[:, :3] @ pose[:3, :3].T
+    offsets = planes[:, 3] + normals @ pose[:3, 3]
+    normals, offsets = normals[offsets > _BARELY], offsets[offsets > _BARELY]
+    across, down = normals[:, 0] / (fx * offsets), normals[:, 1] / (fy * offsets)
+    return np.stack((across, down, normals[:, 2] / offsets - across * cx - down * cy), axis=1)
+
+
+def _box_planes(low: Floats, high: Floats) -> Floats:
+    """The six planes (6, 4) of a bounding box."""
+    return np.concatenate((np.column_stack((np.eye(3), high)), np.column_stack((-np.eye(3), -low))))
+
+
+def _both_sides(shape: Shape) -> Array:
+    """The faces, those of open sheets twice, as they are seen from both sides."""
+    open_faces = shape.faces[~shape.closed]
+    return np.concatenate((shape.faces, open_faces[:, ::-1]))
+
+
+def _corners(low: Floats, high: Floats) -> Floats:
+    """The eight corners (8, 3) of a bounding box."""
+    choose = np.array([[(index >> axis) & 1 for axis in range(3)] for index in range(8)])
+    corners: Floats = np.where(choose == 1, high, low)
+    return corners
+
+
+def _z_range(corners: Floats) -> tuple[float, float]:
+    """Near and far plane, close around the object: that is what a float32 depth buffer is precise with."""
+    near = max(0.95 * float(corners[:, 2].min()), NEAREST_M)
+    return near, max(1.05 * float(corners[:, 2].max()), 2.0 * near)
+
+
+def _frustum(intrinsics: Array, window: Window, z_range: tuple[float, float]) -> Floats:
+    """OpenGL's projection of a window of an OpenCV pinhole camera.
+
+    A pixel reaches half a pixel to each side of its centre. TinyRenderer samples half a
+    pixel to the left of and above a pixel's centre in OpenGL's sense, hence the shift.
+    """
+    fx, fy, cx, cy = (float(part) for part in intrinsics)
+    near, far = z_range
+    cx, cy = cx - 0.5, cy + 0.5
+    left, right = (window.left - 0.5 - cx) / fx, (window.right - 0.5 - cx) / fx
+    top, bottom = -(window.top - 0.5 - cy) / fy, -(window.bottom - 0.5 - cy) / fy
+    matrix = np.zeros((4, 4))
+    matrix[0, 0] = 2.0 / (right - left)
+    matrix[0, 2] = (right + left) / (right - left)
+    matrix[1, 1] = 2.0 / (top - bottom)
+    matrix[1, 2] = (top + bottom) / (top - bottom)
+    matrix[2, 2] = -(far + near) / (far - near)
+    matrix[2, 3] = -2.0 * far * near / (far - near)
+    matrix[3, 2] = -1.0
+    return matrix

@@ -1,0 +1,179 @@
+"""The chance that points on one object are hidden by another, both at uncertain poses.
+
+A point is hidden where it lies inside the other's outline in the image, and behind it.
+Both are uncertain: the outline by what both poses' errors move it and the point against
+each other, across the outline; the order in depth likewise, along the ray. Solid bodies do
+not run into each other: whatever is nearer than the middle of the other body, along the
+ray, lies before it, and touches it at most.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from hierax.nodes.tracking.imagery.layers import Layer
+from hierax.nodes.tracking.math.geometry import Array, Floats, invert, project, rays, transform
+
+cv2.setNumThreads(1)
+
+_REACH_PX = 24
+"""How far outside an outline its uncertainty is still looked at."""
+
+_LEAST_PX = 0.7
+_LEAST_M = 0.001
+"""Standard deviations of what is left when both poses are certain: pixels are whole, models are not exact."""
+
+_INSIDE_PX = 1.5
+"""How far inside the outline the depth of what may hide is read."""
+
+_SURE = 3.0
+"""Standard deviations in depth at which a point is before something for sure."""
+
+
+class Placed(NamedTuple):
+    """An object as it is expected.
+
+    Attributes:
+        pose: camera_from_object.
+        covariance: (6, 6) of the pose's error, twist in the object's frame.
+        layer: the object drawn alone; None where it is not in the image.
+    """
+
+    pose: Floats
+    covariance: Floats
+    layer: Layer | None
+
+
+class _Points(NamedTuple):
+    """Points of all objects: in the camera's frame (n, 3), pixels (n, 2), covariance (n, 3, 3) of where they are in
+    the camera's frame, m², and which object (n,) each is on."""
+
+    seen: Floats
+    pixels: Floats
+    errors: Floats
+    owners: NDArray[np.intp]
+
+    def only(self, chosen: Array) -> _Points:
+        parts: list[Any] = [part[chosen] for part in self]
+        return _Points(*parts)
+
+
+def chances_seen(points: Sequence[Floats], placed: Sequence[Placed], intrinsics: Array) -> list[NDArray[np.float32]]:
+    """The chance of each point on each object that no other object hides it.
+
+    Args:
+        points: of each object (n, 3), its frame, metres; before the camera.
+        placed: the objects, in the same order.
+        intrinsics: (4,) fx, fy, cx, cy in pixels.
+    """
+    counts = [len(own) for own in points]
+    if len(placed) < 2 or not sum(counts):
+        return [np.ones(count, dtype=np.float32) for count in counts]
+    seen = np.concatenate([transform(item.pose, own) for own, item in zip(points, placed, strict=True)])
+    errors = [_errors(own, item) for own, item in zip(points, placed, strict=True)]
+    owners = np.repeat(np.arange(len(counts)), counts)
+    together = _Points(seen, project(seen, intrinsics), np.concatenate(errors), owners)
+    chances = np.ones(len(seen))
+    for number, item in enumerate(placed):
+        if item.layer is None or not item.layer.inverse.any():
+            continue
+        near = np.nonzero((owners != number) & _may_be_hidden(together, item, item.layer))[0]
+        if len(near):
+            chances[near] *= 1.0 - _hidden(together.only(near), item, item.layer, intrinsics)
+    return np.split(chances.astype(np.float32), np.cumsum(counts)[:-1])
+
+
+def _errors(points: Floats, item: Placed) -> Floats:
+    """The covariance (n, 3, 3) of where points (n, 3) of an object are, in the camera's frame."""
+    x, y, z = points.T
+    moves = np.zeros((len(points), 3, 6))
+    moves[:, :, :3] = np.eye(3)
+    # A turn by r moves a point p by r × p.
+    moves[:, 0, 4], moves[:, 0, 5] = z, -y
+    moves[:, 1, 3], moves[:, 1, 5] = -z, x
+    moves[:, 2, 3], moves[:, 2, 4] = y, -x
+    moves = item.pose[:3, :3] @ moves
+    return np.asarray(moves @ item.covariance @ moves.transpose(0, 2, 1))
+
+
+def _may_be_hidden(points: _Points, item: Placed, layer: Layer) -> NDArray[np.bool_]:
+    """Which of the points are near enough to the object in the image, and not before all of it."""
+    window = layer.window
+    low = np.array([window.left, window.top]) - (_REACH_PX - 3.0)
+    high = np.array([window.right, window.bottom]) + (_REACH_PX - 4.0)
+    near = ((points.pixels > low) & (points.pixels < high)).all(axis=1)
+    nearest = 1.0 / float(layer.inverse.max())
+    centre = float(np.trace(item.covariance[:3, :3]))
+    spread = np.sqrt(points.errors[:, 2, 2] + centre + _LEAST_M**2)
+    behind: NDArray[np.bool_] = points.seen[:, 2] + _SURE * spread > nearest
+    return near & behind
+
+
+def _hidden(points: _Points, item: Placed, layer: Layer, intrinsics: Array) -> Floats:
+    """The chance (n,) that the object hides each of the points."""
+    corner = layer.window.corner
+    inside, normals = _to_outline(layer, points.pixels - corner + _REACH_PX)
+    outline = points.pixels - inside[:, None] * normals
+    deep = np.where(inside[:, None] > _INSIDE_PX, points.pixels, outline + _INSIDE_PX * normals)
+    front, back = _depths(layer, deep, float(item.pose[2, 3]))
+    # What the outline's uncertainty is that of: the point on it, at about the depth beside it.
+    touched = rays(outline, intrinsics) * front[:, None]
+    errors = points.errors + _errors(transform(invert(item.pose), touched), item)
+    towards = _towards(points.seen, normals * intrinsics[:2])
+    across = np.einsum("ni,nij,nj->n", towards, errors, towards) + _LEAST_PX**2
+    along = errors[:, 2, 2] + _LEAST_M**2
+    behind = (points.seen[:, 2] - 0.5 * (front + back)) / np.sqrt(along)
+    return _normal_cdf(inside / np.sqrt(across)) * _normal_cdf(behind)
+
+
+def _to_outline(layer: Layer, at: Floats) -> tuple[Floats, Floats]:
+    """Of places (n, 2) in the layer's window with `_REACH_PX` around it: pixels (n,) to the object's outline, positive
+    inside, and unit normals (n, 2) that point inwards."""
+    mask = (layer.inverse > 0.0).view(np.uint8)
+    # Around the object its window is empty, but where the image ends: there the object goes on.
+    padded = cv2.copyMakeBorder(mask, _REACH_PX, _REACH_PX, _REACH_PX, _REACH_PX, cv2.BORDER_REPLICATE)
+    whole = np.rint(at).astype(np.intp)
+    (left, top), (right, bottom) = whole.min(axis=0) - 2, whole.max(axis=0) + 3
+    # The nearest outline may lie outside of what the points span, but then by no more than the reach.
+    left, top = max(int(left) - _REACH_PX, 0), max(int(top) - _REACH_PX, 0)
+    padded = np.ascontiguousarray(padded[top : int(bottom) + _REACH_PX, left : int(right) + _REACH_PX])
+    inner = cv2.distanceTransform(padded, cv2.DIST_L2, cv2.DIST_MASK_3)
+    outer = cv2.distanceTransform(1 - padded, cv2.DIST_L2, cv2.DIST_MASK_3)
+    distance = np.where(padded > 0, inner - 0.5, 0.5 - outer).astype(np.float64)
+    np.clip(distance, -2.0 * _REACH_PX, 2.0 * _REACH_PX, out=distance)
+    column, row = whole[:, 0] - left, whole[:, 1] - top
+    slope = np.stack(
+        (distance[row, column + 2] - distance[row, column - 2], distance[row + 2, column] - distance[row - 2, column]),
+        axis=1,
+    )
+    normals = slope / np.maximum(np.sqrt(np.sum(slope * slope, axis=1, keepdims=True)), 1e-6)
+    return distance[row, column] + np.sum((at - whole) * normals, axis=1), normals
+
+
+def _depths(layer: Layer, pixels: Floats, otherwise: float) -> tuple[Floats, Floats]:
+    """Depths at which the rays through pixels (n, 2) enter the object and leave its bounding box."""
+    height, width = layer.inverse.shape
+    column, row = np.rint(pixels - layer.window.corner).astype(np.intp).T
+    column, row = column.clip(0, width - 1), row.clip(0, height - 1)
+    first, last = layer.inverse[row, column], layer.leaving(pixels)
+    there = (first > 0.0) & (last > 0.0)
+    entered = np.divide(1.0, first, out=np.full(len(first), otherwise), where=there)
+    left = np.divide(1.0, last, out=np.full(len(last), otherwise), where=there)
+    return entered, np.maximum(entered, left)
+
+
+def _towards(seen: Floats, normals: Floats) -> Floats:
+    """(n, 3): by how many pixels along a normal (times the focal lengths) a point moves in the image, per metre."""
+    inverse = 1.0 / seen[:, 2]
+    across, down = normals[:, 0] * inverse, normals[:, 1] * inverse
+    return np.stack((across, down, -(across * seen[:, 0] + down * seen[:, 1]) * inverse), axis=1)
+
+
+def _normal_cdf(deviations: Floats) -> Floats:
+    """The normal distribution's, by the logistic function to within 0.01."""
+    return np.asarray(1.0 / (1.0 + np.exp(-1.702 * deviations.clip(-30.0, 30.0))))

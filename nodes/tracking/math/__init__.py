@@ -1,0 +1,1 @@
+"""Rigid poses, one by one and many at once, and the pinhole camera."""

@@ -1,0 +1,100 @@
+"""Rigid poses by the dozen: the same as in `geometry`, for stacks (m, 4, 4) and (m, 6) at once."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from hierax.nodes.tracking.math.geometry import Floats
+
+_SMALL = 1e-8
+_SMALL_SQUARE = 1e-6
+
+
+def exp_many(twists: Floats) -> Floats:
+    """The rigid motions (m, 4, 4) of twists (m, 6): translation part, then rotation part."""
+    rotation = twists[:, 3:]
+    square = np.einsum("mk,mk->m", rotation, rotation)
+    first, second, third = _series(square)
+    cross = hat_many(rotation)
+    twice = cross @ cross
+    poses = np.zeros((len(twists), 4, 4))
+    poses[:, :3, :3] = np.eye(3) + first * cross + second * twice
+    poses[:, :3, 3] = ((np.eye(3) + second * cross + third * twice) @ twists[:, :3, None])[..., 0]
+    poses[:, 3, 3] = 1.0
+    return poses
+
+
+def log_many(poses: Floats) -> Floats:
+    """The twists (m, 6) of rigid motions by less than half a turn."""
+    skew = 0.5 * (poses[:, :3, :3] - poses[:, :3, :3].transpose(0, 2, 1))
+    axis = np.stack((skew[:, 2, 1], skew[:, 0, 2], skew[:, 1, 0]), axis=1)
+    sine = np.sqrt(np.einsum("mk,mk->m", axis, axis))
+    cosine = 0.5 * (np.trace(poses[:, :3, :3], axis1=1, axis2=2) - 1.0)
+    angle = np.arctan2(sine, cosine)
+    rotation = axis * np.where(sine < _SMALL, 1.0, angle / np.maximum(sine, _SMALL))[:, None]
+    first, second, _ = _series(angle * angle)
+    square = (angle * angle)[:, None]
+    # What takes the translation back: 1 - [w]/2 + (1 - first/(2 second))/angle² [w]².
+    last = np.where(
+        square < _SMALL_SQUARE, 1.0 / 12.0, (1.0 - 0.5 * (first / second)[..., 0]) / np.maximum(square, _SMALL)
+    )
+    moved = poses[:, :3, 3]
+    once = cross_rows(rotation, moved)
+    return np.concatenate((moved - 0.5 * once + last * cross_rows(rotation, once), rotation), axis=1)
+
+
+def invert_many(poses: Floats) -> Floats:
+    """``b_from_a`` of each ``a_from_b``."""
+    back = np.zeros_like(poses)
+    back[:, :3, :3] = poses[:, :3, :3].transpose(0, 2, 1)
+    back[:, :3, 3] = -(back[:, :3, :3] @ poses[:, :3, 3, None])[..., 0]
+    back[:, 3, 3] = 1.0
+    return back
+
+
+def adjoints(poses: Floats) -> Floats:
+    """(m, 6, 6) what twists are, seen from another frame: ``pose @ exp(twist) = exp(adjoint @ twist) @ pose``."""
+    carried = np.zeros((len(poses), 6, 6))
+    carried[:, :3, :3] = carried[:, 3:, 3:] = poses[:, :3, :3]
+    carried[:, :3, 3:] = hat_many(poses[:, :3, 3]) @ poses[:, :3, :3]
+    return carried
+
+
+def hat_many(vectors: Floats) -> Floats:
+    """The skew-symmetric matrices (m, 3, 3) of cross products with vectors (m, 3)."""
+    cross = np.zeros((len(vectors), 3, 3))
+    cross[:, 2, 1], cross[:, 0, 2], cross[:, 1, 0] = vectors.T
+    skew: Floats = cross - cross.transpose(0, 2, 1)
+    return skew
+
+
+def solved(matrices: Floats, right: Floats) -> Floats:
+    """x of ``matrices @ x = right``, as `numpy.linalg.solve` has it."""
+    return np.asarray(np.linalg.solve(matrices, right), dtype=np.float64)
+
+
+def inverse(matrices: Floats) -> Floats:
+    """The inverses (m, n, n) of symmetric, positive definite matrices, symmetric again."""
+    found = np.asarray(np.linalg.inv(matrices), dtype=np.float64)
+    result: Floats = 0.5 * (found + np.swapaxes(found, -1, -2))
+    return result
+
+
+def cross_rows(first: Floats, second: Floats) -> Floats:
+    """Cross products of rows (n, 3): `numpy.cross` without what it does for other shapes."""
+    a, b, c = first.T
+    x, y, z = second.T
+    return np.stack((b * z - c * y, c * x - a * z, a * y - b * x), axis=1)
+
+
+def _series(square: Floats) -> tuple[Floats, Floats, Floats]:
+    """sin θ/θ, (1 − cos θ)/θ², (θ − sin θ)/θ³ of squared angles, shaped (m, 1, 1)."""
+    small = square < 1e-8
+    safe = np.where(small, 1.0, square)
+    angle = np.sqrt(safe)
+    sine = np.sin(angle)
+    half = np.sin(0.5 * angle)
+    first = np.where(small, 1.0 - square / 6.0, sine / angle)
+    second = np.where(small, 0.5 - square / 24.0, 2.0 * half * half / safe)
+    third = np.where(small, 1.0 / 6.0 - square / 120.0, (angle - sine) / (safe * angle))
+    return first[:, None, None], second[:, None, None], third[:, None, None]

@@ -1,0 +1,86 @@
+"""Where smooth surfaces turn away from the camera: lines through their triangles, chain by chain."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hierax.nodes.tracking.math.geometry import Floats
+from hierax.nodes.tracking.model.shapes import Ints, Shape
+
+
+class Outline(NamedTuple):
+    """Pieces (n) of the lines at which a surface's normal is at right angles to the ray, object's frame.
+
+    Attributes:
+        ends: (n, 2, 3) metres; each begins where the one before it in its chain ended.
+        outwards: (n, 3) unit normals of the surface.
+        smooth: (n,) places in `Shape.smooth` of the faces that they cross.
+        chains: (n,) number of the chain, from 0, rising.
+    """
+
+    ends: Floats
+    outwards: Floats
+    smooth: NDArray[np.intp]
+    chains: Ints
+
+
+def outline_of(shape: Shape, viewpoint: Floats) -> Outline:
+    """The outline of a shape's smooth surfaces, hidden or not.
+
+    Args:
+        shape: the object.
+        viewpoint: (3,) the camera's centre, object's frame.
+    """
+    towards = np.sum(shape.corner_normals * (viewpoint - shape.corners), axis=1)
+    one, two, three = (towards > 0.0)[shape.smooth_corners].T
+    smooth = np.nonzero((one != two) | (two != three))[0]
+    places = shape.smooth_corners[smooth]
+    # The one corner that faces the other way than both others; the line crosses the two sides from it.
+    ahead = towards[places] > 0.0
+    alone = np.where(ahead.sum(axis=1) == 1, ahead.argmax(axis=1), ahead.argmin(axis=1))
+    rows = np.arange(len(alone))
+    apex = places[rows, alone][:, None]
+    others = np.stack((places[rows, (alone + 1) % 3], places[rows, (alone + 2) % 3]), axis=1)
+    share = (towards[apex] / (towards[apex] - towards[others]))[..., None]
+    ends = shape.corners[apex] + share * (shape.corners[others] - shape.corners[apex])
+    normals = shape.corner_normals[apex] + share * (shape.corner_normals[others] - shape.corner_normals[apex])
+    outwards = normals.sum(axis=1)
+    outwards /= np.maximum(np.linalg.norm(outwards, axis=1, keepdims=True), 1e-300)
+    crossed = np.minimum(apex, others).astype(np.int64) * len(shape.corners) + np.maximum(apex, others)
+    order, turned, chains = _chained(crossed)
+    ends = np.where(turned[:, None, None], ends[order, ::-1], ends[order])
+    return Outline(ends, outwards[order], smooth[order], chains)
+
+
+def _chained(crossed: NDArray[np.int64]) -> tuple[NDArray[np.intp], NDArray[np.bool_], Ints]:
+    """An order in which pieces follow one another, whether each is turned round in it, and the chains' numbers.
+
+    Args:
+        crossed: (n, 2) which side of a triangle each piece begins and ends on.
+    """
+    slots = crossed.ravel()
+    sorted_slots = np.argsort(slots, kind="stable")
+    meeting = np.nonzero(slots[sorted_slots][1:] == slots[sorted_slots][:-1])[0]
+    beyond = np.full(len(slots), -1)
+    beyond[sorted_slots[meeting]] = sorted_slots[meeting + 1]
+    beyond[sorted_slots[meeting + 1]] = sorted_slots[meeting]
+    across = beyond.tolist()
+    # From the ends of open chains first; what is left after that are rings.
+    starts = np.concatenate((np.nonzero(beyond < 0)[0], np.arange(0, len(slots), 2)))
+    order: list[int] = []
+    turned: list[bool] = []
+    chains: list[int] = []
+    done = [False] * len(crossed)
+    for start in starts.tolist():
+        slot = start
+        chain = chains[-1] + 1 if chains else 0
+        while slot >= 0 and not done[slot >> 1]:
+            done[slot >> 1] = True
+            order.append(slot >> 1)
+            turned.append(bool(slot & 1))
+            chains.append(chain)
+            slot = across[slot ^ 1]
+    return np.array(order, dtype=np.intp), np.array(turned, dtype=bool), np.array(chains, dtype=np.int32)

@@ -1,0 +1,1 @@
+"""The arm's update as the paper prints it: line segments and solvePnP."""

@@ -1,0 +1,169 @@
+"""The arm node with the paper's update: each object's pose by line segments and solvePnP, nothing else remembered."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from hierax.nodes.tracking.estimation.tracked import EXPECTED, LOST, NO_POSES, TRACKED, check_ids, diagonal_covariance
+from hierax.nodes.tracking.math.geometry import Array, Floats, invert, transform
+from hierax.nodes.tracking.paper.lines import expected_lines, image_lines, match_lines
+from hierax.runtime import Elements, Node, Value
+
+_NO_EDGES = np.zeros((0, 2, 3))
+_LEAST_INFORMATION = 1e-2
+"""Of the first pose's, counted as seen, so that what no line shows stays finite."""
+
+Tracked = dict[str, Any]
+
+
+class PaperArmNode(Node):
+    """Tracks objects with the camera of an arm as the paper has it; takes the place of `ArmNode` in a deployment.
+
+    The belief has the fields of `hierax.nodes.tracking.arm.ArmNode` that others read: ``camera``
+    (world_from_camera; None before the first image), ``intrinsics``, ``size``, ``frame`` and
+    ``objects``, each with ``id``, ``obj_id``, ``pose`` (camera_from_object), ``covariance``,
+    ``score``, ``status``, ``misses``, ``unrest`` (always 1) and ``edges`` ((n, 2, 3) ends of
+    the edges expected to be seen, object's frame, metres).
+
+    Args:
+        objects: ``id``, ``obj_id`` and ``pose`` (camera_from_object in the first frame) of each.
+        start_m, start_rad: standard deviation of the first poses, in each axis.
+        error_px: by how much an end point of a line errs across it.
+        kept_score: an image in which less of the edges is found does not support a pose.
+        patience: images in a row without support until an object is lost.
+
+    Raises:
+        ValueError: ids are doubled or out of range, a pose is no 4 × 4 matrix, or an option is out of range.
+    """
+
+    def __init__(
+        self,
+        objects: Sequence[Mapping[str, Any]],
+        start_m: float = 0.005,
+        start_rad: float = 0.035,
+        error_px: float = 1.5,
+        kept_score: float = 0.35,
+        patience: int = 10,
+    ) -> None:
+        for name, number in (("start_m", start_m), ("start_rad", start_rad), ("error_px", error_px)):
+            if not number > 0.0:
+                raise ValueError(f"{name} is {number}; expected a positive number")
+        if not 0.0 <= kept_score <= 1.0:
+            raise ValueError(f"kept_score is {kept_score}; expected a number from 0 to 1")
+        if patience < 1:
+            raise ValueError(f"patience is {patience}; expected at least 1 image")
+        self._start = diagonal_covariance(start_m, start_rad)
+        self._error_px = error_px
+        self._kept_score = kept_score
+        self._patience = patience
+        self._objects = tuple(self._first(item) for item in objects)
+        check_ids(self._objects)
+
+    def initial_belief(self) -> Value:
+        """The objects where they are said to be; no camera, no edges yet."""
+        return {"camera": None, "intrinsics": None, "size": None, "frame": None, "objects": self._objects}
+
+    def observe(self, observations: Elements, belief: Value) -> Value:
+        """τ: each object's expected edges matched to the image's line segments, its pose by solvePnP.
+
+        Args:
+            observations: one element {"image", "camera", "intrinsics", "frame"}, or none.
+            belief: as `predict` left it.
+        """
+        if not observations:
+            return belief
+        seen = observations[0]
+        camera = np.asarray(seen["camera"], dtype=np.float64)
+        intrinsics = np.asarray(seen["intrinsics"], dtype=np.float64)
+        moved = np.eye(4) if belief["camera"] is None else invert(camera) @ belief["camera"]
+        wanted = any(len(item["edges"]) for item in belief["objects"])
+        lines = image_lines(seen["image"]) if wanted else None
+        objects = [{**item, "pose": moved @ item["pose"]} for item in belief["objects"]]
+        height, width = seen["image"].shape[:2]
+        return {
+            "camera": camera,
+            "intrinsics": intrinsics,
+            "size": (width, height),
+            "frame": seen["frame"],
+            "objects": tuple(item if lines is None else self._corrected(item, lines, intrinsics) for item in objects),
+        }
+
+    def predict(self, context: Elements, actions: Elements, belief: Value) -> Value:
+        """γ: where the objects will be, and which of their edges will be seen, both from the context.
+
+        Args:
+            context: one element as `hierax.nodes.tracking.render.SegmentedDepth` gives it, or
+                none: then the arm knows no shapes, and every object is lost.
+            actions: none.
+            belief: as `observe` left it.
+        """
+        expected = {item["id"]: item for item in context[0]["poses"]} if context else {}
+        objects = tuple(
+            _imagined(item, expected[item["id"]], context[0], belief["camera"])
+            if item["id"] in expected
+            else {**item, "edges": _NO_EDGES, "score": 0.0, "status": LOST}
+            for item in belief["objects"]
+        )
+        return {**belief, "objects": objects}
+
+    def metrics(self, belief: Value) -> Mapping[str, float]:
+        """How many objects are tracked, and the mean score."""
+        objects = belief["objects"]
+        scores = [item["score"] for item in objects]
+        return {
+            "tracked": float(sum(item["status"] == TRACKED for item in objects)),
+            "lost": float(sum(item["status"] == LOST for item in objects)),
+            "score_mean": float(np.mean(scores)) if scores else 0.0,
+        }
+
+    def _first(self, item: Mapping[str, Any]) -> Tracked:
+        pose = np.asarray(item["pose"], dtype=np.float64)
+        if pose.shape != (4, 4) or not np.all(np.isfinite(pose)):
+            raise ValueError(f"object {item['id']}: pose: expected a 4 × 4 matrix of finite numbers")
+        return {
+            "id": int(item["id"]),
+            "obj_id": int(item["obj_id"]),
+            "pose": pose,
+            "covariance": self._start,
+            "score": 1.0,
+            "status": EXPECTED,
+            "misses": 0,
+            "unrest": 1.0,
+            "sought": False,
+            "guesses": NO_POSES,
+            "edges": _NO_EDGES,
+        }
+
+    def _corrected(self, item: Tracked, lines: Floats, intrinsics: Array) -> Tracked:
+        """One object after the image; where that does not support it, its prediction stands, until patience ends."""
+        found = match_lines(lines, item["edges"], item["pose"], intrinsics)
+        if found is None or found.score < self._kept_score:
+            misses = item["misses"] + 1
+            lost = item["status"] == LOST or misses >= self._patience
+            score = 0.0 if lost or found is None else found.score
+            wider = item["covariance"] + self._start
+            return {**item, "score": score, "status": LOST if lost else EXPECTED, "misses": misses, "covariance": wider}
+        information = found.information / self._error_px**2 + _LEAST_INFORMATION * np.linalg.inv(self._start)
+        return {
+            **item,
+            "pose": found.pose,
+            "covariance": np.linalg.inv(information),
+            "score": found.score,
+            "status": TRACKED,
+            "misses": 0,
+        }
+
+
+def _imagined(item: Tracked, expected: Mapping[str, Any], seen: Mapping[str, Any], camera: Floats) -> Tracked:
+    """One object's prediction and its visible edges."""
+    drawn_from = invert(seen["camera"]) @ expected["pose"]
+    lines = expected_lines(seen["depth"], seen["labels"], item["id"], seen["intrinsics"])
+    return {
+        **item,
+        "pose": invert(camera) @ expected["pose"],
+        "covariance": expected["covariance"],
+        "edges": transform(invert(drawn_from), lines),
+    }

@@ -1,0 +1,251 @@
+"""Which edges of the image are whose: the poses of all objects at once, and more hypotheses where that is not sure.
+
+First all objects are aligned together, each within what its prediction leaves open, with the
+camera's error as a common unknown. An object that this leaves without support, or that was
+pulled farther than its prediction allows, is then looked for alone.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from hierax.nodes.tracking.estimation import gamma_bias as encoding
+from hierax.nodes.tracking.estimation.alignment import Aligned, offsets_at
+from hierax.nodes.tracking.estimation.appearance import measured, moved, of_mapping, remembered, sought
+from hierax.nodes.tracking.estimation.fusion import SURPRISED, Prior
+from hierax.nodes.tracking.estimation.joint_alignment import (
+    FAMILIAR_UNREST,
+    LEARNED_SCORE,
+    Explained,
+    Task,
+    explained,
+    explained_again,
+    prior_of,
+    task_of,
+)
+from hierax.nodes.tracking.estimation.profiles import EDGE_SLOTS, Image
+from hierax.nodes.tracking.estimation.tracked import motion_of
+from hierax.nodes.tracking.math.batched import exp_many, inverse, invert_many, log_many, solved
+from hierax.nodes.tracking.math.geometry import Array, Floats
+from hierax.nodes.tracking.search.multistart import Found, Looking, in_turn
+from hierax.nodes.tracking.search.reacquisition import look_elsewhere
+
+_SEARCHED_AT_ONCE = 3
+_LEAST_SHOWN = 10.0
+"""An object of which fewer control points should be seen is not judged by the image."""
+
+_SURE_SEEN = 0.9
+_LEARNED_UNREST = 0.1
+_STILL_M, _STILL_RAD = 0.0005, 0.002
+"""What is predicted to move less than this from one image to the next, and is as calm, tells where its edges are off:
+by its shadows. Of what moves, the prediction is, and an edge that comes into view would soon not be trusted."""
+
+_FOUND_PX = 1.0
+
+
+class Options(NamedTuple):
+    """How far things go.
+
+    Attributes:
+        motion: (6, 6) covariance of an object's deviation from its prediction within a frame, when it is pushed.
+        error_px: standard deviation of a control point, as if they erred independently.
+        sure_score: an object that scores less is also looked for farther away.
+        certain_score: so is one that was found again just now and scores less than this.
+    """
+
+    motion: Floats
+    error_px: float
+    sure_score: float
+    certain_score: float = 0.95
+
+
+class Estimate(NamedTuple):
+    """One object after the image.
+
+    Attributes:
+        pose: camera_from_object.
+        covariance: (6, 6) twist in the object's frame.
+        unrest: how much of `Options.motion` its latest motion asks for.
+        trend: see `hierax.nodes.tracking.estimation.fusion.Prior`.
+        score: 0 to 1.
+        shown: how many control points should have been seen.
+        slots: what is remembered of its looks.
+        vain: for how many images in a row it was looked for elsewhere and not found there.
+        elsewhere: whether it was found there now.
+        sure: false where another pose explains the image nearly as well.
+        guesses: (n, 4, 4) the poses that explain the image best besides.
+    """
+
+    pose: Floats
+    covariance: Floats
+    unrest: float
+    trend: Floats
+    score: float
+    shown: float
+    slots: Mapping[str, Any]
+    vain: int
+    elsewhere: bool
+    sure: bool
+    guesses: Floats
+
+
+def associate(
+    image: Image,
+    objects: Sequence[Mapping[str, Any]],
+    camera: Floats | None,
+    intrinsics: Array,
+    options: Options,
+) -> tuple[Floats, list[Estimate]] | None:
+    """The poses that explain an image.
+
+    Args:
+        image: of `hierax.nodes.tracking.estimation.profiles.smoothed`.
+        objects: each with "pose" (predicted camera_from_object), "before" (where it would be if it
+            had not moved), "covariance", "unrest", "probation", "controls", "slots", "vain" and "id".
+        camera: (6, 6) inverse covariance of the camera's error; None where its pose is exact.
+        intrinsics: (4,) fx, fy, cx, cy in pixels.
+        options: how far things go.
+
+    Returns:
+        What the camera's error does to all poses (4, 4), and each object's estimate; None
+        where nothing is expected in the image.
+    """
+    slots = [of_mapping(item["slots"]) for item in objects]
+    prior = prior_of(objects, options.motion, camera)
+    task = task_of(image, objects, slots, prior, intrinsics, options.error_px)
+    best = explained(task)
+    if best is None:
+        return None
+    found = _found(best, task.start.poses)
+    doubtful = _doubtful(found, objects, options)
+    again = explained_again(task, best, doubtful)
+    if again is not None:
+        best, found = again, _found(again, task.start.poses)
+        doubtful = _doubtful(found, objects, options)
+    shift = exp_many(best.fused.shift[None])[0]
+    searched = sorted((at for at in doubtful if in_turn(objects[at])), key=lambda at: objects[at]["vain"])
+    searched = sorted(searched[:_SEARCHED_AT_ONCE])
+    if searched:
+        looking = Looking(image, task.controls, task.memory, intrinsics, options.error_px)
+        elsewhere = look_elsewhere(looking, objects, shift, found, searched, prior)
+        found = _if_expected(elsewhere, found, prior, shift @ task.start.poses)
+    still = [_is_still(item, found.unrest[at]) for at, item in enumerate(objects)]
+    learned = _learned(best.aligned, found, task, slots, doubtful, still)
+    vain = [item["vain"] + 1 if at in doubtful else max(0, item["vain"] - 1) for at, item in enumerate(objects)]
+    vain = [0 if found.elsewhere[at] else count for at, count in enumerate(vain)]
+    return shift, _estimates(found, learned, vain)
+
+
+def _found(explained: Explained, predicted: Floats) -> Found:
+    """What is found where objects are expected, the camera's error corrected."""
+    aligned, fused = explained
+    count = len(predicted)
+    return Found(
+        exp_many(fused.shift[None])[0] @ predicted @ exp_many(fused.own),
+        fused.covariance,
+        aligned.scores,
+        aligned.shown,
+        aligned.gains,
+        fused.unrest,
+        fused.trend,
+        np.zeros(count, dtype=bool),
+        np.ones(count, dtype=bool),
+        [np.zeros((0, 4, 4))] * count,
+    )
+
+
+def _if_expected(after: Found, before: Found, prior: Prior, expected: Floats) -> Found:
+    """What was found elsewhere, but no farther away than predictions err, did not move: it is averaged as ever."""
+    spread = prior.spread()
+    away = log_many(invert_many(expected) @ after.poses)
+    both = spread + after.covariance
+    squares = np.einsum("mi,mi->m", away, solved(both, away[..., None])[..., 0])
+    same = after.elsewhere & (squares < 6.0 * SURPRISED**2) & (prior.unrest < FAMILIAR_UNREST)
+    if not same.any():
+        return after
+    known, seen = inverse(spread), inverse(after.covariance)
+    covariance = inverse(known + seen)
+    own = (covariance @ (seen @ away[..., None]))[..., 0]
+    return after._replace(
+        poses=np.where(same[:, None, None], expected @ exp_many(own), after.poses),
+        covariance=np.where(same[:, None, None], covariance, after.covariance),
+        unrest=np.where(same, prior.unrest, after.unrest),
+        trend=np.where(same[:, None], before.trend, after.trend),
+        elsewhere=after.elsewhere & ~same,
+    )
+
+
+def _doubtful(found: Found, objects: Sequence[Mapping[str, Any]], options: Options) -> list[int]:
+    return [at for at, item in enumerate(objects) if _is_doubtful(found, at, item, options)]
+
+
+def _is_doubtful(found: Found, at: int, item: Mapping[str, Any], options: Options) -> bool:
+    if item["others"]:
+        return True
+    if found.shown[at] < _LEAST_SHOWN:
+        return False
+    enough = options.certain_score if item["probation"] else options.sure_score
+    return bool(found.scores[at] < enough or (found.unrest[at] == 1.0 and item["unrest"] < 1.0))
+
+
+def _is_still(item: Mapping[str, Any], unrest: float) -> bool:
+    motion = motion_of(item)
+    slow = np.linalg.norm(motion[:3]) < _STILL_M and np.linalg.norm(motion[3:]) < _STILL_RAD
+    return bool(slow and unrest < _LEARNED_UNREST)
+
+
+def _learned(
+    aligned: Aligned,
+    found: Found,
+    task: Task,
+    slots: list[dict[str, Any]],
+    doubtful: list[int],
+    still: list[bool],
+) -> list[dict[str, Any]]:
+    """What is remembered of the looks of those objects that are surely where they were expected."""
+    controls, lines, profiles, matches = task.controls, aligned.lines, aligned.profiles, aligned.matches
+    seen = controls.visible[lines.rows] > _SURE_SEEN
+    sure = matches.supported & seen
+    offsets = offsets_at(aligned, controls, found.poses, task.intrinsics)
+    learned = []
+    for at, known in enumerate(slots):
+        if at in doubtful or found.scores[at] < LEARNED_SCORE:
+            learned.append(known)
+            continue
+        chosen = np.nonzero(sure & (controls.owners[lines.rows] == at))[0]
+        every = np.nonzero(seen & (controls.owners[lines.rows] == at))[0]
+        near = sure[every] & (np.abs(offsets[every]) < _FOUND_PX)
+        known = sought(known, controls.slots[lines.rows[every], 0], near)
+        columns = matches.columns[chosen]
+        colours = np.stack((profiles.inside[chosen, columns], profiles.outside[chosen, columns]), axis=1)
+        known = remembered(known, controls, lines.rows[chosen], colours)
+        if still[at]:
+            known = measured(known, controls.slots[lines.rows[chosen], 0] // EDGE_SLOTS, offsets[chosen])
+        else:
+            known = moved(known)
+        learned.append(
+            {**known, "encoding": encoding.remembered(known["encoding"], aligned.told[at], task.encoding[0])}
+        )
+    return learned
+
+
+def _estimates(found: Found, learned: list[dict[str, Any]], vain: list[int]) -> list[Estimate]:
+    return [
+        Estimate(
+            found.poses[at],
+            found.covariance[at],
+            float(found.unrest[at]),
+            found.trend[at],
+            float(found.scores[at]),
+            float(found.shown[at]),
+            slots,
+            vain[at],
+            bool(found.elsewhere[at]),
+            bool(found.sure[at]),
+            found.guesses[at],
+        )
+        for at, slots in enumerate(learned)
+    ]

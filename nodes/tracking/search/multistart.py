@@ -1,0 +1,270 @@
+"""Looking for objects that are not where they were expected: many starts, the best explained one wins.
+
+An object may be on its way from where it was, faster or slower than thought, or anywhere that
+its uncertainty allows. All starts are aligned roughly at once, the best few of each object
+finely. One that more control points speak for takes the place of the expected explanation;
+the more unlikely it was before the image, the more.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hierax.nodes.tracking.estimation.alignment import Aligned, Start, align
+from hierax.nodes.tracking.estimation.appearance import Memory
+from hierax.nodes.tracking.estimation.fusion import Prior
+from hierax.nodes.tracking.estimation.profiles import Controls, Image
+from hierax.nodes.tracking.estimation.stages import Search
+from hierax.nodes.tracking.estimation.tracked import TRACKED, motion_of
+from hierax.nodes.tracking.imagery.controls import POINTS_MAX
+from hierax.nodes.tracking.math.batched import exp_many, inverse, invert_many, log_many
+from hierax.nodes.tracking.math.geometry import Array, Floats
+
+ROUGH = Search(
+    reach_px=(20,), scale_px=((20.0, 6.0),), iterations=5, fine_px=(4.0, 4.0), fine_iterations=1, support_px=3.0
+)
+FINE = Search(reach_px=(10, 5), scale_px=((10.0, 4.0), (4.0, 1.0)), iterations=5)
+_KEPT = 4
+ROUGH_POINTS = 40
+"""How many of an object's starts are aligned finely, and with how many of its control points all are roughly."""
+
+_BETTER = 0.03
+"""By so much of its control points another explanation must be better than the expected one."""
+
+_LEAST_FOUND = 18.0
+"""Where fewer of its control points should be seen, an object is not found."""
+
+_UNLIKELIEST = 0.25
+"""So large a share of the control points that support the expected explanation must speak for another one beyond
+that, however unlikely it was before."""
+
+_EVENT, _EVENT_SEEN = 0.18, 0.08
+"""Such a share speaks against one that lies within a push, or a fall, of the expected one, besides its distance; the
+second where an image of a still camera supports the expected one suddenly less."""
+
+_WORSE = 0.85
+"""By less than this part of what it did before."""
+
+_SUPPORTED = 0.35
+_REACH = 36.0
+"""An object that the image supports by that score where it was expected is not farther away than a push can have
+moved it (one of which no image has told yet: than its first pose can be off): the square of the distance, in
+standard deviations."""
+
+_MUCH = 0.12
+"""Unless the image supports it there by so large a share of its control points more."""
+
+_FARTHER = (1.0, 0.0, 0.5, 1.5, 2.0)
+_AROUND = np.random.default_rng(1).normal(size=(4, 24, 6))
+_VAGUE_M = 0.015
+_LEVER_M = 0.05
+_GRID = np.stack(np.meshgrid(np.linspace(-1.5, 1.5, 7), np.linspace(-1.5, 1.5, 7)), axis=-1).reshape(-1, 2)
+"""Of an object whose place is that uncertain, so many standard deviations are tried in two directions."""
+
+_VAIN_AT_ONCE = 5
+_VAIN_EVERY = 8
+"""An object that was looked for in vain so often in a row is looked for only in every so manyeth image."""
+
+
+_ASTRAY = np.diag([0.01**2] * 3 + [0.3**2] * 3)
+"""How much farther an object may be that was looked for in vain, or that was found again just now (m², rad²)."""
+
+
+FALLING = 0.3
+"""Of what its motion may change in a frame, what falls over rises or sinks by so much: by less than it slides."""
+
+
+def held(motion: Floats, support: Floats, upwards: float, tilting: float) -> Floats:
+    """(6, 6) how far something may move that stands on something else.
+
+    Args:
+        motion: (6, 6) covariance of how far it may if nothing carries it, twist in its frame.
+        support: (3,) unit vector upwards in its frame; zeros where nothing carries it.
+        upwards, tilting: shares of that motion (as standard deviations) upwards, and about level axes.
+    """
+    kept = np.eye(6)
+    kept[:3, :3] -= (1.0 - upwards) * np.outer(support, support)
+    kept[3:, 3:] -= (1.0 - tilting) * (float(support @ support) * np.eye(3) - np.outer(support, support))
+    result: Floats = kept @ motion @ kept
+    return result
+
+
+class Found(NamedTuple):
+    """What is found of the objects in an image.
+
+    Attributes:
+        poses: (m, 4, 4) camera_from_object.
+        covariance: (m, 6, 6) twist in the object's frame.
+        scores: (m,) 0 to 1.
+        shown: (m,) how many control points should be seen.
+        gains: (m,) how many of them speak for the pose.
+        unrest: (m,) how much of a push the latest motion asks for.
+        trend: (m, 6) see `hierax.nodes.tracking.estimation.fusion.Prior`.
+        elsewhere: (m,) whether it was found elsewhere than expected.
+        sure: (m,) false where another pose explains the image nearly as well.
+        guesses: of each object the (n, 4, 4) poses that explain the image best besides.
+    """
+
+    poses: Floats
+    covariance: Floats
+    scores: Floats
+    shown: Floats
+    gains: Floats
+    unrest: Floats
+    trend: Floats
+    elsewhere: NDArray[np.bool_]
+    sure: NDArray[np.bool_]
+    guesses: list[Floats]
+
+    def copied(self) -> Found:
+        """The same, to be changed."""
+        parts: list[Any] = [part.copy() for part in self]
+        return Found(*parts)
+
+
+class Looking(NamedTuple):
+    """What the search works on: the smoothed image, all objects' controls and memory, the camera's fx, fy, cx, cy, and
+    what a control point's residual is worth in pixels."""
+
+    image: Image
+    controls: Controls
+    memory: Memory
+    intrinsics: Array
+    noise_px: float
+
+
+def search_elsewhere(
+    looking: Looking,
+    objects: Sequence[Mapping[str, Any]],
+    shift: Floats,
+    found: Found,
+    doubtful: Sequence[int],
+    prior: Prior,
+) -> Found:
+    """The same as found, but for doubtful objects that are better explained elsewhere.
+
+    Args:
+        looking: the image, and what is known of the objects' edges.
+        objects: as for `hierax.nodes.tracking.search.association.associate`.
+        shift: (4, 4) what the camera's error does to all poses.
+        found: where the objects were expected and found.
+        doubtful: which of them to look for.
+        prior: what was known before the image.
+    """
+    free = prior._replace(motion=np.stack([item["motion"] for item in objects]))
+    spread = free._replace(unrest=np.ones(len(objects))).spread()
+    startled = inverse(spread)
+    seen = np.array([len(item["slots"]["keys"]) > 0 for item in objects])
+    pushed = inverse(free._replace(unrest=np.where(seen, 1.0, prior.unrest)).spread())
+    for at in doubtful:
+        if _is_astray(objects[at]):
+            spread[at] += held(_ASTRAY, objects[at]["support"], FALLING, 1.0)
+    tries: list[int] = []
+    starts: list[Floats] = []
+    for at in doubtful:
+        own = _starts(objects[at], shift, spread[at])
+        starts += own
+        tries += [at] * len(own)
+    information = inverse(spread)
+    rough = aligned_each(looking, tries, Start(np.stack(starts), information[tries]), ROUGH, ROUGH_POINTS)
+    if rough is None:
+        return found
+    kept = np.sort(np.concatenate([_best(rough, tries, at) for at in doubtful]))
+    tries = [tries[number] for number in kept]
+    start = Start(rough.poses[kept], information[tries])
+    fine = aligned_each(looking, tries, start, FINE, POINTS_MAX)
+    if fine is None:
+        return found
+    predicted = np.stack([shift @ objects[at]["pose"] for at in tries])
+    away = log_many(invert_many(predicted) @ fine.poses)
+    squares = np.einsum("mi,mij,mj->m", away, inverse(prior.spread())[tries], away)
+    loose = np.einsum("mi,mij,mj->m", away, startled[tries], away)
+    still = prior.camera is None
+    worse = np.array([still and _is_worse(found.scores[at], item) for at, item in enumerate(objects)])
+    # Where something happens to an object the light on it changes, too: then its looks say little.
+    found = found._replace(gains=np.where(worse, found.scores * found.shown, found.gains))
+    support = (found.scores * found.shown)[tries]
+    event = np.where(worse[tries], _EVENT_SEEN, _EVENT) * support
+    unlikely = np.minimum(0.5 * squares, np.minimum(0.5 * loose + event, _UNLIKELIEST * support))
+    worth = np.where(worse[tries], fine.scores * found.shown[tries], fine.gains) - unlikely
+    within_reach = np.einsum("mi,mij,mj->m", away, pushed[tries], away) <= _REACH
+    much_better = seen[tries] & (fine.gains > found.gains[tries] + _MUCH * found.shown[tries])
+    worth[(found.scores[tries] >= _SUPPORTED) & ~within_reach & ~much_better] = -np.inf
+    return _chosen(found, tries, start, fine, worth)
+
+
+def aligned_each(looking: Looking, tries: Sequence[int], start: Start, search: Search, most: int) -> Aligned | None:
+    """Several starts of the same objects, each aligned as if it were an object of its own.
+
+    Args:
+        looking: the image, and what is known of the objects' edges.
+        tries: (n,) which object's control points each start has.
+        start: of each.
+        search: how.
+        most: how many control points each has at most.
+    """
+    places = looking.controls.rows_of(tries, most)
+    rows = np.concatenate(places)
+    several = looking.controls.of(places)
+    memory = Memory(*(part[rows] for part in looking.memory))
+    search = search._replace(noise_px=looking.noise_px)
+    return align(looking.image, several, start, looking.intrinsics, memory, search)
+
+
+def _best(rough: Aligned, tries: Sequence[int], at: int) -> NDArray[np.intp]:
+    """The numbers of an object's best starts."""
+    own = np.nonzero(np.array(tries) == at)[0]
+    best: NDArray[np.intp] = own[np.argsort(-rough.gains[own], kind="stable")[:_KEPT]]
+    return best
+
+
+def _chosen(found: Found, tries: Sequence[int], start: Start, fine: Aligned, worth: Floats) -> Found:
+    after = found.copied()
+    for number, at in enumerate(tries):
+        if fine.shown[number] < _LEAST_FOUND or worth[number] <= after.gains[at] + _BETTER * found.shown[at]:
+            continue
+        after.poses[at] = fine.poses[number]
+        after.covariance[at] = inverse(start.information[number] + fine.blocks[number, 6:, 6:])
+        after.scores[at], after.gains[at] = fine.scores[number], worth[number]
+        after.unrest[at], after.trend[at], after.elsewhere[at] = 1.0, 0.0, True
+    return after
+
+
+def in_turn(item: Mapping[str, Any]) -> bool:
+    """Whether an object is looked for in this image: at once, but when that was in vain, only now and then."""
+    vain = int(item["vain"])
+    return vain < _VAIN_AT_ONCE or (vain + int(item["id"])) % _VAIN_EVERY == 0
+
+
+def _is_worse(score: float, item: Mapping[str, Any]) -> bool:
+    return bool(item["status"] == TRACKED and score < _WORSE * item["score"])
+
+
+def _is_astray(item: Mapping[str, Any]) -> bool:
+    return bool(item["vain"] >= _VAIN_AT_ONCE or item["probation"] > 0)
+
+
+def _starts(item: Mapping[str, Any], shift: Floats, spread: Floats) -> list[Floats]:
+    """Where an object may be: on its way from where it was, and around where it was expected."""
+    motion = motion_of(item)
+    moves = np.array([1.0] if np.linalg.norm(motion) < 1e-4 else _FARTHER)
+    ways = [shift @ item["before"] @ way for way in exp_many(moves[:, None] * motion)]
+    turn = (int(item["vain"]) + int(item["id"])) // _VAIN_EVERY
+    around = _AROUND[turn % len(_AROUND)] @ np.linalg.cholesky(spread).T
+    if float(np.trace(spread[:3, :3])) > _VAGUE_M**2:
+        around = np.concatenate((around, _across(spread)))
+    return ways + [shift @ item["pose"] @ near for near in exp_many(around)]
+
+
+def _across(spread: Floats) -> Floats:
+    """Twists (n, 6) on a grid along the two directions that are least certain."""
+    scale = np.array([1.0] * 3 + [_LEVER_M] * 3)
+    scaled = spread * np.outer(scale, scale)
+    _, vectors = np.linalg.eigh(scaled)
+    variances = np.einsum("ik,ij,jk->k", vectors, scaled, vectors)
+    grid: Floats = _GRID @ (vectors * np.sqrt(np.maximum(variances, 0.0)))[:, -2:].T / scale
+    return grid

@@ -1,0 +1,1 @@
+"""The simulated world: cubes on a table, drawn exactly, with light and shadows."""

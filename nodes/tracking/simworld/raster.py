@@ -1,0 +1,132 @@
+"""Plane faces in a picture.
+
+Every face is a plane, so the inverse of its depth and its own coordinates times that are
+affine in the pixel: a face is drawn by three affine functions and a depth test.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from hierax.nodes.tracking.math.geometry import Array, Floats, invert, transform
+from hierax.nodes.tracking.simworld.shapes import Body, Face
+
+_NEAREST_M = 1e-3
+
+Window = tuple[int, int, int, int]
+"""Pixels of a picture: left, top, right, bottom, the ends excluded."""
+
+
+class Covered(NamedTuple):
+    """A face at the samples of a window.
+
+    Attributes:
+        inside: bool (h, w), whether the sample shows the face.
+        nearness: float32, the inverse of the depth in 1/m.
+        a, b: float32, the face's coordinates, times the nearness.
+    """
+
+    inside: Array
+    nearness: Array
+    a: Array
+    b: Array
+
+
+def homography(face: Face, camera: Floats, intrinsics: Array) -> Floats:
+    """From a face's coordinates (a, b, 1) to pixels, times the depth.
+
+    Args:
+        face: in the world's frame.
+        camera: world_from_camera.
+        intrinsics: fx, fy, cx, cy in pixels.
+    """
+    fx, fy, cx, cy = intrinsics
+    lens = np.array([[fx, 0.0, cx], [0.0, fy, cy], [0.0, 0.0, 1.0]])
+    from_world = invert(camera)
+    rotation = from_world[:3, :3]
+    columns = (rotation @ face.right, rotation @ face.up, transform(from_world, face.corner))
+    return lens @ np.stack(columns, axis=1)
+
+
+def window_of(to_pixels: Floats, width: int, height: int) -> Window | None:
+    """The pixels that a face may touch; None where it is out of the picture."""
+    corners = to_pixels @ np.array([[0.0, 1.0, 0.0, 1.0], [0.0, 0.0, 1.0, 1.0], [1.0, 1.0, 1.0, 1.0]])
+    if corners[2].min() < _NEAREST_M:
+        return None
+    pixels = corners[:2] / corners[2]
+    left, top = (int(x) for x in np.maximum(np.floor(pixels.min(axis=1)), 0))
+    right, bottom = (int(x) for x in np.minimum(np.ceil(pixels.max(axis=1)) + 1, (width, height)))
+    return (left, top, right, bottom) if left < right and top < bottom else None
+
+
+def cover(to_pixels: Floats, cells: Sequence[Floats], window: Window, samples: int) -> Covered:
+    """Where a face is seen in a window, were it alone.
+
+    Args:
+        to_pixels: its homography.
+        cells: convex polygons of its coordinates, counter-clockwise; none for the unit square.
+        window: which pixels.
+        samples: per pixel, along each axis.
+    """
+    left, top, right, bottom = window
+    step = 1.0 / samples
+    first = step / 2 - 0.5
+    u = (left + first + step * np.arange((right - left) * samples)).astype(np.float32)
+    v = (top + first + step * np.arange((bottom - top) * samples)).astype(np.float32)
+    rows = np.linalg.inv(to_pixels).astype(np.float32)
+    a, b, nearness = ((row[0] * u)[None, :] + (row[1] * v + row[2])[:, None] for row in rows)
+    if not cells:
+        return Covered((a >= 0) & (b >= 0) & (a <= nearness) & (b <= nearness), nearness, a, b)
+    inside = np.zeros(a.shape, bool)
+    for cell in cells:
+        within = nearness > 0
+        for (x, y), (dx, dy) in zip(cell, np.roll(cell, -1, axis=0) - cell, strict=True):
+            within &= np.float32(dx) * (b - np.float32(y) * nearness) >= np.float32(dy) * (a - np.float32(x) * nearness)
+        inside |= within
+    return Covered(inside, nearness, a, b)
+
+
+def faces_towards(body: Body, camera: Floats) -> list[Face]:
+    """The sides of a body that look at the camera (world_from_camera)."""
+    position = camera[:3, 3]
+    return [face for face in body.faces() if face.normal @ (position - face.corner) > 0]
+
+
+def visible_shares(bodies: Sequence[Body], camera: Floats, intrinsics: Array, size: tuple[int, int]) -> Floats:
+    """Of each body the share of its silhouette that is seen: in the picture, and behind no other body.
+
+    Args:
+        bodies: what there is.
+        camera: world_from_camera.
+        intrinsics: fx, fy, cx, cy in pixels.
+        size: width and height in pixels.
+
+    Returns:
+        (n,) from 0 to 1; sampled once a pixel.
+    """
+    width, height = size
+    # The silhouette is counted in a picture three times as large: what is cut off by the edge is hidden.
+    wide = np.asarray(intrinsics) + np.array([0.0, 0.0, width, height])
+    nearest = np.zeros((3 * height, 3 * width), np.float32)
+    owner = np.full(nearest.shape, -1)
+    alone = np.zeros(len(bodies))
+    for index, body in enumerate(bodies):
+        own = np.zeros_like(nearest)
+        for face in faces_towards(body, camera):
+            to_pixels = homography(face, camera, wide)
+            window = window_of(to_pixels, 3 * width, 3 * height)
+            if window is None:
+                continue
+            covered = cover(to_pixels, face.cells, window, 1)
+            part = own[window[1] : window[3], window[0] : window[2]]
+            np.maximum(part, np.where(covered.inside, covered.nearness, 0.0), out=part)
+        alone[index] = np.count_nonzero(own)
+        owner[own > nearest] = index
+        np.maximum(nearest, own, out=nearest)
+    shown = owner[height : 2 * height, width : 2 * width]
+    seen = np.array([np.count_nonzero(shown == index) for index in range(len(bodies))])
+    shares: Floats = seen / np.maximum(alone, 1.0)
+    return shares

@@ -1,0 +1,226 @@
+"""Pictures of bodies on a table, by exact projection: no part of it is shared with the mental image of the nodes.
+
+The faces of the bodies are planes, and drawn as such at four samples a pixel.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from functools import lru_cache
+from typing import NamedTuple
+
+import cv2
+import numpy as np
+
+from hierax.nodes.tracking.math.geometry import Array, Floats
+from hierax.nodes.tracking.simworld.light import LAMP, Lamp, light_on
+from hierax.nodes.tracking.simworld.raster import Window, cover, faces_towards, homography, window_of
+from hierax.nodes.tracking.simworld.shapes import Body, Face
+
+cv2.setNumThreads(1)
+
+SAMPLES = 2
+"""Per pixel, along each axis."""
+
+TABLE_M = (1.5, 1.3)
+TABLE_PX_PER_M = 800
+TABLE_RIM_PX = 6
+FACE_PX = 96
+
+
+class Wood(NamedTuple):
+    """How the table looks.
+
+    Attributes:
+        colour: RGB, 0 to 255.
+        unevenness: how strong grain and planks are; 1 is that of a plain table.
+        seed: which grain.
+        tile_m: side of the squares, light and dark by turns, with which it is laid; 0 for planks.
+    """
+
+    colour: tuple[int, int, int] = (168, 134, 98)
+    unevenness: float = 1.0
+    seed: int = 7
+    tile_m: float = 0.0
+
+
+WOOD = Wood()
+
+
+def draw(
+    bodies: Sequence[Body],
+    camera: Floats,
+    intrinsics: Array,
+    size: tuple[int, int],
+    lamp: Lamp = LAMP,
+    wood: Wood = WOOD,
+) -> Array:
+    """The picture without blur or noise.
+
+    Args:
+        bodies: above the plane z = 0, and in front of the camera.
+        camera: world_from_camera, 4x4, above that plane.
+        intrinsics: fx, fy, cx, cy in pixels.
+        size: width and height in pixels.
+        lamp: the light.
+        wood: of the table.
+
+    Returns:
+        RGB, float32 (h, w, 3), 0 to 255.
+    """
+    parts = [corners for body in bodies for corners in body.parts()]
+    image = _draw_table(parts, camera, intrinsics, size, lamp, wood)
+    _draw_bodies(image, bodies, parts, camera, intrinsics, lamp)
+    return image
+
+
+def develop(image: Array, blur_px: float, noise: float, rng: np.random.Generator) -> Array:
+    """What a sensor makes of a picture.
+
+    Args:
+        image: float32 RGB.
+        blur_px: standard deviation of the lens's blur, in pixels.
+        noise: standard deviation of the sensor's noise, in grey levels of 256.
+        rng: draws the noise.
+
+    Returns:
+        uint8 RGB.
+    """
+    if blur_px > 0.0:
+        image = cv2.GaussianBlur(image, (0, 0), blur_px)
+    if noise > 0.0:
+        image = image + np.float32(noise) * rng.standard_normal(image.shape, dtype=np.float32)
+    developed: Array = np.clip(np.rint(image), 0, 255).astype(np.uint8)
+    return developed
+
+
+def _draw_table(
+    parts: Sequence[Floats], camera: Floats, intrinsics: Array, size: tuple[int, int], lamp: Lamp, wood: Wood
+) -> Array:
+    """The table with its shadows, over a wall that gets darker downwards."""
+    width, height = TABLE_M
+    table = Face(np.array([-width / 2, -height / 2, 0.0]), np.array([width, 0.0, 0.0]), np.array([0.0, height, 0.0]))
+    to_pixels = homography(table, camera, intrinsics)
+    planks = _planks(wood)
+    texels = np.array([[1.0, 0.0, 0.5], [0.0, 1.0, 0.5], [0.0, 0.0, 1.0]])
+    texels = np.diag([1.0 / planks.shape[1], 1.0 / planks.shape[0], 1.0]) @ texels
+    picture = _wall(size)
+    cv2.warpPerspective(planks, to_pixels @ texels, size, picture, cv2.INTER_LINEAR, cv2.BORDER_TRANSPARENT)
+    lit: Array = picture.astype(np.float32)
+    lit *= light_on(table, parts, size, to_pixels, lamp)[..., None]
+    return lit
+
+
+def _draw_bodies(
+    image: Array, bodies: Sequence[Body], parts: Sequence[Floats], camera: Floats, intrinsics: Array, lamp: Lamp
+) -> None:
+    """Put the bodies into the picture: depth test at `SAMPLES` x `SAMPLES` per pixel, then their mean."""
+    height, width = image.shape[:2]
+    drawn = [
+        (face, homography(face, camera, intrinsics), body.colour)
+        for body in bodies
+        for face in faces_towards(body, camera)
+    ]
+    windows = [window_of(to_pixels, width, height) for _, to_pixels, _ in drawn]
+    shown = [(item, window) for item, window in zip(drawn, windows, strict=True) if window is not None]
+    if not shown:
+        return
+    left, top = (min(window[i] for _, window in shown) for i in (0, 1))
+    right, bottom = (max(window[i] for _, window in shown) for i in (2, 3))
+    shape = ((bottom - top) * SAMPLES, (right - left) * SAMPLES)
+    nearest = np.zeros(shape, np.float32)
+    layer = np.zeros((*shape, 4), np.float32)
+    for (face, to_pixels, colour), window in shown:
+        texture = _face_texture(face, colour, parts, lamp)
+        _draw_face(layer, nearest, to_pixels, face.cells, texture, window, (left, top))
+    mean = cv2.resize(layer, (right - left, bottom - top), interpolation=cv2.INTER_AREA)
+    part = image[top:bottom, left:right]
+    part *= 1.0 - mean[..., 3:]
+    part += mean[..., :3]
+
+
+def _draw_face(
+    layer: Array,
+    nearest: Array,
+    to_pixels: Floats,
+    cells: Sequence[Floats],
+    texture: Array,
+    window: Window,
+    origin: tuple[int, int],
+) -> None:
+    """Draw one face where it is nearer than what is drawn already."""
+    left, top, right, bottom = window
+    covered = cover(to_pixels, cells, window, SAMPLES)
+    view = np.s_[
+        (top - origin[1]) * SAMPLES : (bottom - origin[1]) * SAMPLES,
+        (left - origin[0]) * SAMPLES : (right - origin[0]) * SAMPLES,
+    ]
+    inside = covered.inside & (covered.nearness > nearest[view])
+    if not inside.any():
+        return
+    scale = FACE_PX / np.where(inside, covered.nearness, 1.0)
+    a, b = covered.a * scale - 0.5, covered.b * scale - 0.5
+    colours = cv2.remap(texture, a, b, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+    np.copyto(nearest[view], covered.nearness, where=inside)
+    np.copyto(layer[view], colours, where=inside[..., None])
+
+
+def _face_texture(face: Face, colour: tuple[int, int, int], parts: Sequence[Floats], lamp: Lamp) -> Array:
+    """Colour and full cover of each point of a face, float32 (FACE_PX, FACE_PX, 4)."""
+    texels = np.array([[FACE_PX, 0.0, -0.5], [0.0, FACE_PX, -0.5], [0.0, 0.0, 1.0]])
+    light = light_on(face, parts, (FACE_PX, FACE_PX), texels, lamp)
+    texture = np.full((FACE_PX, FACE_PX, 4), 255.0, np.float32)
+    texture[..., :3] = np.minimum(np.array(colour, np.float32) * (light * _grain())[..., None], 255.0)
+    texture[..., 3] = 1.0
+    return texture
+
+
+@lru_cache(maxsize=1)
+def _grain() -> Array:
+    """Faint unevenness of painted wood, about 1."""
+    noise = np.random.default_rng(11).standard_normal((FACE_PX, FACE_PX)).astype(np.float32)
+    streaks = cv2.GaussianBlur(noise, (0, 0), sigmaX=9.0, sigmaY=0.8)
+    return np.asarray(1.0 + 0.02 * streaks / streaks.std(), dtype=np.float32)
+
+
+def _wall(size: tuple[int, int]) -> Array:
+    """What is behind the table, uint8 RGB, before the light is taken into account."""
+    grey = np.linspace(86.0, 43.0, size[1], dtype=np.float32)[:, None, None] * np.array([0.96, 1.0, 1.06], np.float32)
+    wall: Array = np.repeat(grey.astype(np.uint8), size[0], axis=1)
+    return wall
+
+
+@lru_cache(maxsize=4)
+def _planks(wood: Wood) -> Array:
+    """The table's top of planks or tiles, RGB uint8, with a dark rim."""
+    columns, rows = (round(length * TABLE_PX_PER_M) for length in TABLE_M)
+    rng = np.random.default_rng(wood.seed)
+    grain = 0.035 * _streaks(rng, (rows, columns), 4) + 0.05 * _streaks(rng, (rows, columns), 24)
+    tone = 1.0 + np.float32(wood.unevenness) * grain
+    if wood.tile_m > 0.0:
+        places = [np.arange(count) // round(wood.tile_m * TABLE_PX_PER_M) for count in (rows, columns)]
+        dark = (places[0][:, None] + places[1][None, :]) % 2
+        tone *= 1.0 - np.float32(0.3 * wood.unevenness) * dark.astype(np.float32)
+    plank_px = rows // 8
+    for index in range(0, rows if wood.tile_m == 0.0 else 0, plank_px):
+        tone[index : index + plank_px] *= 1.0 + wood.unevenness * (rng.uniform(0.93, 1.06) - 1.0)
+        tone[index : index + 2] *= 1.0 - 0.28 * wood.unevenness
+    planks: Array = np.clip(tone[..., None] * np.array(wood.colour, np.float32), 0, 220).astype(np.uint8)
+    for edge in (
+        planks[:TABLE_RIM_PX],
+        planks[-TABLE_RIM_PX:],
+        planks[:, :TABLE_RIM_PX],
+        planks[:, -TABLE_RIM_PX:],
+    ):
+        edge[:] = (edge * 0.55).astype(np.uint8)
+    return planks
+
+
+def _streaks(rng: np.random.Generator, shape: tuple[int, int], width_px: int) -> Array:
+    """Smooth unevenness of deviation 1 that runs along the rows, float32."""
+    rows, columns = shape
+    coarse = (rows // width_px + 2, columns // (width_px * 12) + 2)
+    noise = rng.standard_normal(coarse).astype(np.float32)
+    smooth: Array = cv2.resize(noise, (columns, rows), interpolation=cv2.INTER_CUBIC)
+    even: Array = smooth / smooth.std()
+    return even

@@ -1,0 +1,187 @@
+"""Shapes of the simulated pictures: plane faces, which are drawn, and convex parts, which throw shadows."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from itertools import product
+from typing import NamedTuple, Protocol
+
+import numpy as np
+
+from hierax.nodes.tracking.math.geometry import Floats, transform
+from hierax.nodes.tracking.model.mesh import Mesh
+
+_SIDES = [(axis, sign) for axis in range(3) for sign in (-1.0, 1.0)]
+
+
+class Face(NamedTuple):
+    """A plane side of a body, seen from outside: corner + a * right + b * up, metres.
+
+    Attributes:
+        corner, right, up: (3,); a and b go from 0 to 1.
+        cells: convex polygons (n, 2) of a and b, counter-clockwise, that the side consists
+            of; none for the whole parallelogram.
+    """
+
+    corner: Floats
+    right: Floats
+    up: Floats
+    cells: tuple[Floats, ...] = ()
+
+    @property
+    def normal(self) -> Floats:
+        """Unit vector that points outwards."""
+        normal = np.cross(self.right, self.up)
+        unit: Floats = normal / np.linalg.norm(normal)
+        return unit
+
+    def moved(self, pose: Floats) -> Face:
+        """The same face in the frame that the pose leads to."""
+        rotation = pose[:3, :3]
+        return self._replace(corner=transform(pose, self.corner), right=rotation @ self.right, up=rotation @ self.up)
+
+
+class Body(Protocol):
+    """What can be drawn, in the world's frame."""
+
+    @property
+    def colour(self) -> tuple[int, int, int]:
+        """RGB, 0 to 255."""
+
+    def faces(self) -> list[Face]:
+        """Its sides."""
+
+    def parts(self) -> list[Floats]:
+        """The corners (n, 3) of the convex parts that it consists of."""
+
+
+class Cube(NamedTuple):
+    """A cube.
+
+    Attributes:
+        pose: world_from_object, 4x4, origin at the cube's centre.
+        side_m: length of its edges.
+        colour: RGB, 0 to 255.
+    """
+
+    pose: Floats
+    side_m: float
+    colour: tuple[int, int, int]
+
+    def faces(self) -> list[Face]:
+        """All six sides."""
+        return [face.moved(self.pose) for face in box_faces((self.side_m,) * 3)]
+
+    def parts(self) -> list[Floats]:
+        """The cube's corners."""
+        return [transform(self.pose, cube_corners(self.side_m))]
+
+
+class Shape(NamedTuple):
+    """A body's form, in its own frame.
+
+    Attributes:
+        sides: its faces.
+        convex: corners (n, 3) of the convex parts that it consists of.
+        mesh: its surface.
+    """
+
+    sides: tuple[Face, ...]
+    convex: tuple[Floats, ...]
+    mesh: Mesh
+
+
+class Thing(NamedTuple):
+    """A body of any shape.
+
+    Attributes:
+        pose: world_from_object, 4x4.
+        shape: its form.
+        colour: RGB, 0 to 255.
+    """
+
+    pose: Floats
+    shape: Shape
+    colour: tuple[int, int, int]
+
+    def faces(self) -> list[Face]:
+        """All sides."""
+        return [face.moved(self.pose) for face in self.shape.sides]
+
+    def parts(self) -> list[Floats]:
+        """The corners of its convex parts."""
+        return [transform(self.pose, corners) for corners in self.shape.convex]
+
+
+def cube_corners(side_m: float) -> Floats:
+    """The corners of a cube in its own frame, (8, 3)."""
+    return np.array(list(product((-1.0, 1.0), repeat=3))) * side_m / 2
+
+
+def box_faces(size: Sequence[float]) -> list[Face]:
+    """The six sides of a box around its frame's origin; side lengths in metres."""
+    faces = []
+    for axis, sign in _SIDES:
+        first, second = (axis + 1) % 3, (axis + 2) % 3
+        across, along = np.eye(3)[first] * size[first], np.eye(3)[second] * size[second]
+        right, up = (across, along) if sign > 0 else (along, across)
+        corner = (sign * np.eye(3)[axis] * size[axis] - right - up) / 2
+        faces.append(Face(corner, right, up))
+    return faces
+
+
+def box(size: Sequence[float]) -> Shape:
+    """A box; side lengths along x, y and z in metres."""
+    x, y = size[0] / 2, size[1] / 2
+    return extruded([(-x, -y), (x, -y), (x, y), (-x, y)], size[2])
+
+
+def wedge(width_m: float, depth_m: float, length_m: float, ridge: float = 0.5) -> Shape:
+    """A triangular prism, its triangle in the plane of x and y, from z = -length_m / 2 on; `ridge` is 0.1 to 0.9."""
+    x, y = width_m / 2, depth_m / 2
+    return extruded([(-x, -y), (x, -y), ((2.0 * ridge - 1.0) * x, y)], length_m)
+
+
+def angle_piece(width_m: float, depth_m: float, thickness_m: float, length_m: float) -> Shape:
+    """A body whose section in the plane of x and y is an L."""
+    x, y, t = width_m / 2, depth_m / 2, thickness_m
+    outline = [(-x, -y), (x, -y), (x, t - y), (t - x, t - y), (t - x, y), (-x, y)]
+    return extruded(outline, length_m, cells=[(0, 1, 2, 3), (0, 3, 4, 5)])
+
+
+def regular(corners: int, radius_m: float, length_m: float) -> Shape:
+    """A prism over a regular polygon in the plane of x and y."""
+    turns = 2.0 * np.pi * np.arange(corners) / corners
+    return extruded(radius_m * np.column_stack((np.cos(turns), np.sin(turns))), length_m)
+
+
+def extruded(
+    outline: Floats | Sequence[tuple[float, float]], length_m: float, cells: Sequence[Sequence[int]] = ()
+) -> Shape:
+    """A prism over a polygon in the plane of x and y, from z = -length_m / 2 to length_m / 2.
+
+    Args:
+        outline: (n, 2) corners, counter-clockwise, metres.
+        length_m: along z.
+        cells: indices of corners of convex polygons that the outline consists of; none
+            where it is convex.
+    """
+    corners = np.asarray(outline, dtype=np.float64)
+    count = len(corners)
+    pieces = [list(cell) for cell in cells] or [list(range(count))]
+    low = np.column_stack((corners, np.full(count, -length_m / 2)))
+    vertices = np.concatenate((low, low + np.array([0.0, 0.0, length_m])))
+    origin, size = corners.min(axis=0), np.ptp(corners, axis=0)
+    within = [(corners[piece] - origin) / size for piece in pieces]
+    width, depth, height = np.diag([*size, length_m])
+    start = np.array([*origin, -length_m / 2])
+    top = Face(start + height, width, depth, tuple(within))
+    bottom = Face(start, depth, width, tuple(cell[::-1, ::-1] for cell in within))
+    following = [(at + 1) % count for at in range(count)]
+    sides = [Face(low[at], low[to] - low[at], height) for at, to in enumerate(following)]
+    caps = [(piece[0], piece[at], piece[at + 1]) for piece in pieces for at in range(1, len(piece) - 1)]
+    faces = [(a + count, b + count, c + count) for a, b, c in caps] + [(c, b, a) for a, b, c in caps]
+    for at, to in enumerate(following):
+        faces += [(at, to, to + count), (at, to + count, at + count)]
+    convex = tuple(vertices[[*piece, *(at + count for at in piece)]] for piece in pieces)
+    return Shape((top, bottom, *sides), convex, Mesh(vertices, np.array(faces, dtype=np.int32)))

@@ -1,0 +1,206 @@
+"""The simulated world: cubes on a table, and a camera that swings around them."""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from hierax.nodes.tracking.imagery.physics import Motion, Simulator, Solid
+from hierax.nodes.tracking.math.geometry import Floats, exp_so3, make_pose
+from hierax.nodes.tracking.showing import world_things
+from hierax.nodes.tracking.simworld.scene import develop, draw
+from hierax.nodes.tracking.simworld.shapes import Cube, cube_corners
+from hierax.runtime import NO_TICK, Elements, Step, Tick, Value, World
+from hierax.runtime.core.showing import Things
+
+DENSITY_KG_M3 = 600.0
+FRICTION = 0.6
+FOCAL_LENGTH = 0.95
+"""In widths of the picture."""
+
+LOOK_AT_M = np.array([0.03, 0.01, 0.04])
+RADIUS_M = 0.56
+ELEVATION_DEG = 38.0
+AZIMUTH_DEG = -93.0
+SWING_DEG = 22.0
+SWING_PERIOD_S = 4.0
+
+DRIVEN_ID = 4
+DRIVE_M_S = np.array([0.11, 0.01])
+DRIVE_FROM_S, DRIVE_TO_S = 0.4, 1.8
+"""One cube is drawn over the table by a thread, in front of the others."""
+
+
+class Placed(NamedTuple):
+    """A cube of the scene: its side (m), where its centre is at first (m), its turn about the vertical, its colour."""
+
+    side_m: float
+    centre_m: tuple[float, float, float]
+    yaw_deg: float
+    colour: tuple[int, int, int]
+
+
+SCENE = (
+    Placed(0.080, (0.05, 0.02, 0.0400), 38.0, (196, 52, 44)),
+    Placed(0.060, (0.05, 0.02, 0.1100), 55.0, (45, 96, 190)),
+    Placed(0.070, (-0.10, 0.06, 0.0350), 50.0, (58, 150, 72)),
+    Placed(0.050, (-0.06, -0.085, 0.0250), 51.0, (235, 190, 40)),
+    Placed(0.090, (0.17, 0.13, 0.0450), 36.0, (120, 70, 160)),
+    Placed(0.045, (0.16, -0.05, 0.0225), 25.0, (226, 120, 40)),
+)
+"""By id, from 1. The second stands on the first, and they hide one another as the camera goes round; the turns are such
+that no side becomes a sliver, of which one camera cannot tell whether it sees it."""
+
+
+class SimWorld(World):
+    """Cubes on a table under gravity; one is drawn along. The camera's path is a function of the time.
+
+    The belief: ``frame``, ``time_s``, ``camera`` (world_from_camera, 4x4; z of the world
+    is up and the table its plane z = 0), ``intrinsics``, ``size`` (w, h), ``noise``,
+    ``blur_px``, and ``bodies``, a tuple of ``id``, ``obj_id``, ``side_m``, ``colour``,
+    ``pose`` (world_from_object) and ``velocity`` (m/s, rad/s, world frame).
+
+    Args:
+        cubes: how many of the scene's cubes, from 1 to 6.
+        frames: after how many the world has finished.
+        width, height: of the pictures, in pixels.
+        noise: standard deviation of the sensor's noise, in grey levels of 256.
+        blur_px: standard deviation of the lens's blur, in pixels.
+        fps: frames per second.
+    """
+
+    def __init__(
+        self,
+        cubes: int = len(SCENE),
+        frames: int = 60,
+        width: int = 640,
+        height: int = 480,
+        noise: float = 2.0,
+        blur_px: float = 0.7,
+        fps: float = 30.0,
+    ) -> None:
+        bodies = first_bodies(cubes)
+        for name, number, least in (("frames", frames, 1), ("width", width, 64), ("height", height, 64)):
+            if number < least:
+                raise ValueError(f"{name} is {number}; expected at least {least}")
+        for name, amount in (("noise", noise), ("blur_px", blur_px)):
+            if amount < 0.0:
+                raise ValueError(f"{name} is {amount}; expected a number not below 0")
+        if not fps > 0.0:
+            raise ValueError(f"fps is {fps}; expected a positive number")
+        self._fps = float(fps)
+        self._frames = frames
+        self._size = (width, height)
+        self._noise = float(noise)
+        self._blur_px = float(blur_px)
+        self._bodies = bodies
+        self._solids = [_solid(body["side_m"]) for body in bodies]
+        self._simulator = Simulator()
+
+    def initial_belief(self) -> Value:
+        """Frame 0: everything at rest."""
+        width, height = self._size
+        focal = FOCAL_LENGTH * width
+        return {
+            "frame": 0,
+            "time_s": 0.0,
+            "camera": camera_at(0.0),
+            "intrinsics": np.array([focal, focal, (width - 1) / 2, (height - 1) / 2]),
+            "size": self._size,
+            "noise": self._noise,
+            "blur_px": self._blur_px,
+            "bodies": self._bodies,
+        }
+
+    def predict(self, context: Elements, actions: Elements, belief: Value) -> Value:
+        """The next frame: gravity, contacts and the thread for one frame interval, and the camera moved on."""
+        bodies = belief["bodies"]
+        motions = [Motion(body["pose"], body["velocity"]) for body in bodies]
+        time_s = (belief["frame"] + 1) / self._fps
+        drive = drive_at(belief["time_s"])
+        drives = {i: drive for i, body in enumerate(bodies) if drive is not None and body["id"] == DRIVEN_ID}
+        after = self._simulator.run(self._solids, motions, 1.0 / self._fps, drives)
+        moved = tuple(
+            {**body, "pose": motion.pose, "velocity": motion.velocity}
+            for body, motion in zip(bodies, after, strict=True)
+        )
+        return {
+            **belief,
+            "frame": belief["frame"] + 1,
+            "time_s": time_s,
+            "camera": camera_at(time_s),
+            "bodies": moved,
+        }
+
+    def show(self, step: Step, before: Value) -> Things:
+        """The true poses."""
+        return world_things(step)
+
+    def time_s(self, belief: Value, epoch: int) -> float:
+        """The time of the belief's frame."""
+        return float(belief["time_s"])
+
+    def finished(self, belief: Value) -> bool:
+        """Whether all frames have been shown."""
+        return bool(belief["frame"] >= self._frames)
+
+
+def picture_seen(belief: Value, tick: Tick = NO_TICK) -> Elements:
+    """φ of the simulated world: the picture that the camera takes, with noise of the tick's generator."""
+    cubes = [Cube(body["pose"], body["side_m"], tuple(body["colour"])) for body in belief["bodies"]]
+    picture = draw(cubes, belief["camera"], belief["intrinsics"], tuple(belief["size"]))
+    image = develop(picture, belief["blur_px"], belief["noise"], tick.rng)
+    return (
+        {
+            "image": image,
+            "camera": belief["camera"],
+            "intrinsics": belief["intrinsics"],
+            "frame": belief["frame"],
+        },
+    )
+
+
+def camera_at(time_s: float) -> Floats:
+    """world_from_camera at a time: it swings around the scene, looking at its middle."""
+    phase = 2.0 * np.pi * time_s / SWING_PERIOD_S
+    azimuth = np.radians(AZIMUTH_DEG - SWING_DEG * np.cos(phase))
+    elevation = np.radians(ELEVATION_DEG + 4.0 * np.sin(phase))
+    radius = RADIUS_M - 0.05 * np.sin(phase)
+    away = np.array([np.cos(azimuth) * np.cos(elevation), np.sin(azimuth) * np.cos(elevation), np.sin(elevation)])
+    right = np.array([-np.sin(azimuth), np.cos(azimuth), 0.0])
+    return make_pose(np.stack((right, np.cross(-away, right), -away), axis=1), LOOK_AT_M + radius * away)
+
+
+def drive_at(time_s: float) -> Floats | None:
+    """The velocity (m/s) of the thread's end at a time, beginning and ending softly; None while it is slack."""
+    part = (time_s - DRIVE_FROM_S) / (DRIVE_TO_S - DRIVE_FROM_S)
+    if not 0.0 < part < 1.0:
+        return None
+    speed: Floats = DRIVE_M_S * np.sin(np.pi * part) ** 2
+    return speed
+
+
+def first_bodies(cubes: int) -> tuple[dict[str, Any], ...]:
+    """The first so many cubes of `SCENE`, at rest, as they stand in the belief.
+
+    Raises:
+        ValueError: there are not so many.
+    """
+    if not 1 <= cubes <= len(SCENE):
+        raise ValueError(f"cubes is {cubes}; expected a number from 1 to {len(SCENE)}")
+    return tuple(
+        {
+            "id": number,
+            "obj_id": number,
+            "side_m": item.side_m,
+            "colour": item.colour,
+            "pose": make_pose(exp_so3(np.array([0.0, 0.0, np.radians(item.yaw_deg)])), np.array(item.centre_m)),
+            "velocity": np.zeros(6),
+        }
+        for number, item in enumerate(SCENE[:cubes], start=1)
+    )
+
+
+def _solid(side_m: float) -> Solid:
+    return Solid(cube_corners(side_m), DENSITY_KG_M3 * side_m**3, FRICTION)

@@ -1,0 +1,139 @@
+"""The simulated pictures: geometry against an independent ray caster, shadows, and the sensor."""
+
+from __future__ import annotations
+
+from itertools import product
+
+import numpy as np
+import pytest
+
+from hierax.nodes.tracking.math.geometry import Array, Floats, exp_so3, invert, make_pose, rays
+from hierax.nodes.tracking.simworld import scene as sim_scene
+from hierax.nodes.tracking.simworld.light import LAMP, Lamp, light_on, shadows
+from hierax.nodes.tracking.simworld.scene import FACE_PX, develop, draw
+from hierax.nodes.tracking.simworld.shapes import Cube, Face, cube_corners
+from hierax.nodes.tracking.simworld.world import camera_at
+
+SIZE = (160, 120)
+INTRINSICS = np.array([150.0, 155.0, 81.3, 57.9])
+CUBES = [
+    Cube(make_pose(exp_so3(np.array([0.0, 0.0, 0.5])), np.array([0.05, 0.02, 0.04])), 0.08, (200, 40, 40)),
+    Cube(make_pose(exp_so3(np.array([0.0, 0.0, 0.9])), np.array([0.05, 0.02, 0.11])), 0.06, (40, 60, 200)),
+    Cube(make_pose(exp_so3(np.array([0.3, -0.2, 0.1])), np.array([-0.06, -0.08, 0.06])), 0.05, (30, 170, 60)),
+]
+
+
+def ray_cast(cubes: list[Cube], camera: Floats, intrinsics: Floats = INTRINSICS) -> Array:
+    """Number of the cube at each pixel's centre, -1 where there is none: slab by slab, in each cube's own frame."""
+    columns, rows = np.meshgrid(np.arange(SIZE[0]), np.arange(SIZE[1]))
+    directions = rays(np.stack((columns, rows), axis=-1), intrinsics) @ camera[:3, :3].T
+    nearest = np.full(columns.shape, np.inf)
+    found = np.full(columns.shape, -1)
+    for number, cube in enumerate(cubes):
+        to_object = invert(cube.pose)
+        start = to_object[:3, :3] @ camera[:3, 3] + to_object[:3, 3]
+        along = directions @ to_object[:3, :3].T
+        ends = np.stack([(sign * cube.side_m / 2 - start) / along for sign in (-1.0, 1.0)])
+        enter, leave = ends.min(axis=0).max(axis=-1), ends.max(axis=0).min(axis=-1)
+        hit = (enter < leave) & (enter > 0) & (enter < nearest)
+        nearest[hit] = enter[hit]
+        found[hit] = number
+    return found
+
+
+@pytest.mark.parametrize("order", [(0, 1, 2), (2, 1, 0)])
+def test_every_pixel_shows_the_cube_that_a_ray_meets(order: tuple[int, ...]) -> None:
+    camera = camera_at(0.3)
+    picture = draw([CUBES[number] for number in order], camera, INTRINSICS, SIZE)
+    expected = ray_cast(CUBES, camera)
+    brightest = picture.argmax(axis=-1)
+    channel = {0: 0, 1: 2, 2: 1}
+    inner = np.zeros(expected.shape, bool)
+    inner[1:-1, 1:-1] = True
+    for dy, dx in ((0, 1), (0, -1), (1, 0), (-1, 0)):
+        inner &= expected == np.roll(expected, (dy, dx), axis=(0, 1))
+    for number in range(len(CUBES)):
+        seen = inner & (expected == number)
+        assert seen.sum() > 100
+        pure = picture[seen]
+        assert (brightest[seen] == channel[number]).all()
+        assert (pure.max(axis=1) > 2.0 * pure.min(axis=1)).all()
+
+
+def test_a_silhouette_is_where_it_belongs_to_a_hundredth_of_a_pixel(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(sim_scene, "_grain", lambda: np.ones((FACE_PX, FACE_PX), np.float32))
+    cube, camera = CUBES[2]._replace(colour=(250, 0, 0)), camera_at(0.0)
+    even = Lamp(diffuse=0.0)
+    bright = draw([cube], camera, INTRINSICS, SIZE, even)[..., 0]
+    dark = draw([cube._replace(colour=(0, 0, 0))], camera, INTRINSICS, SIZE, even)[..., 0]
+    cover = (bright - dark) / (250.0 * even.ambient)
+    samples = 6
+    expected = np.zeros(cover.shape)
+    for dx, dy in product((np.arange(samples) + 0.5) / samples - 0.5, repeat=2):
+        expected += ray_cast([cube], camera, INTRINSICS - np.array([0.0, 0.0, dx, dy])) == 0
+    expected /= samples**2
+    assert cover.sum() == pytest.approx(expected.sum(), rel=0.003)
+    for place in np.meshgrid(np.arange(SIZE[0]), np.arange(SIZE[1])):
+        centre = (cover * place).sum() / cover.sum()
+        assert centre == pytest.approx((expected * place).sum() / expected.sum(), abs=0.01)
+
+
+def test_faces_look_outwards() -> None:
+    for face in CUBES[2].faces():
+        middle = face.corner + (face.right + face.up) / 2
+        outwards = middle - CUBES[2].pose[:3, 3]
+        np.testing.assert_allclose(face.normal * CUBES[2].side_m / 2, outwards, atol=1e-12)
+
+
+def test_a_shadow_lies_where_rays_to_the_lamp_are_blocked() -> None:
+    """Against an independent test: from points of the table towards the lamp's middle."""
+    cube = CUBES[0]
+    table = Face(np.array([-0.5, -0.5, 0.0]), np.array([1.0, 0.0, 0.0]), np.array([0.0, 1.0, 0.0]))
+    pixels = 200
+    homography = np.array([[pixels, 0.0, -0.5], [0.0, pixels, -0.5], [0.0, 0.0, 1.0]])
+    light = light_on(table, cube.parts(), (pixels, pixels), homography)
+    place = (np.arange(pixels) + 0.5) / pixels - 0.5
+    points = np.stack((*np.meshgrid(place, place), np.zeros((pixels, pixels))), axis=-1)
+    to_object = invert(cube.pose)
+    starts, along = points @ to_object[:3, :3].T + to_object[:3, 3], to_object[:3, :3] @ LAMP.direction
+    ends = np.stack([(sign * cube.side_m / 2 - starts) / along for sign in (-1.0, 1.0)])
+    blocked = ends.min(axis=0).max(axis=-1) < ends.max(axis=0).min(axis=-1)
+    full = LAMP.ambient + LAMP.diffuse * LAMP.direction[2]
+    assert light.max() == pytest.approx(full, rel=1e-5)
+    dark = (full - light) / (LAMP.diffuse * LAMP.direction[2])
+    assert dark[blocked].mean() > 0.9
+    assert dark.sum() == pytest.approx(blocked.sum(), rel=0.02)
+
+
+def test_a_cube_that_stands_on_a_face_throws_no_shadow_below_it() -> None:
+    lower, upper = CUBES[0], CUBES[1]
+    top, bottom = lower.faces()[5], lower.faces()[4]
+    corners = cube_corners(upper.side_m) @ upper.pose[:3, :3].T + upper.pose[:3, 3]
+    assert len(shadows(corners, top)) > 0
+    assert shadows(corners, bottom) == []
+    standing_below = cube_corners(lower.side_m) @ lower.pose[:3, :3].T + lower.pose[:3, 3]
+    assert shadows(standing_below, upper.faces()[5]) == []
+
+
+def test_drawing_is_equal_to_the_bit() -> None:
+    camera = camera_at(0.5)
+    assert draw(CUBES, camera, INTRINSICS, SIZE).tobytes() == draw(CUBES, camera, INTRINSICS, SIZE).tobytes()
+
+
+def test_a_scene_out_of_sight_is_the_table_alone() -> None:
+    away = [CUBES[0]._replace(pose=make_pose(np.eye(3), np.array([5.0, 5.0, 0.04])))]
+    camera = camera_at(0.0)
+    np.testing.assert_array_equal(draw(away, camera, INTRINSICS, SIZE), draw([], camera, INTRINSICS, SIZE))
+
+
+def test_the_sensor_adds_noise_of_the_given_size() -> None:
+    grey = np.full((100, 100, 3), 128.0, np.float32)
+    image = develop(grey, 0.0, 3.0, np.random.default_rng(1))
+    assert image.dtype == np.uint8
+    assert image.astype(float).std() == pytest.approx(3.0, rel=0.05)
+    np.testing.assert_array_equal(develop(grey, 0.7, 0.0, np.random.default_rng(1)), 128)
+
+
+def test_the_sensor_stays_within_its_range() -> None:
+    ends = np.array([[[-20.0, 0.0, 300.0]]], np.float32)
+    np.testing.assert_array_equal(develop(ends, 0.0, 0.0, np.random.default_rng(1)), [[[0, 0, 255]]])
