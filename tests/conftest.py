@@ -23,6 +23,7 @@ STARTING = (
     "tests/runtime/launch/",
     "tests/runtime/recording/",
     "tests/runtime/recovery/",
+    "tests/runtime/test_interpreter.py",
     "tests/runtime/test_loading.py",
     "tests/runtime/testing/",
     "tests/runtime/tools/",

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import subprocess
-import sys
 from collections.abc import Callable, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass
@@ -14,6 +13,7 @@ from numpy.typing import NDArray
 
 from hierax.runtime.core.errors import HieraxError
 from hierax.runtime.deployment.read import read_deployment
+from hierax.runtime.interpreter import python_module
 from hierax.runtime.launch.supervisor import launch
 from hierax.runtime.plain import Json
 from hierax.runtime.transport.zenoh_session import free_endpoint
@@ -120,13 +120,18 @@ def _bare_trip(epochs: int) -> Sequence[float]:
 
 def _times(world: list[str], *others: list[str]) -> Sequence[float]:
     """Run the processes of a bare chain; what the world prints."""
-    module = [sys.executable, "-m", "hierax.runtime.bench.bare_chain"]
+    module = python_module("hierax.runtime.bench.bare_chain")
     with ExitStack() as stack:
         for other in others:
-            process = stack.enter_context(subprocess.Popen([*module, *other], stdin=subprocess.PIPE))
+            # a session of its own: Ctrl-C is for who has started it
+            command = [*module, *other]
+            process = stack.enter_context(subprocess.Popen(command, stdin=subprocess.PIPE, start_new_session=True))
             stack.callback(process.stdin.close if process.stdin else process.kill)
         try:
-            done = subprocess.run([*module, *world], stdout=subprocess.PIPE, timeout=TIMEOUT_S, check=True)
+            command = [*module, *world]
+            done = subprocess.run(
+                command, stdout=subprocess.PIPE, timeout=TIMEOUT_S, check=True, start_new_session=True
+            )
         except (subprocess.TimeoutExpired, subprocess.CalledProcessError) as error:
             raise HieraxError(f"the bare chain failed: {error}") from error
     times: list[float] = json.loads(done.stdout)

@@ -77,7 +77,7 @@ def attach(
     restarts = read_restarts(source, file)
     what = f"attached {', '.join(change.nodes)}"
     if here:
-        return _keep_here(endpoint, change, restarts, what, host, output_format)
+        return _keep_here(endpoint, change, restarts, what, host, file.import_paths, output_format)
     return _tell(_change(endpoint, change, restarts), what, output_format)
 
 
@@ -209,6 +209,7 @@ def _keep_here(
     restarts: Mapping[str, RestartPolicy],
     what: str,
     host: str | None,
+    import_paths: Sequence[str],
     output_format: Format,
 ) -> int:
     from hierax.runtime.launch.local_keeper import keep
@@ -218,4 +219,7 @@ def _keep_here(
     def told() -> None:
         _tell(_ask(endpoint, {"ask": "await", "request": offer["request"]}), what, output_format)
 
-    return keep(offer["orders"], restarts, told, lambda line: print(f"hierax: {line}", file=sys.stderr, flush=True))
+    def say(line: str) -> None:
+        print(f"hierax: {line}", file=sys.stderr, flush=True)
+
+    return keep(offer["orders"], import_paths, restarts, told, say)

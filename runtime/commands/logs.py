@@ -31,11 +31,11 @@ class Level(str, Enum):
     critical = "critical"
 
 
-def _runs_logged() -> list[str]:
+def _runs_logged() -> list[tuple[str, str]]:
     """For completion."""
-    from hierax.runtime.watch.run_folder import known_folders
+    from hierax.runtime.watch.run_folder import about_run, known_folders
 
-    return [folder.name for folder in known_folders()]
+    return [(folder.name, str(about_run(folder).get("hierarchy", ""))) for folder in known_folders()]
 
 
 def _names_logged() -> list[str]:
@@ -52,7 +52,8 @@ def logs(
         typer.Option(
             "--run",
             metavar="RUN",
-            help="Which launch, also one that has ended; by default the youngest that runs, or else the last one.",
+            help="Which launch, also one that has ended: its identification, or how that begins, or its hierarchy's "
+            "name. By default, and of several, the youngest that runs, or else the last one.",
             show_default=False,
             autocompletion=_runs_logged,
         ),

@@ -51,7 +51,9 @@ def record(
     from hierax.runtime.transport.hub import ask
 
     require_mcap()
-    endpoint = endpoint_of(run if hierarchy is None else _run_of(hierarchy, run), connect)
+    if hierarchy is not None and run is not None:
+        raise CommandError("give the launch or --run, not both")
+    endpoint = endpoint_of(run if hierarchy is None else hierarchy, connect)
     said = ask(endpoint, {"ask": "record", "pid": 0 if connect else os.getpid()})
     if not isinstance(said, dict) or "refusal" in said:
         raise CommandError(f"the launch at {endpoint} cannot be recorded: {said}")
@@ -67,22 +69,3 @@ def record(
         count = max(ending.last - ending.first + 1, 0) if ending.first else 0
         print(f"{output}: {count} epochs, {ending.first} to {ending.last}, {ending.messages} messages")
     return tell_ending(output, ending)
-
-
-def _run_of(which: str, run: str | None) -> str:
-    """The run that is meant by its identification or its hierarchy's name."""
-    from hierax.runtime.launch.run_file import known_runs
-    from hierax.runtime.nearest import did_you_mean
-
-    if run is not None:
-        raise CommandError("give the launch or --run, not both")
-    runs = known_runs()
-    meant = [each.run for each in runs if which in (each.run, each.hierarchy)]
-    if len(meant) > 1:
-        raise CommandError(
-            f"several launches of {which!r} run on this machine, say which with --run: {', '.join(meant)}"
-        )
-    if not meant:
-        known = [name for each in runs for name in (each.run, each.hierarchy)]
-        raise CommandError(f"no launch {which!r} runs on this machine{did_you_mean(which, known, 'there are')}")
-    return meant[0]

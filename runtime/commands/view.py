@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Callable, Iterator
-from contextlib import AbstractContextManager, contextmanager, redirect_stdout, suppress
+from contextlib import AbstractContextManager, contextmanager, redirect_stdout
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -87,12 +87,18 @@ def view(
     stream = stream_of(hierarchy)
     with _viewer(stream, native, save, port, memory, opens) as place:
         _say(f"seen at {place.name}")
-        with _explained(deployment):
-            show(_exhibit(deployment, stream))
-        if place.until_closed is not None:
-            _say("that is all; Ctrl-C ends the viewer")
-            with suppress(KeyboardInterrupt):  # the ordinary end
+        endless = source is None
+        try:
+            with _explained(deployment):
+                show(_exhibit(deployment, stream))
+            if place.until_closed is not None:
+                endless = True
+                _say("that is all; Ctrl-C ends the viewer")
                 place.until_closed()
+        except KeyboardInterrupt:
+            if not endless:
+                raise
+            _say("no longer looking")
     return 0
 
 
@@ -146,11 +152,8 @@ def _of_launch(run: str | None, connect: str | None) -> Source:
         _say(f"the layout is not that of the deployment, whose file cannot be read any more: {error}")
 
     def show(exhibit: Exhibit) -> None:
-        try:
-            with Glass(endpoint) as glass, redirect_stdout(sys.stderr):
-                show_launch(glass, exhibit)
-        except KeyboardInterrupt:
-            _say("no longer looking")
+        with Glass(endpoint) as glass, redirect_stdout(sys.stderr):
+            show_launch(glass, exhibit)
 
     return deployment, "launch" if running is None else running.hierarchy, show
 

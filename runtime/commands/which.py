@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from typing import TYPE_CHECKING, Annotated
 
@@ -13,6 +13,7 @@ from hierax.runtime.commands.errors import CommandError
 from hierax.runtime.core.errors import HieraxError
 
 if TYPE_CHECKING:
+    from hierax.runtime.launch.run_file import Running
     from hierax.runtime.tools.looking import Looking, Seen
 
 _ENDPOINT = re.compile(r"[a-z]+/.+:[0-9]+")
@@ -30,7 +31,7 @@ Run = Annotated[
     typer.Option(
         "--run",
         metavar="RUN",
-        help="Which launch, as `hierax ps` lists them.",
+        help="Which launch: its identification, or how that begins, or its hierarchy's name; `hierax ps` lists them.",
         show_default=False,
         autocompletion=_runs_here,
     ),
@@ -59,17 +60,31 @@ def endpoint_of(run: str | None, connect: str | None) -> str:
         if not _ENDPOINT.fullmatch(connect):
             raise CommandError(f"--connect: expected an endpoint such as tcp/192.168.1.2:40123, got {connect!r}")
         return connect
-    runs = {each.run: each for each in known_runs()}
-    if run is not None:
-        if run not in runs:
-            raise CommandError(f"--run: no launch {run!r} runs on this machine{did_you_mean(run, runs, 'there are')}")
-        return runs[run].endpoint
-    if not runs:
+    runs = known_runs()
+    meant = runs if run is None else called(run, runs)
+    if len(meant) > 1:
+        which = "" if run is None else f" of {run!r}"
+        raise CommandError(f"several launches{which} run on this machine, say which with --run: {_listed(meant)}")
+    if meant:
+        return meant[0].endpoint
+    if run is None:
         raise CommandError("no launch runs on this machine")
-    if len(runs) > 1:
-        known = ", ".join(f"{each.run} ({each.hierarchy})" for each in runs.values())
-        raise CommandError(f"several launches run on this machine, say which with --run: {known}")
-    return next(iter(runs.values())).endpoint
+    near = did_you_mean(run, [name for each in runs for name in (each.run, each.hierarchy)], "there are")
+    raise CommandError(f"no launch {run!r} runs on this machine{near}")
+
+
+def called(which: str, runs: Sequence[Running]) -> list[Running]:
+    """The launches that are meant by an identification, by a hierarchy's name, or by how an identification begins."""
+    ways = (
+        [each for each in runs if each.run == which],
+        [each for each in runs if each.hierarchy == which],
+        [each for each in runs if which and each.run.startswith(which)],
+    )
+    return next((found for found in ways if found), [])
+
+
+def _listed(runs: Sequence[Running]) -> str:
+    return ", ".join(f"{each.run} ({each.hierarchy})" for each in runs)
 
 
 def _looks() -> Iterator[tuple[Looking, Seen]]:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import os
 import signal
 import subprocess
-import sys
 import time
 from collections import deque
 from collections.abc import Mapping
@@ -17,6 +16,7 @@ import anyio.abc
 
 from hierax.runtime.core.errors import HieraxError
 from hierax.runtime.deployment.deployment import RestartPolicy
+from hierax.runtime.interpreter import python_module
 from hierax.runtime.launch.pipe import CUT_OFF, DISMISSED, FAILED, REPORT, UP, NodeOrder, frame
 from hierax.schemas.values import Value
 
@@ -154,7 +154,7 @@ class Child:
 async def start_child(order: NodeOrder) -> Child:
     """Start a node's process and give it its order."""
     process = await anyio.open_process(
-        [sys.executable, "-m", "hierax.runtime.launch.node_process"],
+        python_module("hierax.runtime.launch.node_process"),
         stdin=subprocess.PIPE,
         stdout=subprocess.PIPE,
         stderr=None,

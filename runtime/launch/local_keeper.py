@@ -25,6 +25,7 @@ LOOK_S = 2.0
 
 def keep(
     orders: Sequence[Value],
+    import_paths: Sequence[str],
     policies: Mapping[str, RestartPolicy],
     told: Callable[[], None],
     say: Callable[[str], None],
@@ -33,6 +34,7 @@ def keep(
 
     Args:
         orders: what they are started with, as values.
+        import_paths: where the deployment's own modules are looked for on this machine.
         policies: by node, what is done when its process ends.
         told: waits until the launch has answered, and tells it; in a thread of its own.
         say: tells people what happens.
@@ -44,8 +46,9 @@ def keep(
         HieraxError: a process cannot go on, or the change was refused.
     """
     keeper = _LocalKeeper(policies, say)
+    read = [replace(NodeOrder.read(order), import_paths=tuple(import_paths)) for order in orders]
     try:
-        return anyio.run(keeper.run, [NodeOrder.read(order) for order in orders], told)
+        return anyio.run(keeper.run, read, told)
     finally:
         remove_orphaned_segments()
 

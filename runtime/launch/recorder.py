@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import signal
 import subprocess
-import sys
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -14,6 +13,7 @@ from typing import Any
 import anyio
 import anyio.abc
 
+from hierax.runtime.interpreter import python_module
 from hierax.runtime.launch.child import END_TIMEOUT_S
 from hierax.runtime.recording.info import Ending, RunInfo
 from hierax.runtime.recording.process import DONE, FAILED
@@ -65,7 +65,7 @@ class RecorderChild:
         """Start the process and give it its order; it need not listen yet, as the nodes' processes wait for it."""
         wanted = self._wanted
         self._process = await anyio.open_process(
-            [sys.executable, "-m", "hierax.runtime.recording.process"],
+            python_module("hierax.runtime.recording.process"),
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             stderr=None,

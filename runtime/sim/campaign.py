@@ -5,10 +5,9 @@ from __future__ import annotations
 import logging
 import os
 from collections import Counter
-from collections.abc import Callable, Collection, Iterator, Sequence
-from concurrent.futures import ProcessPoolExecutor
+from collections.abc import Callable, Collection, Generator, Iterator, Sequence
+from contextlib import closing
 from dataclasses import dataclass, field, replace
-from multiprocessing import get_context
 from typing import TypeVar
 
 from hierax.runtime.core.errors import HierarchyError
@@ -16,6 +15,7 @@ from hierax.runtime.core.graph import check_graph
 from hierax.runtime.plain import Json
 from hierax.runtime.sim.scenario import FAULTS, Scenario, draw_scenario
 from hierax.runtime.sim.simulation import Result, simulate
+from hierax.runtime.sim.workers import done_by_workers
 from hierax.schemas.roster import Roster
 
 CHUNK = 50
@@ -87,11 +87,12 @@ def simulate_many(
     """
     summary = Summary()
     chunks = [seeds[at : at + CHUNK] for at in range(0, len(seeds), CHUNK)]
-    for results in _done(chunks, tuple(faults), epochs, min(jobs, max(len(chunks), 1))):
-        for result in results:
-            summary.add(result)
-        if progress is not None:
-            progress(summary)
+    with closing(_done(chunks, tuple(faults), epochs, min(jobs, max(len(chunks), 1)))) as done:
+        for results in done:
+            for result in results:
+                summary.add(result)
+            if progress is not None:
+                progress(summary)
     return summary
 
 
@@ -157,22 +158,18 @@ def _without_node(roster: Roster, name: str) -> Roster | None:
     return replace(roster, nodes=nodes, edges=edges)
 
 
-def _done(chunks: Sequence[range], faults: tuple[str, ...], epochs: int | None, jobs: int) -> Iterator[list[Result]]:
+def _done(
+    chunks: Sequence[range], faults: tuple[str, ...], epochs: int | None, jobs: int
+) -> Generator[list[Result], None, None]:
     if jobs <= 1:
         for chunk in chunks:
-            yield _simulate_chunk(chunk, faults, epochs)
+            yield simulate_chunk(chunk, faults, epochs)
         return
-    with ProcessPoolExecutor(jobs, get_context("spawn")) as pool:
-        waiting = [pool.submit(_simulate_chunk, chunk, faults, epochs) for chunk in chunks]
-        try:
-            for each in waiting:
-                yield each.result()
-        finally:
-            for each in waiting:
-                each.cancel()
+    yield from done_by_workers(simulate_chunk, [(chunk, faults, epochs) for chunk in chunks], jobs)
 
 
-def _simulate_chunk(seeds: range, faults: tuple[str, ...], epochs: int | None) -> list[Result]:
+def simulate_chunk(seeds: range, faults: tuple[str, ...], epochs: int | None) -> list[Result]:
+    """Simulate some seeds."""
     return [simulate_quietly(draw_scenario(seed, faults, epochs)) for seed in seeds]
 
 

@@ -15,7 +15,7 @@ from typing import Any
 from hierax.runtime.core.errors import HieraxError
 from hierax.runtime.nearest import did_you_mean
 from hierax.runtime.watch.logs import LAUNCH, LAUNCH_FILE, SUFFIX
-from hierax.runtime.watch.run_folder import LOGS, is_alive, known_folders, run_folder
+from hierax.runtime.watch.run_folder import LOGS, about_run, is_alive, known_folders
 
 Entry = dict[str, Any]
 
@@ -26,21 +26,29 @@ _SECONDS = {"s": 1, "m": 60, "h": 3600, "d": 86400}
 
 
 def find_folder(run: str | None) -> Path:
-    """The folder of a launch; of none in particular, the youngest, one that runs before those that have ended.
+    """The folder of a launch; of several that may be meant the youngest, one that runs before those that have ended.
 
     Raises:
         HieraxError: there is none; with the nearest name.
     """
     folders = known_folders()
-    if run is not None:
-        folder = run_folder(run)
-        if folder not in folders:
-            known = did_you_mean(run, [each.name for each in folders], "there are")
-            raise HieraxError(f"--run: there is no log of a launch {run!r}{known}")
-        return folder
     if not folders:
         raise HieraxError("no launch has left a log on this machine")
-    return next(filter(is_alive, folders), folders[0])
+    meant = folders if run is None else _called(run, folders)
+    if not meant:
+        names = {name for each in folders for name in (each.name, about_run(each).get("hierarchy")) if name}
+        raise HieraxError(f"--run: there is no log of a launch {run!r}{did_you_mean(str(run), names, 'there are')}")
+    return next(filter(is_alive, meant), meant[0])
+
+
+def _called(which: str, folders: Sequence[Path]) -> list[Path]:
+    """Those that are meant by an identification, by a hierarchy's name, or by how an identification begins."""
+    ways = (
+        [each for each in folders if each.name == which],
+        [each for each in folders if about_run(each).get("hierarchy") == which],
+        [each for each in folders if which and each.name.startswith(which)],
+    )
+    return next((found for found in ways if found), [])
 
 
 def read_since(text: str, now: datetime) -> datetime:

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import re
 import subprocess
-import sys
 from collections.abc import Iterable, Iterator, Sequence
 from importlib.metadata import PackageNotFoundError, requires, version
 
+from hierax.runtime.interpreter import python_code
 from hierax.runtime.tools.finding import FINE, NOTE, WRONG, Finding
 
 IMPORT_TIMEOUT_S = 60.0
@@ -15,8 +15,8 @@ IMPORT_TIMEOUT_S = 60.0
 _IMPORTED_AS = {"eclipse-zenoh": "zenoh", "opencv-python-headless": "cv2", "pyyaml": "yaml"}
 _MARK = "hierax-doctor:"
 _IMPORTER = f"""
-import importlib, sys
-for name in sys.argv[1:]:
+import importlib
+for name in sys.argv:
     try:
         importlib.import_module(name)
     except BaseException as error:
@@ -70,7 +70,7 @@ def _fault(name: str, bounds: str) -> tuple[str, str] | None:
 
 def _import_faults(modules: Sequence[str]) -> dict[str, str]:
     """Why modules cannot be imported, of those that cannot; tried in another process, as some of them print."""
-    command = [sys.executable, "-c", _IMPORTER, *modules]
+    command = python_code(_IMPORTER, *modules)
     done = subprocess.run(command, capture_output=True, text=True, timeout=IMPORT_TIMEOUT_S, check=False)
     faults = dict(line[len(_MARK) :].split(":", 1) for line in done.stdout.splitlines() if line.startswith(_MARK))
     if done.returncode:  # one has ended the process

@@ -125,6 +125,7 @@ class _Program:
             stdin=subprocess.DEVNULL,
             stdout=subprocess.DEVNULL,
             stderr=subprocess.PIPE,
+            start_new_session=True,  # Ctrl-C is for who looks, who ends it then
             preexec_fn=_dies_with_us,
         )
         self._said: deque[str] = deque(maxlen=20)

@@ -94,10 +94,27 @@ def test_of_several_launches_one_has_to_be_named(launches: FakeLaunches, capsys:
     said = error(capsys, "detach", "left")
     assert said == "several launches run on this machine, say which with --run: aaaa1111 (toys), bbbb2222 (letters)"
     assert "did you mean 'aaaa1111'?" in error(capsys, "detach", "left", "--run", "aaaa1112")
+    assert "did you mean 'letters'?" in error(capsys, "detach", "left", "--run", "leters")
     assert launches.asked == []
-    assert main(["detach", "left", "--run", "bbbb2222"]) == 0
-    assert capsys.readouterr().out == "detached left at epoch 42\n"
-    assert [endpoint for endpoint, _ in launches.asked] == ["tcp/127.0.0.1:2"]
+    for named in ("bbbb2222", "bbb", "letters"):
+        assert main(["detach", "left", "--run", named]) == 0
+        assert capsys.readouterr().out == "detached left at epoch 42\n"
+        assert launches.asked.pop()[0] == "tcp/127.0.0.1:2"
+
+
+def test_a_name_that_fits_several_launches_is_refused_with_all_of_them(
+    launches: FakeLaunches, capsys: pytest.CaptureFixture[str]
+) -> None:
+    launches.runs("aaaa1111", "tcp/127.0.0.1:1")
+    launches.runs("aabb2222", "tcp/127.0.0.1:2")
+    launches.runs("aacc3333", "tcp/127.0.0.1:3", "letters")
+    for named, listed in (
+        ("toys", "aaaa1111 (toys), aabb2222 (toys)"),
+        ("aa", "aaaa1111 (toys), aabb2222 (toys), aacc3333 (letters)"),
+    ):
+        said = error(capsys, "detach", "left", "--run", named)
+        assert said == f"several launches of {named!r} run on this machine, say which with --run: {listed}"
+    assert launches.asked == []
 
 
 def test_an_attach_sends_the_snippet_and_what_it_says_about_losses(

@@ -17,7 +17,7 @@ from hierax.runtime.watch.run_folder import begin_run
 def logged(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> str:
     """A launch that is over, whose supervisor has said three things."""
     monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path))
-    folder = begin_run("aaaa1111", {"pid": 2**22 - 1})
+    folder = begin_run("aaaa1111", {"pid": 2**22 - 1, "hierarchy": "toys"})
     log = LaunchLog(open_log(folder / "logs", LAUNCH_FILE), "aaaa1111", lambda: 5)
     for what in ("toys is launched", "arm: its process ended by signal SIGKILL"):
         log.tell(what)
@@ -36,6 +36,8 @@ def test_the_log_of_a_launch_that_is_over(logged: str, capsys: pytest.CaptureFix
         "the run is over",
     ]
     assert len(shown(capsys, "--run", logged, "--grep", "SIG(KILL|TERM)")) == 1
+    for named in ("toys", "aaa"):
+        assert len(shown(capsys, "--run", named)) == 3
     assert shown(capsys, "--level", "warning") == []
     assert len(shown(capsys, "--since", "1h", "--node", "launch", "-f")) == 3
 
@@ -44,6 +46,7 @@ def test_the_log_of_a_launch_that_is_over(logged: str, capsys: pytest.CaptureFix
     ("arguments", "what"),
     [
         (["--run", "aaaa1112"], "--run: there is no log of a launch 'aaaa1112'; did you mean 'aaaa1111'?"),
+        (["--run", "tosy"], "--run: there is no log of a launch 'tosy'; did you mean 'toys'?"),
         (["--node", "lunch"], "--node: there is no log of 'lunch' in run aaaa1111; did you mean 'launch'?"),
         (["--since", "soon"], "--since: expected how long ago"),
         (["--grep", "("], "--grep: '(' is no regular expression"),

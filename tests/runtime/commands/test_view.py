@@ -79,6 +79,13 @@ def test_ctrl_c_ends_looking_at_a_launch_that_runs_on(tmp_path: Path) -> None:
             os.kill(view.process.pid, signal.SIGINT)
             view.end()
             assert view.process.returncode == 0, view.err
+        with Command(tmp_path, "view") as view:  # and the viewer with it
+            view.until_said("seen at http://")
+            os.killpg(view.process.pid, signal.SIGINT)  # as a terminal does
+            view.end()
+            assert view.process.returncode == 0, view.err
+            assert "that is all" not in view.err
+            assert "Traceback" not in view.err
         assert launch.process.poll() is None, launch.err
         os.kill(launch.process.pid, signal.SIGINT)
         launch.end()
