@@ -115,6 +115,8 @@ def decode_step(data: bytes) -> NodeStep:
         if type(field) is not expected:
             raise SchemaError(f"expected {expected.__name__}, got {shown(field)}", f"step.{name}")
     step: NodeStep = NodeStep._make(value[1:])
+    if min(step.number, step.epoch, step.attempt, step.roster, step.instance) < 0:
+        raise SchemaError("expected whole numbers from 0", "step.number, .epoch, .attempt, .roster, .instance")
     _check_rows(step.used, _USED, "step.used")
     _check_rows(step.passages, _PASSAGE, "step.passages")
     return step._replace(passages=tuple(Passage(*row) for row in step.passages))

@@ -25,6 +25,7 @@ STARTING = (
     "tests/runtime/recovery/",
     "tests/runtime/test_interpreter.py",
     "tests/runtime/test_loading.py",
+    "tests/runtime/test_streams.py",
     "tests/runtime/testing/",
     "tests/runtime/tools/",
     "tests/runtime/transport/",

@@ -19,6 +19,7 @@ import msgpack
 import numpy as np
 import zenoh
 
+from hierax.runtime.streams import own_streams
 from hierax.runtime.transport.zenoh_session import LOOPBACK, close_session, open_session
 
 RETRY_S = 0.05
@@ -124,6 +125,7 @@ def main() -> None:
     parser.add_argument("--epochs", type=int, default=1000)
     parser.add_argument("--picture", type=int, default=0)
     options = parser.parse_args()
+    own_streams()
     chain = Chain(options.listen, options.connect)
     if options.role == "world":
         print(json.dumps(run_world(chain, options.epochs)), flush=True)

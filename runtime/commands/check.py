@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from hierax.runtime.commands.errors import CommandError
 from hierax.runtime.commands.options import Format, OutputFormat
 from hierax.runtime.commands.recordings import RecordingFile, recording_of, tell_violations
 
@@ -14,6 +15,9 @@ def check(file: RecordingFile, output_format: OutputFormat = Format.text) -> int
     recording = recording_of(file)
     checker = check_recording(recording)
     violations = checker.close()
+    if not checker.checked and not violations:
+        what = f"{checker.epochs} epochs are committed in it, and no step of a node can be checked"
+        raise CommandError(f"{file}: there is nothing to check: {what}")
     if output_format is Format.json:
         print_json(
             {

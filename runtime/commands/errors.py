@@ -8,6 +8,7 @@ import traceback
 from collections.abc import Callable
 
 from hierax.runtime.core.errors import HieraxError
+from hierax.runtime.streams import OutputError, drop_output
 from hierax.schemas.errors import SchemaError
 
 OK = 0
@@ -35,6 +36,10 @@ def exit_code(command: Callable[[], int]) -> int:
         code = command()
         sys.stdout.flush()
         return code
+    except OutputError as error:
+        drop_output()
+        _say(f"error: {error}")
+        return FAILED
     except (HieraxError, SchemaError) as error:
         if os.environ.get(TRACEBACK_VARIABLE):
             traceback.print_exc()
@@ -45,7 +50,7 @@ def exit_code(command: Callable[[], int]) -> int:
         return INTERRUPTED
     except BrokenPipeError:
         # the reader of our output has gone: nothing is left to be told, nor to be flushed at the end
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        drop_output()
         return FAILED
     except Exception:
         traceback.print_exc()

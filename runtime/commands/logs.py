@@ -95,7 +95,7 @@ def logs(
         pattern=None if grep is None else read_pattern(grep),
     )
     for entry in _entries(find_folder(run), wanted, follow):
-        print(json.dumps(entry, ensure_ascii=False) if output_format is Format.json else line(entry), flush=follow)
+        print(json.dumps(entry) if output_format is Format.json else line(entry), flush=follow)
     return 0
 
 

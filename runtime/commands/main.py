@@ -30,6 +30,7 @@ from hierax.runtime.commands.sim import sim
 from hierax.runtime.commands.top import top
 from hierax.runtime.commands.validate import validate
 from hierax.runtime.commands.view import view
+from hierax.runtime.streams import own_streams
 
 COMMANDS: tuple[Callable[..., int], ...] = (
     *(run, launch, attach, detach, replace),
@@ -65,6 +66,7 @@ def main(arguments: Sequence[str]) -> int:
 
 def entry() -> None:
     """The console script."""
+    own_streams()
     sys.exit(main(sys.argv[1:]))
 
 

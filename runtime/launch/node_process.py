@@ -7,6 +7,7 @@ it greets neighbours until they answer, and listens to the keeper.
 
 from __future__ import annotations
 
+import io
 import logging
 import os
 import signal
@@ -21,6 +22,7 @@ import anyio.to_thread
 
 from hierax.runtime.launch.life import NodeLife
 from hierax.runtime.launch.pipe import STOP, Frames, NodeOrder
+from hierax.runtime.streams import own_output
 from hierax.runtime.watch.logs import QUIET, log_console, log_node
 from hierax.schemas.control import decode_control
 from hierax.schemas.values import Value
@@ -39,8 +41,9 @@ def main() -> None:
     """Read the order, live, exit."""
     log_console()
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is the supervisor's to handle
-    status = os.dup(sys.stdout.fileno())
-    os.dup2(sys.stderr.fileno(), sys.stdout.fileno())  # what a node prints must not mix with the frames
+    status = own_output()  # what a node prints must not mix with the frames
+    if isinstance(sys.stdout, io.TextIOWrapper):  # nor may a character that cannot be printed end it
+        sys.stdout.reconfigure(errors="backslashreplace")
     orders = os.dup(sys.stdin.fileno())
     with open(os.devnull, "rb") as nothing:  # nor may a node, or a program that it starts, read them
         os.dup2(nothing.fileno(), sys.stdin.fileno())

@@ -26,8 +26,11 @@ def recorded_deployment(info: RunInfo, settings: Sequence[str] = ()) -> Deployme
         DeploymentError: a setting is wrong.
     """
     with tempfile.TemporaryDirectory(prefix="hierax-") as folder:
-        path = Path(folder) / Path(info.deployment).name
-        path.write_text(info.deployment_text, encoding="utf-8")
+        path = Path(folder) / (Path(info.deployment).name or "deployment")
+        try:
+            path.write_text(info.deployment_text, encoding="utf-8")
+        except OSError as error:  # a name that no file can have
+            raise RecordingError(f"its deployment file cannot be written: {error.strerror or error}") from error
         # a file that the deployment names beside it is not here, and not needed
         deployment = read_deployment(path, ["zenoh=null", *info.settings, *settings])
     return replace(deployment, path=Path(info.deployment), import_paths=tuple(info.import_paths))

@@ -7,7 +7,7 @@ import os
 import platform
 import sys
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, fields
 from importlib.metadata import PackageNotFoundError, version
 from typing import Any
@@ -15,6 +15,8 @@ from typing import Any
 from hierax.runtime.core.errors import HieraxError
 from hierax.runtime.deployment import Deployment
 from hierax.runtime.engine.loose import Staleness
+from hierax.schemas.errors import SchemaError, shown
+from hierax.schemas.keys import check_name
 
 FORMAT = 1
 
@@ -95,15 +97,19 @@ class RunInfo:
         """From a value; fields of later versions are left out.
 
         Raises:
-            RecordingError: it is of another format, or a field lacks.
+            RecordingError: it is of another format, or a field lacks or is something else.
         """
         if plain.get("format") != FORMAT:
             raise RecordingError(f"format {plain.get('format')!r:.20}; this version reads format {FORMAT}")
-        known = {each.name for each in fields(RunInfo)}
-        try:
-            return RunInfo(**{name: value for name, value in plain.items() if name in known})
-        except TypeError as error:
-            raise RecordingError(f"it says too little of its run: {error}") from error
+        given = {each.name: plain[each.name] for each in fields(RunInfo) if each.name in plain}
+        lacking = [name for name in _FIELDS if name not in given]
+        if lacking:
+            raise RecordingError(f"it says too little of its run: {', '.join(lacking)}")
+        for name, value in given.items():
+            expected, is_such = _FIELDS.get(name, _ANYTHING)
+            if not is_such(value):
+                raise RecordingError(f"{name}: expected {expected}, got {shown(value)}")
+        return RunInfo(**given)
 
 
 @dataclass(frozen=True)
@@ -152,13 +158,19 @@ class Ending:
         """From a value.
 
         Raises:
-            RecordingError: a field lacks.
+            RecordingError: a field lacks or is something else.
         """
         try:
             gaps, cut_short = (tuple(Gap(**gap) for gap in plain.get(name, ())) for name in ("gaps", "cut_short"))
-            return Ending(plain["first"], plain["last"], plain["messages"], gaps, plain["lost"], cut_short)
+            ending = Ending(plain["first"], plain["last"], plain["messages"], gaps, plain["lost"], cut_short)
         except (KeyError, TypeError) as error:
             raise RecordingError(f"what it says of its end cannot be read: {error}") from error
+        told = [*ending.gaps, *ending.cut_short]
+        numbers = [ending.first, ending.last, ending.messages, ending.lost]
+        numbers += [number for gap in told for number in (gap.epoch, gap.count)]
+        if not all(map(_is_whole, numbers)) or not all(isinstance(gap.what, str) for gap in told):
+            raise RecordingError("what it says of its end cannot be read: expected whole numbers from 0, and texts")
+        return ending
 
 
 def to_metadata(plain: Mapping[str, Any]) -> dict[str, str]:
@@ -178,11 +190,64 @@ def from_metadata(metadata: Mapping[str, str], texts: Sequence[str] = ()) -> dic
     """
     try:
         return {name: text if name in texts else json.loads(text) for name, text in metadata.items()}
-    except ValueError as error:
-        raise RecordingError(f"its metadata is not what hierax writes: {error}") from error
+    except (ValueError, RecursionError) as error:
+        raise RecordingError(f"its metadata is not what hierax writes: {error!s:.200}") from error
 
 
 INFO_TEXTS = ("hierarchy", "run", "mode", "deployment", "deployment_text")
+
+
+def _is_whole(value: object) -> bool:
+    return type(value) is int and 0 <= value <= _LARGEST
+
+
+def _is_text(value: object) -> bool:
+    """Text that a path may be, and that can be written."""
+    return isinstance(value, str) and "\x00" not in value and not any("\ud800" <= char <= "\udfff" for char in value)
+
+
+def _are_texts(value: object) -> bool:
+    return isinstance(value, (list, tuple)) and all(map(_is_text, value))
+
+
+def _are_named_texts(value: object) -> bool:
+    return isinstance(value, Mapping) and all(map(_is_text, [*value, *value.values()]))
+
+
+def _is_name(value: object) -> bool:
+    try:
+        return bool(check_name(value))  # type: ignore[arg-type]
+    except SchemaError:
+        return False
+
+
+_LARGEST = 2**63 - 1
+
+Expected = tuple[str, Callable[[object], bool]]
+_ANYTHING: Expected = ("anything", lambda value: True)
+_NAME: Expected = ("a name", _is_name)
+_TEXT: Expected = ("text", _is_text)
+_TEXTS: Expected = ("a list of texts", _are_texts)
+_BOOL: Expected = ("true or false", lambda value: isinstance(value, bool))
+_WHOLE: Expected = ("a whole number from 0", _is_whole)
+_FIELDS: dict[str, Expected] = {
+    "hierarchy": _NAME,
+    "run": _NAME,
+    "mode": _TEXT,
+    "seed": _WHOLE,
+    "staleness": ("a whole number from 0, or null", lambda value: value is None or _is_whole(value)),
+    "exact": _BOOL,
+    "deployment": _TEXT,
+    "deployment_text": _TEXT,
+    "settings": _TEXTS,
+    "import_paths": _TEXTS,
+    "from_start": _BOOL,
+    "started_ns": _WHOLE,
+    "machine": ("a map", lambda value: isinstance(value, Mapping)),
+    "versions": ("a map of texts", _are_named_texts),
+    "format": _WHOLE,
+}
+"""What each field of `RunInfo` has to be."""
 
 
 def _text(deployment: Deployment) -> str:

@@ -8,7 +8,6 @@ of its last epoch. What it has to say goes to standard output as JSON objects, o
 from __future__ import annotations
 
 import json
-import logging
 import os
 import signal
 import sys
@@ -24,9 +23,11 @@ from hierax.runtime.recording.check import Checker
 from hierax.runtime.recording.info import Ending, RunInfo
 from hierax.runtime.recording.recorder import Recorder
 from hierax.runtime.recording.writing import Compression, McapFile
+from hierax.runtime.streams import own_streams
 from hierax.runtime.transport.hub import ask
 from hierax.runtime.transport.port import TransportError
 from hierax.runtime.transport.recording import Ear
+from hierax.runtime.watch.logs import log_console
 from hierax.schemas.keys import Keys
 
 BATCH_S = 0.05
@@ -163,7 +164,8 @@ class LiveRecording:
 
 def main() -> int:
     """Read the order, record, say how it ended."""
-    logging.basicConfig(level=os.environ.get("HIERAX_LOG", "WARNING").upper(), format="%(name)s: %(message)s")
+    own_streams()
+    log_console()
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is the supervisor's to handle
     order = json.loads(sys.stdin.readline() or "{}")
     if not order:

@@ -8,11 +8,12 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
 
+from hierax.runtime.core.errors import HierarchyError
 from hierax.runtime.recording.info import INFO_TEXTS, Ending, RecordingError, RunInfo, from_metadata
 from hierax.runtime.recording.topics import EPOCH, MESSAGE, NOTE, ROSTER, STEP, TOKEN, Topic, topic_of
-from hierax.runtime.recording.trace import EpochTrace, assemble
+from hierax.runtime.recording.trace import Assembly, EpochTrace, check_roster
 from hierax.runtime.recording.writing import ENDING, INFO, PROFILE, require_mcap
-from hierax.schemas.errors import SchemaError
+from hierax.schemas.errors import SchemaError, shown
 from hierax.schemas.messages import Message, decode_message
 from hierax.schemas.roster import Roster
 from hierax.schemas.steps import NodeStep, decode_step
@@ -62,6 +63,33 @@ class Entry(NamedTuple):
             SchemaError: it is none.
         """
         return Roster.read(decode_value(self.data, "roster"))
+
+    def commit(self) -> tuple[int, bytes]:
+        """The epoch and the run's digest that it tells.
+
+        Raises:
+            SchemaError: it tells none.
+        """
+        value = decode_value(self.data, "epoch")
+        if type(value) is not tuple or tuple(map(type, value)) != (int, bytes) or value[0] < 0:
+            raise SchemaError(f"expected an epoch's number and digest, got {shown(value)}", "epoch")
+        return value
+
+    def fault(self) -> Fault:
+        """What happened to a process.
+
+        Raises:
+            SchemaError: it tells nothing of the kind.
+        """
+        value = decode_value(self.data, self.topic.what)
+        if self.topic.what == NOTE:
+            if type(value) is not str:
+                raise SchemaError(f"expected a text, got {shown(value)}", "note")
+            return Fault(self.time_ns, value)
+        if type(value) is not tuple or tuple(map(type, value)) != (str, str, bool):
+            raise SchemaError(f"expected a node, its process and whether it is there, got {shown(value)}", "token")
+        name, process, up = value
+        return Fault(self.time_ns, f"process {process} {'is there' if up else 'is gone'}", name)
 
 
 class Fault(NamedTuple):
@@ -170,26 +198,20 @@ class Recording:
 
     def rosters(self) -> Mapping[int, Roster]:
         """The rosters, by version."""
-        found = (self._read(entry, entry.roster) for entry in self.entries(ROSTER))
+        found = (self._read(entry, lambda entry=entry: check_roster(entry.roster())) for entry in self.entries(ROSTER))
         return {roster.version: roster for roster in found}
 
     def digests(self) -> Mapping[int, bytes]:
         """The run's digests by epoch, as the world told them."""
         digests = {step.epoch: step.chain for step in self.steps() if step.chain}
         for entry in self.entries(EPOCH):
-            epoch, digest = self._read(entry, lambda entry=entry: decode_value(entry.data, "epoch"))
-            digests.setdefault(epoch, digest)
+            digests.setdefault(*self._read(entry, entry.commit))
         return dict(sorted(digests.items()))
 
     def faults(self) -> Iterator[Fault]:
         """What happened to processes: those that came and went, and what their keeper said."""
         for entry in self.entries(TOKEN, NOTE):
-            value = self._read(entry, lambda entry=entry: decode_value(entry.data, "note"))
-            if entry.topic.what == TOKEN:
-                name, process, up = value
-                yield Fault(entry.time_ns, f"process {process} {'is there' if up else 'is gone'}", name)
-            else:
-                yield Fault(entry.time_ns, str(value))
+            yield self._read(entry, entry.fault)
 
     def epochs(self, first: int = 1, last: int | None = None) -> Iterator[EpochTrace]:
         """The epochs that were committed, in order; of each the attempt that was.
@@ -197,17 +219,24 @@ class Recording:
         Args:
             first, last: which ones.
         """
-        for epoch in assemble(self.entries(MESSAGE, STEP, ROSTER, EPOCH), self.info.how_stale):
+        assembly = Assembly(self.info.how_stale, str(self.path))
+        for epoch in self._assembled(assembly):
             if last is not None and epoch.epoch > last:
                 return
             if epoch.epoch >= first:
                 yield epoch
 
+    def _assembled(self, assembly: Assembly) -> Iterator[EpochTrace]:
+        for entry in self.entries(MESSAGE, STEP, ROSTER, EPOCH):
+            if self._read(entry, lambda entry=entry: assembly.take(entry)):
+                yield from assembly.ripe()
+        yield from assembly.ripe(at_end=True)
+
     def _read(self, entry: Entry, reads: Any) -> Any:
         try:
             return reads()
-        except SchemaError as error:
-            raise RecordingError(f"{self.path}: {entry.key}: {error}") from error
+        except (SchemaError, HierarchyError) as error:
+            raise RecordingError(f"{self.path}: {entry.key!r:.100}: {error}") from error
 
 
 def _metadata(path: Path) -> tuple[RunInfo, Ending | None]:

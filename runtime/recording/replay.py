@@ -23,7 +23,7 @@ from hierax.runtime.recording.info import RecordingError
 from hierax.runtime.recording.reading import Recording
 from hierax.runtime.recording.trace import EpochTrace, Line, order_of
 from hierax.schemas.errors import SchemaError
-from hierax.schemas.messages import CONTEXT, OBSERVATIONS, TASKS, decode_message
+from hierax.schemas.messages import CONTEXT, OBSERVATIONS, TASKS
 from hierax.schemas.roster import Reference, Roster
 from hierax.schemas.values import decode_value, encode_value
 
@@ -311,7 +311,7 @@ class Replay:
         if data is None:
             what = f"the {kind} message {sender} -> {name} of epoch {when[0]}, attempt {when[1]}, is not recorded"
             raise RecordingError(f"{self._recording.path}: epoch {recorded.epoch} cannot be done again: {what}")
-        return decode_message(data).payload
+        return recorded.message(data).payload
 
     def _digest_from(self, recorded: EpochTrace, name: str, upper: str) -> bytes:
         when = self._used(recorded, name, upper, CONTEXT)
@@ -319,7 +319,7 @@ class Replay:
         if given is not None:
             return given.digest
         data = self._told.get((CONTEXT, upper, name), {}).get(when)
-        return b"" if data is None else decode_message(data).header.digest
+        return b"" if data is None else recorded.message(data).header.digest
 
     def _remember(self, recorded: EpochTrace) -> None:
         """What was told along each line, and what was given last, as far back as it may be used."""
@@ -377,6 +377,9 @@ class Replay:
         if known is None:
             initial = wiring.node.initial_belief(0, 0.0)
             known = replayed.starts[name] = ActiveNode(initial, wiring.node.node.initial_policy)
+        if known.policy not in wiring.node.policies:
+            what = f"{name} begins with the policy {known.policy!r:.80}, which it has not"
+            raise RecordingError(f"{self._recording.path}: epoch {recorded.epoch}: {what}")
         return known
 
     def _knows_start(self, recorded: EpochTrace, before: EpochTrace | None) -> bool:

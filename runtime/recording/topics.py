@@ -71,12 +71,15 @@ def glance(data: bytes) -> Glance:
         unpacker.read_array_header()
         _, code, *fields = (unpacker.unpack() for _ in range(10))
         unpacker.skip()  # the extensions
-        return Glance._make((KINDS[code], *fields, unpacker.tell()))
-    except (ValueError, TypeError, IndexError, msgpack.exceptions.UnpackException) as error:
+        if tuple(map(type, (code, *fields))) == _HEAD and min(code, *fields[2:6]) >= 0:
+            return Glance._make((KINDS[code], *fields, unpacker.tell()))
+    except (ValueError, TypeError, IndexError, RecursionError, msgpack.exceptions.UnpackException) as error:
         raise SchemaError(f"does not begin like a message: {data[:8].hex()}", "message") from error
+    raise SchemaError(f"does not begin like a message: {data[:8].hex()}", "message")
 
 
 _GLANCED_BYTES = 4096
+_HEAD = (int, str, str, int, int, int, int, float, bytes)
 
 _WHOLE: dict[str, Any] = {"type": "integer", "minimum": 0}
 _TEXT: dict[str, Any] = {"type": "string"}

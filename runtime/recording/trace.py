@@ -2,19 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import TYPE_CHECKING
 
 from hierax.runtime.core.digest import NO_DIGEST
-from hierax.runtime.core.graph import topological_order
+from hierax.runtime.core.graph import check_graph, topological_order
 from hierax.runtime.core.node import Elements, Value
 from hierax.runtime.core.process import ActiveNode
 from hierax.runtime.engine.loose import Staleness
 from hierax.runtime.recording.topics import EPOCH, MESSAGE, ROSTER, glance
 from hierax.schemas.checkpoint import decode_state
-from hierax.schemas.messages import CONTEXT, OBSERVATIONS, TASKS, decode_message
+from hierax.schemas.errors import SchemaError
+from hierax.schemas.messages import CONTEXT, OBSERVATIONS, TASKS, Message, decode_message
 from hierax.schemas.roster import Roster
 from hierax.schemas.steps import NodeStep
 from hierax.schemas.values import decode_value
@@ -32,19 +33,25 @@ Line = tuple[str, str, str]
 
 @dataclass(frozen=True)
 class NodeTrace:
-    """What a node did in an epoch; values are decoded when they are asked for."""
+    """What a node did in an epoch; values are decoded when they are asked for.
+
+    Attributes:
+        step: as it was told.
+        place: of the recording, for errors: `SchemaError` where a value is none.
+    """
 
     step: NodeStep
+    place: str = ""
 
     @cached_property
     def state(self) -> ActiveNode:
         """Belief, policy and actions after it."""
-        return ActiveNode(*decode_state(self.step.state))
+        return ActiveNode(*decode_state(self.step.state, self._where("state")))
 
     @cached_property
     def start(self) -> ActiveNode | None:
         """The state at its beginning, where that was told."""
-        return ActiveNode(*decode_state(self.step.start)) if self.step.start else None
+        return ActiveNode(*decode_state(self.step.start, self._where("start"))) if self.step.start else None
 
     @property
     def has_sensed(self) -> bool:
@@ -54,7 +61,10 @@ class NodeTrace:
     @cached_property
     def sensed(self) -> Value:
         """The belief after `observe`."""
-        return decode_value(self.step.sensed, "sensed")
+        return decode_value(self.step.sensed, self._where("sensed"))
+
+    def _where(self, what: str) -> str:
+        return f"{self.place}: epoch {self.step.epoch}: {self.step.name}: {what}"
 
 
 @dataclass
@@ -70,6 +80,7 @@ class EpochTrace:
         digest: of the run; empty: not told.
         heard_ns: when the world told of it, since 1970; 0: it did not.
         previous: the run's digest of the epoch before; empty: not told.
+        place: of the recording, for errors: `SchemaError` where a message is none.
     """
 
     epoch: int
@@ -80,6 +91,14 @@ class EpochTrace:
     digest: bytes
     heard_ns: int = 0
     previous: bytes = b""
+    place: str = ""
+
+    def message(self, data: bytes) -> Message:
+        """Read one of the messages."""
+        try:
+            return decode_message(data)
+        except SchemaError as error:
+            raise SchemaError(error.what, f"{self.place}: epoch {self.epoch}: {error.where}") from error
 
     @property
     def time_s(self) -> float | None:
@@ -88,7 +107,7 @@ class EpochTrace:
             return trace.step.time_s
         for attempts in self.lines.values():
             if self.attempt in attempts:
-                return decode_message(attempts[self.attempt]).header.time_s
+                return self.message(attempts[self.attempt]).header.time_s
         return None
 
     @cached_property
@@ -104,7 +123,7 @@ class EpochTrace:
             attempt: of the epoch; None: the one that was committed.
         """
         data = self.lines.get((kind, sender, receiver), {}).get(self.attempt if attempt is None else attempt)
-        return None if data is None else decode_message(data).payload
+        return None if data is None else self.message(data).payload
 
     def start_of(self, name: str) -> ActiveNode | None:
         """A node's state at its beginning, where that was told."""
@@ -163,9 +182,27 @@ class _Pending:
     size: int = 0
 
 
-class _Assembly:
-    def __init__(self, staleness: Staleness) -> None:
+def check_roster(roster: Roster) -> Roster:
+    """A roster that is a hierarchy, as it is.
+
+    Raises:
+        HierarchyError: it is none.
+    """
+    check_graph(roster.world, roster.nodes, [edge.pair for edge in roster.edges])
+    return roster
+
+
+class Assembly:
+    """Puts committed epochs together, in order, from entries in the order in which they were heard.
+
+    Args:
+        staleness: of the run.
+        place: of the recording, for errors.
+    """
+
+    def __init__(self, staleness: Staleness, place: str = "") -> None:
         self._barrier = staleness.barrier
+        self._place = place
         self._pending: dict[int, _Pending] = {}
         self._rosters: dict[int, Roster] = {}
         self._told: dict[str, tuple[int, int]] = {}
@@ -175,10 +212,15 @@ class _Assembly:
         self._digest = (0, NO_DIGEST)
 
     def take(self, entry: Entry) -> bool:
-        """Take something in; whether epochs may be whole now."""
+        """Take something in; whether epochs may be whole now.
+
+        Raises:
+            SchemaError: it is not what its key says.
+            HierarchyError: it is a roster that is no hierarchy.
+        """
         what = entry.topic.what
         if what == ROSTER:
-            roster = entry.roster()
+            roster = check_roster(entry.roster())
             self._rosters.setdefault(roster.version, roster)
             return False
         if what == MESSAGE:
@@ -190,7 +232,7 @@ class _Assembly:
             self._bytes += len(entry.data)
             return False
         if what == EPOCH:
-            epoch, digest = decode_value(entry.data, "epoch")
+            epoch, digest = entry.commit()
             self._at(epoch).digest = digest
             return False
         step = entry.step()
@@ -207,20 +249,21 @@ class _Assembly:
         """The committed epochs of which nothing more comes."""
         while self._next and self._next <= self._world:
             pending = self._pending.get(self._next)
+            if pending is None:  # nothing was told of it, nor perhaps of many that follow
+                self._next = min((epoch for epoch in self._pending if epoch > self._next), default=self._world + 1)
+                continue
             if not (at_end or self._is_ripe(pending)):
                 return
-            self._pending.pop(self._next, None)
-            self._bytes -= 0 if pending is None else pending.size
+            del self._pending[self._next]
+            self._bytes -= pending.size
             self._next += 1
-            trace = None if pending is None else self._trace(self._next - 1, pending)
-            if pending is not None:
-                digest = pending.digest if trace is None else trace.digest
-                self._digest = (self._next - 1, digest)
+            trace = self._trace(self._next - 1, pending)
+            self._digest = (self._next - 1, pending.digest if trace is None else trace.digest)
             if trace is not None:
                 yield trace
 
-    def _is_ripe(self, pending: _Pending | None) -> bool:
-        if pending is None or self._bytes > PENDING_BYTES or self._world >= self._next + PENDING_EPOCHS:
+    def _is_ripe(self, pending: _Pending) -> bool:
+        if self._bytes > PENDING_BYTES or self._world >= self._next + PENDING_EPOCHS:
             return True
         roster = self._roster(pending)
         if roster is None:
@@ -245,18 +288,18 @@ class _Assembly:
         for name, steps in sorted(pending.steps.items()):
             step = steps.get(attempt) if self._barrier else steps[max(steps)]
             if step is not None and name in roster.nodes:
-                nodes[name] = NodeTrace(step)
+                nodes[name] = NodeTrace(step, self._place)
         told = next((trace.step for trace in nodes.values()), None)
         for name in roster.nodes.keys() - nodes.keys():
             later = self._state_from(name, epoch + 1)
             if later is not None and told is not None and self._barrier:
-                nodes[name] = NodeTrace(
-                    later._replace(epoch=epoch, attempt=attempt, roster=roster.version, time_s=told.time_s)
-                )
+                taken = later._replace(epoch=epoch, attempt=attempt, roster=roster.version, time_s=told.time_s)
+                nodes[name] = NodeTrace(taken, self._place)
         digest = (world[attempt].chain if world else b"") or pending.digest
         previous = self._digest[1] if self._digest[0] == epoch - 1 else b""
         named = dict(sorted(nodes.items()))
-        return EpochTrace(epoch, attempt, roster, named, pending.lines, digest, pending.heard_ns, previous)
+        lines, heard_ns = pending.lines, pending.heard_ns
+        return EpochTrace(epoch, attempt, roster, named, lines, digest, heard_ns, previous, self._place)
 
     def _state_from(self, name: str, epoch: int) -> NodeStep | None:
         """What the next process of a node that died before it could tell began the next epoch with."""
@@ -273,12 +316,3 @@ class _Assembly:
         if pending is None:
             pending = self._pending[epoch] = _Pending()
         return pending
-
-
-def assemble(entries: Iterable[Entry], staleness: Staleness) -> Iterator[EpochTrace]:
-    """Committed epochs, in order, from entries in the order in which they were heard."""
-    assembly = _Assembly(staleness)
-    for entry in entries:
-        if assembly.take(entry):
-            yield from assembly.ripe()
-    yield from assembly.ripe(at_end=True)

@@ -12,7 +12,7 @@ from hierax.runtime.recording.reading import Recording
 from hierax.runtime.recording.trace import EpochTrace, Line
 from hierax.runtime.viewing.exhibit import Exhibit
 from hierax.runtime.viewing.nodes import ShownNodes
-from hierax.schemas.messages import CONTEXT, OBSERVATIONS, TASKS, decode_message
+from hierax.schemas.messages import CONTEXT, OBSERVATIONS, TASKS
 from hierax.schemas.roster import Roster
 
 MESSAGES_KEPT = 64
@@ -115,7 +115,7 @@ class _Playing:
 
     def _given(self, line: Line, used: tuple[int, int] | None, trace: EpochTrace) -> Elements:
         data = self._lines.get(line, {}).get(used or (trace.epoch, trace.attempt))
-        return () if data is None else decode_message(data).payload
+        return () if data is None else trace.message(data).payload
 
     def _remember(self, trace: EpochTrace) -> None:
         for line, attempts in trace.lines.items():

@@ -1,0 +1,83 @@
+"""A process's standard streams: on standard output stands what it says itself, and nothing else.
+
+Zenoh prints its log to descriptor 1, as do libraries that nodes use. A process that calls
+`own_streams` or `own_output` has descriptor 1 lead to standard error, and keeps the real
+standard output for itself.
+"""
+
+from __future__ import annotations
+
+import io
+import os
+import sys
+from typing import Any, TextIO
+
+from hierax.runtime.core.errors import HieraxError
+
+_REPLACED = "backslashreplace"
+"""What becomes of characters that the stream's encoding does not have."""
+
+
+class OutputError(HieraxError):
+    """Standard output cannot be written."""
+
+
+def own_output() -> int:
+    """Have all that others write to descriptor 1 go to standard error.
+
+    Returns:
+        A descriptor for standard output. Where that was closed, writing to it fails as it would have.
+    """
+    for descriptor, stream in enumerate((sys.__stdin__, sys.__stdout__, sys.__stderr__)):
+        if stream is None:  # closed: what is opened next must not take its place
+            nothing = os.open(os.devnull, os.O_WRONLY if descriptor == 2 else os.O_RDONLY)
+            if nothing != descriptor:
+                os.dup2(nothing, descriptor)
+                os.close(nothing)
+    output = os.dup(1)
+    os.dup2(2, 1)
+    return output
+
+
+def own_streams() -> None:
+    """The same, with `sys.stdout` and `sys.stderr` for what this process says itself.
+
+    What cannot be encoded is escaped; `OutputError` is raised where standard output cannot be
+    written; what cannot be written to standard error is left out.
+    """
+    encodings = [stream.encoding if stream is not None else "utf-8" for stream in (sys.stdout, sys.stderr)]
+    for stream in (sys.stdout, sys.stderr):
+        if stream is not None:
+            stream.flush()
+    output = own_output()
+    terminal = os.isatty(output)
+    sys.stdout = _text(io.BufferedWriter(_Output(output, "w")), encodings[0], line_buffering=terminal)
+    sys.stderr = _text(io.BufferedWriter(_Errors(2, "w", closefd=False)), encodings[1], write_through=True)
+
+
+def drop_output() -> None:
+    """Let what was not written yet, and what follows, go nowhere: it cannot be written."""
+    os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+
+
+def _text(buffer: io.BufferedWriter, encoding: str, **options: bool) -> TextIO:
+    options.setdefault("line_buffering", True)
+    return io.TextIOWrapper(buffer, encoding, _REPLACED, **options)  # type: ignore[arg-type]
+
+
+class _Output(io.FileIO):
+    def write(self, data: Any) -> int:
+        try:
+            return super().write(data)
+        except BrokenPipeError:
+            raise
+        except OSError as error:
+            raise OutputError(f"standard output: cannot be written: {error.strerror or error}") from error
+
+
+class _Errors(io.FileIO):
+    def write(self, data: Any) -> int:
+        try:
+            return super().write(data)
+        except OSError:
+            return len(data)
