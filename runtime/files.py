@@ -13,6 +13,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
+from hierax.runtime.allowance import Allowance
 from hierax.runtime.core.errors import ProbeError
 from hierax.runtime.core.probe import Probe
 from hierax.runtime.loading import build_probe
@@ -36,20 +37,24 @@ def state_log(output: Path | None, name: str, append: bool = False) -> Log | Non
     return None if output is None else Log(output / STATES / f"{name}.msgpack", append)
 
 
-def open_probes(specs: Sequence[ProbeSpec], name: str, output: Path | None, again: bool = False) -> tuple[Probe, ...]:
+def open_probes(
+    specs: Sequence[ProbeSpec], name: str, allowance: Allowance, output: Path | None, again: bool = False
+) -> tuple[Probe, ...]:
     """The probes of a node, open.
 
     Args:
         specs: of all nodes.
         name: of the node.
+        allowance: which code may be loaded.
         output: the run's output folder.
         again: another process of the node has had them open before in this run.
 
     Raises:
-        LoadError: one cannot be built.
+        NotAllowedError, LoadError: one may not be loaded, or cannot be built.
         ProbeError: one cannot be opened.
     """
-    probes = tuple(build_probe(spec.reference, f"probes[{i}]") for i, spec in enumerate(specs) if spec.node == name)
+    own = [(i, spec.reference) for i, spec in enumerate(specs) if spec.node == name]
+    probes = tuple(build_probe(reference, f"probes[{i}]", allowance) for i, reference in own)
     for probe in probes:
         _open(probe, name, output, again)
     return probes

@@ -13,10 +13,11 @@ import re
 import sys
 import traceback
 from collections.abc import Callable, Iterable, Sequence
-from types import ModuleType
-from typing import Any
+from types import ModuleType, UnionType
+from typing import Any, Union, get_args, get_origin, get_type_hints
 
-from hierax.runtime.core.binding import BoundNode, Setting
+from hierax.runtime.allowance import Allowance
+from hierax.runtime.core.binding import BoundNode, Setting, check_signature
 from hierax.runtime.core.errors import HieraxError
 from hierax.runtime.core.graph import Pair
 from hierax.runtime.core.hierarchy import BoundEdge, Edge, Hierarchy, neighbours_above, neighbours_below
@@ -51,78 +52,85 @@ def extend_import_path(paths: Iterable[str]) -> None:
     importlib.invalidate_caches()
 
 
-def load(target: str, where: str) -> Any:
+def load(target: str, where: str, allowance: Allowance) -> Any:
     """The object that ``package.module:name`` names.
 
+    Args:
+        target: one name in a module.
+        where: the field that names it.
+        allowance: which code may be loaded; asked before anything is imported.
+
     Raises:
-        LoadError: there is no such module or name (with the nearest one), or the
-            module's import raised.
+        NotAllowedError: it may not be loaded.
+        LoadError: there is no such module or name (with the nearest one), the module only
+            imports it from one that is not allowed, or the module's import raised.
     """
+    allowance.check(target, where)
     module_name, _, name = target.partition(":")
-    found: Any = _import(module_name, where)
-    inside = f"module {module_name!r}"
-    for part in name.split("."):
-        if not hasattr(found, part):
-            public = [known for known in dir(found) if not known.startswith("_")]
-            raise LoadError(f"there is no {part!r} in {inside}{did_you_mean(part, public)}", where)
-        found = getattr(found, part)
-        inside = f"{part!r}"
-        if isinstance(found, ModuleType):
-            raise LoadError(f"{part!r} in module {module_name!r} is a module itself; name it before the colon", where)
-    _check_home(found, module_name, name, where)
+    module = _import(module_name, where)
+    if not hasattr(module, name):
+        public = [known for known in dir(module) if not known.startswith("_")]
+        raise LoadError(f"there is no {name!r} in module {module_name!r}{did_you_mean(name, public)}", where)
+    found = getattr(module, name)
+    if isinstance(found, ModuleType):
+        raise LoadError(f"{name!r} in module {module_name!r} is a module itself; name it before the colon", where)
+    _check_home(found, module_name, name, where, allowance)
     return found
 
 
-def _check_home(found: Any, module_name: str, name: str, where: str) -> None:
-    """What a module has imported from another package is named there: which code may be loaded is decided by module."""
+def _check_home(found: Any, module_name: str, name: str, where: str, allowance: Allowance) -> None:
+    """What a module has only imported is allowed by the module that defines it; a package offers what is inside it."""
     home = found.__module__ if inspect.isclass(found) or inspect.isroutine(found) else None
-    if isinstance(home, str) and home.partition(".")[0] != module_name.partition(".")[0]:
+    if not isinstance(home, str) or home == module_name or home.startswith(f"{module_name}."):
+        return
+    if not allowance.covers(home):
         instead = f"{home}:{found.__qualname__}"
         raise LoadError(f"module {module_name!r} only imports {name!r}; name it as {instead!r}", where)
 
 
-def build_node(reference: Reference, where: str) -> Node:
+def build_node(reference: Reference, where: str, allowance: Allowance, is_world: bool = False) -> Node:
     """Build a node.
 
     Args:
         reference: its class and parameters.
         where: its path in the deployment file, ``nodes.NAME``.
+        allowance: which code may be loaded.
+        is_world: whether it has to be a `World`.
 
     Raises:
-        LoadError: see `load`; or a parameter is unknown, lacks or is refused by the
-            class, or the result is no `Node`.
+        NotAllowedError, LoadError: see `load`; or it is no class of nodes, which is
+            found out before that is called; or a parameter is unknown, lacks or is refused by it.
     """
-    node = _build(reference, where, "class")
-    if not isinstance(node, Node):
-        raise LoadError(f"expected a class derived from Node, {_not_a(node, reference)}", f"{where}.class")
+    node: Node = _build(reference, where, allowance, World if is_world else Node)
     return node
 
 
-def build_probe(reference: Reference, where: str) -> Probe:
+def build_probe(reference: Reference, where: str, allowance: Allowance) -> Probe:
     """Build a probe.
 
     Args:
         reference: its class and parameters.
         where: its path in the deployment file, ``probes[i]``.
+        allowance: which code may be loaded.
 
     Raises:
-        LoadError: as `build_node`.
+        NotAllowedError, LoadError: as `build_node`.
     """
-    probe = _build(reference, where, "class")
-    if not isinstance(probe, Probe):
-        raise LoadError(f"expected a class derived from Probe, {_not_a(probe, reference)}", f"{where}.class")
+    probe: Probe = _build(reference, where, allowance, Probe)
     return probe
 
 
-def build_edge(edge: RosterEdge, side: str = "both") -> Edge:
+def build_edge(edge: RosterEdge, allowance: Allowance, side: str = "both") -> Edge:
     """Build an edge's functions.
 
     Args:
         edge: by names.
+        allowance: which code may be loaded.
         side: ``lower`` builds φ only, ``upper`` ψ and ϱ, ``both`` all three.
 
     Raises:
-        LoadError: as `build_node`; or what is named cannot be called.
+        NotAllowedError, LoadError: see `load`; or what is named is no function of the
+            edge's kind, and no class whose objects are, which is found out before it is called.
     """
     where = f"edges.{edge.lower} -> {edge.upper}"
     wanted = {"lower": ("sense",), "upper": ("task", "context"), "both": ("sense", "task", "context")}[side]
@@ -130,25 +138,42 @@ def build_edge(edge: RosterEdge, side: str = "both") -> Edge:
     for kind in wanted:
         reference = getattr(edge, kind)
         if reference is not None:
-            functions[kind] = _load_function(reference, f"{where}.{kind}")
+            functions[kind] = _edge_function(reference, where, kind, allowance)
     return Edge(edge.lower, edge.upper, **functions)
 
 
-def build_hierarchy(roster: Roster, setting: Setting) -> Hierarchy:
+def build_hierarchy(roster: Roster, setting: Setting, allowance: Allowance) -> Hierarchy:
     """Build all nodes and edges in this process.
 
     Raises:
+        NotAllowedError: something may not be loaded; then nothing is.
         LoadError: something cannot be loaded, or an operator cannot be called.
         HierarchyError: they form no hierarchy.
     """
-    nodes = {name: build_node(reference, f"nodes.{name}") for name, reference in roster.nodes.items()}
-    edges = [build_edge(edge) for edge in roster.edges]
+    allowance.check_all(roster)
+    nodes = {
+        name: build_node(reference, f"nodes.{name}", allowance, is_world=name == roster.world)
+        for name, reference in roster.nodes.items()
+    }
+    edges = [build_edge(edge, allowance) for edge in roster.edges]
     pairs = [edge.pair for edge in edges]
     for name, node in nodes.items():  # each by itself first: these errors know their place
         bind_node(name, node, roster.world, pairs, setting)
     for edge in edges:
         bind_edge(edge, setting)
     return Hierarchy(nodes, roster.world, edges, setting)
+
+
+def load_function(target: str, where: str, allowance: Allowance) -> Callable[..., Any]:
+    """A function by name.
+
+    Raises:
+        NotAllowedError, LoadError: see `load`; or it is no function.
+    """
+    found = load(target, where, allowance)
+    if not inspect.isfunction(found):
+        raise LoadError(f"expected a function, but {target} is {_shown(found)}", where)
+    return found
 
 
 def bind_node(name: str, node: Node, world: str, pairs: Sequence[Pair], setting: Setting) -> BoundNode:
@@ -194,26 +219,71 @@ def check_initial_belief(name: str, node: Node) -> None:
         raise LoadError(f"initial_belief raised {_told(error)}", where) from error
 
 
-def _load_function(reference: Reference, where: str) -> Callable[..., Any]:
-    target = load(reference.target, f"{where}.function")
+def _edge_function(reference: Reference, edge: str, kind: str, allowance: Allowance) -> Callable[..., Any]:
+    """An edge's function, or an object of a class in its place; looked at before the class is called."""
+    where = f"{edge}.{kind}"
+    target = load(reference.target, f"{where}.function", allowance)
     if inspect.isclass(target):
-        function: Any = _call(target, reference, where)
-    else:
-        function = target
-    if not callable(function):
-        what = f"expected a function, or a class whose objects can be called, {_not_a(function, reference)}"
-        raise LoadError(what, f"{where}.function")
-    if inspect.isclass(target) or not reference.parameters:
-        return function  # type: ignore[no-any-return]
+        _check_signature(functools.partial(_call_of(target, reference, where), None), edge, kind)
+        made: Callable[..., Any] = _call(target, reference, where)
+        return made
+    if not inspect.isfunction(target):
+        raise LoadError(_no_edge_function(target, reference), f"{where}.function")
     _check_names(target, reference, where)
-    return functools.partial(function, **reference.parameters)
+    function = functools.partial(target, **reference.parameters) if reference.parameters else target
+    _check_signature(function, edge, kind)
+    return function
 
 
-def _build(reference: Reference, where: str, field: str) -> Any:
-    target = load(reference.target, f"{where}.{field}")
-    if not callable(target):
-        raise LoadError(f"expected a class, {_not_a(target, reference)}", f"{where}.{field}")
-    return _call(target, reference, where, field)
+def _call_of(target: type, reference: Reference, where: str) -> Callable[..., Any]:
+    """What is called when an object of a class is."""
+    call = next((vars(base)["__call__"] for base in target.__mro__ if "__call__" in vars(base)), None)
+    if not inspect.isfunction(call) or issubclass(target, (Node, Probe)):
+        raise LoadError(_no_edge_function(target, reference), f"{where}.function")
+    return call
+
+
+def _no_edge_function(found: Any, reference: Reference) -> str:
+    return f"expected a function, or a class whose objects can be called, but {reference.target} is {_shown(found)}"
+
+
+def _check_signature(function: Callable[..., Any], edge: str, kind: str) -> None:
+    try:
+        check_signature(function, kind)
+    except HieraxError as error:
+        raise LoadError(str(error), edge) from error
+
+
+def _build(reference: Reference, where: str, allowance: Allowance, kind: type) -> Any:
+    """A node or probe; what is named is called once it is known to be a class of that kind, or to give one."""
+    field = f"{where}.class"
+    target = load(reference.target, field, allowance)
+    makes = issubclass(target, kind) if inspect.isclass(target) else _gives(target, kind)
+    if not makes:
+        raise LoadError(_no_class(target, reference, kind), field)
+    made = _call(target, reference, where, "class")
+    if not isinstance(made, kind):
+        raise LoadError(f"{reference.target} gives a {type(made).__name__}, no {kind.__name__}", field)
+    return made
+
+
+def _gives(target: Any, kind: type) -> bool:
+    """Whether a function says by its annotation that it gives an object of a kind, or of some such kinds."""
+    if not inspect.isfunction(target):
+        return False
+    try:
+        said = get_type_hints(target).get("return")
+    except Exception:  # whatever an annotation's evaluation raises
+        return False
+    given = get_args(said) if isinstance(said, UnionType) or get_origin(said) is Union else (said,)
+    return all(inspect.isclass(each) and issubclass(each, kind) for each in given)
+
+
+def _no_class(found: Any, reference: Reference, kind: type) -> str:
+    if kind is World and inspect.isclass(found) and issubclass(found, Node):
+        return f"the world's class must derive from World, {found.__name__} does not"
+    what = f"expected a class derived from {kind.__name__}, but {reference.target} is {_shown(found)}"
+    return f"{what}; one that makes nodes says so: '-> {kind.__name__}'" if inspect.isfunction(found) else what
 
 
 def _call(target: Callable[..., Any], reference: Reference, where: str, field: str = "function") -> Any:
@@ -305,6 +375,9 @@ def _told(error: BaseException) -> str:
     return f"{type(error).__name__}: {text}{place}" if text else f"{type(error).__name__}{place}"
 
 
-def _not_a(given: Any, reference: Reference) -> str:
-    kind = f"the module {given.__name__}" if isinstance(given, ModuleType) else f"a {type(given).__name__}"
-    return f"but {reference.target} gives {kind}"
+def _shown(found: Any) -> str:
+    """What something is that is not what was expected."""
+    if inspect.isclass(found):
+        known = next((kind.__name__ for kind in (World, Node, Probe) if issubclass(found, kind)), "")
+        return f"a {known}" if known else "another class"
+    return "a function" if inspect.isfunction(found) else f"a {type(found).__name__}"

@@ -5,6 +5,7 @@ from __future__ import annotations
 import logging
 from collections.abc import Callable, Sequence
 
+from hierax.runtime.allowance import NotAllowedError, Refusals
 from hierax.runtime.core.binding import BoundNode
 from hierax.runtime.core.errors import HieraxError
 from hierax.runtime.core.probe import Probe
@@ -86,6 +87,7 @@ class Member(NodeRunner):
         self._linking: set[int] = set()
         self._linked: set[int] = set()
         self._fetched: set[int] = set()
+        self._refusals = Refusals()
 
     @property
     def wired(self) -> bool:
@@ -229,7 +231,7 @@ class Member(NodeRunner):
         try:
             wiring = self._wire_roster(roster)
         except HieraxError as error:
-            self._say(Ready(self.name, self.process, version, str(error)))
+            self._refuse(version, error)
             return
         self._link(wiring, self.linked)
         if self.wired:
@@ -237,6 +239,13 @@ class Member(NodeRunner):
         else:
             self.wire(wiring, self._saved, joins=self._saved is None)
         self._say_ready(version)
+
+    def _refuse(self, version: int, error: HieraxError) -> None:
+        """Say why a roster cannot be run here; in the log once, as whoever asks for it asks again."""
+        why = str(error)
+        if isinstance(error, NotAllowedError) and self._refusals.is_new(why):
+            _log.warning("%s: roster version %d is refused: %s", self.name, version, why)
+        self._say(Ready(self.name, self.process, version, why))
 
     def _go_on_as(self, order: Same) -> None:
         """A version that changes nothing here: there is nothing to load, and nobody waits for an answer.

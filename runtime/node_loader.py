@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from hierax.runtime.allowance import Allowance
 from hierax.runtime.core.binding import BoundNode, Setting
 from hierax.runtime.core.graph import Pair
 from hierax.runtime.core.hierarchy import BoundEdge
@@ -18,11 +19,13 @@ class NodeLoader:
     Args:
         name: of the node.
         setting: the run's seed, and what drives async operators.
+        allowance: which code may be loaded.
     """
 
-    def __init__(self, name: str, setting: Setting) -> None:
+    def __init__(self, name: str, setting: Setting, allowance: Allowance) -> None:
         self._name = name
         self._setting = setting
+        self._allowance = allowance
         self._nodes: dict[bytes, Node] = {}
         self._edges: dict[RosterEdgeKey, BoundEdge] = {}
         self._bound: BoundNode | None = None
@@ -32,8 +35,12 @@ class NodeLoader:
         """The node's wiring under a version of the roster.
 
         Raises:
+            NotAllowedError: something may not be loaded; then nothing is.
             LoadError: something cannot be loaded or called.
         """
+        if self._name == roster.world:  # it answers for the others, too
+            self._allowance.check_all(roster)
+        self._allowance.check_part(roster, self._name)
         edges = [edge for edge in roster.edges if self._name in edge.pair]
         bound = self._bind(roster, [edge.pair for edge in edges])
         place = Place.of(roster, hashed=self._name == roster.world)
@@ -51,7 +58,9 @@ class NodeLoader:
         reference = roster.nodes[self._name]
         key = encode_value(reference.plain())
         if key not in self._nodes:
-            self._nodes = {key: build_node(reference, f"nodes.{self._name}")}
+            self._nodes = {
+                key: build_node(reference, f"nodes.{self._name}", self._allowance, self._name == roster.world)
+            }
         return self._nodes[key]
 
     def _edge(self, edge: RosterEdge) -> BoundEdge:
@@ -59,7 +68,7 @@ class NodeLoader:
         functions = [None if part is None else part.plain() for part in (edge.sense, edge.task, edge.context)]
         key = (edge.pair, encode_value(functions))
         if key not in self._edges:
-            self._edges[key] = bind_edge(build_edge(edge, side), self._setting, side)
+            self._edges[key] = bind_edge(build_edge(edge, self._allowance, side), self._setting, side)
         return self._edges[key]
 
 

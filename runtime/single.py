@@ -143,8 +143,11 @@ class _Nodes:
         self._network = MemoryNetwork(seed)
         if record is not None:
             self._network.tap = record.message
-        build_hierarchy(self._roster, self._setting)  # that it is one, and what is wrong with the first node that is
-        self._loaders = {name: NodeLoader(name, self._setting) for name in self._roster.nodes}
+        allowance = self._allowance = deployment.allowance
+        build_hierarchy(
+            self._roster, self._setting, allowance
+        )  # that it is one, and what is wrong with the first node that is
+        self._loaders = {name: NodeLoader(name, self._setting, allowance) for name in self._roster.nodes}
         self.runners: dict[str, NodeRunner] = {}
         for name in sorted(self._roster.nodes):
             self.runners[name] = self._runner(name)
@@ -169,7 +172,7 @@ class _Nodes:
 
     def _runner(self, name: str, append: bool = False) -> NodeRunner:
         port = self._network.open_port(name)
-        probes = open_probes(self._deployment.probes, name, self._output, append)
+        probes = open_probes(self._deployment.probes, name, self._allowance, self._output, append)
         states = state_log(self._output, name, append)
         runner = NodeRunner(None, port, probes, states)
         if name == self._world:
@@ -203,7 +206,7 @@ class _Nodes:
 
     def _come(self, name: str, epoch: int, replaces: bool) -> None:
         """A node is attached, or takes the place of another."""
-        loader = self._loaders[name] = NodeLoader(name, self._setting)
+        loader = self._loaders[name] = NodeLoader(name, self._setting, self._allowance)
         wiring = loader.wiring(self._roster)
         saved: Saved | None = None
         if replaces:

@@ -17,12 +17,14 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from hierax.runtime.allowance import Allowance
 from hierax.runtime.bench.bayes_limit import Limit, reference
 from hierax.runtime.core.errors import HieraxError
 from hierax.runtime.loading import load
 from hierax.runtime.plain import Json
 
 MODULE = "hierax.nodes.causal_tree"
+ALLOWED = Allowance((MODULE,))
 STATES = 4
 SHARE = 0.3
 """Of the leaves, that are observed."""
@@ -90,7 +92,7 @@ def bench_bayes(sizes: Sequence[int], rounds: int, seed: int, told: Callable[[st
     Raises:
         HieraxError: the module with the nodes cannot be loaded.
     """
-    random_tree = load(f"{MODULE}:random_tree", MODULE)
+    random_tree = load(f"{MODULE}:random_tree", MODULE, ALLOWED)
     cells = []
     for nodes in sizes:
         network = random_tree(nodes, STATES, seed)
@@ -163,7 +165,7 @@ def _evidence_sets(network: Description, random: np.random.Generator) -> list[Ev
 
 
 def _ours(network: Description) -> Update:
-    inference = load(f"{MODULE}:Inference", MODULE)(network)
+    inference = load(f"{MODULE}:Inference", MODULE, ALLOWED)(network)
     vectors = np.eye(STATES)
 
     def update(evidence: Evidence) -> Posteriors:

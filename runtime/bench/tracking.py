@@ -15,6 +15,7 @@ from typing import Any
 
 import numpy as np
 
+from hierax.runtime.allowance import Allowance
 from hierax.runtime.core.errors import HieraxError
 from hierax.runtime.deployment import Deployment
 from hierax.runtime.deployment.read import read_deployment
@@ -26,6 +27,7 @@ from hierax.runtime.single import run
 from hierax.runtime.watch.meter import EDGES, OBSERVE, PREDICT, Meter
 
 DEPLOYMENT = "tracking"
+ALLOWED = Allowance(("hierax.nodes.tracking.*",))
 WAYS = {
     "own model": ("occlusion=false",),
     "context, no physics": ("physics=false",),
@@ -295,7 +297,7 @@ def _row(name: str, way: str, done: Sequence[Tracked]) -> Row:
 
 
 def _nodes(module: str, name: str) -> Any:
-    return load(f"hierax.nodes.tracking.{module}:{name}", "bench tracking")
+    return load(f"hierax.nodes.tracking.{module}:{name}", "bench tracking", ALLOWED)
 
 
 def known_ways(wanted: Sequence[str]) -> list[str]:

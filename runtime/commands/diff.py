@@ -77,7 +77,7 @@ def _other(
 ) -> Iterable[EpochView]:
     from hierax.runtime.deployment.read import read_deployment
     from hierax.runtime.loading import extend_import_path
-    from hierax.runtime.recording.deployments import in_place_of
+    from hierax.runtime.recording.deployments import allowance_of, in_place_of
     from hierax.runtime.recording.replay import Replay, has_actuators
 
     settings = list(settings)
@@ -90,9 +90,10 @@ def _other(
     rosters = recording.rosters()
     if not rosters:
         raise CommandError(f"{recording.path}: no roster is recorded, so there is no epoch to compare")
-    again = world is WorldMode.again or (world is None and not has_actuators(deployment.roster))
+    again = world is WorldMode.again or (world is None and not has_actuators(deployment.roster, deployment.allowance))
     rewrite = in_place_of(rosters[min(rosters)], deployment)
-    return Replay(recording, world=again, rewrite=rewrite, first=first, last=last, wait=wait).epochs()
+    allowance = allowance_of(recording).with_modules(deployment.modules)
+    return Replay(recording, allowance, world=again, rewrite=rewrite, first=first, last=last, wait=wait).epochs()
 
 
 def _is_recording(name: str) -> bool:

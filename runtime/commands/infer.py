@@ -37,12 +37,14 @@ def infer(
     output_format: OutputFormat = Format.text,
 ) -> int:
     """Print the posterior of every node of a Bayesian network, exactly."""
+    from hierax.runtime.allowance import Allowance
     from hierax.runtime.commands.show import print_json, print_table
     from hierax.runtime.loading import load
 
-    read = load(f"{MODULE}:read_network", MODULE)(network)
-    inference = load(f"{MODULE}:Inference", MODULE)(read)
-    found = inference.update(_evidence(read, evidence or (), load(f"{MODULE}:likelihoods", MODULE)))
+    ours = Allowance((MODULE,))
+    read = load(f"{MODULE}:read_network", MODULE, ours)(network)
+    inference = load(f"{MODULE}:Inference", MODULE, ours)(read)
+    found = inference.update(_evidence(read, evidence or (), load(f"{MODULE}:likelihoods", MODULE, ours)))
     states = {name: variable.states for name, variable in read.variables.items()}
     shares = {name: dict(zip(states[name], row.tolist(), strict=True)) for name, row in found.items()}
     if output_format is Format.json:

@@ -67,9 +67,15 @@ def replay(
     output_format: OutputFormat = Format.text,
 ) -> int:
     """Do a recording again, in this process: whole, from an epoch on, or one node on its recorded inputs."""
+    from hierax.runtime.allowance import module_of
     from hierax.runtime.commands.show import print_json, print_report
     from hierax.runtime.loading import extend_import_path
-    from hierax.runtime.recording.deployments import check_classes, other_settings
+    from hierax.runtime.recording.deployments import (
+        allowance_of,
+        check_classes,
+        other_settings,
+        recorded_deployment,
+    )
     from hierax.runtime.recording.diff import compare
     from hierax.runtime.recording.replay import Replay, check_node
 
@@ -81,8 +87,12 @@ def replay(
         check_classes(recording.rosters(), replaced)
     if node is not None:
         check_node(recording, node)
+    named = [module_of(target) for target in replaced.values()]
+    if settings:
+        named += recorded_deployment(info, settings).modules
     replaying = Replay(
         recording,
+        allowance_of(recording).with_modules(named),
         node=node,
         world=world is WorldMode.again,
         rewrite=other_settings(info, settings or (), replaced),

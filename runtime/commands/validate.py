@@ -20,11 +20,11 @@ def validate(file: File, settings: Settings = None, output_format: OutputFormat 
     roster = deployment.roster
     extend_import_path(deployment.import_paths)
     try:
-        hierarchy = build_hierarchy(roster, Setting(wait=_wait))
+        hierarchy = build_hierarchy(roster, Setting(wait=_wait), deployment.allowance)
         for name, node in hierarchy.nodes.items():
             check_initial_belief(name, node)
         for index, probe in enumerate(deployment.probes):
-            build_probe(probe.reference, f"probes[{index}]")
+            build_probe(probe.reference, f"probes[{index}]", deployment.allowance)
     except HieraxError as error:
         raise deployment.explain(error) from error
     content = roster.content_hash().hex()

@@ -120,14 +120,14 @@ def _of_deployment(source: str, settings: Settings, epochs: int | None, seed: in
 
 
 def _of_recording(file: Path, first: int, last: int | None) -> Source:
-    from hierax.runtime.recording.deployments import recorded_deployment
+    from hierax.runtime.recording.deployments import allowance_of, recorded_deployment
     from hierax.runtime.recording.reading import Recording
     from hierax.runtime.viewing.recorded import show_recording
 
     recording = Recording.open(file)
 
     def show(exhibit: Exhibit) -> None:
-        if not show_recording(recording, exhibit, first, last):
+        if not show_recording(recording, exhibit, allowance_of(recording), first, last):
             raise CommandError(f"{file}: there is no committed epoch in it from {first} to {last or 'its end'}")
         if recording.loss:
             _say(f"{file}: {recording.loss}")
@@ -136,6 +136,7 @@ def _of_recording(file: Path, first: int, last: int | None) -> Source:
 
 
 def _of_launch(run: str | None, connect: str | None) -> Source:
+    from hierax.runtime.allowance import Allowance
     from hierax.runtime.commands.which import endpoint_of
     from hierax.runtime.core.errors import HieraxError
     from hierax.runtime.deployment.read import read_deployment
@@ -152,8 +153,9 @@ def _of_launch(run: str | None, connect: str | None) -> Source:
         _say(f"the layout is not that of the deployment, whose file cannot be read any more: {error}")
 
     def show(exhibit: Exhibit) -> None:
+        allowance = Allowance(()) if deployment is None else deployment.allowance
         with Glass(endpoint) as glass, redirect_stdout(sys.stderr):
-            show_launch(glass, exhibit)
+            show_launch(glass, exhibit, allowance)
 
     return deployment, "launch" if running is None else running.hierarchy, show
 
@@ -190,7 +192,7 @@ def _viewer(
 
 
 def _exhibit(deployment: Deployment | None, stream: Stream) -> Exhibit:
-    from hierax.runtime.loading import extend_import_path, load
+    from hierax.runtime.loading import extend_import_path, load_function
     from hierax.runtime.viewing.exhibit import Exhibit
     from hierax.runtime.viewing.rerun_canvas import RerunCanvas
 
@@ -199,7 +201,7 @@ def _exhibit(deployment: Deployment | None, stream: Stream) -> Exhibit:
         return Exhibit(canvas, tell=_say)
     extend_import_path(deployment.import_paths)
     spec = deployment.view
-    together = None if spec.show is None else load(spec.show, "view.show")
+    together = None if spec.show is None else load_function(spec.show, "view.show", deployment.allowance)
     return Exhibit(canvas, spec.layout, together, _say)
 
 

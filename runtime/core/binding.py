@@ -288,7 +288,23 @@ def bind_edge(function: Operator | None, lower: str, upper: str, operator: str, 
     return Call(function, f"{lower}->{upper}", operator, setting, below=(lower,), above=(upper,))
 
 
-def _wants_tick(function: Operator, subject: str, operator: str, takes: tuple[str, ...]) -> bool:
+def check_signature(function: Operator, operator: str) -> bool:
+    """Whether a function can be called as an operator or edge function is; it is not called.
+
+    Args:
+        function: any.
+        operator: one of `TAKES`.
+
+    Returns:
+        Whether it wants the tick, too.
+
+    Raises:
+        HierarchyError: it takes something else.
+    """
+    return _takes(function, operator, TAKES[operator])
+
+
+def _takes(function: Operator, operator: str, takes: tuple[str, ...]) -> bool:
     try:
         signature = inspect.signature(function)
     except (TypeError, ValueError):  # some callables written in C tell nothing
@@ -298,9 +314,16 @@ def _wants_tick(function: Operator, subject: str, operator: str, takes: tuple[st
         signature.bind(*takes, **({"tick": None} if wants else {}))
     except TypeError as error:
         raise HierarchyError(
-            f"{subject}: {operator} must take ({', '.join(takes)}) and, if it likes, tick; it takes {signature}"
+            f"{operator} must take ({', '.join(takes)}) and, if it likes, tick; it takes {signature}"
         ) from error
     return wants
+
+
+def _wants_tick(function: Operator, subject: str, operator: str, takes: tuple[str, ...]) -> bool:
+    try:
+        return _takes(function, operator, takes)
+    except HierarchyError as error:
+        raise HierarchyError(f"{subject}: {error}") from error
 
 
 def _synchronous(function: Operator, setting: Setting, where: str) -> Operator:

@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Literal
 
+from hierax.runtime.allowance import Allowance
 from hierax.runtime.core.errors import HieraxError
 from hierax.runtime.deployment.document import Document
 from hierax.runtime.engine.loose import Staleness
@@ -76,8 +77,8 @@ class Deployment:
         epochs: how many by default; None: until the world says finished.
         roster: nodes and edges.
         probes: in the file's order; where errors name one, it is ``probes[i]``.
-        modules: ``package.module`` or ``package.*``: what changes of the roster may load code from;
-            all modules that the file names are among them.
+        modules: ``package.module`` or ``package.*``: from which code may be loaded, now and when the
+            roster changes; all modules that the file names are among them.
         restarts: by node, of all nodes.
         restart: of nodes that are attached later and say nothing else.
         durability: checkpoints outlive the death of a ``process``, or also that of the ``host``.
@@ -116,6 +117,11 @@ class Deployment:
     import_paths: tuple[str, ...]
     document: Document = field(repr=False, compare=False)
     view: ViewSpec = ViewSpec()
+
+    @property
+    def allowance(self) -> Allowance:
+        """Which code may be loaded."""
+        return Allowance(self.modules)
 
     def place(self, where: str) -> str:
         """``file:line`` of a path such as ``nodes.world.class``, or the ``--set`` that gave it."""

@@ -11,19 +11,18 @@ from typing import Annotated, Any, Literal
 
 from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field, WithJsonSchema
 
+from hierax.runtime.allowance import TARGET_PATTERN, is_target
 from hierax.runtime.deployment.deployment import EPOCH_DEADLINE_S, RestartPolicy
 from hierax.runtime.deployment.paths import Keys
 from hierax.schemas.keys import check_name
 
 NAME_PATTERN = r"^[A-Za-z0-9][A-Za-z0-9_.-]*$"
-TARGET_PATTERN = r"^[A-Za-z_]\w*(\.[A-Za-z_]\w*)*:[A-Za-z_]\w*(\.[A-Za-z_]\w*)*$"
 MODULES_PATTERN = r"^[A-Za-z_]\w*(\.[A-Za-z_]\w*)*(\.\*)?$"
 EDGE_PATTERN = r"^\s*\S+\s*->\s*\S+\s*$"
 
 MAX_STALENESS = 8
 """Held messages bound it; more would only be a longer wait for what comes."""
 
-_TARGET = re.compile(TARGET_PATTERN)
 _MODULES = re.compile(MODULES_PATTERN)
 
 
@@ -33,7 +32,7 @@ def check_target(target: str) -> str:
     Raises:
         ValueError: it is written otherwise.
     """
-    if not _TARGET.match(target) or target.endswith("\n"):
+    if not is_target(target):
         raise ValueError(f"expected 'package.module:name', got {target!r}")
     return target
 
@@ -46,6 +45,10 @@ def check_modules_pattern(pattern: str) -> str:
     """
     if not _MODULES.match(pattern) or pattern.endswith("\n"):
         raise ValueError(f"expected 'package.module' or 'package.*', got {pattern!r:.60}")
+    if pattern == "hierax.*":
+        raise ValueError(
+            "all of hierax is more than nodes; name the packages whose nodes may join, as 'hierax.nodes.*'"
+        )
     return pattern
 
 
@@ -155,7 +158,9 @@ class RestartModel(_Model):
 class NodeModel(RestartModel):
     """A node: the class, and what it is made with. For its restarts, what is left out is as 'restart' at the top."""
 
-    target: Target = Field(alias="class", description="module:name of a class, or of what returns a node")
+    target: Target = Field(
+        alias="class", description="module:name of a class, or of a function that is annotated to return a node"
+    )
     parameters: Parameters = Field(default={}, description="keyword arguments of the class")
     rate_hz: float | None = Field(
         default=None,
@@ -191,7 +196,9 @@ class ProbeModel(_Model):
     """A probe of a node: sees each epoch, changes nothing."""
 
     node: NodeName = Field(description="the node that it watches")
-    target: Target = Field(alias="class", description="module:name of a class, or of what returns a probe")
+    target: Target = Field(
+        alias="class", description="module:name of a class, or of a function that is annotated to return a probe"
+    )
     parameters: Parameters = Field(default={}, description="keyword arguments of the class")
 
 

@@ -8,6 +8,7 @@ from typing import Any
 
 from pydantic import ValidationError
 
+from hierax.runtime.allowance import module_of
 from hierax.runtime.core.errors import HierarchyError
 from hierax.runtime.core.graph import check_graph
 from hierax.runtime.deployment.deployment import Deployment, RestartPolicy, ViewSpec
@@ -117,7 +118,9 @@ def _modules(model: DeploymentModel) -> tuple[str, ...]:
     for edge in model.edges.values():
         functions = [getattr(edge, kind) for kind in KINDS]
         targets += [function.function for function in functions if function is not None]
-    return tuple(sorted({*model.modules, *(target.partition(":")[0] for target in targets)}))
+    if model.view.show is not None:
+        targets.append(model.view.show)
+    return tuple(sorted({*model.modules, *map(module_of, targets)}))
 
 
 def _view(model: ViewModel) -> ViewSpec:

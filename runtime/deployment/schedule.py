@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+from hierax.runtime.allowance import NotAllowedError
 from hierax.runtime.deployment.deployment import Deployment
 from hierax.runtime.deployment.errors import DeploymentError
 from hierax.runtime.deployment.snippet import read_attach, read_replace
 from hierax.runtime.nearest import did_you_mean
-from hierax.runtime.owner.changes import ChangeError, apply, check_modules
+from hierax.runtime.owner.changes import ChangeError, apply
 from hierax.schemas.changes import Change, Detach
 from hierax.schemas.roster import Roster
 
@@ -49,9 +50,9 @@ def read_schedule(texts: Sequence[str], deployment: Deployment) -> tuple[tuple[i
 def _after(change: Change, roster: Roster, deployment: Deployment, place: str) -> Roster:
     version = roster.version + 1
     try:
-        check_modules(change, deployment.modules)
+        deployment.allowance.check_all(change)
         return apply(roster, change, version, lambda _: version)
-    except ChangeError as error:
+    except (ChangeError, NotAllowedError) as error:
         raise DeploymentError(str(error), place) from error
 
 

@@ -7,6 +7,7 @@ import logging
 import time
 from pathlib import Path
 
+from hierax.runtime.allowance import Allowance
 from hierax.runtime.core.digest import DigestChain
 from hierax.runtime.engine.loose import Staleness
 from hierax.runtime.files import DIGESTS, open_probes, state_log
@@ -46,7 +47,7 @@ def _built(
 ) -> Member:
     output, again = order.output_path, order.life != BEGIN
     slots = _slots(order)
-    probes = open_probes(order.probes, order.name, output, again)
+    probes = open_probes(order.probes, order.name, order.allowance, output, again)
     states = state_log(output, order.name, again)
     if order.owner is None:
 
@@ -72,10 +73,11 @@ def _built(
     )
 
 
-def preload(modules: tuple[str, ...]) -> None:
-    """Import what will be needed; what fails is told when it is."""
+def preload(modules: tuple[str, ...], allowance: Allowance) -> None:
+    """Import what will be needed; what fails, or may not be loaded, is told when it is."""
     for module in modules:
-        _preload(module)
+        if allowance.covers(module):
+            _preload(module)
 
 
 def _preload(module: str) -> None:

@@ -303,6 +303,10 @@ class Keeping:
         """A process that is kept here."""
         return self._children.get(token)
 
+    def note(self, what: str) -> None:
+        """Tell people something."""
+        self._say(what)
+
     def cut_off(self, token: str) -> bool:
         """Whether a process that is kept elsewhere cannot be reached."""
         return token in self._gone

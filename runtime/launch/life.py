@@ -168,8 +168,8 @@ class NodeLife:
     def _live(self) -> int:
         order = self._order
         extend_import_path(order.import_paths)
-        preload(order.preload)
-        loader = NodeLoader(order.name, Setting(order.seed, self._wait))
+        preload(order.preload, order.allowance)
+        loader = NodeLoader(order.name, Setting(order.seed, self._wait), order.allowance)
         if order.roster is not None:
             loader.wiring(order.roster)  # what cannot be loaded is told before anybody is waited for
         listen = [f"tcp/{order.host}:0"] if order.host else [LOOPBACK]

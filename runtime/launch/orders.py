@@ -8,6 +8,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
+from hierax.runtime.allowance import module_of
 from hierax.runtime.core.errors import HieraxError
 from hierax.runtime.deployment import Deployment
 from hierax.runtime.deployment.deployment import RestartPolicy
@@ -101,7 +102,8 @@ class Orders:
             deployment=deployment.name,
             run=self.run_id,
             roster=None if life == COME_BACK or request else deployment.roster,
-            preload=() if reference is None else (reference.target.partition(":")[0],),
+            modules=deployment.modules,
+            preload=() if reference is None else (module_of(reference.target),),
             seed=self.seed,
             epochs=self._epochs,
             staleness=deployment.staleness.epochs,
@@ -190,7 +192,7 @@ class Orders:
         """The roster to start with: the deployment's, or that of the record.
 
         Raises:
-            HieraxError: there is no run to resume.
+            HieraxError: there is no run to resume, or its roster names code that the deployment does not allow.
         """
         roster = self.deployment.roster
         if not resume:
@@ -200,7 +202,9 @@ class Orders:
             raise HieraxError(f"{self._state}: there is no run to resume, it has no record of {roster.world!r}")
         with MappedFile(path, self.deployment.durability) as storage:
             record, _ = read_record(Slots(storage))
-        return decode_roster(record.roster)
+        recorded = decode_roster(record.roster)
+        self.deployment.allowance.check_all(recorded)
+        return recorded
 
     def _next_fault(self, name: str) -> str:
         left = self._faults.get(name)

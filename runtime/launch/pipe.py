@@ -12,6 +12,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
+from hierax.runtime.allowance import Allowance
 from hierax.runtime.owner.outlet import OwnerSettings
 from hierax.runtime.recovery.disk import Durability
 from hierax.runtime.world_member import OnUncertainAct
@@ -63,7 +64,8 @@ class NodeOrder:
         request: of a newcomer, the change that it is started for.
         deployment, run: what the keys begin with.
         roster: of a process that begins with the run, who else there is.
-        preload: modules that are imported before anything else.
+        modules: from which code may be loaded, as `hierax.runtime.allowance.Allowance` has them.
+        preload: those that are imported before anything else.
         seed: of the run.
         epochs: how many; None: until the world has finished.
         staleness: how old inputs from above may be, in epochs; None: free running.
@@ -93,6 +95,7 @@ class NodeOrder:
     deployment: str
     run: str
     roster: Roster | None
+    modules: tuple[str, ...]
     preload: tuple[str, ...]
     seed: int
     epochs: int | None
@@ -114,6 +117,11 @@ class NodeOrder:
     proposals: tuple[bytes, ...]
     fault: str = ""
     recorded: bool = False
+
+    @property
+    def allowance(self) -> Allowance:
+        """Which code may be loaded."""
+        return Allowance(self.modules)
 
     @property
     def output_path(self) -> Path | None:

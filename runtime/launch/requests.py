@@ -11,12 +11,12 @@ from typing import TYPE_CHECKING, Any
 import anyio
 import anyio.from_thread
 
+from hierax.runtime.allowance import NotAllowedError, Refusals
 from hierax.runtime.core.errors import HieraxError
 from hierax.runtime.deployment.deployment import RestartPolicy
 from hierax.runtime.launch.child import Child
 from hierax.runtime.launch.pipe import NEWCOMER, NodeOrder
 from hierax.runtime.nearest import did_you_mean
-from hierax.runtime.owner.changes import check_modules
 from hierax.runtime.transport.hub import Hub
 from hierax.schemas.changes import Attach, Change, Replace, read_change
 from hierax.schemas.control import Propose, encode_control
@@ -65,6 +65,7 @@ class Requests:
     def __init__(self, keeping: Keeping) -> None:
         self._keeping = keeping
         self._asked: dict[str, Asked] = {}
+        self._refusals = Refusals()
 
     @property
     def proposals(self) -> Iterable[bytes]:
@@ -109,6 +110,8 @@ class Requests:
         try:
             reply(await self._answer(query))
         except (HieraxError, SchemaError) as error:
+            if isinstance(error, NotAllowedError) and self._refusals.is_new(str(error)):
+                self._keeping.note(f"a change is refused: {error}")
             reply({"refusal": str(error)})
         except (KeyError, TypeError, AttributeError, ValueError) as error:
             reply({"refusal": f"no question that this launch understands: {type(error).__name__}: {error}"})
@@ -129,7 +132,7 @@ class Requests:
     async def _change(self, query: dict[str, Any]) -> Value:
         keeping = self._keeping
         change = read_change(query["change"])
-        check_modules(change, keeping.orders.deployment.modules)
+        keeping.orders.deployment.allowance.check_all(change)
         await self._check(change)
         policies = {name: RestartPolicy(**query["restarts"][name]) for name in _new_nodes(change)}
         request = token_hex(4)

@@ -78,26 +78,6 @@ def removed(old: Roster, new: Roster) -> frozenset[str]:
     return frozenset(old.nodes.keys() - new.nodes.keys())
 
 
-def check_modules(named: Roster | Change, allowed: Sequence[str]) -> None:
-    """Whether all code that a roster or change names may be loaded.
-
-    Args:
-        named: what names it.
-        allowed: modules as the deployment file has them: ``package.module`` is that module
-            alone, ``package.*`` the package and all that is inside it.
-
-    Raises:
-        ChangeError: which field names which other module, and what to add where.
-    """
-    for where, reference in _references(named):
-        module = reference.target.partition(":")[0]
-        if not any(_covers(pattern, module) for pattern in allowed):
-            raise ChangeError(
-                f"{where}: {reference.target!r} may not be loaded in this run: its deployment file neither names "
-                f"the module {module!r} nor allows it; add {module!r} to 'modules' there and start the run anew"
-            )
-
-
 def _attach(roster: Roster, change: Attach, version: int, instances: Callable[[str], int]) -> Roster:
     what = f"cannot attach {_list(change.nodes)}" if change.nodes else "cannot attach"
     if not change.nodes:
@@ -213,28 +193,6 @@ def _joints(roster: Roster) -> Mapping[str, bytes]:
         joints[edge["lower"]].append((edge, instances))
         joints[edge["upper"]].append((edge, instances))
     return {name: encode_value(joint) for name, joint in joints.items()}
-
-
-def _references(named: Roster | Change) -> Iterable[tuple[str, Reference]]:
-    """All code that is named, and the field that names it."""
-    nodes: Mapping[str, Reference] = {}
-    edges: Iterable[RosterEdge] = ()
-    if isinstance(named, (Roster, Attach)):
-        nodes, edges = named.nodes, named.edges
-    elif isinstance(named, Replace):
-        nodes, edges = {named.name: named.reference}, named.edges or ()
-    for name in sorted(nodes):
-        yield f"nodes.{name}.class", nodes[name]
-    for edge in edges:
-        for kind in ("sense", "task", "context"):
-            reference: Reference | None = getattr(edge, kind)
-            if reference is not None:
-                yield f"edges.{edge.lower} -> {edge.upper}.{kind}", reference
-
-
-def _covers(pattern: str, module: str) -> bool:
-    package = pattern.removesuffix(".*")
-    return module == package or (package != pattern and module.startswith(f"{package}."))
 
 
 def _list(names: Iterable[str]) -> str:

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 
+from hierax.runtime.allowance import Allowance, NotAllowedError, Refusals
 from hierax.runtime.core.errors import HieraxError
 from hierax.runtime.owner.answers import OVER, Answers
 from hierax.runtime.owner.arrivals import Arrivals
-from hierax.runtime.owner.changes import apply, check_modules
+from hierax.runtime.owner.changes import apply
 from hierax.runtime.owner.course import Course
 from hierax.runtime.owner.inquiry import Inquiry
 from hierax.runtime.owner.losses import Losses
@@ -72,6 +73,7 @@ class Owner:
         self._outlet = outlet
         self._clock = clock
         self._settings = settings
+        self._refusals = Refusals()
         members = Members(roster, processes, born, outlet, clock, settings)
         self._inquiry = Inquiry(outlet, members.end, clock, settings)
         course = Course(
@@ -210,9 +212,11 @@ class Owner:
         version = self.highest + 1
         try:
             change = read_change(word.change)
-            check_modules(change, self._settings.modules)
+            Allowance(self._settings.modules).check_all(change)
             apply(self.roster, change, version, lambda _: version)
         except (HieraxError, SchemaError) as error:
+            if isinstance(error, NotAllowedError) and self._refusals.is_new(str(error)):
+                self._outlet.note(f"a change is refused: {error}")
             self._answers.give(key, 0, str(error))
             return
         self._planning.ask(Request(key, change, self._clock(), word.on_loss, word.rejoin_timeout_s))

@@ -7,10 +7,12 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
+from hierax.runtime.allowance import Allowance
 from hierax.runtime.deployment import Deployment
 from hierax.runtime.deployment.read import read_deployment
 from hierax.runtime.nearest import did_you_mean
 from hierax.runtime.recording.info import RecordingError, RunInfo
+from hierax.runtime.recording.reading import Recording
 from hierax.runtime.recording.replay import Rewrite, rewriting
 from hierax.schemas.roster import Reference, Roster
 
@@ -34,6 +36,11 @@ def recorded_deployment(info: RunInfo, settings: Sequence[str] = ()) -> Deployme
         # a file that the deployment names beside it is not here, and not needed
         deployment = read_deployment(path, ["zenoh=null", *info.settings, *settings])
     return replace(deployment, path=Path(info.deployment), import_paths=tuple(info.import_paths))
+
+
+def allowance_of(recording: Recording) -> Allowance:
+    """Which code may be loaded to do a recording again."""
+    return Allowance.of(recording.rosters().values())
 
 
 def other_settings(info: RunInfo, settings: Sequence[str], classes: Mapping[str, str]) -> Rewrite | None:

@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 
+from hierax.runtime.allowance import Allowance
 from hierax.runtime.core.binding import Setting, Waiter, epoch_time_s, is_finished
 from hierax.runtime.core.digest import NO_DIGEST, encode_state, epoch_digest, node_digest
 from hierax.runtime.core.errors import HieraxError
@@ -104,6 +105,7 @@ class Replay:
 
     Args:
         recording: what is replayed.
+        allowance: which code may be loaded.
         node: the one node that is live; None: all but the world.
         world: whether the world is live, too.
         rewrite: other parameters or classes; None: as recorded.
@@ -118,6 +120,7 @@ class Replay:
     def __init__(
         self,
         recording: Recording,
+        allowance: Allowance,
         *,
         node: str | None = None,
         world: bool = False,
@@ -127,6 +130,7 @@ class Replay:
         wait: Waiter | None = None,
     ) -> None:
         self._recording = recording
+        self._allowance = allowance
         self._node = node
         self._world = world
         self._rewrite = rewrite
@@ -356,12 +360,12 @@ class Replay:
             del self.states[name]
         if old is not None and old.version == roster.version:
             return
-        if roster.world in live and has_actuators(roster):
+        if roster.world in live and has_actuators(roster, self._allowance):
             raise HieraxError(f"{roster.world}: it moves actuators, and is not done again; replay it as recorded")
         for name in live:
             changed = old is not None and name in old.nodes and old.nodes[name].plain() != roster.nodes[name].plain()
             if name not in self._loaders or changed:
-                self._loaders[name] = NodeLoader(name, self._setting)
+                self._loaders[name] = NodeLoader(name, self._setting, self._allowance)
             self._wirings[name] = wiring = self._loaders[name].wiring(roster)
             if name in self.states and (changed or _took_over(replayed.recorded, before, name)):
                 self.states[name] = replayed.starts[name] = _taken_over(wiring, self.states[name])
@@ -433,14 +437,14 @@ def check_node(recording: Recording, node: str) -> None:
         raise RecordingError(f"{recording.path}: there is no node {node!r}{did_you_mean(node, names, 'the nodes are')}")
 
 
-def has_actuators(roster: Roster) -> bool:
+def has_actuators(roster: Roster, allowance: Allowance) -> bool:
     """Whether the world moves something outside when it acts.
 
     Raises:
-        LoadError: its class cannot be loaded.
+        NotAllowedError, LoadError: its class may not, or cannot, be loaded.
     """
-    world = build_node(roster.nodes[roster.world], f"nodes.{roster.world}")
-    return type(world).act is not World.act if isinstance(world, World) else False
+    world = build_node(roster.nodes[roster.world], f"nodes.{roster.world}", allowance, is_world=True)
+    return isinstance(world, World) and type(world).act is not World.act
 
 
 def rewriting(old: Roster, new: Roster) -> Rewrite:

@@ -7,12 +7,14 @@ from collections.abc import Callable, Mapping
 from types import MappingProxyType
 from typing import NamedTuple
 
+from hierax.runtime.allowance import Allowance
 from hierax.runtime.core.binding import Setting
 from hierax.runtime.core.digest import NO_DIGEST, encode_state, formal_digest
 from hierax.runtime.core.hierarchy import Hierarchy
 from hierax.runtime.core.process import ActiveHierarchy, ActiveNode, update
 from hierax.runtime.loading import build_hierarchy
 from hierax.runtime.sim.inspection import Turn
+from hierax.runtime.sim.nodes import MODULE
 from hierax.runtime.sim.scenario import Scenario
 from hierax.schemas.changes import Attach, Change, Detach
 from hierax.schemas.messages import Header
@@ -104,7 +106,7 @@ class Checker:
         """The hierarchy of a roster's content."""
         content = encode_value(roster.content())
         if content not in self._hierarchies:
-            self._hierarchies[content] = build_hierarchy(roster, self._setting)
+            self._hierarchies[content] = build_hierarchy(roster, self._setting, Allowance((MODULE,)))
         return self._hierarchies[content]
 
     def process_of(self, version: int, name: str) -> str | None:

@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TypeVar
 
+from hierax.runtime.allowance import Allowance
 from hierax.runtime.core.binding import BoundNode, Setting
 from hierax.runtime.core.errors import HieraxError
 from hierax.runtime.core.hierarchy import neighbours_above, neighbours_below
@@ -15,6 +16,7 @@ from hierax.runtime.core.probe import Step
 from hierax.runtime.core.process import ActiveNode
 from hierax.runtime.loading import build_node, extend_import_path
 from hierax.runtime.nearest import did_you_mean
+from hierax.runtime.recording.deployments import allowance_of
 from hierax.runtime.recording.reading import Recording
 from hierax.runtime.recording.trace import EpochTrace
 from hierax.runtime.testing.node import Input, difference, wait_for
@@ -34,6 +36,7 @@ class Recorded:
         reference: its class and parameters.
         below, above: its neighbours.
         seed: of the run.
+        allowance: which code may be loaded.
         inputs: what it was given in each epoch.
         start: its state before the first of them.
         states: its state after each of them.
@@ -44,6 +47,7 @@ class Recorded:
     below: tuple[str, ...]
     above: tuple[str, ...]
     seed: int
+    allowance: Allowance
     inputs: Sequence[Input]
     start: ActiveNode = field(repr=False)
     states: Sequence[ActiveNode] = field(repr=False)
@@ -62,7 +66,7 @@ class Recorded:
         Raises:
             HieraxError: it cannot be loaded, or failed.
         """
-        made = build_node(self.reference, f"nodes.{self.name}") if node is None else node
+        made = build_node(self.reference, f"nodes.{self.name}", self.allowance) if node is None else node
         bound = BoundNode(self.name, made, self.below, self.above, Setting(self.seed, wait_for))
         belief, policy = self.start.belief, self.start.policy
         steps: list[Step] = []
@@ -127,7 +131,7 @@ def read_recorded(file: str | Path, name: str, epochs: int | None = None) -> Rec
         raise HieraxError(f"{file}: there is no node {name!r} in it{did_you_mean(name, names, 'the nodes are')}")
     reference, below, above = _place(first.roster, name)
     start = _known(file, first, name, first.start_of(name), "its state at the beginning")
-    return Recorded(name, reference, below, above, recording.info.seed, inputs, start, states)
+    return Recorded(name, reference, below, above, recording.info.seed, allowance_of(recording), inputs, start, states)
 
 
 def _place(roster: Roster, name: str) -> tuple[Reference, tuple[str, ...], tuple[str, ...]]:

@@ -8,6 +8,7 @@ from collections.abc import Callable
 from math import ceil
 from threading import Condition
 
+from hierax.runtime.allowance import Allowance
 from hierax.runtime.core.probe import Step
 from hierax.runtime.tools.looking import Looking, Seen
 from hierax.runtime.transport.port import TransportError
@@ -28,12 +29,13 @@ STEPS_WAITING = 512
 """How many steps wait to be shown; of more than that, the oldest are forgotten."""
 
 
-def show_launch(glass: Glass, exhibit: Exhibit, over: Callable[[], bool] = lambda: False) -> int:
+def show_launch(glass: Glass, exhibit: Exhibit, allowance: Allowance, over: Callable[[], bool] = lambda: False) -> int:
     """Show a launch until it ends.
 
     Args:
         glass: held to it.
         exhibit: shows it.
+        allowance: which code may be loaded.
         over: whether it has been looked at long enough; asked often.
 
     Returns:
@@ -47,7 +49,7 @@ def show_launch(glass: Glass, exhibit: Exhibit, over: Callable[[], bool] = lambd
     seen = looking.look()
     inbox = _Inbox()
     glass.listen(seen.keys.seen(STEP, "*", "*"), inbox.put)
-    stage = _Stage(exhibit, inbox)
+    stage = _Stage(exhibit, inbox, allowance)
     asked = _Asked(seen.epoch, time.monotonic())
     stage.set_roster(_ask(looking, seen, 1))
     while not over():
@@ -113,10 +115,10 @@ class _Inbox:
 class _Stage:
     """Shows steps under the roster that is in force."""
 
-    def __init__(self, exhibit: Exhibit, inbox: _Inbox) -> None:
+    def __init__(self, exhibit: Exhibit, inbox: _Inbox, allowance: Allowance) -> None:
         self._exhibit = exhibit
         self._inbox = inbox
-        self._nodes = ShownNodes()
+        self._nodes = ShownNodes(allowance)
         self._roster: Roster | None = None
         self._last: tuple[int, int] | None = None
         self.shown = 0

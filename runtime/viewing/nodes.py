@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from hierax.runtime.allowance import Allowance
 from hierax.runtime.core.node import Node
 from hierax.runtime.loading import build_node
 from hierax.schemas.roster import Roster
@@ -9,19 +10,24 @@ from hierax.schemas.values import encode_value
 
 
 class ShownNodes:
-    """Builds nodes; one whose class and parameters stay is kept."""
+    """Builds nodes; one whose class and parameters stay is kept.
 
-    def __init__(self) -> None:
+    Args:
+        allowance: which code may be loaded.
+    """
+
+    def __init__(self, allowance: Allowance) -> None:
+        self._allowance = allowance
         self._built: dict[str, tuple[bytes, Node]] = {}
 
     def node(self, roster: Roster, name: str) -> Node:
         """A node of a roster.
 
         Raises:
-            LoadError: it cannot be loaded.
+            NotAllowedError, LoadError: it may not, or cannot, be loaded.
         """
         reference = roster.nodes[name]
         key = encode_value(reference.plain())
         if name not in self._built or self._built[name][0] != key:
-            self._built[name] = (key, build_node(reference, f"nodes.{name}"))
+            self._built[name] = (key, build_node(reference, f"nodes.{name}", self._allowance, name == roster.world))
         return self._built[name][1]

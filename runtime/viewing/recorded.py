@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from itertools import chain
 
+from hierax.runtime.allowance import Allowance
 from hierax.runtime.core.hierarchy import neighbours_above, neighbours_below
 from hierax.runtime.core.node import Elements, Value
 from hierax.runtime.core.probe import Step
@@ -22,6 +23,7 @@ MESSAGES_KEPT = 64
 def show_recording(
     recording: Recording,
     exhibit: Exhibit,
+    allowance: Allowance,
     first: int = 1,
     last: int | None = None,
     progress: Callable[[int], None] = lambda _: None,
@@ -31,6 +33,7 @@ def show_recording(
     Args:
         recording: open.
         exhibit: shows it.
+        allowance: which code may be loaded.
         first, last: epochs; None: all.
         progress: told the number of each epoch that is shown.
 
@@ -40,7 +43,7 @@ def show_recording(
     Raises:
         HieraxError: the file is damaged, a node cannot be loaded, or what it shows cannot be shown.
     """
-    playing = _Playing(exhibit)
+    playing = _Playing(exhibit, allowance)
     shown = 0
     for trace in recording.epochs(first, last):
         playing.epoch(trace)
@@ -53,9 +56,9 @@ def show_recording(
 class _Playing:
     """Makes steps of a recording's epochs."""
 
-    def __init__(self, exhibit: Exhibit) -> None:
+    def __init__(self, exhibit: Exhibit, allowance: Allowance) -> None:
         self._exhibit = exhibit
-        self._nodes = ShownNodes()
+        self._nodes = ShownNodes(allowance)
         self._roster: Roster | None = None
         self._lines: dict[Line, dict[tuple[int, int], bytes]] = {}
         self._beliefs: dict[str, tuple[int, Value]] = {}

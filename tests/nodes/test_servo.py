@@ -25,7 +25,8 @@ SEEDS = range(200)
 
 def run(context: bool, seed: int, epochs: int = 60, noise: float = 0.1) -> list[ActiveHierarchy]:
     overrides = [f"context={str(context).lower()}", f"noise={noise}"]
-    hierarchy = build_hierarchy(read_deployment(FILE, overrides).roster, Setting(seed=seed))
+    deployment = read_deployment(FILE, overrides)
+    hierarchy = build_hierarchy(deployment.roster, Setting(seed=seed), deployment.allowance)
     states = [ActiveHierarchy.initial(hierarchy)]
     for _ in range(epochs):
         states.append(update(states[-1]))
@@ -38,10 +39,10 @@ def metrics(active: ActiveHierarchy) -> dict[str, float]:
 
 def all_metrics(context: bool) -> dict[str, np.ndarray]:
     """The metrics of 60 epochs for every seed; what does not depend on the seed is read once."""
-    roster = read_deployment(FILE, [f"context={str(context).lower()}"]).roster
+    deployment = read_deployment(FILE, [f"context={str(context).lower()}"])
     found = []
     for seed in SEEDS:
-        active = ActiveHierarchy.initial(build_hierarchy(roster, Setting(seed=seed)))
+        active = ActiveHierarchy.initial(build_hierarchy(deployment.roster, Setting(seed=seed), deployment.allowance))
         for _ in range(60):
             active = update(active)
         found.append(metrics(active))

@@ -4,13 +4,17 @@ import functools
 import subprocess
 import sys
 import textwrap
+from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 from support import toy_nodes
 from support.deployments import write
 
+from hierax.runtime.allowance import Allowance, NotAllowedError
 from hierax.runtime.core.binding import Setting
+from hierax.runtime.core.errors import HieraxError
 from hierax.runtime.deployment.read import read_deployment
 from hierax.runtime.loading import (
     LoadError,
@@ -21,10 +25,13 @@ from hierax.runtime.loading import (
     check_initial_belief,
     extend_import_path,
     load,
+    load_function,
 )
+from hierax.runtime.node_loader import NodeLoader
 from hierax.schemas.roster import Reference, Roster, RosterEdge
 
 TOYS = "support.toy_nodes"
+TRIED = Allowance(("support.*", "suport.*", "zzqq", "hierax.runtime.loading"))
 
 
 def toy(name: str, **parameters: object) -> Reference:
@@ -32,27 +39,27 @@ def toy(name: str, **parameters: object) -> Reference:
 
 
 def test_nodes_edges_and_probes_are_built() -> None:
-    node = build_node(toy("Counter", step=4), "nodes.world")
+    node = build_node(toy("Counter", step=4), "nodes.world", TRIED)
     assert isinstance(node, toy_nodes.Counter)
     assert node.step == 4
-    edge = build_edge(RosterEdge("a", "b", toy("seen"), toy("wanted"), toy("Scale", factor=2)))
+    edge = build_edge(RosterEdge("a", "b", toy("seen"), toy("wanted"), toy("Scale", factor=2)), TRIED)
     assert edge.sense is toy_nodes.seen
     assert edge.task is toy_nodes.wanted
     assert isinstance(edge.context, toy_nodes.Scale)
-    probe = build_probe(toy("Keeper", file="x"), "probes[0]")
+    probe = build_probe(toy("Keeper", file="x"), "probes[0]", TRIED)
     assert isinstance(probe, toy_nodes.Keeper)
     assert probe.file == "x"
 
 
 def test_a_functions_parameters_are_further_arguments() -> None:
-    sense = build_edge(RosterEdge("a", "b", toy("seen", offset=3.0))).sense
+    sense = build_edge(RosterEdge("a", "b", toy("seen", offset=3.0)), TRIED).sense
     assert isinstance(sense, functools.partial)
     assert sense(1.0) == (4.0,)
 
 
 def test_each_side_of_an_edge_builds_its_own_functions() -> None:
     edge = RosterEdge("a", "b", toy("seen"), toy("wanted"), toy("Scale", factor=2))
-    lower, upper = build_edge(edge, "lower"), build_edge(edge, "upper")
+    lower, upper = build_edge(edge, TRIED, "lower"), build_edge(edge, TRIED, "upper")
     assert (lower.sense, lower.task, lower.context) == (toy_nodes.seen, None, None)
     assert upper.sense is None
     assert upper.task is toy_nodes.wanted
@@ -60,17 +67,13 @@ def test_each_side_of_an_edge_builds_its_own_functions() -> None:
 
 
 def test_a_hierarchy_is_built(tmp_path: Path) -> None:
-    hierarchy = build_hierarchy(read_deployment(write(tmp_path)).roster, Setting())
+    deployment = read_deployment(write(tmp_path))
+    hierarchy = build_hierarchy(deployment.roster, Setting(), deployment.allowance)
     assert hierarchy.order == ("world", "left", "top.most")
-
-
-def test_a_name_inside_a_class() -> None:
-    assert load(f"{TOYS}:Counter.predict", "x") is toy_nodes.Counter.predict
 
 
 NODE_MISTAKES = [
     (toy("Countre"), "nodes.n.class", "there is no 'Countre' in module 'support.toy_nodes'; did you mean 'Counter'?"),
-    (toy("Counter.predikt"), "nodes.n.class", "there is no 'predikt' in 'Counter'; did you mean 'predict'?"),
     (
         Reference("support.toy_node:X"),
         "nodes.n.class",
@@ -88,14 +91,14 @@ NODE_MISTAKES = [
         "nodes.n.class",
         "there is no module 'support.toy_nodes.more'; 'support.toy_nodes' is no package",
     ),
-    (toy("GAIN"), "nodes.n.class", "expected a class, but support.toy_nodes:GAIN gives a int"),
+    (toy("GAIN"), "nodes.n.class", "expected a class derived from Node, but support.toy_nodes:GAIN is a int"),
     (toy("Path"), "nodes.n.class", "module 'support.toy_nodes' only imports 'Path'; name it as 'pathlib:Path'"),
     (
-        Reference("hierax.runtime.loading:sys.exit"),
+        Reference("hierax.runtime.loading:sys"),
         "nodes.n.class",
         "'sys' in module 'hierax.runtime.loading' is a module itself",
     ),
-    (toy("Keeper"), "nodes.n.class", "expected a class derived from Node, but support.toy_nodes:Keeper gives a Keeper"),
+    (toy("Keeper"), "nodes.n.class", "expected a class derived from Node, but support.toy_nodes:Keeper is a Probe"),
     (
         toy("Unfinished"),
         "nodes.n.class",
@@ -110,11 +113,6 @@ NODE_MISTAKES = [
         toy("Summer", zzz=1),
         "nodes.n.parameters.zzz",
         "support.toy_nodes:Summer has no such parameter; it takes scale, weights",
-    ),
-    (
-        toy("NotCallable", a=1),
-        "nodes.n.parameters.a",
-        "support.toy_nodes:NotCallable has no such parameter; it takes none",
     ),
     (toy("Needy"), "nodes.n.parameters.model", "missing; support.toy_nodes:Needy needs it"),
     (
@@ -132,7 +130,7 @@ NODE_MISTAKES = [
 )
 def test_what_is_no_node(reference: Reference, where: str, what: str) -> None:
     with pytest.raises(LoadError) as caught:
-        build_node(reference, "nodes.n")
+        build_node(reference, "nodes.n", TRIED)
     assert caught.value.where == where
     assert caught.value.what.startswith(what)
     assert "\n" not in str(caught.value)
@@ -145,13 +143,13 @@ def test_what_is_no_node(reference: Reference, where: str, what: str) -> None:
         (
             RosterEdge("a", "b", None, toy("GAIN")),
             "edges.a -> b.task.function",
-            "expected a function, or a class whose objects can be called, but support.toy_nodes:GAIN gives a int",
+            "expected a function, or a class whose objects can be called, but support.toy_nodes:GAIN is a int",
         ),
         (
             RosterEdge("a", "b", None, None, toy("NotCallable")),
             "edges.a -> b.context.function",
             "expected a function, or a "
-            "class whose objects can be called, but support.toy_nodes:NotCallable gives a NotCallable",
+            "class whose objects can be called, but support.toy_nodes:NotCallable is another class",
         ),
         (
             RosterEdge("a", "b", toy("seen", ofset=1)),
@@ -167,16 +165,14 @@ def test_what_is_no_node(reference: Reference, where: str, what: str) -> None:
 )
 def test_what_is_no_edge(edge: RosterEdge, where: str, what: str) -> None:
     with pytest.raises(LoadError) as caught:
-        build_edge(edge)
+        build_edge(edge, TRIED)
     assert caught.value.where == where
     assert caught.value.what.startswith(what)
 
 
 def test_what_is_no_probe() -> None:
-    with pytest.raises(
-        LoadError, match=r"^probes\[0\]\.class: expected a class derived from Probe, but .* gives a Summer$"
-    ):
-        build_probe(toy("Summer"), "probes[0]")
+    with pytest.raises(LoadError, match=r"^probes\[0\]\.class: expected a class derived from Probe, but .* is a Node$"):
+        build_probe(toy("Summer"), "probes[0]", TRIED)
 
 
 @pytest.mark.parametrize(
@@ -196,7 +192,7 @@ def test_what_is_no_probe() -> None:
 def test_what_is_no_hierarchy(world: str, upper: str, edge: str, message: str) -> None:
     roster = Roster("w", {"w": toy(world), "n": toy(upper)}, (RosterEdge("w", "n", toy(edge)),))
     with pytest.raises(LoadError) as caught:
-        build_hierarchy(roster, Setting())
+        build_hierarchy(roster, Setting(), TRIED)
     assert str(caught.value).startswith(message)
 
 
@@ -209,7 +205,7 @@ def test_what_is_no_hierarchy(world: str, upper: str, edge: str, message: str) -
 )
 def test_an_initial_belief_must_be_had_and_travel(name: str, message: str) -> None:
     with pytest.raises(LoadError) as caught:
-        check_initial_belief("n", build_node(toy(name), "nodes.n"))
+        check_initial_belief("n", build_node(toy(name), "nodes.n", TRIED))
     assert str(caught.value).startswith(message)
 
 
@@ -228,7 +224,7 @@ def test_a_module_that_cannot_be_imported(name: str, tmp_path: Path, monkeypatch
     monkeypatch.setattr(sys, "path", [*sys.path])
     extend_import_path([str(tmp_path)])
     with pytest.raises(LoadError) as caught:
-        load(f"hierax_test_{name}:X", "nodes.n.class")
+        load(f"hierax_test_{name}:X", "nodes.n.class", Allowance((f"hierax_test_{name}",)))
     assert str(caught.value).startswith("nodes.n.class: " + message.replace("MODULE", f"hierax_test_{name}"))
     assert "\n" not in str(caught.value)
 
@@ -249,3 +245,156 @@ def test_node_processes_need_nothing_heavy() -> None:
     """
     done = subprocess.run([sys.executable, "-c", textwrap.dedent(script)], capture_output=True, text=True, check=True)
     assert done.stdout == "[]\n"
+
+
+# --- what may not be loaded is not imported, and what is of another kind is not called
+
+TREACHEROUS = """
+from pathlib import Path
+
+from hierax.runtime import Node, Probe, World
+
+CALLED = Path(__file__).with_name("called")
+
+
+class Writer:
+    def __init__(self, *arguments, **options):
+        CALLED.write_text("a class of no kind was called")
+
+    def write(self, belief):
+        return ()
+
+
+class Result(Probe):
+    def __init__(self):
+        CALLED.write_text("a probe was made")
+
+    def record(self, step):
+        return
+
+
+class Outer(Node):
+    class Inner(Node):
+        def __init__(self):
+            CALLED.write_text("a class in a class was called")
+
+        def initial_belief(self):
+            return None
+
+    def __init__(self):
+        CALLED.write_text("a node was made in the place of something else")
+
+    def initial_belief(self):
+        return None
+
+    def __call__(self, belief):
+        return ()
+
+
+class Wide:
+    def __init__(self):
+        CALLED.write_text("an edge function that takes too much was made")
+
+    def __call__(self, belief, more):
+        return ()
+
+
+def silent():
+    CALLED.write_text("a function that does not say that it makes nodes was called")
+
+
+def other() -> Writer:
+    return Writer()
+
+
+def sure() -> Outer | World:
+    CALLED.write_text("it was to be called")
+    return Outer()
+
+
+written = Writer.write
+"""
+
+
+@pytest.fixture
+def treacherous(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
+    """A module whose code leaves a file when it is called."""
+    (tmp_path / "hierax_test_treacherous.py").write_text(TREACHEROUS)
+    monkeypatch.setattr(sys, "path", [*sys.path])
+    extend_import_path([str(tmp_path)])
+    yield tmp_path / "called"
+    sys.modules.pop("hierax_test_treacherous", None)
+
+
+def treachery(name: str) -> Reference:
+    return Reference(f"hierax_test_treacherous:{name}")
+
+
+def test_what_may_not_be_loaded_is_not_imported(treacherous: Path) -> None:
+    module = treacherous.with_name("hierax_test_unnamed.py")
+    module.write_text("from pathlib import Path\nPath(__file__).with_name('called').touch()\n")
+    reference = Reference("hierax_test_unnamed:X")
+    roster = Roster("w", {"w": toy("Counter"), "n": toy("Summer")}, (RosterEdge("w", "n", reference),))
+    for build in (
+        lambda: build_node(reference, "nodes.n", TRIED),
+        lambda: build_probe(reference, "probes[0]", TRIED),
+        lambda: build_edge(RosterEdge("a", "b", reference), TRIED),
+        lambda: build_hierarchy(roster, Setting(), TRIED),
+        lambda: NodeLoader("n", Setting(), TRIED).wiring(roster),
+        lambda: NodeLoader("w", Setting(), TRIED).wiring(replace(roster, edges=(), nodes={"w": reference})),
+        lambda: load_function("hierax_test_unnamed:X", "view.show", TRIED),
+    ):
+        with pytest.raises(NotAllowedError, match="'hierax_test_unnamed:X' may not be loaded in this run"):
+            build()
+    assert "hierax_test_unnamed" not in sys.modules
+    assert not treacherous.exists()
+
+
+@pytest.mark.parametrize("name", ["Writer", "Result", "Outer.Inner", "Wide", "silent", "other", "written", "CALLED"])
+def test_what_is_no_node_is_not_called(name: str, treacherous: Path) -> None:
+    with pytest.raises(HieraxError, match=r"^nodes\.n\.class: expected "):
+        build_node(treachery(name), "nodes.n", Allowance(("hierax_test_treacherous",)))
+    assert not treacherous.exists()
+
+
+@pytest.mark.parametrize("name", ["Writer", "Result", "Outer", "Wide", "silent", "Outer.Inner", "Writer.write"])
+def test_what_is_no_edge_function_is_not_called(name: str, treacherous: Path) -> None:
+    with pytest.raises(HieraxError, match=r"^edges\.a -> b"):
+        build_edge(RosterEdge("a", "b", treachery(name)), Allowance(("hierax_test_treacherous",)))
+    assert not treacherous.exists()
+
+
+@pytest.mark.parametrize("name", ["Writer", "Outer", "silent", "sure"])
+def test_what_is_no_probe_is_not_called(name: str, treacherous: Path) -> None:
+    with pytest.raises(LoadError, match=r"^probes\[0\]\.class: expected a class derived from Probe, but "):
+        build_probe(treachery(name), "probes[0]", Allowance(("hierax_test_treacherous",)))
+    assert not treacherous.exists()
+
+
+def test_a_function_that_says_so_makes_a_node(treacherous: Path) -> None:
+    allowed = Allowance(("hierax_test_treacherous",))
+    with pytest.raises(LoadError, match=r"expected a class derived from World, but hierax_test_treacherous:sure is a"):
+        build_node(treachery("sure"), "nodes.n", allowed, is_world=True)
+    assert not treacherous.exists()
+    assert type(build_node(treachery("sure"), "nodes.n", allowed)).__name__ == "Outer"
+
+
+@pytest.mark.parametrize("modules", [("hierax.nodes.tracking.probes",), ("hierax.nodes.*",)])
+def test_a_results_file_is_no_node(modules: tuple[str, ...], tmp_path: Path) -> None:
+    victim = tmp_path / "victim.txt"
+    victim.write_text("precious")
+    parameters = {"path": str(victim), "scene_id": 0}
+    with pytest.raises(LoadError, match=r"^nodes\.n\.class: "):
+        build_node(Reference("hierax.nodes.tracking.probes:ResultsFile", parameters), "nodes.n", Allowance(modules))
+    assert victim.read_text() == "precious"
+
+
+def test_what_a_module_only_imports_is_allowed_by_the_module_that_defines_it(tmp_path: Path, treacherous: Path) -> None:
+    (tmp_path / "hierax_test_importing.py").write_text("from hierax_test_treacherous import Outer\n")
+    reference = Reference("hierax_test_importing:Outer")
+    with pytest.raises(LoadError, match="only imports 'Outer'; name it as 'hierax_test_treacherous:Outer'"):
+        build_node(reference, "nodes.n", Allowance(("hierax_test_importing",)))
+    assert not treacherous.exists()
+    build_node(reference, "nodes.n", Allowance(("hierax_test_importing", "hierax_test_treacherous")))
+    inside = Reference("hierax.nodes.letters:symbol_seen", {"letter": 1})  # a package offers what is inside it
+    assert build_edge(RosterEdge("a", "b", inside), Allowance(("hierax.nodes.letters",))).sense is not None

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+from hierax.runtime.allowance import Allowance
 from hierax.runtime.core.binding import Setting
 from hierax.runtime.node_loader import NodeLoader
 from hierax.schemas.roster import Reference, Roster, RosterEdge
 
 MIXING = "hierax.runtime.sim.nodes"
 MIX = Reference(f"{MIXING}:Mix", {"name": "x"})
+OURS = Allowance((MIXING,))
 FIRST = Roster(
     "world",
     {name: Reference(f"{MIXING}:{kind}", {"name": name}) for name, kind in (("world", "MixingWorld"), ("a", "Mixer"))},
@@ -22,7 +24,7 @@ def mixer(name: str, generation: int = 0) -> Reference:
 
 
 def test_a_node_that_a_version_does_not_touch_stays_as_it_is_under_the_new_version() -> None:
-    loader = NodeLoader("a", Setting())
+    loader = NodeLoader("a", Setting(), OURS)
     first = loader.wiring(FIRST)
     other = replace(
         FIRST,
@@ -37,7 +39,7 @@ def test_a_node_that_a_version_does_not_touch_stays_as_it_is_under_the_new_versi
 
 
 def test_new_neighbours_parameters_and_functions_are_taken_up() -> None:
-    loader = NodeLoader("a", Setting())
+    loader = NodeLoader("a", Setting(), OURS)
     first = loader.wiring(FIRST)
     above = replace(
         FIRST,
@@ -59,5 +61,5 @@ def test_new_neighbours_parameters_and_functions_are_taken_up() -> None:
 
 
 def test_the_world_alone_knows_the_content_s_hash() -> None:
-    assert NodeLoader("world", Setting()).wiring(FIRST).place.roster_hash == FIRST.content_hash()
-    assert NodeLoader("a", Setting()).wiring(FIRST).place.roster_hash == bytes(32)
+    assert NodeLoader("world", Setting(), OURS).wiring(FIRST).place.roster_hash == FIRST.content_hash()
+    assert NodeLoader("a", Setting(), OURS).wiring(FIRST).place.roster_hash == bytes(32)

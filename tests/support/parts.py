@@ -33,7 +33,8 @@ def write_deployment(
 
 def active(path: Path) -> ActiveHierarchy:
     """A deployment, before its first epoch."""
-    return ActiveHierarchy.initial(build_hierarchy(read_deployment(path).roster, Setting()))
+    deployment = read_deployment(path)
+    return ActiveHierarchy.initial(build_hierarchy(deployment.roster, Setting(), deployment.allowance))
 
 
 def advanced(hierarchy: ActiveHierarchy, epochs: int) -> ActiveHierarchy:

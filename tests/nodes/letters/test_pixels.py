@@ -26,7 +26,8 @@ WORDS = ("THE", "CAT")
 
 
 def posteriors(*overrides: str, seed: int = 0, epochs: int = 1) -> dict:
-    hierarchy = build_hierarchy(read_deployment(FILE, overrides).roster, Setting(seed=seed))
+    deployment = read_deployment(FILE, overrides)
+    hierarchy = build_hierarchy(deployment.roster, Setting(seed=seed), deployment.allowance)
     active = ActiveHierarchy.initial(hierarchy)
     for _ in range(epochs):
         active = update(active)

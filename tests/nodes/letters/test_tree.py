@@ -26,7 +26,8 @@ NODES = ("letter1", "letter2", "letter3")
 
 
 def run(*overrides: str, epochs: int = 1) -> ActiveHierarchy:
-    hierarchy = build_hierarchy(read_deployment(FILE, overrides).roster, Setting())
+    deployment = read_deployment(FILE, overrides)
+    hierarchy = build_hierarchy(deployment.roster, Setting(), deployment.allowance)
     active = ActiveHierarchy.initial(hierarchy)
     for _ in range(epochs):
         active = update(active)

@@ -65,9 +65,11 @@ def test_what_is_wrong_is_one_line(arguments: list[str], said: str, capsys: pyte
 
 
 def test_a_scene_without_truth_says_so(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    from hierax.runtime.allowance import Allowance
     from hierax.runtime.loading import load
 
-    scene = load("hierax.nodes.tracking.generator.scenes:write_scene", "test")(tmp_path, "tower", 0, 2)
+    ours = Allowance(("hierax.nodes.tracking.generator.scenes",))
+    scene = load("hierax.nodes.tracking.generator.scenes:write_scene", "test", ours)(tmp_path, "tower", 0, 2)
     assert main(["bench", "tracking", "--scene", str(scene), "--truth", str(tmp_path), "--ways", CONTEXT]) == 1
     assert "scene_gt.json: cannot be read" in capsys.readouterr().err
 

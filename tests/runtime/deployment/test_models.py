@@ -12,13 +12,13 @@ from hierax.runtime.deployment.models import (
 )
 
 
-@pytest.mark.parametrize("target", ["a:b", "a.b.c:D", "a_1:B.of", "_a:_b"])
+@pytest.mark.parametrize("target", ["a:b", "a.b.c:D", "a_1:B", "_a:_b"])
 def test_targets(target: str) -> None:
     assert check_target(target) == target
 
 
 @pytest.mark.parametrize(
-    "target", ["", "a", "a.b", "a:", ":b", "a:b:c", "a b:c", "a:b\n", "1a:b", "a..b:c", "a:b()", "../a:b"]
+    "target", ["", "a", "a.b", "a:", ":b", "a:b:c", "a b:c", "a:b\n", "1a:b", "a..b:c", "a:b()", "../a:b", "a:b.c"]
 )
 def test_what_is_no_target(target: str) -> None:
     with pytest.raises(ValueError, match=r"expected 'package\.module:name', got"):
@@ -34,6 +34,12 @@ def test_modules(pattern: str) -> None:
 def test_what_is_no_module(pattern: str) -> None:
     with pytest.raises(ValueError, match=r"expected 'package\.module' or 'package\.\*', got"):
         check_modules_pattern(pattern)
+
+
+def test_all_of_hierax_is_more_than_nodes() -> None:
+    assert check_modules_pattern("hierax.nodes.*") == "hierax.nodes.*"
+    with pytest.raises(ValueError, match=r"name the packages whose nodes may join, as 'hierax\.nodes\.\*'"):
+        check_modules_pattern("hierax.*")
 
 
 @pytest.mark.parametrize("edge", ["a -> b.c", "a->b.c", " a  ->b.c "])

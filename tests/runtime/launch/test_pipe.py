@@ -43,6 +43,7 @@ def test_an_order_comes_out_as_it_went_in() -> None:
         deployment="d",
         run="r",
         roster=roster,
+        modules=("m", "n.*"),
         preload=("m",),
         seed=7,
         epochs=None,

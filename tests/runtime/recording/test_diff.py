@@ -10,7 +10,7 @@ from support.flawed import DEPLOYMENT, FLAW, OPERATORS
 from support.recorded import record_file
 
 from hierax.runtime.deployment.read import read_deployment
-from hierax.runtime.recording.deployments import in_place_of
+from hierax.runtime.recording.deployments import allowance_of, in_place_of
 from hierax.runtime.recording.diff import compare
 from hierax.runtime.recording.reading import Recording
 from hierax.runtime.recording.replay import Replay
@@ -53,7 +53,7 @@ def test_a_flaw_is_named_between_a_recording_and_a_deployment(
 ) -> None:
     monkeypatch.setenv(FLAW, f"{subject}/{operator}/{EPOCH}")
     rewrite = in_place_of(sound.rosters()[0], read_deployment(flawed))
-    named = compare(sound.epochs(), Replay(sound, world=True, rewrite=rewrite).epochs()).difference
+    named = compare(sound.epochs(), Replay(sound, allowance_of(sound), world=True, rewrite=rewrite).epochs()).difference
     assert named is not None
     assert (named.epoch, named.subject) == (EPOCH, subject)
     assert named.operator.split()[0] == operator

@@ -13,6 +13,7 @@ import pytest
 from support.live import Live, until
 
 from hierax.runtime.recording.check import check_recording
+from hierax.runtime.recording.deployments import allowance_of
 from hierax.runtime.recording.diff import compare
 from hierax.runtime.recording.reading import Recording
 from hierax.runtime.recording.replay import Replay
@@ -35,7 +36,7 @@ def start(tmp_path: Path) -> Iterator[Start]:
 
 def is_repeated(recording: Recording) -> int:
     """How many epochs are alike in all results and digests; the last one's number."""
-    comparison = compare(recording.epochs(), Replay(recording, world=True).epochs())
+    comparison = compare(recording.epochs(), Replay(recording, allowance_of(recording), world=True).epochs())
     assert comparison.alike, comparison
     assert comparison.digests == comparison.epochs
     return comparison.last
@@ -122,7 +123,9 @@ def test_the_run_survives_its_recorder_and_says_so(start: Start, tmp_path: Path)
     complete = [epoch.epoch for epoch in recording.epochs() if not epoch.lacking]
     assert complete == list(range(1, len(complete) + 1))
     assert len(complete) > 20
-    assert compare(recording.epochs(last=complete[-1]), Replay(recording, last=complete[-1]).epochs()).alike
+    assert compare(
+        recording.epochs(last=complete[-1]), Replay(recording, allowance_of(recording), last=complete[-1]).epochs()
+    ).alike
 
 
 def test_a_launch_that_is_not_there_is_said(start: Start) -> None:

@@ -9,6 +9,7 @@ import pytest
 from support.flawed import DEPLOYMENT
 from support.recorded import record_file
 
+from hierax.runtime.recording.deployments import allowance_of
 from hierax.runtime.recording.diff import compare
 from hierax.runtime.recording.info import RecordingError, RunInfo
 from hierax.runtime.recording.reading import Recording
@@ -113,7 +114,9 @@ def test_cut_off_anywhere_all_whole_chunks_are_there(recording: Recording, chunk
         assert [epoch.epoch for epoch in epochs] == list(range(1, len(epochs) + 1))
         complete = [epoch.epoch for epoch in epochs if not epoch.lacking]
         if complete:
-            assert compare(cut.epochs(last=complete[-1]), Replay(cut, last=complete[-1]).epochs()).alike
+            assert compare(
+                cut.epochs(last=complete[-1]), Replay(cut, allowance_of(cut), last=complete[-1]).epochs()
+            ).alike
     assert last == len(whole)
 
 
@@ -139,7 +142,7 @@ def test_what_a_killed_process_did_not_tell_its_next_one_does(recording: Recordi
     assert lacking.lacking == ()
     assert whole.nodes.keys() == lacking.nodes.keys()
     assert {trace.step.time_s for trace in lacking.nodes.values()} == {whole.time_s}
-    comparison = compare(killed.epochs(), Replay(killed, world=True).epochs())
+    comparison = compare(killed.epochs(), Replay(killed, allowance_of(killed), world=True).epochs())
     assert comparison.alike, comparison
     assert comparison.digests == comparison.epochs == 12
 

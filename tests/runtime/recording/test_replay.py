@@ -10,7 +10,7 @@ from support.recorded import record_file
 
 from hierax.runtime.core.errors import HieraxError
 from hierax.runtime.deployment.files import shipped
-from hierax.runtime.recording.deployments import other_settings
+from hierax.runtime.recording.deployments import allowance_of, other_settings
 from hierax.runtime.recording.diff import compare
 from hierax.runtime.recording.info import RecordingError
 from hierax.runtime.recording.reading import Recording
@@ -38,7 +38,7 @@ def flawed(tmp_path: Path) -> Path:
 
 def is_repeated(recording: Recording, **options: object) -> int:
     """How many epochs are alike, all results and digests."""
-    comparison = compare(recording.epochs(), Replay(recording, **options).epochs())  # type: ignore[arg-type]
+    comparison = compare(recording.epochs(), Replay(recording, allowance_of(recording), **options).epochs())  # type: ignore[arg-type]
     assert comparison.alike, comparison
     assert comparison.digests == comparison.epochs
     return comparison.epochs
@@ -49,7 +49,7 @@ def test_every_shipped_deployment_is_repeated(name: str, tmp_path: Path) -> None
     recording, report = record_file(tmp_path / "run.mcap", name, *QUICK[name], epochs=3)
     assert is_repeated(recording) == report.epochs
     assert is_repeated(recording, world=True) == report.epochs
-    last = list(Replay(recording, world=True).epochs())[-1]
+    last = list(Replay(recording, allowance_of(recording), world=True).epochs())[-1]
     assert last.digest.hex() == report.digest
 
 
@@ -62,7 +62,7 @@ def test_epochs_that_overlap_are_repeated_from_what_was_used(settings: tuple[str
 @pytest.mark.parametrize("node", ["world", "low", "high"])
 def test_a_node_is_repeated_on_its_recorded_inputs(node: str, flawed: Path, tmp_path: Path) -> None:
     recording, report = record_file(tmp_path / "run.mcap", flawed)
-    replay = Replay(recording, node=node)
+    replay = Replay(recording, allowance_of(recording), node=node)
     assert compare(recording.epochs(), replay.epochs()).alike
     assert replay.states.keys() == {node}
     assert replay.states[node].policy == report.nodes[node].policy
@@ -85,7 +85,7 @@ def test_changes_of_the_roster_are_repeated(flawed: Path, tmp_path: Path) -> Non
 
 
 def _last_states(recording: Recording) -> dict[str, object]:
-    replay = Replay(recording, world=True)
+    replay = Replay(recording, allowance_of(recording), world=True)
     for _ in replay.epochs():
         pass
     return dict(replay.states)
@@ -93,9 +93,9 @@ def _last_states(recording: Recording) -> dict[str, object]:
 
 def test_a_replay_from_the_middle_begins_with_recorded_states(flawed: Path, tmp_path: Path) -> None:
     recording, _ = record_file(tmp_path / "run.mcap", flawed)
-    epochs = [epoch.epoch for epoch in Replay(recording, first=5, last=9).epochs()]
+    epochs = [epoch.epoch for epoch in Replay(recording, allowance_of(recording), first=5, last=9).epochs()]
     assert epochs == [5, 6, 7, 8, 9]
-    comparison = compare(recording.epochs(5, 9), Replay(recording, first=5, last=9).epochs())
+    comparison = compare(recording.epochs(5, 9), Replay(recording, allowance_of(recording), first=5, last=9).epochs())
     assert comparison.alike
     assert comparison.digests == 5
 
@@ -103,12 +103,16 @@ def test_a_replay_from_the_middle_begins_with_recorded_states(flawed: Path, tmp_
 def test_other_parameters_give_what_a_run_with_them_gives(flawed: Path, tmp_path: Path) -> None:
     recording, _ = record_file(tmp_path / "run.mcap", flawed)
     _, wanted = record_file(tmp_path / "wanted.mcap", flawed, "gain=0.9")
-    replay = Replay(recording, world=True, rewrite=other_settings(recording.info, ["gain=0.9"], {}))
+    replay = Replay(
+        recording, allowance_of(recording), world=True, rewrite=other_settings(recording.info, ["gain=0.9"], {})
+    )
     comparison = compare(recording.epochs(), replay.epochs())
     assert [each.path for each in comparison.rosters] == ["nodes.low.parameters.gain"]
     assert comparison.difference is not None
     assert comparison.difference[:4] == (1, "low", "observe", "belief.level")
-    *_, last = Replay(recording, world=True, rewrite=other_settings(recording.info, ["gain=0.9"], {})).epochs()
+    *_, last = Replay(
+        recording, allowance_of(recording), world=True, rewrite=other_settings(recording.info, ["gain=0.9"], {})
+    ).epochs()
     assert last.digest.hex() == wanted.digest
 
 
@@ -116,7 +120,7 @@ def test_another_class_takes_a_nodes_place(flawed: Path, tmp_path: Path) -> None
     recording, _ = record_file(tmp_path / "run.mcap", flawed, epochs=2)
     rewrite = other_settings(recording.info, (), {"high": "support.toy_nodes:Counter"})
     with pytest.raises(HieraxError, match=r"nodes\.high\.parameters\.name: support\.toy_nodes:Counter has no such"):
-        list(Replay(recording, rewrite=rewrite).epochs())
+        list(Replay(recording, allowance_of(recording), rewrite=rewrite).epochs())
 
 
 def test_the_recorded_deployment_needs_no_file(flawed: Path, tmp_path: Path) -> None:

@@ -9,6 +9,7 @@ from support.canvas import KeptCanvas
 from support.deployments import write
 from support.launched import Command, until
 
+from hierax.runtime.allowance import Allowance
 from hierax.runtime.core.showing import Graph
 from hierax.runtime.launch.run_file import known_runs
 from hierax.runtime.transport.window import Glass
@@ -53,7 +54,7 @@ def test_a_launch_is_seen_until_it_ends(tmp_path: Path, monkeypatch: pytest.Monk
     with Command(tmp_path, "launch", "servo", "--epochs", "10000000") as launch:
         until(lambda: bool(known_runs()), "the launch runs")
         with Glass(known_runs()[0].endpoint) as glass:
-            assert show_launch(glass, Exhibit(canvas), over) > 15
+            assert show_launch(glass, Exhibit(canvas), Allowance(("hierax.nodes.servo",)), over) > 15
         attached[0].end()
         assert attached[0].process.returncode == 0, attached[0].err
         last = max(epoch for epoch, things in canvas.drawn.items() if "velocity_m_s/second/believed" in things)

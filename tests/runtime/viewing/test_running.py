@@ -10,7 +10,7 @@ from support.deployments import write
 from hierax.runtime import single
 from hierax.runtime.core.showing import Curve, Image, Lines2D, Mesh
 from hierax.runtime.deployment.read import read_deployment
-from hierax.runtime.loading import load
+from hierax.runtime.loading import load_function
 from hierax.runtime.viewing.exhibit import Exhibit
 from hierax.runtime.viewing.running import run_seen
 from hierax.runtime.viewing.views import ShowError
@@ -20,7 +20,7 @@ def seen(name: str | Path, *settings: str, epochs: int | None = None) -> KeptCan
     deployment = read_deployment(name, settings)
     canvas = KeptCanvas()
     spec = deployment.view
-    together = None if spec.show is None else load(spec.show, "view.show")
+    together = None if spec.show is None else load_function(spec.show, "view.show", deployment.allowance)
     run_seen(deployment, Exhibit(canvas, spec.layout, together), epochs=epochs, seed=0)
     return canvas
 
