@@ -5,7 +5,7 @@ from __future__ import annotations
 import logging
 from collections.abc import Callable, Sequence
 
-from hierax.runtime.allowance import NotAllowedError, Refusals
+from hierax.runtime.allowance import Refusals
 from hierax.runtime.core.binding import BoundNode
 from hierax.runtime.core.errors import HieraxError
 from hierax.runtime.core.probe import Probe
@@ -243,7 +243,7 @@ class Member(NodeRunner):
     def _refuse(self, version: int, error: HieraxError) -> None:
         """Say why a roster cannot be run here; in the log once, as whoever asks for it asks again."""
         why = str(error)
-        if isinstance(error, NotAllowedError) and self._refusals.is_new(why):
+        if self._refusals.is_new(why):
             _log.warning("%s: roster version %d is refused: %s", self.name, version, why)
         self._say(Ready(self.name, self.process, version, why))
 

@@ -67,8 +67,8 @@ def test_async_operators_are_waited_for(tmp_path: Path) -> None:
         (
             "toy_nodes:Keeper",
             "toy_nodes:Summer",
-            "    parameters: {file",
-            "probes[0].parameters.file: support.toy_nodes:Summer has no such parameter; it takes scale, weights",
+            "    class: support.toy_nodes:Summer\n    parameters: {file",
+            "probes[0].class: expected a class derived from Probe, but support.toy_nodes:Summer is a Node",
         ),
     ],
 )
