@@ -379,13 +379,13 @@ def test_a_function_that_says_so_makes_a_node(treacherous: Path) -> None:
     assert type(build_node(treachery("sure"), "nodes.n", allowed)).__name__ == "Outer"
 
 
-@pytest.mark.parametrize("modules", [("hierax.nodes.tracking.probes",), ("hierax.nodes.*",)])
+@pytest.mark.parametrize("modules", [("hierax.nodes.tracking.evaluation.probes",), ("hierax.nodes.*",)])
 def test_a_results_file_is_no_node(modules: tuple[str, ...], tmp_path: Path) -> None:
     victim = tmp_path / "victim.txt"
     victim.write_text("precious")
     parameters = {"path": str(victim), "scene_id": 0}
     with pytest.raises(LoadError, match=r"^nodes\.n\.class: "):
-        build_node(Reference("hierax.nodes.tracking.probes:ResultsFile", parameters), "nodes.n", Allowance(modules))
+        build_node(Reference("hierax.nodes.tracking.evaluation.probes:ResultsFile", parameters), "nodes.n", Allowance(modules))
     assert victim.read_text() == "precious"
 
 

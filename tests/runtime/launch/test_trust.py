@@ -58,7 +58,7 @@ def references(folder: Path) -> dict[str, Reference]:
         "function": Reference("os:system", {"command": f"touch {folder / 'ran'}"}),
         "import": Reference(f"{MARKER}:X"),
         "walk": Reference("support.live_nodes:Gated.observe.__builtins__.update", {"x": 1}),
-        "results": Reference("hierax.nodes.tracking.probes:ResultsFile", {**precious, "scene_id": 0}),
+        "results": Reference("hierax.nodes.tracking.evaluation.probes:ResultsFile", {**precious, "scene_id": 0}),
         "class": Reference(f"{TREACHERY}:Writer", precious),
         "maker": Reference(f"{TREACHERY}:overwrite", precious),
     }
