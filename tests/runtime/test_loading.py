@@ -385,7 +385,9 @@ def test_a_results_file_is_no_node(modules: tuple[str, ...], tmp_path: Path) -> 
     victim.write_text("precious")
     parameters = {"path": str(victim), "scene_id": 0}
     with pytest.raises(LoadError, match=r"^nodes\.n\.class: "):
-        build_node(Reference("hierax.nodes.tracking.evaluation.probes:ResultsFile", parameters), "nodes.n", Allowance(modules))
+        build_node(
+            Reference("hierax.nodes.tracking.evaluation.probes:ResultsFile", parameters), "nodes.n", Allowance(modules)
+        )
     assert victim.read_text() == "precious"
 
 

@@ -119,8 +119,9 @@ def test_other_parameters_give_what_a_run_with_them_gives(flawed: Path, tmp_path
 def test_another_class_takes_a_nodes_place(flawed: Path, tmp_path: Path) -> None:
     recording, _ = record_file(tmp_path / "run.mcap", flawed, epochs=2)
     rewrite = other_settings(recording.info, (), {"high": "support.toy_nodes:Counter"})
+    allowed = allowance_of(recording).with_modules(["support.toy_nodes"])
     with pytest.raises(HieraxError, match=r"nodes\.high\.parameters\.name: support\.toy_nodes:Counter has no such"):
-        list(Replay(recording, allowance_of(recording), rewrite=rewrite).epochs())
+        list(Replay(recording, allowed, rewrite=rewrite).epochs())
 
 
 def test_the_recorded_deployment_needs_no_file(flawed: Path, tmp_path: Path) -> None:
