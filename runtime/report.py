@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -54,6 +54,8 @@ class Report:
         epochs_us: how long each epoch took, in microseconds.
         start_s: from the start of the processes to the first epoch, in seconds; None in
             a single process.
+        interrupted: whether the run was broken off by a signal; then all is of the last epoch committed.
+        unreported: of a run that was broken off, the nodes whose state is not told, and why.
     """
 
     hierarchy: str
@@ -68,6 +70,8 @@ class Report:
     output: Path | None = None
     start_s: float | None = None
     epochs_us: Sequence[float] = field(default=(), repr=False)
+    interrupted: bool = False
+    unreported: Mapping[str, str] = field(default_factory=dict)
 
     @property
     def epochs_per_s(self) -> float | None:
@@ -75,7 +79,8 @@ class Report:
         return self.epochs / self.wall_s if self.wall_s > 0 else None
 
     def plain(self) -> Json:
-        """As plain JSON."""
+        """As plain JSON; what only a run that was broken off has to say stands in no other."""
+        broken: Json = {"interrupted": True, "unreported": sorted(self.unreported)} if self.interrupted else {}
         return {
             "hierarchy": self.hierarchy,
             "mode": self.mode,
@@ -85,7 +90,20 @@ class Report:
             "wall_s": self.wall_s,
             "epoch_us": {"p50": self.p50_us, "p99": self.p99_us},
             "nodes": {name: self.nodes[name].plain() for name in sorted(self.nodes)},
+            **broken,
         }
+
+
+class Interrupted(KeyboardInterrupt):
+    """A run was broken off by a signal.
+
+    Attributes:
+        report: what was committed until then; its `interrupted` is true.
+    """
+
+    def __init__(self, report: Report, unreported: Mapping[str, str]) -> None:
+        self.report = replace(report, interrupted=True, unreported=unreported)
+        super().__init__("the run was broken off by a signal")
 
 
 def make_report(

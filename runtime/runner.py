@@ -158,15 +158,19 @@ class NodeRunner(Outlet):
             for probe in reversed(self.probes):
                 closing.callback(self._close, probe)
 
-    def report(self) -> NodeReport:
+    def report(self, committed: int | None = None) -> NodeReport:
         """The node's state and what it reports of it.
+
+        Args:
+            committed: the last epoch that is, where the one after it may be under way; None: none is.
 
         Raises:
             OperatorError: the node's `metrics` failed.
         """
         engine = self.engine
-        state = engine.state
-        metrics = metrics_of(engine.name, engine.node.node, state.belief, engine.epoch)
+        ahead = committed is not None and self.staleness.barrier and engine.epoch > committed
+        state = engine.start if ahead else engine.state
+        metrics = metrics_of(engine.name, engine.node.node, state.belief, engine.epoch - ahead)
         if isinstance(engine, LooseEngine):
             metrics.update(engine.ages.metrics())
         return NodeReport(state.belief, state.policy, state.actions, metrics)
@@ -298,6 +302,7 @@ class Pacemaker:
     Attributes:
         chain: of the digests.
         limit: how many epochs; None: until the world has finished.
+        asked: whether the run is to end as soon as may be; any thread, and a signal's handler, may set it.
         on_commit: told each epoch and its digest, after the next one has begun.
         clock: seconds.
         epochs_s: how long each epoch took, from its beginning to its commit; of the last `EPOCHS_TIMED`.
@@ -311,12 +316,17 @@ class Pacemaker:
     first_s: float | None = None
     last_s: float = 0.0
     done: bool = False
+    asked: bool = False
     _started: float = 0.0
 
     def may_begin(self, engine: Engine) -> bool:
         """Whether the world, when it is idle, has an epoch to begin; else the run is done."""
         if engine.phase is not Phase.DONE or self.done:
             return False
+        if self.asked:
+            soonest = engine.epoch + isinstance(engine, LooseEngine)  # where epochs overlap, the last one is drained
+            self.limit = soonest if self.limit is None else min(self.limit, soonest)
+            self.asked = False
         self.done = (self.limit is not None and engine.epoch >= self.limit) or engine.finished
         return not self.done
 

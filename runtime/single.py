@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import anyio
 
+from hierax.runtime.breaker import Breaker
 from hierax.runtime.core.binding import Setting
 from hierax.runtime.core.digest import DigestChain
 from hierax.runtime.core.errors import HieraxError
@@ -19,7 +20,7 @@ from hierax.runtime.loading import build_hierarchy
 from hierax.runtime.member import taken_over
 from hierax.runtime.node_loader import NodeLoader
 from hierax.runtime.owner.changes import ChangeError, apply
-from hierax.runtime.report import Report, make_report
+from hierax.runtime.report import Interrupted, NodeReport, Report, make_report
 from hierax.runtime.runner import Log, NodeRunner, Pacemaker
 from hierax.runtime.transport.memory import MemoryNetwork
 from hierax.schemas.changes import Change, Replace
@@ -44,6 +45,7 @@ def run(
     schedule: Schedule = (),
     watch: Watch | None = None,
     record: InProcess | None = None,
+    breaker: Breaker | None = None,
 ) -> Report:
     """Run a deployment in this process.
 
@@ -56,9 +58,11 @@ def run(
         schedule: what changes when, in order.
         watch: called for each node as its runner is made.
         record: takes in what is said; None: nobody does.
+        breaker: ends the run when a signal comes; None: nothing does.
 
     Raises:
         HieraxError: a node cannot be loaded or failed, or a change is refused.
+        Interrupted: the breaker has ended it.
     """
     if output is not None:
         write_roster(output, deployment.roster)
@@ -76,25 +80,22 @@ def run(
     pacemaker = Pacemaker(chain, deployment.epochs if epochs is None else epochs, on_commit)
     nodes = _Nodes(deployment, seed, pacemaker, output, schedule, watch, record)
     try:
-        if deployment.staleness.free:
-            run_freely(nodes.runners, deployment, seed, pacemaker)
+        if breaker is None:
+            nodes.run(seed)
         else:
-            nodes.deliver_all()
+            with breaker.guarding(pacemaker):
+                nodes.run(seed)
     finally:
         nodes.close()
         if digests is not None:
             digests.close()
-    return make_report(
-        deployment.name,
-        "run",
-        seed,
-        chain.epoch,
-        chain.digest,
-        pacemaker.wall_s,
-        pacemaker.epochs_s,
-        {name: runner.report() for name, runner in sorted(nodes.runners.items())},
-        output,
-    )
+    broken = breaker is not None and breaker.came
+    reports, unreported = nodes.reports(chain.epoch if broken else None)
+    times = (pacemaker.wall_s, pacemaker.epochs_s)
+    report = make_report(deployment.name, "run", seed, chain.epoch, chain.digest, *times, reports, output)
+    if broken:
+        raise Interrupted(report, unreported)
+    return report
 
 
 class _WorldRunner(NodeRunner):
@@ -153,8 +154,31 @@ class _Nodes:
             self.runners[name] = self._runner(name)
             self.runners[name].wire(self._loaders[name].wiring(self._roster))
 
-    def deliver_all(self) -> None:
-        """Run until nothing is under way any more."""
+    def run(self, seed: int) -> None:
+        """Run until the world is done."""
+        if self._deployment.staleness.free:
+            run_freely(self.runners, self._deployment, seed, self._pacemaker)
+        else:
+            self._deliver_all()
+
+    def reports(self, committed: int | None) -> tuple[dict[str, NodeReport], dict[str, str]]:
+        """What the nodes have come to; of a run that was broken off, also who cannot tell, and why.
+
+        Args:
+            committed: the last epoch of a run that was broken off; None: it was not.
+        """
+        reports: dict[str, NodeReport] = {}
+        unreported: dict[str, str] = {}
+        for name, runner in sorted(self.runners.items()):
+            try:
+                reports[name] = runner.report(committed)
+            except HieraxError as error:
+                if committed is None:
+                    raise
+                unreported[name] = str(error)
+        return reports, unreported
+
+    def _deliver_all(self) -> None:
         runners, network = self.runners, self._network
         runners[self._world].start()
         while (name := network.next_receiver()) is not None:

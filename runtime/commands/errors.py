@@ -46,8 +46,7 @@ def exit_code(command: Callable[[], int]) -> int:
         _say(f"error: {' '.join(str(error).split())}")
         return FAILED
     except KeyboardInterrupt:
-        _say("interrupted")
-        return INTERRUPTED
+        return interrupted()
     except BrokenPipeError:
         # the reader of our output has gone: nothing is left to be told, nor to be flushed at the end
         drop_output()
@@ -56,6 +55,12 @@ def exit_code(command: Callable[[], int]) -> int:
         traceback.print_exc()
         _say("error: this is a bug, in hierax or in a node: please report it with the lines above")
         return BUG
+
+
+def interrupted() -> int:
+    """Say so; the exit code."""
+    _say("interrupted")
+    return INTERRUPTED
 
 
 def _say(line: str) -> None:

@@ -39,6 +39,7 @@ def run(
 ) -> int:
     """Run a deployment in this process: the deterministic mode."""
     from hierax.runtime import single
+    from hierax.runtime.breaker import Breaker
     from hierax.runtime.commands.running import run_deployment
     from hierax.runtime.deployment.schedule import read_schedule
     from hierax.runtime.recording.in_process import InProcess
@@ -51,7 +52,14 @@ def run(
             taking.append(InProcess(deployment, seed, settings or (), record, check))
         try:
             recording = taking[0] if taking else None
-            return single.run(deployment, schedule=schedule, watch=_spans(deployment), record=recording, **options)
+            return single.run(
+                deployment,
+                schedule=schedule,
+                watch=_spans(deployment),
+                record=recording,
+                breaker=Breaker(),
+                **options,
+            )
         finally:
             for each in taking:
                 each.finish()

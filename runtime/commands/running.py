@@ -9,13 +9,13 @@ from contextlib import contextmanager, redirect_stdout
 from pathlib import Path
 from typing import Any
 
-from hierax.runtime.commands.errors import CommandError
+from hierax.runtime.commands.errors import INTERRUPTED, OK, CommandError, interrupted
 from hierax.runtime.commands.options import Format
 from hierax.runtime.commands.show import print_json, print_report
 from hierax.runtime.core.errors import HieraxError
 from hierax.runtime.deployment.read import read_deployment
 from hierax.runtime.loading import extend_import_path
-from hierax.runtime.report import Report
+from hierax.runtime.report import Interrupted, Report
 
 SUMMARY = "summary.json"
 """The report as JSON, in the output folder."""
@@ -36,6 +36,9 @@ def run_deployment(
 ) -> int:
     """Read a deployment, run it, print its report.
 
+    Returns:
+        The exit code: 0, or 130 where a signal has broken the run off; its report is printed and kept all the same.
+
     Raises:
         HieraxError: the file is wrong, the output folder cannot be made, or the run failed.
     """
@@ -44,10 +47,13 @@ def run_deployment(
     if output is not None:
         _make_folder(output)
     limit = deployment.epochs if epochs is None else epochs
+    code = OK
     try:
         # what a node prints must not mix with the report
         with _progress(deployment.name, limit) as progress, redirect_stdout(sys.stderr):
             report = runner(deployment, epochs=limit, seed=seed, output=output, progress=progress)
+    except Interrupted as broken:
+        report, code = broken.report, INTERRUPTED
     except HieraxError as error:
         explained = deployment.explain(error)
         if explained is error:
@@ -59,7 +65,11 @@ def run_deployment(
         print_json(report.plain())
     else:
         print_report(report)
-    return 0
+    if code == INTERRUPTED:
+        for name, why in report.unreported.items():
+            print(f"hierax: {name}: its state after epoch {report.epochs} is not told: {why}", file=sys.stderr)
+        return interrupted()
+    return code
 
 
 def _make_folder(output: Path) -> None:
