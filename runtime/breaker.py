@@ -14,10 +14,10 @@ from typing import NoReturn
 from hierax.runtime.core.binding import CALLS
 from hierax.runtime.runner import Pacemaker
 
-PATIENCE_S = 1.0
+PATIENCE_S = 0.7
 """How long the epoch under way may take to come to its end."""
 
-OVERDUE_S = 1.5
+OVERDUE_S = 1.2
 """How long, if no operator can be broken off before."""
 
 LOOK_S = 0.02

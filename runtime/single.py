@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Awaitable, Callable, Sequence
+from collections.abc import Awaitable, Callable, Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -170,12 +171,8 @@ class _Nodes:
         reports: dict[str, NodeReport] = {}
         unreported: dict[str, str] = {}
         for name, runner in sorted(self.runners.items()):
-            try:
+            with _kept(name, unreported if committed is not None else None):
                 reports[name] = runner.report(committed)
-            except HieraxError as error:
-                if committed is None:
-                    raise
-                unreported[name] = str(error)
         return reports, unreported
 
     def _deliver_all(self) -> None:
@@ -247,6 +244,17 @@ class _Nodes:
         runner = self.runners.pop(name)
         runner.close()
         runner.port.close()
+
+
+@contextmanager
+def _kept(name: str, failures: dict[str, str] | None) -> Iterator[None]:
+    """Keep why a node fails, where that is wanted."""
+    try:
+        yield
+    except HieraxError as error:
+        if failures is None:
+            raise
+        failures[name] = str(error)
 
 
 def _wait(awaitable: Awaitable[Any]) -> Any:

@@ -157,6 +157,16 @@ class WorldMember(Member, OwnerOutlet):
         self.owner.hear(word)
         self._finish()
 
+    def end_soon(self) -> None:
+        """The run was asked to end: where nothing is under way, nothing is waited for.
+
+        Raises:
+            OperatorError: an operator failed.
+        """
+        if self.engine.phase is Phase.DONE:
+            self._proceed()
+            self._finish()
+
     def tick(self) -> None:
         """Time has passed.
 

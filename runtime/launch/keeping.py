@@ -103,9 +103,9 @@ class Keeping:
         """The processes of the roster in force that are kept here."""
         return [child for child in self._children.values() if self.members.get(child.name) == child.token]
 
-    async def wait_for_all(self) -> None:
+    async def wait_for_all(self, timeout_s: float = END_TIMEOUT_S) -> None:
         """Bounded, as a program that a node has started may hold its pipes open when the node is gone."""
-        with anyio.move_on_after(END_TIMEOUT_S):
+        with anyio.move_on_after(timeout_s):
             for child in list(self._children.values()):
                 await child.process.wait()
 

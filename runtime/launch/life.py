@@ -81,6 +81,8 @@ class NodeLife:
         self._due = True
         self._stuck: tuple[int, str] = (0, "")
         self._stuck_s = 0.0
+        self._leaves = False
+        self._epoch: int | None = None
         # then the session is not closed: what still comes from its peers would be reported as errors
         self.hurried = False
 
@@ -95,6 +97,22 @@ class NodeLife:
         """Make the node's thread come to its end."""
         self._stopping.set()
         self._wake()
+
+    def finish(self) -> None:
+        """Make the run come to its end, if this is the world's process."""
+        member = self._member
+        if member is not None and member.pacemaker is not None:
+            member.pacemaker.asked = True
+            self._wake()
+
+    def leave(self, epoch: int | None) -> None:
+        """Make the node's thread come to its end, whatever is under way, and report.
+
+        Args:
+            epoch: of which the report is; None: the last one committed, which the world knows.
+        """
+        self._leaves, self._epoch = True, epoch
+        self.stop()
 
     def post(self, control: Control) -> None:
         """A control message for the member, or for the owner."""
@@ -194,6 +212,8 @@ class NodeLife:
                 self._member = member
                 loop = self._run_freely if order.staleness is None else self._run
                 loop(member, port)
+            if self._leaves:  # nobody waits for what probes do at their end
+                return self._part(member)
         finally:
             member.close()
         return self._part(member)
@@ -305,7 +325,11 @@ class NodeLife:
         if owner.roster.version != self._version:
             self._version = owner.roster.version
             self._voice.beat(owner)
-        if world.pacemaker is not None and world.pacemaker.done:
+        if world.pacemaker is None:
+            return
+        if world.pacemaker.asked:
+            world.end_soon()
+        if world.pacemaker.done:
             self._voice.finish(owner)
 
     def _part(self, member: Member) -> int:
@@ -317,14 +341,16 @@ class NodeLife:
             return 1  # the run is not over: the node is lost, and has nothing to report
         if not member.wired:
             return 0
-        report = member.report()
+        pacemaker = member.pacemaker
+        if self._leaves and pacemaker is not None:
+            self._epoch = pacemaker.chain.epoch
+        report = member.report(self._epoch)
         fields: dict[str, Value] = {
             "belief": report.belief,
             "policy": report.policy,
             "actions": report.actions,
             "metrics": dict(report.metrics),
         }
-        pacemaker = member.pacemaker
         if pacemaker is not None:
             chain = pacemaker.chain
             fields["run"] = [chain.epoch, chain.digest, pacemaker.wall_s, np.array(pacemaker.epochs_s)]

@@ -21,7 +21,7 @@ import anyio.from_thread
 import anyio.to_thread
 
 from hierax.runtime.launch.life import NodeLife
-from hierax.runtime.launch.pipe import STOP, Frames, NodeOrder
+from hierax.runtime.launch.pipe import FINISH, STOP, Frames, NodeOrder, epoch_of_leave
 from hierax.runtime.streams import own_output
 from hierax.runtime.watch.logs import QUIET, log_console, log_node
 from hierax.schemas.control import decode_control
@@ -98,6 +98,10 @@ async def _obey(life: NodeLife, orders: int, frames: Frames, commands: list[Valu
         for command in commands:
             if command == STOP:
                 life.stop()
+            elif command == FINISH:
+                life.finish()
+            elif isinstance(command, dict):
+                life.leave(epoch_of_leave(command))
             else:
                 life.post(decode_control(command))
         commands = await _next_frames(orders, frames)

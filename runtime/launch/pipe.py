@@ -24,7 +24,10 @@ from hierax.schemas.values import Value, decode_value, encode_value
 _LENGTH = struct.Struct("<I")
 
 STOP = "stop"
-"""Command: finish, report, exit. Any other command is a control message for the roster's owner, as bytes."""
+"""Command: finish, report, exit. What is no command is a control message for the roster's owner, as bytes."""
+FINISH = "finish"
+"""Command to the world: the epoch under way is the last one."""
+_LEAVE = "leave"
 
 UP = "up"
 """Status: every neighbour hears this node and is heard."""
@@ -144,6 +147,21 @@ class NodeOrder:
         roster = None if value["roster"] is None else Roster.read(value["roster"])
         owner = None if value["owner"] is None else OwnerSettings(**value["owner"])
         return NodeOrder(**{**value, "roster": roster, "probes": probes, "owner": owner})
+
+
+def leave(epoch: int | None) -> Value:
+    """The command to report at once, and exit, whatever is under way.
+
+    Args:
+        epoch: of which the report is, the last one committed; None: the world knows.
+    """
+    return {_LEAVE: epoch}
+
+
+def epoch_of_leave(command: Value) -> int | None:
+    """The epoch in such a command."""
+    epoch: int | None = command[_LEAVE]
+    return epoch
 
 
 def frame(value: Value) -> bytes:

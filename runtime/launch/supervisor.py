@@ -14,9 +14,12 @@ from secrets import token_hex
 import anyio
 import anyio.abc
 
+from hierax.runtime.breaker import ending_signals, leave_at_once
+from hierax.runtime.core.digest import NO_DIGEST
 from hierax.runtime.deployment import Deployment
 from hierax.runtime.files import write_roster
-from hierax.runtime.launch.child import NodeFailedError
+from hierax.runtime.launch.child import END_TIMEOUT_S, NodeFailedError
+from hierax.runtime.launch.early_end import CLOSE_S, EarlyEnd
 from hierax.runtime.launch.keeping import Keeping
 from hierax.runtime.launch.orders import Orders
 from hierax.runtime.launch.pipe import (
@@ -26,7 +29,7 @@ from hierax.runtime.launch.pipe import (
 )
 from hierax.runtime.launch.recorder import RecorderChild, Wanted
 from hierax.runtime.launch.run_file import Run, Running, register
-from hierax.runtime.report import NodeReport, Report, make_report
+from hierax.runtime.report import Interrupted, NodeReport, Report, make_report
 from hierax.runtime.transport.hub import Hub
 from hierax.runtime.transport.zenoh_session import remove_orphaned_segments
 from hierax.runtime.watch.logs import begin_log
@@ -38,7 +41,7 @@ REPORT_TIMEOUT_S = 60.0
 POLL_S = 0.01
 
 
-class Interrupted(Exception):  # noqa: N818 - no error: somebody pressed Ctrl-C
+class _BrokenOff(Exception):  # noqa: N818 - no error: somebody pressed Ctrl-C
     """The run was broken off by a signal."""
 
 
@@ -76,7 +79,8 @@ def launch(
 
     Raises:
         HieraxError: a node cannot be loaded, did not come up in time, or failed.
-        KeyboardInterrupt: broken off by SIGINT, SIGTERM or SIGHUP; all processes are gone.
+        Interrupted: broken off by SIGINT, SIGTERM or SIGHUP; all processes are gone.
+        KeyboardInterrupt: likewise, before all nodes were up.
     """
     if output is not None and run is None:
         write_roster(output, deployment.roster)
@@ -95,14 +99,21 @@ def launch(
             deployment, orders, Keys(deployment.name, run_id), tell or _say_nothing, run is not None, record
         )
         try:
-            return anyio.run(supervisor.run, progress)
-        except Interrupted as error:
+            report = anyio.run(supervisor.run, progress)
+        except _BrokenOff as error:
             raise KeyboardInterrupt from error
+        if supervisor.early is not None:
+            raise Interrupted(report, supervisor.early.unreported)
+        return report
     raise AssertionError  # pragma: no cover - `with` never swallows
 
 
 class Supervisor:
-    """Starts the processes of a launch, keeps them, and ends them."""
+    """Starts the processes of a launch, keeps them, and ends them.
+
+    Attributes:
+        early: has ended the run before its time; None: nothing has.
+    """
 
     def __init__(
         self,
@@ -120,6 +131,9 @@ class Supervisor:
         self._resume = resume
         self._broken = anyio.Event()
         self._why: Exception | None = None
+        self._start_s: float | None = None
+        self._signals = 0
+        self.early: EarlyEnd | None = None
         self._hub: Hub | None = None
         self._recorder = None if record is None else RecorderChild(record, self._say)
         self._keeping = Keeping(orders, self._say, self._break)
@@ -142,8 +156,9 @@ class Supervisor:
                     await self._start_recorder(tasks)
                     await self._start_all()
                     async with self._keeping.requests.served(hub):
-                        start_s = await self._until_finished(begun)
-                    await self._collect()
+                        await self._until_finished(begun)
+                    if self.early is None:
+                        await self._collect()
                 finally:
                     with anyio.CancelScope(shield=True):
                         await self._end_all()
@@ -153,16 +168,16 @@ class Supervisor:
         finally:
             registered.unlink(missing_ok=True)
             end = "the run is over" if self._why is None else f"the run is broken off: {self._why}"
-            self._log.close(f"{end}by a signal" if isinstance(self._why, Interrupted) else end)
+            self._log.close(f"{end}by a signal" if isinstance(self._why, _BrokenOff) else end)
             for name, token in self._keeping.members.items():
                 if self._keeping.child(token) is None:  # nobody else tells who is kept elsewhere
                     hub.dismiss(
                         token, f"{name}: the run is over" if self._why is None else f"{name}: the run is broken off"
                     )
             hub.close()
-        if self._why is not None:
+        if self._why is not None and not (isinstance(self._why, _BrokenOff) and self.early is not None):
             raise self._why
-        return self._make_report(start_s)
+        return self._make_report()
 
     def _say(self, what: str) -> None:
         self._log.tell(what)
@@ -202,14 +217,9 @@ class Supervisor:
             if self._broken.is_set():
                 return
 
-    async def _until_finished(self, begun: float) -> float:
-        """Wait for the processes to come up, then for the world to finish.
-
-        Returns:
-            Seconds from the launch until all were up.
-        """
+    async def _until_finished(self, begun: float) -> None:
+        """Wait for the processes to come up, then for the world to finish."""
         timeout_s = self._deployment.start_timeout_s
-        start_s = 0.0
         async with self._unless_broken():
             first = self._keeping.current
             with anyio.move_on_after(timeout_s):
@@ -218,10 +228,9 @@ class Supervisor:
             late = [name for name, child in first.items() if not child.up.is_set()]
             if late:
                 self._break(NodeFailedError(f"not up within {timeout_s:g} s (start_timeout_s): {', '.join(late)}"))
-            start_s = time.perf_counter() - begun
+            self._start_s = time.perf_counter() - begun
             self._keeping.tasks.start_soon(self._keeping.watch_world)
             await self._keeping.finished.wait()
-        return start_s
 
     async def _collect(self) -> None:
         """Have every process report and end."""
@@ -240,14 +249,19 @@ class Supervisor:
 
     async def _end_all(self) -> None:
         """End every process that is left: first kindly, then not."""
+        early = self.early
+        if early is not None:
+            await early.collect()
         self._keeping.ending = True
         children = self._keeping.children
         for child in children:
             child.send_signal(signal.SIGTERM)
-        await self._keeping.wait_for_all()
+        await self._keeping.wait_for_all(END_TIMEOUT_S if early is None else CLOSE_S)
         for child in children:
             child.kill()
         await self._keeping.wait_for_all()
+        if early is not None:
+            early.recall()
         for child in children:
             await child.close()
 
@@ -273,22 +287,30 @@ class Supervisor:
 
     async def _watch_signals(self) -> None:
         """The first signal ends the run in good order, the second one at once."""
-        numbers = [signal.SIGINT, signal.SIGTERM]
-        if signal.getsignal(signal.SIGHUP) is not signal.SIG_IGN:  # as nohup has it
-            numbers.append(signal.SIGHUP)
-        with anyio.open_signal_receiver(*numbers) as signals:
+        with anyio.open_signal_receiver(*ending_signals()) as signals:
             async for _ in signals:
-                if self._broken.is_set() or self._keeping.ending:
+                self._signals += 1
+                if self._signals > 1:
                     for child in self._keeping.children:
                         child.kill()
                     await self._keeping.wait_for_all()
                     remove_orphaned_segments()
-                    os._exit(130)
-                self._break(Interrupted())
+                    leave_at_once()
+                self._keeping.tasks.start_soon(self._end_early)
 
-    def _make_report(self, start_s: float) -> Report:
+    async def _end_early(self) -> None:
+        """A signal has come: the run ends with the epoch under way, or with the one before it."""
+        if self._broken.is_set() or self._keeping.ending:
+            return  # it comes to its end already
+        if self._start_s is not None:
+            self.early = EarlyEnd(self._keeping, self._deployment, self._say)
+            await self.early.finish_epoch()
+        self._break(_BrokenOff())
+
+    def _make_report(self) -> Report:
         reports = {child.name: child.report for child in self._keeping.present if child.report is not None}
-        epochs, digest, wall_s, epochs_s = reports[self._deployment.roster.world]["run"]
+        world = reports.get(self._deployment.roster.world, {})
+        epochs, digest, wall_s, epochs_s = world.get("run", (0, NO_DIGEST, 0.0, ()))  # it was killed before it began
         nodes = {
             name: NodeReport(said["belief"], said["policy"], said["actions"], said["metrics"])
             for name, said in sorted(reports.items())
@@ -303,7 +325,7 @@ class Supervisor:
             epochs_s,
             nodes,
             self._orders.output,
-            start_s=start_s,
+            start_s=self._start_s,
         )
 
 

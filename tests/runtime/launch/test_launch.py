@@ -20,6 +20,8 @@ HIERAX = [sys.executable, "-m", "hierax.runtime.commands.main"]
 TESTS = Path(__file__).parents[2]
 TIMEOUT_S = 60.0
 ENDED_S = 2.0
+BUSY = 3
+"""How many times longer things take where other programs want the cores as well."""
 
 
 def hierax(*arguments: str) -> subprocess.CompletedProcess[str]:
@@ -255,10 +257,10 @@ def test_every_node_has_a_process_of_its_own(launched: Launched) -> None:
 def test_a_signal_ends_all(launched: Launched, number: signal.Signals) -> None:
     launched.until_stuck()
     launched.process.send_signal(number)
-    assert launched.until_gone() < ENDED_S
+    assert launched.until_gone() < BUSY * ENDED_S
     out, err = launched.end()
     assert launched.process.returncode == 130
-    assert out == ""
+    assert "launch, seed 0, 49 epochs in" in out
     assert "Traceback" not in err
     assert err.splitlines()[-1] == "interrupted"
     assert not orphans()

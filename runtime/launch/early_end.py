@@ -1,0 +1,146 @@
+"""The end of a launch that a signal breaks off: what was committed until then is reported.
+
+The world is asked to end with the epoch under way. Where that does not come to its end in time, it is given up. Then
+the world says which epoch was the last one, and every node what it was after it. Who does not answer is killed, and
+its checkpoint speaks for it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import anyio
+import numpy as np
+
+from hierax.runtime.core.errors import HieraxError
+from hierax.runtime.core.process import ActiveNode
+from hierax.runtime.deployment import Deployment
+from hierax.runtime.launch.child import Child
+from hierax.runtime.launch.keeping import Keeping
+from hierax.runtime.launch.pipe import FINISH, NodeOrder, leave
+from hierax.runtime.member import read_checkpoint
+from hierax.runtime.recovery.disk import MappedFile
+from hierax.runtime.recovery.slots import Slots
+from hierax.runtime.world_member import read_record
+from hierax.schemas.errors import SchemaError
+
+EPOCH_S = 0.7
+"""How long the epoch under way may take to come to its end."""
+
+ANSWER_S = 0.15
+"""How long the world's process, and then all others, may take to tell what they have come to."""
+
+CLOSE_S = 0.35
+"""How long who has told may take to close probes and files, and to end."""
+
+_ASK_AGAIN_S = 0.1
+_POLL_S = 0.005
+
+
+class EarlyEnd:
+    """Ends the run of a launch.
+
+    Args:
+        keeping: of its processes.
+        deployment: that is launched.
+        say: tells people.
+
+    Attributes:
+        epoch: the last one committed; None: it is not known.
+        unreported: nodes whose state after it is not known, and why.
+    """
+
+    def __init__(self, keeping: Keeping, deployment: Deployment, say: Callable[[str], None]) -> None:
+        self._keeping = keeping
+        self._world = deployment.roster.world
+        self._barrier = deployment.staleness.barrier
+        self._say = say
+        self.epoch: int | None = None
+        self.unreported: dict[str, str] = {}
+
+    async def finish_epoch(self) -> None:
+        """Have the epoch under way be the last one, and wait for its end; not for long."""
+        with anyio.move_on_after(EPOCH_S):
+            while not self._keeping.finished.is_set():
+                await self._keeping.current[self._world].tell(FINISH)  # another process, if it has just died
+                with anyio.move_on_after(_ASK_AGAIN_S):
+                    await self._keeping.finished.wait()
+
+    async def collect(self) -> None:
+        """Have every process tell what it was after the last epoch, and end those that don't."""
+        self._keeping.ending = True
+        worlds = [child for child in self._keeping.present if child.name == self._world]
+        await self._ask(worlds, None)
+        for child in worlds:
+            if child.report is None:
+                self._recall_world(child)
+            if child.report is not None:
+                self.epoch = int(child.report["run"][0])
+        await self._ask([child for child in self._keeping.present if child.name != self._world], self.epoch)
+
+    def recall(self) -> None:
+        """Take from their checkpoints what processes did not tell; they have ended."""
+        for child in self._keeping.present:
+            if child.report is None and self.epoch is not None:
+                self._recall(child, self.epoch)
+
+    def _recall(self, child: Child, epoch: int) -> None:
+        try:
+            child.report = _fields(self._read(child.order, epoch))
+        except (HieraxError, SchemaError) as error:
+            self.unreported[child.name] = str(error)
+        else:
+            self._say(f"{child.name}: its process did not answer; its checkpoint tells its state, and no metrics")
+
+    async def _ask(self, children: list[Child], epoch: int | None) -> None:
+        for child in children:
+            await child.tell(leave(epoch))
+        with anyio.move_on_after(ANSWER_S):
+            while any(child.report is None and not child.heard.is_set() for child in children):
+                await anyio.sleep(_POLL_S)
+        for child in children:
+            if child.report is None:
+                child.kill()
+        with anyio.move_on_after(ANSWER_S):
+            for child in children:
+                if child.report is None:
+                    await child.heard.wait()
+
+    def _recall_world(self, child: Child) -> None:
+        try:
+            with _slots(child.order) as storage:
+                record, saved = read_record(Slots(storage))
+        except (HieraxError, SchemaError) as error:
+            self.unreported[child.name] = str(error)
+            return
+        run = [record.epoch - 1, record.last_digest, 0.0, np.zeros(0)]
+        child.report = {**_fields(saved.now), "run": run}
+
+    def _read(self, order: NodeOrder, epoch: int) -> ActiveNode:
+        """What a node was after an epoch.
+
+        Raises:
+            HieraxError: its checkpoint does not tell.
+            SchemaError: it is none.
+        """
+        with _slots(order) as storage:
+            found = read_checkpoint(Slots(storage))
+        if found is None:
+            raise HieraxError("its process did not answer, and has kept no checkpoint yet")
+        checkpoint, saved = found
+        if self._barrier and checkpoint.epoch - epoch not in (0, 1):
+            raise HieraxError(f"its process did not answer, and its checkpoint is of epoch {checkpoint.epoch}")
+        return saved.start if self._barrier and checkpoint.epoch > epoch else saved.now
+
+
+def _slots(order: NodeOrder) -> MappedFile:
+    path = Path(order.checkpoint)
+    if not Path(f"{path}.0").exists():
+        raise HieraxError("its process did not answer, and has kept no checkpoint yet")
+    return MappedFile(path, order.durability)
+
+
+def _fields(state: ActiveNode) -> dict[str, object]:
+    """A report as a process gives it; its metrics are for the node's class to know."""
+    return {"belief": state.belief, "policy": state.policy, "actions": state.actions, "metrics": {}}
