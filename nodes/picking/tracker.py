@@ -17,6 +17,7 @@ from hierax.nodes.picking.panda import CAMERA_FROM_GRIPPER, HOME_RAD, camera_of,
 from hierax.nodes.tracking.arm import ArmNode, poses_seen
 from hierax.nodes.tracking.math.geometry import invert
 from hierax.nodes.tracking.model.mesh import box_mesh
+from hierax.nodes.tracking.schema import FirstBody, FirstPose, Model
 from hierax.nodes.tracking.spatial import SpatialNode
 from hierax.runtime import NO_TICK, Elements, Tick, Value
 from hierax.runtime.core.node import Policy
@@ -116,7 +117,7 @@ def arm(scene: int = 0, cubes: int = len(SIDES_M), **options: Any) -> PickArm:
         options: further ones of `ArmNode`.
     """
     camera_from_world = invert(camera_of(gripper_at(HOME_RAD)))
-    objects = [
+    objects: list[FirstPose] = [
         {"id": number, "obj_id": number, "pose": camera_from_world @ pose}
         for number, pose in enumerate(guessed(scene, cubes), start=1)
     ]
@@ -130,10 +131,10 @@ def spatial(scene: int = 0, cubes: int = len(SIDES_M), **options: Any) -> PickSp
         scene, cubes: as for `hierax.nodes.picking.world.PickWorld`.
         options: further ones of `SpatialNode`.
     """
-    objects = []
+    objects: list[FirstBody] = []
     for place, pose in zip(planned(scene, cubes), guessed(scene, cubes), strict=True):
         mesh = box_mesh([place.side_m] * 3)
-        model = {"vertices": mesh.vertices, "faces": mesh.faces}
+        model: Model = {"vertices": mesh.vertices, "faces": mesh.faces}
         objects.append({"id": place.id, "obj_id": place.id, "pose": pose, "model": model})
     return PickSpatial(objects, table=True, **options)
 

@@ -7,24 +7,31 @@ edges that it takes from the context; without context its objects are lost.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Any
 
 import numpy as np
 
 from hierax.nodes.tracking.estimation.profiles import smoothed
 from hierax.nodes.tracking.estimation.tracked import (
-    EXPECTED,
-    LOST,
     NO_CONTROLS,
     NO_POSES,
-    TRACKED,
-    Tracked,
     check_ids,
     diagonal_covariance,
     first_belief,
     imagined,
 )
 from hierax.nodes.tracking.math.geometry import Floats, exp_se3, invert, log_se3
+from hierax.nodes.tracking.schema import (
+    EXPECTED,
+    LOST,
+    TRACKED,
+    ArmBelief,
+    FirstPose,
+    Imagery,
+    Picture,
+    SeenCamera,
+    SeenObject,
+    TrackedObject,
+)
 from hierax.nodes.tracking.search.association import Estimate, Options, associate
 from hierax.nodes.tracking.search.multistart import FALLING, held, in_turn
 from hierax.nodes.tracking.showing import arm_things
@@ -58,27 +65,7 @@ _UNKNOWN = np.diag([0.1**2] * 3 + [0.6**2] * 3)
 class ArmNode(Node):
     """Tracks objects with the camera of an arm.
 
-    The belief: ``camera`` (world_from_camera, (4, 4), with the error corrected that all objects
-    show together; None before the first image), ``reported`` (the same as the world gave it),
-    ``drift`` ((4, 4): ``reported @ drift`` is where the camera is expected, see `observe`), ``intrinsics``
-    ((4,) fx, fy, cx, cy), ``size`` (w, h), ``frame`` (the newest image's number) and ``objects``, a tuple of
-
-    - ``id``: label in this scene, 1 to 255; ``obj_id``: number of the model;
-    - ``pose``: camera_from_object, seen from ``camera``; ``before``: the same an image earlier;
-      ``covariance``: (6, 6) of the pose's error as a twist in the object's frame (m², rad²);
-    - ``score``: 0 to 1; ``probation``: for how many more images it may turn out to be elsewhere;
-      ``status``: ``tracked`` (the newest image supports the pose),
-      ``expected`` (known from prediction alone) or ``lost``; ``misses``: images in a row without support;
-      ``unrest``: 0 to 1, how much of `motion_m` and `motion_rad` its latest motion asks for; ``trend``: (6,) running
-      mean of how far images had it from its predictions, in standard deviations; ``vain``: for how many images in a
-      row it was looked for elsewhere and not found;
-    - ``support``: (3,) upwards in its frame where something carries it, else zeros; ``stands``: whether it lies on
-      a face there; ``sought``: whether it is to be imagined elsewhere, too; ``others``: what came of that, {"pose",
-      "controls", "kept": whether it is one of the earlier guesses}; ``guesses``: (n, 4, 4) camera_from_object that
-      explain the newest image nearly as well;
-    - ``controls``: points on the edges expected to be seen, see `hierax.nodes.tracking.imagery.controls`;
-      ``edges``: (n, 2, 3) a dash along the edge at each, object's frame, metres;
-      ``slots``: what it looks like beside them, see `hierax.nodes.tracking.estimation.appearance`.
+    The belief is an `ArmBelief`, see `hierax.nodes.tracking.schema`.
 
     Args:
         objects: ``id``, ``obj_id`` and ``pose`` (camera_from_object in the first frame) of each.
@@ -99,7 +86,7 @@ class ArmNode(Node):
 
     def __init__(
         self,
-        objects: Sequence[Mapping[str, Any]],
+        objects: Sequence[FirstPose],
         start_m: float = 0.005,
         start_rad: float = 0.035,
         motion_m: float = 0.010,
@@ -132,7 +119,7 @@ class ArmNode(Node):
         self._patience = patience
         self._prior = prior
 
-    def initial_belief(self) -> Value:
+    def initial_belief(self) -> ArmBelief:
         """The objects where they are said to be; no camera, no edges yet."""
         return {
             "camera": None,
@@ -144,7 +131,7 @@ class ArmNode(Node):
             "objects": self._objects,
         }
 
-    def observe(self, observations: Elements, belief: Value) -> Value:
+    def observe(self, observations: tuple[Picture, ...], belief: ArmBelief) -> ArmBelief:
         """τ: the objects' predicted poses, seen from where the camera is now, corrected by the image.
 
         Args:
@@ -157,7 +144,7 @@ class ArmNode(Node):
         reported = np.asarray(seen["camera"], dtype=np.float64)
         camera = reported @ belief["drift"]
         moved = np.eye(4) if belief["camera"] is None else invert(camera) @ belief["camera"]
-        objects = tuple(
+        objects: tuple[TrackedObject, ...] = tuple(
             {
                 **item,
                 "pose": moved @ item["pose"],
@@ -181,7 +168,7 @@ class ArmNode(Node):
             "objects": objects,
         }
 
-    def predict(self, context: Elements, actions: Elements, belief: Value) -> Value:
+    def predict(self, context: tuple[Imagery, ...], actions: Elements, belief: ArmBelief) -> ArmBelief:
         """γ: where the objects will be, and which of their edges will be seen, both from the context.
 
         Args:
@@ -190,16 +177,17 @@ class ArmNode(Node):
             actions: none.
             belief: as `observe` left it.
         """
-        expected = {item["id"]: item for item in context[0]["poses"]} if context else {}
+        camera = belief["camera"]
+        if camera is None or not context:
+            return {**belief, "objects": tuple(_shapeless(item) for item in belief["objects"])}
+        expected = {item["id"]: item for item in context[0]["poses"]}
         objects = tuple(
-            imagined(item, expected[item["id"]], belief["camera"])
-            if item["id"] in expected
-            else {**item, "controls": NO_CONTROLS, "edges": np.zeros((0, 2, 3)), "score": 0.0, "status": LOST}
+            imagined(item, expected[item["id"]], camera) if item["id"] in expected else _shapeless(item)
             for item in belief["objects"]
         )
         return {**belief, "objects": objects}
 
-    def metrics(self, belief: Value) -> Mapping[str, float]:
+    def metrics(self, belief: ArmBelief) -> Mapping[str, float]:
         """How many objects are tracked, and the mean score."""
         objects = belief["objects"]
         scores = [item["score"] for item in objects]
@@ -214,18 +202,19 @@ class ArmNode(Node):
         return arm_things(step, before)
 
     def _corrected(
-        self, objects: tuple[Tracked, ...], seen: Mapping[str, Any], still: bool
-    ) -> tuple[Floats, tuple[Tracked, ...]]:
+        self, objects: tuple[TrackedObject, ...], seen: Picture, still: bool
+    ) -> tuple[Floats, tuple[TrackedObject, ...]]:
         """What the camera's error does to all poses, and the objects after the image."""
         if not any(len(item["controls"]["points"]) for item in objects):
             return np.eye(4), objects
         image = smoothed(seen["image"])
         camera = None if still else self._camera
-        known = objects if self._prior else tuple({**item, "covariance": _UNKNOWN} for item in objects)
+        known: tuple[TrackedObject, ...] = objects
+        if not self._prior:
+            known = tuple({**item, "covariance": _UNKNOWN} for item in objects)
         motion = np.stack([self._motion(item) for item in objects])
-        options = self._options._replace(motion=motion)
-        falling = [held(self._options.motion, item["support"], FALLING, 1.0) for item in known]
-        known = tuple({**item, "motion": each} for item, each in zip(known, falling, strict=True))
+        falling = np.stack([held(self._options.motion, item["support"], FALLING, 1.0) for item in known])
+        options = self._options._replace(motion=motion, falling=falling)
         found = associate(image, known, camera, np.asarray(seen["intrinsics"]), options)
         if found is None:
             return np.eye(4), tuple(_sought(self._missed(item, item["pose"], None)) for item in objects)
@@ -235,12 +224,12 @@ class ArmNode(Node):
             for item, estimate in zip(objects, estimates, strict=True)
         )
 
-    def _motion(self, item: Tracked) -> Floats:
+    def _motion(self, item: TrackedObject) -> Floats:
         """(6, 6) how far it may leave its prediction within a frame: what stands slides, and turns where it is."""
         upwards, tilting = (_UPWARDS, _TILTING) if item["stands"] else (FALLING, 1.0)
         return held(self._options.motion, item["support"], upwards, tilting)
 
-    def _judged(self, item: Tracked, expected: Floats, estimate: Estimate) -> Tracked:
+    def _judged(self, item: TrackedObject, expected: Floats, estimate: Estimate) -> TrackedObject:
         """One object after the image: where it was found, or where it was expected."""
         gone = _is_vague(item) or item["status"] == LOST
         needed = self._found_score if gone else self._kept_score
@@ -265,7 +254,7 @@ class ArmNode(Node):
             "misses": 0,
         }
 
-    def _missed(self, item: Tracked, expected: Floats, estimate: Estimate | None) -> Tracked:
+    def _missed(self, item: TrackedObject, expected: Floats, estimate: Estimate | None) -> TrackedObject:
         """One object that the image does not support: its prediction stands, until patience ends.
 
         That something which nothing is to be seen of is not seen says nothing against it.
@@ -288,39 +277,58 @@ class ArmNode(Node):
         }
 
 
-def _sought(item: Tracked) -> Tracked:
+def _shapeless(item: TrackedObject) -> TrackedObject:
+    """The same where nobody says what would be seen of it."""
+    return {**item, "controls": NO_CONTROLS, "edges": np.zeros((0, 2, 3)), "score": 0.0, "status": LOST}
+
+
+def _sought(item: TrackedObject) -> TrackedObject:
     """The same, with whether it is to be imagined elsewhere, too: it is not seen, or was found just now."""
     missing = item["status"] != TRACKED or item["probation"] > 0
     return {**item, "sought": missing and in_turn(item), "others": ()}
 
 
-def _vain(item: Tracked, estimate: Estimate) -> int:
+def _vain(item: TrackedObject, estimate: Estimate) -> int:
     """For how many images it was looked for elsewhere in vain; that counts anew when something happens to it."""
     startled = estimate.unrest == 1.0 and item["unrest"] < 1.0
     startled |= len(estimate.guesses) > 0
     return 0 if startled or estimate.score < _LESS * item["score"] else estimate.vain
 
 
-def _is_vague(item: Tracked) -> bool:
+def _is_vague(item: TrackedObject) -> bool:
     covariance = item["covariance"]
     turned = float(np.trace(covariance[3:, 3:])) > _VAGUE_RAD**2
     return turned or float(np.trace(covariance[:3, :3])) > _VAGUE_M**2
 
 
-def poses_seen(belief: Value) -> Elements:
+def poses_seen(belief: ArmBelief) -> tuple[SeenObject | SeenCamera, ...]:
     """φ of the arm: where its objects are in the world, and its camera.
 
     Returns:
-        Of each object {"id", "obj_id", "pose": world_from_object, "covariance", "score",
-        "status", "unrest", "sought", "guesses": (n, 4, 4) world_from_object}, then {"camera":
-        world_from_camera, corrected, "intrinsics", "size", "frame"}; none before the first image.
+        Of each object where it is, then the camera; none before the first image.
     """
     camera = belief["camera"]
-    if camera is None:
+    if camera is None or belief["intrinsics"] is None or belief["size"] is None or belief["frame"] is None:
         return ()
-    kept = ("id", "obj_id", "covariance", "score", "status", "unrest", "sought")
-    objects = tuple(
-        {**{key: item[key] for key in kept}, "pose": camera @ item["pose"], "guesses": camera @ item["guesses"]}
-        for item in belief["objects"]
-    )
-    return (*objects, {key: belief[key] for key in ("camera", "intrinsics", "size", "frame")})
+    objects = tuple(_seen_in_world(item, camera) for item in belief["objects"])
+    seen: SeenCamera = {
+        "camera": camera,
+        "intrinsics": belief["intrinsics"],
+        "size": belief["size"],
+        "frame": belief["frame"],
+    }
+    return (*objects, seen)
+
+
+def _seen_in_world(item: TrackedObject, camera: Floats) -> SeenObject:
+    return {
+        "id": item["id"],
+        "obj_id": item["obj_id"],
+        "covariance": item["covariance"],
+        "score": item["score"],
+        "status": item["status"],
+        "unrest": item["unrest"],
+        "sought": item["sought"],
+        "pose": camera @ item["pose"],
+        "guesses": camera @ item["guesses"],
+    }

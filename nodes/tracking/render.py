@@ -16,7 +16,7 @@ from hierax.nodes.tracking.imagery.layers import Layer, LayerRenderer, Window, s
 from hierax.nodes.tracking.imagery.occlusion import Placed, chances_seen
 from hierax.nodes.tracking.math.geometry import Array, Floats, invert
 from hierax.nodes.tracking.model.shapes import shape_of
-from hierax.runtime import Elements, Value
+from hierax.nodes.tracking.schema import Alternative, Body, ControlPoints, ExpectedObject, Imagery, SpatialBelief
 
 LEAST_CHANCE = 0.02
 """Control points that are less likely to be seen are left out."""
@@ -143,36 +143,26 @@ class SegmentedDepth:
         self._renderer = DepthRenderer()
         self._occlusion = occlusion
 
-    def __call__(self, belief: Value) -> Elements:
+    def __call__(self, belief: SpatialBelief) -> tuple[Imagery, ...]:
         """One element, or none before the camera is known.
 
         Args:
-            belief: of the spatial node: "camera" (world_from_camera or None), "intrinsics",
-                "size", and "bodies" with "id", "obj_id", "pose" (world_from_object),
-                "covariance", "status", "support", "stands", "others", "kept" and "model" {"vertices", "faces"}.
+            belief: of the spatial node.
 
         Returns:
-            {"depth": float32 (h, w), metres along the camera's z, 0 where nothing is;
-            "labels": uint8 (h, w), ids, 0 where nothing is; both of the part of the image
-            that holds all bodies, with "corner" (left, top) in the whole one of "size"
-            (w, h), and "intrinsics" (4,) of that part; "camera": world_from_camera at which
-            it was drawn; "poses": tuple of {"id", "obj_id", "pose", "covariance", "status", "support",
-            "stands", "controls", "others"}}: controls with the fields of
-            `hierax.nodes.tracking.imagery.controls.Controls`, of the points whose chance to be seen is at least
-            `LEAST_CHANCE`; others of the poses that it may have besides, each {"pose", "controls", "kept"}.
+            The part of the image that holds all bodies; of each body the control points whose chance to be seen is at
+            least `LEAST_CHANCE`.
         """
-        camera = belief["camera"]
-        if camera is None:
+        camera, intrinsics, size = belief["camera"], belief["intrinsics"], belief["size"]
+        if camera is None or intrinsics is None or size is None:
             return ()
         camera_from_world = invert(camera)
-        intrinsics, size = belief["intrinsics"], tuple(belief["size"])
         items = [_item(body, camera_from_world) for body in belief["bodies"]]
         layers = self._renderer.layers(items, intrinsics, size)
         controls = self._controls(items, belief["bodies"], layers, intrinsics, size)
         others = self._others(belief["bodies"], items, layers, camera_from_world, intrinsics, size)
         window = surrounding([layer.window for layer in layers.values()])
         depth, labels = composed(layers, window)
-        kept = ("id", "obj_id", "pose", "covariance", "status", "support", "stands")
         return (
             {
                 "depth": depth,
@@ -181,21 +171,18 @@ class SegmentedDepth:
                 "intrinsics": intrinsics - np.array([0.0, 0.0, window.left, window.top]),
                 "corner": (window.left, window.top),
                 "size": size,
-                "poses": tuple(
-                    {**{key: body[key] for key in kept}, "controls": expected, "others": elsewhere}
-                    for body, expected, elsewhere in zip(belief["bodies"], controls, others, strict=True)
-                ),
+                "poses": tuple(map(_expected, belief["bodies"], controls, others)),
             },
         )
 
     def _controls(
         self,
         items: Sequence[Item],
-        bodies: Sequence[Mapping[str, Value]],
+        bodies: Sequence[Body],
         layers: Mapping[int, Layer],
         intrinsics: Array,
         size: tuple[int, int],
-    ) -> list[dict[str, Array]]:
+    ) -> list[ControlPoints]:
         """The fields of each body's `Controls` that are likely enough to be seen."""
         placed = [
             Placed(item.pose, np.asarray(body["covariance"], dtype=np.float64), layers.get(item.label))
@@ -216,15 +203,15 @@ class SegmentedDepth:
 
     def _others(
         self,
-        bodies: Sequence[Mapping[str, Value]],
+        bodies: Sequence[Body],
         items: Sequence[Item],
         layers: Mapping[int, Layer],
         camera_from_world: Floats,
         intrinsics: Array,
         size: tuple[int, int],
-    ) -> list[tuple[dict[str, Value], ...]]:
+    ) -> list[tuple[Alternative, ...]]:
         """Of each body its other poses, each with the controls that it would have there."""
-        found: list[tuple[dict[str, Value], ...]] = []
+        found: list[tuple[Alternative, ...]] = []
         for number, (body, item) in enumerate(zip(bodies, items, strict=True)):
             if not len(body["others"]):
                 found.append(())
@@ -254,7 +241,7 @@ class SegmentedDepth:
                 chances = chances_seen(points, placed, intrinsics)[len(hiders) :]
             else:
                 chances = [np.ones(len(controls.points), dtype=np.float32) for controls in alone]
-            each = [
+            each: list[Alternative] = [
                 {"pose": pose, "controls": _likely(controls, seen), "kept": place < body["kept"]}
                 for place, (pose, controls, seen) in enumerate(zip(body["others"], alone, chances, strict=True))
             ]
@@ -262,12 +249,34 @@ class SegmentedDepth:
         return found
 
 
-def _likely(controls: Controls, seen: Array) -> dict[str, Array]:
+def _likely(controls: Controls, seen: Array) -> ControlPoints:
     kept = seen >= LEAST_CHANCE
-    return {name: part[kept] for name, part in controls._replace(visible=seen)._asdict().items()}
+    return {
+        "points": controls.points[kept],
+        "tangents": controls.tangents[kept],
+        "inwards": controls.inwards[kept],
+        "kinds": controls.kinds[kept],
+        "edges": controls.edges[kept],
+        "faces": controls.faces[kept],
+        "visible": seen[kept],
+    }
 
 
-def _item(body: Mapping[str, Value], camera_from_world: Floats) -> Item:
+def _expected(body: Body, controls: ControlPoints, others: tuple[Alternative, ...]) -> ExpectedObject:
+    return {
+        "id": body["id"],
+        "obj_id": body["obj_id"],
+        "pose": body["pose"],
+        "covariance": body["covariance"],
+        "status": body["status"],
+        "support": body["support"],
+        "stands": body["stands"],
+        "controls": controls,
+        "others": others,
+    }
+
+
+def _item(body: Body, camera_from_world: Floats) -> Item:
     model = body["model"]
     return Item(body["id"], model["vertices"], model["faces"], camera_from_world @ body["pose"])
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from math import sqrt
-from typing import Any
 
 import numpy as np
 
@@ -12,11 +11,10 @@ from hierax.nodes.tracking.imagery.alternatives import elsewhere
 from hierax.nodes.tracking.imagery.physics import GRAVITY_M_S2, Motion, Simulator, Solid
 from hierax.nodes.tracking.imagery.resting import resting
 from hierax.nodes.tracking.math.geometry import Array, Floats, exp_se3, exp_so3, invert, log_se3, log_so3, make_pose
+from hierax.nodes.tracking.schema import Body, FirstBody, Model, SeenCamera, SeenObject, SpatialBelief
 from hierax.nodes.tracking.showing import spatial_things
 from hierax.runtime import NO_TICK, Elements, Node, Step, Tick, Value
 from hierax.runtime.core.showing import Things
-
-Body = dict[str, Any]
 
 DENSITY_KG_M3 = 500.0
 DEFAULT_INTERVAL_S = 1.0 / 30.0
@@ -35,7 +33,6 @@ _FALLS = 0.6
 _UNSURE = 0.2
 """Standard deviation of how far one goes that is not seen, for every metre that it was on its way to go."""
 
-_HEARD = ("status", "covariance", "sought", "guesses")
 _NO_POSES = np.zeros((0, 4, 4))
 
 _ASTRAY = np.diag([0.02**2] * 3 + [0.5**2] * 3)
@@ -54,19 +51,7 @@ class SpatialNode(Node):
     γ lets one frame interval pass: over a table, with gravity and contacts (bodies that
     interpenetrate are pushed apart, things settle); without one, at constant velocity.
 
-    The belief: ``camera`` (world_from_camera, 4x4; None before the first observation),
-    ``intrinsics`` [fx, fy, cx, cy], ``size`` (w, h), ``frame``, ``time_s`` and
-    ``interval_s`` of the last observation, and ``bodies``, a tuple of ``id``,
-    ``obj_id``, ``pose`` (world_from_object, 4x4), ``velocity`` (6,: m/s of the object's
-    origin and rad/s, world frame), ``drift`` (the same as observed, also where it may be
-    nothing but errors), ``covariance`` (6, 6; m, rad, object frame), ``status``, ``seen`` (the
-    pose that the last observation gave it, None where it was not tracked), ``unseen`` (for how
-    many observations it was not), ``known`` (whether it ever was), ``support`` (3,: upwards in its
-    frame where something carries it, else zeros), ``stands`` (whether it lies on a face there),
-    ``sought`` and ``guesses`` (as the arm gave them), ``others`` ((n, 4, 4): where it may be besides,
-    the first ``kept`` of them the guesses; see `hierax.nodes.tracking.imagery.alternatives`), ``turn`` (how
-    often that was asked for), ``model`` (``vertices`` (n, 3) m, ``faces`` (m, 3)) and
-    ``mass`` (kg).
+    The belief is a `SpatialBelief`, see `hierax.nodes.tracking.schema`.
 
     Args:
         objects: the bodies to begin with: each with ``id``, ``obj_id``, ``pose`` and ``model``.
@@ -80,7 +65,7 @@ class SpatialNode(Node):
 
     def __init__(
         self,
-        objects: Sequence[Mapping[str, Any]],
+        objects: Sequence[FirstBody],
         table: bool = False,
         velocity_gain: float = 0.4,
         damping: float = 0.1,
@@ -103,7 +88,7 @@ class SpatialNode(Node):
             for body in self._bodies
         }
 
-    def initial_belief(self) -> Value:
+    def initial_belief(self) -> SpatialBelief:
         """The bodies at their first poses, at rest; no camera yet."""
         return {
             "camera": None,
@@ -115,7 +100,9 @@ class SpatialNode(Node):
             "bodies": self._bodies,
         }
 
-    def observe(self, observations: Elements, belief: Value, tick: Tick = NO_TICK) -> Value:
+    def observe(
+        self, observations: tuple[SeenObject | SeenCamera, ...], belief: SpatialBelief, tick: Tick = NO_TICK
+    ) -> SpatialBelief:
         """τ: the bodies where the arm saw them, the camera where it was."""
         seen = {item["id"]: item for item in observations if "pose" in item}
         cameras = [item for item in observations if "camera" in item]
@@ -124,14 +111,17 @@ class SpatialNode(Node):
         bodies = tuple(
             self._moved(body, seen[body["id"]], interval_s) if body["id"] in seen else body for body in belief["bodies"]
         )
-        sensed = {**belief, "bodies": bodies, "time_s": tick.time_s}
-        if interval_s is not None:
-            sensed["interval_s"] = interval_s
+        sensed: SpatialBelief = {
+            **belief,
+            "bodies": bodies,
+            "time_s": tick.time_s,
+            "interval_s": belief["interval_s"] if interval_s is None else interval_s,
+        }
         for camera in cameras:
-            sensed.update({name: camera[name] for name in ("camera", "intrinsics", "size", "frame")})
+            sensed = {**sensed, **camera}
         return sensed
 
-    def predict(self, context: Elements, actions: Elements, belief: Value) -> Value:
+    def predict(self, context: Elements, actions: Elements, belief: SpatialBelief) -> SpatialBelief:
         """γ: one frame interval of physics."""
         bodies, interval_s = belief["bodies"], belief["interval_s"]
         coasting = [self._coasted(Motion(body["pose"], body["velocity"]), interval_s) for body in bodies]
@@ -146,7 +136,7 @@ class SpatialNode(Node):
         )
         return {**belief, "bodies": self._looked_for(after, interval_s)}
 
-    def metrics(self, belief: Value) -> Mapping[str, float]:
+    def metrics(self, belief: SpatialBelief) -> Mapping[str, float]:
         """How many bodies the arm tracks and has lost, and the fastest one's speed in mm/s."""
         bodies = belief["bodies"]
         speeds = [float(np.linalg.norm(body["velocity"][:3])) for body in bodies]
@@ -160,12 +150,20 @@ class SpatialNode(Node):
         """The bodies, and what the camera is expected to see."""
         return spatial_things(step, self._table)
 
-    def _moved(self, body: Body, seen: Mapping[str, Any], interval_s: float | None) -> Body:
+    def _moved(self, body: Body, seen: SeenObject, interval_s: float | None) -> Body:
         """The body with what the arm says of it; one that it has lost stays where it was predicted."""
-        heard = {**body, "seen": None, "unseen": 0, **{name: seen[name] for name in _HEARD}}
+        heard: Body = {
+            **body,
+            "status": seen["status"],
+            "covariance": seen["covariance"],
+            "sought": seen["sought"],
+            "guesses": seen["guesses"],
+            "seen": None,
+            "unseen": 0,
+        }
         if seen["status"] != "tracked":
             supposed = seen["pose"] if seen["status"] == "expected" else body["pose"]
-            return {**heard, **_adrift(body, seen["covariance"], interval_s), "pose": supposed}
+            return {**_adrift(heard, body, interval_s), "pose": supposed}
         pose, drift = seen["pose"], body["drift"]
         if interval_s is not None and body["seen"] is not None:
             observed = _displacement(body["seen"], pose) / interval_s
@@ -176,12 +174,12 @@ class SpatialNode(Node):
         velocity = drift if moves else np.zeros(6)
         return {**heard, "pose": pose, "velocity": velocity, "drift": drift, "seen": pose, "known": True}
 
-    def _gain(self, change: Floats, seen: Mapping[str, Any]) -> float:
+    def _gain(self, change: Floats, seen: SeenObject) -> float:
         """How far the velocity follows: all the way where it changes by more than errors of poses do."""
         square = _sigmas_squared(change, seen["pose"], 2.0 * seen["covariance"])
         return self._velocity_gain + (1.0 - self._velocity_gain) * square / (square + _MOVES_SIGMAS**2)
 
-    def _moves(self, step: Floats, seen: Mapping[str, Any], needed: float) -> bool:
+    def _moves(self, step: Floats, seen: SeenObject, needed: float) -> bool:
         """Whether a mean displacement from frame to frame is more than errors of the poses make.
 
         Errors of poses that follow one another cancel in a running mean of their differences but for a part.
@@ -220,9 +218,9 @@ class SpatialNode(Node):
         return Motion(free.pose @ exp_se3(self._max_sigmas / sigmas * twist), free.velocity)
 
 
-def _body(item: Mapping[str, Any]) -> Body:
+def _body(item: FirstBody) -> Body:
     vertices = np.asarray(item["model"]["vertices"], dtype=np.float64)
-    model = {"vertices": vertices, "faces": np.asarray(item["model"]["faces"], dtype=np.int32)}
+    model: Model = {"vertices": vertices, "faces": np.asarray(item["model"]["faces"], dtype=np.int32)}
     return {
         "id": item["id"],
         "obj_id": item["obj_id"],
@@ -294,20 +292,25 @@ def _is_driven(body: Body) -> bool:
     return bool(speed > 0.0 and abs(velocity[2]) < 0.3 * speed and turning < _TURNING * speed)
 
 
-def _adrift(body: Body, covariance: Floats, interval_s: float | None) -> Body:
+def _adrift(heard: Body, body: Body, interval_s: float | None) -> Body:
     """One that is not seen moves on, but nobody knows how long.
 
     Its uncertainty grows along its motion, and about the vertical.
+
+    Args:
+        heard: the body with what the arm says of it.
+        body: the same before that.
+        interval_s: since then, seconds.
     """
     step = body["velocity"] * (interval_s or 0.0)
     along = body["pose"][:3, :3].T @ step[:3]
     up = body["pose"][2, :3]
     turn = up * float(np.linalg.norm(step[:3])) / float(np.ptp(body["model"]["vertices"], axis=0).min())
     growth = _UNSURE**2 * (2 * body["unseen"] + 1)
-    grown = covariance.copy()
+    grown = heard["covariance"].copy()
     grown[:3, :3] += growth * np.outer(along, along)
     grown[3:, 3:] += growth * np.outer(turn, turn)
-    return {"covariance": grown, "unseen": body["unseen"] + 1}
+    return {**heard, "covariance": grown, "unseen": body["unseen"] + 1}
 
 
 def _at(body: Body, motion: Motion) -> Body:

@@ -7,7 +7,7 @@ the spatial node their models too, the arm none.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 from hierax.nodes.tracking.arm import ArmNode
@@ -16,6 +16,7 @@ from hierax.nodes.tracking.datasets.bop_world import BopWorld, frame_seen
 from hierax.nodes.tracking.math.geometry import Floats, invert
 from hierax.nodes.tracking.model.mesh import Mesh, box_mesh
 from hierax.nodes.tracking.paper.arm import PaperArmNode
+from hierax.nodes.tracking.schema import FirstBody, FirstPose
 from hierax.nodes.tracking.simworld.world import SCENE, SimWorld, camera_at, first_bodies, picture_seen
 from hierax.nodes.tracking.spatial import SpatialNode
 from hierax.runtime import NO_TICK, Elements, Tick, Value, World
@@ -90,7 +91,7 @@ def spatial(
         options: further ones of `SpatialNode`.
     """
     objects, camera = _first_objects(scene, cubes)
-    placed = [
+    placed: list[FirstBody] = [
         {**item, "pose": camera @ item["pose"], "model": {"vertices": mesh.vertices, "faces": mesh.faces}}
         for item, mesh in zip(objects, _models(scene, objects), strict=True)
     ]
@@ -98,20 +99,21 @@ def spatial(
     return SpatialNode(placed, table=carried and physics, **options)
 
 
-def _first_objects(scene: str | None, cubes: int) -> tuple[list[dict[str, Any]], Floats]:
+def _first_objects(scene: str | None, cubes: int) -> tuple[list[FirstPose], Floats]:
     """``id``, ``obj_id`` and ``pose`` (camera_from_object) of all objects in the first frame; its world_from_camera."""
     if scene is not None:
         folder = BopScene(scene)
-        return [item._asdict() for item in folder.first_objects()], folder.frames[0].camera
+        return [_first_pose(*item) for item in folder.first_objects()], folder.frames[0].camera
     camera = camera_at(0.0)
-    objects = [
-        {"id": body["id"], "obj_id": body["obj_id"], "pose": invert(camera) @ body["pose"]}
-        for body in first_bodies(cubes)
-    ]
-    return objects, camera
+    bodies = first_bodies(cubes)
+    return [_first_pose(body["id"], body["obj_id"], invert(camera) @ body["pose"]) for body in bodies], camera
 
 
-def _models(scene: str | None, objects: Sequence[Mapping[str, Any]]) -> list[Mesh]:
+def _first_pose(number: int, obj_id: int, pose: Floats) -> FirstPose:
+    return {"id": number, "obj_id": obj_id, "pose": pose}
+
+
+def _models(scene: str | None, objects: Sequence[FirstPose]) -> list[Mesh]:
     if scene is not None:
         folder = BopScene(scene)
         return [folder.model(item["obj_id"]) for item in objects]

@@ -15,7 +15,6 @@ from hierax.nodes.tracking.model.shapes import shape_of
 from support.boxes import INTRINSICS, SIZE, Box
 
 START = np.diag([0.005**2] * 3 + [0.035**2] * 3)
-MOTION = np.diag([0.010**2] * 3 + [0.06**2] * 3)
 FIRST = Box(1, (0.08, 0.07, 0.09), make_pose(exp_so3(np.array([0.5, 0.6, 0.1])), [-0.07, -0.01, 0.5]))
 SECOND = Box(2, (0.06, 0.09, 0.07), make_pose(exp_so3(np.array([0.7, -0.4, 0.3])), [0.08, 0.02, 0.55]))
 BOXES = (FIRST, SECOND)
@@ -30,7 +29,6 @@ def expected(box: Box, predicted: np.ndarray[Any, Any]) -> dict[str, Any]:
         "pose": predicted,
         "before": predicted,
         "covariance": START,
-        "motion": MOTION,
         "unrest": 0.2,
         "trend": np.zeros(6),
         "probation": 0,

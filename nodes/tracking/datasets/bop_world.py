@@ -9,6 +9,7 @@ from pathlib import Path
 
 from hierax.nodes.tracking.datasets.bop import BopScene, read_image
 from hierax.nodes.tracking.math.geometry import Array
+from hierax.nodes.tracking.schema import Picture
 from hierax.runtime import NO_TICK, Elements, Tick, Value, World
 
 AHEAD = 8
@@ -53,7 +54,7 @@ class BopWorld(World):
         return bool(belief["index"] >= self._count)
 
 
-def frame_seen(belief: Value) -> Elements:
+def frame_seen(belief: Value) -> tuple[Picture, ...]:
     """φ of a `BopWorld`: the frame and what its camera is known to be.
 
     Returns:

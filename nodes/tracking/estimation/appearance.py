@@ -7,8 +7,7 @@ side is strange: probably an edge of something else.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,16 +15,9 @@ from numpy.typing import NDArray
 from hierax.nodes.tracking.estimation.gamma_bias import UNTOLD
 from hierax.nodes.tracking.estimation.profiles import EDGE_SLOTS, Controls, Indices, Profiles, Singles
 from hierax.nodes.tracking.math.geometry import Floats
+from hierax.nodes.tracking.schema import Looks
 
-Slots = dict[str, Any]
-"""What is remembered of one object: "keys" (s,) int64 ascending, "colours" (s, channels) float32 grey levels,
-"spread" (s,) float32 variance of one channel, "weights" (s,) float32 how many frames it comes from; "edges" (e,)
-int64 ascending, numbers of edges, and "offsets" (e, 2) float32, by how many pixels each was off in the mean, and in
-how many frames; "parts" (p,) int64 ascending, parts of edges, and "hits" (p, 2) float32, in how many frames each was
-found and looked for, older ones fading; "encoding" (2,), what it told of light's encoding, see
-`hierax.nodes.tracking.estimation.gamma_bias`."""
-
-NOTHING: Slots = {
+NOTHING: Looks = {
     "keys": np.zeros(0, dtype=np.int64),
     "colours": np.zeros((0, 1), dtype=np.float32),
     "spread": np.zeros(0, dtype=np.float32),
@@ -73,7 +65,7 @@ class Memory(NamedTuple):
     factor: Singles
 
 
-def recalled(objects: list[Slots], controls: Controls, channels: int) -> Memory:
+def recalled(objects: list[Looks], controls: Controls, channels: int) -> Memory:
     """The memory of all objects (by their index), laid beside the control points."""
     count = len(controls.owners)
     colours = np.zeros((count, 2, channels), dtype=np.float32)
@@ -95,7 +87,7 @@ def recalled(objects: list[Slots], controls: Controls, channels: int) -> Memory:
     return Memory(colours, precision, trust, np.ones(count, dtype=np.float32), np.zeros(count, dtype=np.float32))
 
 
-def _trust(slots: Slots, edges: NDArray[np.int64]) -> Singles:
+def _trust(slots: Looks, edges: NDArray[np.int64]) -> Singles:
     known = slots["edges"]
     if not len(known):
         return np.ones(len(edges), dtype=np.float32)
@@ -106,7 +98,7 @@ def _trust(slots: Slots, edges: NDArray[np.int64]) -> Singles:
     return trust
 
 
-def _share_found(slots: Slots, parts: NDArray[np.int64]) -> Singles:
+def _share_found(slots: Looks, parts: NDArray[np.int64]) -> Singles:
     """(n,) in what share of images parts of edges were found, as if in one more.
 
     Where an object has no contrast of its own, what is found in the end belongs to something else.
@@ -120,7 +112,7 @@ def _share_found(slots: Slots, parts: NDArray[np.int64]) -> Singles:
     return share
 
 
-def sought(slots: Slots, parts: NDArray[np.int64], found: NDArray[np.bool_]) -> Slots:
+def sought(slots: Looks, parts: NDArray[np.int64], found: NDArray[np.bool_]) -> Looks:
     """What is remembered of the parts of edges after an image.
 
     Args:
@@ -140,12 +132,12 @@ def sought(slots: Slots, parts: NDArray[np.int64], found: NDArray[np.bool_]) -> 
     return {**slots, "parts": every, "hits": hits.astype(np.float32)}
 
 
-def only_found(slots: Slots) -> Slots:
+def only_found(slots: Looks) -> Looks:
     """What is remembered of an object in another light: which parts of its edges are found."""
     return {**NOTHING, "parts": slots["parts"], "hits": slots["hits"]}
 
 
-def measured(slots: Slots, edges: NDArray[np.int64], offsets: Floats) -> Slots:
+def measured(slots: Looks, edges: NDArray[np.int64], offsets: Floats) -> Looks:
     """What is remembered of the edges after an image.
 
     Args:
@@ -182,13 +174,13 @@ def strangeness(memory: Memory, controls: Controls, rows: Indices, profiles: Pro
     return result
 
 
-def moved(slots: Slots) -> Slots:
+def moved(slots: Looks) -> Looks:
     """What is remembered of an object that moved: its shadows move, too, and the light on its sides changes."""
     offsets = slots["offsets"] * np.array([1.0, _FADING], dtype=np.float32)
     return {**slots, "offsets": offsets, "weights": slots["weights"] * np.float32(_FADING)}
 
 
-def remembered(slots: Slots, controls: Controls, rows: Indices, colours: Singles) -> Slots:
+def remembered(slots: Looks, controls: Controls, rows: Indices, colours: Singles) -> Looks:
     """What is remembered after an image.
 
     Args:
@@ -207,7 +199,9 @@ def remembered(slots: Slots, controls: Controls, rows: Indices, colours: Singles
     channels = values.shape[1]
     mean = np.stack([np.bincount(place, weights=values[:, at]) for at in range(channels)], axis=1) / count[:, None]
     square = np.bincount(place, weights=((values - mean[place]) ** 2).mean(axis=1)) / count
-    old = slots if slots["colours"].shape[1] == channels else {**NOTHING, "colours": np.zeros((0, channels))}
+    old = slots
+    if slots["colours"].shape[1] != channels:
+        old = {**NOTHING, "colours": np.zeros((0, channels), dtype=np.float32)}
     every = np.union1d(old["keys"], found)
     before, now = np.searchsorted(every, old["keys"]), np.searchsorted(every, found)
     weights = np.zeros(len(every))
@@ -230,8 +224,3 @@ def remembered(slots: Slots, controls: Controls, rows: Indices, colours: Singles
         "spread": spread.astype(np.float32),
         "weights": np.minimum(weights, _FRAMES).astype(np.float32),
     }
-
-
-def of_mapping(item: Mapping[str, Any]) -> Slots:
-    """An object's slots as they stand in a belief."""
-    return {name: item[name] for name in NOTHING}

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from typing import Any, NamedTuple
+from collections.abc import Sequence
+from typing import NamedTuple
 
 import numpy as np
 
 from hierax.nodes.tracking.estimation import gamma_bias as encoding
 from hierax.nodes.tracking.estimation.alignment import Aligned, Start, align
-from hierax.nodes.tracking.estimation.appearance import Memory, Slots, only_found, recalled
+from hierax.nodes.tracking.estimation.appearance import Memory, only_found, recalled
 from hierax.nodes.tracking.estimation.crowding import apartness
 from hierax.nodes.tracking.estimation.fusion import Fused, Prior, fuse
 from hierax.nodes.tracking.estimation.profiles import Controls, Image, gathered
@@ -17,6 +17,7 @@ from hierax.nodes.tracking.estimation.stages import NEAREST_M, Search
 from hierax.nodes.tracking.estimation.tracked import motion_of
 from hierax.nodes.tracking.math.batched import exp_many, inverse
 from hierax.nodes.tracking.math.geometry import Array, Floats
+from hierax.nodes.tracking.schema import Looks, TrackedObject
 
 FAMILIAR_UNREST = 0.3
 """An object with less unrest is lit as it was."""
@@ -77,8 +78,8 @@ class Explained(NamedTuple):
 
 def task_of(
     image: Image,
-    objects: Sequence[Mapping[str, Any]],
-    slots: Sequence[Slots],
+    objects: Sequence[TrackedObject],
+    slots: Sequence[Looks],
     prior: Prior,
     intrinsics: Array,
     error_px: float,
@@ -111,7 +112,7 @@ def task_of(
     return Task(image, controls, memory, intrinsics, start, near, prior, factor)
 
 
-def prior_of(objects: Sequence[Mapping[str, Any]], motion: Floats, camera: Floats | None) -> Prior:
+def prior_of(objects: Sequence[TrackedObject], motion: Floats, camera: Floats | None) -> Prior:
     """What is known before an image.
 
     Args:
@@ -191,7 +192,7 @@ def _flat(poses: Floats) -> Floats:
     return flat
 
 
-def _with_motion(item: Mapping[str, Any]) -> float:
+def _with_motion(item: TrackedObject) -> float:
     """How much an object that moves may change its motion: the faster it is, the more."""
     motion = motion_of(item)
     least = _CHANGE_PER_M * float(np.linalg.norm(motion[:3])) + _CHANGE_PER_RAD * float(np.linalg.norm(motion[3:]))

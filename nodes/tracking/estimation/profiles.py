@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from typing import Any, NamedTuple
+from collections.abc import Sequence
+from typing import NamedTuple
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from hierax.nodes.tracking.math.geometry import Array, Floats
+from hierax.nodes.tracking.schema import ControlPoints
 
 cv2.setNumThreads(1)
 
@@ -122,8 +123,8 @@ def smoothed(image: Array) -> Image:
     return soft[:, :, None] if soft.ndim == 2 else soft
 
 
-def gathered(objects: Sequence[Mapping[str, Any]]) -> Controls:
-    """The controls of objects as the context gives them (keys as in `hierax.nodes.tracking.imagery.controls`)."""
+def gathered(objects: Sequence[ControlPoints]) -> Controls:
+    """The controls of objects as the context gives them."""
     counts = [len(item["points"]) for item in objects]
     owners = np.repeat(np.arange(len(objects)), counts)
     edges, begin = [], 0
@@ -132,22 +133,19 @@ def gathered(objects: Sequence[Mapping[str, Any]]) -> Controls:
         begin += 1 + int(item["edges"].max(initial=-1))
     slots = [_slots(item) for item in objects]
 
-    def joined(name: str) -> Floats:
-        return np.concatenate([np.asarray(item[name], dtype=np.float64) for item in objects])
-
     return Controls(
         owners,
-        joined("points"),
-        joined("tangents"),
-        joined("inwards"),
+        np.concatenate([item["points"] for item in objects]),
+        np.concatenate([item["tangents"] for item in objects]),
+        np.concatenate([item["inwards"] for item in objects]),
         np.concatenate([np.asarray(item["kinds"]) == 1 for item in objects]),
         np.concatenate(edges),
         np.concatenate(slots),
-        joined("visible"),
+        np.concatenate([item["visible"] for item in objects]).astype(np.float64),
     )
 
 
-def _slots(item: Mapping[str, Any]) -> NDArray[np.int64]:
+def _slots(item: ControlPoints) -> NDArray[np.int64]:
     """(n, 2): numbers for an object's edge, the part of it that a point is on, and the face on either side."""
     points, tangents = np.asarray(item["points"]), np.asarray(item["tangents"])
     part = np.floor(np.einsum("nk,nk->n", points, tangents) / _PART_M).astype(np.int64)

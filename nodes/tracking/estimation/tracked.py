@@ -2,23 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from typing import Any
+from collections.abc import Sequence
 
 import numpy as np
 
 from hierax.nodes.tracking.estimation.appearance import NOTHING
 from hierax.nodes.tracking.math.batched import invert_many, log_many
-from hierax.nodes.tracking.math.geometry import Array, Floats, invert
-
-TRACKED = "tracked"
-EXPECTED = "expected"
-LOST = "lost"
+from hierax.nodes.tracking.math.geometry import Floats, invert
+from hierax.nodes.tracking.schema import EXPECTED, ControlPoints, ExpectedObject, FirstPose, PaperObject, TrackedObject
 
 _FIRST_UNREST = 0.2
 _DASH_M = 0.002
 
-NO_CONTROLS: dict[str, Array] = {
+NO_CONTROLS: ControlPoints = {
     "points": np.zeros((0, 3)),
     "tangents": np.zeros((0, 3)),
     "inwards": np.zeros((0, 3)),
@@ -30,10 +26,8 @@ NO_CONTROLS: dict[str, Array] = {
 
 NO_POSES = np.zeros((0, 4, 4))
 
-Tracked = dict[str, Any]
 
-
-def first_belief(item: Mapping[str, Any], covariance: Floats) -> Tracked:
+def first_belief(item: FirstPose, covariance: Floats) -> TrackedObject:
     """An object before the first image.
 
     Args:
@@ -70,13 +64,13 @@ def first_belief(item: Mapping[str, Any], covariance: Floats) -> Tracked:
     }
 
 
-def motion_of(item: Mapping[str, Any]) -> Floats:
+def motion_of(item: TrackedObject) -> Floats:
     """(6,) twist in its frame by which an object is predicted to move from one image to the next."""
     motion: Floats = log_many(invert_many(item["before"][None]) @ item["pose"][None])[0]
     return motion
 
 
-def check_ids(objects: Sequence[Mapping[str, Any]]) -> None:
+def check_ids(objects: Sequence[TrackedObject] | Sequence[PaperObject]) -> None:
     """See that objects can be told apart in a label image.
 
     Raises:
@@ -92,7 +86,7 @@ def diagonal_covariance(length_m: float, angle_rad: float) -> Floats:
     return np.diag([length_m**2] * 3 + [angle_rad**2] * 3)
 
 
-def imagined(item: Tracked, expected: Mapping[str, Any], camera: Floats) -> Tracked:
+def imagined(item: TrackedObject, expected: ExpectedObject, camera: Floats) -> TrackedObject:
     """One object's prediction and its visible edges.
 
     Args:

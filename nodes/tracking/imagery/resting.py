@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import Any
-
 import numpy as np
 
 from hierax.nodes.tracking.math.geometry import Floats
+from hierax.nodes.tracking.schema import Body
 
 _RESTING_M = 0.0005
 _RESTING_RAD = 0.004
@@ -20,7 +18,7 @@ _BASE_M = 0.003
 """What lies on a face has corners no higher than this above the lowest, and spread as far (standard deviation)."""
 
 
-def resting(body: Mapping[str, Any], carried: bool) -> dict[str, Any]:
+def resting(body: Body, carried: bool) -> Body:
     """What rests on something is as high, and as upright, as that leaves it: no longer less certain than that.
 
     Args:

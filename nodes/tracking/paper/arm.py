@@ -3,30 +3,34 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Any
 
 import numpy as np
 
-from hierax.nodes.tracking.estimation.tracked import EXPECTED, LOST, NO_POSES, TRACKED, check_ids, diagonal_covariance
+from hierax.nodes.tracking.estimation.tracked import NO_POSES, check_ids, diagonal_covariance
 from hierax.nodes.tracking.math.geometry import Array, Floats, invert, transform
 from hierax.nodes.tracking.paper.lines import expected_lines, image_lines, match_lines
-from hierax.runtime import Elements, Node, Value
+from hierax.nodes.tracking.schema import (
+    EXPECTED,
+    LOST,
+    TRACKED,
+    ExpectedObject,
+    FirstPose,
+    Imagery,
+    PaperArmBelief,
+    PaperObject,
+    Picture,
+)
+from hierax.runtime import Elements, Node
 
 _NO_EDGES = np.zeros((0, 2, 3))
 _LEAST_INFORMATION = 1e-2
 """Of the first pose's, counted as seen, so that what no line shows stays finite."""
 
-Tracked = dict[str, Any]
-
 
 class PaperArmNode(Node):
     """Tracks objects with the camera of an arm as the paper has it; takes the place of `ArmNode` in a deployment.
 
-    The belief has the fields of `hierax.nodes.tracking.arm.ArmNode` that others read: ``camera``
-    (world_from_camera; None before the first image), ``intrinsics``, ``size``, ``frame`` and
-    ``objects``, each with ``id``, ``obj_id``, ``pose`` (camera_from_object), ``covariance``,
-    ``score``, ``status``, ``misses``, ``unrest`` (always 1) and ``edges`` ((n, 2, 3) ends of
-    the edges expected to be seen, object's frame, metres).
+    The belief is a `PaperArmBelief`, see `hierax.nodes.tracking.schema`.
 
     Args:
         objects: ``id``, ``obj_id`` and ``pose`` (camera_from_object in the first frame) of each.
@@ -41,7 +45,7 @@ class PaperArmNode(Node):
 
     def __init__(
         self,
-        objects: Sequence[Mapping[str, Any]],
+        objects: Sequence[FirstPose],
         start_m: float = 0.005,
         start_rad: float = 0.035,
         error_px: float = 1.5,
@@ -62,11 +66,11 @@ class PaperArmNode(Node):
         self._objects = tuple(self._first(item) for item in objects)
         check_ids(self._objects)
 
-    def initial_belief(self) -> Value:
+    def initial_belief(self) -> PaperArmBelief:
         """The objects where they are said to be; no camera, no edges yet."""
         return {"camera": None, "intrinsics": None, "size": None, "frame": None, "objects": self._objects}
 
-    def observe(self, observations: Elements, belief: Value) -> Value:
+    def observe(self, observations: tuple[Picture, ...], belief: PaperArmBelief) -> PaperArmBelief:
         """τ: each object's expected edges matched to the image's line segments, its pose by solvePnP.
 
         Args:
@@ -81,7 +85,7 @@ class PaperArmNode(Node):
         moved = np.eye(4) if belief["camera"] is None else invert(camera) @ belief["camera"]
         wanted = any(len(item["edges"]) for item in belief["objects"])
         lines = image_lines(seen["image"]) if wanted else None
-        objects = [{**item, "pose": moved @ item["pose"]} for item in belief["objects"]]
+        objects: list[PaperObject] = [{**item, "pose": moved @ item["pose"]} for item in belief["objects"]]
         height, width = seen["image"].shape[:2]
         return {
             "camera": camera,
@@ -91,7 +95,7 @@ class PaperArmNode(Node):
             "objects": tuple(item if lines is None else self._corrected(item, lines, intrinsics) for item in objects),
         }
 
-    def predict(self, context: Elements, actions: Elements, belief: Value) -> Value:
+    def predict(self, context: tuple[Imagery, ...], actions: Elements, belief: PaperArmBelief) -> PaperArmBelief:
         """γ: where the objects will be, and which of their edges will be seen, both from the context.
 
         Args:
@@ -100,16 +104,17 @@ class PaperArmNode(Node):
             actions: none.
             belief: as `observe` left it.
         """
+        camera = belief["camera"]
         expected = {item["id"]: item for item in context[0]["poses"]} if context else {}
-        objects = tuple(
-            _imagined(item, expected[item["id"]], context[0], belief["camera"])
-            if item["id"] in expected
-            else {**item, "edges": _NO_EDGES, "score": 0.0, "status": LOST}
+        objects: tuple[PaperObject, ...] = tuple(
+            {**item, "edges": _NO_EDGES, "score": 0.0, "status": LOST}
+            if camera is None or item["id"] not in expected
+            else _imagined(item, expected[item["id"]], context[0], camera)
             for item in belief["objects"]
         )
         return {**belief, "objects": objects}
 
-    def metrics(self, belief: Value) -> Mapping[str, float]:
+    def metrics(self, belief: PaperArmBelief) -> Mapping[str, float]:
         """How many objects are tracked, and the mean score."""
         objects = belief["objects"]
         scores = [item["score"] for item in objects]
@@ -119,7 +124,7 @@ class PaperArmNode(Node):
             "score_mean": float(np.mean(scores)) if scores else 0.0,
         }
 
-    def _first(self, item: Mapping[str, Any]) -> Tracked:
+    def _first(self, item: FirstPose) -> PaperObject:
         pose = np.asarray(item["pose"], dtype=np.float64)
         if pose.shape != (4, 4) or not np.all(np.isfinite(pose)):
             raise ValueError(f"object {item['id']}: pose: expected a 4 × 4 matrix of finite numbers")
@@ -137,7 +142,7 @@ class PaperArmNode(Node):
             "edges": _NO_EDGES,
         }
 
-    def _corrected(self, item: Tracked, lines: Floats, intrinsics: Array) -> Tracked:
+    def _corrected(self, item: PaperObject, lines: Floats, intrinsics: Array) -> PaperObject:
         """One object after the image; where that does not support it, its prediction stands, until patience ends."""
         found = match_lines(lines, item["edges"], item["pose"], intrinsics)
         if found is None or found.score < self._kept_score:
@@ -157,7 +162,7 @@ class PaperArmNode(Node):
         }
 
 
-def _imagined(item: Tracked, expected: Mapping[str, Any], seen: Mapping[str, Any], camera: Floats) -> Tracked:
+def _imagined(item: PaperObject, expected: ExpectedObject, seen: Imagery, camera: Floats) -> PaperObject:
     """One object's prediction and its visible edges."""
     drawn_from = invert(seen["camera"]) @ expected["pose"]
     lines = expected_lines(seen["depth"], seen["labels"], item["id"], seen["intrinsics"])

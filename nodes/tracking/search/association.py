@@ -7,14 +7,14 @@ pulled farther than its prediction allows, is then looked for alone.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from typing import Any, NamedTuple
+from collections.abc import Sequence
+from typing import NamedTuple
 
 import numpy as np
 
 from hierax.nodes.tracking.estimation import gamma_bias as encoding
 from hierax.nodes.tracking.estimation.alignment import Aligned, offsets_at
-from hierax.nodes.tracking.estimation.appearance import measured, moved, of_mapping, remembered, sought
+from hierax.nodes.tracking.estimation.appearance import measured, moved, remembered, sought
 from hierax.nodes.tracking.estimation.fusion import SURPRISED, Prior
 from hierax.nodes.tracking.estimation.joint_alignment import (
     FAMILIAR_UNREST,
@@ -30,6 +30,7 @@ from hierax.nodes.tracking.estimation.profiles import EDGE_SLOTS, Image
 from hierax.nodes.tracking.estimation.tracked import motion_of
 from hierax.nodes.tracking.math.batched import exp_many, inverse, invert_many, log_many, solved
 from hierax.nodes.tracking.math.geometry import Array, Floats
+from hierax.nodes.tracking.schema import Looks, TrackedObject
 from hierax.nodes.tracking.search.multistart import Found, Looking, in_turn
 from hierax.nodes.tracking.search.reacquisition import look_elsewhere
 
@@ -50,16 +51,19 @@ class Options(NamedTuple):
     """How far things go.
 
     Attributes:
-        motion: (6, 6) covariance of an object's deviation from its prediction within a frame, when it is pushed.
+        motion: (6, 6) covariance of an object's deviation from its prediction within a frame, when it is pushed;
+            or (m, 6, 6), of each.
         error_px: standard deviation of a control point, as if they erred independently.
         sure_score: an object that scores less is also looked for farther away.
         certain_score: so is one that was found again just now and scores less than this.
+        falling: as `motion`, falling over included; None: the same.
     """
 
     motion: Floats
     error_px: float
     sure_score: float
     certain_score: float = 0.95
+    falling: Floats | None = None
 
 
 class Estimate(NamedTuple):
@@ -85,7 +89,7 @@ class Estimate(NamedTuple):
     trend: Floats
     score: float
     shown: float
-    slots: Mapping[str, Any]
+    slots: Looks
     vain: int
     elsewhere: bool
     sure: bool
@@ -94,7 +98,7 @@ class Estimate(NamedTuple):
 
 def associate(
     image: Image,
-    objects: Sequence[Mapping[str, Any]],
+    objects: Sequence[TrackedObject],
     camera: Floats | None,
     intrinsics: Array,
     options: Options,
@@ -113,7 +117,7 @@ def associate(
         What the camera's error does to all poses (4, 4), and each object's estimate; None
         where nothing is expected in the image.
     """
-    slots = [of_mapping(item["slots"]) for item in objects]
+    slots = [item["slots"] for item in objects]
     prior = prior_of(objects, options.motion, camera)
     task = task_of(image, objects, slots, prior, intrinsics, options.error_px)
     best = explained(task)
@@ -129,7 +133,8 @@ def associate(
     searched = sorted((at for at in doubtful if in_turn(objects[at])), key=lambda at: objects[at]["vain"])
     searched = sorted(searched[:_SEARCHED_AT_ONCE])
     if searched:
-        looking = Looking(image, task.controls, task.memory, intrinsics, options.error_px)
+        falling = np.broadcast_to(options.motion if options.falling is None else options.falling, (len(objects), 6, 6))
+        looking = Looking(image, task.controls, task.memory, intrinsics, options.error_px, falling)
         elsewhere = look_elsewhere(looking, objects, shift, found, searched, prior)
         found = _if_expected(elsewhere, found, prior, shift @ task.start.poses)
     still = [_is_still(item, found.unrest[at]) for at, item in enumerate(objects)]
@@ -178,11 +183,11 @@ def _if_expected(after: Found, before: Found, prior: Prior, expected: Floats) ->
     )
 
 
-def _doubtful(found: Found, objects: Sequence[Mapping[str, Any]], options: Options) -> list[int]:
+def _doubtful(found: Found, objects: Sequence[TrackedObject], options: Options) -> list[int]:
     return [at for at, item in enumerate(objects) if _is_doubtful(found, at, item, options)]
 
 
-def _is_doubtful(found: Found, at: int, item: Mapping[str, Any], options: Options) -> bool:
+def _is_doubtful(found: Found, at: int, item: TrackedObject, options: Options) -> bool:
     if item["others"]:
         return True
     if found.shown[at] < _LEAST_SHOWN:
@@ -191,7 +196,7 @@ def _is_doubtful(found: Found, at: int, item: Mapping[str, Any], options: Option
     return bool(found.scores[at] < enough or (found.unrest[at] == 1.0 and item["unrest"] < 1.0))
 
 
-def _is_still(item: Mapping[str, Any], unrest: float) -> bool:
+def _is_still(item: TrackedObject, unrest: float) -> bool:
     motion = motion_of(item)
     slow = np.linalg.norm(motion[:3]) < _STILL_M and np.linalg.norm(motion[3:]) < _STILL_RAD
     return bool(slow and unrest < _LEARNED_UNREST)
@@ -201,10 +206,10 @@ def _learned(
     aligned: Aligned,
     found: Found,
     task: Task,
-    slots: list[dict[str, Any]],
+    slots: list[Looks],
     doubtful: list[int],
     still: list[bool],
-) -> list[dict[str, Any]]:
+) -> list[Looks]:
     """What is remembered of the looks of those objects that are surely where they were expected."""
     controls, lines, profiles, matches = task.controls, aligned.lines, aligned.profiles, aligned.matches
     seen = controls.visible[lines.rows] > _SURE_SEEN
@@ -232,7 +237,7 @@ def _learned(
     return learned
 
 
-def _estimates(found: Found, learned: list[dict[str, Any]], vain: list[int]) -> list[Estimate]:
+def _estimates(found: Found, learned: list[Looks], vain: list[int]) -> list[Estimate]:
     return [
         Estimate(
             found.poses[at],

@@ -8,7 +8,7 @@ the more unlikely it was before the image, the more.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -19,10 +19,11 @@ from hierax.nodes.tracking.estimation.appearance import Memory
 from hierax.nodes.tracking.estimation.fusion import Prior
 from hierax.nodes.tracking.estimation.profiles import Controls, Image
 from hierax.nodes.tracking.estimation.stages import Search
-from hierax.nodes.tracking.estimation.tracked import TRACKED, motion_of
+from hierax.nodes.tracking.estimation.tracked import motion_of
 from hierax.nodes.tracking.imagery.controls import POINTS_MAX
 from hierax.nodes.tracking.math.batched import exp_many, inverse, invert_many, log_many
 from hierax.nodes.tracking.math.geometry import Array, Floats
+from hierax.nodes.tracking.schema import TRACKED, TrackedObject
 
 ROUGH = Search(
     reach_px=(20,), scale_px=((20.0, 6.0),), iterations=5, fine_px=(4.0, 4.0), fine_iterations=1, support_px=3.0
@@ -127,19 +128,21 @@ class Found(NamedTuple):
 
 
 class Looking(NamedTuple):
-    """What the search works on: the smoothed image, all objects' controls and memory, the camera's fx, fy, cx, cy, and
-    what a control point's residual is worth in pixels."""
+    """What the search works on: the smoothed image, all objects' controls and memory, the camera's fx, fy, cx, cy,
+    what a control point's residual is worth in pixels, and (m, 6, 6) how far each object may leave its prediction
+    within a frame, falling over included."""
 
     image: Image
     controls: Controls
     memory: Memory
     intrinsics: Array
     noise_px: float
+    falling: Floats
 
 
 def search_elsewhere(
     looking: Looking,
-    objects: Sequence[Mapping[str, Any]],
+    objects: Sequence[TrackedObject],
     shift: Floats,
     found: Found,
     doubtful: Sequence[int],
@@ -155,7 +158,7 @@ def search_elsewhere(
         doubtful: which of them to look for.
         prior: what was known before the image.
     """
-    free = prior._replace(motion=np.stack([item["motion"] for item in objects]))
+    free = prior._replace(motion=looking.falling)
     spread = free._replace(unrest=np.ones(len(objects))).spread()
     startled = inverse(spread)
     seen = np.array([len(item["slots"]["keys"]) > 0 for item in objects])
@@ -234,21 +237,21 @@ def _chosen(found: Found, tries: Sequence[int], start: Start, fine: Aligned, wor
     return after
 
 
-def in_turn(item: Mapping[str, Any]) -> bool:
+def in_turn(item: TrackedObject) -> bool:
     """Whether an object is looked for in this image: at once, but when that was in vain, only now and then."""
     vain = int(item["vain"])
     return vain < _VAIN_AT_ONCE or (vain + int(item["id"])) % _VAIN_EVERY == 0
 
 
-def _is_worse(score: float, item: Mapping[str, Any]) -> bool:
+def _is_worse(score: float, item: TrackedObject) -> bool:
     return bool(item["status"] == TRACKED and score < _WORSE * item["score"])
 
 
-def _is_astray(item: Mapping[str, Any]) -> bool:
+def _is_astray(item: TrackedObject) -> bool:
     return bool(item["vain"] >= _VAIN_AT_ONCE or item["probation"] > 0)
 
 
-def _starts(item: Mapping[str, Any], shift: Floats, spread: Floats) -> list[Floats]:
+def _starts(item: TrackedObject, shift: Floats, spread: Floats) -> list[Floats]:
     """Where an object may be: on its way from where it was, and around where it was expected."""
     motion = motion_of(item)
     moves = np.array([1.0] if np.linalg.norm(motion) < 1e-4 else _FARTHER)

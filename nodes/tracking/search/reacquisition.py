@@ -7,20 +7,20 @@ imagined again for the next image, where they have moved to by then.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from hierax.nodes.tracking.estimation.alignment import Aligned, Start
-from hierax.nodes.tracking.estimation.appearance import Memory, of_mapping, recalled
+from hierax.nodes.tracking.estimation.appearance import Memory, recalled
 from hierax.nodes.tracking.estimation.fusion import Prior
 from hierax.nodes.tracking.estimation.profiles import Controls, Indices, gathered, lines_of
 from hierax.nodes.tracking.estimation.stages import Search
-from hierax.nodes.tracking.estimation.tracked import TRACKED
 from hierax.nodes.tracking.imagery.controls import POINTS_MAX
 from hierax.nodes.tracking.math.batched import inverse, invert_many, log_many
 from hierax.nodes.tracking.math.geometry import Array, Floats
+from hierax.nodes.tracking.schema import TRACKED, ControlPoints, TrackedObject
 from hierax.nodes.tracking.search.multistart import (
     FINE,
     ROUGH,
@@ -91,7 +91,7 @@ class _Candidates(NamedTuple):
 
 def look_elsewhere(
     looking: Looking,
-    objects: Sequence[Mapping[str, Any]],
+    objects: Sequence[TrackedObject],
     shift: Floats,
     found: Found,
     doubtful: Sequence[int],
@@ -107,7 +107,7 @@ def look_elsewhere(
 
 def find_again(
     looking: Looking,
-    objects: Sequence[Mapping[str, Any]],
+    objects: Sequence[TrackedObject],
     shift: Floats,
     found: Found,
     sought: Sequence[int],
@@ -156,14 +156,14 @@ def find_again(
 
 def _candidates(
     looking: Looking,
-    objects: Sequence[Mapping[str, Any]],
+    objects: Sequence[TrackedObject],
     shift: Floats,
     found: Found,
     sought: Sequence[int],
 ) -> tuple[_Candidates, Controls, Memory]:
     """What may be, with all their controls, and what is remembered beside those."""
     rows: list[tuple[int, int, Floats, bool, bool]] = []
-    seen: list[Mapping[str, Any]] = []
+    seen: list[ControlPoints] = []
     owners: list[int] = []
     for at in sought:
         item = objects[at]
@@ -177,7 +177,7 @@ def _candidates(
         owners += [at] * (len(seen) - len(owners))
     columns: list[Any] = [np.array(column) for column in zip(*rows, strict=True)]
     controls = gathered(seen)
-    memory = recalled([of_mapping(objects[at]["slots"]) for at in owners], controls, looking.image.shape[2])
+    memory = recalled([objects[at]["slots"] for at in owners], controls, looking.image.shape[2])
     memory = memory._replace(factor=np.full(len(controls.owners), looking.memory.factor[0], dtype=np.float32))
     return _Candidates(*columns), controls, memory
 

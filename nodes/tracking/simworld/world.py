@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
+from hierax.nodes.tracking import schema
 from hierax.nodes.tracking.imagery.physics import Motion, Simulator, Solid
 from hierax.nodes.tracking.math.geometry import Floats, exp_so3, make_pose
+from hierax.nodes.tracking.schema import Picture, SimBelief
 from hierax.nodes.tracking.showing import world_things
 from hierax.nodes.tracking.simworld.scene import develop, draw
 from hierax.nodes.tracking.simworld.shapes import Cube, cube_corners
@@ -56,10 +58,7 @@ that no side becomes a sliver, of which one camera cannot tell whether it sees i
 class SimWorld(World):
     """Cubes on a table under gravity; one is drawn along. The camera's path is a function of the time.
 
-    The belief: ``frame``, ``time_s``, ``camera`` (world_from_camera, 4x4; z of the world
-    is up and the table its plane z = 0), ``intrinsics``, ``size`` (w, h), ``noise``,
-    ``blur_px``, and ``bodies``, a tuple of ``id``, ``obj_id``, ``side_m``, ``colour``,
-    ``pose`` (world_from_object) and ``velocity`` (m/s, rad/s, world frame).
+    The belief is a `SimBelief`, see `hierax.nodes.tracking.schema`; z of the world is up, the table its plane z = 0.
 
     Args:
         cubes: how many of the scene's cubes, from 1 to 6.
@@ -98,7 +97,7 @@ class SimWorld(World):
         self._solids = [_solid(body["side_m"]) for body in bodies]
         self._simulator = Simulator()
 
-    def initial_belief(self) -> Value:
+    def initial_belief(self) -> SimBelief:
         """Frame 0: everything at rest."""
         width, height = self._size
         focal = FOCAL_LENGTH * width
@@ -113,7 +112,7 @@ class SimWorld(World):
             "bodies": self._bodies,
         }
 
-    def predict(self, context: Elements, actions: Elements, belief: Value) -> Value:
+    def predict(self, context: Elements, actions: Elements, belief: SimBelief) -> SimBelief:
         """The next frame: gravity, contacts and the thread for one frame interval, and the camera moved on."""
         bodies = belief["bodies"]
         motions = [Motion(body["pose"], body["velocity"]) for body in bodies]
@@ -121,7 +120,7 @@ class SimWorld(World):
         drive = drive_at(belief["time_s"])
         drives = {i: drive for i, body in enumerate(bodies) if drive is not None and body["id"] == DRIVEN_ID}
         after = self._simulator.run(self._solids, motions, 1.0 / self._fps, drives)
-        moved = tuple(
+        moved: tuple[schema.Cube, ...] = tuple(
             {**body, "pose": motion.pose, "velocity": motion.velocity}
             for body, motion in zip(bodies, after, strict=True)
         )
@@ -137,19 +136,19 @@ class SimWorld(World):
         """The true poses."""
         return world_things(step)
 
-    def time_s(self, belief: Value, epoch: int) -> float:
+    def time_s(self, belief: SimBelief, epoch: int) -> float:
         """The time of the belief's frame."""
         return float(belief["time_s"])
 
-    def finished(self, belief: Value) -> bool:
+    def finished(self, belief: SimBelief) -> bool:
         """Whether all frames have been shown."""
         return bool(belief["frame"] >= self._frames)
 
 
-def picture_seen(belief: Value, tick: Tick = NO_TICK) -> Elements:
+def picture_seen(belief: SimBelief, tick: Tick = NO_TICK) -> tuple[Picture, ...]:
     """φ of the simulated world: the picture that the camera takes, with noise of the tick's generator."""
-    cubes = [Cube(body["pose"], body["side_m"], tuple(body["colour"])) for body in belief["bodies"]]
-    picture = draw(cubes, belief["camera"], belief["intrinsics"], tuple(belief["size"]))
+    cubes = [Cube(body["pose"], body["side_m"], body["colour"]) for body in belief["bodies"]]
+    picture = draw(cubes, belief["camera"], belief["intrinsics"], belief["size"])
     image = develop(picture, belief["blur_px"], belief["noise"], tick.rng)
     return (
         {
@@ -181,7 +180,7 @@ def drive_at(time_s: float) -> Floats | None:
     return speed
 
 
-def first_bodies(cubes: int) -> tuple[dict[str, Any], ...]:
+def first_bodies(cubes: int) -> tuple[schema.Cube, ...]:
     """The first so many cubes of `SCENE`, at rest, as they stand in the belief.
 
     Raises:

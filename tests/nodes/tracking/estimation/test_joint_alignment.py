@@ -7,7 +7,6 @@ from support.boxes import INTRINSICS, Box, photograph
 from support.drawn import BOXES, all_expected
 
 from hierax.nodes.tracking.arm import ArmNode, poses_seen
-from hierax.nodes.tracking.estimation.appearance import of_mapping
 from hierax.nodes.tracking.estimation.joint_alignment import Explained, explained, explained_again, prior_of, task_of
 from hierax.nodes.tracking.estimation.profiles import smoothed
 from hierax.nodes.tracking.math.batched import exp_many
@@ -60,7 +59,7 @@ def one_off(shift: np.ndarray) -> tuple[Explained, Explained | None]:
     for item in items:
         item["covariance"] = np.diag([0.0004**2] * 3 + [0.004**2] * 3)
     prior = prior_of(items, MOTION, CAMERA)
-    slots = [of_mapping(item["slots"]) for item in items]
+    slots = [item["slots"] for item in items]
     image = smoothed(photograph(BOXES, 2.0, np.random.default_rng(4)))
     task = task_of(image, items, slots, prior, INTRINSICS, 0.7)
     assert task.search.reach_px == (8,)

@@ -1,0 +1,432 @@
+"""What the tracking nodes believe, observe and expect, field by field: shape, dtype, unit and frame.
+
+Every part is a map that travels as it stands. Array fields carry an `Is`, which `fault` checks; all frames are as in
+`hierax.nodes.tracking.math.geometry`: ``a_from_b`` takes coordinates in frame b to coordinates in frame a, and a pose's
+covariance stands in the object's frame.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from types import NoneType, UnionType
+from typing import Annotated, Any, NamedTuple, TypedDict, Union, final, get_args, get_origin, get_type_hints
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hierax.nodes.tracking.math.geometry import Array, Floats
+
+TRACKED, EXPECTED, LOST = "tracked", "expected", "lost"
+"""Status of an object: the newest image supports its pose; it is known from prediction alone; nobody knows where."""
+
+
+class Is(NamedTuple):
+    """What an array is.
+
+    Attributes:
+        shape: numbers, or letters for lengths that differ from value to value.
+        dtype: numpy's name of it.
+        meaning: unit and frame.
+    """
+
+    shape: tuple[int | str, ...]
+    dtype: str
+    meaning: str = ""
+
+
+CameraPose = Annotated[Floats, Is((4, 4), "float64", "world_from_camera, m")]
+CameraFromObject = Annotated[Floats, Is((4, 4), "float64", "camera_from_object, m")]
+WorldFromObject = Annotated[Floats, Is((4, 4), "float64", "world_from_object, m")]
+Covariance = Annotated[Floats, Is((6, 6), "float64", "of a twist in the object's frame, m² and rad²")]
+Intrinsics = Annotated[Array, Is((4,), "float64", "fx, fy, cx, cy in pixels, pixel centres at integers")]
+Upwards = Annotated[Floats, Is((3,), "float64", "unit vector in the object's frame; zeros where nothing carries it")]
+Size = tuple[int, int]
+"""Width and height in pixels."""
+
+
+class Model(TypedDict):
+    """A triangle mesh."""
+
+    vertices: Annotated[Floats, Is(("n", 3), "float64", "m, object's frame")]
+    faces: Annotated[Array, Is(("m", 3), "int32", "numbers of vertices, counter-clockwise seen from outside")]
+
+
+class FirstPose(TypedDict):
+    """An object as it is given to a node at the start.
+
+    Attributes:
+        id: label in this scene, 1 to 255.
+        obj_id: number of its model.
+        pose: camera_from_object in the first frame.
+    """
+
+    id: int
+    obj_id: int
+    pose: CameraFromObject
+
+
+class FirstBody(FirstPose):
+    """As `FirstPose`, but ``pose`` is world_from_object; with its model."""
+
+    model: Model
+
+
+class Picture(TypedDict):
+    """World to arm: what the camera sees.
+
+    Attributes:
+        image: gray (h, w) or RGB (h, w, 3).
+        camera: as the world says it is.
+        frame: number of the image.
+    """
+
+    image: Annotated[Array, Is(("...",), "uint8", "grey levels")]
+    camera: CameraPose
+    intrinsics: Intrinsics
+    frame: int
+
+
+class ControlPoints(TypedDict):
+    """Points on edges that a camera is expected to see: the fields of `imagery.controls.Controls`."""
+
+    points: Annotated[Floats, Is(("n", 3), "float64", "m, object's frame")]
+    tangents: Annotated[Floats, Is(("n", 3), "float64", "unit vectors along the edge, object's frame")]
+    inwards: Annotated[Floats, Is(("n", 3), "float64", "unit vectors across the edge, object's frame")]
+    kinds: Annotated[NDArray[np.uint8], Is(("n",), "uint8", "0 an outline, 1 a crease")]
+    edges: Annotated[NDArray[np.int32], Is(("n",), "int32", "numbers of edges")]
+    faces: Annotated[NDArray[np.int32], Is(("n", 2), "int32", "numbers of patches beside it, -1: none")]
+    visible: Annotated[NDArray[np.float32], Is(("n",), "float32", "chance that nothing hides it")]
+
+
+class Alternative(TypedDict):
+    """Another pose that an object may have.
+
+    Attributes:
+        pose: world_from_object in the context, camera_from_object in the arm's belief.
+        controls: what would be seen of it there.
+        kept: whether it is one of the arm's earlier guesses.
+    """
+
+    pose: WorldFromObject
+    controls: ControlPoints
+    kept: bool
+
+
+class ExpectedObject(TypedDict):
+    """Spatial to arm, within `Imagery`: where an object is expected, and what of it.
+
+    Attributes:
+        status: as the arm said last.
+        support: upwards, where something carries it.
+        stands: whether it lies on a face there.
+        controls: those that are likely enough to be seen.
+        others: poses that it may have besides.
+    """
+
+    id: int
+    obj_id: int
+    pose: WorldFromObject
+    covariance: Covariance
+    status: str
+    support: Upwards
+    stands: bool
+    controls: ControlPoints
+    others: tuple[Alternative, ...]
+
+
+class Imagery(TypedDict):
+    """Spatial to arm: the scene as it is expected to be seen (theory, example 3).
+
+    Attributes:
+        depth, labels: of the part of the image that holds all bodies; 0 where nothing is.
+        camera: at which it was drawn.
+        intrinsics: of that part.
+        corner: left and top of that part in the whole image.
+        size: of the whole image.
+    """
+
+    depth: Annotated[NDArray[np.float32], Is(("h", "w"), "float32", "m along the camera's z")]
+    labels: Annotated[NDArray[np.uint8], Is(("h", "w"), "uint8", "ids")]
+    camera: CameraPose
+    intrinsics: Intrinsics
+    corner: tuple[int, int]
+    size: Size
+    poses: tuple[ExpectedObject, ...]
+
+
+class Looks(TypedDict):
+    """What is remembered of one object's looks; see `hierax.nodes.tracking.estimation.appearance`."""
+
+    keys: Annotated[NDArray[np.int64], Is(("s",), "int64", "sides of edges, ascending")]
+    colours: Annotated[NDArray[np.float32], Is(("s", "c"), "float32", "grey levels")]
+    spread: Annotated[NDArray[np.float32], Is(("s",), "float32", "variance of one channel, grey levels²")]
+    weights: Annotated[NDArray[np.float32], Is(("s",), "float32", "frames that it comes from")]
+    edges: Annotated[NDArray[np.int64], Is(("e",), "int64", "numbers of edges, ascending")]
+    offsets: Annotated[NDArray[np.float32], Is(("e", 2), "float32", "mean offset in pixels, and in how many frames")]
+    parts: Annotated[NDArray[np.int64], Is(("p",), "int64", "parts of edges, ascending")]
+    hits: Annotated[NDArray[np.float32], Is(("p", 2), "float32", "frames found and looked for, older ones fading")]
+    encoding: Annotated[Array, Is((2,), "float64", "what it told of light's encoding")]
+
+
+class TrackedObject(TypedDict):
+    """What the arm believes of one object.
+
+    Attributes:
+        pose: seen from the belief's camera.
+        before: the same an image earlier.
+        score: how well the image supports the pose, 0 to 1.
+        probation: for how many more images it may turn out to be elsewhere.
+        status: `TRACKED`, `EXPECTED` or `LOST`.
+        misses: images in a row without support.
+        unrest: 0 to 1, how much of a push its latest motion asks for.
+        trend: running mean of how far images had it from its predictions.
+        vain: for how many images in a row it was looked for elsewhere and not found.
+        support: upwards, where something carries it.
+        stands: whether it lies on a face there.
+        sought: whether it is to be imagined elsewhere, too.
+        others: what came of that.
+        guesses: poses that explain the newest image nearly as well.
+        controls: points on the edges expected to be seen.
+        edges: a dash along the edge at each.
+        slots: what it looks like beside them.
+    """
+
+    id: int
+    obj_id: int
+    pose: CameraFromObject
+    before: CameraFromObject
+    covariance: Covariance
+    score: float
+    probation: int
+    status: str
+    misses: int
+    unrest: float
+    trend: Annotated[Floats, Is((6,), "float64", "standard deviations")]
+    vain: int
+    support: Upwards
+    stands: bool
+    others: tuple[Alternative, ...]
+    guesses: Annotated[Floats, Is(("n", 4, 4), "float64", "camera_from_object, m")]
+    sought: bool
+    controls: ControlPoints
+    edges: Annotated[Floats, Is(("n", 2, 3), "float64", "m, object's frame")]
+    slots: Looks
+
+
+class ArmBelief(TypedDict):
+    """What the arm node believes; of camera and image nothing before the first one.
+
+    Attributes:
+        camera: with the error corrected that all objects show together.
+        reported: the same as the world gave it.
+        drift: ``reported @ drift`` is where the camera is expected.
+        frame: the newest image's number.
+    """
+
+    camera: CameraPose | None
+    reported: CameraPose | None
+    drift: Annotated[Floats, Is((4, 4), "float64", "reported_from_camera, m")]
+    intrinsics: Intrinsics | None
+    size: Size | None
+    frame: int | None
+    objects: tuple[TrackedObject, ...]
+
+
+class PaperObject(TypedDict):
+    """What the arm believes of one object with the paper's update; fields as in `TrackedObject`."""
+
+    id: int
+    obj_id: int
+    pose: CameraFromObject
+    covariance: Covariance
+    score: float
+    status: str
+    misses: int
+    unrest: float
+    sought: bool
+    guesses: Annotated[Floats, Is(("n", 4, 4), "float64", "camera_from_object, m")]
+    edges: Annotated[Floats, Is(("n", 2, 3), "float64", "m, object's frame")]
+
+
+class PaperArmBelief(TypedDict):
+    """What the arm node believes with the paper's update; fields as in `ArmBelief`."""
+
+    camera: CameraPose | None
+    intrinsics: Intrinsics | None
+    size: Size | None
+    frame: int | None
+    objects: tuple[PaperObject, ...]
+
+
+@final
+class SeenObject(TypedDict):
+    """Arm to spatial: where one object is, in the world."""
+
+    id: int
+    obj_id: int
+    pose: WorldFromObject
+    covariance: Covariance
+    score: float
+    status: str
+    unrest: float
+    sought: bool
+    guesses: Annotated[Floats, Is(("n", 4, 4), "float64", "world_from_object, m")]
+
+
+@final
+class SeenCamera(TypedDict):
+    """Arm to spatial, after the objects: the camera, corrected."""
+
+    camera: CameraPose
+    intrinsics: Intrinsics
+    size: Size
+    frame: int
+
+
+class Cube(TypedDict):
+    """What the simulated world knows of one cube: the truth.
+
+    Attributes:
+        side_m: length of its edges, metres.
+        colour: red, green, blue, 0 to 255.
+        velocity: of its origin, and its turning.
+    """
+
+    id: int
+    obj_id: int
+    side_m: float
+    colour: tuple[int, int, int]
+    pose: WorldFromObject
+    velocity: Annotated[Floats, Is((6,), "float64", "m/s and rad/s, world frame")]
+
+
+class SimBelief(TypedDict):
+    """What the simulated world is.
+
+    Attributes:
+        frame: number of the image that is seen next.
+        time_s: of it.
+        noise: standard deviation of the sensor's noise, grey levels of 256.
+        blur_px: standard deviation of the lens's blur, pixels.
+    """
+
+    frame: int
+    time_s: float
+    camera: CameraPose
+    intrinsics: Intrinsics
+    size: Size
+    noise: float
+    blur_px: float
+    bodies: tuple[Cube, ...]
+
+
+class Body(TypedDict):
+    """What the spatial node believes of one body.
+
+    Attributes:
+        velocity: of its origin, and its turning.
+        drift: the same as observed, also where it may be nothing but errors.
+        status: as the arm said last.
+        seen: the pose that the last observation gave it; None where it was not tracked.
+        unseen: for how many observations it was not.
+        support: upwards, where something carries it.
+        stands: whether it lies on a face there.
+        known: whether it was ever tracked.
+        sought, guesses: as the arm gave them.
+        turn: how often it was imagined elsewhere.
+        others: where it may be besides, the first ``kept`` of them the guesses.
+        mass: kg.
+    """
+
+    id: int
+    obj_id: int
+    pose: WorldFromObject
+    velocity: Annotated[Floats, Is((6,), "float64", "m/s and rad/s, world frame")]
+    drift: Annotated[Floats, Is((6,), "float64", "m/s and rad/s, world frame")]
+    covariance: Covariance
+    status: str
+    seen: WorldFromObject | None
+    unseen: int
+    support: Upwards
+    stands: bool
+    known: bool
+    sought: bool
+    turn: int
+    guesses: Annotated[Floats, Is(("n", 4, 4), "float64", "world_from_object, m")]
+    others: Annotated[Floats, Is(("n", 4, 4), "float64", "world_from_object, m")]
+    kept: int
+    model: Model
+    mass: float
+
+
+class SpatialBelief(TypedDict):
+    """What the spatial node believes; of the camera nothing before the first observation.
+
+    Attributes:
+        time_s: of the last observation.
+        interval_s: from the one before to it.
+    """
+
+    camera: CameraPose | None
+    intrinsics: Intrinsics | None
+    size: Size | None
+    frame: int | None
+    time_s: float | None
+    interval_s: float
+    bodies: tuple[Body, ...]
+
+
+def fault(value: Any, kind: Any, where: str) -> str:
+    """What is wrong with a value that should be of one of the kinds above; empty where nothing is.
+
+    Args:
+        value: a belief, an observation, or a part of one.
+        kind: a class of this module, or the annotation of one of its fields.
+        where: what the value is called.
+    """
+    origin = get_origin(kind)
+    if origin is Annotated:
+        return _array_fault(value, get_args(kind)[1], where)
+    if origin in (Union, UnionType):
+        if value is None and NoneType in get_args(kind):
+            return ""
+        return fault(value, next(each for each in get_args(kind) if each is not NoneType), where)
+    if origin is tuple:
+        return _tuple_fault(value, get_args(kind), where)
+    if hasattr(kind, "__total__"):
+        return _map_fault(value, kind, where)
+    wanted = (int, float) if kind is float else kind
+    right = isinstance(value, wanted) and (kind is bool or not isinstance(value, bool))
+    return "" if right else f"{where}: expected {kind.__name__}, got {type(value).__name__}"
+
+
+def _map_fault(value: Any, kind: Any, where: str) -> str:
+    hints = get_type_hints(kind, include_extras=True)
+    if not isinstance(value, Mapping) or value.keys() != hints.keys():
+        given = sorted(value) if isinstance(value, Mapping) else type(value).__name__
+        return f"{where}: expected a map with the keys {sorted(hints)}, got {given}"
+    faults = (fault(value[name], hint, f"{where}.{name}") for name, hint in hints.items())
+    return next(filter(None, faults), "")
+
+
+def _tuple_fault(value: Any, kinds: tuple[Any, ...], where: str) -> str:
+    if not isinstance(value, tuple):
+        return f"{where}: expected a tuple, got {type(value).__name__}"
+    if kinds[-1] is Ellipsis:
+        kinds = kinds[:1] * len(value)
+    if len(kinds) != len(value):
+        return f"{where}: expected {len(kinds)} entries, got {len(value)}"
+    faults = (fault(part, kind, f"{where}[{at}]") for at, (part, kind) in enumerate(zip(value, kinds, strict=True)))
+    return next(filter(None, faults), "")
+
+
+def _array_fault(value: Any, wanted: Is, where: str) -> str:
+    if not isinstance(value, np.ndarray) or value.dtype.name != wanted.dtype:
+        given = f"{value.dtype} array" if isinstance(value, np.ndarray) else type(value).__name__
+        return f"{where}: expected an array of {wanted.dtype} ({wanted.meaning}), got {given}"
+    if wanted.shape == ("...",):
+        return ""
+    fits = len(value.shape) == len(wanted.shape) and all(
+        isinstance(want, str) or want == got for want, got in zip(wanted.shape, value.shape, strict=True)
+    )
+    return "" if fits else f"{where}: expected the shape {wanted.shape} ({wanted.meaning}), got {value.shape}"
