@@ -61,7 +61,7 @@ check: $(INSTALLED)
 	rm -rf $(CHECKED) build
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-deps --target $(CHECKED) .
 	rm -rf build
-	cd $(CHECKED) && MYPYPATH=. $(CURDIR)/$(BIN)/mypy --config-file $(CURDIR)/pyproject.toml \
+	cd $(CHECKED) && MYPYPATH=. $(CURDIR)/$(BIN)/mypy --config-file $(CURDIR)/pyproject.toml --cache-dir $(CURDIR)/.mypy_cache \
 		--explicit-package-bases --namespace-packages -p hierax
 	cd $(CHECKED) && PYTHONPATH=. $(CURDIR)/$(BIN)/lint-imports --config $(CURDIR)/.importlinter --no-cache
 
