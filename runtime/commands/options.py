@@ -68,6 +68,10 @@ Epochs = Annotated[
     ),
 ]
 Seed = Annotated[int, typer.Option("--seed", min=0, max=LARGEST, metavar="S", help="Of all random numbers.")]
+Trust = Annotated[
+    bool,
+    typer.Option("--trust", help="Load and run, as yourself, whatever code is named by who is not known to be you."),
+]
 Output = Annotated[
     Path | None,
     typer.Option(

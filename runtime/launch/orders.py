@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import tempfile
 from collections import deque
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
@@ -149,15 +148,13 @@ class Orders:
         return replace(order, process=token, life=TO_REPORT, request="", roster=roster)
 
     def elsewhere(self, order: NodeOrder, host: str) -> NodeOrder:
-        """The order for a process on another machine.
+        """The order for a process on another machine, which decides itself what touches it (`launch.here`).
 
         Args:
             order: as it would be here.
             host: the other machine's address for this one; empty: it is this machine.
         """
-        folder = Path(tempfile.gettempdir()) / f"hierax-{self.run_id}"
-        checkpoint = str(folder / Path(order.checkpoint).name)
-        return replace(order, host=host, output="", checkpoint=checkpoint, import_paths=())
+        return replace(order, host=host, output="", checkpoint="", import_paths=(), settings=None, probes=())
 
     def policy(self, name: str) -> RestartPolicy:
         """What is done when a node's process ends."""
