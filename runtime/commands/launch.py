@@ -10,7 +10,16 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from hierax.runtime.commands.errors import OK, CommandError
-from hierax.runtime.commands.options import Epochs, Format, Output, OutputFormat, Seed, Settings, deployments_here
+from hierax.runtime.commands.options import (
+    Epochs,
+    Format,
+    Output,
+    OutputFormat,
+    Seed,
+    Settings,
+    Trust,
+    deployments_here,
+)
 from hierax.runtime.commands.recordings import Check, RecordFile, tell_ending, tell_violations
 
 if TYPE_CHECKING:
@@ -59,6 +68,7 @@ def launch(
             show_default=False,
         ),
     ] = None,
+    trust: Trust = False,
     record: RecordFile = None,
     check: Check = False,
     faults: Annotated[
@@ -86,10 +96,12 @@ def launch(
     if resume is not None:
         if file is not None or settings or state is not None:
             raise CommandError("--resume: the run knows its deployment file and settings; give neither, nor --state")
-        state, run = resume, read_run(resume)
+        state, run = resume, read_run(resume, trust)
         file, settings, seed = run.deployment, list(run.settings), run.seed
         epochs = run.epochs if epochs is None else epochs
         output = output or (Path(run.output) if run.output else None)
+    elif trust:
+        raise CommandError("--trust: only with --resume; a deployment file that you name is yours to judge")
     if file is None:
         raise CommandError("expected a deployment file, or --resume DIR")
     if record is not None:

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from hierax.runtime.core.errors import HieraxError
+from hierax.runtime.seal import NOT_OURS, STATE, is_sealed, seal_or_warn
 
 _RUN = "run.json"
 
@@ -75,21 +76,30 @@ def write_run(state: Path, run: Run) -> None:
     Raises:
         HieraxError: it cannot be written.
     """
-    _write(state / _RUN, asdict(run))
+    content = asdict(run)
+    _write(state / _RUN, {**content, "seal": seal_or_warn(STATE, content)})
 
 
-def read_run(state: Path) -> Run:
+def read_run(state: Path, trust: bool = False) -> Run:
     """The run whose checkpoints are in a folder.
 
+    Args:
+        state: the folder.
+        trust: whether what it says is run, whoever has written it.
+
     Raises:
-        HieraxError: there is none.
+        HieraxError: there is none; or it is not known to be this user's own, and not trusted.
     """
     path = state / _RUN
     try:
-        return Run(**json.loads(path.read_text(encoding="utf-8")))
+        content = json.loads(path.read_text(encoding="utf-8"))
+        given = content.pop("seal", "")
+        if not trust and not (isinstance(given, str) and is_sealed(STATE, content, given)):
+            raise HieraxError(f"{path}: {NOT_OURS}")
+        return Run(**content)
     except FileNotFoundError as error:
         raise HieraxError(f"{state}: there is no run to resume: {_RUN} is missing") from error
-    except (OSError, ValueError, TypeError) as error:
+    except (OSError, ValueError, TypeError, AttributeError) as error:
         raise HieraxError(f"{path}: expected what a launch with --state wrote: {error}") from error
 
 

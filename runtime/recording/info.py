@@ -8,17 +8,20 @@ import platform
 import sys
 import time
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, dataclass, field, fields
+from dataclasses import asdict, dataclass, field, fields, replace
 from importlib.metadata import PackageNotFoundError, version
 from typing import Any
 
 from hierax.runtime.core.errors import HieraxError
 from hierax.runtime.deployment import Deployment
 from hierax.runtime.engine.loose import Staleness
+from hierax.runtime.seal import RECORDING, is_sealed, seal_or_warn
 from hierax.schemas.errors import SchemaError, shown
 from hierax.schemas.keys import check_name
 
-FORMAT = 1
+FORMAT = 2
+READ = (1, FORMAT)
+"""What this version reads; the first format has neither modules nor a seal."""
 
 _PACKAGES = ("hierax", "numpy", "opencv-python-headless", "eclipse-zenoh", "msgpack", "mcap", "pybullet")
 
@@ -46,6 +49,8 @@ class RunInfo:
         machine: what it was recorded on.
         versions: of hierax and what it uses.
         format: of the recording.
+        modules: from which code may be loaded, as `hierax.runtime.allowance.Allowance` has them.
+        seal: of all that, by the user who has recorded it; empty: there is none.
     """
 
     hierarchy: str
@@ -63,13 +68,15 @@ class RunInfo:
     machine: Mapping[str, Any] = field(default_factory=lambda: _machine())
     versions: Mapping[str, str] = field(default_factory=lambda: _versions())
     format: int = FORMAT
+    modules: Sequence[str] = ()
+    seal: str = ""
 
     @staticmethod
     def of(
         deployment: Deployment, run: str, mode: str, seed: int, settings: Sequence[str], from_start: bool
     ) -> RunInfo:
         """What is recorded of a run of a deployment."""
-        return RunInfo(
+        info = RunInfo(
             deployment.name,
             run,
             mode,
@@ -81,7 +88,18 @@ class RunInfo:
             tuple(settings),
             deployment.import_paths,
             from_start,
+            modules=deployment.modules,
         )
+        return replace(info, seal=seal_or_warn(RECORDING, info._sealed))
+
+    @property
+    def is_ours(self) -> bool:
+        """Whether this user has recorded it on this machine, and nobody has changed what it says of the run."""
+        return is_sealed(RECORDING, self._sealed, self.seal)
+
+    @property
+    def _sealed(self) -> dict[str, Any]:
+        return {name: value for name, value in self.plain().items() if name != "seal"}
 
     @property
     def how_stale(self) -> Staleness:
@@ -99,10 +117,11 @@ class RunInfo:
         Raises:
             RecordingError: it is of another format, or a field lacks or is something else.
         """
-        if plain.get("format") != FORMAT:
-            raise RecordingError(f"format {plain.get('format')!r:.20}; this version reads format {FORMAT}")
+        if plain.get("format") not in READ:
+            read = " and ".join(map(str, READ))
+            raise RecordingError(f"format {plain.get('format')!r:.20}; this version reads formats {read}")
         given = {each.name: plain[each.name] for each in fields(RunInfo) if each.name in plain}
-        lacking = [name for name in _FIELDS if name not in given]
+        lacking = [name for name in _FIELDS if name not in given and (plain["format"] == FORMAT or name not in _NEW)]
         if lacking:
             raise RecordingError(f"it says too little of its run: {', '.join(lacking)}")
         for name, value in given.items():
@@ -194,7 +213,7 @@ def from_metadata(metadata: Mapping[str, str], texts: Sequence[str] = ()) -> dic
         raise RecordingError(f"its metadata is not what hierax writes: {error!s:.200}") from error
 
 
-INFO_TEXTS = ("hierarchy", "run", "mode", "deployment", "deployment_text")
+INFO_TEXTS = ("hierarchy", "run", "mode", "deployment", "deployment_text", "seal")
 
 
 def _is_whole(value: object) -> bool:
@@ -246,8 +265,14 @@ _FIELDS: dict[str, Expected] = {
     "machine": ("a map", lambda value: isinstance(value, Mapping)),
     "versions": ("a map of texts", _are_named_texts),
     "format": _WHOLE,
+    "modules": _TEXTS,
+    "seal": _TEXT,
 }
 """What each field of `RunInfo` has to be."""
+
+
+_NEW = ("modules", "seal")
+"""Fields that the first format lacks."""
 
 
 def _text(deployment: Deployment) -> str:

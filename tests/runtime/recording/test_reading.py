@@ -187,8 +187,8 @@ def test_anybody_elses_mcap_file_is_refused(tmp_path: Path) -> None:
 
 
 def test_another_format_is_refused(recording: Recording) -> None:
-    with pytest.raises(RecordingError, match="format 2; this version reads format 1"):
-        RunInfo.read({**recording.info.plain(), "format": 2})
+    with pytest.raises(RecordingError, match="format 3; this version reads formats 1 and 2"):
+        RunInfo.read({**recording.info.plain(), "format": 3})
     later = RunInfo.read({**recording.info.plain(), "new": 1})
     assert later == recording.info
 
