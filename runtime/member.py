@@ -88,6 +88,7 @@ class Member(NodeRunner):
         self._linked: set[int] = set()
         self._fetched: set[int] = set()
         self._refusals = Refusals()
+        port.mended = self.mended
 
     @property
     def wired(self) -> bool:
@@ -163,6 +164,12 @@ class Member(NodeRunner):
         """The port's links of a version are open, in both directions."""
         self._note_link(version)
         self._say_ready(version)
+
+    def mended(self, neighbour: str) -> None:
+        """The link to a neighbour broke and is there again: what it may lack is said again; it drops what is double."""
+        _log.info("%s: the link to %s broke, and is there again", self.name, neighbour)
+        if self.wired:
+            self.engine.say_again(neighbour)
 
     def _note_link(self, version: int) -> None:
         self._linking.discard(version)
