@@ -250,7 +250,9 @@ class LooseEngine(Engine):
         """Keep what was said in the epoch that is left behind for as long as somebody may be in it."""
         if self._staleness.epochs:
             self._said[self.epoch] = dict(self._sent)
-            self._said = {epoch: sent for epoch, sent in self._said.items() if epoch > self.epoch - self._staleness.epochs}
+            self._said = {
+                epoch: sent for epoch, sent in self._said.items() if epoch > self.epoch - self._staleness.epochs
+            }
 
     def _undo(self, attempt: int) -> None:
         self._settle(self.epoch)

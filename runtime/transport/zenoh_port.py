@@ -219,7 +219,7 @@ class ZenohPort(Port):
     def _handshakes(self, peer: str) -> Iterator[tuple[int, Handshake]]:
         """Those with a neighbour's processes, each once, and the last version of the roster that it is for."""
         seen: set[int] = set()
-        for version, link in reversed(self._links.items()):
+        for version, link in reversed(list(self._links.items())):
             handshake = link.rendezvous.handshakes.get(peer)
             if handshake is not None and id(handshake) not in seen:
                 seen.add(id(handshake))

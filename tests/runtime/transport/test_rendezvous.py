@@ -64,9 +64,10 @@ def test_a_greeting_of_another_instance_counts_for_nothing() -> None:
 def test_a_link_that_broke_is_shaken_anew_on_both_sides_whoever_noticed(seed: int, who: list[str]) -> None:
     sides = pair()
     shake(sides, 0.0, random.Random(seed))
-    old = [(kind, message) for name, peer in (("low", "up"), ("up", "low")) for kind, message in sides[name].hello(peer)]
+    others = {"low": "up", "up": "low"}
+    old = [greeting for name, peer in others.items() for greeting in sides[name].hello(peer)]
     for name in who:
-        sides[name].handshakes[{"low": "up", "up": "low"}[name]].interrupted()
+        sides[name].handshakes[others[name]].interrupted()
     for kind, message in old:  # what was under way counts for nothing
         if message.header.receiver in who:
             sides[message.header.receiver].heard(kind, message)
