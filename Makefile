@@ -19,7 +19,7 @@ $(INSTALLED): $(RUNS)
 	touch $@
 
 demo: $(RUNS)
-	$(BIN)/hierax launch deploy/tracking.yaml --epochs 60 --output demo-output
+	$(BIN)/hierax launch deploy/tracking.yaml --epochs 60 --output demo-output --overwrite
 	$(BIN)/python -m hierax.nodes.tracking.evaluation.report demo-output
 	@echo "Look at demo-output/pictures/contact-sheet.png and demo-output/errors.png"
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Sequence
+from contextlib import AbstractContextManager, nullcontext
 from enum import Enum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -16,6 +17,7 @@ if TYPE_CHECKING:
     from hierax.runtime.recording.diff import Comparison
     from hierax.runtime.recording.info import Ending
     from hierax.runtime.recording.reading import Recording
+    from hierax.runtime.recording.writing import Target
 
 SHOWN = 10
 """How many gaps or violations are listed."""
@@ -52,6 +54,20 @@ RecordFile = Annotated[
 Check = Annotated[
     bool, typer.Option("--check", help="Check the formal order while it runs. Exit code 1 where it is broken.")
 ]
+
+
+def claimed_file(path: Path | None, overwrite: bool) -> AbstractContextManager[Target | None]:
+    """Have the file of a recording for this process, before anything starts; None where none is wanted.
+
+    Raises:
+        RecordingError: it cannot be written, another process writes it, or there is something that is not replaced.
+    """
+    if path is None:
+        return nullcontext()
+    from hierax.runtime.recording.writing import claimed, require_mcap
+
+    require_mcap()
+    return claimed(path.absolute(), overwrite)
 
 
 class WorldMode(str, Enum):

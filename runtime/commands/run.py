@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from hierax.runtime.commands.options import Epochs, File, Format, Output, OutputFormat, Seed, Settings
-from hierax.runtime.commands.recordings import Check, RecordFile, tell_ending, tell_violations
+from hierax.runtime.commands.options import Epochs, File, Format, Output, OutputFormat, Overwrite, Seed, Settings
+from hierax.runtime.commands.recordings import Check, RecordFile, claimed_file, tell_ending, tell_violations
 
 if TYPE_CHECKING:
     from hierax.runtime.deployment import Deployment
@@ -36,6 +36,7 @@ def run(
     output: Output = None,
     record: RecordFile = None,
     check: Check = False,
+    overwrite: Overwrite = False,
 ) -> int:
     """Run a deployment in this process: the deterministic mode."""
     from hierax.runtime import single
@@ -49,7 +50,7 @@ def run(
     def run_scheduled(deployment: Deployment, **options: Any) -> Report:
         schedule = read_schedule(at or (), deployment)
         if record is not None or check:
-            taking.append(InProcess(deployment, seed, settings or (), record, check))
+            taking.append(InProcess(deployment, seed, settings or (), target, check))
         try:
             recording = taking[0] if taking else None
             return single.run(
@@ -64,9 +65,17 @@ def run(
             for each in taking:
                 each.finish()
 
-    code = run_deployment(
-        run_scheduled, file, settings or (), epochs=epochs, seed=seed, output=output, output_format=output_format
-    )
+    with claimed_file(record, overwrite) as target:
+        code = run_deployment(
+            run_scheduled,
+            file,
+            settings or (),
+            epochs=epochs,
+            seed=seed,
+            output=output,
+            output_format=output_format,
+            overwrite=overwrite,
+        )
     return max([code, *(_tell(each, record) for each in taking)])
 
 

@@ -144,6 +144,7 @@ def _of_launch(run: str | None, connect: str | None, file: str | None, trust: bo
     from hierax.runtime.commands.which import endpoint_of
     from hierax.runtime.core.errors import HieraxError
     from hierax.runtime.deployment.read import read_deployment
+    from hierax.runtime.deployment.secrets import usable
     from hierax.runtime.launch.run_file import known_runs
     from hierax.runtime.transport.window import Glass
     from hierax.runtime.viewing.live import show_launch
@@ -153,7 +154,7 @@ def _of_launch(run: str | None, connect: str | None, file: str | None, trust: bo
     deployment: Deployment | None = None
     try:
         if running is not None:
-            deployment = read_deployment(file or running.deployment, running.settings)
+            deployment = read_deployment(file or running.deployment, usable(running.settings))
         elif file is not None:
             deployment = read_deployment(file)
     except HieraxError as error:

@@ -10,6 +10,7 @@ from pathlib import Path
 from hierax.runtime.allowance import ANYTHING, Allowance
 from hierax.runtime.deployment import Deployment
 from hierax.runtime.deployment.read import read_deployment
+from hierax.runtime.deployment.secrets import usable
 from hierax.runtime.nearest import did_you_mean
 from hierax.runtime.recording.info import RecordingError, RunInfo
 from hierax.runtime.recording.reading import Recording
@@ -35,7 +36,7 @@ def recorded_deployment(info: RunInfo, settings: Sequence[str] = ()) -> Deployme
         except OSError as error:  # a name that no file can have
             raise RecordingError(f"its deployment file cannot be written: {error.strerror or error}") from error
         # a file that the deployment names beside it is not here, and not needed
-        deployment = read_deployment(path, ["zenoh=null", *info.settings, *settings])
+        deployment = read_deployment(path, ["zenoh=null", *usable(info.settings), *settings])
     return replace(deployment, path=Path(info.deployment), import_paths=tuple(info.import_paths))
 
 

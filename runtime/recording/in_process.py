@@ -12,7 +12,7 @@ from hierax.runtime.recording.check import Checker
 from hierax.runtime.recording.info import Ending, RunInfo
 from hierax.runtime.recording.recorder import Recorder
 from hierax.runtime.recording.witness import Witness
-from hierax.runtime.recording.writing import McapFile
+from hierax.runtime.recording.writing import McapFile, Target
 from hierax.runtime.runner import NodeRunner
 from hierax.runtime.transport.recording import Heard
 from hierax.schemas.keys import Keys
@@ -40,7 +40,12 @@ class InProcess:
     """
 
     def __init__(
-        self, deployment: Deployment, seed: int, settings: Sequence[str], file: Path | None, check: bool = False
+        self,
+        deployment: Deployment,
+        seed: int,
+        settings: Sequence[str],
+        file: Path | Target | None,
+        check: bool = False,
     ) -> None:
         run = token_hex(4)
         info = RunInfo.of(deployment, run, "run", seed, settings, from_start=True)

@@ -14,6 +14,7 @@ from typing import Any
 
 from hierax.runtime.core.errors import HieraxError
 from hierax.runtime.deployment import Deployment
+from hierax.runtime.deployment.secrets import public_text, shown
 from hierax.runtime.engine.loose import Staleness
 from hierax.runtime.seal import RECORDING, is_sealed, seal_or_warn
 from hierax.schemas.errors import SchemaError, shown
@@ -41,8 +42,8 @@ class RunInfo:
         seed: of the run.
         staleness, exact: as the deployment has them.
         deployment: path of the deployment file.
-        deployment_text: what it said.
-        settings: with which it was read.
+        deployment_text: what it said, but for what is secret.
+        settings: with which it was read; of secret ones the paths alone.
         import_paths: where the deployment's own modules were looked for.
         from_start: whether the recording begins with the run.
         started_ns: when it began, since 1970.
@@ -84,8 +85,8 @@ class RunInfo:
             deployment.staleness.epochs,
             deployment.staleness.exact,
             str(deployment.path.resolve()),
-            _text(deployment),
-            tuple(settings),
+            public_text(_text(deployment), deployment.zenoh),
+            shown(settings, deployment.zenoh),
             deployment.import_paths,
             from_start,
             modules=deployment.modules,

@@ -22,7 +22,7 @@ from hierax.runtime.core.errors import HieraxError
 from hierax.runtime.recording.check import Checker
 from hierax.runtime.recording.info import Ending, RunInfo
 from hierax.runtime.recording.recorder import Recorder
-from hierax.runtime.recording.writing import Compression, McapFile
+from hierax.runtime.recording.writing import Compression, McapFile, Target
 from hierax.runtime.streams import own_streams
 from hierax.runtime.transport.hub import ask
 from hierax.runtime.transport.port import TransportError
@@ -69,7 +69,7 @@ class LiveRecording:
         self,
         info: RunInfo,
         endpoint: str,
-        file: Path | None,
+        file: Path | Target | None,
         check: bool,
         settings: Any = None,
         host: str | None = None,
@@ -187,7 +187,7 @@ def start(order: Mapping[str, Any]) -> LiveRecording:
     return LiveRecording(
         RunInfo.read(order["info"]),
         order["endpoint"],
-        Path(order["file"]) if order["file"] else None,
+        Target(Path(order["file"]), order["descriptor"]) if order["file"] else None,
         order["check"],
         order["settings"],
         order["host"],

@@ -12,7 +12,7 @@ from hierax.runtime.core.errors import HierarchyError
 from hierax.runtime.recording.info import INFO_TEXTS, Ending, RecordingError, RunInfo, from_metadata
 from hierax.runtime.recording.topics import EPOCH, MESSAGE, NOTE, ROSTER, STEP, TOKEN, Topic, topic_of
 from hierax.runtime.recording.trace import Assembly, EpochTrace, check_roster
-from hierax.runtime.recording.writing import ENDING, INFO, PROFILE, require_mcap
+from hierax.runtime.recording.writing import ENDING, INFO, MAGIC, PROFILE, require_mcap
 from hierax.schemas.errors import SchemaError, shown
 from hierax.schemas.messages import Message, decode_message
 from hierax.schemas.roster import Roster
@@ -20,7 +20,6 @@ from hierax.schemas.steps import NodeStep, decode_step
 from hierax.schemas.values import decode_value
 
 _LARGEST_RECORD = 1 << 30
-_MAGIC = b"\x89MCAP0\r\n"
 
 
 class Entry(NamedTuple):
@@ -131,7 +130,7 @@ class Recording:
         path = Path(path)
         try:
             with path.open("rb") as file:
-                if file.read(len(_MAGIC)) != _MAGIC:
+                if file.read(len(MAGIC)) != MAGIC:
                     raise RecordingError(f"{path}: is no recording; expected an MCAP file that hierax wrote")
             info, ending = _metadata(path)
         except OSError as error:
@@ -262,10 +261,10 @@ def _ending(path: Path) -> Ending | None:
 
     with path.open("rb") as file:
         file.seek(0, 2)
-        if file.tell() < 2 * len(_MAGIC):
+        if file.tell() < 2 * len(MAGIC):
             return None
-        file.seek(-len(_MAGIC), 2)
-        if file.read() != _MAGIC:
+        file.seek(-len(MAGIC), 2)
+        if file.read() != MAGIC:
             return None
         file.seek(0)
         try:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import fcntl
 import json
 import os
+import re
 import socket
 import threading
 from collections.abc import Mapping, Sequence
@@ -36,7 +37,11 @@ with its key and header)."""
 
 CLOSE_TIMEOUT_S = 1.0
 
+_QUOTED_LINE = re.compile(r"\s*\d*\s*\|")
+_QUOTED_TEXT = re.compile(r"(invalid (?:type|value): \w+) (?:`[^`]*`|\"(?:\\.|[^\"\\])*\")")
+
 _SHARED_MEMORY = Path("/dev/shm")
+_CREDENTIALS = tuple(f"transport/auth/{name}" for name in ("usrpwd/user", "usrpwd/password", "pubkey/private_key_pem"))
 _LOW_LATENCY = "transport/unicast/lowlatency"
 _BATCH = "transport/link/tx/batch_size"
 
@@ -53,7 +58,8 @@ def open_session(
 
     Args:
         listen, connect: Zenoh endpoints.
-        settings: Zenoh's own; they win over ours, and over the file that ZENOH_CONFIG names.
+        settings: Zenoh's own; they win over ours, and over the file that ZENOH_CONFIG names: of it, they leave
+            the user's name, password and key.
         shared_memory: whether large messages may go through shared memory.
         mode: a ``peer`` links directly to every peer it hears of; a ``client`` only to what it connects to.
         low_latency: links to others that want the same are written to at once, by the thread that sends, without
@@ -85,7 +91,7 @@ def open_session(
         _set_low_latency(config, low_latency)
         return zenoh.open(config)
     except zenoh.ZError as error:
-        raise TransportError(f"Zenoh: {error}") from error
+        raise TransportError(f"Zenoh: {_words(error)}") from None  # its own words may quote a password
 
 
 def close_session(session: zenoh.Session) -> bool:
@@ -172,6 +178,12 @@ def _set_low_latency(config: zenoh.Config, low_latency: bool) -> None:
     config.insert_json5(_LOW_LATENCY, json.dumps(low_latency))
 
 
+def _words(error: zenoh.ZError) -> str:
+    """What Zenoh says is wrong, without what it quotes from its settings."""
+    lines = [line for line in str(error).splitlines() if not _QUOTED_LINE.match(line)]
+    return _QUOTED_TEXT.sub(r"\1 …", " ".join(lines))
+
+
 def _given(settings: Settings) -> zenoh.Config:
     config: zenoh.Config
     if isinstance(settings, Mapping):
@@ -180,5 +192,14 @@ def _given(settings: Settings) -> zenoh.Config:
         is_text = settings.lstrip().startswith("{")
         config = zenoh.Config.from_json5(settings) if is_text else zenoh.Config.from_file(settings)
     else:
-        config = zenoh.Config.from_env() if os.environ.get("ZENOH_CONFIG") else zenoh.Config()
+        return zenoh.Config.from_env() if os.environ.get("ZENOH_CONFIG") else zenoh.Config()
+    if os.environ.get("ZENOH_CONFIG"):
+        _fill_in(config, zenoh.Config.from_env())
     return config
+
+
+def _fill_in(config: zenoh.Config, own: zenoh.Config) -> None:
+    """What a launch does not tell processes on other machines, from the file that ZENOH_CONFIG names there."""
+    for path in _CREDENTIALS:
+        if config.get_json(path) == "null" and own.get_json(path) != "null":
+            config.insert_json5(path, own.get_json(path))

@@ -21,8 +21,9 @@ from collections.abc import Callable
 from contextlib import suppress
 from datetime import datetime, timezone
 from pathlib import Path
-from typing import Any
+from typing import Any, TextIO
 
+from hierax.runtime.private_files import UnsafeFileError, open_result, private_folder
 from hierax.runtime.watch.run_folder import ABOUT, LOGS, begin_run, run_folder
 
 MAX_BYTES = 4 << 20
@@ -93,7 +94,7 @@ def _logs_folder(run: str) -> Path:
     """Where the supervisor has made it; or, on another machine, for who keeps processes of the run here."""
     folder = run_folder(run)
     if not (folder / ABOUT).exists():
-        with suppress(OSError):  # it is told when the file cannot be opened
+        with suppress(OSError, UnsafeFileError):  # it is told when the file cannot be opened
             begin_run(run, {"hierarchy": "", "deployment": "", "pid": os.getppid()})
     return folder / LOGS
 
@@ -102,10 +103,11 @@ def open_log(folder: Path, name: str) -> logging.Handler | None:
     """A handler that appends to the file of a name; None, with a warning, where it cannot be written."""
     path = folder / f"{name}{SUFFIX}"
     try:
-        folder.mkdir(parents=True, exist_ok=True)
-        handler = _File(path, maxBytes=MAX_BYTES, backupCount=1, encoding="utf-8", errors="backslashreplace")
-    except OSError as error:
-        logging.getLogger("hierax").warning("%s: the log cannot be written: %s", path, error.strerror or error)
+        with private_folder(folder, make=True):
+            handler = _File(path, maxBytes=MAX_BYTES, backupCount=1, encoding="utf-8", errors="backslashreplace")
+    except (OSError, UnsafeFileError) as error:
+        why = getattr(error, "strerror", None) or error
+        logging.getLogger("hierax").warning("%s: the log cannot be written: %s", path, why)
         return None
     handler.setFormatter(JsonLine())
     return handler
@@ -140,6 +142,10 @@ class _File(logging.handlers.RotatingFileHandler):
     """Gives up where the disk does: a node goes on without its log."""
 
     _told = False
+
+    def _open(self) -> TextIO:
+        file = open_result(self.baseFilename, append=True, private=True)
+        return os.fdopen(file, "a", encoding="utf-8", errors=self.errors)
 
     def handleError(self, record: logging.LogRecord) -> None:  # noqa: N802 - the name in `logging`
         if not self._told:
@@ -190,8 +196,8 @@ def begin_log(
     about = {"hierarchy": hierarchy, "deployment": str(deployment.resolve()), "pid": os.getpid()}
     try:
         folder = begin_run(run, about)
-    except OSError as error:
-        tell(f"{run_folder(run)}: there will be no logs: {error.strerror or error}")
+    except (OSError, UnsafeFileError) as error:
+        tell(f"{run_folder(run)}: there will be no logs: {getattr(error, 'strerror', None) or error}")
         return LaunchLog(None, run, epoch)
     log = LaunchLog(open_log(folder / LOGS, LAUNCH_FILE), run, epoch)
     log.tell(f"{hierarchy} is launched from {about['deployment']}")
