@@ -21,7 +21,17 @@ from hierax.runtime.commands.options import (
     Trust,
     deployments_here,
 )
-from hierax.runtime.commands.recordings import Check, RecordFile, claimed_file, tell_ending, tell_violations
+from hierax.runtime.commands.recordings import (
+    Check,
+    Exclude,
+    MaxDuration,
+    MaxSize,
+    RecordFile,
+    claimed_file,
+    selection_of,
+    tell_ending,
+    tell_violations,
+)
 
 if TYPE_CHECKING:
     from hierax.runtime.launch.recorder import Wanted
@@ -72,6 +82,9 @@ def launch(
     trust: Trust = False,
     record: RecordFile = None,
     check: Check = False,
+    exclude: Exclude = None,
+    max_size: MaxSize = None,
+    max_duration: MaxDuration = None,
     overwrite: Overwrite = False,
     faults: Annotated[
         list[str] | None,
@@ -106,8 +119,9 @@ def launch(
         raise CommandError("--trust: only with --resume; a deployment file that you name is yours to judge")
     if file is None:
         raise CommandError("expected a deployment file, or --resume DIR")
+    selection = selection_of(exclude, max_size, max_duration, record is not None)
     with claimed_file(record, overwrite) as target:
-        wanted = Wanted(target, check) if target is not None or check else None
+        wanted = Wanted(target, check, selection) if target is not None or check else None
         runner = functools.partial(
             supervisor.launch,
             tell=lambda what: print(f"hierax: {what}", file=sys.stderr, flush=True),

@@ -17,6 +17,7 @@ from hierax.runtime.interpreter import python_module
 from hierax.runtime.launch.child import END_TIMEOUT_S
 from hierax.runtime.recording.info import Ending, RunInfo
 from hierax.runtime.recording.process import DONE, FAILED
+from hierax.runtime.recording.selection import EVERYTHING, Selection
 from hierax.runtime.recording.writing import Target
 
 FINISH_TIMEOUT_S = 60.0
@@ -30,6 +31,7 @@ class Wanted:
     Attributes:
         target: to be written; None: nothing.
         check: whether the formal order is checked.
+        selection: what is written of what is said.
         ending: how the recording ended; None: it did not come to its end.
         violations: what the checker has found.
         failure: why there is no whole recording.
@@ -37,6 +39,7 @@ class Wanted:
 
     target: Target | None
     check: bool
+    selection: Selection = EVERYTHING
     ending: Ending | None = None
     violations: list[str] = field(default_factory=list)
     failure: str = ""
@@ -84,6 +87,7 @@ class RecorderChild:
             "file": "" if wanted.file is None else str(wanted.file),
             "descriptor": -1 if wanted.target is None else wanted.target.descriptor,
             "check": wanted.check,
+            "selection": wanted.selection.plain(),
             "settings": settings,
             "host": host,
         }

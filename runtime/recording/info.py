@@ -46,6 +46,7 @@ class RunInfo:
         settings: with which it was read; of secret ones the paths alone.
         import_paths: where the deployment's own modules were looked for.
         from_start: whether the recording begins with the run.
+        left_out: patterns of the keys that are not recorded, as `hierax.runtime.recording.selection` has them.
         started_ns: when it began, since 1970.
         machine: what it was recorded on.
         versions: of hierax and what it uses.
@@ -65,6 +66,7 @@ class RunInfo:
     settings: Sequence[str]
     import_paths: Sequence[str]
     from_start: bool
+    left_out: Sequence[str] = ()
     started_ns: int = field(default_factory=time.time_ns)
     machine: Mapping[str, Any] = field(default_factory=lambda: _machine())
     versions: Mapping[str, str] = field(default_factory=lambda: _versions())
@@ -100,7 +102,8 @@ class RunInfo:
 
     @property
     def _sealed(self) -> dict[str, Any]:
-        return {name: value for name, value in self.plain().items() if name != "seal"}
+        # what is left out is known to the recorder alone, and names no code
+        return {name: value for name, value in self.plain().items() if name not in ("seal", "left_out")}
 
     @property
     def how_stale(self) -> Staleness:
@@ -160,6 +163,8 @@ class Ending:
         gaps: what lacks, the first ones.
         lost: how many things lack in all.
         cut_short: messages that lack as their senders' processes died while they were sent; no fault of the recorder's.
+        cut: by which option it ends before the run; empty: by none.
+        left_out: how much came on keys that are left out, by their pattern.
     """
 
     first: int
@@ -168,6 +173,8 @@ class Ending:
     gaps: tuple[Gap, ...]
     lost: int
     cut_short: tuple[Gap, ...] = ()
+    cut: str = ""
+    left_out: Mapping[str, int] = field(default_factory=dict)
 
     def plain(self) -> dict[str, Any]:
         """As a value."""
@@ -182,14 +189,27 @@ class Ending:
         """
         try:
             gaps, cut_short = (tuple(Gap(**gap) for gap in plain.get(name, ())) for name in ("gaps", "cut_short"))
-            ending = Ending(plain["first"], plain["last"], plain["messages"], gaps, plain["lost"], cut_short)
-        except (KeyError, TypeError) as error:
+            ending = Ending(
+                plain["first"],
+                plain["last"],
+                plain["messages"],
+                gaps,
+                plain["lost"],
+                cut_short,
+                plain.get("cut", ""),
+                dict(plain.get("left_out", {})),
+            )
+        except (KeyError, TypeError, ValueError) as error:
             raise RecordingError(f"what it says of its end cannot be read: {error}") from error
         told = [*ending.gaps, *ending.cut_short]
         numbers = [ending.first, ending.last, ending.messages, ending.lost]
         numbers += [number for gap in told for number in (gap.epoch, gap.count)]
         if not all(map(_is_whole, numbers)) or not all(isinstance(gap.what, str) for gap in told):
             raise RecordingError("what it says of its end cannot be read: expected whole numbers from 0, and texts")
+        if not _is_text(ending.cut) or not _are_named_texts({name: "" for name in ending.left_out}):
+            raise RecordingError("what it says of its end cannot be read: expected texts for what is left out")
+        if not all(map(_is_whole, ending.left_out.values())):
+            raise RecordingError("what it says of its end cannot be read: expected how much is left out")
         return ending
 
 
@@ -215,6 +235,7 @@ def from_metadata(metadata: Mapping[str, str], texts: Sequence[str] = ()) -> dic
 
 
 INFO_TEXTS = ("hierarchy", "run", "mode", "deployment", "deployment_text", "seal")
+ENDING_TEXTS = ("cut",)
 
 
 def _is_whole(value: object) -> bool:
@@ -268,11 +289,12 @@ _FIELDS: dict[str, Expected] = {
     "format": _WHOLE,
     "modules": _TEXTS,
     "seal": _TEXT,
+    "left_out": _TEXTS,
 }
 """What each field of `RunInfo` has to be."""
 
 
-_NEW = ("modules", "seal")
+_NEW = ("modules", "seal", "left_out")
 """Fields that the first format lacks."""
 
 

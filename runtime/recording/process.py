@@ -15,6 +15,7 @@ import threading
 import time
 from collections.abc import Mapping
 from contextlib import suppress
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -22,6 +23,7 @@ from hierax.runtime.core.errors import HieraxError
 from hierax.runtime.recording.check import Checker
 from hierax.runtime.recording.info import Ending, RunInfo
 from hierax.runtime.recording.recorder import Recorder
+from hierax.runtime.recording.selection import EVERYTHING, Selection
 from hierax.runtime.recording.writing import Compression, McapFile, Target
 from hierax.runtime.streams import own_streams
 from hierax.runtime.transport.hub import ask
@@ -60,6 +62,7 @@ class LiveRecording:
         epochs: how many; None: until it is told to stop.
         compression: of the file.
         watches: whether nobody else tells when the launch is over, and how far it came.
+        selection: what is written of what is heard.
 
     Raises:
         HieraxError: the file cannot be written, or the run cannot be reached.
@@ -74,13 +77,15 @@ class LiveRecording:
         settings: Any = None,
         host: str | None = None,
         epochs: int | None = None,
-        compression: Compression = "lz4",
+        compression: Compression = "zstd",
         watches: bool = False,
+        selection: Selection = EVERYTHING,
     ) -> None:
+        info = replace(info, left_out=tuple(selection.exclude))
         self.checker = Checker(info.how_stale) if check else None
         written = None if file is None else McapFile(file, info, compression)
         auditors = () if self.checker is None else (self.checker,)
-        self._recorder = Recorder(written, auditors, info.from_start, epochs, info.how_stale.barrier)
+        self._recorder = Recorder(written, auditors, info.from_start, epochs, info.how_stale.barrier, selection)
         self._ear = Ear(endpoint, Keys(info.hierarchy, info.run), settings, host)
         self._endpoint = endpoint
         self._settings = settings
@@ -109,7 +114,7 @@ class LiveRecording:
         recorder, ledger = self._recorder, self._recorder.ledger
         looked_s = time.monotonic()
         try:
-            while not (self._stopping or ledger.ended):
+            while not (self._stopping or (ledger.ended and not self._checks_on)):
                 self._take(BATCH_S)
                 recorder.flush()
                 if self._watches and time.monotonic() - looked_s > LOOK_S:
@@ -122,6 +127,11 @@ class LiveRecording:
             self._ear.close()
         self._take(0.0)
         return recorder.finish(self._last if ledger.cut is None or not ledger.ended else ledger.cut)
+
+    @property
+    def _checks_on(self) -> bool:
+        """Whether the order is checked further, although nothing more is written."""
+        return self.checker is not None and bool(self._recorder.cut)
 
     def _look(self) -> None:
         """How far the launch is, by its keeper's words: a recorder that is cut off hears nothing, and not that."""
@@ -191,6 +201,7 @@ def start(order: Mapping[str, Any]) -> LiveRecording:
         order["check"],
         order["settings"],
         order["host"],
+        selection=Selection(**order["selection"]),
     )
 
 

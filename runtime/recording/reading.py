@@ -9,10 +9,10 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from hierax.runtime.core.errors import HierarchyError
-from hierax.runtime.recording.info import INFO_TEXTS, Ending, RecordingError, RunInfo, from_metadata
+from hierax.runtime.recording.info import ENDING_TEXTS, INFO_TEXTS, Ending, RecordingError, RunInfo, from_metadata
 from hierax.runtime.recording.topics import EPOCH, MESSAGE, NOTE, ROSTER, STEP, TOKEN, Topic, topic_of
 from hierax.runtime.recording.trace import Assembly, EpochTrace, check_roster
-from hierax.runtime.recording.writing import ENDING, INFO, MAGIC, PROFILE, require_mcap
+from hierax.runtime.recording.writing import CHUNK_BYTES, ENDING, INFO, MAGIC, PROFILE, require_mcap
 from hierax.schemas.errors import SchemaError, shown
 from hierax.schemas.messages import Message, decode_message
 from hierax.schemas.roster import Roster
@@ -143,9 +143,15 @@ class Recording:
     def loss(self) -> str:
         """What is known to lack, in words; empty: nothing."""
         ending = self.ending
+        lacks = [f"{', '.join(self.info.left_out)} was left out (--exclude)"] if self.info.left_out else []
         if ending is None:
-            return "it was cut off: its last chunk, of a second or 1 MiB, and what waited to be written, is not in it"
-        return f"{ending.lost} things that were said in the run are not in it" if ending.lost else ""
+            chunk = f"its last chunk, of a second or {CHUNK_BYTES >> 20} MiB"
+            lacks.append(f"it was cut off: {chunk}, and what waited to be written, is not in it")
+        elif ending.cut:
+            lacks.append(f"it ends with epoch {ending.last} ({ending.cut})")
+        if ending is not None and ending.lost:
+            lacks.append(f"{ending.lost} things that were said in the run are not in it")
+        return "; ".join(lacks)
 
     def entries(self, *what: str) -> Iterator[Entry]:
         """All that was recorded, in the order in which it was heard.
@@ -270,7 +276,7 @@ def _ending(path: Path) -> Ending | None:
         try:
             for record in make_reader(file).iter_metadata():
                 if record.name == ENDING:
-                    return Ending.read(from_metadata(record.metadata))
+                    return Ending.read(from_metadata(record.metadata, ENDING_TEXTS))
         except (McapError, struct.error, UnicodeDecodeError):
             return None
     return None

@@ -19,9 +19,13 @@ PROFILE = "hierax"
 INFO, ENDING = "hierax.run", "hierax.ending"
 """Names of the file's metadata."""
 
-CHUNK_BYTES = 1 << 20
+CHUNK_BYTES = 4 << 20
 CHUNK_S = 1.0
-"""A chunk is written when it is this large or old: what a killed recorder loses."""
+"""A chunk is written when it is this large or old: what a killed recorder loses. An array that is told of twice in a
+chunk, as a message and in a belief, takes its room once."""
+
+ZSTD_LEVEL = 1
+"""Of Zstandard; the default, 3, takes four times as long for images, for 7 % less."""
 
 Compression = Literal["none", "lz4", "zstd"]
 
@@ -75,11 +79,12 @@ class McapFile:
         RecordingError: the file cannot be written, or the package ``mcap`` lacks.
     """
 
-    def __init__(self, path: Path | Target, info: RunInfo, compression: Compression = "lz4") -> None:
+    def __init__(self, path: Path | Target, info: RunInfo, compression: Compression = "zstd") -> None:
         self._path = path.path if isinstance(path, Target) else path
         self._channels: dict[str, int] = {}
         self._schemas: dict[str, int] = {}
         self._dirty_s: float | None = None
+        self._written = self._pending = 0
         with self._mapped():
             descriptor = os.dup(path.descriptor) if isinstance(path, Target) else open_result(path)
             self._file = os.fdopen(descriptor, "wb")
@@ -109,8 +114,17 @@ class McapFile:
             if channel is None:
                 channel = self._channels[key] = self._register(key, what)
             self._writer.add_message(channel, time_ns, data, time_ns, epoch & 0xFFFFFFFF)
+        self._pending += len(data)
         if self._dirty_s is None:
             self._dirty_s = time.monotonic()
+
+    @property
+    def size(self) -> int:
+        """How many bytes it takes, at most, if it is closed now but for its index."""
+        written = self._file.tell()
+        if written != self._written:
+            self._written, self._pending = written, 0
+        return written + self._pending
 
     def flush(self, at_once: bool = False) -> None:
         """Write the chunk under way, if it is old enough.
@@ -152,9 +166,22 @@ class McapFile:
             raise RecordingError(f"{self._path}: cannot be written: {error.strerror or error}") from error
 
 
+class _Zstd:
+    """What the writer calls of the package ``zstandard``."""
+
+    @staticmethod
+    def compress(data: bytes) -> bytes:
+        from zstandard import ZstdCompressor
+
+        return ZstdCompressor(level=ZSTD_LEVEL).compress(data)
+
+
 def _writer(file: Any, compression: Compression) -> Any:
     require_mcap()
+    import mcap.writer
     from mcap.writer import CompressionType, Writer
+
+    mcap.writer.zstandard = _Zstd  # it has no option for the level
 
     kinds = {"none": CompressionType.NONE, "lz4": CompressionType.LZ4, "zstd": CompressionType.ZSTD}
     return Writer(file, chunk_size=CHUNK_BYTES, compression=kinds[compression])
