@@ -48,7 +48,7 @@ def without_secrets(zenoh: Any) -> Any:
     return zenoh
 
 
-def shown(settings: Sequence[str], zenoh: Any) -> tuple[str, ...]:
+def public_settings(settings: Sequence[str], zenoh: Any) -> tuple[str, ...]:
     """Settings as they may be told and kept; of those that give something secret the path alone.
 
     Args:
@@ -73,7 +73,7 @@ def completed(kept: Sequence[str], given: Sequence[str]) -> list[str]:
     """Kept settings, with what was not kept given again.
 
     Args:
-        kept: as `shown` gave them.
+        kept: as `public_settings` gave them.
         given: as ``--set`` has them.
 
     Raises:

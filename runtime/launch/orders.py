@@ -11,7 +11,7 @@ from hierax.runtime.allowance import module_of
 from hierax.runtime.core.errors import HieraxError
 from hierax.runtime.deployment import Deployment
 from hierax.runtime.deployment.deployment import RestartPolicy
-from hierax.runtime.deployment.secrets import shown
+from hierax.runtime.deployment.secrets import public_settings
 from hierax.runtime.launch.pipe import COME_BACK, TO_REPORT, NodeOrder
 from hierax.runtime.launch.run_file import Run, write_run
 from hierax.runtime.owner.outlet import OwnerSettings
@@ -65,7 +65,7 @@ class Orders:
         self.resumed_after = 0
         self.recorders: set[int] = set()
         self.host = host
-        self.settings = shown(settings, deployment.zenoh)
+        self.settings = public_settings(settings, deployment.zenoh)
         self._epochs = epochs
         self._state = state
         self._policies = dict(deployment.restarts)

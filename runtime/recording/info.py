@@ -14,7 +14,7 @@ from typing import Any
 
 from hierax.runtime.core.errors import HieraxError
 from hierax.runtime.deployment import Deployment
-from hierax.runtime.deployment.secrets import public_text, shown
+from hierax.runtime.deployment.secrets import public_settings, public_text
 from hierax.runtime.engine.loose import Staleness
 from hierax.runtime.seal import RECORDING, is_sealed, seal_or_warn
 from hierax.schemas.errors import SchemaError, shown
@@ -88,7 +88,7 @@ class RunInfo:
             deployment.staleness.exact,
             str(deployment.path.resolve()),
             public_text(_text(deployment), deployment.zenoh),
-            shown(settings, deployment.zenoh),
+            public_settings(settings, deployment.zenoh),
             deployment.import_paths,
             from_start,
             modules=deployment.modules,
@@ -206,7 +206,7 @@ class Ending:
         numbers += [number for gap in told for number in (gap.epoch, gap.count)]
         if not all(map(_is_whole, numbers)) or not all(isinstance(gap.what, str) for gap in told):
             raise RecordingError("what it says of its end cannot be read: expected whole numbers from 0, and texts")
-        if not _is_text(ending.cut) or not _are_named_texts({name: "" for name in ending.left_out}):
+        if not _is_text(ending.cut) or not _are_named_texts(dict.fromkeys(ending.left_out, "")):
             raise RecordingError("what it says of its end cannot be read: expected texts for what is left out")
         if not all(map(_is_whole, ending.left_out.values())):
             raise RecordingError("what it says of its end cannot be read: expected how much is left out")
