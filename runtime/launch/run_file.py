@@ -21,6 +21,7 @@ _KINDS: Mapping[type, Sequence[str]] = {
     int: ("seed",),
     dict: ("lineages", "restarts"),
 }
+_TEMPORARY = Path("/tmp")
 _PROBE = ".probe"
 """Written to see that it can be."""
 
@@ -121,9 +122,8 @@ def make_state(state: Path) -> None:
         HieraxError: it cannot be made or written, or others may write there.
     """
     try:
-        with private_folder(state, make=True):
-            write_private(state / _PROBE, b"")
-            (state / _PROBE).unlink()
+        write_private(state / _PROBE, b"")
+        (state / _PROBE).unlink()
     except OSError as error:
         raise HieraxError(f"--state {state}: it cannot be written: {error.strerror or error}") from error
     except UnsafeFileError as error:
@@ -164,7 +164,7 @@ def _folders() -> list[Path]:
     given = os.environ.get("XDG_RUNTIME_DIR")
     if given:
         return [Path(given) / "hierax"]
-    return [Path(f"/tmp/hierax-{os.getuid()}") / "hierax", runs_folder().parent / "running"]
+    return [_TEMPORARY / f"hierax-{os.getuid()}" / "hierax", runs_folder().parent / "running"]
 
 
 def _fit_folder() -> Path:

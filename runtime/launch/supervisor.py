@@ -32,7 +32,7 @@ from hierax.runtime.launch.recorder import RecorderChild, Wanted
 from hierax.runtime.launch.run_file import Run, Running, make_state, register
 from hierax.runtime.report import Interrupted, NodeReport, Report, make_report
 from hierax.runtime.transport.hub import Hub
-from hierax.runtime.transport.zenoh_session import remove_orphaned_segments
+from hierax.runtime.transport.zenoh_session import remove_orphaned_segments, shared_memory_fault
 from hierax.runtime.watch.logs import begin_log
 from hierax.schemas.keys import Keys
 from hierax.schemas.roster import Roster
@@ -147,6 +147,9 @@ class Supervisor:
     async def run(self, progress: Callable[[int], None] | None) -> Report:
         """The whole launch."""
         begun = time.perf_counter()
+        fault = shared_memory_fault()
+        if fault:
+            self._say(f"no shared memory, large messages are copied: {fault}")
         hub = Hub(self._keys, self._deployment.zenoh, progress, self._orders.host)
         self._hub = hub
         self._orders.hub = hub.endpoint

@@ -20,8 +20,9 @@ import sys
 from collections.abc import Callable
 from contextlib import suppress
 from datetime import datetime, timezone
+from io import TextIOWrapper
 from pathlib import Path
-from typing import Any, TextIO
+from typing import Any
 
 from hierax.runtime.private_files import UnsafeFileError, open_result, private_folder
 from hierax.runtime.watch.run_folder import ABOUT, LOGS, begin_run, run_folder
@@ -143,7 +144,7 @@ class _File(logging.handlers.RotatingFileHandler):
 
     _told = False
 
-    def _open(self) -> TextIO:
+    def _open(self) -> TextIOWrapper:
         file = open_result(self.baseFilename, append=True, private=True)
         return os.fdopen(file, "a", encoding="utf-8", errors=self.errors)
 

@@ -49,6 +49,19 @@ def begin_run(run: str, about: Mapping[str, Any]) -> Path:
     return folder
 
 
+def unwritable(folder: Path) -> str:
+    """Why nothing can be put into a private folder, which is made where it lacks; empty: it can."""
+    probe = folder / f".{os.getpid()}.probe"
+    try:
+        write_private(probe, b"")
+        probe.unlink()
+    except UnsafeFileError as error:
+        return str(error)
+    except OSError as error:
+        return f"{folder} cannot be written: {error.strerror or error}"
+    return ""
+
+
 def known_folders() -> list[Path]:
     """The folders of launches, the youngest first."""
     folders = [about.parent for about in runs_folder().glob(f"*/{ABOUT}")]
