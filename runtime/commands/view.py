@@ -12,7 +12,7 @@ import typer
 
 from hierax.runtime.commands.changes import DeploymentFile
 from hierax.runtime.commands.errors import CommandError
-from hierax.runtime.commands.options import Epochs, Seed, Settings, Trust
+from hierax.runtime.commands.options import Epochs, Overwrite, Seed, Settings, Trust
 from hierax.runtime.commands.which import Connect, Run
 
 if TYPE_CHECKING:
@@ -72,6 +72,7 @@ def view(
         str,
         typer.Option("--memory", metavar="SIZE", help="How much the viewer keeps; what is older is dropped."),
     ] = "1GiB",
+    overwrite: Overwrite = False,
 ) -> int:
     """See what the nodes believe: of a launch that runs, a recording, or a run in this process."""
     _require_rerun()
@@ -88,7 +89,7 @@ def view(
     from hierax.runtime.viewing.viewer import stream_of
 
     stream = stream_of(hierarchy)
-    with _viewer(stream, native, save, port, memory, opens) as place:
+    with _viewer(stream, native, save, port, memory, opens, overwrite) as place:
         _say(f"seen at {place.name}")
         endless = source is None
         try:
@@ -196,12 +197,12 @@ def _require_rerun() -> None:
 
 
 def _viewer(
-    stream: Stream, native: bool, save: Path | None, port: int | None, memory: str, opens: bool
+    stream: Stream, native: bool, save: Path | None, port: int | None, memory: str, opens: bool, overwrite: bool
 ) -> AbstractContextManager[Place]:
     from hierax.runtime.viewing.viewer import file, web_viewer, window
 
     if save is not None:
-        return file(stream, save)
+        return file(stream, save, overwrite)
     return window(stream, memory) if native else web_viewer(stream, port, memory, opens)
 
 

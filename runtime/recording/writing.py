@@ -181,7 +181,7 @@ def _writer(file: Any, compression: Compression) -> Any:
     import mcap.writer
     from mcap.writer import CompressionType, Writer
 
-    mcap.writer.zstandard = _Zstd  # it has no option for the level
+    setattr(mcap.writer, "zstandard", _Zstd)  # noqa: B010 - the writer has no option for the level
 
     kinds = {"none": CompressionType.NONE, "lz4": CompressionType.LZ4, "zstd": CompressionType.ZSTD}
     return Writer(file, chunk_size=CHUNK_BYTES, compression=kinds[compression])

@@ -243,7 +243,8 @@ def _given(settings: Settings) -> zenoh.Config:
         is_text = settings.lstrip().startswith("{")
         config = zenoh.Config.from_json5(settings) if is_text else zenoh.Config.from_file(settings)
     else:
-        return zenoh.Config.from_env() if os.environ.get("ZENOH_CONFIG") else zenoh.Config()
+        config = zenoh.Config.from_env() if os.environ.get("ZENOH_CONFIG") else zenoh.Config()
+        return config
     if os.environ.get("ZENOH_CONFIG"):
         _fill_in(config, zenoh.Config.from_env())
     return config

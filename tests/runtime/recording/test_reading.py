@@ -149,7 +149,7 @@ def test_what_a_killed_process_did_not_tell_its_next_one_does(recording: Recordi
 
 def test_damage_before_the_end_is_named(chunked: Path, tmp_path: Path) -> None:
     data = bytearray(chunked.read_bytes())
-    at = data.rindex(b"lz4", 0, len(data) // 2) + 40
+    at = data.rindex(b"zstd", 0, len(data) // 2) + 40
     data[at] ^= 0xFF
     path = tmp_path / "damaged.mcap"
     path.write_bytes(data)
