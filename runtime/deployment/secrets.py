@@ -37,17 +37,6 @@ def secret_values(zenoh: Any) -> frozenset[str]:
     return frozenset(found for found in _values(zenoh) if found)
 
 
-def without_secrets(zenoh: Any) -> Any:
-    """Zenoh's settings without what is secret in them."""
-    if isinstance(zenoh, str):
-        return _IN_TEXT.sub(lambda found: f"{found[1]}null", zenoh)
-    if isinstance(zenoh, Mapping):
-        return {name: without_secrets(value) for name, value in zenoh.items() if not is_secret(str(name))}
-    if isinstance(zenoh, (list, tuple)):
-        return [without_secrets(value) for value in zenoh]
-    return zenoh
-
-
 def public_settings(settings: Sequence[str], zenoh: Any) -> tuple[str, ...]:
     """Settings as they may be told and kept; of those that give something secret the path alone.
 

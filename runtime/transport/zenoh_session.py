@@ -49,7 +49,6 @@ _QUOTED_LINE = re.compile(r"\s*\d*\s*\|")
 _QUOTED_TEXT = re.compile(r"(invalid (?:type|value): \w+) (?:`[^`]*`|\"(?:\\.|[^\"\\])*\")")
 
 _SHARED_MEMORY = Path("/dev/shm")
-_CREDENTIALS = tuple(f"transport/auth/{name}" for name in ("usrpwd/user", "usrpwd/password", "pubkey/private_key_pem"))
 _IPC_LOCK = 14
 """The capability with which limits on locked memory do not count."""
 
@@ -69,8 +68,7 @@ def open_session(
 
     Args:
         listen, connect: Zenoh endpoints.
-        settings: Zenoh's own; they win over ours, and over the file that ZENOH_CONFIG names: of it, they leave
-            the user's name, password and key.
+        settings: Zenoh's own; they win over ours, and over the file that ZENOH_CONFIG names.
         shared_memory: whether large messages may go through shared memory.
         mode: a ``peer`` links directly to every peer it hears of; a ``client`` only to what it connects to.
         low_latency: links to others that want the same are written to at once, by the thread that sends, without
@@ -245,13 +243,4 @@ def _given(settings: Settings) -> zenoh.Config:
     else:
         config = zenoh.Config.from_env() if os.environ.get("ZENOH_CONFIG") else zenoh.Config()
         return config
-    if os.environ.get("ZENOH_CONFIG"):
-        _fill_in(config, zenoh.Config.from_env())
     return config
-
-
-def _fill_in(config: zenoh.Config, own: zenoh.Config) -> None:
-    """What a launch does not tell processes on other machines, from the file that ZENOH_CONFIG names there."""
-    for path in _CREDENTIALS:
-        if config.get_json(path) == "null" and own.get_json(path) != "null":
-            config.insert_json5(path, own.get_json(path))

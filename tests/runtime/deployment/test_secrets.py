@@ -14,7 +14,6 @@ from hierax.runtime.deployment.secrets import (
     secret_values,
     told,
     usable,
-    without_secrets,
 )
 
 WORD = "hunter2"
@@ -41,17 +40,13 @@ def test_which_fields_are_secret(name: str, secret: bool) -> None:
 
 
 @pytest.mark.parametrize("zenoh", [USER, TEXT])
-def test_secrets_are_found_and_taken_out(zenoh: Any) -> None:
+def test_secrets_are_found(zenoh: Any) -> None:
     assert secret_values(zenoh) == {WORD}
-    left = str(without_secrets(zenoh))
-    assert WORD not in left
-    assert "/etc/words" in left
 
 
 def test_an_endpoints_own_settings_are_looked_at() -> None:
     zenoh = {"connect": {"endpoints": ["tls/h:1#connect_private_key_base64=UVdF;so=1"]}}
     assert secret_values(zenoh) == {"UVdF"}
-    assert without_secrets(zenoh)["connect"]["endpoints"] == ["tls/h:1#connect_private_key_base64=null;so=1"]
 
 
 @pytest.mark.parametrize(

@@ -38,7 +38,20 @@ def finished(tmp_path_factory: pytest.TempPathFactory) -> Path:
     users = tmp_path_factory.mktemp("zenoh") / "users"
     users.write_text(f"me:{WORD}\n")
     words = f"zenoh.transport.auth.usrpwd.dictionary_file={users}"
-    options = ("--set", USER, "--set", words, "--set", SET, "--state", "state", "--output", "out", "--record", "run.mcap")
+    options = (
+        "--set",
+        USER,
+        "--set",
+        words,
+        "--set",
+        SET,
+        "--state",
+        "state",
+        "--output",
+        "out",
+        "--record",
+        "run.mcap",
+    )
     done = hierax(folder, "launch", "letters", "--epochs", "4", *options)
     assert done.returncode == 0, done.stderr
     return folder
@@ -72,7 +85,7 @@ def test_a_run_goes_on_behind_its_end(finished: Path, tmp_path: Path) -> None:
         shutil.copytree(finished / name, tmp_path / name)
     fields = json.loads((finished / "state" / "run.json").read_text())
     (tmp_path / "state" / "run.json").write_text(json.dumps({**fields, "output": str(tmp_path / "out")}))
-    done = hierax(tmp_path, "launch", "--resume", "state", "--set", SET, "--epochs", "6", "--format", "json")
+    done = hierax(tmp_path, "launch", "--resume", "state", "--trust", "--set", SET, "--epochs", "6", "--format", "json")
     assert done.returncode == 0, done.stderr
     assert json.loads((tmp_path / "out" / "summary.json").read_text())["epochs"] == 6
 
