@@ -8,10 +8,10 @@ CHECKED := .build/checked
 
 .PHONY: demo test check docs model sim kills changes rival clean
 
-# what runs, and what tests need besides: the viewer alone is some hundreds of megabytes
+# what runs, recordings included, and what tests need besides: the viewer alone is some hundreds of megabytes
 $(RUNS): pyproject.toml
 	$(PYTHON) -m venv $(VENV)
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable .
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable ".[record]"
 	touch $@
 
 $(INSTALLED): $(RUNS)

@@ -36,10 +36,14 @@ from hierax.schemas.control import (
     TakeOver,
 )
 from hierax.schemas.errors import SchemaError
+from hierax.schemas.messages import Header
 from hierax.schemas.roster import Roster
 
 FIRST_SLOT = 1
 """Where the first record goes."""
+
+REFUSED_TOLD = 32
+"""Under one version of the roster, of how many senders and reasons refused messages are logged."""
 
 _log = logging.getLogger("hierax")
 
@@ -84,6 +88,7 @@ class Member(NodeRunner):
         self._saved: Saved | None = None
         self._join: Join | None = None
         self._took = 0
+        self._refused: set[tuple[str, str]] = set()
         self._linking: set[int] = set()
         self._linked: set[int] = set()
         self._fetched: set[int] = set()
@@ -198,13 +203,19 @@ class Member(NodeRunner):
 
     def rewired(self, version: int) -> None:
         super().rewired(version)
+        self._refused.clear()
         self.port.unlink(version)
         self._linked = {later for later in self._linked if later >= version}
         self._fetched = {later for later in self._fetched if later > version}
 
-    def _gravity(self, verdict: Verdict) -> int:
-        stale = verdict in (Verdict.OLD_ROSTER, Verdict.OTHER_INSTANCE, Verdict.FOREIGN)
-        return logging.INFO if stale else logging.WARNING  # these are to be expected when nodes come and go
+    def _gravity(self, header: Header, verdict: Verdict) -> int:
+        if verdict not in (Verdict.OLD_ROSTER, Verdict.OTHER_INSTANCE, Verdict.FOREIGN):
+            return logging.WARNING
+        like_it = (verdict.value, header.sender)  # to be expected when nodes come and go: one is told
+        if like_it in self._refused or len(self._refused) >= REFUSED_TOLD:
+            return logging.DEBUG
+        self._refused.add(like_it)
+        return logging.INFO
 
     def _offer(self, request: str) -> Join:
         try:

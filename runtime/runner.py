@@ -222,7 +222,7 @@ class NodeRunner(Outlet):
 
     def refused(self, header: Header, verdict: Verdict) -> None:
         _log.log(
-            self._gravity(verdict),
+            self._gravity(header, verdict),
             "%s: refused a %s message from %s of epoch %d: %s",
             self.engine.name,
             header.kind,
@@ -233,7 +233,7 @@ class NodeRunner(Outlet):
         for watcher in self.watchers:
             watcher.refused(header, verdict)
 
-    def _gravity(self, verdict: Verdict) -> int:
+    def _gravity(self, header: Header, verdict: Verdict) -> int:
         """At which level a refusal is logged."""
         return logging.WARNING
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 import sys
+import time
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -24,6 +25,11 @@ _LOOPBACK = re.compile(r"[a-z]+/(127\.|localhost|\[::1\])")
 
 TIMEOUT_S = 120.0
 """How long a change may take: new processes import what they need, and the epoch under way must end."""
+
+WAIT_S = 60.0
+"""How long `ps --wait` waits."""
+
+LOOK_S = 0.1
 
 DeploymentFile = Annotated[
     str | None,
@@ -122,11 +128,25 @@ def replace(
     return _tell(answer, f"replaced {node}", output_format)
 
 
-def ps(run: Run = None, connect: Connect = None, output_format: OutputFormat = Format.text) -> int:
+def ps(
+    run: Run = None,
+    connect: Connect = None,
+    wait: Annotated[
+        int,
+        typer.Option(
+            "--wait",
+            min=0,
+            metavar="EPOCH",
+            help="First wait until a launch has committed this epoch; not for ever, but for a minute.",
+            show_default=False,
+        ),
+    ] = 0,
+    output_format: OutputFormat = Format.text,
+) -> int:
     """List the launches on this machine, and the processes of their nodes."""
     from hierax.runtime.commands.show import print_json
 
-    found, silent = _runs(run, connect)
+    found, silent = _awaited(run, connect, wait) if wait else _runs(run, connect)
     if output_format is Format.json:
         print_json({"runs": found})
     elif not found and not silent:
@@ -136,6 +156,24 @@ def ps(run: Run = None, connect: Connect = None, output_format: OutputFormat = F
     if silent:
         raise CommandError(f"no answer from {', '.join(silent)}")
     return 0
+
+
+def _awaited(run: str | None, connect: str | None, epoch: int) -> tuple[list[dict[str, Any]], list[str]]:
+    """What runs, when one of it has come so far."""
+    from hierax.runtime.core.errors import HieraxError
+
+    patience_s = time.monotonic() + WAIT_S
+    while True:
+        why = f"no launch has committed epoch {epoch} within {WAIT_S:g} s"
+        try:
+            found, silent = _runs(run, connect)
+            if any(each["epoch"] >= epoch for each in found):
+                return found, silent
+        except HieraxError as error:  # it may come yet
+            why = f"{why}: {error}"
+        if time.monotonic() > patience_s:
+            raise CommandError(why)
+        time.sleep(LOOK_S)
 
 
 def _runs(run: str | None, connect: str | None) -> tuple[list[dict[str, Any]], list[str]]:

@@ -9,6 +9,7 @@ from contextlib import contextmanager, nullcontext, redirect_stdout
 from pathlib import Path
 from typing import Any
 
+from hierax.runtime.breaker import called
 from hierax.runtime.commands.errors import INTERRUPTED, OK, CommandError, interrupted
 from hierax.runtime.commands.options import Format
 from hierax.runtime.commands.show import print_json, print_report
@@ -18,6 +19,7 @@ from hierax.runtime.files import SUMMARY, claimed_output
 from hierax.runtime.loading import extend_import_path
 from hierax.runtime.private_files import write_result
 from hierax.runtime.report import Interrupted, Report
+from hierax.runtime.watch.prints import named_lines
 
 Runner = Callable[..., Report]
 """`hierax.runtime.single.run` or `hierax.runtime.launch.supervisor.launch`."""
@@ -56,7 +58,7 @@ def run_deployment(
     with nullcontext() if output is None else claimed_output(output, overwrite, goes_on):
         try:
             # what a node prints must not mix with the report
-            with _progress(deployment.name, limit) as progress, redirect_stdout(sys.stderr):
+            with _progress(deployment.name, limit) as progress, redirect_stdout(named_lines(sys.stderr, _who)):
                 report = runner(deployment, epochs=limit, seed=seed, output=output, progress=progress)
         except Interrupted as broken:
             report, code = broken.report, INTERRUPTED
@@ -76,6 +78,11 @@ def run_deployment(
             print(f"hierax: {name}: its state after epoch {report.epochs} is not told: {why}", file=sys.stderr)
         return interrupted()
     return code
+
+
+def _who() -> str:
+    """The node that prints."""
+    return called(sys._getframe())
 
 
 def _write_summary(path: Path, report: Report) -> None:

@@ -58,7 +58,7 @@ def log_console() -> None:
     level = known if isinstance(known, int) else logging.WARNING
     handler = logging.StreamHandler()
     handler.setLevel(level)
-    handler.setFormatter(logging.Formatter(_CONSOLE_FORMAT))
+    handler.setFormatter(_ConsoleLine(_CONSOLE_FORMAT))
     handler.addFilter(lambda record: not getattr(record, "quiet", False))
     root = logging.getLogger()
     root.addHandler(handler)
@@ -112,6 +112,14 @@ def open_log(folder: Path, name: str) -> logging.Handler | None:
         return None
     handler.setFormatter(JsonLine())
     return handler
+
+
+class _ConsoleLine(logging.Formatter):
+    """A record on the console: our own say themselves which node they are about, those of a node's modules don't."""
+
+    def format(self, record: logging.LogRecord) -> str:
+        text, node = super().format(record), getattr(record, "node", "")
+        return text if not node or record.name.partition(".")[0] == "hierax" else f"{node}: {text}"
 
 
 class JsonLine(logging.Formatter):
