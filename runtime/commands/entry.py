@@ -35,12 +35,10 @@ def entry(main: Callable[[Sequence[str]], int] | None = None) -> None:
     if signal.getsignal(signal.SIGINT) is signal.default_int_handler:  # else who has started it wants it ignored
         signal.signal(signal.SIGINT, CTRL_C)
     try:
-        if main is None:
-            from hierax.runtime.commands.main import main
         from hierax.runtime.streams import own_streams
 
         own_streams()
-        code = main(sys.argv[1:])
+        code = (main or _imported())(sys.argv[1:])
     except BaseException:
         if not CTRL_C.came:  # else it is what a library has made of it
             raise
@@ -49,3 +47,9 @@ def entry(main: Callable[[Sequence[str]], int] | None = None) -> None:
     if signal.getsignal(signal.SIGINT) is not signal.SIG_IGN:
         signal.signal(signal.SIGINT, signal.SIG_DFL)  # nothing is left to be done in good order
     sys.exit(code)
+
+
+def _imported() -> Callable[[Sequence[str]], int]:
+    from hierax.runtime.commands.main import main
+
+    return main

@@ -10,7 +10,8 @@ from pathlib import Path
 from typing import Any
 
 from hierax.runtime.breaker import called
-from hierax.runtime.commands.errors import INTERRUPTED, OK, CommandError, interrupted
+from hierax.runtime.commands.entry import INTERRUPTED
+from hierax.runtime.commands.errors import OK, CommandError, interrupted
 from hierax.runtime.commands.options import Format
 from hierax.runtime.commands.show import print_json, print_report
 from hierax.runtime.core.errors import HieraxError

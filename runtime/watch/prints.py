@@ -31,7 +31,7 @@ def name_prints(name: str) -> None:
     sys.stderr = _stream(name, console, "stderr")
 
 
-def named_lines(stream: TextIO, name: Callable[[], str]) -> TextIO:
+def named_lines(stream: TextIO, name: Callable[[], str]) -> io.TextIOBase:
     """A stream whose lines carry a name, as far as there is one.
 
     Args:
