@@ -25,7 +25,7 @@ PAGES = {
 }
 FENCE = re.compile(r'^```(\w*)(?: title="([^"]+)")?\n(.*?)^```', re.DOTALL | re.MULTILINE)
 ADDED = "at the end of "
-TIMEOUT_S = 240
+TIMEOUT_S = 600
 
 LONG = ("make ", "apt-get ", ".venv/bin/", "spin ", "python benchmarks/")
 """Set-up, and what takes minutes; each `make` target and script has tests of its own."""
