@@ -6,12 +6,12 @@ INSTALLED := $(VENV)/.installed
 RUNS := $(VENV)/.runs
 CHECKED := .build/checked
 
-.PHONY: demo test check docs model sim kills changes rival clean
+.PHONY: demo test check docs model sim kills changes fuzz rival clean
 
-# what runs, recordings included, and what tests need besides: the viewer alone is some hundreds of megabytes
+# what runs, and what tests need besides: the viewer alone is some hundreds of megabytes
 $(RUNS): pyproject.toml
 	$(PYTHON) -m venv $(VENV)
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable ".[record]"
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable .
 	touch $@
 
 $(INSTALLED): $(RUNS)
@@ -19,7 +19,7 @@ $(INSTALLED): $(RUNS)
 	touch $@
 
 demo: $(RUNS)
-	$(BIN)/hierax launch deploy/tracking.yaml --epochs 60 --output demo-output --overwrite
+	$(BIN)/hierax launch deploy/tracking.yaml --epochs 60 --output demo-output
 	$(BIN)/python -m hierax.nodes.tracking.evaluation.report demo-output
 	@echo "Look at demo-output/pictures/contact-sheet.png and demo-output/errors.png"
 
@@ -45,6 +45,10 @@ kills: $(INSTALLED)
 # docs/changing.md: 200 changes each of three hierarchies that run; some ten minutes
 changes: $(INSTALLED)
 	$(BIN)/python benchmarks/changes.py
+
+# docs/limits.md: 10⁶ things said on all keys of a launch; some minutes
+fuzz: $(INSTALLED)
+	$(BIN)/python benchmarks/fuzz_keys.py
 
 # ViSP's model-based tracker, for benchmarks/visp_rival/compare.py; installed where it is missing, if root may
 rival: $(INSTALLED)

@@ -7,11 +7,11 @@ from collections.abc import Callable, Sequence
 
 from hierax.runtime.allowance import Refusals
 from hierax.runtime.core.binding import BoundNode
-from hierax.runtime.core.errors import HieraxError
+from hierax.runtime.core.errors import ContradictionError, HieraxError
 from hierax.runtime.core.probe import Probe
 from hierax.runtime.core.process import ActiveNode
 from hierax.runtime.engine.outlet import Saved
-from hierax.runtime.engine.table import Phase, Verdict
+from hierax.runtime.engine.table import ROSTERS_AHEAD, Phase, Verdict
 from hierax.runtime.engine.wiring import Wiring
 from hierax.runtime.recovery.disk import SLOTS
 from hierax.runtime.recovery.slots import Read, Slots
@@ -36,14 +36,17 @@ from hierax.schemas.control import (
     TakeOver,
 )
 from hierax.schemas.errors import SchemaError
-from hierax.schemas.messages import Header
 from hierax.schemas.roster import Roster
+from hierax.schemas.values import encode_value
 
 FIRST_SLOT = 1
 """Where the first record goes."""
 
-REFUSED_TOLD = 32
-"""Under one version of the roster, of how many senders and reasons refused messages are logged."""
+MAX_RESENDS = 64
+"""How often what was sent in an attempt is sent again: the owner asks for it a few times, then blames a link."""
+
+MAX_PREPARED = 64
+"""How many versions of the roster are at hand that are not taken up; and how many are asked for."""
 
 _log = logging.getLogger("hierax")
 
@@ -88,12 +91,13 @@ class Member(NodeRunner):
         self._saved: Saved | None = None
         self._join: Join | None = None
         self._took = 0
-        self._refused: set[tuple[str, str]] = set()
         self._linking: set[int] = set()
         self._linked: set[int] = set()
         self._fetched: set[int] = set()
         self._refusals = Refusals()
-        port.mended = self.mended
+        self._resent: tuple[tuple[int, int], int] = ((0, 0), 0)
+        self._rosters: dict[int, Roster] = {}
+        self._taken = b""
 
     @property
     def wired(self) -> bool:
@@ -115,7 +119,9 @@ class Member(NodeRunner):
                 had a place in the roster.
         """
         if self.active:
-            self._say(Join(self.name, self.process, "", self.engine.epoch, True, ""))
+            engine = self.engine
+            place = (engine.wiring.roster, engine.attempt)
+            self._say(Join(self.name, self.process, "", engine.epoch, True, "", *place))
             return
         if self._join is None:
             self._join = self._offer(request)
@@ -135,6 +141,7 @@ class Member(NodeRunner):
 
         Raises:
             OperatorError: an operator failed.
+            ContradictionError: it was told something else before.
         """
         self._do(order)
         self._finish()
@@ -151,11 +158,19 @@ class Member(NodeRunner):
         elif isinstance(order, AskStatus):
             self._say(self.status(order.inquiry))
         elif isinstance(order, Resend):
-            if self.wired and (self.engine.epoch, self.engine.attempt) == (order.epoch, order.attempt):
-                self.engine.resend(order.receivers)
+            self._resend(order)
         else:
             self.dismissed = order.why
             self.again = order.again
+
+    def _resend(self, order: Resend) -> None:
+        if not self.wired or (self.engine.epoch, self.engine.attempt) != (order.epoch, order.attempt):
+            return
+        turn, count = self._resent
+        count = count + 1 if turn == (order.epoch, order.attempt) else 1
+        self._resent = ((order.epoch, order.attempt), count)
+        if count <= MAX_RESENDS:
+            self.engine.resend(order.receivers)
 
     def status(self, inquiry: int, busy: str = "") -> Status:
         """What the node waits for. Any thread may ask."""
@@ -163,18 +178,12 @@ class Member(NodeRunner):
             return Status(self.name, inquiry, 0, 0, (), busy)
         engine = self.engine
         waits = () if engine.phase is Phase.DONE else engine.waits_for
-        return Status(self.name, inquiry, engine.epoch, engine.attempt, waits, busy)
+        return Status(self.name, inquiry, engine.epoch, engine.attempt, waits, busy, engine.wiring.roster)
 
     def linked(self, version: int) -> None:
         """The port's links of a version are open, in both directions."""
         self._note_link(version)
         self._say_ready(version)
-
-    def mended(self, neighbour: str) -> None:
-        """The link to a neighbour broke and is there again: what it may lack is said again; it drops what is double."""
-        _log.info("%s: the link to %s broke, and is there again", self.name, neighbour)
-        if self.wired:
-            self.engine.say_again(neighbour)
 
     def _note_link(self, version: int) -> None:
         self._linking.discard(version)
@@ -192,7 +201,7 @@ class Member(NodeRunner):
             self._slots.write(encode_checkpoint(checkpoint))
 
     def lacks(self, version: int) -> None:
-        if version not in self._fetched:
+        if version not in self._fetched and len(self._fetched) < MAX_PREPARED:
             self._fetched.add(version)
             self._say(Fetch(self.name, self.process, version))
 
@@ -203,19 +212,14 @@ class Member(NodeRunner):
 
     def rewired(self, version: int) -> None:
         super().rewired(version)
-        self._refused.clear()
         self.port.unlink(version)
         self._linked = {later for later in self._linked if later >= version}
         self._fetched = {later for later in self._fetched if later > version}
+        self._rosters = {later: roster for later, roster in self._rosters.items() if later >= version}
 
-    def _gravity(self, header: Header, verdict: Verdict) -> int:
-        if verdict not in (Verdict.OLD_ROSTER, Verdict.OTHER_INSTANCE, Verdict.FOREIGN):
-            return logging.WARNING
-        like_it = (verdict.value, header.sender)  # to be expected when nodes come and go: one is told
-        if like_it in self._refused or len(self._refused) >= REFUSED_TOLD:
-            return logging.DEBUG
-        self._refused.add(like_it)
-        return logging.INFO
+    def _gravity(self, verdict: Verdict) -> int:
+        stale = verdict in (Verdict.OLD_ROSTER, Verdict.OTHER_INSTANCE, Verdict.FOREIGN)
+        return logging.INFO if stale else logging.WARNING  # these are to be expected when nodes come and go
 
     def _offer(self, request: str) -> Join:
         try:
@@ -236,10 +240,17 @@ class Member(NodeRunner):
             _log.warning("%s: dropped what is no roster: %s", self.name, error)
             return
         version = roster.version
+        if self.name not in roster.nodes or not all(end in roster.nodes for edge in roster.edges for end in edge.pair):
+            _log.warning("%s: refused version %d of the roster: it has no place there", self.name, version)
+            return
         newer = self.wired and version > self.engine.wiring.roster
         if newer and self.active and roster.instance(self.name) != self.engine.wiring.instance:
-            self.dismissed = f"{self.name}: another process runs it under version {version} of the roster"
+            self.join()  # another process runs it, if that is so: the owner says it, by way of the keeper
             return
+        if self._is_far(version):
+            _log.warning("%s: refused version %d of the roster: further ahead than can be", self.name, version)
+            return
+        self._check_same(roster)
         self._fetched.discard(version)
         self._say_ready(version)
         if version in self._linked or version in self._linking:
@@ -251,6 +262,7 @@ class Member(NodeRunner):
         except HieraxError as error:
             self._refuse(version, error)
             return
+        self._rosters[version] = roster
         self._link(wiring, self.linked)
         if self.wired:
             self.engine.prepare(wiring)
@@ -265,6 +277,24 @@ class Member(NodeRunner):
             _log.warning("%s: roster version %d is refused: %s", self.name, version, why)
         self._say(Ready(self.name, self.process, version, why))
 
+    def _is_far(self, version: int) -> bool:
+        if not self.wired:
+            return False
+        engine = self.engine
+        full = version not in engine.prepared and len(engine.prepared) >= MAX_PREPARED
+        return full or version - engine.wiring.roster > ROSTERS_AHEAD
+
+    def _check_same(self, roster: Roster) -> None:
+        """Whether a version is what it was when it came before.
+
+        Raises:
+            ContradictionError: it is another roster: one of the two was forged.
+        """
+        known = self._rosters.get(roster.version)
+        if known is not None and encode_value(known.plain()) != encode_value(roster.plain()):
+            what = f"two rosters of version {roster.version} were sent to it that differ"
+            raise ContradictionError(f"{self.name}: {what}: somebody else speaks in the name of the roster's owner")
+
     def _go_on_as(self, order: Same) -> None:
         """A version that changes nothing here: there is nothing to load, and nobody waits for an answer.
 
@@ -275,7 +305,7 @@ class Member(NodeRunner):
         if version in self._linked or version in self._linking or not self.wired:
             return
         wiring = self.engine.wiring_of(order.earlier)
-        if wiring is not None and version > self.engine.wiring.roster:
+        if wiring is not None and version > self.engine.wiring.roster and not self._is_far(version):
             again = wiring.under(version)
             self._link(again, self._note_link)
             self.engine.prepare(again)
@@ -294,6 +324,9 @@ class Member(NodeRunner):
 
     def _take_over(self, order: TakeOver) -> None:
         engine = self.engine
+        if order.version == self._took and order.state != self._taken:
+            what = f"two states to take over under version {order.version} of the roster were sent to it that differ"
+            raise ContradictionError(f"{self.name}: {what}: somebody else speaks in the name of the roster's owner")
         if engine.begun or order.version < self._took:
             return  # late: it has taken over, and gone on
         try:
@@ -301,7 +334,7 @@ class Member(NodeRunner):
         except (HieraxError, SchemaError) as error:
             self._say(Taken(self.name, order.version, f"cannot take over the belief: {error}"))
             return
-        self._took = order.version
+        self._took, self._taken = order.version, order.state
         engine.restore(Saved(order.epoch, order.attempt, state, state))
         if self._slots is not None:
             instance = order.version  # as of all nodes that are new in a version

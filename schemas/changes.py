@@ -6,7 +6,7 @@ which it finds, and its owner decides (`hierax.runtime.owner.changes`).
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
 from hierax.schemas.errors import SchemaError, shown
@@ -116,6 +116,13 @@ Change = Attach | Detach | Replace
 """Any change of a roster that can be asked for."""
 
 
+_READERS: dict[str, Callable[[Value], Change]] = {
+    "attach": Attach.read,
+    "detach": Detach.read,
+    "replace": Replace.read,
+}
+
+
 def read_change(value: Value) -> Change:
     """A change of any kind from a value.
 
@@ -123,12 +130,8 @@ def read_change(value: Value) -> Change:
         SchemaError: it is none; says which field and what was expected.
     """
     kind = value.get("change") if isinstance(value, dict) else None
-    if kind == "attach":
-        return Attach.read(value)
-    if kind == "detach":
-        return Detach.read(value)
-    if kind == "replace":
-        return Replace.read(value)
+    if isinstance(kind, str) and kind in _READERS:
+        return _READERS[kind](value)
     if not isinstance(value, dict):
         raise SchemaError(f"expected a map, got {shown(value)}", "change")
     raise SchemaError(f"expected attach, detach or replace, got {shown(kind)}", "change.change")

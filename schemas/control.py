@@ -10,6 +10,14 @@ from collections.abc import Callable
 from typing import Any, NamedTuple, cast, get_args, get_origin, get_type_hints
 
 from hierax.schemas.errors import SchemaError, shown
+from hierax.schemas.keys import check_name
+from hierax.schemas.limits import (
+    MAX_NEIGHBOURS,
+    MAX_NUMBER,
+    MAX_STATE_BYTES,
+    MAX_TEXT_CHARS,
+    MAX_WORD_BYTES,
+)
 from hierax.schemas.values import Value, decode_value, encode_value
 
 NEVER = -1
@@ -78,8 +86,8 @@ class Join(NamedTuple):
         epoch: the last epoch that it has begun, or finished by its checkpoint; `NEVER` without one.
         active: whether it has taken part in an epoch; then it asks whether it still may.
         refusal: why it cannot run the node after all; mostly empty.
-        version: of the roster under which its checkpoint was written.
-        attempt: of its checkpoint's epoch.
+        version: of the roster under which its checkpoint was written; of one that is active, in which it is.
+        attempt: of that epoch.
     """
 
     name: str
@@ -131,6 +139,7 @@ class Status(NamedTuple):
     Attributes:
         waits_for: names of senders and kinds of messages.
         busy: the operator's process is in; empty: in none.
+        version: of the roster that the node is in.
     """
 
     name: str
@@ -139,6 +148,7 @@ class Status(NamedTuple):
     attempt: int
     waits_for: tuple[tuple[str, str], ...]
     busy: str
+    version: int = 0
 
 
 class Lost(NamedTuple):
@@ -189,13 +199,37 @@ Control = (
 Order = Prepare | Same | HandOver | TakeOver | AskStatus | Resend | Dismiss
 """What a process is told by the owner."""
 
+Offered = Prepare | Same | HandOver | TakeOver | AskStatus | Resend
+"""What a process is told by the owner on its own key; a dismissal comes by way of its keeper."""
+
+Word = Join | Ready | State | Taken | Fetch | Status
+"""What a process says to the owner on the owner's key; the rest comes by way of the keeper."""
+
 _KINDS: dict[str, Callable[..., object]] = {kind.__name__: kind for kind in get_args(Control)}
 _FIELDS = {kind.__name__: get_type_hints(kind) for kind in get_args(Control)}
 
 
+_LONG = (Prepare, TakeOver, State, Propose, Census)
+"""The kinds that hold a roster, a state or a list of processes."""
+
+_LONG_HEADS = tuple(
+    bytes([0x91 + len(kind._fields), 0xA0 + len(kind.__name__)]) + kind.__name__.encode() for kind in _LONG
+)
+_NAMES = frozenset({"name", "process", "request"})
+_TEXTS = frozenset({"why", "refusal", "busy"})
+_MAY_BE_EMPTY = frozenset({"request", "process"})
+
+
 def encode_control(control: Control) -> bytes:
-    """The bytes of a control message."""
-    return encode_value((type(control).__name__, *control))
+    """The bytes of a control message; texts that are too long are cut.
+
+    Raises:
+        SchemaError: it is longer than a control message may be.
+    """
+    fields = (_cut(part) if field in _TEXTS else part for field, part in zip(control._fields, control, strict=True))
+    data = encode_value((type(control).__name__, *fields))
+    _check_length(data)
+    return data
 
 
 def decode_control(data: bytes) -> Control:
@@ -204,6 +238,7 @@ def decode_control(data: bytes) -> Control:
     Raises:
         SchemaError: it is none; says which field and what was expected.
     """
+    _check_length(data)
     value = decode_value(data, "control")
     name = value[0] if isinstance(value, tuple) and value else None
     kind = _KINDS.get(name) if isinstance(name, str) else None
@@ -215,7 +250,41 @@ def decode_control(data: bytes) -> Control:
     for (field, hint), part in zip(fields.items(), value[1:], strict=True):
         if not _fits(part, hint):
             raise SchemaError(f"got {shown(part)}", f"control.{name}.{field}")
+        _check_content(field, part, f"control.{name}.{field}")
     return cast(Control, kind(*value[1:]))
+
+
+def _check_length(data: bytes) -> None:
+    """Before it is decoded: only what may hold a roster or a state may be long."""
+    most = MAX_STATE_BYTES if data.startswith(_LONG_HEADS) else MAX_WORD_BYTES
+    if len(data) > most:
+        raise SchemaError(f"{len(data)} bytes; at most {most} are allowed", "control")
+
+
+def _check_content(field: str, part: Value, where: str) -> None:
+    """What the types don't say: names that may stand in keys, whole numbers within bounds, short texts and lists."""
+    if type(part) is int and not NEVER <= part <= MAX_NUMBER:
+        raise SchemaError(f"{part} is out of bounds", where)
+    if field in _TEXTS and len(part) > MAX_TEXT_CHARS:
+        raise SchemaError(f"{len(part)} characters; at most {MAX_TEXT_CHARS} are allowed", where)
+    if field in _NAMES and not (field in _MAY_BE_EMPTY and not part):
+        _check_name(part, where)
+    if field in ("receivers", "waits_for"):
+        if len(part) > MAX_NEIGHBOURS:
+            raise SchemaError(f"{len(part)} entries; at most {MAX_NEIGHBOURS} are allowed", where)
+        for each in part:
+            _check_name(each if field == "receivers" else each[0], where)
+
+
+def _check_name(name: str, where: str) -> None:
+    try:
+        check_name(name)
+    except SchemaError as error:
+        raise SchemaError(error.what, where) from error
+
+
+def _cut(text: Value) -> Value:
+    return text if len(text) <= MAX_TEXT_CHARS else text[: MAX_TEXT_CHARS - 1] + "…"
 
 
 def _fits(value: Value, hint: Value) -> bool:

@@ -16,7 +16,31 @@ MAX_ITEMS = 1 << 20
 MAX_CONTAINERS = 1 << 18
 """Arrays and maps in one value: an empty map of one byte takes some ninety of memory."""
 
+MAX_ENTRIES = 1 << 21
+"""Entries of all arrays and maps in one value: one of two or three bytes takes some seventy of memory."""
+
+MAX_PLAIN_BYTES = 16 * 1024 * 1024
+"""What a message along an edge has besides its large arrays, which are read in place: of the rest memory may take
+many times as much."""
+
+MAX_WORD_BYTES = 64 * 1024
+"""A control message that holds neither a roster nor a state."""
+
+MAX_STATE_BYTES = 64 * 1024 * 1024
+"""A control message that does."""
+
+MAX_QUESTION_BYTES = 1024 * 1024
+"""A question to a node or a keeper."""
+
 MAX_NAME_CHARS = 128
+MAX_TEXT_CHARS = 4096
+"""A reason in a control message."""
+
+MAX_NEIGHBOURS = 4096
+"""Names in one control message, but for a roster's."""
+
+MAX_NUMBER = (1 << 53) - 1
+"""Epochs, attempts, versions and instances in a control message: no run comes near."""
 MAX_EXTENSIONS = 64
 
 LARGE_ARRAY_BYTES = 16 * 1024

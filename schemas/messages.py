@@ -29,6 +29,7 @@ from hierax.schemas.limits import (
     MAX_EXTENSIONS,
     MAX_MESSAGE_BYTES,
     MAX_NAME_CHARS,
+    MAX_PLAIN_BYTES,
 )
 from hierax.schemas.values import Packers, Value, array_in_place, fault, is_sound, pack, read_extension, unpack
 
@@ -124,9 +125,12 @@ def encode_message(message: Message) -> bytes:
     if not is_sound(payload, 1) or (extensions and not is_sound(extensions, 1)):
         raise fault(fields, "message", _NAMES)
     try:
-        return pack(fields, _PACKERS, "message", _NAMES)
+        packed = pack(fields, _PACKERS, "message", _NAMES)
     except _LargeArray:
         return _encode_large(fields)
+    if len(packed) > MAX_PLAIN_BYTES:
+        raise _too_plain(len(packed))
+    return packed
 
 
 class _LargeArray(Exception):  # noqa: N818 - no error: the other way of encoding is wanted
@@ -144,7 +148,10 @@ _PACKERS = Packers(_in_place)
 
 def _encode_large(fields: tuple[Value, ...]) -> bytes:
     tail = _Tail()
-    data = _with_tail(pack(fields, Packers(tail.default), "message", _NAMES), tail.arrays)
+    packed = pack(fields, Packers(tail.default), "message", _NAMES)
+    if len(packed) > MAX_PLAIN_BYTES:
+        raise _too_plain(len(packed))
+    data = _with_tail(packed, tail.arrays)
     if len(data) > MAX_MESSAGE_BYTES:
         raise SchemaError(f"has {len(data)} bytes; at most {MAX_MESSAGE_BYTES} are allowed", "message")
     return data
@@ -157,6 +164,8 @@ def decode_message(data: bytes) -> Message:
         SchemaError: the bytes are not a message of this format.
     """
     if data[:1] == _FIXARRAY:
+        if len(data) > MAX_PLAIN_BYTES:
+            raise _too_plain(len(data))
         fields = unpack(data, read_extension, "message", _NAMES)
     elif data[:1] == b"\xdc":
         fields = _split_tail(data)
@@ -203,6 +212,8 @@ def _split_tail(data: bytes) -> tuple[Value, ...]:
     start = len(data) - tail_bytes
     if marker != 0xCE or count < 1 or start < _ARRAY16.size or tail_bytes < _TAIL_BYTES.size:
         raise SchemaError("the arrays behind the payload are not laid out as expected", "message")
+    if start > MAX_PLAIN_BYTES:
+        raise _too_plain(start)
     arrays = _tail_arrays(memoryview(data).toreadonly(), start, count)
     unused = set(range(count))
 
@@ -271,6 +282,11 @@ def _message(fields: Any) -> Message:
     # the named tuples' own constructors take twice as long
     header = _new(Header, (KINDS[kind], sender, receiver, epoch, attempt, roster, instance, time_s, digest, extensions))
     return _new(Message, (header, payload))
+
+
+def _too_plain(size: int) -> SchemaError:
+    what = f"has {size} bytes besides arrays of {LARGE_ARRAY_BYTES} bytes and more; at most {MAX_PLAIN_BYTES}"
+    return SchemaError(f"{what} are allowed; use arrays", "message")
 
 
 def _wrong_field(fields: tuple[Value, ...]) -> SchemaError:

@@ -109,7 +109,7 @@ def decode_step(data: bytes) -> NodeStep:
     value = decode_value(data, "step")
     if not isinstance(value, tuple) or len(value) != len(_FIELDS) + 1:
         raise SchemaError(f"expected an array of {len(_FIELDS) + 1} fields", "step")
-    if value[0] != FORMAT:
+    if type(value[0]) is not int or value[0] != FORMAT:
         raise SchemaError(f"format {shown(value[0])}; this version reads format {FORMAT}", "step.format")
     for (name, expected), field in zip(_FIELDS, value[1:], strict=True):
         if type(field) is not expected:

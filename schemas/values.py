@@ -17,7 +17,7 @@ import numpy as np
 
 from hierax.schemas.arrays import ARRAY, check_array, decode_array, encode_array
 from hierax.schemas.errors import SchemaError, shown
-from hierax.schemas.limits import MAX_CONTAINERS, MAX_DEPTH, MAX_ITEMS, MAX_MESSAGE_BYTES
+from hierax.schemas.limits import MAX_CONTAINERS, MAX_DEPTH, MAX_ENTRIES, MAX_ITEMS, MAX_MESSAGE_BYTES
 
 Value = Any
 ExtHook = Callable[[int, bytes], Value]
@@ -103,6 +103,8 @@ def pack(value: Value, packers: Packers, where: str = "value", names: Names = ()
         raise SchemaError(f"has {len(packed)} bytes; at most {MAX_MESSAGE_BYTES} are allowed", where)
     if len(packed) > MAX_CONTAINERS and _containers(value) > MAX_CONTAINERS:
         raise SchemaError(f"has more than {MAX_CONTAINERS} tuples and dicts; use arrays", where)
+    if len(packed) > MAX_ENTRIES and _entries(value) > MAX_ENTRIES:
+        raise SchemaError(f"its tuples and dicts have more than {MAX_ENTRIES} entries; use arrays", where)
     return packed
 
 
@@ -214,23 +216,27 @@ def _mapping(pairs: list[tuple[Any, Any]]) -> dict[str, Any]:
 
 
 class _Hooks:
-    """Counts arrays and maps while they are built; only data that is large can hold too many."""
+    """Counts arrays, maps and their entries while they are built; only data that is large can hold too many."""
 
     def __init__(self) -> None:
         self._left = MAX_CONTAINERS
+        self._entries_left = MAX_ENTRIES
 
     def mapping(self, pairs: list[tuple[Any, Any]]) -> dict[str, Any]:
-        self._count()
+        self._count(len(pairs))
         return _mapping(pairs)
 
     def array(self, items: tuple[Any, ...]) -> tuple[Any, ...]:
-        self._count()
+        self._count(len(items))
         return items
 
-    def _count(self) -> None:
+    def _count(self, entries: int) -> None:
         self._left -= 1
+        self._entries_left -= entries
         if self._left < 0:
             raise SchemaError(f"more than {MAX_CONTAINERS} arrays and maps")
+        if self._entries_left < 0:
+            raise SchemaError(f"more than {MAX_ENTRIES} entries of arrays and maps")
 
 
 def is_sound(value: Any, depth: int) -> bool:
@@ -354,3 +360,7 @@ def _walk(path: str, depth: int, value: Value, sure: Types) -> Iterator[tuple[st
 
 def _containers(value: Value) -> int:
     return sum(isinstance(item, (dict, tuple, list)) for _, _, item in _walk("", 0, value, _LEAVES))
+
+
+def _entries(value: Value) -> int:
+    return sum(len(item) for _, _, item in _walk("", 0, value, _LEAVES) if isinstance(item, (dict, tuple, list)))

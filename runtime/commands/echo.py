@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from hierax.runtime.commands.options import Format, OutputFormat
-from hierax.runtime.commands.which import Connect, Run, endpoint_of, keys_here
+from hierax.runtime.commands.which import Connect, Run, endpoint_of, keys_here, keys_of
 
 if TYPE_CHECKING:
     from hierax.runtime.plain import Json
@@ -48,7 +48,8 @@ def echo(
     from hierax.runtime.tools.looking import Looking
     from hierax.runtime.transport.window import Glass
 
-    with Glass(endpoint_of(run, connect)) as glass:
+    endpoint = endpoint_of(run, connect)
+    with Glass(endpoint, keys=keys_of(endpoint)) as glass:
         for number, each in enumerate(echoes(glass, Looking(glass), key), start=1):
             if output_format is Format.json:
                 print(json.dumps(as_json(each, full), allow_nan=False), flush=True)

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from hierax.runtime.commands.options import Format, OutputFormat
-from hierax.runtime.commands.which import Connect, Run, endpoint_of, nodes_here
+from hierax.runtime.commands.which import Connect, Run, endpoint_of, keys_of, nodes_here
 
 if TYPE_CHECKING:
     from hierax.runtime.plain import Json
@@ -31,7 +31,8 @@ def inspect(
     from hierax.runtime.tools.looking import Looking
     from hierax.runtime.transport.window import Glass
 
-    with Glass(endpoint_of(run, connect)) as glass:
+    endpoint = endpoint_of(run, connect)
+    with Glass(endpoint, keys=keys_of(endpoint)) as glass:
         looking = Looking(glass)
         seen = looking.look()
         answer = looking.state(seen, node)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+import sys
 from collections.abc import Callable, Sequence
 from typing import Annotated
 
@@ -15,7 +16,6 @@ from hierax.runtime.commands.check import check
 from hierax.runtime.commands.diff import diff
 from hierax.runtime.commands.doctor import doctor
 from hierax.runtime.commands.echo import echo
-from hierax.runtime.commands.entry import CTRL_C, INTERRUPTED, entry
 from hierax.runtime.commands.errors import OK, exit_code
 from hierax.runtime.commands.graph import graph
 from hierax.runtime.commands.infer import infer
@@ -30,6 +30,7 @@ from hierax.runtime.commands.sim import sim
 from hierax.runtime.commands.top import top
 from hierax.runtime.commands.validate import validate
 from hierax.runtime.commands.view import view
+from hierax.runtime.streams import own_streams
 
 COMMANDS: tuple[Callable[..., int], ...] = (
     *(run, launch, attach, detach, replace),
@@ -60,8 +61,13 @@ def main(arguments: Sequence[str]) -> int:
     Returns:
         The exit code.
     """
-    code = exit_code(lambda: _dispatch(arguments))
-    return INTERRUPTED if CTRL_C.came and code != OK else code
+    return exit_code(lambda: _dispatch(arguments))
+
+
+def entry() -> None:
+    """The console script."""
+    own_streams()
+    sys.exit(main(sys.argv[1:]))
 
 
 def _dispatch(arguments: Sequence[str]) -> int:
@@ -108,4 +114,4 @@ _register(tracking, bench)
 
 
 if __name__ == "__main__":
-    entry(main)
+    entry()

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from hierax.runtime.commands.options import Format, OutputFormat
-from hierax.runtime.commands.which import Connect, Run, endpoint_of
+from hierax.runtime.commands.which import Connect, Run, endpoint_of, keys_of
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -42,7 +42,8 @@ def top(
     from hierax.runtime.tools.looking import Looking
     from hierax.runtime.transport.window import Glass
 
-    with Glass(endpoint_of(run, connect)) as glass:
+    endpoint = endpoint_of(run, connect)
+    with Glass(endpoint, keys=keys_of(endpoint)) as glass:
         looks = overviews(Looking(glass), interval, time.sleep)
         if once:
             _print_one(next(looks), output_format)

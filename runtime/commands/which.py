@@ -15,6 +15,7 @@ from hierax.runtime.core.errors import HieraxError
 if TYPE_CHECKING:
     from hierax.runtime.launch.run_file import Running
     from hierax.runtime.tools.looking import Looking, Seen
+    from hierax.schemas.keys import Keys
 
 _ENDPOINT = re.compile(r"[a-z]+/.+:[0-9]+")
 
@@ -87,14 +88,25 @@ def _listed(runs: Sequence[Running]) -> str:
     return ", ".join(f"{each.run} ({each.hierarchy})" for each in runs)
 
 
+def keys_of(endpoint: str) -> Keys | None:
+    """The keys of the launch at an endpoint, where it runs on this machine; None: they have to be found out."""
+    from hierax.runtime.launch.run_file import known_runs
+    from hierax.schemas.keys import Keys
+
+    running = next((each for each in known_runs() if each.endpoint == endpoint), None)
+    return None if running is None else Keys(running.hierarchy, running.run)
+
+
 def _looks() -> Iterator[tuple[Looking, Seen]]:
     """For completion: the launches on this machine that answer."""
     from hierax.runtime.launch.run_file import known_runs
     from hierax.runtime.tools.looking import Looking
     from hierax.runtime.transport.window import Glass
+    from hierax.schemas.keys import Keys
 
     for running in known_runs():
-        with suppress(HieraxError), Glass(running.endpoint) as glass:  # it may have ended just now
+        keys = Keys(running.hierarchy, running.run)
+        with suppress(HieraxError), Glass(running.endpoint, keys=keys) as glass:  # it may have ended just now
             looking = Looking(glass)
             yield looking, looking.look()
 

@@ -33,3 +33,7 @@ class OperatorError(HieraxError):
         self.operator = operator
         self.epoch = epoch
         super().__init__(f"{subject}: {operator} in epoch {epoch}: {what}")
+
+
+class ContradictionError(HieraxError):
+    """Two messages of one sender, kind, epoch, attempt, roster and instance differ: one of them is forged."""

@@ -6,17 +6,32 @@ from collections.abc import Mapping, Sequence
 
 from hierax.runtime.core.binding import Call, epoch_time_s, is_finished
 from hierax.runtime.core.digest import NO_DIGEST, encode_state, node_digest
-from hierax.runtime.core.errors import OperatorError
+from hierax.runtime.core.errors import ContradictionError, OperatorError
 from hierax.runtime.core.node import Elements, Value, World
 from hierax.runtime.core.probe import Step
 from hierax.runtime.core.process import ActiveNode
+from hierax.runtime.engine.held import Held
 from hierax.runtime.engine.outlet import Called, Committed, Completed, Outlet, Saved
-from hierax.runtime.engine.table import ACTIONS, HELD_MESSAGES, HELD_SLOTS, Action, Phase, Verdict
+from hierax.runtime.engine.table import (
+    ACTIONS,
+    ATTEMPTS_AHEAD,
+    EPOCHS_AHEAD,
+    ROSTERS_AHEAD,
+    Action,
+    Phase,
+    Verdict,
+)
 from hierax.runtime.engine.wiring import Slot, Wiring
 from hierax.schemas.errors import SchemaError
 from hierax.schemas.messages import CONTEXT, NO_EXTENSIONS, OBSERVATIONS, TASKS, Header, Message
+from hierax.schemas.values import encode_value
 
 _NOTHING: Mapping[Slot, int] = {}
+_NO_MESSAGES: Mapping[Slot, Message] = {}
+SLOT_FIELDS = 7
+"""The first fields of a header: no two messages of a run share them."""
+
+_PERHAPS_AGAIN = (Verdict.DOUBLE, Verdict.LATE, Verdict.OLD_ROSTER)
 
 
 class Engine:
@@ -52,8 +67,9 @@ class Engine:
         self._joins = joins
         self.begun = False
         self._prepared: dict[int, Wiring] = {}
-        self._held: dict[Slot, list[Message]] = {}
+        self._held = Held()
         self._inbox: dict[Slot, Message] = {}
+        self._heard = self._told = self._heard_before = self._told_before = _NO_MESSAGES
         self._sent: dict[Slot, Message] = {}
         self._observations: Elements = ()
         self._sensed: Value = None
@@ -171,13 +187,6 @@ class Engine:
         self._outlet.rewired(version)
         self._prepared = {later: wiring for later, wiring in self._prepared.items() if later > version}
 
-    def say_again(self, neighbour: str) -> None:
-        """Send once more whatever a neighbour may still need: the link to it broke, and what was under way is lost.
-
-        In epochs that end all at once that is what it was sent of the epoch's attempt: nobody goes on without it.
-        """
-        self.resend((neighbour,))
-
     def resend(self, receivers: Sequence[str]) -> None:
         """Send once more what these neighbours were sent of the epoch's attempt."""
         for receiver, kind in sorted(self._sent):
@@ -189,6 +198,7 @@ class Engine:
 
         Raises:
             OperatorError: an operator failed.
+            ContradictionError: it says something else than another one with its header's numbers.
         """
         header = message.header
         kind, sender, receiver, epoch, attempt, roster, instance, _, digest, _ = header
@@ -208,22 +218,26 @@ class Engine:
         if verdict is Verdict.NEXT:
             self._turn(epoch, attempt)
             self._take(slot, message)
+        elif verdict in _PERHAPS_AGAIN and self._is_again(slot, message):
+            return
         elif verdict is Verdict.AGAIN:
             self._undo(attempt)
             self._take(slot, message)
         elif verdict is Verdict.NEW_ROSTER and self._takes_up(header):
             self.rewire(roster)
             self.receive(message)
-        elif ACTIONS[verdict] is Action.REFUSE or (ACTIONS[verdict] is Action.HOLD and not self._hold(message)):
+        elif ACTIONS[verdict] is Action.REFUSE:
             self._outlet.refused(header, verdict)
-        elif verdict is Verdict.NEW_ROSTER and roster not in self._prepared:
-            self._outlet.lacks(roster)
+        elif ACTIONS[verdict] is Action.HOLD:
+            self._hold(message, verdict)
 
     def judge(self, header: Header) -> Verdict:
         """What a message with this header is to the node now."""
         kind, sender, receiver, epoch, attempt, roster, instance, _, digest, _ = header
         slot = (sender, kind)
         wiring = self.wiring
+        if self._is_ahead(epoch, attempt, roster):
+            return Verdict.AHEAD
         if roster != wiring.roster:
             return Verdict.OLD_ROSTER if roster < wiring.roster else Verdict.NEW_ROSTER
         from_below = slot in wiring.below
@@ -246,6 +260,49 @@ class Engine:
         # the other half's: what came for SENSE is behind us, what comes for PREDICT is ahead
         return Verdict.EARLY if self.phase is Phase.SENSE else Verdict.DOUBLE
 
+    def compare(self, message: Message) -> None:
+        """Take nothing more in, but see whether a message contradicts one that was.
+
+        Raises:
+            ContradictionError: it does.
+        """
+        self._is_again((message.header.sender, message.header.kind), message)
+
+    _epochs_ahead: float = EPOCHS_AHEAD
+
+    def _is_ahead(self, epoch: int, attempt: int, roster: int) -> bool:
+        if attempt - self.attempt > ATTEMPTS_AHEAD or roster - self._roster > ROSTERS_AHEAD:
+            return True
+        return epoch - self.epoch > self._epochs_ahead and not self._joins
+
+    def _is_again(self, slot: Slot, message: Message) -> bool:
+        """Whether a message was taken before, in this epoch or the last one.
+
+        Raises:
+            ContradictionError: one was that says something else.
+        """
+        for taken in (self._inbox, self._heard, self._told, self._heard_before, self._told_before):
+            known = taken.get(slot)
+            if known is not None and known.header[:SLOT_FIELDS] == message.header[:SLOT_FIELDS]:
+                self._check_same(known, message)
+                return True
+        return False
+
+    def _check_same(self, known: Message, message: Message) -> None:
+        if known is message or self._said(known) == self._said(message):
+            return
+        header = message.header
+        what = f"two {header.kind} messages from {header.sender} of epoch {header.epoch}, attempt {header.attempt}"
+        whose = f"{header.sender} (instance {header.instance}, roster {header.roster})"
+        raise ContradictionError(
+            f"{self.name}: {what} say different things: somebody else speaks in the name of {whose}"
+        )
+
+    def _said(self, message: Message) -> bytes:
+        """All that counts of a message, but for what tells it apart from others."""
+        header = message.header
+        return encode_value((header.time_s, header.digest, message.payload))
+
     def _moves_on(self, epoch: int) -> bool:
         if self.phase is not Phase.DONE:
             return False
@@ -260,22 +317,23 @@ class Engine:
             return False
         return self._moves_on(header.epoch) or (header.epoch == self.epoch > 0 and header.attempt > self.attempt)
 
-    def _hold(self, message: Message) -> bool:
-        slot = (message.header.sender, message.header.kind)
-        held = self._held.get(slot, [])
-        if any(other.header == message.header for other in held):
-            return True  # a double
-        if len(held) >= HELD_MESSAGES or (not held and len(self._held) >= HELD_SLOTS):
-            return False
-        self._held[slot] = [*held, message]
-        return True
+    def _hold(self, message: Message, verdict: Verdict) -> None:
+        """Keep a message for later; where there is no room, the furthest ahead is refused."""
+        header = message.header
+        slot = (header.sender, header.kind)
+        wirings = (self.wiring, *self._prepared.values())
+        is_neighbour = any(slot in wiring.below or slot in wiring.above for wiring in wirings)
+        for refused in self._held.put(message, is_neighbour):
+            self._outlet.refused(refused.header, verdict)
+            if refused is message:
+                return
+        if verdict is Verdict.NEW_ROSTER and header.roster not in self._prepared:
+            self._outlet.lacks(header.roster)
 
     def _release(self) -> None:
         """Judge again what was held, as the epoch, its half or the roster has changed."""
-        held, self._held = self._held, {}
-        for slot in sorted(held):
-            for message in held[slot]:
-                self.receive(message)
+        for message in self._held.take():
+            self.receive(message)
 
     def _wire(self, wiring: Wiring) -> None:
         node = wiring.node
@@ -291,6 +349,7 @@ class Engine:
             self._fresh = False
             self._outlet.save(epoch - 1, 0, self._encoded_now, self._encoded_now)
         self._joins = False
+        self._heard_before, self._told_before = self._heard, self._told
         self._start = self._state
         self._encoded_start = self._encoded_now
         self.epoch = epoch
@@ -307,6 +366,7 @@ class Engine:
         self.attempt = attempt
         self.begun = True
         self._inbox = {}
+        self._heard = self._told = _NO_MESSAGES
         self._sent.clear()
         self._enter(Phase.SENSE)
 
@@ -335,6 +395,7 @@ class Engine:
 
     def _sense(self) -> None:
         inbox, self._inbox = self._inbox, {}
+        self._heard = inbox
         node = self.node
         self.time_s = time_s = inbox[node.below[0], OBSERVATIONS].header.time_s
         self._observations = observations = _union(inbox, node.below, OBSERVATIONS)
@@ -360,6 +421,7 @@ class Engine:
 
     def _predict(self) -> None:
         inbox, self._inbox = self._inbox, {}
+        self._told = inbox
         wiring, node, epoch, time_s, sensed = self.wiring, self.node, self.epoch, self.time_s, self._sensed
         above = node.above
         tasks = _union(inbox, wiring.tasking, TASKS) if wiring.tasking else ()

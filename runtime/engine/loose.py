@@ -15,9 +15,10 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from math import inf
 
 from hierax.runtime.core.node import Value
-from hierax.runtime.engine.engine import Engine
+from hierax.runtime.engine.engine import SLOT_FIELDS, Engine
 from hierax.runtime.engine.outlet import Outlet, Saved
 from hierax.runtime.engine.table import ACTIONS, Action, Phase, Verdict
 from hierax.runtime.engine.wiring import Slot, Wiring
@@ -116,7 +117,8 @@ class LooseEngine(Engine):
         self.drains = False
         self.ages = Ages()
         self.used: dict[Slot, tuple[int, int]] = {}
-        self._said: dict[int, dict[Slot, Message]] = {}
+        if staleness.free:
+            self._epochs_ahead = inf  # nobody waits for a node that is slow
         super().__init__(wiring, outlet, saved=saved, joins=joins, events=events)
 
     @property
@@ -166,16 +168,6 @@ class LooseEngine(Engine):
         self._is_rewired = True
         self._above.clear()
         self._below.clear()
-        self._said.clear()
-        self._sent.clear()
-
-    def say_again(self, neighbour: str) -> None:
-        """Also of earlier epochs, in their order: a neighbour above may be as many behind as inputs may be old."""
-        for epoch in sorted(self._said):
-            for receiver, kind in sorted(self._said[epoch]):
-                if receiver == neighbour:
-                    self._outlet.send(self._said[epoch][receiver, kind])
-        super().say_again(neighbour)
 
     def _keep(self, message: Message) -> None:
         """An input from above: kept as long as it may be wanted."""
@@ -183,6 +175,8 @@ class LooseEngine(Engine):
         kept = self._above.setdefault((header.sender, header.kind), {})
         known = kept.get(header.epoch)
         if known is not None and known.header.attempt >= header.attempt:
+            if known.header[:SLOT_FIELDS] == header[:SLOT_FIELDS]:
+                self._check_same(known, message)
             return
         kept[header.epoch] = message
         self._forget()
@@ -195,6 +189,8 @@ class LooseEngine(Engine):
         known = self._below.get(slot)
         if known is None or (known.header.epoch, known.header.attempt) < (header.epoch, header.attempt):
             self._below[slot] = message
+        elif known.header[:SLOT_FIELDS] == header[:SLOT_FIELDS]:
+            self._check_same(known, message)
 
     def _forget(self) -> None:
         oldest = self._oldest()  # a drained epoch may be followed by one that is none
@@ -225,9 +221,7 @@ class LooseEngine(Engine):
 
     def _moves_on(self, epoch: int) -> bool:
         # where a process was lost, epochs may have gone on without this node
-        if self._is_rewired:
-            return epoch > self.epoch
-        return super()._moves_on(epoch)
+        return (self.phase is Phase.DONE or self._is_rewired) and epoch > self.epoch
 
     def _takes_up(self, header: Header) -> bool:
         # in the middle of an epoch, too: what it waits for may have been lost with a process
@@ -242,17 +236,8 @@ class LooseEngine(Engine):
         if not self._joins:
             is_unfinished = self.phase is not Phase.DONE
             self.ages.left_out += epoch - self.epoch - 1 + is_unfinished
-        self._remember()
         self._settle(epoch)
         super()._turn(epoch, attempt)
-
-    def _remember(self) -> None:
-        """Keep what was said in the epoch that is left behind for as long as somebody may be in it."""
-        if self._staleness.epochs:
-            self._said[self.epoch] = dict(self._sent)
-            self._said = {
-                epoch: sent for epoch, sent in self._said.items() if epoch > self.epoch - self._staleness.epochs
-            }
 
     def _undo(self, attempt: int) -> None:
         self._settle(self.epoch)
@@ -295,6 +280,9 @@ class LooseEngine(Engine):
         return chosen
 
     _extends = True
+
+    def _said(self, message: Message) -> bytes:
+        return super()._said(message) + bytes([DRAIN in message.header.extensions])
 
     def _extensions(self, kind: str) -> Mapping[str, Value]:
         return {DRAIN: True} if self.drains and kind == OBSERVATIONS else {}

@@ -28,6 +28,8 @@ fits decides:
     verdict          when                                               action
     ---------------  -------------------------------------------------  ------
     OLD_ROSTER       of an older roster                                 REFUSE
+    AHEAD            further ahead than can be, in roster, epoch or     REFUSE
+                     attempt
     NEW_ROSTER       of a roster that this node does not have yet       HOLD
     FOREIGN          not for this node, or along no edge of its roster  REFUSE
     OTHER_INSTANCE   not from the instance that the roster names        REFUSE
@@ -40,9 +42,14 @@ fits decides:
     DOUBLE           already in hand                                    DROP
     CURRENT          anything else                                      TAKE
 
-HOLD keeps the message until its time comes, a bounded number for each sender and kind;
-more than that are refused. REFUSE and DROP change nothing; REFUSE is reported. NEXT makes
-the state of now that of the epoch's start, AGAIN the other way round.
+HOLD keeps the message until its time comes, a bounded number for each sender and kind, and
+bounded bytes; of more than that, the furthest ahead are refused. REFUSE and DROP change nothing;
+REFUSE is reported. NEXT makes the state of now that of the epoch's start, AGAIN the other way round.
+
+A message with the sender, kind, epoch, attempt, roster and instance of one that was taken in this
+epoch or the one before (DOUBLE, LATE or OLD_ROSTER, as it may be) has to say the same as that one.
+Where it does not, somebody else has spoken in the sender's name, and nobody knows which of the two
+was the sender's: the engine raises a `ContradictionError`, which ends the run.
 """
 
 from __future__ import annotations
@@ -68,6 +75,7 @@ class Verdict(_Quick):
     """What a message is to the node that receives it."""
 
     OLD_ROSTER = "of an older roster"
+    AHEAD = "further ahead than can be"
     NEW_ROSTER = "of a roster that is not here yet"
     FOREIGN = "not along an edge of this node"
     OTHER_INSTANCE = "from another instance of its sender"
@@ -91,6 +99,7 @@ class Action(_Quick):
 
 ACTIONS = {
     Verdict.OLD_ROSTER: Action.REFUSE,
+    Verdict.AHEAD: Action.REFUSE,
     Verdict.NEW_ROSTER: Action.HOLD,
     Verdict.FOREIGN: Action.REFUSE,
     Verdict.OTHER_INSTANCE: Action.REFUSE,
@@ -107,4 +116,13 @@ HELD_MESSAGES = 8
 """How many messages of one sender and kind are held at most."""
 
 HELD_SLOTS = 256
-"""Of how many senders and kinds: of a roster that is not here yet, anybody may be one."""
+"""Of how many senders and kinds that are no neighbours': of a roster that is not here yet, anybody may be one."""
+
+HELD_BYTES = 64 << 20
+"""How much memory they may take, about; those of no neighbours' a quarter of it."""
+
+ROSTERS_AHEAD = 1000
+EPOCHS_AHEAD = 1000
+ATTEMPTS_AHEAD = 1000
+"""How far ahead of a node a message may be. Versions are used up by changes that are dropped, and attempts by
+processes that die; a node that lives takes part in each epoch."""

@@ -22,7 +22,7 @@ from hierax.runtime.runner import Log, Pacemaker
 from hierax.runtime.transport.control import OWNER, ControlLine
 from hierax.runtime.transport.zenoh_port import EpochPublisher, ZenohPort
 from hierax.runtime.world_member import WorldMember
-from hierax.schemas.control import Control
+from hierax.schemas.control import Control, Dismiss, Order
 
 _log = logging.getLogger("hierax")
 
@@ -55,13 +55,20 @@ def _built(
             line.tell(OWNER, word)
 
         return Member(order.name, order.process, loader.wiring, port, say, slots, probes, states)
+
+    def tell(process: str, word: Order) -> None:
+        if isinstance(word, Dismiss):  # anybody could say it: a process that is kept here hears it from its keeper
+            voice.dismiss(process, word)
+        else:
+            line.tell(process, word)
+
     roster_hash = b"" if order.roster is None else order.roster.content_hash()
     return WorldMember(
         order.name,
         order.process,
         loader.wiring,
         port,
-        line.tell,
+        tell,
         voice,
         slots,
         Pacemaker(DigestChain(roster_hash), order.epochs, _Commits(order, epochs)),
@@ -88,7 +95,9 @@ def _preload(module: str) -> None:
 
 
 def _slots(order: NodeOrder) -> Slots:
-    return Slots(MappedFile(Path(order.checkpoint), order.durability))
+    path = Path(order.checkpoint)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    return Slots(MappedFile(path, order.durability))
 
 
 class _Commits:

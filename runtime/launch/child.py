@@ -52,6 +52,7 @@ class Child:
         heard: set when all that it had to say is taken in and it has ended.
         report: its last word.
         failure: why it cannot go on.
+        final: whether the run cannot, either.
         dismissed: why the owner has told it to go.
         culprit: why its keeper has killed it.
     """
@@ -63,6 +64,7 @@ class Child:
     heard: anyio.Event = field(default_factory=anyio.Event)
     report: dict[str, Value] | None = None
     failure: NodeFailedError | None = None
+    final: bool = False
     dismissed: str = ""
     culprit: str = ""
 
@@ -90,6 +92,7 @@ class Child:
             self.report = dict(value)
         elif status == FAILED:
             self.failure = NodeFailedError(value["message"], value["where"])
+            self.final = value["final"]
         elif status == DISMISSED:
             self.dismissed = value["why"]
         elif status == CUT_OFF:

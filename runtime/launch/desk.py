@@ -22,13 +22,18 @@ from hierax.runtime.transport.window import Window
 from hierax.runtime.watch.copier import Copier, Edge
 from hierax.runtime.watch.meter import Meter
 from hierax.runtime.watch.stepper import Stepper
-from hierax.schemas.keys import STEP
+from hierax.schemas.errors import SchemaError, shown
+from hierax.schemas.keys import STEP, check_name
+from hierax.schemas.messages import CONTEXT, OBSERVATIONS, TASKS
 from hierax.schemas.values import Value
 
 LEASE_S = 5.0
 """How long a watcher stays after the last question that needs it."""
 
 MAX_EDGES = 4096
+"""How many edges are echoed at most."""
+
+_KINDS = (OBSERVATIONS, TASKS, CONTEXT)
 
 _PAGE_BYTES = os.sysconf("SC_PAGE_SIZE")
 
@@ -71,13 +76,14 @@ class Desk:
         self._expire(time.monotonic())
 
     def _answer(self, question: Value) -> Value:
-        look = self._looks.get(question.get("look", "")) if isinstance(question, dict) else None
+        name = question.get("look") if isinstance(question, dict) else None
+        look = self._looks.get(name) if isinstance(name, str) else None
         if look is None:
             return {"refusal": f"expected a map with 'look' as one of {', '.join(self._looks)}"}
         try:
             return {"process": self._member.process, **look(question)}
-        except (KeyError, TypeError, ValueError) as error:
-            return {"refusal": f"no question that this node understands: {type(error).__name__}: {error}"}
+        except SchemaError as error:
+            return {"refusal": str(error)}
 
     def _tell_times(self, question: Mapping[str, Any]) -> dict[str, Value]:
         member = self._member
@@ -138,9 +144,10 @@ class Desk:
 
     def _echo(self, question: Mapping[str, Any]) -> dict[str, Value]:
         until_s = time.monotonic() + LEASE_S
-        for kind, sender, receiver in question["edges"][:MAX_EDGES]:
-            if sender == self._member.name:
-                self._wanted[str(kind), sender, str(receiver)] = until_s
+        for kind, sender, receiver in _edges_of(question):
+            known = (kind, sender, receiver) in self._wanted or len(self._wanted) < MAX_EDGES
+            if sender == self._member.name and known:
+                self._wanted[kind, sender, receiver] = until_s
         if self._wanted and self._copier is None:
             self._copier = Copier(self._window.show)
             self._member.watch(self._copier)
@@ -149,9 +156,9 @@ class Desk:
         return {"lease_s": LEASE_S}
 
     def _tell_steps(self, question: Mapping[str, Any]) -> dict[str, Value]:
-        every = int(question["every"])
-        if every < 1:
-            raise ValueError(f"every is {every}; expected at least 1")
+        every = question.get("every")
+        if type(every) is not int or every < 1:
+            raise SchemaError(f"expected a whole number from 1, got {shown(every)}", "every")
         self._stepped_s = time.monotonic()
         if self._stepper is None:
             self._stepper = Stepper()
@@ -174,6 +181,21 @@ class Desk:
         if not self._wanted:
             self._member.unwatch(self._copier)
             self._copier = None
+
+
+def _edges_of(question: Mapping[str, Any]) -> list[Edge]:
+    edges = question.get("edges")
+    if not isinstance(edges, (tuple, list)) or len(edges) > MAX_EDGES:
+        raise SchemaError(f"expected at most {MAX_EDGES} edges", "edges")
+    found: list[Edge] = []
+    for edge in edges:
+        if not isinstance(edge, (tuple, list)) or len(edge) != 3 or not all(isinstance(part, str) for part in edge):
+            raise SchemaError(f"expected [kind, sender, receiver], got {shown(edge)}", "edges")
+        kind, sender, receiver = edge
+        if kind not in _KINDS:
+            raise SchemaError(f"expected one of {', '.join(_KINDS)}, got {shown(kind)}", "edges")
+        found.append((kind, check_name(sender), check_name(receiver)))
+    return found
 
 
 def _rss_bytes() -> int:

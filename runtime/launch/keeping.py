@@ -16,6 +16,7 @@ from hierax.runtime.launch.orders import Orders
 from hierax.runtime.launch.pipe import (
     ANSWER,
     BEAT,
+    DISMISS,
     DISMISSED,
     END,
     FINISHED,
@@ -28,7 +29,7 @@ from hierax.runtime.launch.pipe import (
 )
 from hierax.runtime.launch.requests import Requests
 from hierax.runtime.owner.outlet import DETACH
-from hierax.schemas.control import Control, Lost, encode_control
+from hierax.schemas.control import Control, Dismiss, Lost, encode_control
 from hierax.schemas.roster import Roster
 
 BEAT_S = 0.2
@@ -48,6 +49,8 @@ class Keeping:
 
     Attributes:
         tasks: in which everything runs; to be set before the first process is started.
+        dismiss_elsewhere: tells a process that is kept elsewhere that it has no place any more, why, and whether
+            another one is to come; to be set likewise.
         finished: set when the world has committed its last epoch.
         ending: whether processes may end from now on.
         members: the processes of the roster in force, by node, as the world said last.
@@ -56,6 +59,7 @@ class Keeping:
     """
 
     tasks: anyio.abc.TaskGroup
+    dismiss_elsewhere: Callable[[str, str, bool], None]
 
     def __init__(self, orders: Orders, say: Callable[[str], None], fail: Callable[[Exception], None]) -> None:
         self.orders = orders
@@ -154,6 +158,8 @@ class Keeping:
             self.requests.answer(value["request"], value["epoch"], value["refusal"])
         elif status == END:
             self._kill(value["name"], value["process"], value["why"])
+        elif status == DISMISS:
+            self.tasks.start_soon(self._dismiss, value["process"], Dismiss(value["why"], value["again"]))
         elif status == HALT:
             child = self._current.get(value["why"].partition(":")[0])
             self._fail((child and child.failure) or NodeFailedError(value["why"]))
@@ -183,9 +189,20 @@ class Keeping:
         else:
             self.tasks.start_soon(self.tell_owner, Lost(name, token, True))
 
+    async def _dismiss(self, process: str, word: Dismiss) -> None:
+        """Tell a process that it has no place any more; over Zenoh where another keeper keeps it."""
+        child = self._children.get(process)
+        if child is None:
+            self.dismiss_elsewhere(process, word.why, word.again)
+        elif child.alive and child.name != self._world:  # that one nobody dismisses
+            await child.tell(encode_control(word))
+
     async def _on_end(self, child: Child) -> None:
         """A process has ended before its time."""
         name = child.name
+        if child.final:
+            self._fail(child.last_words)
+            return
         if child.dismissed:
             await self.tell_owner(Lost(name, child.token, False))
             return

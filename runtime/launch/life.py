@@ -15,7 +15,8 @@ from typing import get_args
 import numpy as np
 
 from hierax.runtime.core.binding import CALLS, Call, Setting, Waiter
-from hierax.runtime.core.errors import HieraxError
+from hierax.runtime.core.errors import ContradictionError, HieraxError
+from hierax.runtime.launch.backlog import Backlog
 from hierax.runtime.launch.building import build_member, preload
 from hierax.runtime.launch.desk import Desk
 from hierax.runtime.launch.pipe import BEGIN, COME_BACK, CUT_OFF, DISMISSED, FAILED, REPORT, TO_REPORT, UP, NodeOrder
@@ -33,14 +34,20 @@ from hierax.runtime.transport.zenoh_session import LOOPBACK, LOW_LATENCY_BYTES, 
 from hierax.runtime.watch import telemetry
 from hierax.runtime.watch.logs import QUIET
 from hierax.runtime.world_member import WorldMember
-from hierax.schemas.control import AskStatus, Control, Order, decode_control
+from hierax.schemas.control import AskStatus, Control, Dismiss, Offered, Order, Word, decode_control
 from hierax.schemas.errors import SchemaError
 from hierax.schemas.keys import Keys
 from hierax.schemas.messages import Message
 from hierax.schemas.values import Value
 
 IDLE_S = 0.5
-"""How long nothing may come before a node asks whether it is still part of the hierarchy."""
+"""How long a node may get no further before it asks whether it is still part of the hierarchy."""
+
+WORDS_AT_ONCE = 64
+"""How many control messages are taken in between two messages of an epoch."""
+
+REST = 10_000
+"""How many messages are looked at when the run is over."""
 
 RECORDER_TIMEOUT_S = 10.0
 """How long a process waits for a recorder that is said to be there; then it goes on unheard, which is a gap."""
@@ -73,8 +80,11 @@ class NodeLife:
         self._recorded = False
         self._thread = 0
         self._inputs: deque[Control] = deque()
+        self._words = Backlog()
+        self._woken = False
         self._ticks = False
-        self._ticked_s = self._heard_s = time.monotonic()
+        self._ticked_s = self._moved_s = time.monotonic()
+        self._place: tuple[object, ...] = ()
         self._beaten_s = 0.0
         self._version = -1
         self._rate_hz = order.rate_hz
@@ -115,13 +125,20 @@ class NodeLife:
         self.stop()
 
     def post(self, control: Control) -> None:
-        """A control message for the member, or for the owner."""
+        """What the keeper says to the member, or to the owner; never lost."""
+        self._inputs.append(control)
+        self._wake()
+
+    def hear(self, control: Control, size: int) -> None:
+        """What came over Zenoh for the member, or for the owner, and its bytes; lost where too much waits."""
         member = self._member
         if isinstance(control, AskStatus) and member is not None:  # answered also while the thread is in an operator
             self._line.tell(OWNER, member.status(control.inquiry, self.busy()))
-            return
-        self._inputs.append(control)
-        self._wake()
+        elif not self._words.put(control, size):
+            _log.warning("%s: dropped %s: too much waits", self._order.name, type(control).__name__)
+        elif not self._woken:
+            self._woken = True
+            self._wake()
 
     def tick(self) -> None:
         """Time has passed."""
@@ -135,12 +152,20 @@ class NodeLife:
         now = time.monotonic()
         if isinstance(member, WorldMember):
             self._watch_world(member, now)
-        elif member.active and now - max(self._heard_s, self._ticked_s) < IDLE_S:
+        elif member.active and now - max(self._when_moved(member, now), self._ticked_s) < IDLE_S:
             return
         if not self._ticks:
             self._ticked_s = now
             self._ticks = True
             self._wake()
+
+    def _when_moved(self, member: Member, now: float) -> float:
+        """When the node has got further in its epochs; what others send it may be of no use."""
+        engine = member.engine
+        place = (engine.epoch, engine.attempt, engine.phase)
+        if place != self._place:
+            self._place, self._moved_s = place, now
+        return self._moved_s
 
     def take_turn(self) -> None:
         """In free running: the node's next turn is due."""
@@ -180,7 +205,12 @@ class NodeLife:
             if isinstance(error, (TransportError, SchemaError)):  # the others name the node themselves
                 message = f"{self._order.name}: {message.removeprefix(f'{self._order.name}: ')}"
             _log.error("%s", message, exc_info=True, extra=QUIET)
-            self._voice.say(FAILED, message=message.encode(errors="backslashreplace").decode(), where=place)
+            self._voice.say(
+                FAILED,
+                message=message.encode(errors="backslashreplace").decode(),
+                where=place,
+                final=isinstance(error, ContradictionError),
+            )
             return 1
 
     def _live(self) -> int:
@@ -195,10 +225,12 @@ class NodeLife:
         most_bytes = LOW_LATENCY_BYTES if order.low_latency else None
         keys = Keys(order.deployment, order.run)
         port = self._port = ZenohPort(session, keys, order.name, order.process, most_bytes)
-        self._line = ControlLine(session, keys, order.process, self.post, most_bytes)
+        is_world = order.owner is not None
+        offered = () if is_world else (*get_args(Offered), *((Dismiss,) if order.elsewhere else ()))
+        self._line = ControlLine(session, keys, order.process, offered, self.hear, most_bytes)
         member = build_member(order, loader, port, self._line, self._voice, EpochPublisher(session, keys))
         if isinstance(member, WorldMember):
-            self._owners_line = ControlLine(session, keys, OWNER, self.post, most_bytes)
+            self._owners_line = ControlLine(session, keys, OWNER, get_args(Word), self.hear, most_bytes)
         self._teller = StepTeller(session, keys, order.name)
         if order.recorded and self._teller.wait(RECORDER_TIMEOUT_S):
             self._be_recorded(member, True)
@@ -263,13 +295,14 @@ class NodeLife:
     def _run(self, member: Member, port: ZenohPort) -> None:
         world = member if isinstance(member, WorldMember) else None
         while not self._stopping.is_set():
-            if self._inputs or self._ticks:
+            if self._inputs or self._words or self._ticks:
                 self._serve(member)
             if member.dismissed:
                 return
             if world is not None:
                 self._serve_keeper(world)
-            self._take_next(member, port.receive)
+            self._take_next(member, port.poll if self._words else port.receive)
+        self._compare_rest(member, port)
 
     def _run_freely(self, member: Member, port: ZenohPort) -> None:
         """As `_run`, but the node takes its turns when they are due, on the newest of what has come."""
@@ -285,7 +318,7 @@ class NodeLife:
                 if member.poll():
                     continue
                 self._due = True
-            self._take_next(member, port.receive)
+            self._take_next(member, port.poll if self._words else port.receive)
 
     def _take_all(self, member: Member, port: ZenohPort) -> None:
         while self._take_next(member, port.poll):
@@ -300,17 +333,31 @@ class NodeLife:
         if message is None:
             return False
         member.step(message)
-        self._heard_s = time.monotonic()
         return True
 
+    def _compare_rest(self, member: Member, port: ZenohPort) -> None:
+        """The run is over: what is still there is taken in no more, but may show that something was forged."""
+        if self.hurried or not member.wired or not member.staleness.barrier:
+            return
+        for _ in range(REST):
+            try:
+                message = port.poll()
+            except SchemaError:
+                continue
+            if message is None:
+                return
+            member.engine.compare(message)
+
     def _serve(self, member: Member) -> None:
-        """What has come beside the messages of epochs."""
+        """What has come beside the messages of epochs; of what anybody may say, not more than so much at once."""
+        self._woken = False
         while self._inputs:
-            control = self._inputs.popleft()
-            if isinstance(control, get_args(Order)):
-                member.obey(control)
-            elif isinstance(member, WorldMember):
-                member.hear(control)
+            self._take_word(member, self._inputs.popleft())
+        for _ in range(WORDS_AT_ONCE):
+            word = self._words.take()
+            if word is None:
+                break
+            self._take_word(member, word)
         if not self._ticks:
             return
         self._ticks = False
@@ -319,6 +366,12 @@ class NodeLife:
         else:
             member.join(self._order.request)
             member.fetch_again()
+
+    def _take_word(self, member: Member, word: Control) -> None:
+        if isinstance(word, get_args(Order)):
+            member.obey(word)
+        elif isinstance(member, WorldMember):
+            member.hear(word)
 
     def _serve_keeper(self, world: WorldMember) -> None:
         owner = world.owner
@@ -350,6 +403,7 @@ class NodeLife:
             "policy": report.policy,
             "actions": report.actions,
             "metrics": dict(report.metrics),
+            "epoch": member.engine.epoch,
         }
         if pacemaker is not None:
             chain = pacemaker.chain

@@ -3,10 +3,8 @@
 from __future__ import annotations
 
 import signal
-import tempfile
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
-from pathlib import Path
 from secrets import token_hex
 
 import anyio
@@ -16,20 +14,23 @@ import anyio.to_thread
 from hierax.runtime.core.errors import HieraxError
 from hierax.runtime.deployment.deployment import RestartPolicy
 from hierax.runtime.launch.child import END_TIMEOUT_S, Child, Restarts, start_child
-from hierax.runtime.launch.here import Here, read_orders
 from hierax.runtime.launch.pipe import COME_BACK, Frames, NodeOrder
-from hierax.runtime.transport.hub import is_gone
+from hierax.runtime.transport.hub import ask, is_gone
+from hierax.runtime.transport.port import TransportError
 from hierax.runtime.transport.zenoh_session import remove_orphaned_segments
+from hierax.schemas.keys import Keys
 from hierax.schemas.values import Value
 
 LOOK_S = 2.0
 """How often it is looked whether the launch is still there."""
 
+SETTLE_S = 0.5
+"""After what time the launch's keeper has heard of a dismissal; and how long it may take to answer."""
+
 
 def keep(
-    orders: Value,
-    request: str,
-    here: Here,
+    orders: Sequence[Value],
+    import_paths: Sequence[str],
     policies: Mapping[str, RestartPolicy],
     told: Callable[[], None],
     say: Callable[[str], None],
@@ -37,9 +38,8 @@ def keep(
     """Start processes and keep them until they are dismissed, or until Ctrl-C.
 
     Args:
-        orders: what they are started with, as the launch has answered.
-        request: the change that was asked for, as the launch calls it.
-        here: what is decided on this machine.
+        orders: what they are started with, as values.
+        import_paths: where the deployment's own modules are looked for on this machine.
         policies: by node, what is done when its process ends.
         told: waits until the launch has answered, and tells it; in a thread of its own.
         say: tells people what happens.
@@ -48,13 +48,12 @@ def keep(
         The exit code: 0 when all were dismissed or the user ended them.
 
     Raises:
-        HieraxError: a process cannot go on, the change was refused, or the orders are not what was asked for.
+        HieraxError: a process cannot go on, or the change was refused.
     """
     keeper = _LocalKeeper(policies, say)
+    read = [replace(NodeOrder.read(order), import_paths=tuple(import_paths)) for order in orders]
     try:
-        # nobody else knows the folder's name before it is there
-        with tempfile.TemporaryDirectory(prefix="hierax-", ignore_cleanup_errors=True) as folder:
-            return anyio.run(keeper.run, read_orders(orders, request, here, Path(folder)), told)
+        return anyio.run(keeper.run, read, told)
     finally:
         remove_orphaned_segments()
 
@@ -100,9 +99,11 @@ class _LocalKeeper:
             await self._listen(child)
             if self._ending:
                 return
-            if child.dismissed:
+            if child.dismissed and not await self._has_place(order):
                 self._say(f"{child.name}: its process exits: {child.dismissed}")
                 return
+            if child.dismissed:
+                child.culprit = f"{child.name}: somebody has dismissed its process, and not the launch"
             delay_s = self._restarts[child.name].delay_s(child)
             if delay_s is None:
                 self._fail(child.last_words, scope)
@@ -110,6 +111,11 @@ class _LocalKeeper:
             self._say(f"{child.culprit or child.last_words}; it is started again")
             await anyio.sleep(delay_s)
             order = replace(order, process=token_hex(8), life=COME_BACK, request="")
+
+    async def _has_place(self, order: NodeOrder) -> bool:
+        """Whether a process that was dismissed runs its node all the same, by what the launch's keeper says."""
+        await anyio.sleep(SETTLE_S)  # until it has heard of the dismissal, if there was one
+        return await anyio.to_thread.run_sync(_is_counted_on, order, abandon_on_cancel=True)
 
     async def _listen(self, child: Child) -> None:
         assert child.process.stdout is not None
@@ -147,3 +153,15 @@ class _LocalKeeper:
             child.kill()
             await child.process.wait()
             await child.close()
+
+
+def _is_counted_on(order: NodeOrder) -> bool:
+    if is_gone(order.hub):
+        return False
+    try:
+        said = ask(order.hub, {"ask": "ps"}, order.settings, SETTLE_S, Keys(order.deployment, order.run))
+    except TransportError:
+        return False
+    nodes = said.get("nodes") if isinstance(said, dict) else None
+    node = nodes.get(order.name) if isinstance(nodes, dict) else None
+    return isinstance(node, dict) and node.get("process") == order.process

@@ -45,6 +45,8 @@ ANSWER = "answer"
 """Status of the world: what became of a change that somebody asked for."""
 END = "end"
 """Status of the world: a process hangs, and is to be killed."""
+DISMISS = "dismiss"
+"""Status of the world: a process has no place any more, and is to be told so."""
 HALT = "halt"
 """Status of the world: the run cannot go on, and why."""
 BEAT = "beat"
@@ -89,6 +91,7 @@ class NodeOrder:
         proposals: of the world's process that comes back: control messages for the owner.
         fault: where the process kills itself, as `hierax.runtime.launch.faults` has it; empty: nowhere.
         recorded: whether somebody records the run, who has to hear the process from its first message on.
+        elsewhere: whether another than the launch's own keeper keeps the process: its dismissal comes over Zenoh.
     """
 
     name: str
@@ -120,6 +123,7 @@ class NodeOrder:
     proposals: tuple[bytes, ...]
     fault: str = ""
     recorded: bool = False
+    elsewhere: bool = False
 
     @property
     def allowance(self) -> Allowance:

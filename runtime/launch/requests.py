@@ -20,7 +20,7 @@ from hierax.runtime.nearest import did_you_mean
 from hierax.runtime.transport.hub import Hub
 from hierax.schemas.changes import Attach, Change, Replace, read_change
 from hierax.schemas.control import Propose, encode_control
-from hierax.schemas.errors import SchemaError
+from hierax.schemas.errors import SchemaError, shown
 from hierax.schemas.roster import Reference
 from hierax.schemas.values import Value
 
@@ -31,6 +31,25 @@ Reply = Callable[[Value], None]
 
 PS, CHANGE, AWAIT, RECORD = "ps", "change", "await", "record"
 """What can be asked for; see `Requests`."""
+
+
+MAX_CHANGES = 8
+"""How many changes may be under way at once."""
+
+MAX_NEWCOMERS = 16
+"""How many processes of nodes that are not in force yet they may need together; a single one may need
+`MAX_NEW_NODES`."""
+
+MAX_NEW_NODES = 64
+
+MAX_QUESTIONS = 64
+"""How many questions are answered at once."""
+
+LONGEST_S = 1e9
+MAX_PID = 1 << 22
+
+REMEMBERED = 1024
+"""Of how many changes it is remembered what became of them."""
 
 
 @dataclass
@@ -66,6 +85,9 @@ class Requests:
         self._keeping = keeping
         self._asked: dict[str, Asked] = {}
         self._refusals = Refusals()
+        self._begun = 0
+        self._coming = 0
+        self._questions = 0
 
     @property
     def proposals(self) -> Iterable[bytes]:
@@ -78,6 +100,10 @@ class Requests:
         async with anyio.from_thread.BlockingPortal() as portal:
 
             def on_query(data: Value, reply: Reply) -> None:
+                if self._questions >= MAX_QUESTIONS:
+                    reply({"refusal": f"{MAX_QUESTIONS} questions are being answered; try again"})
+                    return
+                self._questions += 1
                 portal.start_task_soon(self._handle, data, reply)
 
             hub.serve(on_query)
@@ -113,28 +139,54 @@ class Requests:
             if isinstance(error, NotAllowedError) and self._refusals.is_new(str(error)):
                 self._keeping.note(f"a change is refused: {error}")
             reply({"refusal": str(error)})
-        except (KeyError, TypeError, AttributeError, ValueError) as error:
-            reply({"refusal": f"no question that this launch understands: {type(error).__name__}: {error}"})
+        finally:
+            self._questions -= 1
 
-    async def _answer(self, query: dict[str, Any]) -> Value:
-        ask = query["ask"]
+    async def _answer(self, query: Value) -> Value:
+        if not isinstance(query, dict):
+            raise SchemaError(f"expected a map, got {shown(query)}", "question")
+        ask = query.get("ask")
+        if not isinstance(ask, str) or ask not in (PS, CHANGE, AWAIT, RECORD):
+            raise SchemaError(f"expected one of {PS}, {CHANGE}, {AWAIT}, {RECORD}, got {shown(ask)}", "question.ask")
         if ask == PS:
             return self._tell_all()
         if ask == RECORD:
-            self._keeping.orders.recorders.add(query["pid"])
+            self._keeping.orders.recorders.add(_pid_of(query))
             return self._keeping.orders.info(from_start=False).plain()
         if ask == AWAIT:
-            return await self._wait(query["request"])
-        if ask != CHANGE:
-            raise ValueError(f"unknown question {ask!r:.40}")
-        return await self._change(query)
+            return await self._wait(_text_of(query, "request"))
+        return await self._change_if_room(query)
 
-    async def _change(self, query: dict[str, Any]) -> Value:
+    async def _change_if_room(self, query: dict[str, Any]) -> Value:
+        """So many changes at once, and no more: each may need processes, and the owner makes one after the other."""
+        change = read_change(query.get("change"))
+        new = len(_new_nodes(change))
+        if new > MAX_NEW_NODES:
+            raise HieraxError(f"a change of {new} new nodes: at most {MAX_NEW_NODES} come at once")
+        waiting = sum(not asked.done.is_set() for asked in self._asked.values())
+        coming = sum(len(asked.policies) for asked in self._asked.values() if not asked.done.is_set())
+        if waiting + self._begun >= MAX_CHANGES:
+            raise HieraxError(f"{waiting + self._begun} changes are under way, and no more may be at once; try again")
+        if coming + self._coming and coming + self._coming + new > MAX_NEWCOMERS:
+            raise HieraxError(f"{coming + self._coming} processes of new nodes are coming up; try again")
+        self._begun += 1
+        self._coming += new
+        try:
+            request = await self._begin(change, query)
+        finally:
+            self._begun -= 1
+            self._coming -= new
+        return request if isinstance(request, dict) else await self._wait(request)
+
+    async def _begin(self, change: Change, query: dict[str, Any]) -> Value:
+        """Ask the owner for a change; gives the request, or the whole answer where others keep the processes."""
         keeping = self._keeping
-        change = read_change(query["change"])
+        here, host = query.get("here", False), query.get("host", "")
+        if not isinstance(here, bool) or not isinstance(host, str):
+            raise SchemaError("expected true or false, and an address", "question.here, question.host")
         keeping.orders.deployment.allowance.check_all(change)
         await self._check(change)
-        policies = {name: RestartPolicy(**query["restarts"][name]) for name in _new_nodes(change)}
+        policies = {name: _policy_of(query, name) for name in _new_nodes(change)}
         request = token_hex(4)
         proposal = Propose(
             request,
@@ -142,20 +194,25 @@ class Requests:
             {name: policy.on_loss for name, policy in policies.items()},
             {name: float(policy.rejoin_timeout_s) for name, policy in policies.items()},
         )
+        self._forget_oldest()
         self._asked[request] = Asked(policies, encode_control(proposal))
         orders = [
             keeping.orders.order(name, token_hex(8), NEWCOMER, request=request, reference=reference)
             for name, reference in _new_nodes(change).items()
         ]
-        here = query["here"]
         if here:
-            orders = [keeping.orders.elsewhere(order, query["host"]) for order in orders]
+            orders = [keeping.orders.elsewhere(order, host) for order in orders]
         else:
             await self._start(orders)
         await keeping.tell_owner(proposal)
         if here:
             return {"request": request, "orders": [order.plain() for order in orders]}
-        return await self._wait(request)
+        return request
+
+    def _forget_oldest(self) -> None:
+        done = [request for request, asked in self._asked.items() if asked.done.is_set()]
+        for request in done[: max(len(done) - REMEMBERED, 0)]:
+            del self._asked[request]
 
     async def _check(self, change: Change) -> None:
         """What the owner would refuse, before processes are started for it."""
@@ -222,3 +279,49 @@ def _new_nodes(change: Change) -> dict[str, Reference]:
     if isinstance(change, Attach):
         return dict(change.nodes)
     return {change.name: change.reference} if isinstance(change, Replace) else {}
+
+
+def _policy_of(query: Mapping[str, Any], name: str) -> RestartPolicy:
+    """What is done when a new node's process ends.
+
+    Raises:
+        SchemaError: that is not said as it should be.
+    """
+    restarts = query.get("restarts")
+    fields = restarts.get(name) if isinstance(restarts, dict) else None
+    where = f"question.restarts.{name}"
+    if not isinstance(fields, dict) or not fields.keys() <= _POLICY.keys():
+        raise SchemaError(f"expected a map with some of the keys {', '.join(_POLICY)}", where)
+    for field_name, value in fields.items():
+        if not _POLICY[field_name](value):
+            raise SchemaError(f"got {shown(value)}", f"{where}.{field_name}")
+    return RestartPolicy(**fields)
+
+
+def _is_time(value: Value) -> bool:
+    return type(value) in (int, float) and 0 <= value < LONGEST_S
+
+
+_POLICY: Mapping[str, Callable[[Value], bool]] = {
+    "restart_policy": lambda value: isinstance(value, str) and value in ("never", "on-failure", "always"),
+    "max_restarts": lambda value: type(value) is int and value >= 0,
+    "restart_delay_s": _is_time,
+    "max_restart_delay_s": _is_time,
+    "restart_window_s": lambda value: value is None or _is_time(value),
+    "rejoin_timeout_s": _is_time,
+    "on_loss": lambda value: isinstance(value, str) and value in ("restart", "detach", "stop"),
+}
+
+
+def _pid_of(query: Mapping[str, Any]) -> int:
+    pid = query.get("pid")
+    if type(pid) is not int or not 0 <= pid < MAX_PID:
+        raise SchemaError(f"expected a process's number, got {shown(pid)}", "question.pid")
+    return pid
+
+
+def _text_of(query: Mapping[str, Any], field_name: str) -> str:
+    text = query.get(field_name)
+    if not isinstance(text, str):
+        raise SchemaError(f"expected a text, got {shown(text)}", f"question.{field_name}")
+    return text

@@ -16,10 +16,9 @@ import anyio.abc
 
 from hierax.runtime.breaker import ending_signals, leave_at_once
 from hierax.runtime.core.digest import NO_DIGEST
-from hierax.runtime.core.errors import HieraxError
 from hierax.runtime.deployment import Deployment
 from hierax.runtime.files import write_roster
-from hierax.runtime.launch.child import END_TIMEOUT_S, NodeFailedError
+from hierax.runtime.launch.child import END_TIMEOUT_S, Child, NodeFailedError
 from hierax.runtime.launch.early_end import CLOSE_S, EarlyEnd
 from hierax.runtime.launch.keeping import Keeping
 from hierax.runtime.launch.orders import Orders
@@ -29,13 +28,13 @@ from hierax.runtime.launch.pipe import (
     STOP,
 )
 from hierax.runtime.launch.recorder import RecorderChild, Wanted
-from hierax.runtime.launch.run_file import Run, Running, make_state, register
+from hierax.runtime.launch.run_file import Run, Running, register
 from hierax.runtime.report import Interrupted, NodeReport, Report, make_report
 from hierax.runtime.transport.hub import Hub
-from hierax.runtime.transport.zenoh_session import remove_orphaned_segments, shared_memory_fault
+from hierax.runtime.transport.zenoh_session import remove_orphaned_segments
 from hierax.runtime.watch.logs import begin_log
 from hierax.schemas.keys import Keys
-from hierax.schemas.roster import Roster
+from hierax.schemas.values import Value
 
 REPORT_TIMEOUT_S = 60.0
 """How long they may take for their reports, and their probes to close, when it is over."""
@@ -84,22 +83,21 @@ def launch(
         Interrupted: broken off by SIGINT, SIGTERM or SIGHUP; all processes are gone.
         KeyboardInterrupt: likewise, before all nodes were up.
     """
+    if output is not None and run is None:
+        write_roster(output, deployment.roster)
     with ExitStack() as stack:
         stack.callback(remove_orphaned_segments)
         if state is None:
             state = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="hierax-")))
-        make_state(state)
-        if output is not None and run is None:
-            write_roster(output, deployment.roster)
+        state.mkdir(parents=True, exist_ok=True)
         limit = deployment.epochs if epochs is None else epochs
         run_id = token_hex(4)
         orders = Orders(deployment, run_id, seed, limit, output, state, host, settings, faults)
         if run is not None:
             orders.take_up(run)
-        roster = deployment.roster if run is None else orders.known_roster()
         orders.keep()
         supervisor = Supervisor(
-            deployment, roster, orders, Keys(deployment.name, run_id), tell or _say_nothing, run is not None, record
+            deployment, orders, Keys(deployment.name, run_id), tell or _say_nothing, run is not None, record
         )
         try:
             report = anyio.run(supervisor.run, progress)
@@ -121,7 +119,6 @@ class Supervisor:
     def __init__(
         self,
         deployment: Deployment,
-        roster: Roster,
         orders: Orders,
         keys: Keys,
         tell: Callable[[str], None],
@@ -129,7 +126,6 @@ class Supervisor:
         record: Wanted | None = None,
     ) -> None:
         self._deployment = deployment
-        self._roster = roster
         self._orders = orders
         self._keys = keys
         self._tell = tell
@@ -147,9 +143,6 @@ class Supervisor:
     async def run(self, progress: Callable[[int], None] | None) -> Report:
         """The whole launch."""
         begun = time.perf_counter()
-        fault = shared_memory_fault()
-        if fault:
-            self._say(f"no shared memory, large messages are copied: {fault}")
         hub = Hub(self._keys, self._deployment.zenoh, progress, self._orders.host)
         self._hub = hub
         self._orders.hub = hub.endpoint
@@ -159,6 +152,7 @@ class Supervisor:
         try:
             async with anyio.create_task_group() as tasks:
                 self._keeping.tasks = tasks
+                self._keeping.dismiss_elsewhere = hub.dismiss
                 tasks.start_soon(self._watch_signals)
                 try:
                     await self._start_recorder(tasks)
@@ -215,7 +209,7 @@ class Supervisor:
         return int(said[0]["run"][0]) if said else None
 
     async def _start_all(self) -> None:
-        roster = self._roster
+        roster = self._orders.known_roster(self._resume)
         life = COME_BACK if self._resume else BEGIN
         tokens = {name: token_hex(8) for name in roster.nodes}
         self._keeping.members = tokens
@@ -243,20 +237,25 @@ class Supervisor:
     async def _collect(self) -> None:
         """Have every process report and end."""
         self._keeping.finished.set()
-        if self._resume and self._roster.world not in {child.name for child in self._keeping.present}:
-            self._break(HieraxError(self._orders.over))  # the world had finished before
-            return
         async with self._unless_broken():
             with anyio.move_on_after(REPORT_TIMEOUT_S):
-                for child in self._keeping.present:
-                    await child.tell(STOP)
-                while any(child.report is None for child in self._keeping.present):
-                    await anyio.sleep(POLL_S)
+                # the world last: then it has all that the others have sent, and may find that something was forged
+                world = self._orders.deployment.roster.world
+                await self._stop(lambda child: child.name != world)
+                await self._stop(lambda child: child.name == world)
                 for child in self._keeping.present:
                     await child.heard.wait()
             silent = [child.name for child in self._keeping.present if child.report is None]
             if silent:
                 self._break(NodeFailedError(f"no report within {REPORT_TIMEOUT_S:g} s: {', '.join(silent)}"))
+
+    async def _stop(self, which: Callable[[Child], bool]) -> None:
+        """Have these processes report."""
+        for child in self._keeping.present:
+            if which(child):
+                await child.tell(STOP)
+        while any(which(child) and child.report is None for child in self._keeping.present):
+            await anyio.sleep(POLL_S)
 
     async def _end_all(self) -> None:
         """End every process that is left: first kindly, then not."""
@@ -322,6 +321,8 @@ class Supervisor:
         reports = {child.name: child.report for child in self._keeping.present if child.report is not None}
         world = reports.get(self._deployment.roster.world, {})
         epochs, digest, wall_s, epochs_s = world.get("run", (0, NO_DIGEST, 0.0, ()))  # it was killed before it began
+        if self._deployment.staleness.barrier and self.early is None:
+            _check_epochs(reports, epochs)
         nodes = {
             name: NodeReport(said["belief"], said["policy"], said["actions"], said["metrics"])
             for name, said in sorted(reports.items())
@@ -342,3 +343,15 @@ class Supervisor:
 
 def _say_nothing(what: str) -> None:
     return
+
+
+def _check_epochs(reports: Mapping[str, Mapping[str, Value]], epochs: int) -> None:
+    """Every node ends with the last epoch of the run.
+
+    Raises:
+        NodeFailedError: one does not; something that it was sent is not from the world.
+    """
+    for name, said in sorted(reports.items()):
+        if said["epoch"] != epochs:
+            what = f"{name} ends in epoch {said['epoch']}, and the run in epoch {epochs}"
+            raise NodeFailedError(f"{what}: somebody else has sent observations in the name of a node below it")

@@ -6,9 +6,10 @@ import os
 import threading
 from collections.abc import Callable
 
-from hierax.runtime.launch.pipe import ANSWER, BEAT, END, FINISHED, HALT, NOTE, frame
+from hierax.runtime.launch.pipe import ANSWER, BEAT, DISMISS, END, FINISHED, HALT, NOTE, frame
 from hierax.runtime.owner.owner import Owner
 from hierax.runtime.world_member import Keeper
+from hierax.schemas.control import Dismiss
 from hierax.schemas.values import Value
 
 
@@ -47,6 +48,10 @@ class Voice(Keeper):
 
     def answer(self, request: str, epoch: int, refusal: str) -> None:
         self.say(ANSWER, request=request, epoch=epoch, refusal=refusal)
+
+    def dismiss(self, process: str, word: Dismiss) -> None:
+        """A process is no part of the hierarchy any more: its keeper, or this one for it, is to tell it."""
+        self.say(DISMISS, process=process, why=word.why, again=word.again)
 
     def beat(self, owner: Owner) -> None:
         """The world's process lives; and the roster."""

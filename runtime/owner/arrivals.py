@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from hierax.runtime.owner.course import Course
+from hierax.runtime.owner.doubts import Doubts
 from hierax.runtime.owner.members import Members
 from hierax.runtime.owner.outlet import OwnerOutlet, OwnerSettings
 from hierax.runtime.owner.plan import Request
@@ -18,16 +19,24 @@ class Arrivals:
         members: who takes part.
         course: of the epochs.
         planning: what is done about those who may.
+        doubts: of what those who take part say.
         outlet: of the owner.
         settings: of the deployment.
     """
 
     def __init__(
-        self, members: Members, course: Course, planning: Planning, outlet: OwnerOutlet, settings: OwnerSettings
+        self,
+        members: Members,
+        course: Course,
+        planning: Planning,
+        doubts: Doubts,
+        outlet: OwnerOutlet,
+        settings: OwnerSettings,
     ) -> None:
         self._members = members
         self._course = course
         self._planning = planning
+        self._doubts = doubts
         self._outlet = outlet
         self._overlaps = settings.overlaps
 
@@ -35,15 +44,14 @@ class Arrivals:
         """A process is there."""
         name, process = word.name, word.process
         members = self._members
+        if self._runs_another(name, process):
+            return  # somebody says it who is not that process: a dismissal would be of one that has a place
         if members.is_dead(process) and not word.active:
             back = name in members.lost and (not word.request or process == members.processes.get(name))
             self._outlet.tell(process, Dismiss(f"{name}: it was cut off, and taken for lost", again=back))
             return  # where it is dead, nobody hears that
         if word.active:
-            if word.epoch > self._course.epoch + 1:
-                self._stop_behind(f"{name} has begun epoch {word.epoch}")
-            else:
-                self._on_active(name, process)
+            self._on_active(word)
             return
         if process in self._processes_of(name):
             return  # said twice
@@ -114,8 +122,9 @@ class Arrivals:
             newcomers[word.name, word.request] = word.process
             self._planning.reconsider()
 
-    def _on_active(self, name: str, process: str) -> None:
+    def _on_active(self, word: Join) -> None:
         """A process that has taken part asks whether it still may."""
+        name, process = word.name, word.process
         members = self._members
         known = self._processes_of(name)
         in_force = members.processes.get(name)
@@ -127,6 +136,17 @@ class Arrivals:
         elif process not in known:
             instead = "it is no part of the hierarchy" if in_force is None else "another process runs it"
             self._outlet.tell(process, Dismiss(f"{name}: {instead}"))
+        elif process == in_force and self._doubts.is_ahead(word):
+            self._doubts.hear(word)
+
+    def _runs_another(self, name: str, process: str) -> bool:
+        """Whether a process is counted on for another node than it says."""
+        plan = self._planning.plan
+        held = [self._members.processes, {} if plan is None else plan.processes]
+        newcomers = self._members.newcomers.items()
+        return any(token == process and other != name for each in held for other, token in each.items()) or any(
+            token == process and other != name for (other, _), token in newcomers
+        )
 
     def _processes_of(self, name: str) -> list[str]:
         """All processes of a node that are counted on."""
@@ -136,8 +156,3 @@ class Arrivals:
             *(process for (other, _), process in self._members.newcomers.items() if other == name),
             *(processes[name] for processes in held if name in processes),
         ]
-
-    def _stop_behind(self, what: str) -> None:
-        """The world's record was damaged, and what it falls back to is too old."""
-        epoch = self._course.epoch + 1
-        self._outlet.stop(f"the world goes on with epoch {epoch}, but {what}: its record was damaged")

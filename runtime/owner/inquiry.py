@@ -85,7 +85,8 @@ class Inquiry:
         ahead = sorted(name for name, status in self._answers.items() if status.epoch > epoch)
         if ahead:  # the world's record was damaged, and what it falls back to is too old
             others = f"{', '.join(ahead)}: in epoch {self._answers[ahead[0]].epoch}"
-            self._outlet.stop(f"the world goes on with epoch {epoch}, and that was committed already ({others})")
+            what = f"the world goes on with epoch {epoch}, and that was committed already ({others})"
+            self._outlet.stop(f"{what}, or somebody else has sent them observations")
             return
         self._tell(epoch, silent, busy, waiting)
         if silent or busy:

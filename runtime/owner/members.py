@@ -84,7 +84,10 @@ class Members:
 
     def hear(self, process: str) -> None:
         """A process has said something."""
+        self._heard_s.pop(process, None)
         self._heard_s[process] = self._clock()
+        if len(self._heard_s) > REMEMBERED:
+            del self._heard_s[next(iter(self._heard_s))]
 
     def heard_s(self, process: str) -> float:
         """When a process has last said something."""

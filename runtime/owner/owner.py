@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from math import inf
 
 from hierax.runtime.allowance import Allowance, NotAllowedError, Refusals
 from hierax.runtime.core.errors import HieraxError
@@ -10,6 +11,7 @@ from hierax.runtime.owner.answers import OVER, Answers
 from hierax.runtime.owner.arrivals import Arrivals
 from hierax.runtime.owner.changes import apply
 from hierax.runtime.owner.course import Course
+from hierax.runtime.owner.doubts import Doubts
 from hierax.runtime.owner.inquiry import Inquiry
 from hierax.runtime.owner.losses import Losses
 from hierax.runtime.owner.members import Born, Members
@@ -33,6 +35,9 @@ from hierax.schemas.control import (
 )
 from hierax.schemas.errors import SchemaError
 from hierax.schemas.roster import Roster
+
+FETCH_S = 0.02
+"""How often a process is told the roster at most, when it asks for it."""
 
 __all__ = ["MAX_TRIES", "OVER", "Owner"]
 
@@ -71,6 +76,7 @@ class Owner:
         last_attempt: int = 0,
     ) -> None:
         self._outlet = outlet
+        self._told_s: dict[str, float] = {}
         self._clock = clock
         self._settings = settings
         self._refusals = Refusals()
@@ -83,7 +89,8 @@ class Owner:
         self._course = course
         self._answers = Answers(members, outlet)
         self._planning = Planning(members, course, self._answers, outlet, self.proceed, clock, settings, highest)
-        self._arrivals = Arrivals(members, course, self._planning, outlet, settings)
+        self._doubts = Doubts(members, course, outlet)
+        self._arrivals = Arrivals(members, course, self._planning, self._doubts, outlet, settings)
         self._losses = Losses(members, course, self._planning, outlet, clock, settings)
 
     @property
@@ -188,6 +195,7 @@ class Owner:
             self._on_fetch(word)
         elif isinstance(word, Status):
             self._inquiry.hear(word)
+            self._doubts.answer(word)
         elif isinstance(word, Propose):
             self._on_propose(word)
         elif isinstance(word, Census):
@@ -223,5 +231,9 @@ class Owner:
 
     def _on_fetch(self, word: Fetch) -> None:
         """Only who has a place in a version is told of it: another process of that node would take part as well."""
-        if word.version == self.roster.version and self.processes.get(word.name) == word.process:
+        if word.version != self.roster.version or self.processes.get(word.name) != word.process:
+            return
+        now = self._clock()
+        if now - self._told_s.get(word.name, -inf) >= FETCH_S:  # who asks more often is not the process
+            self._told_s[word.name] = now
             self._outlet.tell(word.process, Prepare(self.roster.plain()))

@@ -64,6 +64,8 @@ class Planning:
         self._proceed = proceed
         self._clock = clock
         self._settings = settings
+        self._states: dict[str, bytes] = {}
+        self._states_of = 0
 
     # --- what is asked for
 
@@ -218,6 +220,8 @@ class Planning:
     def hear(self, word: Ready | State | Taken) -> None:
         """Somebody that a plan waits for answers."""
         plan = self.plan
+        if isinstance(word, State):
+            self._check_same(word)
         if plan is None or plan.version != word.version:
             return
         if isinstance(word, Ready):
@@ -233,6 +237,7 @@ class Planning:
         """Begin the next epoch, or the next attempt, under a plan's roster; first what is replaced hands over."""
         if plan.replaced and plan.stage is not Stage.HAND_OVER:
             plan.stage = Stage.HAND_OVER
+            self._states = {}
             plan.since_s = self._clock()
             plan.waiting = set(plan.replaced)
             self._tell_waiting(plan)
@@ -277,10 +282,19 @@ class Planning:
 
     def _on_state(self, plan: Plan, word: State) -> None:
         if word.name in plan.replaced and word.name not in plan.states:
-            plan.states[word.name] = word.state
+            plan.states[word.name] = self._states[word.name] = word.state
+            self._states_of = plan.version
             self._tell_waiting(plan)
 
+    def _check_same(self, word: State) -> None:
+        """A state that is said again says the same, also when it was handed on long ago."""
+        if word.version == self._states_of and self._states.get(word.name, word.state) != word.state:
+            what = f"two states of {word.name} for version {word.version} of the roster differ"
+            self._outlet.stop(f"{what}: somebody else speaks in the name of {word.name}")
+
     def _on_taken(self, plan: Plan, word: Taken) -> None:
+        if word.name not in plan.waiting or word.name not in plan.states:
+            return
         if word.refusal:
             self._drop(plan, f"{word.name}: {word.refusal}", word.name)
             return

@@ -15,7 +15,6 @@ import threading
 import time
 from collections.abc import Mapping
 from contextlib import suppress
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -23,8 +22,7 @@ from hierax.runtime.core.errors import HieraxError
 from hierax.runtime.recording.check import Checker
 from hierax.runtime.recording.info import Ending, RunInfo
 from hierax.runtime.recording.recorder import Recorder
-from hierax.runtime.recording.selection import EVERYTHING, Selection
-from hierax.runtime.recording.writing import Compression, McapFile, Target
+from hierax.runtime.recording.writing import Compression, McapFile
 from hierax.runtime.streams import own_streams
 from hierax.runtime.transport.hub import ask
 from hierax.runtime.transport.port import TransportError
@@ -62,7 +60,6 @@ class LiveRecording:
         epochs: how many; None: until it is told to stop.
         compression: of the file.
         watches: whether nobody else tells when the launch is over, and how far it came.
-        selection: what is written of what is heard.
 
     Raises:
         HieraxError: the file cannot be written, or the run cannot be reached.
@@ -72,21 +69,20 @@ class LiveRecording:
         self,
         info: RunInfo,
         endpoint: str,
-        file: Path | Target | None,
+        file: Path | None,
         check: bool,
         settings: Any = None,
         host: str | None = None,
         epochs: int | None = None,
-        compression: Compression = "zstd",
+        compression: Compression = "lz4",
         watches: bool = False,
-        selection: Selection = EVERYTHING,
     ) -> None:
-        info = replace(info, left_out=tuple(selection.exclude))
         self.checker = Checker(info.how_stale) if check else None
         written = None if file is None else McapFile(file, info, compression)
         auditors = () if self.checker is None else (self.checker,)
-        self._recorder = Recorder(written, auditors, info.from_start, epochs, info.how_stale.barrier, selection)
-        self._ear = Ear(endpoint, Keys(info.hierarchy, info.run), settings, host)
+        self._recorder = Recorder(written, auditors, info.from_start, epochs, info.how_stale.barrier)
+        self._keys = Keys(info.hierarchy, info.run)
+        self._ear = Ear(endpoint, self._keys, settings, host)
         self._endpoint = endpoint
         self._settings = settings
         self._stopping = False
@@ -114,7 +110,7 @@ class LiveRecording:
         recorder, ledger = self._recorder, self._recorder.ledger
         looked_s = time.monotonic()
         try:
-            while not (self._stopping or (ledger.ended and not self._checks_on)):
+            while not (self._stopping or ledger.ended):
                 self._take(BATCH_S)
                 recorder.flush()
                 if self._watches and time.monotonic() - looked_s > LOOK_S:
@@ -128,24 +124,19 @@ class LiveRecording:
         self._take(0.0)
         return recorder.finish(self._last if ledger.cut is None or not ledger.ended else ledger.cut)
 
-    @property
-    def _checks_on(self) -> bool:
-        """Whether the order is checked further, although nothing more is written."""
-        return self.checker is not None and bool(self._recorder.cut)
-
     def _look(self) -> None:
         """How far the launch is, by its keeper's words: a recorder that is cut off hears nothing, and not that."""
-        said = self._ear.ask({"ask": "ps"})
-        if not isinstance(said, dict) or "epoch" not in said:
+        said = _epoch_of(self._ear.ask({"ask": "ps"}))
+        if said is None:
             self._stopping = True
             with suppress(TransportError):  # it is over; else this session is cut off, and another one is told
-                self._last = int(ask(self._endpoint, {"ask": "ps"}, self._settings)["epoch"])
+                self._last = _epoch_of(ask(self._endpoint, {"ask": "ps"}, self._settings, keys=self._keys))
             return
         heard = self._recorder.ledger.last
         behind = heard < (self._last or 0)
         self._silent = self._silent + 1 if behind and heard == self._before else 0
         self._before = heard
-        self._last = int(said["epoch"])
+        self._last = said
         if self._silent >= CUT_OFF_LOOKS:
             self._stopping = True
 
@@ -170,6 +161,12 @@ class LiveRecording:
             # where epochs overlap, or a node was detached, not everybody tells of the last epoch
             if ledger.settled and ledger.last >= ledger.cut and time.monotonic() - quiet_s > QUIET_S:
                 return
+
+
+def _epoch_of(said: Any) -> int | None:
+    """The last epoch by a keeper's words; None: it says none."""
+    epoch = said.get("epoch") if isinstance(said, dict) else None
+    return epoch if isinstance(epoch, int) else None
 
 
 def main() -> int:
@@ -197,11 +194,10 @@ def start(order: Mapping[str, Any]) -> LiveRecording:
     return LiveRecording(
         RunInfo.read(order["info"]),
         order["endpoint"],
-        Target(Path(order["file"]), order["descriptor"]) if order["file"] else None,
+        Path(order["file"]) if order["file"] else None,
         order["check"],
         order["settings"],
         order["host"],
-        selection=Selection(**order["selection"]),
     )
 
 

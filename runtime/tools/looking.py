@@ -14,6 +14,8 @@ from hierax.schemas.values import Value
 
 Answer = dict[str, Any]
 
+_OF_NODE = {"process", "state"}
+
 
 @dataclass(frozen=True)
 class Seen:
@@ -55,11 +57,14 @@ class Looking:
             HieraxError: there is no answer, or none that can be read.
         """
         answer = self._glass.ask_keeper({"ask": "ps"})
-        try:
-            return Seen(*(answer[field] for field in ("hierarchy", "run", "epoch", "roster", "nodes")))
-        except (KeyError, TypeError) as error:
-            refusal = answer.get("refusal") if isinstance(answer, dict) else None
-            raise HieraxError(str(refusal or "the launch gave an answer that cannot be read")) from error
+        fields = {"hierarchy": str, "run": str, "epoch": int, "roster": int, "nodes": dict}
+        said = answer if isinstance(answer, dict) else {}
+        nodes = said.get("nodes")
+        rows = nodes.values() if isinstance(nodes, dict) else ()
+        read = all(isinstance(said.get(field), kind) for field, kind in fields.items())
+        if not read or not all(isinstance(row, dict) and row.keys() >= _OF_NODE for row in rows):
+            raise HieraxError(str(said.get("refusal") or "the launch gave an answer that cannot be read"))
+        return Seen(*(said[field] for field in fields))
 
     def ask(self, seen: Seen, question: Mapping[str, Value], names: Collection[str]) -> dict[str, Answer]:
         """What nodes answer; of a node's processes, only the one that has its place counts.
@@ -80,7 +85,12 @@ class Looking:
     def pairs(self, seen: Seen) -> list[tuple[str, str]]:
         """The edges of a launch, as (lower, upper), in order."""
         answers = self.ask(seen, {"look": "neighbours"}, seen.nodes)
-        return sorted((lower, name) for name, answer in answers.items() for lower in answer["below"])
+        return sorted(
+            (lower, name)
+            for name, answer in answers.items()
+            for lower in answer.get("below", ())
+            if isinstance(lower, str)
+        )
 
     def state(self, seen: Seen, name: str) -> Answer:
         """What a node believes.

@@ -11,6 +11,7 @@ import zenoh
 from hierax.schemas.control import Control, decode_control, encode_control
 from hierax.schemas.errors import SchemaError
 from hierax.schemas.keys import Keys
+from hierax.schemas.limits import MAX_STATE_BYTES
 
 OWNER = "owner"
 """The owner's address; a process's is its token."""
@@ -25,7 +26,8 @@ class ControlLine:
         session: an open session.
         keys: of the run.
         address: where this end is reached.
-        heard: called with each message, in a thread of Zenoh's: it must not take long.
+        accepts: the kinds of messages that are for this end; others are refused, and logged.
+        heard: called with each message and its size in bytes, in a thread of Zenoh's: it must not take long.
         most_bytes: how long a message the session's links carry; None: any. A longer one is not sent, and logged.
     """
 
@@ -34,18 +36,25 @@ class ControlLine:
         session: zenoh.Session,
         keys: Keys,
         address: str,
-        heard: Callable[[Control], None],
+        accepts: tuple[type, ...],
+        heard: Callable[[Control, int], None],
         most_bytes: int | None = None,
     ) -> None:
         self._session = session
         self._most_bytes = most_bytes
         self._keys = keys
+        self._address = address
+        self._accepts = accepts
         self._heard = heard
         self._subscriber: Any = session.declare_subscriber(keys.control(address), self._on_sample)
 
     def tell(self, address: str, control: Control) -> None:
         """Send a message; any thread may call it."""
-        data = encode_control(control)
+        try:
+            data = encode_control(control)
+        except SchemaError as error:
+            _log.warning("not sent: %s for %s: %s", type(control).__name__, address, error)
+            return
         if self._most_bytes is not None and len(data) > self._most_bytes:
             what = f"{type(control).__name__} of {len(data)} bytes"
             _log.warning("not sent: %s for %s; low-latency links carry at most %d", what, address, self._most_bytes)
@@ -62,9 +71,15 @@ class ControlLine:
             _log.info("a control message is not sent: %s", error)  # closing, or cut off: it is said again
 
     def _on_sample(self, sample: zenoh.Sample) -> None:
+        size = len(sample.payload)
         try:
+            if size > MAX_STATE_BYTES:
+                raise SchemaError(f"{size} bytes; at most {MAX_STATE_BYTES} are allowed", "control")
             control = decode_control(sample.payload.to_bytes())
         except SchemaError as error:
             _log.warning("dropped what is no control message: %s", error)
             return
-        self._heard(control)
+        if isinstance(control, self._accepts):
+            self._heard(control, size)
+        else:
+            _log.warning("refused %s for %s: nobody says that there", type(control).__name__, self._address)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import logging
 import socket
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from typing import Any
 
 import zenoh
@@ -15,12 +15,16 @@ from hierax.runtime.transport.zenoh_session import Settings, close_session, free
 from hierax.schemas.control import Dismiss, encode_control
 from hierax.schemas.errors import SchemaError
 from hierax.schemas.keys import Keys
+from hierax.schemas.limits import MAX_NUMBER, MAX_QUESTION_BYTES
 from hierax.schemas.values import Value, decode_value, encode_value
 
 KEEPER = "keeper"
 """The keeper's address among the control keys."""
 
 FIND_TIMEOUT_S = 5.0
+FOUND_TIMEOUT_S = 2.0
+"""How long keepers may take to say which runs they keep."""
+
 LOOK_AGAIN_S = 0.02
 
 KNOCK_TIMEOUT_S = 5.0
@@ -61,11 +65,13 @@ class Hub:
         def answer(query: zenoh.Query) -> None:
             def reply(value: Value) -> None:
                 with query:
-                    query.reply(key, encode_value(value))
+                    try:
+                        query.reply(key, encode_value(value))
+                    except zenoh.ZError as error:
+                        _log.info("an answer is not sent: %s", error)  # who asked has gone
 
-            payload = query.payload
             try:
-                question = decode_value(b"" if payload is None else payload.to_bytes(), "question")
+                question = read_question(query)
             except SchemaError as error:
                 reply({"refusal": str(error)})
                 return
@@ -90,10 +96,16 @@ class Hub:
 
         self._watcher = self._session.liveliness().declare_subscriber(self._keys.alive("*"), changed)
 
-    def dismiss(self, process: str, why: str) -> None:
-        """Tell a process, if it can be reached, that nobody needs it any more."""
+    def dismiss(self, process: str, why: str, again: bool = False) -> None:
+        """Tell a process that is kept elsewhere, if it can be reached, that nobody needs it any more.
+
+        Args:
+            process: its token.
+            why: nobody does.
+            again: whether another one is to come in its place.
+        """
         try:
-            self._session.put(self._keys.control(process), encode_control(Dismiss(why)))
+            self._session.put(self._keys.control(process), encode_control(Dismiss(why, again)))
         except zenoh.ZError as error:
             _log.info("%s is not dismissed: %s", process, error)
 
@@ -109,37 +121,123 @@ class Hub:
         close_session(self._session)
 
 
-def ask(endpoint: str, question: Value, settings: Settings = None, timeout_s: float = 60.0) -> Value:
-    """Ask a launch's keeper something.
+class Caller:
+    """Asks the keeper of one launch, through its hub, on the key of that run alone.
 
     Args:
-        endpoint: of its hub.
-        question: see `hierax.runtime.launch.requests`.
+        endpoint: of the hub.
         settings: Zenoh's own.
+        keys: of the run; None: they are found out, which fails where several answer.
+
+    Raises:
+        TransportError: the launch cannot be reached.
+    """
+
+    def __init__(self, endpoint: str, settings: Settings = None, keys: Keys | None = None) -> None:
+        self._endpoint = endpoint
+        self._keys = keys
+        try:  # a client, as the processes of the run would link to a peer
+            self.session = open_session((), [endpoint], settings, shared_memory=False, mode="client")
+        except TransportError as error:
+            raise TransportError(f"the launch at {endpoint} cannot be reached: {error}") from error
+
+    def ask(self, question: Value, timeout_s: float = 60.0) -> Value:
+        """What the keeper answers.
+
+        Args:
+            question: see `hierax.runtime.launch.requests`.
+            timeout_s: how long the answer may take.
+
+        Raises:
+            TransportError: it does not answer.
+        """
+        patience = time.monotonic() + FIND_TIMEOUT_S
+        if self._keys is None:
+            self._keys = self._found(patience)
+        key = self._keys.control(KEEPER)
+        while time.monotonic() < patience:  # whom nobody has heard of yet is not waited for by `get`
+            for _, answer in self.get(key, question, timeout_s):
+                return answer
+            time.sleep(LOOK_AGAIN_S)
+        raise TransportError(f"the launch at {self._endpoint} does not answer")
+
+    def get(self, key: str, question: Value, timeout_s: float) -> Iterator[tuple[str, Value]]:
+        """The answers on keys that a key matches, as they come, each with the key on which it came.
+
+        Raises:
+            TransportError: it cannot be asked, or an answer is none.
+        """
+        try:
+            replies = self.session.get(
+                key,
+                payload=encode_value(question),
+                timeout=timeout_s,
+                target=zenoh.QueryTarget.ALL,
+                consolidation=zenoh.ConsolidationMode.NONE,
+            )
+            for reply in replies:
+                if reply.ok is not None and zenoh.KeyExpr(key).includes(reply.ok.key_expr):
+                    yield str(reply.ok.key_expr), decode_value(reply.ok.payload.to_bytes(), "answer")
+        except (zenoh.ZError, SchemaError) as error:
+            raise TransportError(f"the launch at {self._endpoint} cannot be asked: {error}") from error
+
+    def close(self) -> None:
+        """Close the session."""
+        close_session(self.session)
+
+    def _found(self, patience: float) -> Keys:
+        """The keys of the one run whose keeper answers here, and says of itself that it keeps this run."""
+        while time.monotonic() < patience:
+            found: set[tuple[str, str]] = set()
+            for key, answer in self.get(Keys("*", "*").control(KEEPER), {"ask": "ps"}, FOUND_TIMEOUT_S):
+                hierarchy, run = key.split("/")[1:3]
+                if isinstance(answer, dict) and _says(answer, "hierarchy", hierarchy) and _says(answer, "run", run):
+                    found.add((hierarchy, run))
+            if len(found) > 1:
+                named = ", ".join(sorted(f"{run} ({hierarchy})" for hierarchy, run in found))
+                raise TransportError(f"several launches answer at {self._endpoint}, and one at most is there: {named}")
+            for hierarchy, run in found:
+                return Keys(hierarchy, run)
+            time.sleep(LOOK_AGAIN_S)
+        raise TransportError(f"the launch at {self._endpoint} does not answer")
+
+
+def ask(
+    endpoint: str, question: Value, settings: Settings = None, timeout_s: float = 60.0, keys: Keys | None = None
+) -> Value:
+    """Ask a launch's keeper something, in a session for that alone.
+
+    Args:
+        endpoint, settings, keys: as `Caller` has them.
+        question: see `hierax.runtime.launch.requests`.
         timeout_s: how long the answer may take.
 
     Raises:
         TransportError: it cannot be reached, or does not answer.
     """
-    # a client, as the processes of the run would link to a peer
+    caller = Caller(endpoint, settings, keys)
     try:
-        session = open_session((), [endpoint], settings, shared_memory=False, mode="client")
-    except TransportError as error:
-        raise TransportError(f"the launch at {endpoint} cannot be reached: {error}") from error
-    key = Keys("*", "*").control(KEEPER)
-    data = encode_value(question)
-    patience = time.monotonic() + FIND_TIMEOUT_S
-    try:
-        while time.monotonic() < patience:  # whom nobody has heard of yet is not waited for by `get`
-            for reply in session.get(key, payload=data, timeout=timeout_s):
-                if reply.ok is not None:
-                    return decode_value(reply.ok.payload.to_bytes(), "answer")
-            time.sleep(LOOK_AGAIN_S)
-    except (zenoh.ZError, SchemaError) as error:
-        raise TransportError(f"the launch at {endpoint} cannot be asked: {error}") from error
+        return caller.ask(question, timeout_s)
     finally:
-        close_session(session)
-    raise TransportError(f"the launch at {endpoint} does not answer")
+        caller.close()
+
+
+def read_question(query: zenoh.Query) -> Value:
+    """What is asked.
+
+    Raises:
+        SchemaError: it is longer than a question may be, or no value.
+    """
+    payload = query.payload
+    size = 0 if payload is None else len(payload)
+    if payload is not None and size > MAX_QUESTION_BYTES:
+        raise SchemaError(f"{size} bytes; at most {MAX_QUESTION_BYTES} are allowed", "question")
+    return decode_value(b"" if payload is None else payload.to_bytes(), "question")
+
+
+def _says(answer: dict[str, Value], field: str, what: str) -> bool:
+    said = answer.get(field)
+    return isinstance(said, str) and said == what
 
 
 def is_gone(endpoint: str) -> bool:
@@ -176,6 +274,7 @@ def _teller(progress: Callable[[int], None]) -> Callable[[zenoh.Sample], None]:
             epoch, _ = decode_value(sample.payload.to_bytes(), "epoch")
         except (SchemaError, ValueError, TypeError):
             return  # not from our world: a bar on a screen is all that it would have moved
-        progress(epoch)
+        if type(epoch) is int and 0 <= epoch <= MAX_NUMBER:
+            progress(epoch)
 
     return tell

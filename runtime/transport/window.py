@@ -17,17 +17,16 @@ from typing import Any
 
 import zenoh
 
-from hierax.runtime.transport.hub import KEEPER
+from hierax.runtime.transport.hub import Caller, read_question
 from hierax.runtime.transport.port import TransportError
-from hierax.runtime.transport.zenoh_session import Settings, close_session, open_session
+from hierax.runtime.transport.zenoh_session import Settings
 from hierax.schemas.errors import SchemaError
 from hierax.schemas.keys import Keys
-from hierax.schemas.values import Value, decode_value, encode_value
+from hierax.schemas.values import Value, encode_value
 
 QUESTIONS = 64
 """How many questions wait at a window; of more than that, the oldest are not answered."""
 
-FIND_TIMEOUT_S = 5.0
 LOOK_AGAIN_S = 0.02
 
 Reply = Callable[[Value], None]
@@ -75,12 +74,11 @@ class Window:
             with query:
                 try:
                     query.reply(self._key, encode_value(value))
-                except zenoh.ZError as error:
-                    _log.info("an answer is not sent: %s", error)  # who asked has gone
+                except (zenoh.ZError, SchemaError) as error:
+                    _log.info("an answer is not sent: %s", error)  # who asked has gone; or it is too long
 
-        payload = query.payload
         try:
-            question = decode_value(b"" if payload is None else payload.to_bytes(), "question")
+            question = read_question(query)
         except SchemaError as error:
             reply({"refusal": str(error)})
             return
@@ -91,19 +89,14 @@ class Glass:
     """A tool's end: a session of its own, through the launch's hub.
 
     Args:
-        endpoint: of the hub.
-        settings: Zenoh's own.
+        endpoint, settings, keys: as `Caller` has them.
 
     Raises:
         TransportError: the launch cannot be reached.
     """
 
-    def __init__(self, endpoint: str, settings: Settings = None) -> None:
-        self._endpoint = endpoint
-        try:  # a client, as the processes of the run would link to a peer
-            self._session = open_session((), [endpoint], settings, shared_memory=False, mode="client")
-        except TransportError as error:
-            raise TransportError(f"the launch at {endpoint} cannot be reached: {error}") from error
+    def __init__(self, endpoint: str, settings: Settings = None, keys: Keys | None = None) -> None:
+        self._caller = Caller(endpoint, settings, keys)
 
     def ask_keeper(self, question: Value, timeout_s: float = 60.0) -> Value:
         """Ask the launch's keeper.
@@ -115,12 +108,7 @@ class Glass:
         Raises:
             TransportError: it does not answer.
         """
-        patience = time.monotonic() + FIND_TIMEOUT_S
-        while time.monotonic() < patience:  # whom nobody has heard of yet is not waited for by `get`
-            for _, answer in self._get(Keys("*", "*").control(KEEPER), question, timeout_s):
-                return answer
-            time.sleep(LOOK_AGAIN_S)
-        raise TransportError(f"the launch at {self._endpoint} does not answer")
+        return self._caller.ask(question, timeout_s)
 
     def ask_nodes(
         self, keys: Keys, question: Mapping[str, Value], names: Collection[str], timeout_s: float = 2.0
@@ -143,7 +131,7 @@ class Glass:
             where = keys.look(next(iter(missing)) if len(missing) == 1 else "*")
             left_s = max(patience - time.monotonic(), LOOK_AGAIN_S)
             came: dict[str, list[Value]] = {}
-            for key, answer in self._get(where, question, left_s):
+            for key, answer in self._caller.get(where, question, left_s):
                 came.setdefault(key.rpartition("/")[2], []).append(answer)
             answers.update({name: came[name] for name in sorted(missing & came.keys())})
             missing -= came.keys()
@@ -163,13 +151,13 @@ class Glass:
             heard(str(sample.key_expr), sample.payload.to_bytes())
 
         try:
-            self._session.declare_subscriber(key, on_sample)
+            self._caller.session.declare_subscriber(key, on_sample)
         except zenoh.ZError as error:
             raise TransportError(f"{key!r} is no key to listen to: {error}") from error
 
     def close(self) -> None:
         """Close the session."""
-        close_session(self._session)
+        self._caller.close()
 
     def __enter__(self) -> Glass:
         return self
@@ -178,18 +166,3 @@ class Glass:
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         self.close()
-
-    def _get(self, key: str, question: Value, timeout_s: float) -> Iterator[tuple[str, Value]]:
-        try:
-            replies = self._session.get(
-                key,
-                payload=encode_value(question),
-                timeout=timeout_s,
-                target=zenoh.QueryTarget.ALL,
-                consolidation=zenoh.ConsolidationMode.NONE,
-            )
-            for reply in replies:
-                if reply.ok is not None:
-                    yield str(reply.ok.key_expr), decode_value(reply.ok.payload.to_bytes(), "answer")
-        except (zenoh.ZError, SchemaError) as error:
-            raise TransportError(f"the launch at {self._endpoint} cannot be asked: {error}") from error

@@ -8,6 +8,7 @@ import tracemalloc
 from collections.abc import Callable, Iterator
 from typing import Any
 
+import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -16,7 +17,8 @@ from support.strategies import messages, randoms, values
 from support.tagged import text
 
 from hierax.schemas.errors import SchemaError
-from hierax.schemas.messages import Message, decode_message, encode_message
+from hierax.schemas.limits import MAX_ENTRIES, MAX_PLAIN_BYTES
+from hierax.schemas.messages import Header, Message, decode_message, encode_message
 from hierax.schemas.roster import Roster
 from hierax.schemas.values import decode_value, encode_value
 
@@ -195,3 +197,31 @@ def test_a_lie_in_a_small_message_costs_little() -> None:
             tracemalloc.reset_peak()
             outcome(decode_value, data)
             assert tracemalloc.get_traced_memory()[1] - before < 4 << 20, name
+
+
+@pytest.mark.parametrize("leaf", [b"\xa2ab", b"\xcd\x7f\xff", b"\xcb" + bytes(8), b"\xc4\x01a", b"\x01"])
+def test_many_small_entries_are_bounded_in_number(leaf: bytes) -> None:
+    rows = MAX_ENTRIES // 1000 + 1
+    row = b"\xdc\x03\xe8" + leaf * 1000
+    data = b"\xdd" + struct.pack(">I", rows) + row * rows
+    tracemalloc.reset_peak()
+    before, _ = tracemalloc.get_traced_memory()
+    with pytest.raises(SchemaError, match="entries"):
+        decode_value(data)
+    _, peak = tracemalloc.get_traced_memory()
+    assert peak - before < MAX_ENTRIES * 100
+
+
+def test_besides_its_arrays_a_message_is_bounded_by_bytes() -> None:
+    header = Header("obs", "low", "mid", 1)
+    big = Message(header, (bytes(MAX_PLAIN_BYTES),))
+    with pytest.raises(SchemaError, match="use arrays"):
+        encode_message(big)
+    array = Message(header, (np.zeros(2 * MAX_PLAIN_BYTES, np.uint8),))
+    data = encode_message(array)
+    assert decode_message(data).payload[0].nbytes == 2 * MAX_PLAIN_BYTES
+    with pytest.raises(SchemaError, match="use arrays"):
+        encode_message(Message(header, (*array.payload, bytes(MAX_PLAIN_BYTES))))
+    fields = (1, 0, "low", "mid", 1, 0, 0, 0, 0.0, b"", {}, (bytes(MAX_PLAIN_BYTES),))
+    with pytest.raises(SchemaError, match="use arrays"):
+        decode_message(encode_value(fields))

@@ -5,13 +5,26 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
+import numpy as np
 import pytest
 from support.engines import DIGEST, EPOCH, INSTANCES, ROSTER, Solo, message, wiring
 from support.recording import Acted, Completed, Lacked, Output, Refused, Sent, of, sent, steps, verdicts
 
 from hierax.runtime.core.digest import DigestChain
+from hierax.runtime.core.errors import ContradictionError
 from hierax.runtime.engine.outlet import Committed
-from hierax.runtime.engine.table import ACTIONS, HELD_MESSAGES, Action, Phase, Verdict
+from hierax.runtime.engine.table import (
+    ACTIONS,
+    ATTEMPTS_AHEAD,
+    EPOCHS_AHEAD,
+    HELD_BYTES,
+    HELD_MESSAGES,
+    HELD_SLOTS,
+    ROSTERS_AHEAD,
+    Action,
+    Phase,
+    Verdict,
+)
 from hierax.schemas.messages import CONTEXT, HELLO, OBSERVATIONS, TASKS
 
 REFUSED: list[tuple[Verdict, str, dict[str, Any]]] = [
@@ -127,17 +140,31 @@ def test_so_many_are_held_and_no_more_of_each_sender_and_kind() -> None:
 
 
 @pytest.mark.parametrize("kind", EPOCH)
-def test_a_double_is_dropped_and_the_first_one_counts(kind: str) -> None:
+def test_a_double_is_dropped(kind: str) -> None:
     solo = Solo()
     outputs: list[Output] = []
     for each in EPOCH:
         outputs += solo.take(message(each))
         if each == kind:
-            again = message(each, text="again")
-            assert solo.engine.judge(again.header) is Verdict.DOUBLE
-            assert solo.take(again) == []
+            assert solo.engine.judge(message(each).header) is Verdict.DOUBLE
+            assert solo.take(message(each)) == []
     (step,) = steps(outputs)
     assert (step.observations, step.tasks, step.context) == (("obs 1",), ("task 1",), ("ctx 1",))
+
+
+@pytest.mark.parametrize("kind", EPOCH)
+@pytest.mark.parametrize("later", [0, 1])
+def test_a_double_that_says_something_else_is_an_error_that_names_both_ends(kind: str, later: int) -> None:
+    solo = Solo()
+    solo.epoch()
+    if later:
+        solo.take(message(OBSERVATIONS, 2))
+    sender = "low" if kind == OBSERVATIONS else "top"
+    wanted = rf"mid: two {kind} messages from {sender} of epoch 1, attempt 0 say different things: .* name of {sender} "
+    for other in (message(kind, text="again"), message(kind, time_s=0.25)):
+        with pytest.raises(ContradictionError, match=wanted):
+            solo.take(other)
+    assert solo.take(message(kind)) == []
 
 
 def test_a_double_of_one_of_two_that_are_waited_for_is_dropped() -> None:
@@ -145,9 +172,55 @@ def test_a_double_of_one_of_two_that_are_waited_for_is_dropped() -> None:
     solo.take(message(OBSERVATIONS), message(TASKS))
     assert solo.engine.judge(message(TASKS).header) is Verdict.DOUBLE
     assert solo.engine.judge(message(OBSERVATIONS).header) is Verdict.DOUBLE
-    assert solo.take(message(TASKS, text="again")) == []
-    (step,) = steps(solo.take(message(CONTEXT)))
-    assert step.tasks == ("task 1",)
+    assert solo.take(message(TASKS)) == []
+    with pytest.raises(ContradictionError):
+        solo.take(message(TASKS, text="again"))
+
+
+def test_a_forged_message_that_was_held_or_taken_first_is_found_out_by_the_real_one() -> None:
+    solo = Solo()
+    solo.take(message(OBSERVATIONS, 2, text="forged"))
+    assert [step.epoch for step in steps(solo.epoch())] == [1]
+    assert solo.engine.epoch == 2
+    with pytest.raises(ContradictionError):
+        solo.take(message(OBSERVATIONS, 2))
+
+
+@pytest.mark.parametrize(
+    "far",
+    [
+        {"epoch": 2 + EPOCHS_AHEAD},
+        {"attempt": 1 + ATTEMPTS_AHEAD},
+        {"epoch": 2, "attempt": 1 + ATTEMPTS_AHEAD},
+        {"roster": ROSTER + 1 + ROSTERS_AHEAD},
+        {"roster": ROSTER + 1, "attempt": 10**9},
+    ],
+)
+def test_what_is_further_ahead_than_can_be_is_refused(far: dict[str, int]) -> None:
+    solo = Solo()
+    solo.epoch()
+    wrong = message(OBSERVATIONS, **{"epoch": 1, **far})
+    assert solo.take(wrong) == [Refused(wrong.header, Verdict.AHEAD)]
+    assert [step.epoch for step in steps(solo.epoch(2))] == [2]
+
+
+def test_what_is_held_is_bounded_by_bytes_and_the_nearest_stay() -> None:
+    solo = Solo()
+    big = np.zeros(HELD_BYTES // 3, np.uint8)
+    for epoch in (9, 8, 7):
+        far = message(OBSERVATIONS, epoch)
+        refused = verdicts(solo.take(far._replace(payload=(big,))))
+        assert refused == ([] if epoch > 7 else [Verdict.EARLY])
+    assert [step.epoch for step in steps(solo.epoch())] == [1]
+
+
+def test_of_strangers_so_many_are_held_and_no_more() -> None:
+    solo = Solo()
+    for number in range(HELD_SLOTS + 1):
+        stranger = message(OBSERVATIONS, sender=f"n{number}", roster=ROSTER + 1)
+        full = Refused(stranger.header, Verdict.NEW_ROSTER) in solo.take(stranger)
+        assert full == (number >= HELD_SLOTS)
+    assert [step.epoch for step in steps(solo.epoch())] == [1]
 
 
 @pytest.mark.parametrize(

@@ -6,8 +6,10 @@ from typing import Any
 
 import pytest
 
+from hierax.runtime.owner.doubts import MAX_REPEATS
+from hierax.runtime.owner.members import REMEMBERED
 from hierax.runtime.owner.outlet import OwnerOutlet, OwnerSettings
-from hierax.runtime.owner.owner import MAX_TRIES, Owner
+from hierax.runtime.owner.owner import FETCH_S, MAX_TRIES, Owner
 from hierax.schemas.changes import Attach, Change, Detach, Replace
 from hierax.schemas.control import (
     NEVER,
@@ -230,11 +232,23 @@ def replaced() -> Owned:
 def test_a_replace_hands_the_state_over() -> None:
     owned = replaced()
     assert owned.hear(State("high", 1, b"state")) == [("high.2", TakeOver(1, 1, 0, b"state"))]
-    assert owned.hear(State("high", 1, b"later")) == [], "one that is said twice counts once"
+    assert owned.hear(State("high", 1, b"state")) == [], "one that is said twice counts once"
+    assert owned.hear(Taken("low", 1, "who asks?"), Taken("stranger", 1, "")) == []
     begins, dismisses = owned.hear(Taken("high", 1, ""))
     assert begins == ("begin", 2, 0, 1)
     assert dismisses[0] == "high.1"
     assert isinstance(dismisses[1], Dismiss)
+
+
+@pytest.mark.parametrize("when", ["before", "after"])
+def test_two_states_that_differ_stop_the_run(when: str) -> None:
+    owned = replaced()
+    owned.hear(State("high", 1, b"state"))
+    if when == "after":
+        owned.hear(Taken("high", 1, ""))
+    ((kind, why),) = owned.hear(State("high", 1, b"forged"))
+    assert kind == "stop"
+    assert why == "two states of high for version 1 of the roster differ: somebody else speaks in the name of high"
 
 
 def test_a_replace_whose_node_cannot_take_the_state() -> None:
@@ -426,10 +440,64 @@ def test_who_asks_whether_it_still_has_a_place() -> None:
     assert owned.hear(join("low.1")) == [("low.1", Dismiss(why, again=True))], "nor before it had taken part"
 
 
-def test_a_world_that_is_behind_stops() -> None:
-    ((kind, why),) = begun().hear(join("low.1", 2, active=True))
+def asked(calls: list[tuple[Any, ...]]) -> AskStatus:
+    """What a process is asked that says that it is ahead."""
+    ((who, question),) = calls
+    assert who == "low.1"
+    return question
+
+
+@pytest.mark.parametrize("place", [{"epoch": 2}, {"epoch": 10**12}, {"epoch": 1, "version": 1}])
+def test_a_node_that_is_further_than_the_world_stops_the_run(place: dict[str, int]) -> None:
+    owned = begun()
+    epoch, version = place["epoch"], place.get("version", 0)
+    question = asked(owned.hear(join("low.1", epoch, active=True, version=version)))
+    ((kind, why),) = owned.hear(Status("low", question.inquiry, epoch, 0, (), "", version))
     assert kind == "stop"
-    assert "low has begun epoch 2" in why
+    assert f"low is in epoch {epoch}" in why
+    assert "somebody else has sent it observations in the name of world" in why
+
+
+def test_what_is_said_in_a_nodes_name_alone_does_no_harm() -> None:
+    owned = begun()
+    question = asked(owned.hear(join("low.1", 10**12, active=True)))
+    assert owned.hear(Status("low", question.inquiry, 1, 0, (), "")) == []
+    assert owned.hear(Status("low", question.inquiry, 10**12, 0, (), "")) == [], "it was asked once"
+    assert owned.commit() == [("begin", 2, 0, 0)]
+    strange = owned.hear(join("low.9", 10**12, active=True))
+    assert [type(order) for _, order in strange] == [Dismiss], "of a process that nobody knows nothing is believed"
+
+
+def test_no_process_is_dismissed_by_what_is_said_of_another_node() -> None:
+    owned = begun()
+    assert owned.hear(join("low.1", 1, active=True, name="high"), join("world.1", 1, active=True, name="low")) == []
+    owned.hear(propose(TOP))
+    owned.hear(join("top.1", request="c1"))
+    assert owned.hear(join("top.1", 1, active=True, name="low")) == []
+
+
+def test_an_attempt_that_nobody_has_begun_is_overtaken() -> None:
+    owned = begun()
+    for count in range(MAX_REPEATS + 1):
+        attempt = 5 + 6 * count
+        question = asked(owned.hear(join("low.1", 1, active=True, attempt=attempt)))
+        calls = owned.hear(Status("low", question.inquiry, 1, attempt, (), ""))
+        assert calls[0][:3] == (("begin", 1, attempt + 1) if count < MAX_REPEATS else ("stop", *calls[0][1:3]))
+    assert "low is in epoch 1" in calls[0][1]
+
+
+def test_processes_that_nobody_knows_are_not_all_remembered() -> None:
+    owned = begun()
+    for number in range(2 * REMEMBERED):
+        owned.hear(join(f"low.x{number}", 1))
+    assert len(owned.owner._members._heard_s) <= REMEMBERED
+
+
+def test_who_asks_for_the_roster_again_and_again_is_told_it_some_times() -> None:
+    owned = begun()
+    assert prepares(owned.hear(*[Fetch("low", "low.1", 0)] * 100)) == ["low.1"]
+    owned.now += FETCH_S
+    assert prepares(owned.hear(Fetch("low", "low.1", 0))) == ["low.1"]
 
 
 def test_the_world_comes_back() -> None:

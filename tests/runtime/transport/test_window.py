@@ -9,12 +9,12 @@ import pytest
 import zenoh
 from support.live import until
 
-from hierax.runtime.transport.hub import Hub, free_endpoint
+from hierax.runtime.transport.hub import Hub, ask, free_endpoint
 from hierax.runtime.transport.port import TransportError
 from hierax.runtime.transport.window import QUESTIONS, Glass, Window
 from hierax.runtime.transport.zenoh_session import close_session, open_session
 from hierax.schemas.keys import Keys
-from hierax.schemas.values import Value
+from hierax.schemas.values import Value, decode_value, encode_value
 
 KEYS = Keys("toys", "5163af85")
 
@@ -35,7 +35,7 @@ def session(hub: Hub) -> Iterator[zenoh.Session]:
 
 @pytest.fixture
 def glass(hub: Hub) -> Iterator[Glass]:
-    with Glass(hub.endpoint) as glass:
+    with Glass(hub.endpoint, keys=KEYS) as glass:
         yield glass
 
 
@@ -122,3 +122,44 @@ def test_what_cannot_be_reached_is_told() -> None:
 def test_what_is_no_key_is_told(glass: Glass) -> None:
     with pytest.raises(TransportError, match="is no key to listen to"):
         glass.listen("a//b", lambda key, data: None)
+
+
+def keeps(hub: Hub, keys: Keys) -> None:
+    hub.serve(lambda question, reply: reply({"hierarchy": keys.deployment, "run": keys.run, "asked": question}))
+
+
+def test_the_run_is_found_out_where_nobody_says_which(hub: Hub) -> None:
+    keeps(hub, KEYS)
+    assert ask(hub.endpoint, {"ask": "anything"})["run"] == KEYS.run
+
+
+def test_an_answer_counts_on_the_key_alone_on_which_it_was_asked_for(hub: Hub, session: zenoh.Session) -> None:
+    """Somebody else answers sooner, to everything and on another key."""
+    keeps(hub, KEYS)
+    forged = {"hierarchy": "toys", "run": "ffffffff", "forged": True}
+
+    def answer(query: zenoh.Query) -> None:
+        with query:
+            query.reply("hierax/toys/ffffffff/control/keeper", encode_value(forged))
+
+    strangers = session.declare_queryable("hierax/*/*/control/keeper", answer)
+    until(lambda: "forged" in next(iter(_answers(session)), {}), "the stranger's answer")
+    assert "forged" not in ask(hub.endpoint, {"ask": "ps"}, keys=KEYS)
+    with pytest.raises(TransportError, match=r"several launches answer at .*: 5163af85 \(toys\), ffffffff \(toys\)"):
+        ask(hub.endpoint, {"ask": "ps"})
+    strangers.undeclare()
+
+
+def _answers(session: zenoh.Session) -> Iterator[Value]:
+    for reply in session.get("hierax/toys/ffffffff/control/keeper", timeout=1.0):
+        if reply.ok is not None:
+            yield decode_value(reply.ok.payload.to_bytes())
+
+
+@pytest.mark.parametrize("question", [b"", b"\xc1", b"\x80" * 9, b"\xda\xff\xff" + bytes(1 << 20)])
+def test_whatever_is_asked_is_refused_and_not_more(hub: Hub, session: zenoh.Session, question: bytes) -> None:
+    keeps(hub, KEYS)
+    Window(session, KEYS, "arm")
+    until(lambda: ask(hub.endpoint, {}, keys=KEYS), "the keeper")
+    replies = [reply.ok for reply in session.get(KEYS.control("keeper"), payload=question, timeout=5.0)]
+    assert all("refusal" in decode_value(reply.payload.to_bytes()) for reply in replies if reply is not None)

@@ -1,0 +1,166 @@
+"""What is said to a launch by somebody who is no part of it: it goes on, or ends with one line that names whom."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import asdict
+from pathlib import Path
+
+import pytest
+from support.hostile import Stranger
+from support.launched import processes_of
+from support.live import Live, until
+
+from hierax.runtime.deployment.deployment import RestartPolicy
+from hierax.runtime.launch.requests import MAX_CHANGES
+from hierax.schemas.changes import Attach
+from hierax.schemas.control import Census, Dismiss, Fetch, Join, Lost, Prepare, Ready, Resend, Status, Taken
+from hierax.schemas.keys import Keys
+from hierax.schemas.messages import CONTEXT, OBSERVATIONS, Message
+from hierax.schemas.roster import Reference, RosterEdge
+from hierax.schemas.values import Value
+
+
+@pytest.fixture
+def live(tmp_path: Path) -> Iterator[Live]:
+    launch = Live(tmp_path)
+    yield launch
+    launch.close()
+
+
+@pytest.fixture
+def stranger(live: Live) -> Iterator[Stranger]:
+    with Stranger(live.endpoint, Keys("live", str(live.run["run"]))) as stranger:
+        yield stranger
+
+
+def ends_with(live: Live, *words: str) -> None:
+    """The launch fails, and says why in one line that has these words."""
+    assert live.launch.ends() == 1
+    errors = [line for line in live.launch.err if line.startswith("error: ")]
+    assert len(errors) == 1, live.launch.err
+    assert all(word in errors[0] for word in words), errors
+    assert not any("Traceback" in line for line in live.launch.err)
+
+
+def test_words_that_cannot_be_change_nothing(live: Live, stranger: Stranger) -> None:
+    tokens = {name: str(node["process"]) for name, node in live.run["nodes"].items()}
+    roster = {"nodes": {}, "edges": (), "world": "world", "version": 1, "instances": {"low": 7}}
+    for name, token in tokens.items():
+        stranger.say(token, Dismiss("go away"))
+        stranger.say(token, Dismiss("go away", again=True))
+        stranger.say(token, Prepare(roster))
+        stranger.say(token, Prepare({**roster, "version": 10**12, "instances": {}}))
+        stranger.say(token, Prepare({"version": "x"}))
+        for word in (
+            Lost(name, token, False),
+            Lost(name, "", False),
+            Census({name: "somebody"}),
+            Join(name, token, "", 10**12, True, "", 0, 0),
+            Join(name, "stranger", "", 10**12, True, "", 0, 0),
+            Join(name, "stranger", "", 10**12, False, "", 0, 0),
+            Join(name, token, "", 1, True, "", 10**9, 0),
+            Ready(name, token, 10**9, "no"),
+            Taken(name, 10**9, ""),
+            Status(name, 1, 10**12, 0, (), ""),
+            Fetch(name, token, 10**9),
+            Lost("nobody", "x", True),
+        ):
+            stranger.say("owner", word)
+        for _ in range(1000):
+            stranger.say(token, Resend(live.epoch, 0, ("low", "high", "world")))
+            stranger.say("owner", Fetch(name, token, 0))
+    live.goes_on()
+    running = live.run["nodes"]
+    assert {name: str(node["process"]) for name, node in running.items()} == tokens, live.launch.err
+    stop = live.folder / "stop"
+    stop.touch()
+    assert live.launch.ends() == 0, live.launch.err
+    stop.unlink()
+
+
+QUESTIONS: list[object] = [
+    b"",
+    b"\xc1",
+    None,
+    [],
+    {"look": {}},
+    {"look": ["state"]},
+    {"look": "steps", "every": 1e400},
+    {"look": "steps", "every": "9" * 5000},
+    {"look": "echo", "edges": ((1, 2, 3),)},
+    {"ask": {}},
+    {"ask": "record", "pid": "self"},
+    {"ask": "change", "change": {}},
+    {"ask": "change", "change": {"change": ["attach"]}},
+]
+
+
+def test_questions_that_are_none_are_refused(live: Live, stranger: Stranger) -> None:
+    for key in (*(stranger.keys.look(name) for name in live.run["nodes"]), stranger.keys.control("keeper")):
+        until(lambda key=key: stranger.ask(key, {}), f"an answer on {key}")
+        for question in QUESTIONS:
+            (answer,) = stranger.ask(key, question)
+            assert "refusal" in answer, (key, question, answer)
+    live.goes_on()
+
+
+def test_an_attempt_that_nobody_has_begun_is_refused_or_overtaken(live: Live, stranger: Stranger) -> None:
+    """Far ahead it is refused; near by the epoch is begun again, after it: the digests stay as they are."""
+    for attempt in (10**9, 7):
+        seen = stranger.next(OBSERVATIONS, "low", "high")
+        stranger.send(Message(seen.header._replace(attempt=seen.header.attempt + attempt), seen.payload))
+        stranger.send(Message(seen.header._replace(attempt=attempt, epoch=10**12), seen.payload))
+        live.goes_on()
+    report = live.ends()
+    assert report["digest"] == live.repeated(report["epochs"])["digest"], live.launch.err
+
+
+@pytest.mark.parametrize(("kind", "sender", "receiver"), [(OBSERVATIONS, "world", "low"), (CONTEXT, "high", "low")])
+@pytest.mark.parametrize("ahead", [0, 1])
+def test_what_is_said_in_a_nodes_name_ends_the_run_with_both_named(
+    live: Live, stranger: Stranger, kind: str, sender: str, receiver: str, ahead: int
+) -> None:
+    seen = stranger.next(kind, sender, receiver)
+    for further in range(4):
+        header = seen.header._replace(epoch=seen.header.epoch + ahead + further)
+        stranger.send(Message(header, (*seen.payload, {"forged": True})))
+    ends_with(live, f"{receiver}: two {kind} messages from {sender} of epoch", f"in the name of {sender}")
+
+
+def test_of_many_changes_at_once_some_are_begun_and_the_others_refused(live: Live, stranger: Stranger) -> None:
+    keeper = stranger.keys.control("keeper")
+    policy = asdict(RestartPolicy())
+    pid = live.launch.process.pid
+    most = 0
+    until(lambda: stranger.ask(keeper, {"ask": "ps"}), "the keeper")
+
+    def attach(number: int) -> list[Value]:
+        name = f"n{number}"
+        node = Reference("hierax.runtime.sim.nodes:Mixer", {"name": name})
+        change = Attach({name: node}, (RosterEdge("high", name),))
+        question = {"ask": "change", "change": change.plain(), "restarts": {name: policy}, "here": False, "host": ""}
+        return stranger.ask(keeper, question, 120.0)
+
+    with ThreadPoolExecutor(40) as pool:
+        asked = [pool.submit(attach, number) for number in range(200)]
+        while not all(each.done() for each in asked):
+            most = max(most, len(processes_of(pid)) - len(live.run["nodes"]))
+            time.sleep(0.01)
+    answers = [answer for each in asked for answer in each.result()]
+    refused = [str(answer["refusal"]) for answer in answers if "refusal" in answer]
+    assert len(answers) > 150
+    assert any(refusal.endswith("changes are under way, and no more may be at once; try again") for refusal in refused)
+    assert most <= MAX_CHANGES + 1
+    live.goes_on()
+
+
+def test_many_refusals_are_few_lines(live: Live, stranger: Stranger) -> None:
+    for number in range(20_000):
+        stranger.put(stranger.keys.edge(OBSERVATIONS, "world", "low"), b"\x9c" + bytes([number % 256]))
+    live.goes_on()
+    live.ends()
+    assert len(live.launch.err) < 100
+    assert any("more like" in line for line in live.launch.err)
