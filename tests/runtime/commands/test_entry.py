@@ -1,0 +1,61 @@
+"""Ctrl-C is answered in a line from the first import to the process's end."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+
+import pytest
+
+BEGIN = """
+import builtins, os, signal, sys
+from hierax.runtime.commands.entry import entry
+
+def press():
+    os.kill(os.getpid(), signal.SIGINT)
+"""
+WHILE_IMPORTING = """
+usual = builtins.__import__
+def importing(name, *more):
+    if name == "typer":
+        press()
+    return usual(name, *more)
+builtins.__import__ = importing
+entry()
+"""
+MADE_AN_ERROR = """
+def main(arguments):
+    try:
+        press()
+    except KeyboardInterrupt:
+        raise ImportError("a library says") from None
+entry(main)
+"""
+TWICE = """
+def main(arguments):
+    try:
+        press()
+    finally:
+        press()
+entry(main)
+"""
+AT_THE_END = """
+import atexit
+atexit.register(press)
+entry(lambda arguments: 0)
+"""
+
+
+@pytest.mark.parametrize(
+    ("when", "code", "said"),
+    [
+        (WHILE_IMPORTING, 130, "interrupted\n"),
+        (MADE_AN_ERROR, 130, "interrupted\n"),
+        (TWICE, 130, ""),
+        (AT_THE_END, -2, ""),
+    ],
+)
+def test_no_traceback_answers_it(when: str, code: int, said: str) -> None:
+    command = [sys.executable, "-c", BEGIN + when]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=120, check=False)
+    assert (done.returncode, done.stderr) == (code, said)
