@@ -8,10 +8,10 @@ CHECKED := .build/checked
 
 .PHONY: demo test check docs model sim kills changes fuzz rival clean
 
-# what runs, and what tests need besides: the viewer alone is some hundreds of megabytes
+# what runs, recordings included, and what tests need besides: the viewer alone is some hundreds of megabytes
 $(RUNS): pyproject.toml
 	$(PYTHON) -m venv $(VENV)
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable .
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable ".[record]"
 	touch $@
 
 $(INSTALLED): $(RUNS)
@@ -19,7 +19,7 @@ $(INSTALLED): $(RUNS)
 	touch $@
 
 demo: $(RUNS)
-	$(BIN)/hierax launch deploy/tracking.yaml --epochs 60 --output demo-output
+	$(BIN)/hierax launch deploy/tracking.yaml --epochs 60 --output demo-output --overwrite
 	$(BIN)/python -m hierax.nodes.tracking.evaluation.report demo-output
 	@echo "Look at demo-output/pictures/contact-sheet.png and demo-output/errors.png"
 

@@ -58,12 +58,6 @@ class Allowance:
 
     modules: tuple[str, ...]
 
-    @staticmethod
-    def of(named: Iterable[Roster]) -> Allowance:
-        """What loads all that some rosters name: for who trusts where they come from."""
-        targets = {reference.target for roster in named for _, reference in references(roster)}
-        return Allowance(tuple(sorted({module_of(target) for target in targets})))
-
     def with_modules(self, modules: Iterable[str]) -> Allowance:
         """This one, and further modules."""
         return Allowance(tuple(sorted({*self.modules, *modules})))
@@ -112,6 +106,10 @@ class Allowance:
         self.check_all(Attach(nodes, edges))
 
 
+ANYTHING = Allowance(("*",))
+"""Whatever is named: for who has said that its source is trusted. No file can say so."""
+
+
 class Refusals:
     """What was refused, to say each once, and no more than some: whoever is refused may ask for ever."""
 
@@ -145,4 +143,6 @@ def references(named: Roster | Change) -> Iterable[tuple[str, Reference]]:
 
 def _covers(pattern: str, module: str) -> bool:
     package = pattern.removesuffix(".*")
+    if pattern == "*":
+        return True
     return module == package or (package != pattern and module.startswith(f"{package}."))

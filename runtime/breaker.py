@@ -11,7 +11,7 @@ from contextlib import contextmanager
 from types import FrameType
 from typing import NoReturn
 
-from hierax.runtime.core.binding import CALLS
+from hierax.runtime.core.binding import CALLS, Call
 from hierax.runtime.runner import Pacemaker
 
 PATIENCE_S = 0.7
@@ -69,7 +69,7 @@ class Breaker:
 
     def _on_alarm(self, number: int, frame: FrameType | None) -> None:
         """The epoch takes too long: break off the operator that it is in."""
-        if _in_operator(frame) or time.monotonic() - self._came_s > OVERDUE_S:
+        if called(frame) or time.monotonic() - self._came_s > OVERDUE_S:
             signal.setitimer(signal.ITIMER_REAL, AGAIN_S, LOOK_S)
             raise KeyboardInterrupt
 
@@ -87,9 +87,11 @@ def leave_at_once() -> NoReturn:
     os._exit(INTERRUPTED)
 
 
-def _in_operator(frame: FrameType | None) -> bool:
+def called(frame: FrameType | None) -> str:
+    """The node, or edge, whose operator is under way in a frame; empty: none."""
     while frame is not None:
         if frame.f_code in CALLS:
-            return True
+            call: Call = frame.f_locals["self"]
+            return call.subject
         frame = frame.f_back
-    return False
+    return ""

@@ -10,13 +10,16 @@ and whatever the deployment's probes write.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import os
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 
 from hierax.runtime.allowance import Allowance
-from hierax.runtime.core.errors import ProbeError
+from hierax.runtime.core.errors import HieraxError, ProbeError
 from hierax.runtime.core.probe import Probe
 from hierax.runtime.loading import build_probe
+from hierax.runtime.private_files import HeldError, hold, open_result, write_result
 from hierax.runtime.runner import Log
 from hierax.schemas.roster import ProbeSpec, Roster
 from hierax.schemas.values import encode_value
@@ -24,12 +27,65 @@ from hierax.schemas.values import encode_value
 ROSTER = "roster.msgpack"
 DIGESTS = "digests.msgpack"
 STATES = "states"
+SUMMARY = "summary.json"
+
+
+class OutputError(HieraxError):
+    """An output folder cannot be used; says why."""
+
+
+@contextmanager
+def claimed_output(output: Path, overwrite: bool = False, goes_on: bool = False) -> Iterator[None]:
+    """Have an output folder for this run alone.
+
+    Args:
+        output: the folder; made where it lacks.
+        overwrite: whether what another run has left there is removed: what this module writes, and nothing else.
+        goes_on: whether the run that is there is resumed.
+
+    Raises:
+        OutputError: it cannot be made or written, another process writes there, or there is a run in it.
+    """
+    roster = output / ROSTER
+    try:
+        output.mkdir(parents=True, exist_ok=True)
+        file = open_result(roster)
+    except OSError as error:
+        raise OutputError(f"--output {output}: it cannot be made or written: {error.strerror or error}") from error
+    try:
+        hold(file, lambda holder: HeldError(f"--output {output}: {holder} is writing there; name another folder"))
+        there = _of_a_run(output)
+        if there and not (overwrite or goes_on):
+            what = f"there is a run in it already ({there[0].relative_to(output)})"
+            raise OutputError(f"--output {output}: {what}; --overwrite replaces it, or name another folder")
+        for path in there if overwrite and not goes_on else ():
+            if path != roster:  # which is held
+                path.unlink()
+        yield
+    finally:
+        if not os.fstat(file).st_size:
+            roster.unlink(missing_ok=True)
+        os.close(file)
+
+
+def _of_a_run(output: Path) -> list[Path]:
+    """What a run has written."""
+    named = [output / name for name in (ROSTER, DIGESTS, SUMMARY)]
+    found = [path for path in named if path.is_file() and path.stat().st_size]
+    return found + sorted((output / STATES).glob("*.msgpack"))
 
 
 def write_roster(output: Path, roster: Roster) -> None:
-    """Write the content that the digests cover."""
-    output.mkdir(parents=True, exist_ok=True)
-    (output / ROSTER).write_bytes(encode_value(roster.content()))
+    """Write the content that the digests cover.
+
+    Raises:
+        HieraxError: it cannot be written.
+    """
+    try:
+        output.mkdir(parents=True, exist_ok=True)
+        write_result(output / ROSTER, encode_value(roster.content()))
+    except OSError as error:
+        raise OutputError(f"{output / ROSTER}: cannot be written: {error.strerror or error}") from error
 
 
 def state_log(output: Path | None, name: str, append: bool = False) -> Log | None:

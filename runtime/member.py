@@ -36,12 +36,15 @@ from hierax.schemas.control import (
     TakeOver,
 )
 from hierax.schemas.errors import SchemaError
+from hierax.schemas.messages import Header
 from hierax.schemas.roster import Roster
 from hierax.schemas.values import encode_value
 
 FIRST_SLOT = 1
 """Where the first record goes."""
 
+REFUSED_TOLD = 32
+"""Under one version of the roster, of how many senders and reasons refused messages are logged."""
 MAX_RESENDS = 64
 """How often what was sent in an attempt is sent again: the owner asks for it a few times, then blames a link."""
 
@@ -91,10 +94,12 @@ class Member(NodeRunner):
         self._saved: Saved | None = None
         self._join: Join | None = None
         self._took = 0
+        self._refused: set[tuple[str, str]] = set()
         self._linking: set[int] = set()
         self._linked: set[int] = set()
         self._fetched: set[int] = set()
         self._refusals = Refusals()
+        port.mended = self.mended
         self._resent: tuple[tuple[int, int], int] = ((0, 0), 0)
         self._rosters: dict[int, Roster] = {}
         self._taken = b""
@@ -185,6 +190,12 @@ class Member(NodeRunner):
         self._note_link(version)
         self._say_ready(version)
 
+    def mended(self, neighbour: str) -> None:
+        """The link to a neighbour broke and is there again: what it may lack is said again; it drops what is double."""
+        _log.info("%s: the link to %s broke, and is there again", self.name, neighbour)
+        if self.wired:
+            self.engine.say_again(neighbour)
+
     def _note_link(self, version: int) -> None:
         self._linking.discard(version)
         self._linked.add(version)
@@ -212,14 +223,20 @@ class Member(NodeRunner):
 
     def rewired(self, version: int) -> None:
         super().rewired(version)
+        self._refused.clear()
         self.port.unlink(version)
         self._linked = {later for later in self._linked if later >= version}
         self._fetched = {later for later in self._fetched if later > version}
         self._rosters = {later: roster for later, roster in self._rosters.items() if later >= version}
 
-    def _gravity(self, verdict: Verdict) -> int:
-        stale = verdict in (Verdict.OLD_ROSTER, Verdict.OTHER_INSTANCE, Verdict.FOREIGN)
-        return logging.INFO if stale else logging.WARNING  # these are to be expected when nodes come and go
+    def _gravity(self, header: Header, verdict: Verdict) -> int:
+        if verdict not in (Verdict.OLD_ROSTER, Verdict.OTHER_INSTANCE, Verdict.FOREIGN):
+            return logging.WARNING
+        like_it = (verdict.value, header.sender)  # to be expected when nodes come and go: one is told
+        if like_it in self._refused or len(self._refused) >= REFUSED_TOLD:
+            return logging.DEBUG
+        self._refused.add(like_it)
+        return logging.INFO
 
     def _offer(self, request: str) -> Join:
         try:

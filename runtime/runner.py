@@ -28,6 +28,7 @@ from hierax.runtime.engine.loose import BARRIER, LooseEngine, Staleness
 from hierax.runtime.engine.outlet import Called, Committed, Completed, Outlet, Saved
 from hierax.runtime.engine.table import Phase, Verdict
 from hierax.runtime.engine.wiring import Wiring
+from hierax.runtime.private_files import open_result
 from hierax.runtime.report import NodeReport
 from hierax.runtime.transport.port import Port
 from hierax.runtime.watch.watcher import Watcher
@@ -221,7 +222,7 @@ class NodeRunner(Outlet):
 
     def refused(self, header: Header, verdict: Verdict) -> None:
         _log.log(
-            self._gravity(verdict),
+            self._gravity(header, verdict),
             "%s: refused a %s message from %s of epoch %d: %s",
             self.engine.name,
             header.kind,
@@ -232,7 +233,7 @@ class NodeRunner(Outlet):
         for watcher in self.watchers:
             watcher.refused(header, verdict)
 
-    def _gravity(self, verdict: Verdict) -> int:
+    def _gravity(self, header: Header, verdict: Verdict) -> int:
         """At which level a refusal is logged."""
         return logging.WARNING
 
@@ -363,7 +364,9 @@ class Log:
         self._path = path
         with self._mapped():
             path.parent.mkdir(parents=True, exist_ok=True)
-            self._file: BinaryIO = path.open("ab" if append else "wb")
+            self._file: BinaryIO = os.fdopen(open_result(path, append), "ab" if append else "wb")
+            if not append:
+                self._file.truncate(0)
         self._behind = append
 
     def write(self, *fields: int | bytes) -> None:

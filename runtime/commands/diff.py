@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from hierax.runtime.commands.errors import FAILED, OK, CommandError
-from hierax.runtime.commands.options import Format, OutputFormat, Settings
+from hierax.runtime.commands.options import Format, OutputFormat, Settings, Trust
 from hierax.runtime.commands.recordings import (
     First,
     Last,
@@ -50,6 +50,7 @@ def diff(
         ),
     ] = None,
     settings: Settings = None,
+    trust: Trust = False,
     output_format: OutputFormat = Format.text,
 ) -> int:
     """Name the first epoch, node, operator and field in which two runs differ. Exit code 1 where they do.
@@ -60,7 +61,7 @@ def diff(
     from hierax.runtime.recording.diff import compare
 
     recording = recording_of(file)
-    epochs = _other(recording, other, first, last, world, settings or ())
+    epochs = _other(recording, other, first, last, world, settings or (), trust)
     with redirect_stdout(sys.stderr):
         comparison = compare(recording.epochs(first, last), epochs, tolerance)
     if not comparison.epochs:
@@ -73,7 +74,13 @@ def diff(
 
 
 def _other(
-    recording: Recording, other: str, first: int, last: int | None, world: WorldMode | None, settings: Iterable[str]
+    recording: Recording,
+    other: str,
+    first: int,
+    last: int | None,
+    world: WorldMode | None,
+    settings: Iterable[str],
+    trust: bool,
 ) -> Iterable[EpochView]:
     from hierax.runtime.deployment.read import read_deployment
     from hierax.runtime.loading import extend_import_path
@@ -92,7 +99,9 @@ def _other(
         raise CommandError(f"{recording.path}: no roster is recorded, so there is no epoch to compare")
     again = world is WorldMode.again or (world is None and not has_actuators(deployment.roster, deployment.allowance))
     rewrite = in_place_of(rosters[min(rosters)], deployment)
-    allowance = allowance_of(recording).with_modules(deployment.modules)
+    allowance = deployment.allowance  # what the recording names besides, after changes, is another matter
+    if trust or recording.info.is_ours:
+        allowance = allowance_of(recording, trust).with_modules(deployment.modules)
     return Replay(recording, allowance, world=again, rewrite=rewrite, first=first, last=last, wait=wait).epochs()
 
 

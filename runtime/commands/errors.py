@@ -7,6 +7,7 @@ import sys
 import traceback
 from collections.abc import Callable
 
+from hierax.runtime.commands.entry import CTRL_C, INTERRUPTED
 from hierax.runtime.core.errors import HieraxError
 from hierax.runtime.streams import OutputError, drop_output
 from hierax.schemas.errors import SchemaError
@@ -15,7 +16,6 @@ OK = 0
 FAILED = 1
 USAGE = 2
 BUG = 3
-INTERRUPTED = 130
 
 TRACEBACK_VARIABLE = "HIERAX_TRACEBACK"
 """Set to anything, expected failures show where in the code they arose, too."""
@@ -52,6 +52,8 @@ def exit_code(command: Callable[[], int]) -> int:
         drop_output()
         return FAILED
     except Exception:
+        if CTRL_C.came:  # and a library has made an error of it
+            return interrupted()
         traceback.print_exc()
         _say("error: this is a bug, in hierax or in a node: please report it with the lines above")
         return BUG

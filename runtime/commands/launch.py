@@ -10,8 +10,28 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from hierax.runtime.commands.errors import OK, CommandError
-from hierax.runtime.commands.options import Epochs, Format, Output, OutputFormat, Seed, Settings, deployments_here
-from hierax.runtime.commands.recordings import Check, RecordFile, tell_ending, tell_violations
+from hierax.runtime.commands.options import (
+    Epochs,
+    Format,
+    Output,
+    OutputFormat,
+    Overwrite,
+    Seed,
+    Settings,
+    Trust,
+    deployments_here,
+)
+from hierax.runtime.commands.recordings import (
+    Check,
+    Exclude,
+    MaxDuration,
+    MaxSize,
+    RecordFile,
+    claimed_file,
+    selection_of,
+    tell_ending,
+    tell_violations,
+)
 
 if TYPE_CHECKING:
     from hierax.runtime.launch.recorder import Wanted
@@ -59,8 +79,13 @@ def launch(
             show_default=False,
         ),
     ] = None,
+    trust: Trust = False,
     record: RecordFile = None,
     check: Check = False,
+    exclude: Exclude = None,
+    max_size: MaxSize = None,
+    max_duration: MaxDuration = None,
+    overwrite: Overwrite = False,
     faults: Annotated[
         list[str] | None,
         typer.Option(
@@ -74,40 +99,50 @@ def launch(
 ) -> int:
     """Run a deployment with each node in a process of its own, over Zenoh."""
     from hierax.runtime.commands.running import run_deployment
+    from hierax.runtime.deployment.secrets import completed
     from hierax.runtime.launch import supervisor
     from hierax.runtime.launch.faults import read_faults
     from hierax.runtime.launch.recorder import Wanted
     from hierax.runtime.launch.run_file import read_run
-    from hierax.runtime.recording.writing import require_mcap
     from hierax.runtime.watch import telemetry
 
     telemetry.wanted()  # what is wrong there is told once, not by every process
     run = None
     if resume is not None:
-        if file is not None or settings or state is not None:
-            raise CommandError("--resume: the run knows its deployment file and settings; give neither, nor --state")
-        state, run = resume, read_run(resume)
-        file, settings, seed = run.deployment, list(run.settings), run.seed
+        if file is not None or state is not None:
+            raise CommandError("--resume: the run knows its deployment file and folder; give neither")
+        state, run = resume, read_run(resume, trust)
+        file, settings, seed = run.deployment, completed(run.settings, settings or ()), run.seed
         epochs = run.epochs if epochs is None else epochs
         output = output or (Path(run.output) if run.output else None)
+    elif trust:
+        raise CommandError("--trust: only with --resume; a deployment file that you name is yours to judge")
     if file is None:
         raise CommandError("expected a deployment file, or --resume DIR")
-    if record is not None:
-        require_mcap()
-    wanted = Wanted(None if record is None else record.resolve(), check) if record is not None or check else None
-    runner = functools.partial(
-        supervisor.launch,
-        tell=lambda what: print(f"hierax: {what}", file=sys.stderr, flush=True),
-        state=None if state is None else state.resolve(),
-        run=run,
-        host=host,
-        settings=tuple(settings or ()),
-        faults=read_faults(faults or ()),
-        record=wanted,
-    )
-    code = run_deployment(
-        runner, file, settings or (), epochs=epochs, seed=seed, output=output, output_format=output_format
-    )
+    selection = selection_of(exclude, max_size, max_duration, record is not None)
+    with claimed_file(record, overwrite) as target:
+        wanted = Wanted(target, check, selection) if target is not None or check else None
+        runner = functools.partial(
+            supervisor.launch,
+            tell=lambda what: print(f"hierax: {what}", file=sys.stderr, flush=True),
+            state=None if state is None else state.absolute(),
+            run=run,
+            host=host,
+            settings=tuple(settings or ()),
+            faults=read_faults(faults or ()),
+            record=wanted,
+        )
+        code = run_deployment(
+            runner,
+            file,
+            settings or (),
+            epochs=epochs,
+            seed=seed,
+            output=output,
+            output_format=output_format,
+            overwrite=overwrite,
+            goes_on=run is not None and output is not None and output.absolute() == Path(run.output).absolute(),
+        )
     return code if wanted is None else max(code, _tell(wanted))
 
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import functools
-import sys
 from collections.abc import Callable, Sequence
 from typing import Annotated
 
@@ -16,6 +15,7 @@ from hierax.runtime.commands.check import check
 from hierax.runtime.commands.diff import diff
 from hierax.runtime.commands.doctor import doctor
 from hierax.runtime.commands.echo import echo
+from hierax.runtime.commands.entry import CTRL_C, INTERRUPTED, entry
 from hierax.runtime.commands.errors import OK, exit_code
 from hierax.runtime.commands.graph import graph
 from hierax.runtime.commands.infer import infer
@@ -30,7 +30,6 @@ from hierax.runtime.commands.sim import sim
 from hierax.runtime.commands.top import top
 from hierax.runtime.commands.validate import validate
 from hierax.runtime.commands.view import view
-from hierax.runtime.streams import own_streams
 
 COMMANDS: tuple[Callable[..., int], ...] = (
     *(run, launch, attach, detach, replace),
@@ -61,13 +60,8 @@ def main(arguments: Sequence[str]) -> int:
     Returns:
         The exit code.
     """
-    return exit_code(lambda: _dispatch(arguments))
-
-
-def entry() -> None:
-    """The console script."""
-    own_streams()
-    sys.exit(main(sys.argv[1:]))
+    code = exit_code(lambda: _dispatch(arguments))
+    return INTERRUPTED if CTRL_C.came and code != OK else code
 
 
 def _dispatch(arguments: Sequence[str]) -> int:
@@ -114,4 +108,4 @@ _register(tracking, bench)
 
 
 if __name__ == "__main__":
-    entry()
+    entry(main)

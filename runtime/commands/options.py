@@ -68,6 +68,14 @@ Epochs = Annotated[
     ),
 ]
 Seed = Annotated[int, typer.Option("--seed", min=0, max=LARGEST, metavar="S", help="Of all random numbers.")]
+Trust = Annotated[
+    bool,
+    typer.Option("--trust", help="Load and run, as yourself, whatever code is named by who is not known to be you."),
+]
+Overwrite = Annotated[
+    bool,
+    typer.Option("--overwrite", help="Replace the output or recording of another run; of other files none is touched."),
+]
 Output = Annotated[
     Path | None,
     typer.Option(

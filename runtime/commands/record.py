@@ -11,8 +11,8 @@ from typing import Annotated
 import typer
 
 from hierax.runtime.commands.errors import CommandError
-from hierax.runtime.commands.options import LARGEST, Format, OutputFormat
-from hierax.runtime.commands.recordings import tell_ending
+from hierax.runtime.commands.options import LARGEST, Format, OutputFormat, Overwrite
+from hierax.runtime.commands.recordings import Exclude, MaxDuration, MaxSize, claimed_file, selection_of, tell_ending
 from hierax.runtime.commands.which import Connect, Run, endpoint_of, keys_of
 
 
@@ -41,28 +41,34 @@ def record(
         int | None,
         typer.Option("--epochs", min=1, max=LARGEST, metavar="N", help="Stop after N epochs.", show_default=False),
     ] = None,
+    exclude: Exclude = None,
+    max_size: MaxSize = None,
+    max_duration: MaxDuration = None,
+    overwrite: Overwrite = False,
     output_format: OutputFormat = Format.text,
 ) -> int:
     """Record a launch that runs, until it is over, or Ctrl-C. Exit code 1 if something said is not in the file."""
     from hierax.runtime.commands.show import print_json
     from hierax.runtime.recording.info import RunInfo
     from hierax.runtime.recording.process import LiveRecording
-    from hierax.runtime.recording.writing import require_mcap
     from hierax.runtime.transport.hub import ask
 
-    require_mcap()
     if hierarchy is not None and run is not None:
         raise CommandError("give the launch or --run, not both")
-    endpoint = endpoint_of(run if hierarchy is None else hierarchy, connect)
-    said = ask(endpoint, {"ask": "record", "pid": 0 if connect else os.getpid()}, keys=keys_of(endpoint))
-    if not isinstance(said, dict) or "refusal" in said:
-        raise CommandError(f"the launch at {endpoint} cannot be recorded: {said}")
-    info = RunInfo.read(said)
-    recording = LiveRecording(info, endpoint, output, check=False, host=host, epochs=epochs, watches=True)
-    for number in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(number, lambda *_: recording.stop())
-    print(f"hierax: recording {info.hierarchy}, run {info.run}; Ctrl-C ends it", file=sys.stderr, flush=True)
-    ending = recording.record()
+    selection = selection_of(exclude, max_size, max_duration)
+    with claimed_file(output, overwrite) as target:
+        endpoint = endpoint_of(run if hierarchy is None else hierarchy, connect)
+        said = ask(endpoint, {"ask": "record", "pid": 0 if connect else os.getpid()}, keys=keys_of(endpoint))
+        if not isinstance(said, dict) or "refusal" in said:
+            raise CommandError(f"the launch at {endpoint} cannot be recorded: {said}")
+        info = RunInfo.read(said)
+        recording = LiveRecording(
+            info, endpoint, target, check=False, host=host, epochs=epochs, watches=True, selection=selection
+        )
+        for number in (signal.SIGINT, signal.SIGTERM):
+            signal.signal(number, lambda *_: recording.stop())
+        print(f"hierax: recording {info.hierarchy}, run {info.run}; Ctrl-C ends it", file=sys.stderr, flush=True)
+        ending = recording.record()
     if output_format is Format.json:
         print_json({"file": str(output), "hierarchy": info.hierarchy, "run": info.run, **ending.plain()})
     else:

@@ -4,18 +4,21 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Sequence
+from contextlib import AbstractContextManager, nullcontext
 from enum import Enum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from hierax.runtime.commands.errors import FAILED, OK
+from hierax.runtime.commands.errors import FAILED, OK, CommandError
 
 if TYPE_CHECKING:
     from hierax.runtime.recording.diff import Comparison
     from hierax.runtime.recording.info import Ending
     from hierax.runtime.recording.reading import Recording
+    from hierax.runtime.recording.selection import Selection
+    from hierax.runtime.recording.writing import Target
 
 SHOWN = 10
 """How many gaps or violations are listed."""
@@ -49,9 +52,72 @@ RecordFile = Annotated[
         dir_okay=False,
     ),
 ]
+Exclude = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--exclude",
+        metavar="KEY-PATTERN",
+        help="Leave out of the recording what comes on such keys: KIND/FROM/TO or steps/NODE, with * for any, as in "
+        "obs/camera/*. May be given several times.",
+        show_default=False,
+    ),
+]
+MaxSize = Annotated[
+    str | None,
+    typer.Option(
+        "--max-size",
+        metavar="SIZE",
+        help="End the recording with the last whole epoch before it is larger, such as 500MB; the run goes on.",
+        show_default=False,
+    ),
+]
+MaxDuration = Annotated[
+    str | None,
+    typer.Option(
+        "--max-duration",
+        metavar="TIME",
+        help="End the recording after this time, such as 90s, 15m or 2h; the run goes on.",
+        show_default=False,
+    ),
+]
 Check = Annotated[
     bool, typer.Option("--check", help="Check the formal order while it runs. Exit code 1 where it is broken.")
 ]
+
+
+def claimed_file(path: Path | None, overwrite: bool) -> AbstractContextManager[Target | None]:
+    """Have the file of a recording for this process, before anything starts; None where none is wanted.
+
+    Raises:
+        RecordingError: it cannot be written, another process writes it, or there is something that is not replaced.
+    """
+    if path is None:
+        return nullcontext()
+    from hierax.runtime.recording.writing import claimed, require_mcap
+
+    require_mcap()
+    return claimed(path, overwrite)
+
+
+def selection_of(
+    exclude: Sequence[str] | None, max_size: str | None, max_duration: str | None, is_recorded: bool = True
+) -> Selection:
+    """What is recorded, by the options.
+
+    Raises:
+        HieraxError: one is wrong, or nothing is recorded at all.
+    """
+    from hierax.runtime.recording.selection import Selection, check_pattern, read_duration, read_size
+
+    given = {"--exclude": exclude, "--max-size": max_size, "--max-duration": max_duration}
+    alone = next((name for name, value in given.items() if value and not is_recorded), None)
+    if alone is not None:
+        raise CommandError(f"{alone}: only with --record, of which it leaves something out")
+    return Selection(
+        tuple(check_pattern(each) for each in exclude or ()),
+        None if max_size is None else read_size(max_size),
+        None if max_duration is None else read_duration(max_duration),
+    )
 
 
 class WorldMode(str, Enum):
@@ -77,6 +143,11 @@ def tell_ending(file: Path, ending: Ending) -> int:
     Returns:
         The exit code: 1 where it lacks something.
     """
+    for pattern, count in ending.left_out.items():
+        if not count:
+            print(f"hierax: --exclude {pattern}: nothing came on such a key", file=sys.stderr, flush=True)
+    if ending.cut:
+        print(f"hierax: {file}: it ends with epoch {ending.last} ({ending.cut})", file=sys.stderr, flush=True)
     for gap in ending.cut_short[:SHOWN]:
         print(f"hierax: cut short by its sender's death: {gap}", file=sys.stderr, flush=True)
     if not ending.lost:

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from hierax.runtime.commands.errors import FAILED, OK, CommandError
-from hierax.runtime.commands.options import Format, OutputFormat, Settings
+from hierax.runtime.commands.options import Format, OutputFormat, Settings, Trust
 from hierax.runtime.commands.recordings import (
     First,
     Last,
@@ -64,6 +64,7 @@ def replay(
         ),
     ] = False,
     tolerance: Tolerance = 0.0,
+    trust: Trust = False,
     output_format: OutputFormat = Format.text,
 ) -> int:
     """Do a recording again, in this process: whole, from an epoch on, or one node on its recorded inputs."""
@@ -81,6 +82,7 @@ def replay(
 
     recording = recording_of(file)
     info = recording.info
+    allowance = allowance_of(recording, trust)
     extend_import_path(tuple(info.import_paths))
     replaced = _classes(classes or ())
     if replaced:
@@ -92,7 +94,7 @@ def replay(
         named += recorded_deployment(info, settings).modules
     replaying = Replay(
         recording,
-        allowance_of(recording).with_modules(named),
+        allowance.with_modules(named),
         node=node,
         world=world is WorldMode.again,
         rewrite=other_settings(info, settings or (), replaced),

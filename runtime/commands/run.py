@@ -7,8 +7,18 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from hierax.runtime.commands.options import Epochs, File, Format, Output, OutputFormat, Seed, Settings
-from hierax.runtime.commands.recordings import Check, RecordFile, tell_ending, tell_violations
+from hierax.runtime.commands.options import Epochs, File, Format, Output, OutputFormat, Overwrite, Seed, Settings
+from hierax.runtime.commands.recordings import (
+    Check,
+    Exclude,
+    MaxDuration,
+    MaxSize,
+    RecordFile,
+    claimed_file,
+    selection_of,
+    tell_ending,
+    tell_violations,
+)
 
 if TYPE_CHECKING:
     from hierax.runtime.deployment import Deployment
@@ -36,6 +46,10 @@ def run(
     output: Output = None,
     record: RecordFile = None,
     check: Check = False,
+    exclude: Exclude = None,
+    max_size: MaxSize = None,
+    max_duration: MaxDuration = None,
+    overwrite: Overwrite = False,
 ) -> int:
     """Run a deployment in this process: the deterministic mode."""
     from hierax.runtime import single
@@ -44,12 +58,13 @@ def run(
     from hierax.runtime.deployment.schedule import read_schedule
     from hierax.runtime.recording.in_process import InProcess
 
+    selection = selection_of(exclude, max_size, max_duration, record is not None)
     taking: list[InProcess] = []
 
     def run_scheduled(deployment: Deployment, **options: Any) -> Report:
         schedule = read_schedule(at or (), deployment)
         if record is not None or check:
-            taking.append(InProcess(deployment, seed, settings or (), record, check))
+            taking.append(InProcess(deployment, seed, settings or (), target, check, selection))
         try:
             recording = taking[0] if taking else None
             return single.run(
@@ -64,9 +79,17 @@ def run(
             for each in taking:
                 each.finish()
 
-    code = run_deployment(
-        run_scheduled, file, settings or (), epochs=epochs, seed=seed, output=output, output_format=output_format
-    )
+    with claimed_file(record, overwrite) as target:
+        code = run_deployment(
+            run_scheduled,
+            file,
+            settings or (),
+            epochs=epochs,
+            seed=seed,
+            output=output,
+            output_format=output_format,
+            overwrite=overwrite,
+        )
     return max([code, *(_tell(each, record) for each in taking)])
 
 

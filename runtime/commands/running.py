@@ -5,20 +5,22 @@ from __future__ import annotations
 import json
 import sys
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager, redirect_stdout
+from contextlib import contextmanager, nullcontext, redirect_stdout
 from pathlib import Path
 from typing import Any
 
-from hierax.runtime.commands.errors import INTERRUPTED, OK, CommandError, interrupted
+from hierax.runtime.breaker import called
+from hierax.runtime.commands.entry import INTERRUPTED
+from hierax.runtime.commands.errors import OK, CommandError, interrupted
 from hierax.runtime.commands.options import Format
 from hierax.runtime.commands.show import print_json, print_report
 from hierax.runtime.core.errors import HieraxError
 from hierax.runtime.deployment.read import read_deployment
+from hierax.runtime.files import SUMMARY, claimed_output
 from hierax.runtime.loading import extend_import_path
+from hierax.runtime.private_files import write_result
 from hierax.runtime.report import Interrupted, Report
-
-SUMMARY = "summary.json"
-"""The report as JSON, in the output folder."""
+from hierax.runtime.watch.prints import named_lines
 
 Runner = Callable[..., Report]
 """`hierax.runtime.single.run` or `hierax.runtime.launch.supervisor.launch`."""
@@ -33,8 +35,16 @@ def run_deployment(
     seed: int,
     output: Path | None,
     output_format: Format,
+    overwrite: bool = False,
+    goes_on: bool = False,
 ) -> int:
     """Read a deployment, run it, print its report.
+
+    Args:
+        runner: does it.
+        file, settings, epochs, seed, output, output_format: as the command line has them.
+        overwrite: whether what another run has left in the output folder is replaced.
+        goes_on: whether the run that is there is resumed.
 
     Returns:
         The exit code: 0, or 130 where a signal has broken the run off; its report is printed and kept all the same.
@@ -44,23 +54,22 @@ def run_deployment(
     """
     deployment = read_deployment(file, settings)
     extend_import_path(deployment.import_paths)
-    if output is not None:
-        _make_folder(output)
     limit = deployment.epochs if epochs is None else epochs
     code = OK
-    try:
-        # what a node prints must not mix with the report
-        with _progress(deployment.name, limit) as progress, redirect_stdout(sys.stderr):
-            report = runner(deployment, epochs=limit, seed=seed, output=output, progress=progress)
-    except Interrupted as broken:
-        report, code = broken.report, INTERRUPTED
-    except HieraxError as error:
-        explained = deployment.explain(error)
-        if explained is error:
-            raise
-        raise explained from error
-    if output is not None:
-        _write_summary(output / SUMMARY, report)
+    with nullcontext() if output is None else claimed_output(output, overwrite, goes_on):
+        try:
+            # what a node prints must not mix with the report
+            with _progress(deployment.name, limit) as progress, redirect_stdout(named_lines(sys.stderr, _who)):
+                report = runner(deployment, epochs=limit, seed=seed, output=output, progress=progress)
+        except Interrupted as broken:
+            report, code = broken.report, INTERRUPTED
+        except HieraxError as error:
+            explained = deployment.explain(error)
+            if explained is error:
+                raise
+            raise explained from error
+        if output is not None:
+            _write_summary(output / SUMMARY, report)
     if output_format is Format.json:
         print_json(report.plain())
     else:
@@ -72,17 +81,16 @@ def run_deployment(
     return code
 
 
-def _make_folder(output: Path) -> None:
-    try:
-        output.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise CommandError(f"--output {output}: the folder cannot be made: {error.strerror or error}") from error
+def _who() -> str:
+    """The node that prints."""
+    return called(sys._getframe())
 
 
 def _write_summary(path: Path, report: Report) -> None:
     start: dict[str, Any] = {} if report.start_s is None else {"start_s": report.start_s}
     try:
-        path.write_text(json.dumps({**report.plain(), **start}, indent=2, allow_nan=False) + "\n", encoding="utf-8")
+        text = json.dumps({**report.plain(), **start}, indent=2, allow_nan=False)
+        write_result(path, text.encode() + b"\n")
     except OSError as error:
         raise CommandError(f"{path}: cannot be written: {error.strerror or error}") from error
 

@@ -9,7 +9,7 @@ from hierax.runtime.commands.options import File, Format, OutputFormat, Settings
 
 
 def validate(file: File, settings: Settings = None, output_format: OutputFormat = Format.text) -> int:
-    """Check a deployment file: read it, load its nodes and edges, and see that they form a hierarchy."""
+    """Check a deployment file: read it, import and make what it names, and see that that forms a hierarchy."""
     from hierax.runtime.commands.show import print_json
     from hierax.runtime.core.binding import Setting
     from hierax.runtime.core.errors import HieraxError

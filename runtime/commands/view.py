@@ -10,8 +10,9 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from hierax.runtime.commands.changes import DeploymentFile
 from hierax.runtime.commands.errors import CommandError
-from hierax.runtime.commands.options import Epochs, Seed, Settings
+from hierax.runtime.commands.options import Epochs, Overwrite, Seed, Settings, Trust
 from hierax.runtime.commands.which import Connect, Run
 
 if TYPE_CHECKING:
@@ -64,28 +65,31 @@ def view(
             show_default=False,
         ),
     ] = None,
+    deployment_file: DeploymentFile = None,
+    trust: Trust = False,
     opens: Annotated[bool, typer.Option("--open", help="Open the page in a browser.")] = False,
     memory: Annotated[
         str,
         typer.Option("--memory", metavar="SIZE", help="How much the viewer keeps; what is older is dropped."),
     ] = "1GiB",
+    overwrite: Overwrite = False,
 ) -> int:
     """See what the nodes believe: of a launch that runs, a recording, or a run in this process."""
     _require_rerun()
     if native and save is not None:
         raise CommandError("--native and --save: give one of them")
-    if source is not None and (run is not None or connect is not None):
+    if source is not None and not (run is connect is deployment_file is None):
         raise CommandError("give a file, or say which launch is meant: not both")
     if source is None:
-        deployment, hierarchy, show = _of_launch(run, connect)
+        deployment, hierarchy, show = _of_launch(run, connect, deployment_file, trust)
     elif source.endswith(RECORDING_SUFFIX):
-        deployment, hierarchy, show = _of_recording(Path(source), first, last)
+        deployment, hierarchy, show = _of_recording(Path(source), first, last, trust)
     else:
         deployment, hierarchy, show = _of_deployment(source, settings, epochs, seed)
     from hierax.runtime.viewing.viewer import stream_of
 
     stream = stream_of(hierarchy)
-    with _viewer(stream, native, save, port, memory, opens) as place:
+    with _viewer(stream, native, save, port, memory, opens, overwrite) as place:
         _say(f"seen at {place.name}")
         endless = source is None
         try:
@@ -119,15 +123,16 @@ def _of_deployment(source: str, settings: Settings, epochs: int | None, seed: in
     return deployment, deployment.name, show
 
 
-def _of_recording(file: Path, first: int, last: int | None) -> Source:
+def _of_recording(file: Path, first: int, last: int | None, trust: bool) -> Source:
     from hierax.runtime.recording.deployments import allowance_of, recorded_deployment
     from hierax.runtime.recording.reading import Recording
     from hierax.runtime.viewing.recorded import show_recording
 
     recording = Recording.open(file)
+    allowance = allowance_of(recording, trust)
 
     def show(exhibit: Exhibit) -> None:
-        if not show_recording(recording, exhibit, allowance_of(recording), first, last):
+        if not show_recording(recording, exhibit, allowance, first, last):
             raise CommandError(f"{file}: there is no committed epoch in it from {first} to {last or 'its end'}")
         if recording.loss:
             _say(f"{file}: {recording.loss}")
@@ -135,11 +140,12 @@ def _of_recording(file: Path, first: int, last: int | None) -> Source:
     return recorded_deployment(recording.info), recording.info.hierarchy, show
 
 
-def _of_launch(run: str | None, connect: str | None) -> Source:
-    from hierax.runtime.allowance import Allowance
+def _of_launch(run: str | None, connect: str | None, file: str | None, trust: bool) -> Source:
+    from hierax.runtime.allowance import ANYTHING
     from hierax.runtime.commands.which import endpoint_of, keys_of
     from hierax.runtime.core.errors import HieraxError
     from hierax.runtime.deployment.read import read_deployment
+    from hierax.runtime.deployment.secrets import usable
     from hierax.runtime.launch.run_file import known_runs
     from hierax.runtime.transport.window import Glass
     from hierax.runtime.viewing.live import show_launch
@@ -148,12 +154,21 @@ def _of_launch(run: str | None, connect: str | None) -> Source:
     running = next((each for each in known_runs() if each.endpoint == endpoint), None)
     deployment: Deployment | None = None
     try:
-        deployment = None if running is None else read_deployment(running.deployment, running.settings)
+        if running is not None:
+            deployment = read_deployment(file or running.deployment, usable(running.settings))
+        elif file is not None:
+            deployment = read_deployment(file)
     except HieraxError as error:
         _say(f"the layout is not that of the deployment, whose file cannot be read any more: {error}")
 
+    if deployment is None and not trust:
+        raise CommandError(
+            "no more is known of that launch than it says itself: give its deployment file by --deployment, as what "
+            "is loaded here is what that file names; or --trust, to load whatever the launch names"
+        )
+    allowance = ANYTHING if deployment is None or trust else deployment.allowance
+
     def show(exhibit: Exhibit) -> None:
-        allowance = Allowance(()) if deployment is None else deployment.allowance
         with Glass(endpoint, keys=keys_of(endpoint)) as glass, redirect_stdout(sys.stderr):
             show_launch(glass, exhibit, allowance)
 
@@ -182,12 +197,12 @@ def _require_rerun() -> None:
 
 
 def _viewer(
-    stream: Stream, native: bool, save: Path | None, port: int | None, memory: str, opens: bool
+    stream: Stream, native: bool, save: Path | None, port: int | None, memory: str, opens: bool, overwrite: bool
 ) -> AbstractContextManager[Place]:
     from hierax.runtime.viewing.viewer import file, web_viewer, window
 
     if save is not None:
-        return file(stream, save)
+        return file(stream, save, overwrite)
     return window(stream, memory) if native else web_viewer(stream, port, memory, opens)
 
 

@@ -187,6 +187,13 @@ class Engine:
         self._outlet.rewired(version)
         self._prepared = {later: wiring for later, wiring in self._prepared.items() if later > version}
 
+    def say_again(self, neighbour: str) -> None:
+        """Send once more whatever a neighbour may still need: the link to it broke, and what was under way is lost.
+
+        In epochs that end all at once that is what it was sent of the epoch's attempt: nobody goes on without it.
+        """
+        self.resend((neighbour,))
+
     def resend(self, receivers: Sequence[str]) -> None:
         """Send once more what these neighbours were sent of the epoch's attempt."""
         for receiver, kind in sorted(self._sent):

@@ -117,6 +117,7 @@ class LooseEngine(Engine):
         self.drains = False
         self.ages = Ages()
         self.used: dict[Slot, tuple[int, int]] = {}
+        self._sent_in: dict[int, dict[Slot, Message]] = {}
         if staleness.free:
             self._epochs_ahead = inf  # nobody waits for a node that is slow
         super().__init__(wiring, outlet, saved=saved, joins=joins, events=events)
@@ -168,6 +169,16 @@ class LooseEngine(Engine):
         self._is_rewired = True
         self._above.clear()
         self._below.clear()
+        self._sent_in.clear()
+        self._sent.clear()
+
+    def say_again(self, neighbour: str) -> None:
+        """Also of earlier epochs, in their order: a neighbour above may be as many behind as inputs may be old."""
+        for epoch in sorted(self._sent_in):
+            for receiver, kind in sorted(self._sent_in[epoch]):
+                if receiver == neighbour:
+                    self._outlet.send(self._sent_in[epoch][receiver, kind])
+        super().say_again(neighbour)
 
     def _keep(self, message: Message) -> None:
         """An input from above: kept as long as it may be wanted."""
@@ -221,7 +232,9 @@ class LooseEngine(Engine):
 
     def _moves_on(self, epoch: int) -> bool:
         # where a process was lost, epochs may have gone on without this node
-        return (self.phase is Phase.DONE or self._is_rewired) and epoch > self.epoch
+        if self._is_rewired:
+            return epoch > self.epoch
+        return super()._moves_on(epoch)
 
     def _takes_up(self, header: Header) -> bool:
         # in the middle of an epoch, too: what it waits for may have been lost with a process
@@ -236,8 +249,17 @@ class LooseEngine(Engine):
         if not self._joins:
             is_unfinished = self.phase is not Phase.DONE
             self.ages.left_out += epoch - self.epoch - 1 + is_unfinished
+        self._remember()
         self._settle(epoch)
         super()._turn(epoch, attempt)
+
+    def _remember(self) -> None:
+        """Keep what was said in the epoch that is left behind for as long as somebody may be in it."""
+        if self._staleness.epochs:
+            self._sent_in[self.epoch] = dict(self._sent)
+            self._sent_in = {
+                epoch: sent for epoch, sent in self._sent_in.items() if epoch > self.epoch - self._staleness.epochs
+            }
 
     def _undo(self, attempt: int) -> None:
         self._settle(self.epoch)

@@ -95,9 +95,7 @@ def _preload(module: str) -> None:
 
 
 def _slots(order: NodeOrder) -> Slots:
-    path = Path(order.checkpoint)
-    path.parent.mkdir(parents=True, exist_ok=True)
-    return Slots(MappedFile(path, order.durability))
+    return Slots(MappedFile(Path(order.checkpoint), order.durability))
 
 
 class _Commits:

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import signal
+import tempfile
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
+from pathlib import Path
 from secrets import token_hex
 
 import anyio
@@ -14,6 +16,7 @@ import anyio.to_thread
 from hierax.runtime.core.errors import HieraxError
 from hierax.runtime.deployment.deployment import RestartPolicy
 from hierax.runtime.launch.child import END_TIMEOUT_S, Child, Restarts, start_child
+from hierax.runtime.launch.here import Here, read_orders
 from hierax.runtime.launch.pipe import COME_BACK, Frames, NodeOrder
 from hierax.runtime.transport.hub import ask, is_gone
 from hierax.runtime.transport.port import TransportError
@@ -29,8 +32,9 @@ SETTLE_S = 0.5
 
 
 def keep(
-    orders: Sequence[Value],
-    import_paths: Sequence[str],
+    orders: Value,
+    request: str,
+    here: Here,
     policies: Mapping[str, RestartPolicy],
     told: Callable[[], None],
     say: Callable[[str], None],
@@ -38,8 +42,9 @@ def keep(
     """Start processes and keep them until they are dismissed, or until Ctrl-C.
 
     Args:
-        orders: what they are started with, as values.
-        import_paths: where the deployment's own modules are looked for on this machine.
+        orders: what they are started with, as the launch has answered.
+        request: the change that was asked for, as the launch calls it.
+        here: what is decided on this machine.
         policies: by node, what is done when its process ends.
         told: waits until the launch has answered, and tells it; in a thread of its own.
         say: tells people what happens.
@@ -48,12 +53,13 @@ def keep(
         The exit code: 0 when all were dismissed or the user ended them.
 
     Raises:
-        HieraxError: a process cannot go on, or the change was refused.
+        HieraxError: a process cannot go on, the change was refused, or the orders are not what was asked for.
     """
     keeper = _LocalKeeper(policies, say)
-    read = [replace(NodeOrder.read(order), import_paths=tuple(import_paths)) for order in orders]
     try:
-        return anyio.run(keeper.run, read, told)
+        # nobody else knows the folder's name before it is there
+        with tempfile.TemporaryDirectory(prefix="hierax-", ignore_cleanup_errors=True) as folder:
+            return anyio.run(keeper.run, read_orders(orders, request, here, Path(folder)), told)
     finally:
         remove_orphaned_segments()
 

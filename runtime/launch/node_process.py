@@ -24,6 +24,7 @@ from hierax.runtime.launch.life import NodeLife
 from hierax.runtime.launch.pipe import FINISH, STOP, Frames, NodeOrder, epoch_of_leave
 from hierax.runtime.streams import own_output
 from hierax.runtime.watch.logs import QUIET, log_console, log_node, tell_left_out
+from hierax.runtime.watch.prints import name_prints
 from hierax.schemas.control import decode_control
 from hierax.schemas.values import Value
 
@@ -51,7 +52,7 @@ def main() -> None:
     try:
         code = anyio.run(_main, orders, status)
     except BaseException:
-        traceback.print_exc()
+        traceback.print_exc(file=sys.__stderr__)
         _log.critical("this is a bug, in hierax or in a node", exc_info=True, extra=QUIET)
     finally:
         _exit(code)
@@ -79,6 +80,7 @@ async def _main(orders: int, status: int) -> int:
     order = NodeOrder.read(commands.pop(0))
     life = NodeLife(order, status, _wait_in_event_loop)
     log_node(order.run, order.name, life.when)
+    name_prints(order.name)
     _log.info("process %d of %s: %s", os.getpid(), order.name, order.life)
     code = 0
     async with anyio.create_task_group() as tasks:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import tempfile
 from collections import deque
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
@@ -12,13 +11,14 @@ from hierax.runtime.allowance import module_of
 from hierax.runtime.core.errors import HieraxError
 from hierax.runtime.deployment import Deployment
 from hierax.runtime.deployment.deployment import RestartPolicy
+from hierax.runtime.deployment.secrets import public_settings
 from hierax.runtime.launch.pipe import COME_BACK, TO_REPORT, NodeOrder
 from hierax.runtime.launch.run_file import Run, write_run
 from hierax.runtime.owner.outlet import OwnerSettings
 from hierax.runtime.recording.info import RunInfo
 from hierax.runtime.recovery.disk import MappedFile
 from hierax.runtime.recovery.slots import Slots
-from hierax.runtime.world_member import read_record
+from hierax.runtime.world_member import has_record, read_record
 from hierax.schemas.checkpoint import decode_roster
 from hierax.schemas.roster import Reference, Roster
 
@@ -41,6 +41,7 @@ class Orders:
 
     Attributes:
         hub: endpoint of the supervisor; set when it is known.
+        resumed_after: the last epoch that was committed before the run was resumed.
         recorders: the processes that record the run, or have; 0: one on another machine.
     """
 
@@ -61,9 +62,10 @@ class Orders:
         self.seed = seed
         self.output = output
         self.hub = ""
+        self.resumed_after = 0
         self.recorders: set[int] = set()
         self.host = host
-        self.settings = tuple(settings)
+        self.settings = public_settings(settings, deployment.zenoh)
         self._epochs = epochs
         self._state = state
         self._policies = dict(deployment.restarts)
@@ -149,15 +151,15 @@ class Orders:
         return replace(order, process=token, life=TO_REPORT, request="", roster=roster)
 
     def elsewhere(self, order: NodeOrder, host: str) -> NodeOrder:
-        """The order for a process on another machine.
+        """The order for a process on another machine, which decides itself what touches it (`launch.here`).
 
         Args:
             order: as it would be here.
             host: the other machine's address for this one; empty: it is this machine.
         """
-        folder = Path(tempfile.gettempdir()) / f"hierax-{self.run_id}"
-        checkpoint = str(folder / Path(order.checkpoint).name)
-        return replace(order, host=host, output="", checkpoint=checkpoint, import_paths=(), elsewhere=True)
+        return replace(
+            order, host=host, output="", checkpoint="", import_paths=(), settings=None, probes=(), elsewhere=True
+        )
 
     def policy(self, name: str) -> RestartPolicy:
         """What is done when a node's process ends."""
@@ -177,34 +179,51 @@ class Orders:
             settings=self.settings,
             seed=self.seed,
             epochs=self._epochs,
-            output="" if self.output is None else str(self.output),
+            output="" if self.output is None else str(self.output.absolute()),
             lineages=self._lineages,
             restarts={name: vars(policy) for name, policy in self._policies.items()},
         )
         write_run(self._state, run)
 
     def take_up(self, run: Run) -> None:
-        """Go on with a run that was written down."""
-        self._lineages = dict(run.lineages)
-        self._policies = {name: RestartPolicy(**fields) for name, fields in run.restarts.items()}
-
-    def known_roster(self, resume: bool) -> Roster:
-        """The roster to start with: the deployment's, or that of the record.
+        """Go on with a run that was written down.
 
         Raises:
-            HieraxError: there is no run to resume, or its roster names code that the deployment does not allow.
+            HieraxError: what was written is of another version.
         """
-        roster = self.deployment.roster
-        if not resume:
-            return roster
-        path = self._state / self._lineages.get(roster.world, roster.world)
+        self._lineages = dict(run.lineages)
+        try:
+            self._policies = {name: RestartPolicy(**fields) for name, fields in run.restarts.items()}
+        except TypeError as error:
+            raise HieraxError(f"{self._state}: its restarts are not of this version: {error}") from error
+
+    def known_roster(self) -> Roster:
+        """The roster of the run that is resumed.
+
+        Raises:
+            HieraxError: there is nothing to resume, or its roster names code that the deployment does not allow.
+        """
+        world = self.deployment.roster.world
+        path = self._state / self._lineages.get(world, world)
+        never = f"{self._state}: there is nothing to resume: the run was ended before its first epoch; launch it anew"
         if not Path(f"{path}.0").exists():
-            raise HieraxError(f"{self._state}: there is no run to resume, it has no record of {roster.world!r}")
+            raise HieraxError(never)
         with MappedFile(path, self.deployment.durability) as storage:
-            record, _ = read_record(Slots(storage))
+            slots = Slots(storage)
+            if not has_record(slots):
+                raise HieraxError(never)
+            record, _ = read_record(slots)
+        self.resumed_after = record.epoch - 1
+        if self._epochs is not None and self.resumed_after >= self._epochs:
+            raise HieraxError(f"{self.over}; a greater number of --epochs goes on")
         recorded = decode_roster(record.roster)
         self.deployment.allowance.check_all(recorded)
         return recorded
+
+    @property
+    def over(self) -> str:
+        """Why a run cannot be resumed that has come to its end."""
+        return f"{self._state}: there is nothing to resume: the run is over, it has done {self.resumed_after} epochs"
 
     def _next_fault(self, name: str) -> str:
         left = self._faults.get(name)

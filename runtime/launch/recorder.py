@@ -17,6 +17,8 @@ from hierax.runtime.interpreter import python_module
 from hierax.runtime.launch.child import END_TIMEOUT_S
 from hierax.runtime.recording.info import Ending, RunInfo
 from hierax.runtime.recording.process import DONE, FAILED
+from hierax.runtime.recording.selection import EVERYTHING, Selection
+from hierax.runtime.recording.writing import Target
 
 FINISH_TIMEOUT_S = 60.0
 """How long what was heard may take to be on disk, when the run is over."""
@@ -27,18 +29,25 @@ class Wanted:
     """That a launch is recorded, checked or both; and, when it is over, what became of that.
 
     Attributes:
-        file: to be written; None: none.
+        target: to be written; None: nothing.
         check: whether the formal order is checked.
+        selection: what is written of what is said.
         ending: how the recording ended; None: it did not come to its end.
         violations: what the checker has found.
         failure: why there is no whole recording.
     """
 
-    file: Path | None
+    target: Target | None
     check: bool
+    selection: Selection = EVERYTHING
     ending: Ending | None = None
     violations: list[str] = field(default_factory=list)
     failure: str = ""
+
+    @property
+    def file(self) -> Path | None:
+        """Which is written."""
+        return None if self.target is None else self.target.path
 
 
 class RecorderChild:
@@ -70,12 +79,15 @@ class RecorderChild:
             stdout=subprocess.PIPE,
             stderr=None,
             start_new_session=True,
+            pass_fds=() if wanted.target is None else (wanted.target.descriptor,),
         )
         order = {
             "info": info.plain(),
             "endpoint": endpoint,
             "file": "" if wanted.file is None else str(wanted.file),
+            "descriptor": -1 if wanted.target is None else wanted.target.descriptor,
             "check": wanted.check,
+            "selection": wanted.selection.plain(),
             "settings": settings,
             "host": host,
         }

@@ -10,8 +10,20 @@ from pathlib import Path
 from typing import Any
 
 from hierax.runtime.core.errors import HieraxError
+from hierax.runtime.private_files import UnsafeFileError, private_folder, read_private, write_private
+from hierax.runtime.seal import NOT_OURS, STATE, is_sealed, seal_or_warn
+from hierax.runtime.watch.run_folder import runs_folder
 
 _RUN = "run.json"
+_KINDS: Mapping[type, Sequence[str]] = {
+    str: ("deployment", "output"),
+    list: ("settings",),
+    int: ("seed",),
+    dict: ("lineages", "restarts"),
+}
+_TEMPORARY = Path("/tmp")
+_PROBE = ".probe"
+"""Written to see that it can be."""
 
 
 @dataclass(frozen=True)
@@ -20,7 +32,7 @@ class Run:
 
     Attributes:
         deployment: path of the file.
-        settings: with which it was read.
+        settings: with which it was read; of secret ones the paths alone.
         seed: of the run.
         epochs: how many; None: until the world has finished.
         output: folder; empty: none.
@@ -47,7 +59,7 @@ class Running:
         endpoint: where its supervisor is reached.
         pid: of the supervisor.
         deployment: path of the file.
-        settings: with which it was read.
+        settings: with which it was read; of secret ones the paths alone.
     """
 
     run: str
@@ -75,22 +87,47 @@ def write_run(state: Path, run: Run) -> None:
     Raises:
         HieraxError: it cannot be written.
     """
-    _write(state / _RUN, asdict(run))
+    content = asdict(run)
+    _write(state / _RUN, {**content, "seal": seal_or_warn(STATE, content)})
 
 
-def read_run(state: Path) -> Run:
+def read_run(state: Path, trust: bool = False) -> Run:
     """The run whose checkpoints are in a folder.
 
+    Args:
+        state: the folder.
+        trust: whether what it says is run, whoever has written it.
+
     Raises:
-        HieraxError: there is none.
+        HieraxError: there is none, or others may have written it; or it is not known to be this user's own, and not
+            trusted.
     """
     path = state / _RUN
     try:
-        return Run(**json.loads(path.read_text(encoding="utf-8")))
+        content = json.loads(read_private(path))
+        given = content.pop("seal", "")
+        if not trust and not (isinstance(given, str) and is_sealed(STATE, content, given)):
+            raise HieraxError(f"{path}: {NOT_OURS}")
+        return _run(content)
     except FileNotFoundError as error:
         raise HieraxError(f"{state}: there is no run to resume: {_RUN} is missing") from error
-    except (OSError, ValueError, TypeError) as error:
-        raise HieraxError(f"{path}: expected what a launch with --state wrote: {error}") from error
+    except (OSError, ValueError, TypeError, AttributeError, RecursionError) as error:
+        raise HieraxError(f"{path}: expected what a launch of this version with --state wrote: {error}") from error
+
+
+def make_state(state: Path) -> None:
+    """Make a folder for checkpoints, or see that one is fit for them.
+
+    Raises:
+        HieraxError: it cannot be made or written, or others may write there.
+    """
+    try:
+        write_private(state / _PROBE, b"")
+        (state / _PROBE).unlink()
+    except OSError as error:
+        raise HieraxError(f"--state {state}: it cannot be written: {error.strerror or error}") from error
+    except UnsafeFileError as error:
+        raise HieraxError(f"--state {error}") from error
 
 
 def register(running: Running) -> Path:
@@ -99,43 +136,78 @@ def register(running: Running) -> Path:
     Raises:
         HieraxError: it cannot be written.
     """
-    path = _folder() / f"{running.run}.json"
+    path = _fit_folder() / f"{running.run}.json"
     _write(path, asdict(running))
     return path
 
 
 def known_runs() -> list[Running]:
     """The launches that run on this machine; what dead ones left behind is removed."""
-    found = []
-    for path in sorted(_folder().glob("*.json")):
-        try:
-            running = Running(**json.loads(path.read_text(encoding="utf-8")))
-        except (OSError, ValueError, TypeError):
-            continue  # being written, removed, or of another version
-        if running.alive:
-            found.append(running)
-        else:
-            path.unlink(missing_ok=True)
-    return found
+    _fit_folder()
+    found = {}
+    for folder in _folders():
+        for path in sorted(folder.glob("*.json")):
+            try:
+                running = Running(**json.loads(read_private(path)))
+                is_alive = running.alive
+            except (OSError, ValueError, TypeError, UnsafeFileError, RecursionError):
+                continue  # being written or removed, of another version, or another user's
+            if is_alive:
+                found[running.run] = running
+            else:
+                path.unlink(missing_ok=True)
+    return [found[run] for run in sorted(found)]
 
 
-def _folder() -> Path:
-    """Where runs are found: a folder of this user's alone."""
-    base = os.environ.get("XDG_RUNTIME_DIR") or f"/tmp/hierax-{os.getuid()}"
-    folder = Path(base) / "hierax"
+def _folders() -> list[Path]:
+    """Where runs may be found. In the system's temporary folder, anybody may have taken the name."""
+    given = os.environ.get("XDG_RUNTIME_DIR")
+    if given:
+        return [Path(given) / "hierax"]
+    return [_TEMPORARY / f"hierax-{os.getuid()}" / "hierax", runs_folder().parent / "running"]
+
+
+def _fit_folder() -> Path:
+    """The first of them that is this user's alone.
+
+    Raises:
+        HieraxError: none is.
+    """
+    unfit = []
+    for folder in _folders():
+        why = _unfit(folder)
+        if not why:
+            return folder
+        unfit.append(why)
+    raise HieraxError(unfit[-1])
+
+
+def _unfit(folder: Path) -> str:
+    """Why runs cannot be registered there; empty: they can."""
     try:
-        folder.mkdir(mode=0o700, parents=True, exist_ok=True)
-        if folder.stat().st_uid != os.getuid():
-            raise HieraxError(f"{folder} belongs to another user; set XDG_RUNTIME_DIR to a folder of your own")
+        with private_folder(folder, make=True):
+            return ""
+    except UnsafeFileError as error:
+        return f"{error}; set XDG_RUNTIME_DIR to a folder of your own"
     except OSError as error:
-        raise HieraxError(f"{folder}: the folder of runs cannot be made: {error.strerror or error}") from error
-    return folder
+        return f"{folder}: the folder of runs cannot be made: {error.strerror or error}"
+
+
+def _run(content: Any) -> Run:
+    run = Run(**content)
+    for kind, names in _KINDS.items():
+        for name in names:
+            if not isinstance(getattr(run, name), kind):
+                raise TypeError(f"{name}: expected a {kind.__name__}, got {getattr(run, name)!r:.40}")
+    if not all(isinstance(name, str) and name == os.path.basename(name) for name in run.lineages.values()):
+        raise TypeError(f"lineages: expected names of files, got {run.lineages!r:.80}")
+    if run.epochs is not None and not isinstance(run.epochs, int):
+        raise TypeError(f"epochs: expected a number, got {run.epochs!r:.40}")
+    return run
 
 
 def _write(path: Path, content: Mapping[str, Any]) -> None:
-    temporary = path.with_suffix(f".{os.getpid()}.tmp")
     try:
-        temporary.write_text(json.dumps(content, indent=2) + "\n", encoding="utf-8")
-        os.replace(temporary, path)
+        write_private(path, json.dumps(content, indent=2).encode() + b"\n")
     except OSError as error:
         raise HieraxError(f"{path}: cannot be written: {error.strerror or error}") from error

@@ -16,6 +16,7 @@ import anyio.abc
 
 from hierax.runtime.breaker import ending_signals, leave_at_once
 from hierax.runtime.core.digest import NO_DIGEST
+from hierax.runtime.core.errors import HieraxError
 from hierax.runtime.deployment import Deployment
 from hierax.runtime.files import write_roster
 from hierax.runtime.launch.child import END_TIMEOUT_S, Child, NodeFailedError
@@ -28,12 +29,13 @@ from hierax.runtime.launch.pipe import (
     STOP,
 )
 from hierax.runtime.launch.recorder import RecorderChild, Wanted
-from hierax.runtime.launch.run_file import Run, Running, register
+from hierax.runtime.launch.run_file import Run, Running, make_state, register
 from hierax.runtime.report import Interrupted, NodeReport, Report, make_report
 from hierax.runtime.transport.hub import Hub
-from hierax.runtime.transport.zenoh_session import remove_orphaned_segments
+from hierax.runtime.transport.zenoh_session import remove_orphaned_segments, shared_memory_fault
 from hierax.runtime.watch.logs import begin_log
 from hierax.schemas.keys import Keys
+from hierax.schemas.roster import Roster
 from hierax.schemas.values import Value
 
 REPORT_TIMEOUT_S = 60.0
@@ -83,21 +85,22 @@ def launch(
         Interrupted: broken off by SIGINT, SIGTERM or SIGHUP; all processes are gone.
         KeyboardInterrupt: likewise, before all nodes were up.
     """
-    if output is not None and run is None:
-        write_roster(output, deployment.roster)
     with ExitStack() as stack:
         stack.callback(remove_orphaned_segments)
         if state is None:
             state = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="hierax-")))
-        state.mkdir(parents=True, exist_ok=True)
+        make_state(state)
+        if output is not None and run is None:
+            write_roster(output, deployment.roster)
         limit = deployment.epochs if epochs is None else epochs
         run_id = token_hex(4)
         orders = Orders(deployment, run_id, seed, limit, output, state, host, settings, faults)
         if run is not None:
             orders.take_up(run)
+        roster = deployment.roster if run is None else orders.known_roster()
         orders.keep()
         supervisor = Supervisor(
-            deployment, orders, Keys(deployment.name, run_id), tell or _say_nothing, run is not None, record
+            deployment, roster, orders, Keys(deployment.name, run_id), tell or _say_nothing, run is not None, record
         )
         try:
             report = anyio.run(supervisor.run, progress)
@@ -119,6 +122,7 @@ class Supervisor:
     def __init__(
         self,
         deployment: Deployment,
+        roster: Roster,
         orders: Orders,
         keys: Keys,
         tell: Callable[[str], None],
@@ -126,6 +130,7 @@ class Supervisor:
         record: Wanted | None = None,
     ) -> None:
         self._deployment = deployment
+        self._roster = roster
         self._orders = orders
         self._keys = keys
         self._tell = tell
@@ -143,6 +148,9 @@ class Supervisor:
     async def run(self, progress: Callable[[int], None] | None) -> Report:
         """The whole launch."""
         begun = time.perf_counter()
+        fault = shared_memory_fault()
+        if fault:
+            self._say(f"no shared memory, large messages are copied: {fault}")
         hub = Hub(self._keys, self._deployment.zenoh, progress, self._orders.host)
         self._hub = hub
         self._orders.hub = hub.endpoint
@@ -209,7 +217,7 @@ class Supervisor:
         return int(said[0]["run"][0]) if said else None
 
     async def _start_all(self) -> None:
-        roster = self._orders.known_roster(self._resume)
+        roster = self._roster
         life = COME_BACK if self._resume else BEGIN
         tokens = {name: token_hex(8) for name in roster.nodes}
         self._keeping.members = tokens
@@ -237,6 +245,9 @@ class Supervisor:
     async def _collect(self) -> None:
         """Have every process report and end."""
         self._keeping.finished.set()
+        if self._resume and self._roster.world not in {child.name for child in self._keeping.present}:
+            self._break(HieraxError(self._orders.over))  # the world had finished before
+            return
         async with self._unless_broken():
             with anyio.move_on_after(REPORT_TIMEOUT_S):
                 # the world last: then it has all that the others have sent, and may find that something was forged

@@ -7,13 +7,15 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
-from hierax.runtime.allowance import Allowance
+from hierax.runtime.allowance import ANYTHING, Allowance
 from hierax.runtime.deployment import Deployment
 from hierax.runtime.deployment.read import read_deployment
+from hierax.runtime.deployment.secrets import usable
 from hierax.runtime.nearest import did_you_mean
 from hierax.runtime.recording.info import RecordingError, RunInfo
 from hierax.runtime.recording.reading import Recording
 from hierax.runtime.recording.replay import Rewrite, rewriting
+from hierax.runtime.seal import NOT_OURS
 from hierax.schemas.roster import Reference, Roster
 
 
@@ -34,13 +36,25 @@ def recorded_deployment(info: RunInfo, settings: Sequence[str] = ()) -> Deployme
         except OSError as error:  # a name that no file can have
             raise RecordingError(f"its deployment file cannot be written: {error.strerror or error}") from error
         # a file that the deployment names beside it is not here, and not needed
-        deployment = read_deployment(path, ["zenoh=null", *info.settings, *settings])
+        deployment = read_deployment(path, ["zenoh=null", *usable(info.settings), *settings])
     return replace(deployment, path=Path(info.deployment), import_paths=tuple(info.import_paths))
 
 
-def allowance_of(recording: Recording) -> Allowance:
-    """Which code may be loaded to do a recording again."""
-    return Allowance.of(recording.rosters().values())
+def allowance_of(recording: Recording, trust: bool = False) -> Allowance:
+    """Which code may be loaded to do a recording again.
+
+    Args:
+        recording: open.
+        trust: whether that is all that it names, whoever has written it.
+
+    Raises:
+        RecordingError: it is not known to be this user's own, and not trusted.
+    """
+    if trust:
+        return ANYTHING
+    if not recording.info.is_ours:
+        raise RecordingError(f"{recording.path}: {NOT_OURS}")
+    return Allowance(tuple(recording.info.modules))
 
 
 def other_settings(info: RunInfo, settings: Sequence[str], classes: Mapping[str, str]) -> Rewrite | None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from pathlib import Path
 from secrets import token_hex
 
@@ -11,8 +12,9 @@ from hierax.runtime.deployment import Deployment
 from hierax.runtime.recording.check import Checker
 from hierax.runtime.recording.info import Ending, RunInfo
 from hierax.runtime.recording.recorder import Recorder
+from hierax.runtime.recording.selection import EVERYTHING, Selection
 from hierax.runtime.recording.witness import Witness
-from hierax.runtime.recording.writing import McapFile
+from hierax.runtime.recording.writing import McapFile, Target
 from hierax.runtime.runner import NodeRunner
 from hierax.runtime.transport.recording import Heard
 from hierax.schemas.keys import Keys
@@ -30,6 +32,7 @@ class InProcess:
         settings: with which the deployment was read.
         file: to be written; None: none.
         check: whether the formal order is checked.
+        selection: what is written of what is said.
 
     Attributes:
         checker: what checks it; None: nothing.
@@ -40,15 +43,25 @@ class InProcess:
     """
 
     def __init__(
-        self, deployment: Deployment, seed: int, settings: Sequence[str], file: Path | None, check: bool = False
+        self,
+        deployment: Deployment,
+        seed: int,
+        settings: Sequence[str],
+        file: Path | Target | None,
+        check: bool = False,
+        selection: Selection = EVERYTHING,
     ) -> None:
         run = token_hex(4)
         info = RunInfo.of(deployment, run, "run", seed, settings, from_start=True)
+        info = replace(info, left_out=tuple(selection.exclude))
         self.checker = Checker(deployment.staleness) if check else None
         self.ending: Ending | None = None
         written = None if file is None else McapFile(file, info)
         self._recorder = Recorder(
-            written, () if self.checker is None else (self.checker,), barrier=deployment.staleness.barrier
+            written,
+            () if self.checker is None else (self.checker,),
+            barrier=deployment.staleness.barrier,
+            selection=selection,
         )
         self._keys = Keys(deployment.name, run)
         self._last = 0

@@ -8,17 +8,21 @@ import platform
 import sys
 import time
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, dataclass, field, fields
+from dataclasses import asdict, dataclass, field, fields, replace
 from importlib.metadata import PackageNotFoundError, version
 from typing import Any
 
 from hierax.runtime.core.errors import HieraxError
 from hierax.runtime.deployment import Deployment
+from hierax.runtime.deployment.secrets import public_settings, public_text
 from hierax.runtime.engine.loose import Staleness
+from hierax.runtime.seal import RECORDING, is_sealed, seal_or_warn
 from hierax.schemas.errors import SchemaError, shown
 from hierax.schemas.keys import check_name
 
-FORMAT = 1
+FORMAT = 2
+READ = (1, FORMAT)
+"""What this version reads; the first format has neither modules nor a seal."""
 
 _PACKAGES = ("hierax", "numpy", "opencv-python-headless", "eclipse-zenoh", "msgpack", "mcap", "pybullet")
 
@@ -38,14 +42,17 @@ class RunInfo:
         seed: of the run.
         staleness, exact: as the deployment has them.
         deployment: path of the deployment file.
-        deployment_text: what it said.
-        settings: with which it was read.
+        deployment_text: what it said, but for what is secret.
+        settings: with which it was read; of secret ones the paths alone.
         import_paths: where the deployment's own modules were looked for.
         from_start: whether the recording begins with the run.
+        left_out: patterns of the keys that are not recorded, as `hierax.runtime.recording.selection` has them.
         started_ns: when it began, since 1970.
         machine: what it was recorded on.
         versions: of hierax and what it uses.
         format: of the recording.
+        modules: from which code may be loaded, as `hierax.runtime.allowance.Allowance` has them.
+        seal: of all that, by the user who has recorded it; empty: there is none.
     """
 
     hierarchy: str
@@ -59,17 +66,20 @@ class RunInfo:
     settings: Sequence[str]
     import_paths: Sequence[str]
     from_start: bool
+    left_out: Sequence[str] = ()
     started_ns: int = field(default_factory=time.time_ns)
     machine: Mapping[str, Any] = field(default_factory=lambda: _machine())
     versions: Mapping[str, str] = field(default_factory=lambda: _versions())
     format: int = FORMAT
+    modules: Sequence[str] = ()
+    seal: str = ""
 
     @staticmethod
     def of(
         deployment: Deployment, run: str, mode: str, seed: int, settings: Sequence[str], from_start: bool
     ) -> RunInfo:
         """What is recorded of a run of a deployment."""
-        return RunInfo(
+        info = RunInfo(
             deployment.name,
             run,
             mode,
@@ -77,11 +87,23 @@ class RunInfo:
             deployment.staleness.epochs,
             deployment.staleness.exact,
             str(deployment.path.resolve()),
-            _text(deployment),
-            tuple(settings),
+            public_text(_text(deployment), deployment.zenoh),
+            public_settings(settings, deployment.zenoh),
             deployment.import_paths,
             from_start,
+            modules=deployment.modules,
         )
+        return replace(info, seal=seal_or_warn(RECORDING, info._sealed))
+
+    @property
+    def is_ours(self) -> bool:
+        """Whether this user has recorded it on this machine, and nobody has changed what it says of the run."""
+        return is_sealed(RECORDING, self._sealed, self.seal)
+
+    @property
+    def _sealed(self) -> dict[str, Any]:
+        # what is left out is known to the recorder alone, and names no code
+        return {name: value for name, value in self.plain().items() if name not in ("seal", "left_out")}
 
     @property
     def how_stale(self) -> Staleness:
@@ -99,10 +121,11 @@ class RunInfo:
         Raises:
             RecordingError: it is of another format, or a field lacks or is something else.
         """
-        if plain.get("format") != FORMAT:
-            raise RecordingError(f"format {plain.get('format')!r:.20}; this version reads format {FORMAT}")
+        if plain.get("format") not in READ:
+            read = " and ".join(map(str, READ))
+            raise RecordingError(f"format {plain.get('format')!r:.20}; this version reads formats {read}")
         given = {each.name: plain[each.name] for each in fields(RunInfo) if each.name in plain}
-        lacking = [name for name in _FIELDS if name not in given]
+        lacking = [name for name in _FIELDS if name not in given and (plain["format"] == FORMAT or name not in _NEW)]
         if lacking:
             raise RecordingError(f"it says too little of its run: {', '.join(lacking)}")
         for name, value in given.items():
@@ -140,6 +163,8 @@ class Ending:
         gaps: what lacks, the first ones.
         lost: how many things lack in all.
         cut_short: messages that lack as their senders' processes died while they were sent; no fault of the recorder's.
+        cut: by which option it ends before the run; empty: by none.
+        left_out: how much came on keys that are left out, by their pattern.
     """
 
     first: int
@@ -148,6 +173,8 @@ class Ending:
     gaps: tuple[Gap, ...]
     lost: int
     cut_short: tuple[Gap, ...] = ()
+    cut: str = ""
+    left_out: Mapping[str, int] = field(default_factory=dict)
 
     def plain(self) -> dict[str, Any]:
         """As a value."""
@@ -162,14 +189,27 @@ class Ending:
         """
         try:
             gaps, cut_short = (tuple(Gap(**gap) for gap in plain.get(name, ())) for name in ("gaps", "cut_short"))
-            ending = Ending(plain["first"], plain["last"], plain["messages"], gaps, plain["lost"], cut_short)
-        except (KeyError, TypeError) as error:
+            ending = Ending(
+                plain["first"],
+                plain["last"],
+                plain["messages"],
+                gaps,
+                plain["lost"],
+                cut_short,
+                plain.get("cut", ""),
+                dict(plain.get("left_out", {})),
+            )
+        except (KeyError, TypeError, ValueError) as error:
             raise RecordingError(f"what it says of its end cannot be read: {error}") from error
         told = [*ending.gaps, *ending.cut_short]
         numbers = [ending.first, ending.last, ending.messages, ending.lost]
         numbers += [number for gap in told for number in (gap.epoch, gap.count)]
         if not all(map(_is_whole, numbers)) or not all(isinstance(gap.what, str) for gap in told):
             raise RecordingError("what it says of its end cannot be read: expected whole numbers from 0, and texts")
+        if not _is_text(ending.cut) or not _are_named_texts(dict.fromkeys(ending.left_out, "")):
+            raise RecordingError("what it says of its end cannot be read: expected texts for what is left out")
+        if not all(map(_is_whole, ending.left_out.values())):
+            raise RecordingError("what it says of its end cannot be read: expected how much is left out")
         return ending
 
 
@@ -194,7 +234,8 @@ def from_metadata(metadata: Mapping[str, str], texts: Sequence[str] = ()) -> dic
         raise RecordingError(f"its metadata is not what hierax writes: {error!s:.200}") from error
 
 
-INFO_TEXTS = ("hierarchy", "run", "mode", "deployment", "deployment_text")
+INFO_TEXTS = ("hierarchy", "run", "mode", "deployment", "deployment_text", "seal")
+ENDING_TEXTS = ("cut",)
 
 
 def _is_whole(value: object) -> bool:
@@ -246,8 +287,15 @@ _FIELDS: dict[str, Expected] = {
     "machine": ("a map", lambda value: isinstance(value, Mapping)),
     "versions": ("a map of texts", _are_named_texts),
     "format": _WHOLE,
+    "modules": _TEXTS,
+    "seal": _TEXT,
+    "left_out": _TEXTS,
 }
 """What each field of `RunInfo` has to be."""
+
+
+_NEW = ("modules", "seal", "left_out")
+"""Fields that the first format lacks."""
 
 
 def _text(deployment: Deployment) -> str:

@@ -15,6 +15,7 @@ import threading
 import time
 from collections.abc import Mapping
 from contextlib import suppress
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -22,7 +23,8 @@ from hierax.runtime.core.errors import HieraxError
 from hierax.runtime.recording.check import Checker
 from hierax.runtime.recording.info import Ending, RunInfo
 from hierax.runtime.recording.recorder import Recorder
-from hierax.runtime.recording.writing import Compression, McapFile
+from hierax.runtime.recording.selection import EVERYTHING, Selection
+from hierax.runtime.recording.writing import Compression, McapFile, Target
 from hierax.runtime.streams import own_streams
 from hierax.runtime.transport.hub import ask
 from hierax.runtime.transport.port import TransportError
@@ -60,6 +62,7 @@ class LiveRecording:
         epochs: how many; None: until it is told to stop.
         compression: of the file.
         watches: whether nobody else tells when the launch is over, and how far it came.
+        selection: what is written of what is heard.
 
     Raises:
         HieraxError: the file cannot be written, or the run cannot be reached.
@@ -69,18 +72,20 @@ class LiveRecording:
         self,
         info: RunInfo,
         endpoint: str,
-        file: Path | None,
+        file: Path | Target | None,
         check: bool,
         settings: Any = None,
         host: str | None = None,
         epochs: int | None = None,
-        compression: Compression = "lz4",
+        compression: Compression = "zstd",
         watches: bool = False,
+        selection: Selection = EVERYTHING,
     ) -> None:
+        info = replace(info, left_out=tuple(selection.exclude))
         self.checker = Checker(info.how_stale) if check else None
         written = None if file is None else McapFile(file, info, compression)
         auditors = () if self.checker is None else (self.checker,)
-        self._recorder = Recorder(written, auditors, info.from_start, epochs, info.how_stale.barrier)
+        self._recorder = Recorder(written, auditors, info.from_start, epochs, info.how_stale.barrier, selection)
         self._keys = Keys(info.hierarchy, info.run)
         self._ear = Ear(endpoint, self._keys, settings, host)
         self._endpoint = endpoint
@@ -110,7 +115,7 @@ class LiveRecording:
         recorder, ledger = self._recorder, self._recorder.ledger
         looked_s = time.monotonic()
         try:
-            while not (self._stopping or ledger.ended):
+            while not (self._stopping or (ledger.ended and not self._checks_on)):
                 self._take(BATCH_S)
                 recorder.flush()
                 if self._watches and time.monotonic() - looked_s > LOOK_S:
@@ -123,6 +128,11 @@ class LiveRecording:
             self._ear.close()
         self._take(0.0)
         return recorder.finish(self._last if ledger.cut is None or not ledger.ended else ledger.cut)
+
+    @property
+    def _checks_on(self) -> bool:
+        """Whether the order is checked further, although nothing more is written."""
+        return self.checker is not None and bool(self._recorder.cut)
 
     def _look(self) -> None:
         """How far the launch is, by its keeper's words: a recorder that is cut off hears nothing, and not that."""
@@ -194,10 +204,11 @@ def start(order: Mapping[str, Any]) -> LiveRecording:
     return LiveRecording(
         RunInfo.read(order["info"]),
         order["endpoint"],
-        Path(order["file"]) if order["file"] else None,
+        Target(Path(order["file"]), order["descriptor"]) if order["file"] else None,
         order["check"],
         order["settings"],
         order["host"],
+        selection=Selection(**order["selection"]),
     )
 
 

@@ -9,10 +9,10 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from hierax.runtime.core.errors import HierarchyError
-from hierax.runtime.recording.info import INFO_TEXTS, Ending, RecordingError, RunInfo, from_metadata
+from hierax.runtime.recording.info import ENDING_TEXTS, INFO_TEXTS, Ending, RecordingError, RunInfo, from_metadata
 from hierax.runtime.recording.topics import EPOCH, MESSAGE, NOTE, ROSTER, STEP, TOKEN, Topic, topic_of
 from hierax.runtime.recording.trace import Assembly, EpochTrace, check_roster
-from hierax.runtime.recording.writing import ENDING, INFO, PROFILE, require_mcap
+from hierax.runtime.recording.writing import CHUNK_BYTES, ENDING, INFO, MAGIC, PROFILE, require_mcap
 from hierax.schemas.errors import SchemaError, shown
 from hierax.schemas.messages import Message, decode_message
 from hierax.schemas.roster import Roster
@@ -20,7 +20,6 @@ from hierax.schemas.steps import NodeStep, decode_step
 from hierax.schemas.values import decode_value
 
 _LARGEST_RECORD = 1 << 30
-_MAGIC = b"\x89MCAP0\r\n"
 
 
 class Entry(NamedTuple):
@@ -131,7 +130,7 @@ class Recording:
         path = Path(path)
         try:
             with path.open("rb") as file:
-                if file.read(len(_MAGIC)) != _MAGIC:
+                if file.read(len(MAGIC)) != MAGIC:
                     raise RecordingError(f"{path}: is no recording; expected an MCAP file that hierax wrote")
             info, ending = _metadata(path)
         except OSError as error:
@@ -144,9 +143,15 @@ class Recording:
     def loss(self) -> str:
         """What is known to lack, in words; empty: nothing."""
         ending = self.ending
+        lacks = [f"{', '.join(self.info.left_out)} was left out (--exclude)"] if self.info.left_out else []
         if ending is None:
-            return "it was cut off: its last chunk, of a second or 1 MiB, and what waited to be written, is not in it"
-        return f"{ending.lost} things that were said in the run are not in it" if ending.lost else ""
+            chunk = f"its last chunk, of a second or {CHUNK_BYTES >> 20} MiB"
+            lacks.append(f"it was cut off: {chunk}, and what waited to be written, is not in it")
+        elif ending.cut:
+            lacks.append(f"it ends with epoch {ending.last} ({ending.cut})")
+        if ending is not None and ending.lost:
+            lacks.append(f"{ending.lost} things that were said in the run are not in it")
+        return "; ".join(lacks)
 
     def entries(self, *what: str) -> Iterator[Entry]:
         """All that was recorded, in the order in which it was heard.
@@ -262,16 +267,16 @@ def _ending(path: Path) -> Ending | None:
 
     with path.open("rb") as file:
         file.seek(0, 2)
-        if file.tell() < 2 * len(_MAGIC):
+        if file.tell() < 2 * len(MAGIC):
             return None
-        file.seek(-len(_MAGIC), 2)
-        if file.read() != _MAGIC:
+        file.seek(-len(MAGIC), 2)
+        if file.read() != MAGIC:
             return None
         file.seek(0)
         try:
             for record in make_reader(file).iter_metadata():
                 if record.name == ENDING:
-                    return Ending.read(from_metadata(record.metadata))
+                    return Ending.read(from_metadata(record.metadata, ENDING_TEXTS))
         except (McapError, struct.error, UnicodeDecodeError):
             return None
     return None

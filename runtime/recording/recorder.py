@@ -10,6 +10,7 @@ import msgpack
 
 from hierax.runtime.recording.info import Ending, Gap
 from hierax.runtime.recording.ledger import Ledger
+from hierax.runtime.recording.selection import EVERYTHING, Selection
 from hierax.runtime.recording.topics import EPOCH, MESSAGE, ROSTER, STEP, TOKEN, Topic, glance, topic_of
 from hierax.runtime.recording.writing import McapFile
 from hierax.runtime.transport.recording import Heard
@@ -17,6 +18,9 @@ from hierax.schemas.messages import HELLO
 from hierax.schemas.roster import Roster
 from hierax.schemas.steps import NodeStep, decode_step
 from hierax.schemas.values import decode_value, encode_value
+
+INDEX_BYTES = 64 << 10
+"""What the index at a file's end takes at most, where it has no more than some hundred channels."""
 
 _log = logging.getLogger("hierax")
 
@@ -43,6 +47,11 @@ class Recorder:
         from_start: whether it begins with the run.
         epochs: how many are recorded; None: all.
         barrier: whether every node does every epoch.
+        selection: what is written of what comes; the auditors see all.
+
+    Attributes:
+        ledger: its account.
+        cut: by which option of the selection nothing more is written; empty: by none.
     """
 
     def __init__(
@@ -52,7 +61,15 @@ class Recorder:
         from_start: bool = True,
         epochs: int | None = None,
         barrier: bool = True,
+        selection: Selection = EVERYTHING,
     ) -> None:
+        self.cut = ""
+        self._selection = selection
+        self._left_out = dict.fromkeys(selection.exclude, 0)
+        self._patterns: dict[str, str] = {}
+        self._begun_ns = 0
+        self._newest = 0
+        self._largest = self._bytes = self._mark = 0
         self._file = file
         self._auditors = tuple(auditors)
         self.ledger = Ledger(from_start, epochs)
@@ -77,9 +94,12 @@ class Recorder:
             return
         if epoch < 0 or not self.ledger.wants(epoch):
             return
+        if self._is_left_out(heard.key):
+            return
         self._messages += 1
         if self._file is not None:
             self._file.add(heard.key, topic.what, heard.time_ns, epoch, data)
+            self._keep_bounds(self._file, heard.time_ns, epoch, len(data))
 
     def drop(self, key: str, data: bytes) -> None:
         """Something was heard, but there was no room for it.
@@ -125,13 +145,48 @@ class Recorder:
             RecordingError: the file cannot be written.
         """
         ledger = self.ledger
+        if self.cut and last is not None and ledger.cut is not None:
+            last = min(last, ledger.cut)
         ledger.cut = None
         gaps, lost = ledger.close(last if self._barrier else None)
         first = ledger.first if ledger.last >= ledger.first else 0
-        ending = Ending(first, ledger.last, self._messages, gaps, lost, ledger.cut_short)
+        ending = Ending(first, ledger.last, self._messages, gaps, lost, ledger.cut_short, self.cut, self._left_out)
         if self._file is not None:
             self._file.close(ending)
         return ending
+
+    def _is_left_out(self, key: str) -> bool:
+        pattern = self._patterns.get(key)
+        if pattern is None:
+            pattern = self._patterns[key] = self._selection.leaves_out(key)
+        if not pattern:
+            return False
+        self._left_out[pattern] += 1
+        return True
+
+    def _keep_bounds(self, file: McapFile, time_ns: int, epoch: int, size: int) -> None:
+        """The last epoch that is recorded is the one under way when another one may be too much."""
+        longest_s, most = self._selection.max_duration_s, self._selection.max_bytes
+        if self.cut or (longest_s is None and most is None):
+            return
+        self._begun_ns = self._begun_ns or time_ns
+        self._bytes += size
+        if epoch > self._newest:
+            self._largest = max(self._largest, self._bytes - self._mark)
+            self._newest, self._mark = epoch, self._bytes
+            if most is not None and self._is_near(file, most):
+                self.cut = f"--max-size {most} bytes"
+        if longest_s is not None and time_ns - self._begun_ns > longest_s * 1e9:
+            self.cut = f"--max-duration {longest_s:g} s"
+        if self.cut:
+            self.ledger.cut = self._newest
+
+    def _is_near(self, file: McapFile, most: int) -> bool:
+        """Whether the epoch that begins and another one might be too much for the file."""
+        rest = 2 * self._largest + INDEX_BYTES
+        if file.size + rest > most:
+            file.flush(at_once=True)  # only then it is known what the compressed chunk takes
+        return file.size + rest > most
 
     def _account(self, topic: Topic, heard: Heard) -> tuple[int, bytes]:
         """Epoch and bytes of what is recorded; an epoch below 0: it is not."""
@@ -141,7 +196,7 @@ class Recorder:
         if topic.what == STEP:
             step = decode_step(data)
             self.ledger.step(step)
-            if self.ledger.wants(step.epoch):
+            if self.cut or self.ledger.wants(step.epoch):
                 for auditor in self._auditors:
                     auditor.step(step)
             return step.epoch, data
@@ -160,6 +215,7 @@ class Recorder:
             return -1, data
         if self.ledger.wants(seen.epoch):
             self.ledger.message((seen.kind, seen.sender, seen.receiver), seen.epoch, seen.attempt)
+        if self.cut or self.ledger.wants(seen.epoch):
             for auditor in self._auditors:
                 auditor.message(data)
         return seen.epoch, data

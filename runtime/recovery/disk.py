@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import fcntl
 import mmap
 import os
 from abc import ABC, abstractmethod
@@ -13,6 +12,7 @@ from types import TracebackType
 from typing import Literal, get_args
 
 from hierax.runtime.core.errors import HieraxError
+from hierax.runtime.private_files import hold, open_private, private_folder
 
 Durability = Literal["process", "host"]
 """What a record outlives once it is written: the process, or the machine's power too."""
@@ -22,7 +22,6 @@ MAGIC = b"hieraxC\x01"
 """What each slot's file begins with; the last byte is the format."""
 
 _PID_BYTES = 20
-_MODE = 0o644
 
 
 class CheckpointError(HieraxError):
@@ -79,16 +78,22 @@ class MappedFile(Storage):
         self._host = durability == "host"
         self._files: list[_SlotFile] = []
         self._unflushed: set[int] = set()
-        self._lock = _locked(path)
+        self._lock = -1
         try:
-            for slot in range(SLOTS):
-                self._files.append(_SlotFile(_beside(path, str(slot)), durable=self._host))
-            if self._host:
-                with _errors_named(path.parent, "flushed to disk"):
-                    _sync_folder(path.parent)
+            with _errors_named(_beside(path, "lock"), "opened"), private_folder(path.parent) as folder:
+                self._open(folder)
         except BaseException:
             self.close()
             raise
+
+    def _open(self, folder: int) -> None:
+        path = self.path
+        self._lock = _locked(folder, path)
+        for slot in range(SLOTS):
+            self._files.append(_SlotFile(folder, _beside(path, str(slot)), durable=self._host))
+        if self._host:
+            with _errors_named(path.parent, "flushed to disk"):
+                _sync_folder(path.parent)
 
     def write(self, slot: int, data: bytes) -> None:
         self._files[slot].write(data)
@@ -124,17 +129,18 @@ class _SlotFile:
     """One slot: `MAGIC`, then its bytes.
 
     Args:
+        folder: where it is, open.
         path: made if it is not there.
         durable: whether a new file waits for the disk before it gets its name.
     """
 
-    def __init__(self, path: Path, *, durable: bool) -> None:
+    def __init__(self, folder: int, path: Path, *, durable: bool) -> None:
         self._path = path
         if not os.path.lexists(path):
             with _errors_named(path, "made"):
-                _make(path, durable)
+                _make(folder, path, durable)
         with _errors_named(path, "opened"):
-            self._file = os.open(path, os.O_RDWR | os.O_CLOEXEC)
+            self._file = open_private(folder, path.name, os.O_RDWR, path)
         try:
             self._map = self._opened()
         except BaseException:
@@ -187,10 +193,10 @@ class _SlotFile:
             return mmap.mmap(self._file, size)
 
 
-def _make(path: Path, durable: bool) -> None:
+def _make(folder: int, path: Path, durable: bool) -> None:
     """A slot's file of one page, complete when it appears."""
     unfinished = _beside(path, "new")
-    file = os.open(unfinished, os.O_RDWR | os.O_CREAT | os.O_TRUNC | os.O_CLOEXEC, _MODE)
+    file = open_private(folder, unfinished.name, os.O_RDWR | os.O_CREAT | os.O_TRUNC, unfinished)
     try:
         os.posix_fallocate(file, 0, mmap.PAGESIZE)
         os.pwrite(file, MAGIC, 0)
@@ -198,7 +204,7 @@ def _make(path: Path, durable: bool) -> None:
             os.fsync(file)
     finally:
         os.close(file)
-    os.rename(unfinished, path)
+    os.rename(unfinished.name, path.name, src_dir_fd=folder, dst_dir_fd=folder)
 
 
 def _sync_folder(folder: Path) -> None:
@@ -209,11 +215,11 @@ def _sync_folder(folder: Path) -> None:
         os.close(file)
 
 
-def _locked(path: Path) -> int:
+def _locked(folder: int, path: Path) -> int:
     """An open lock file that nobody else has locked; the kernel unlocks it when the process ends."""
     lock = _beside(path, "lock")
     with _errors_named(lock, "opened"):
-        file = os.open(lock, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, _MODE)
+        file = open_private(folder, lock.name, os.O_RDWR | os.O_CREAT, lock)
     try:
         with _errors_named(lock, "locked"):
             _lock(file, path)
@@ -224,11 +230,11 @@ def _locked(path: Path) -> int:
 
 
 def _lock(file: int, path: Path) -> None:
-    try:
-        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except BlockingIOError as error:
+    def in_use(holder: str) -> CheckpointError:
         owner = os.pread(file, _PID_BYTES, 0).decode(errors="replace").strip()
-        raise CheckpointError(f"{path}: this checkpoint is in use by process {owner or 'unknown'}") from error
+        return CheckpointError(f"{path}: this checkpoint is in use by {f'process {owner}' if owner else holder}")
+
+    hold(file, in_use)
     os.ftruncate(file, 0)
     os.pwrite(file, f"{os.getpid()}\n".encode(), 0)
 

@@ -107,21 +107,22 @@ class Recordings:
     def __init__(self, folder: Path) -> None:
         self._folder = folder
 
-    def __call__(self, file: str | Path, node: str, *, epochs: int | None = None) -> Recorded:
+    def __call__(self, file: str | Path, node: str, *, epochs: int | None = None, trust: bool = False) -> Recorded:
         """A node with the inputs that it had in a recording: `run` and `check` do its epochs again.
 
         Args:
             file: a recording, beside the test or in the current folder.
             node: its name.
             epochs: how many at most.
+            trust: load the code that it names also where it was recorded by somebody else, or on another machine.
 
         Raises:
-            HieraxError: the file is no recording, has no such node, or lacks something that it was given.
+            HieraxError: the file is no recording, is not trusted, has no such node, or lacks what that was given.
         """
         from hierax.runtime.testing.recorded import read_recorded
 
         beside = self._folder / str(file)
-        return read_recorded(beside if beside.is_file() else file, node, epochs)
+        return read_recorded(beside if beside.is_file() else file, node, epochs, trust)
 
 
 @pytest.fixture

@@ -98,20 +98,22 @@ class Recorded:
         return steps
 
 
-def read_recorded(file: str | Path, name: str, epochs: int | None = None) -> Recorded:
+def read_recorded(file: str | Path, name: str, epochs: int | None = None, trust: bool = False) -> Recorded:
     """A node's inputs in a recording.
 
     Args:
         file: of the recording.
         name: of the node.
         epochs: how many at most; None: all.
+        trust: whether the code that it names is loaded also where it is not known to be this user's own.
 
     Raises:
-        HieraxError: the file is no recording, has no such node, or lacks something that it was given.
+        HieraxError: the file is no recording, is not trusted, has no such node, or lacks something that it was given.
     """
     recording = Recording.open(file)
     if not recording.info.how_stale.barrier:
         raise HieraxError(f"{file}: its epochs overlap; replay it by `hierax replay --node {name}`")
+    allowance = allowance_of(recording, trust)
     extend_import_path(recording.info.import_paths)
     inputs: list[Input] = []
     states: list[ActiveNode] = []
@@ -131,7 +133,7 @@ def read_recorded(file: str | Path, name: str, epochs: int | None = None) -> Rec
         raise HieraxError(f"{file}: there is no node {name!r} in it{did_you_mean(name, names, 'the nodes are')}")
     reference, below, above = _place(first.roster, name)
     start = _known(file, first, name, first.start_of(name), "its state at the beginning")
-    return Recorded(name, reference, below, above, recording.info.seed, allowance_of(recording), inputs, start, states)
+    return Recorded(name, reference, below, above, recording.info.seed, allowance, inputs, start, states)
 
 
 def _place(roster: Roster, name: str) -> tuple[Reference, tuple[str, ...], tuple[str, ...]]:

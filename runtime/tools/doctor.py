@@ -91,14 +91,18 @@ def check_limits(files: int | None = None, processes: int | None = None) -> Iter
             yield Finding("limits", FINE, f"{shown} {name}")
 
 
-def check_shared_memory(folder: Path = Path("/dev/shm")) -> Iterator[Finding]:
+def check_shared_memory(folder: Path = Path("/dev/shm"), locked_bytes: int | None = None) -> Iterator[Finding]:
     """Where large messages go, and what launches that were killed have left there."""
-    from hierax.runtime.transport.zenoh_session import orphaned_segments
+    from hierax.runtime.transport.zenoh_session import orphaned_segments, shared_memory_fault
 
-    if not os.access(folder, os.W_OK):
-        mend = f"mount a tmpfs at {folder}; without it large messages are copied through sockets"
+    if not os.access(folder, os.W_OK | os.X_OK):
+        mend = f"mount a tmpfs at {folder} that can be written; without it large messages are copied through sockets"
         yield Finding("shared memory", WRONG, f"{folder} cannot be written", mend)
         return
+    fault = shared_memory_fault(folder, locked_bytes)
+    if "lock" in fault:
+        mend = "ulimit -l unlimited, or memlock in /etc/security/limits.conf; until then large messages are copied"
+        yield Finding("shared memory", NOTE, fault, mend)
     free = shutil.disk_usage(folder).free
     enough = free >= FREE_SHARED_BYTES
     mend = "" if enough else f"mount -o remount,size=512M {folder}; for a container: docker run --shm-size=512m"
@@ -142,7 +146,7 @@ def check_loopback() -> Iterator[Finding]:
 def check_folders() -> Iterator[Finding]:
     """Where launches are registered, and where their logs are."""
     from hierax.runtime.launch.run_file import known_runs
-    from hierax.runtime.watch.run_folder import known_folders, runs_folder
+    from hierax.runtime.watch.run_folder import known_folders, runs_folder, unwritable
 
     try:
         runs = known_runs()
@@ -152,10 +156,10 @@ def check_folders() -> Iterator[Finding]:
     what = ", ".join(f"{each.run} ({each.hierarchy})" for each in runs) or "no launch runs"
     yield Finding("launches", FINE, what)
     folder = runs_folder()
-    home = next(each for each in (folder, *folder.parents) if each.exists())
-    if not os.access(home, os.W_OK):
-        mend = "set XDG_STATE_HOME to a folder that can be written"
-        yield Finding("folders", WRONG, f"{home} cannot be written: launches leave no logs", mend)
+    why = unwritable(folder)
+    if why:
+        mend = "make it yours, or set XDG_STATE_HOME to a folder that can be written"
+        yield Finding("folders", WRONG, f"{why}: launches leave no logs", mend)
         return
     kept = known_folders()
     size = sum(path.stat().st_size for each in kept for path in each.rglob("*") if path.is_file())

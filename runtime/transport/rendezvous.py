@@ -1,15 +1,22 @@
-"""The handshake on the real keys that makes sure nothing is lost at the start; no input or output.
+"""The handshake on the real keys that makes sure nothing is lost; no input or output.
 
 What is put on a Zenoh key before its subscriber is known at the sender is lost in
 silence, and a liveliness token says only that a process is there. So the two ends of
 an edge say hello to each other on every key of the edge, again and again, each time
 with what they have heard of the other, until both have heard all: from then on the
-keys carry whatever is put on them.
+keys carry whatever is put on them, until the link breaks. Then it is done anew.
+
+Each end has a mark: its process's token, and how often its link broke. A greeting
+holds the mark of who sends it, and that of who it was heard from. What is said to
+another mark counts for nothing: it may be older than the break, or for a process that
+was killed. A mark that is another than before is itself a break, which the one end has
+noticed and the other may not have.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
+from typing import NamedTuple
 
 from hierax.schemas.errors import SchemaError
 from hierax.schemas.messages import CONTEXT, HELLO, OBSERVATIONS, TASKS, Header, Message
@@ -18,43 +25,147 @@ UP = (OBSERVATIONS,)
 DOWN = (TASKS, CONTEXT)
 """The kinds of messages along an edge, by direction."""
 
+UNKNOWN = ""
+"""The mark of a neighbour that was not heard of yet."""
+
+
+class Handshake:
+    """One node's side of the handshake with one process of a neighbour.
+
+    Args:
+        name, instance, process: of the node, and of its process.
+        peer, peer_instance: of the neighbour.
+        sends, hears: kinds of messages.
+
+    Attributes:
+        broken: whether it was done once, and the link broke since.
+    """
+
+    def __init__(
+        self,
+        name: str,
+        instance: int,
+        process: str,
+        peer: str,
+        peer_instance: int,
+        sends: tuple[str, ...],
+        hears: tuple[str, ...],
+    ) -> None:
+        self.sends, self.hears = sends, hears
+        self.ends = (instance, peer_instance)
+        self.broken = False
+        self._name, self._peer, self._process = name, peer, process
+        self._breaks = 0
+        self._theirs = UNKNOWN
+        self._heard: frozenset[str] = frozenset()
+        self._confirmed = False
+
+    @property
+    def done(self) -> bool:
+        """Whether the neighbour hears this node and is heard."""
+        return self._confirmed and len(self._heard) == len(self.hears)
+
+    @property
+    def peer_process(self) -> str:
+        """The token of the neighbour's process, as it was last heard of; may be empty."""
+        return self._theirs.rpartition("/")[0]
+
+    def hello(self, version: int, asks: bool = True) -> list[tuple[str, Message]]:
+        """The greeting: by kind of key, what to put there.
+
+        Args:
+            version: of the roster.
+            asks: whether it wants an answer; an answer wants none, or two that miss the same
+                key would answer each other for ever.
+        """
+        body = {
+            "heard": tuple(sorted(self._heard)),
+            "asks": asks and not self.done,
+            "from": self._mark,
+            "to": self._theirs,
+        }
+        header = Header(HELLO, self._name, self._peer, 0, roster=version, instance=self.ends[0])
+        return [(kind, Message(header, (body,))) for kind in self.sends]
+
+    def heard(self, kind: str, message: Message) -> bool:
+        """Take in a greeting of this neighbour's process that came on the key of `kind`; whether it wants an answer.
+
+        Raises:
+            SchemaError: it is no greeting.
+        """
+        heard, asks, theirs, ours = _read(message)
+        if theirs != self._theirs:
+            self._begin_anew()
+            self._theirs = theirs
+        if ours in (UNKNOWN, self._mark):
+            self._heard |= {kind}
+        if ours == self._mark and set(self.sends) <= heard:
+            self._confirmed = True
+        return asks
+
+    def interrupted(self) -> None:
+        """The link broke: what was under way is lost, and the handshake is to be done anew."""
+        self._breaks += 1
+        self._begin_anew()
+
+    @property
+    def _mark(self) -> str:
+        return f"{self._process}/{self._breaks}"
+
+    def _begin_anew(self) -> None:
+        self.broken |= self.done
+        self._heard = frozenset()
+        self._confirmed = False
+
 
 class Rendezvous:
-    """One node's side of the handshakes with all its neighbours.
+    """One node's side of the handshakes with all its neighbours, under a version of the roster.
 
     Args:
         name: of the node.
         below, above: names of its neighbours.
         instances: instance numbers, of the node and of its neighbours.
         roster: the roster's version.
+        process: the token of the node's process.
+
+    Attributes:
+        version: of the roster.
+        handshakes: by neighbour.
     """
 
     def __init__(
-        self, name: str, below: Iterable[str], above: Iterable[str], instances: Mapping[str, int], roster: int
+        self,
+        name: str,
+        below: Iterable[str],
+        above: Iterable[str],
+        instances: Mapping[str, int],
+        roster: int,
+        process: str = "0",
     ) -> None:
-        self._name = name
-        self._instances = instances
         self.version = roster
-        self.sends: dict[str, tuple[str, ...]] = {**dict.fromkeys(above, UP), **dict.fromkeys(below, DOWN)}
-        self.hears: dict[str, tuple[str, ...]] = {**dict.fromkeys(above, DOWN), **dict.fromkeys(below, UP)}
-        # replaced, never changed in place: another thread may be reading them
-        self._heard: dict[str, frozenset[str]] = dict.fromkeys(self.sends, frozenset())
-        self._confirmed: set[str] = set()
+        ends = {**dict.fromkeys(above, (UP, DOWN)), **dict.fromkeys(below, (DOWN, UP))}
+        own = instances.get(name, 0)
+        self.handshakes = {
+            peer: Handshake(name, own, process, peer, instances.get(peer, 0), sends, hears)
+            for peer, (sends, hears) in ends.items()
+        }
 
     @property
     def lanes_out(self) -> list[tuple[str, str]]:
         """Neighbour and kind of all that goes out."""
-        return [(peer, kind) for peer, kinds in self.sends.items() for kind in kinds]
+        return [(peer, kind) for peer, handshake in self.handshakes.items() for kind in handshake.sends]
+
+    @property
+    def lanes_in(self) -> list[tuple[str, str]]:
+        """Neighbour and kind of all that comes in."""
+        return [(peer, kind) for peer, handshake in self.handshakes.items() for kind in handshake.hears]
 
     def take_over(self, earlier: Rendezvous) -> None:
-        """Have the handshakes of another version count for neighbours whose processes, and ours, are the same."""
-        if earlier._instance(self._name) != self._instance(self._name):
-            return
-        for peer, kinds in self.hears.items():
-            same = earlier.hears.get(peer) == kinds and earlier._instance(peer) == self._instance(peer)
-            if same and earlier._done(peer):
-                self._heard[peer] = frozenset(kinds)
-                self._confirmed.add(peer)
+        """Share the handshakes of another version with neighbours whose processes, and ours, are the same."""
+        for peer, handshake in self.handshakes.items():
+            known = earlier.handshakes.get(peer)
+            if known is not None and (known.ends, known.hears) == (handshake.ends, handshake.hears):
+                self.handshakes[peer] = known
 
     @property
     def ready(self) -> bool:
@@ -64,19 +175,11 @@ class Rendezvous:
     @property
     def missing(self) -> tuple[str, ...]:
         """The neighbours that the handshake is not done with."""
-        return tuple(peer for peer in sorted(self.sends) if not self._done(peer))
+        return tuple(peer for peer in sorted(self.handshakes) if not self.handshakes[peer].done)
 
-    def hello(self, peer: str, asks: bool = True) -> list[tuple[str, Message]]:
-        """The greeting for a neighbour: by kind of key, what to put there.
-
-        Args:
-            peer: the neighbour.
-            asks: whether it wants an answer; an answer wants none, or two that miss the same
-                key would answer each other for ever.
-        """
-        payload = ({"heard": tuple(sorted(self._heard[peer])), "asks": asks and not self._done(peer)},)
-        header = Header(HELLO, self._name, peer, 0, roster=self.version, instance=self._instance(self._name))
-        return [(kind, Message(header, payload)) for kind in self.sends[peer]]
+    def hello(self, peer: str) -> list[tuple[str, Message]]:
+        """The greeting for a neighbour: by kind of key, what to put there."""
+        return self.handshakes[peer].hello(self.version)
 
     def heard(self, kind: str, message: Message) -> list[tuple[str, Message]]:
         """Take in a greeting that came on the key of `kind`.
@@ -89,25 +192,27 @@ class Rendezvous:
         """
         header = message.header
         peer = header.sender
-        if peer not in self.hears or kind not in self.hears[peer]:
-            raise SchemaError(f"a greeting from {peer!r}, which sends no {kind} to {self._name!r}", "message.sender")
-        if header.instance != self._instance(peer) or header.roster != self.version:
+        handshake = self.handshakes.get(peer)
+        if handshake is None or kind not in handshake.hears:
+            raise SchemaError(f"a greeting from {peer!r}, which sends no {kind} here", "message.sender")
+        if header.instance != handshake.ends[1]:
             return []
-        heard, asks = _read(message)
-        self._heard[peer] |= {kind}
-        if set(self.sends[peer]) <= heard:
-            self._confirmed.add(peer)
-        return self.hello(peer, asks=False) if asks else []
-
-    def _instance(self, name: str) -> int:
-        return self._instances.get(name, 0)
-
-    def _done(self, peer: str) -> bool:
-        return peer in self._confirmed and len(self._heard[peer]) == len(self.hears[peer])
+        return handshake.hello(self.version, asks=False) if handshake.heard(kind, message) else []
 
 
-def _read(message: Message) -> tuple[set[str], bool]:
+class _Body(NamedTuple):
+    """What a greeting holds: the kinds that its sender has heard, whether it asks, its mark, and the other's."""
+
+    heard: frozenset[str]
+    asks: bool
+    theirs: str
+    ours: str
+
+
+def _read(message: Message) -> _Body:
     body = message.payload[0] if len(message.payload) == 1 else None
-    if not isinstance(body, dict) or not isinstance(body.get("heard"), tuple) or not isinstance(body.get("asks"), bool):
-        raise SchemaError("expected one map with 'heard' and 'asks'", "message.payload")
-    return {kind for kind in body["heard"] if isinstance(kind, str)}, body["asks"]
+    types = {"heard": tuple, "asks": bool, "from": str, "to": str}
+    if not isinstance(body, dict) or any(not isinstance(body.get(key), type_) for key, type_ in types.items()):
+        raise SchemaError("expected one map with 'heard', 'asks', 'from' and 'to'", "message.payload")
+    heard = frozenset(kind for kind in body["heard"] if isinstance(kind, str))
+    return _Body(heard, body["asks"], body["from"], body["to"])

@@ -4,15 +4,16 @@ from __future__ import annotations
 
 import logging
 import os
+import threading
 from collections import deque
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import zenoh
 
 from hierax.runtime.transport.port import Port, TransportError
-from hierax.runtime.transport.rendezvous import Rendezvous
+from hierax.runtime.transport.rendezvous import Handshake, Rendezvous
 from hierax.runtime.transport.zenoh_session import close_session
 from hierax.schemas.errors import SchemaError
 from hierax.schemas.keys import Keys
@@ -74,6 +75,7 @@ class ZenohPort(Port):
         self._most_bytes = MAX_MESSAGE_BYTES if most_bytes is None else most_bytes
         self._keys = keys
         self._name = name
+        self._process = process or "0"
         self._interrupted = False
         self._closed = False
         self._early: deque[Message] = deque()
@@ -81,12 +83,13 @@ class ZenohPort(Port):
         self._links: Mapping[int, Link] = {}
         self._lanes: Mapping[str, Lane] = {}
         self._publishers: dict[Lane, Any] = {}
+        self._shaking = threading.Lock()
         self._own_key = keys.edge(INTERRUPT, name, name)
         try:
             self._inbox = session.declare_subscriber(keys.inbox(name), zenoh.handlers.FifoChannel(QUEUE_SIZE))
             liveliness = session.liveliness()
             # a token that nobody refers to undeclares itself
-            self._token = liveliness.declare_token(keys.alive(name, process or "0"))
+            self._token = liveliness.declare_token(keys.alive(name, self._process))
             self._births = liveliness.declare_subscriber(keys.alive("*"), self._on_alive, history=True)
         except zenoh.ZError as error:
             raise TransportError(f"{name}: Zenoh: {error}") from error
@@ -104,7 +107,7 @@ class ZenohPort(Port):
         instances: Mapping[str, int],
         opened: Callable[[int], None],
     ) -> None:
-        rendezvous = Rendezvous(self._name, below, above, instances, version)
+        rendezvous = Rendezvous(self._name, below, above, instances, version, self._process)
         for link in self._links.values():
             rendezvous.take_over(link.rendezvous)
         try:
@@ -143,9 +146,8 @@ class ZenohPort(Port):
 
     def greet(self) -> None:
         """Say hello to every neighbour that the handshake is not done with."""
-        for link in self._links.values():
-            for peer in link.rendezvous.missing:
-                self._put_all(link.rendezvous.hello(peer))
+        for peer in {peer for link in self._links.values() for peer in link.rendezvous.missing}:
+            self._greet(peer)
 
     def send(self, message: Message) -> None:
         header = message.header
@@ -195,19 +197,39 @@ class ZenohPort(Port):
 
     def _lanes_of(self, rendezvous: Rendezvous) -> Mapping[str, Lane]:
         edge, name = self._keys.edge, self._name
-        return {edge(kind, peer, name): (peer, kind) for peer, kinds in rendezvous.hears.items() for kind in kinds}
+        return {edge(kind, peer, name): (peer, kind) for peer, kind in rendezvous.lanes_in}
 
     def _on_alive(self, sample: zenoh.Sample) -> None:
-        """Greet a neighbour as soon as its process is there; what is lost is said again by `greet`."""
-        peer = str(sample.key_expr).split("/")[-2]
+        """Greet a neighbour as soon as its process is there; what is lost is said again by `greet`.
+
+        One that is gone may be back: its link broke, and what was under way is lost.
+        """
+        peer, process = str(sample.key_expr).split("/")[-2:]
         if sample.kind != zenoh.SampleKind.PUT:
+            with self._shaking:
+                for _, handshake in self._handshakes(peer):
+                    if handshake.peer_process == process:
+                        handshake.interrupted()
             return
         try:
-            for link in self._links.values():
-                if peer in link.rendezvous.missing:
-                    self._put_all(link.rendezvous.hello(peer))
+            self._greet(peer)
         except TransportError:
             return  # closing: nobody is to be greeted any more
+
+    def _handshakes(self, peer: str) -> Iterator[tuple[int, Handshake]]:
+        """Those with a neighbour's processes, each once, and the last version of the roster that it is for."""
+        seen: set[int] = set()
+        for version, link in reversed(list(self._links.items())):
+            handshake = link.rendezvous.handshakes.get(peer)
+            if handshake is not None and id(handshake) not in seen:
+                seen.add(id(handshake))
+                yield version, handshake
+
+    def _greet(self, peer: str) -> None:
+        with self._shaking:
+            greetings = [each.hello(version) for version, each in self._handshakes(peer) if not each.done]
+        for greeting in greetings:
+            self._put_all(greeting)
 
     def _next(self, connecting: bool = False, waits: bool = True) -> Message | None:
         """The next message; None when interrupted, closed, or, while connecting, after a greeting that was the last."""
@@ -238,13 +260,23 @@ class ZenohPort(Port):
                 return None
 
     def _hear(self, lane: Lane, key: str, message: Message) -> None:
-        """A neighbour's greeting."""
-        if lane[0] != message.header.sender:
+        """A neighbour's greeting; of whichever version, as the keys are the same, and the instance is looked at."""
+        peer = lane[0]
+        if peer != message.header.sender:
             raise SchemaError(f"a greeting from {message.header.sender!r} on key {key}", "message.sender")
-        link = self._links.get(message.header.roster)
-        if link is not None:
-            self._put_all(link.rendezvous.heard(lane[1], message))
+        mended = False
+        for version, handshake in self._handshakes(peer):
+            if lane[1] not in handshake.hears or message.header.instance != handshake.ends[1]:
+                continue
+            with self._shaking:
+                answer = handshake.hello(version, asks=False) if handshake.heard(lane[1], message) else []
+                mended |= handshake.broken and handshake.done
+                handshake.broken &= not handshake.done
+            self._put_all(answer)
+        for link in list(self._links.values()):
             self._tell_if_open(link)
+        if mended:
+            self.mended(peer)
 
     def _tell_if_open(self, link: Link) -> None:
         if not link.told and link.rendezvous.ready:

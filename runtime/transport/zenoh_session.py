@@ -5,6 +5,9 @@ from __future__ import annotations
 import fcntl
 import json
 import os
+import re
+import resource
+import shutil
 import socket
 import threading
 from collections.abc import Mapping, Sequence
@@ -36,7 +39,19 @@ with its key and header)."""
 
 CLOSE_TIMEOUT_S = 1.0
 
+POOL_BYTES = 16 << 20
+"""What each session that sends large messages has in shared memory, and locks, as do those that receive from it."""
+
+LOCKED_BYTES = 4 * POOL_BYTES
+"""What a process may have to lock: its own pool and those of some neighbours."""
+
+_QUOTED_LINE = re.compile(r"\s*\d*\s*\|")
+_QUOTED_TEXT = re.compile(r"(invalid (?:type|value): \w+) (?:`[^`]*`|\"(?:\\.|[^\"\\])*\")")
+
 _SHARED_MEMORY = Path("/dev/shm")
+_IPC_LOCK = 14
+"""The capability with which limits on locked memory do not count."""
+
 _LOW_LATENCY = "transport/unicast/lowlatency"
 _BATCH = "transport/link/tx/batch_size"
 
@@ -76,16 +91,56 @@ def open_session(
         "scouting/gossip/autoconnect_strategy": {"peer": {"to_router": "always", "to_peer": "greater-zid"}},
         "scouting/delay": 0,
         "transport/link/tx/lease": LEASE_MS,
-        "transport/shared_memory/enabled": shared_memory,
+        "transport/shared_memory/enabled": shared_memory and not shared_memory_fault(),
     }
     if low_latency:
         ours["transport/unicast/qos/enabled"] = False  # Zenoh has one or the other
     try:
         config = _configured(ours, settings)
         _set_low_latency(config, low_latency)
+        return _opened(config)
+    except zenoh.ZError as error:
+        raise TransportError(f"Zenoh: {_words(error)}") from None  # its own words may quote a password
+
+
+def _opened(config: zenoh.Config) -> zenoh.Session:
+    """A session; without shared memory where the machine has none after all."""
+    try:
         return zenoh.open(config)
     except zenoh.ZError as error:
-        raise TransportError(f"Zenoh: {error}") from error
+        if "shm" not in str(error):
+            raise
+        config.insert_json5("transport/shared_memory/enabled", "false")
+        return zenoh.open(config)
+
+
+def shared_memory_fault(folder: Path | None = None, locked_bytes: int | None = None) -> str:
+    """Why large messages do not go through shared memory on this machine; empty: they do.
+
+    Args:
+        folder: where the segments are.
+        locked_bytes: how much a process may lock; None: what the system says.
+    """
+    folder = folder or _SHARED_MEMORY
+    if not os.access(folder, os.W_OK | os.X_OK):
+        return f"{folder} cannot be written"
+    free = shutil.disk_usage(folder).free
+    if free < POOL_BYTES:
+        return f"{free >> 10} KiB are free in {folder}, {POOL_BYTES >> 10} KiB are needed"
+    limit = _lockable() if locked_bytes is None else locked_bytes
+    if limit is not None and limit < LOCKED_BYTES:
+        return f"a process may lock {limit >> 10} KiB of memory (ulimit -l), {LOCKED_BYTES >> 10} KiB may be needed"
+    return ""
+
+
+def _lockable() -> int | None:
+    """How many bytes this process may lock; None: any number."""
+    limit = resource.getrlimit(resource.RLIMIT_MEMLOCK)[0]
+    try:
+        capabilities = int(re.findall(r"CapEff:\s*([0-9a-f]+)", Path("/proc/self/status").read_text())[0], 16)
+    except (OSError, IndexError):
+        capabilities = 0
+    return None if limit == resource.RLIM_INFINITY or capabilities >> _IPC_LOCK & 1 else limit
 
 
 def close_session(session: zenoh.Session) -> bool:
@@ -172,6 +227,12 @@ def _set_low_latency(config: zenoh.Config, low_latency: bool) -> None:
     config.insert_json5(_LOW_LATENCY, json.dumps(low_latency))
 
 
+def _words(error: zenoh.ZError) -> str:
+    """What Zenoh says is wrong, without what it quotes from its settings."""
+    lines = [line for line in str(error).splitlines() if not _QUOTED_LINE.match(line)]
+    return _QUOTED_TEXT.sub(r"\1 …", " ".join(lines))
+
+
 def _given(settings: Settings) -> zenoh.Config:
     config: zenoh.Config
     if isinstance(settings, Mapping):
@@ -181,4 +242,5 @@ def _given(settings: Settings) -> zenoh.Config:
         config = zenoh.Config.from_json5(settings) if is_text else zenoh.Config.from_file(settings)
     else:
         config = zenoh.Config.from_env() if os.environ.get("ZENOH_CONFIG") else zenoh.Config()
+        return config
     return config

@@ -27,6 +27,9 @@ WEB_PORT = 9090
 UP_TIMEOUT_S = 20.0
 _TRY_AGAIN_S = 0.02
 _PR_SET_PDEATHSIG = 1
+_RRD = b"RRF"
+"""What Rerun's files begin with."""
+
 _COLOURS = re.compile(r"\x1b\[[0-9;]*m")
 
 
@@ -97,12 +100,13 @@ def window(stream: Stream, memory: str) -> Iterator[Place]:
 
 
 @contextmanager
-def file(stream: Stream, path: Path) -> Iterator[Place]:
+def file(stream: Stream, path: Path, overwrite: bool = False) -> Iterator[Place]:
     """A file for Rerun, ``.rrd``.
 
     Raises:
-        ViewerError: it cannot be written.
+        ViewerError: it cannot be written, or is there already.
     """
+    _check_replaceable(path, overwrite)
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         path.touch()
@@ -114,6 +118,18 @@ def file(stream: Stream, path: Path) -> Iterator[Place]:
         stream.flush()
     finally:
         stream.disconnect()
+
+
+def _check_replaceable(path: Path, overwrite: bool) -> None:
+    try:
+        with path.open("rb") as there:
+            begin = there.read(len(_RRD))
+    except OSError:
+        return  # there is none, or it is told when it is written
+    if begin and begin != _RRD:
+        raise ViewerError(f"{path}: is no file of Rerun's, so it is not overwritten; name another file")
+    if begin and not overwrite:
+        raise ViewerError(f"{path}: is there already; --overwrite replaces it, or name another file")
 
 
 class _Program:

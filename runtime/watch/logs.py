@@ -20,9 +20,11 @@ import sys
 from collections.abc import Callable
 from contextlib import suppress
 from datetime import datetime, timezone
+from io import TextIOWrapper
 from pathlib import Path
 from typing import Any
 
+from hierax.runtime.private_files import UnsafeFileError, open_result, private_folder
 from hierax.runtime.watch.run_folder import ABOUT, LOGS, begin_run, run_folder
 from hierax.runtime.watch.throttle import OURS, Throttle
 
@@ -62,7 +64,7 @@ def log_console() -> None:
     level = known if isinstance(known, int) else logging.WARNING
     handler = logging.StreamHandler()
     handler.setLevel(level)
-    handler.setFormatter(logging.Formatter(_CONSOLE_FORMAT))
+    handler.setFormatter(_ConsoleLine(_CONSOLE_FORMAT))
     handler.addFilter(_throttle.filter)
     handler.addFilter(lambda record: not getattr(record, "quiet", False))
     root = logging.getLogger()
@@ -107,7 +109,7 @@ def _logs_folder(run: str) -> Path:
     """Where the supervisor has made it; or, on another machine, for who keeps processes of the run here."""
     folder = run_folder(run)
     if not (folder / ABOUT).exists():
-        with suppress(OSError):  # it is told when the file cannot be opened
+        with suppress(OSError, UnsafeFileError):  # it is told when the file cannot be opened
             begin_run(run, {"hierarchy": "", "deployment": "", "pid": os.getppid()})
     return folder / LOGS
 
@@ -116,13 +118,22 @@ def open_log(folder: Path, name: str) -> logging.Handler | None:
     """A handler that appends to the file of a name; None, with a warning, where it cannot be written."""
     path = folder / f"{name}{SUFFIX}"
     try:
-        folder.mkdir(parents=True, exist_ok=True)
-        handler = _File(path, maxBytes=MAX_BYTES, backupCount=1, encoding="utf-8", errors="backslashreplace")
-    except OSError as error:
-        logging.getLogger("hierax").warning("%s: the log cannot be written: %s", path, error.strerror or error)
+        with private_folder(folder, make=True):
+            handler = _File(path, maxBytes=MAX_BYTES, backupCount=1, encoding="utf-8", errors="backslashreplace")
+    except (OSError, UnsafeFileError) as error:
+        why = getattr(error, "strerror", None) or error
+        logging.getLogger("hierax").warning("%s: the log cannot be written: %s", path, why)
         return None
     handler.setFormatter(JsonLine())
     return handler
+
+
+class _ConsoleLine(logging.Formatter):
+    """A record on the console: our own say themselves which node they are about, those of a node's modules don't."""
+
+    def format(self, record: logging.LogRecord) -> str:
+        text, node = super().format(record), getattr(record, "node", "")
+        return text if not node or record.name.partition(".")[0] == "hierax" else f"{node}: {text}"
 
 
 class JsonLine(logging.Formatter):
@@ -154,6 +165,10 @@ class _File(logging.handlers.RotatingFileHandler):
     """Gives up where the disk does: a node goes on without its log."""
 
     _told = False
+
+    def _open(self) -> TextIOWrapper:
+        file = open_result(self.baseFilename, append=True, private=True)
+        return os.fdopen(file, "a", encoding="utf-8", errors=self.errors)
 
     def handleError(self, record: logging.LogRecord) -> None:  # noqa: N802 - the name in `logging`
         if not self._told:
@@ -204,8 +219,8 @@ def begin_log(
     about = {"hierarchy": hierarchy, "deployment": str(deployment.resolve()), "pid": os.getpid()}
     try:
         folder = begin_run(run, about)
-    except OSError as error:
-        tell(f"{run_folder(run)}: there will be no logs: {error.strerror or error}")
+    except (OSError, UnsafeFileError) as error:
+        tell(f"{run_folder(run)}: there will be no logs: {getattr(error, 'strerror', None) or error}")
         return LaunchLog(None, run, epoch)
     log = LaunchLog(open_log(folder / LOGS, LAUNCH_FILE), run, epoch)
     log.tell(f"{hierarchy} is launched from {about['deployment']}")

@@ -9,6 +9,8 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+from hierax.runtime.private_files import UnsafeFileError, private_folder, read_private, write_private
+
 KEPT_RUNS = 20
 """Of how many launches, the last ones that have ended, the folders stay."""
 
@@ -36,14 +38,28 @@ def begin_run(run: str, about: Mapping[str, Any]) -> Path:
 
     Raises:
         OSError: it cannot be made.
+        UnsafeFileError: others may write there.
     """
     folder = run_folder(run)
-    (folder / LOGS).mkdir(parents=True, exist_ok=True)
-    (folder / ABOUT).write_text(json.dumps(about, indent=2) + "\n", encoding="utf-8")
+    with private_folder(folder / LOGS, make=True):
+        write_private(folder / ABOUT, json.dumps(about, indent=2).encode() + b"\n")
     for old in known_folders()[KEPT_RUNS:]:
         if not is_alive(old):
             shutil.rmtree(old, ignore_errors=True)  # another launch may be doing the same
     return folder
+
+
+def unwritable(folder: Path) -> str:
+    """Why nothing can be put into a private folder, which is made where it lacks; empty: it can."""
+    probe = folder / f".{os.getpid()}.probe"
+    try:
+        write_private(probe, b"")
+        probe.unlink()
+    except UnsafeFileError as error:
+        return str(error)
+    except OSError as error:
+        return f"{folder} cannot be written: {error.strerror or error}"
+    return ""
 
 
 def known_folders() -> list[Path]:
@@ -62,8 +78,8 @@ def _made_ns(folder: Path) -> int:
 def about_run(folder: Path) -> dict[str, Any]:
     """What is told of a launch; empty where that cannot be read."""
     try:
-        return dict(json.loads((folder / ABOUT).read_text(encoding="utf-8")))
-    except (OSError, ValueError, TypeError):
+        return dict(json.loads(read_private(folder / ABOUT)))
+    except (OSError, ValueError, TypeError, RecursionError, UnsafeFileError):
         return {}
 
 

@@ -9,11 +9,13 @@ from __future__ import annotations
 
 import os
 import re
+import shlex
 import subprocess
 import sys
 from pathlib import Path
 
 import pytest
+from support.reader import environment_of
 
 ROOT = Path(__file__).parents[2]
 DOCS = ROOT / "docs"
@@ -23,7 +25,7 @@ PAGES = {
 }
 FENCE = re.compile(r'^```(\w*)(?: title="([^"]+)")?\n(.*?)^```', re.DOTALL | re.MULTILINE)
 ADDED = "at the end of "
-TIMEOUT_S = 240
+TIMEOUT_S = 600
 
 LONG = ("make ", "apt-get ", ".venv/bin/", "spin ", "python benchmarks/")
 """Set-up, and what takes minutes; each `make` target and script has tests of its own."""
@@ -42,18 +44,70 @@ def script(text: str) -> str:
 
 
 RUN = [page for page, text in PAGES.items() if "```console" in text]
+TUTORIAL = "docs/tutorial.md"
+"""Run as its reader does, with no more installed than it says."""
 
 
 def test_there_are_pages_to_run() -> None:
-    assert "docs/tutorial.md" in RUN
+    assert TUTORIAL in RUN
 
 
-@pytest.mark.parametrize("page", RUN)
+@pytest.mark.parametrize("page", [page for page in RUN if page != TUTORIAL])
 def test_the_commands_of_a_page_work(page: str, tmp_path: Path) -> None:
+    run_page(page, tmp_path, Path(sys.executable).parent)
+
+
+def beginnings() -> dict[str, list[str]]:
+    """What the tutorial's readers have, by how they begin: what `make demo` installs, or pip, and what they add."""
+    makefile = (ROOT / "Makefile").read_text(encoding="utf-8")
+    recipe = re.search(r"^\$\(RUNS\):.*?\n((?:\t.*\n)+)", makefile, re.MULTILINE)
+    assert recipe is not None
+    demo = ["hierax" + extras for extras in re.findall(r'--editable "?\.(\[[a-z,]+\])?"?$', recipe[1], re.MULTILINE)]
+    found = {}
+    for language, _, body in FENCE.findall(PAGES[TUTORIAL]):
+        words = [shlex.split(line) for line in body.splitlines()] if not language else []
+        added = [word for line in words if line[:2] == ["pip", "install"] for word in line[2:]]
+        if added:
+            found[body.splitlines()[0]] = (demo if ["make", "demo"] in words else []) + added
+    return found
+
+
+def test_the_tutorial_has_two_beginnings_that_install_the_same() -> None:
+    demo, pip = beginnings().values()
+    assert sorted(demo) == sorted(pip) == ["hierax[record]", "pytest"]
+
+
+def test_the_tutorial_works_with_what_its_reader_has(tmp_path: Path) -> None:
+    has = environment_of(next(iter(beginnings().values())), tmp_path / "reader")
+    found = subprocess.run([has / "python", "-c", "import rerun"], capture_output=True, check=False)
+    assert found.returncode, "the reader has more than was asked for"
+    run_page(TUTORIAL, tmp_path, has)
+
+
+def test_without_the_package_for_recordings_commands_say_how_to_get_it(tmp_path: Path) -> None:
+    has = environment_of(["hierax"], tmp_path / "reader")
+    for arguments in (
+        ("run", "letters", "--record", "x.mcap"),
+        ("launch", "letters", "--record", "x.mcap"),
+        ("record", "letters", "-o", "x.mcap"),
+        ("replay", "x.mcap"),
+        ("check", "x.mcap"),
+        ("diff", "x.mcap", "x.mcap"),
+    ):
+        (tmp_path / "x.mcap").touch()
+        done = subprocess.run(
+            [has / "hierax", *arguments], cwd=tmp_path, capture_output=True, text=True, timeout=TIMEOUT_S, check=False
+        )
+        assert done.returncode == 1, arguments
+        assert done.stderr == "error: recordings need the package mcap: pip install 'hierax[record]'\n", arguments
+
+
+def run_page(page: str, tmp_path: Path, programs: Path) -> None:
+    """Run a page's commands, with the programs of a Python environment."""
     folder, state = tmp_path / "work", tmp_path / "state"
     for each in (folder, state):
         each.mkdir()
-    tools = str(Path(sys.executable).parent)
+    tools = str(programs)
     environment = {
         **os.environ,
         "PATH": tools + os.pathsep + os.environ["PATH"],

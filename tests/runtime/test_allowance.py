@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import pytest
 
-from hierax.runtime.allowance import Allowance, NotAllowedError, is_target
+from hierax.runtime.allowance import ANYTHING, Allowance, NotAllowedError, is_target
 from hierax.schemas.changes import Attach, Change, Detach, Replace
 from hierax.schemas.roster import Reference, Roster, RosterEdge
 
@@ -90,7 +90,11 @@ def test_what_a_node_loads_of_a_roster() -> None:
         allowing("robots.eye").check_part(strange, "eye")
 
 
-def test_all_that_rosters_name() -> None:
-    named = Allowance.of([ROSTER])
-    assert named.modules == ("robots.arm", "robots.eye", "robots.scene")
-    assert named.with_modules(["a.*", "robots.arm"]).modules == ("a.*", "robots.arm", "robots.eye", "robots.scene")
+def test_more_modules() -> None:
+    assert allowing("robots.eye").with_modules(["a.*", "robots.eye"]).modules == ("a.*", "robots.eye")
+
+
+def test_who_trusts_has_anything_that_is_named_rightly() -> None:
+    ANYTHING.check_all(replace(ROSTER, nodes={**ROSTER.nodes, "eye": Reference("os:Eye")}))
+    with pytest.raises(NotAllowedError, match="one name in a module"):
+        ANYTHING.check("os:path.join", "nodes.eye.class")

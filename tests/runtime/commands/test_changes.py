@@ -10,6 +10,7 @@ from typing import Any
 import pytest
 from support.deployments import write
 
+from hierax.runtime.commands import changes
 from hierax.runtime.commands.main import main
 from hierax.runtime.launch.run_file import Running, register
 from hierax.runtime.transport import hub
@@ -85,6 +86,15 @@ def test_without_a_launch_there_is_nothing_to_change(
     assert capsys.readouterr().out == "no launch runs on this machine\n"
     assert main(["ps", "--format", "json"]) == 0
     assert json.loads(capsys.readouterr().out) == {"runs": []}
+    assert launches.asked == []
+
+
+def test_waiting_for_a_launch_has_an_end(
+    launches: FakeLaunches, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(changes, "WAIT_S", 0.0)
+    assert error(capsys, "ps", "--wait", "1") == "no launch has committed epoch 1 within 0 s"
+    assert "no launch 'toys' runs" in error(capsys, "ps", "--wait", "1", "--run", "toys")
     assert launches.asked == []
 
 

@@ -78,7 +78,7 @@ def test_the_output_folder_is_made_and_has_a_summary(tmp_path: Path, capsys: pyt
 
 def test_an_output_folder_that_cannot_be_made(tmp_path: Path) -> None:
     path = write(tmp_path)
-    with pytest.raises(HieraxError, match=r"--output .*: the folder cannot be made: Not a directory"):
+    with pytest.raises(HieraxError, match=r"--output .*: it cannot be made or written: Not a directory"):
         run(FakeRunner(), path, output=path / "sub")
 
 

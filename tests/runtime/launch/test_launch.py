@@ -163,7 +163,7 @@ def test_a_node_that_cannot_be_built_is_named_with_its_line(two: Callable[[str],
 def test_a_program_that_a_node_leaves_running_ends_with_it(two: Callable[[str], str]) -> None:
     done = hierax("launch", two('{class: "support.slow_nodes:Starting"}'), "--epochs", "2")
     assert done.returncode == 0, done.stderr
-    until(lambda: not is_alive(int(done.stderr)), ENDED_S)
+    until(lambda: not is_alive(int(done.stderr.removeprefix("node: "))), ENDED_S)
 
 
 @pytest.mark.parametrize(("dies", "code"), [("false", 0), ("true", 1)])
@@ -225,7 +225,7 @@ class Launched:
 
     def until_stuck(self) -> None:
         assert self.process.stderr is not None
-        assert self.process.stderr.readline() == "stuck\n"
+        assert self.process.stderr.readline() == "node: stuck\n"
 
     def until_gone(self) -> float:
         return until(lambda: not any(map(is_alive, [self.process.pid, *self.nodes])))

@@ -9,15 +9,27 @@ import shutil
 import subprocess
 import sys
 from collections.abc import Iterable, Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 from support import stranger
+from support.deployments import replaced, write
 from support.live import Live, environment, until
 
+from hierax.runtime.allowance import NotAllowedError
+from hierax.runtime.commands.main import main
+from hierax.runtime.core.errors import HieraxError
 from hierax.runtime.deployment.read import read_deployment
+from hierax.runtime.launch.orders import Orders
+from hierax.runtime.launch.run_file import read_run
+from hierax.runtime.recovery.disk import MappedFile
+from hierax.runtime.recovery.slots import Slots
+from hierax.runtime.seal import NOT_OURS
 from hierax.runtime.watch.run_folder import run_folder
+from hierax.schemas.checkpoint import WorldRecord, encode_world
 from hierax.schemas.roster import Reference
+from hierax.schemas.values import encode_value
 
 MARKER = "hierax_test_marker"
 TREACHERY = "support.treachery"
@@ -135,3 +147,76 @@ def test_what_another_user_names_is_neither_imported_nor_called(live: Live, user
     assert told in "".join(live.launch.err)
     assert told in said(run, "_launch")
     assert is_untouched(live.folder)
+
+
+# --- folders of runs
+
+
+def state_of(folder: Path) -> tuple[Path, Orders]:
+    """The folder of a run that was begun, and what makes its orders."""
+    file = folder / "toys.yaml"
+    write(folder)
+    deployment = read_deployment(file)
+    state = folder / "state"
+    state.mkdir(mode=0o700)
+    orders = Orders(deployment, "5163af85", 3, 9, None, state, None)
+    orders.keep()
+    return state, orders
+
+
+def test_a_folder_that_was_edited_is_refused_without_trust(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    state, _ = state_of(tmp_path)
+    assert read_run(state).seed == 3
+    path = state / "run.json"
+    written = json.loads(path.read_text())
+    edits = {"deployment": str(tmp_path / "theirs.yaml"), "settings": ["nodes.left.class=subprocess:run"], "seed": 4}
+    for field, value in {**edits, "lineages": {"world": "other"}, "seal": "0" * 64}.items():
+        path.write_text(json.dumps({**written, field: value}))
+        assert main(["launch", "--resume", str(state)]) == 1
+        out, err = capsys.readouterr()
+        assert (out, err) == ("", f"error: {path}: {NOT_OURS}\n")
+    path.write_text(json.dumps({name: value for name, value in written.items() if name != "seal"}))
+    with pytest.raises(HieraxError, match="--trust loads and runs what it names"):
+        read_run(state)
+    assert read_run(state, trust=True).deployment == written["deployment"]
+
+
+def test_a_folder_of_another_user_or_machine_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    state, _ = state_of(tmp_path)
+    monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "another"))
+    with pytest.raises(HieraxError, match="--trust loads and runs what it names"):
+        read_run(state)
+
+
+def test_the_worlds_record_names_no_code_that_the_deployment_does_not(tmp_path: Path) -> None:
+    state, orders = state_of(tmp_path)
+    roster = orders.deployment.roster
+    for changed in (roster, replace(roster, nodes={**roster.nodes, "left": Reference("subprocess:run")})):
+        storage = MappedFile(state / "world", "process")
+        belief = encode_value((0, "", ()))
+        record = WorldRecord(1, 0, 0, encode_value(changed.plain()), 0, bytes(32), belief)
+        for _ in range(2):
+            Slots(storage).write(encode_world(record))
+        storage.close()
+        if changed is roster:
+            assert orders.known_roster(resume=True) == roster
+            continue
+        with pytest.raises(NotAllowedError, match=r"^nodes\.left\.class: 'subprocess:run' may not be loaded"):
+            orders.known_roster(resume=True)
+
+
+def test_trust_is_for_what_is_resumed(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["launch", "servo", "--trust"]) == 1
+    assert "--trust: only with --resume" in capsys.readouterr().err
+
+
+# --- what is validated
+
+
+def test_validating_calls_nothing_that_is_no_node(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    for target in ("subprocess:run", "shutil:rmtree", "builtins:exec", f"{TREACHERY}:overwrite"):
+        path = write(tmp_path, replaced("class: support.toy_nodes:Counter", f"class: {target}"))
+        assert main(["validate", str(path)]) == 1
+        err = capsys.readouterr().err
+        assert err.count("\n") == 1
+        assert f"nodes.world.class: expected a class derived from World, but {target} is" in err

@@ -149,7 +149,7 @@ def test_what_a_killed_process_did_not_tell_its_next_one_does(recording: Recordi
 
 def test_damage_before_the_end_is_named(chunked: Path, tmp_path: Path) -> None:
     data = bytearray(chunked.read_bytes())
-    at = data.rindex(b"lz4", 0, len(data) // 2) + 40
+    at = data.rindex(b"zstd", 0, len(data) // 2) + 40
     data[at] ^= 0xFF
     path = tmp_path / "damaged.mcap"
     path.write_bytes(data)
@@ -187,8 +187,8 @@ def test_anybody_elses_mcap_file_is_refused(tmp_path: Path) -> None:
 
 
 def test_another_format_is_refused(recording: Recording) -> None:
-    with pytest.raises(RecordingError, match="format 2; this version reads format 1"):
-        RunInfo.read({**recording.info.plain(), "format": 2})
+    with pytest.raises(RecordingError, match="format 3; this version reads formats 1 and 2"):
+        RunInfo.read({**recording.info.plain(), "format": 3})
     later = RunInfo.read({**recording.info.plain(), "new": 1})
     assert later == recording.info
 

@@ -110,3 +110,22 @@ def test_mending_removes_what_nobody_uses(tmp_path: Path, monkeypatch: pytest.Mo
             f"removed {unused}",
         ]
     assert (ended, used.exists(), unused.exists()) == ([Orphan(7, "7777")], True, False)
+
+
+def test_a_log_folder_that_cannot_be_written(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "file").write_text("no folder")
+    monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "file"))
+    found = list(check_folders())
+    assert [finding.state for finding in found] == [FINE, WRONG]
+    assert "cannot be written: Not a directory: launches leave no logs" in found[1].what
+    open_ = tmp_path / "open" / "hierax" / "runs"
+    open_.mkdir(parents=True)
+    open_.chmod(0o777)
+    monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "open"))
+    assert "others may write there" in list(check_folders())[1].what
+
+
+def test_little_memory_that_may_be_locked(tmp_path: Path) -> None:
+    (first, second) = doctor.check_shared_memory(tmp_path, 65536)
+    assert (first.state, second.state) == (NOTE, FINE)
+    assert "a process may lock 64 KiB of memory" in first.what

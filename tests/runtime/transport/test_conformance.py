@@ -145,6 +145,7 @@ def test_zenoh_drops_what_is_no_message(pair: dict[str, ZenohPort], data: bytes,
 
 def test_zenoh_connects_whatever_comes_before_a_greeting() -> None:
     hello = encode_message(Message(Header(HELLO, "low", "up", 0), ("hi",)))
-    for port in open_zenoh([("low", "up")], early=[b"", b"\xc1\x00", hello]).values():
-        assert port.ready
+    ports = open_zenoh([("low", "up")], early=[b"", b"\xc1\x00", hello]).values()
+    assert all(port.ready for port in ports)
+    for port in ports:
         port.close()

@@ -52,12 +52,52 @@ def test_a_key_that_carries_nothing_is_noticed_on_both_sides(dead: str) -> None:
     assert sides["up"].missing == ("low",)
 
 
-@pytest.mark.parametrize("change", [{"instance": 4}, {"roster": 1}])
-def test_a_greeting_of_another_instance_or_roster_counts_for_nothing(change: dict[str, int]) -> None:
+def test_a_greeting_of_another_instance_counts_for_nothing() -> None:
     sides = pair()
     kind, message = sides["low"].hello("up")[0]
-    assert sides["up"].heard(kind, Message(message.header._replace(**change), message.payload)) == []
+    assert sides["up"].heard(kind, Message(message.header._replace(instance=4), message.payload)) == []
     assert sides["up"].missing == ("low",)
+
+
+@pytest.mark.parametrize("seed", range(20))
+@pytest.mark.parametrize("who", [["low"], ["up"], ["low", "up"]])
+def test_a_link_that_broke_is_shaken_anew_on_both_sides_whoever_noticed(seed: int, who: list[str]) -> None:
+    sides = pair()
+    shake(sides, 0.0, random.Random(seed))
+    others = {"low": "up", "up": "low"}
+    old = [greeting for name, peer in others.items() for greeting in sides[name].hello(peer)]
+    for name in who:
+        sides[name].handshakes[others[name]].interrupted()
+    for kind, message in old:  # what was under way counts for nothing
+        if message.header.receiver in who:
+            sides[message.header.receiver].heard(kind, message)
+    assert all(sides[name].missing for name in who)
+    assert shake(sides, 0.3, random.Random(seed))
+    assert sides["low"].handshakes["up"].broken
+    assert sides["up"].handshakes["low"].broken
+
+
+@pytest.mark.parametrize("loss", [0.0, 0.5])
+def test_what_a_killed_process_had_heard_does_not_count_for_the_next_one(loss: float) -> None:
+    sides = pair()
+    shake(sides, 0.0, random.Random(0))
+    sides["up"] = Rendezvous("up", ["low"], [], {"low": 3, "up": 5}, 2, process="another")
+    for kind, message in sides["low"].hello("up"):  # said to the one before
+        sides["up"].heard(kind, message)
+    assert sides["up"].missing == ("low",)
+    assert shake(sides, loss, random.Random(1))
+    assert sides["low"].handshakes["up"].peer_process == "another"
+    assert sides["low"].handshakes["up"].broken, "what was sent to the one before is said again"
+
+
+def test_versions_share_the_handshakes_of_the_same_processes() -> None:
+    low = pair()["low"]
+    later = Rendezvous("low", ["new"], ["up"], {"low": 3, "up": 5, "new": 7}, 7)
+    later.take_over(low)
+    assert later.handshakes["up"] is low.handshakes["up"]
+    other = Rendezvous("low", [], ["up"], {"low": 3, "up": 6}, 8)
+    other.take_over(low)
+    assert other.handshakes["up"] is not low.handshakes["up"]
 
 
 @pytest.mark.parametrize(

@@ -47,7 +47,7 @@ def test_a_nodes_records_have_run_node_and_epoch(capsys: pytest.CaptureFixture[s
     where = {"run": "5163af85", "node": "arm", "epoch": 12, "attempt": 1, "logger": "robots.arm", "level": "WARNING"}
     assert second == {**where, "time": second["time"], "message": "slipped by 2.5 mm", "joint": 3}
     assert second["time"].endswith("Z")
-    assert capsys.readouterr().err == "robots.arm: slipped by 2.5 mm\n"
+    assert capsys.readouterr().err == "arm: robots.arm: slipped by 2.5 mm\n"
 
 
 def test_formatters_of_ones_own_know_the_fields(capsys: pytest.CaptureFixture[str]) -> None:
@@ -79,7 +79,7 @@ def test_the_console_shows_what_is_asked_for(
     log_console()
     log_node("aa", "arm", lambda: (1, 0))
     logging.getLogger("x").debug("details")
-    assert capsys.readouterr().err == "x: details\n"
+    assert capsys.readouterr().err == "arm: x: details\n"
     assert entries("aa", "arm")[0]["level"] == "DEBUG"
 
 

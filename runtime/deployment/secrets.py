@@ -1,0 +1,167 @@
+"""What of Zenoh's settings is secret, and leaves the processes of a launch nowhere: passwords and private keys.
+
+It is in no file that hierax writes, in no recording, and in no answer. Of a ``--set`` that
+gives something secret the path alone is kept, without ``=``.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Any
+
+import yaml
+
+from hierax.runtime.core.errors import HieraxError
+
+HIDDEN = "(not stored)"
+"""What stands for something secret in a text."""
+
+_SECRET = re.compile(
+    r"\w*(password|passwd|passphrase|secret|credential|token|private_key_(pem|base64))(?!\w*_(file|path)\b)\w*", re.I
+)
+_VALUE = r"""("(?:\\.|[^"\\])*"|'(?:\\.|[^'\\])*'|[^\s,;}"']+)"""
+_IN_TEXT = re.compile(rf"""(["']?{_SECRET.pattern}["']?\s*[:=]\s*){_VALUE}""", re.I)
+_ANCHOR = re.compile(r"&\S+\s+")
+_SURE_CHARS = 4
+"""Shorter secrets may be part of other words by chance."""
+
+
+def is_secret(name: str) -> bool:
+    """Whether a field of this name holds something secret, and not the path of a file with it."""
+    return _SECRET.fullmatch(name) is not None
+
+
+def secret_values(zenoh: Any) -> frozenset[str]:
+    """What is secret in Zenoh's settings: a map, JSON5 text, the path of a file, or None."""
+    return frozenset(found for found in _values(zenoh) if found)
+
+
+def public_settings(settings: Sequence[str], zenoh: Any) -> tuple[str, ...]:
+    """Settings as they may be told and kept; of those that give something secret the path alone.
+
+    Args:
+        settings: as ``--set`` has them, or as they were kept.
+        zenoh: the settings of Zenoh that they led to.
+    """
+    secrets = secret_values(zenoh)
+    return tuple(text.partition("=")[0].strip() if _is_hidden(text, secrets) else text for text in settings)
+
+
+def told(text: str) -> str:
+    """A setting as errors show it."""
+    return f"{text.partition('=')[0]}=…" if _is_hidden(text, frozenset()) else text
+
+
+def usable(settings: Sequence[str]) -> list[str]:
+    """Of kept settings those whose values are kept, too."""
+    return [text for text in settings if "=" in text]
+
+
+def completed(kept: Sequence[str], given: Sequence[str]) -> list[str]:
+    """Kept settings, with what was not kept given again.
+
+    Args:
+        kept: as `public_settings` gave them.
+        given: as ``--set`` has them.
+
+    Raises:
+        HieraxError: something lacks, or is given that was kept.
+    """
+    again = {text.partition("=")[0].strip(): text for text in given}
+    hidden = [text for text in kept if "=" not in text]
+    lacking = [path for path in hidden if path not in again]
+    if lacking:
+        what = f"what --set {lacking[0]} gave is secret and was not stored"
+        raise HieraxError(f"{what}; give it again: --set {lacking[0]}=VALUE")
+    other = [path for path in again if path not in hidden]
+    if other:
+        raise HieraxError(f"--set {other[0]}: the run knows its settings; only secret ones are given again")
+    return [again.get(text, text) for text in kept]
+
+
+def public_text(text: str, zenoh: Any) -> str:
+    """A deployment file's text without what is secret in it.
+
+    Args:
+        text: YAML that was read.
+        zenoh: the settings of Zenoh that it led to.
+    """
+    secrets = secret_values(zenoh)
+    if not secrets:
+        return text
+    spans = sorted({(each.start_mark.index, each.end_mark.index) for each in _secret_scalars(text, secrets)})
+    for start, end in reversed(spans):
+        anchor = _ANCHOR.match(text, start, end)
+        line_end = "\n" if text[start:end].endswith("\n") else ""
+        text = f'{text[:start]}{anchor[0] if anchor else ""}"{HIDDEN}"{line_end}{text[end:]}'
+    for secret in secrets:  # in comments, or in other words for the same
+        if len(secret) > _SURE_CHARS:
+            text = text.replace(secret, HIDDEN)
+    return text
+
+
+def _secret_scalars(text: str, secrets: frozenset[str]) -> Iterator[yaml.ScalarNode]:
+    """What is secret in the settings of Zenoh, and in the parameters that they may come from."""
+    root = yaml.compose(text, Loader=yaml.SafeLoader)
+    if not isinstance(root, yaml.MappingNode):
+        return
+    for key, value in root.value:
+        if key.value in ("zenoh", "parameters"):
+            seen: set[int] = set()
+            for scalar in _scalars(value, seen):
+                if any(secret == scalar.value or (secret in scalar.value and _sure(secret, key)) for secret in secrets):
+                    yield scalar
+
+
+def _sure(secret: str, key: yaml.Node) -> bool:
+    return key.value == "zenoh" or len(secret) >= _SURE_CHARS
+
+
+def _scalars(node: yaml.Node, seen: set[int]) -> Iterator[yaml.ScalarNode]:
+    if id(node) in seen:
+        return
+    seen.add(id(node))
+    if isinstance(node, yaml.ScalarNode):
+        yield node
+    elif isinstance(node, yaml.MappingNode):
+        for _, value in node.value:
+            yield from _scalars(value, seen)
+    elif isinstance(node, yaml.SequenceNode):
+        for value in node.value:
+            yield from _scalars(value, seen)
+
+
+def _is_hidden(text: str, secrets: frozenset[str]) -> bool:
+    path, equals, value = text.partition("=")
+    value = value.strip().strip("\"'")
+    if not equals:
+        return False
+    names = path.strip().split(".")
+    if names[0] == "zenoh" and (any(map(is_secret, names)) or _IN_TEXT.search(value)):
+        return True
+    return any(secret == value or (len(secret) >= _SURE_CHARS and secret in value) for secret in secrets)
+
+
+def _values(zenoh: Any) -> Iterator[str]:
+    if isinstance(zenoh, str):
+        yield from (found[len(found.groups())].strip("\"'") for found in _IN_TEXT.finditer(zenoh))
+    elif isinstance(zenoh, Mapping):
+        for name, value in zenoh.items():
+            if is_secret(str(name)):
+                yield from _leaves(value)
+            else:
+                yield from _values(value)
+    elif isinstance(zenoh, (list, tuple)):
+        for value in zenoh:
+            yield from _values(value)
+
+
+def _leaves(value: Any) -> Iterator[str]:
+    if isinstance(value, Mapping):
+        value = list(value.values())
+    if isinstance(value, (list, tuple)):
+        for each in value:
+            yield from _leaves(each)
+    elif value is not None:
+        yield str(value)

@@ -1,0 +1,126 @@
+"""Orders of a launch on another machine: what of them counts here, and what is decided on this machine alone.
+
+Whoever answers at an endpoint says what is to be started. So of an order no more is taken
+over than what the run is and how its epochs go; what runs, and all that touches this
+machine, comes from what its user has named.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from hierax.runtime.allowance import Allowance, module_of
+from hierax.runtime.core.errors import HieraxError
+from hierax.runtime.launch.pipe import NEWCOMER, NodeOrder
+from hierax.schemas.errors import SchemaError, shown
+from hierax.schemas.keys import check_name
+from hierax.schemas.roster import Reference
+from hierax.schemas.values import Value
+
+
+@dataclass(frozen=True)
+class Here:
+    """What the user of this machine has named.
+
+    Attributes:
+        nodes: which are asked for.
+        allowance: which code may be loaded.
+        trusts: whether what the launch allows may be loaded, too.
+        import_paths: where modules are looked for.
+        endpoint: of the launch.
+        host: this machine's address for the others; empty: the launch is on this machine.
+        settings: Zenoh's own.
+    """
+
+    nodes: Mapping[str, Reference]
+    allowance: Allowance
+    trusts: bool
+    import_paths: Sequence[str]
+    endpoint: str
+    host: str
+    settings: Value
+
+
+def read_orders(orders: Value, request: str, here: Here, folder: Path) -> list[NodeOrder]:
+    """The orders for this machine.
+
+    Args:
+        orders: what the launch has answered.
+        request: the change that was asked for, as the launch calls it.
+        here: what is decided on this machine.
+        folder: of the checkpoints, made on this machine for this alone.
+
+    Raises:
+        NotAllowedError: a node's class may not be loaded here.
+        HieraxError: they are no orders, or not of the nodes that were asked for.
+    """
+    if not isinstance(orders, (list, tuple)) or not all(isinstance(order, dict) for order in orders):
+        raise HieraxError(f"the launch at {here.endpoint} gave no orders, but {shown(orders)}")
+    names = [order.get("name") for order in orders]
+    if sorted(map(str, names)) != sorted(here.nodes):
+        asked = ", ".join(map(repr, sorted(here.nodes)))
+        raise HieraxError(f"the launch at {here.endpoint} orders processes of {shown(names)}; asked for were {asked}")
+    return [_local(order, request, here, folder) for order in orders]
+
+
+def _local(order: Mapping[str, Any], request: str, here: Here, folder: Path) -> NodeOrder:
+    name: str = order["name"]
+    reference = here.nodes[name]
+    allowance = here.allowance
+    if here.trusts:
+        allowance = allowance.with_modules(_texts(order, "modules"))
+    allowance.check(reference.target, f"nodes.{name}.class")
+    return NodeOrder(
+        name=name,
+        process=_name(order, "process"),
+        life=NEWCOMER,
+        request=request,
+        deployment=_name(order, "deployment"),
+        run=_name(order, "run"),
+        roster=None,
+        modules=allowance.modules,
+        preload=(module_of(reference.target),),
+        seed=_field(order, "seed", int),
+        epochs=_field(order, "epochs", int, type(None)),
+        staleness=_field(order, "staleness", int, type(None)),
+        exact=_field(order, "exact", bool),
+        rate_hz=_field(order, "rate_hz", float, int, type(None)),
+        hub=here.endpoint,
+        host=here.host,
+        settings=here.settings,
+        low_latency=_field(order, "low_latency", bool),
+        output="",
+        probes=(),
+        import_paths=tuple(here.import_paths),
+        checkpoint=str(folder / name),
+        durability="host" if order.get("durability") == "host" else "process",
+        owner=None,
+        on_uncertain_act="repeat",
+        processes={},
+        proposals=(),
+        recorded=_field(order, "recorded", bool),
+        elsewhere=True,
+    )
+
+
+def _field(order: Mapping[str, Any], field: str, *kinds: type) -> Any:
+    value = order.get(field)
+    if type(value) not in kinds:
+        expected = " or ".join(kind.__name__ for kind in kinds)
+        raise HieraxError(f"{order['name']}: the launch's order says {field}: {shown(value)}; expected {expected}")
+    return value
+
+
+def _name(order: Mapping[str, Any], field: str) -> str:
+    try:
+        return check_name(order.get(field), field)  # type: ignore[arg-type]
+    except SchemaError as error:
+        raise HieraxError(f"{order['name']}: the launch's order says {field}: {error}") from error
+
+
+def _texts(order: Mapping[str, Any], field: str) -> tuple[str, ...]:
+    values = _field(order, field, list, tuple)
+    return tuple(str(value) for value in values)

@@ -1,0 +1,288 @@
+"""Files and folders that nobody else has put there: opened without following links, looked at when they are open.
+
+What a launch believes later (checkpoints, what it takes to resume, where launches are found)
+is in folders that nobody else can write to, and no other user can read it. What a run gives
+its user (outputs, recordings) is as readable as that user's other files.
+"""
+
+from __future__ import annotations
+
+import errno
+import fcntl
+import os
+import stat
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+from secrets import token_hex
+
+from hierax.runtime.core.errors import HieraxError
+
+FILE_MODE, FOLDER_MODE = 0o600, 0o700
+LARGEST = 16 << 20
+"""Of a private file that is read at once, in bytes."""
+
+_AT_ONCE = os.O_NOFOLLOW | os.O_CLOEXEC | os.O_NONBLOCK
+"""Of all files; a FIFO is refused, not waited for."""
+
+_LOOK = os.O_PATH | os.O_NOFOLLOW | os.O_CLOEXEC
+_MOST_LINKS = 40
+_OTHERS_WRITE = stat.S_IWGRP | stat.S_IWOTH
+
+
+class UnsafeFileError(HieraxError):
+    """A file or folder is somebody else's, or open to others; says which and why."""
+
+
+class HeldError(HieraxError):
+    """Another process writes a file; says which one."""
+
+
+@contextmanager
+def private_folder(path: Path, make: bool = False) -> Iterator[int]:
+    """A folder that nobody but this user can put anything into, nor into those above it, open.
+
+    Args:
+        path: of it.
+        make: whether it is made, and those above it, where they lack; for this user alone.
+
+    Yields:
+        A descriptor, for `open_private`.
+
+    Raises:
+        UnsafeFileError: it or a folder above it is another user's, or others may write there.
+        OSError: it cannot be opened or made.
+    """
+    folder = _walked(path, make)
+    try:
+        found = os.fstat(folder)
+        if found.st_uid != os.geteuid():
+            raise UnsafeFileError(f"{path} belongs to another user (uid {found.st_uid}); expected a folder of your own")
+        if found.st_mode & _OTHERS_WRITE:
+            mode = f"others may write there (mode {stat.S_IMODE(found.st_mode):04o})"
+            raise UnsafeFileError(f"{path}: {mode}; expected a folder for you alone: chmod 700")
+        yield folder
+    finally:
+        os.close(folder)
+
+
+def open_private(folder: int, name: str, flags: int, path: Path) -> int:
+    """Open a file of this user alone; one that others could read is theirs no more.
+
+    Args:
+        folder: where it is, as `private_folder` gives it.
+        name: of the file.
+        flags: as `os.open` has them.
+        path: what errors name.
+
+    Raises:
+        UnsafeFileError: it is a link, no regular file, or another user's.
+        OSError: it cannot be opened.
+    """
+    with _links_named(path):
+        file = os.open(name, flags & ~os.O_TRUNC | _AT_ONCE, FILE_MODE, dir_fd=folder)
+    try:
+        if _own(file, path).st_mode & 0o077:
+            os.fchmod(file, FILE_MODE)
+        if flags & os.O_TRUNC:
+            os.ftruncate(file, 0)
+    except BaseException:
+        os.close(file)
+        raise
+    return file
+
+
+def read_private(path: Path) -> bytes:
+    """What is in a private file.
+
+    Raises:
+        UnsafeFileError: it, or its folder, is not of this user alone; or it is very large.
+        OSError: it cannot be read.
+    """
+    with private_folder(path.parent) as folder:
+        file = open_private(folder, path.name, os.O_RDONLY, path)
+    with os.fdopen(file, "rb") as stream:
+        content = stream.read(LARGEST + 1)
+    if len(content) > LARGEST:
+        raise UnsafeFileError(f"{path}: is larger than {LARGEST} bytes, so it is not what hierax writes there")
+    return content
+
+
+def write_private(path: Path, content: bytes) -> None:
+    """Write a private file, whole or not at all; its folder is made where it lacks.
+
+    Raises:
+        UnsafeFileError: its folder is not of this user alone.
+        OSError: it cannot be written.
+    """
+    unfinished = f".{path.name}.{token_hex(4)}.tmp"
+    with private_folder(path.parent, make=True) as folder:
+        file = open_private(folder, unfinished, os.O_WRONLY | os.O_CREAT | os.O_EXCL, path)
+        try:
+            with os.fdopen(file, "wb") as stream:
+                stream.write(content)
+            os.rename(unfinished, path.name, src_dir_fd=folder, dst_dir_fd=folder)
+        except BaseException:
+            with suppress(FileNotFoundError):
+                os.unlink(unfinished, dir_fd=folder)
+            raise
+
+
+def open_result(path: Path | str, append: bool = False, private: bool = False) -> int:
+    """Open a file that a run writes for its user, to be read and written; what is in it stays.
+
+    Args:
+        path: of the file, in a folder that is there.
+        append: whether everything goes to its end.
+        private: whether it is for this user alone.
+
+    Raises:
+        UnsafeFileError: it is a link, no regular file, or another user's.
+        OSError: it cannot be opened.
+    """
+    flags = os.O_RDWR | os.O_CREAT | _AT_ONCE | (os.O_APPEND if append else 0)
+    with _links_named(path):
+        file = os.open(path, flags, FILE_MODE if private else 0o666)
+    try:
+        _own(file, path)
+    except BaseException:
+        os.close(file)
+        raise
+    return file
+
+
+def write_result(path: Path, content: bytes) -> None:
+    """Write a file for the user; what was in it is gone.
+
+    Raises:
+        UnsafeFileError: it is a link, no regular file, or another user's.
+        OSError: it cannot be written.
+    """
+    with os.fdopen(open_result(path), "wb") as file:
+        file.truncate(0)
+        file.write(content)
+
+
+def hold(file: int, told: Callable[[str], HieraxError]) -> None:
+    """Have an open file for this process, and those that inherit it, alone; until it is closed or they have ended.
+
+    Args:
+        file: its descriptor.
+        told: the error, given who has it.
+
+    Raises:
+        HieraxError: another process has it.
+    """
+    try:
+        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError as error:
+        raise told(_holder(file)) from error
+
+
+def _walked(path: Path, make: bool) -> int:
+    """A folder, opened from the root on, so that nobody can exchange one that was looked at already."""
+    left = _parts(os.path.join(os.getcwd(), path))
+    links = 0
+    folder = _root()
+    try:
+        while left:
+            name = left.pop()
+            inner = _inner(folder, name, make)
+            try:
+                target = _target(inner, name, path, is_last=not left)
+            except BaseException:
+                os.close(inner)
+                raise
+            if not target:
+                os.close(folder)
+                folder = inner
+                continue
+            os.close(inner)
+            links += 1
+            if links > _MOST_LINKS:
+                raise OSError(errno.ELOOP, os.strerror(errno.ELOOP))
+            left += _parts(target)
+            if target.startswith("/"):
+                os.close(folder)
+                folder = _root()
+        return folder
+    except BaseException:
+        os.close(folder)
+        raise
+
+
+def _root() -> int:
+    return os.open("/", _LOOK | os.O_DIRECTORY)
+
+
+def _parts(path: str) -> list[str]:
+    """The names in a path, the first one last."""
+    return [part for part in reversed(path.split("/")) if part not in ("", ".")]
+
+
+def _target(inner: int, name: str, path: Path, *, is_last: bool) -> str:
+    """Where what is on the way to a folder leads to, if it is a link; empty: it is a folder.
+
+    Raises:
+        UnsafeFileError: another user could have it lead elsewhere.
+    """
+    found = os.fstat(inner)
+    is_link = stat.S_ISLNK(found.st_mode)
+    if is_link or not is_last:
+        # the last one: root, where a container calls it otherwise
+        if found.st_uid not in (0, os.geteuid(), os.stat("/").st_uid):
+            raise UnsafeFileError(f"{path}: {name!r} on the way there belongs to another user (uid {found.st_uid})")
+        if not is_link and found.st_mode & stat.S_IWOTH and not found.st_mode & stat.S_ISVTX:
+            raise UnsafeFileError(f"{path}: anybody may exchange what is in {name!r} on the way there")
+    return os.readlink("", dir_fd=inner) if is_link else ""
+
+
+def _inner(folder: int, name: str, make: bool) -> int:
+    """What is in a folder, a link itself and not where it leads to."""
+    try:
+        inner = os.open(name, _LOOK, dir_fd=folder)
+    except FileNotFoundError:
+        if not make:
+            raise
+        with suppress(FileExistsError):
+            os.mkdir(name, FOLDER_MODE, dir_fd=folder)
+        inner = os.open(name, _LOOK, dir_fd=folder)
+    if stat.S_IFMT(os.fstat(inner).st_mode) in (stat.S_IFDIR, stat.S_IFLNK):
+        return inner
+    os.close(inner)
+    raise NotADirectoryError(errno.ENOTDIR, os.strerror(errno.ENOTDIR))
+
+
+def _own(file: int, path: Path | str) -> os.stat_result:
+    found = os.fstat(file)
+    if not stat.S_ISREG(found.st_mode):
+        raise UnsafeFileError(f"{path} is no regular file")
+    if found.st_uid != os.geteuid():
+        raise UnsafeFileError(f"{path} belongs to another user (uid {found.st_uid})")
+    return found
+
+
+@contextmanager
+def _links_named(path: Path | str) -> Iterator[None]:
+    try:
+        yield
+    except OSError as error:
+        if error.errno == errno.ELOOP:
+            raise UnsafeFileError(f"{path} is a symbolic link, which is not followed") from error
+        if error.errno == errno.ENXIO:
+            raise UnsafeFileError(f"{path} is no regular file") from error
+        raise
+
+
+def _holder(file: int) -> str:
+    """Which process has a file open too, in words."""
+    wanted, mine = os.fstat(file), str(os.getpid())
+    for process in Path("/proc").glob("[0-9]*"):
+        if process.name == mine:
+            continue
+        with suppress(OSError):  # it has ended, or is another user's
+            for each in (process / "fd").iterdir():
+                with suppress(OSError):
+                    if os.path.samestat(each.stat(), wanted):
+                        return f"process {process.name}"
+    return "another process"

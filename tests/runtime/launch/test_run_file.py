@@ -1,0 +1,118 @@
+from __future__ import annotations
+
+import json
+import os
+import stat
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from hierax.runtime.core.errors import HieraxError
+from hierax.runtime.launch import run_file
+from hierax.runtime.launch.run_file import Run, Running, known_runs, make_state, read_run, register, write_run
+
+NOBODY = 65534
+RUN = Run("/house.yaml", [], 3, 10, "", {}, {})
+HERE = Running("aaaa0000", "house", "tcp/127.0.0.1:1", os.getpid(), "/house.yaml", [])
+root_only = pytest.mark.skipif(os.geteuid() != 0, reason="only root may give files away")
+
+
+@pytest.fixture
+def temporary(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A machine whose temporary folder is this one, for a user without a folder for what runs."""
+    monkeypatch.delenv("XDG_RUNTIME_DIR", raising=False)
+    monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "home"))
+    folder = tmp_path / "tmp"
+    folder.mkdir()
+    folder.chmod(0o1777)
+    monkeypatch.setattr(run_file, "_TEMPORARY", folder)
+    return folder
+
+
+def test_what_runs_is_registered_for_this_user_alone(temporary: Path) -> None:
+    path = register(HERE)
+    assert path.is_relative_to(temporary)
+    assert stat.S_IMODE(path.stat().st_mode) == 0o600
+    assert stat.S_IMODE(path.parent.stat().st_mode) == 0o700
+    assert [each.run for each in known_runs()] == ["aaaa0000"]
+
+
+@root_only
+def test_a_squatted_folder_neither_blocks_nor_is_believed(temporary: Path) -> None:
+    squatted = temporary / f"hierax-{os.getuid()}" / "hierax"
+    squatted.mkdir(parents=True)
+    false = {**vars(HERE), "run": "ffff0000"}
+    (squatted / "ffff0000.json").write_text(json.dumps(false))
+    for path in (squatted.parent, squatted, squatted / "ffff0000.json"):
+        os.chown(path, NOBODY, NOBODY)
+        path.chmod(0o777)
+    path = register(HERE)
+    assert not path.is_relative_to(temporary)
+    assert [each.run for each in known_runs()] == ["aaaa0000"]
+    assert (squatted / "ffff0000.json").exists()
+
+
+def test_a_link_among_them_is_not_followed(temporary: Path, tmp_path: Path) -> None:
+    path = register(HERE)
+    path.rename(tmp_path / "elsewhere")
+    path.symlink_to(tmp_path / "elsewhere")
+    assert known_runs() == []
+
+
+def test_a_run_is_written_for_this_user_alone(tmp_path: Path) -> None:
+    write_run(tmp_path / "state", RUN)
+    assert read_run(tmp_path / "state") == RUN
+    assert stat.S_IMODE((tmp_path / "state" / "run.json").stat().st_mode) == 0o600
+
+
+def damage(**fields: object) -> Callable[[Path], None]:
+    def write(path: Path) -> None:
+        path.write_text(json.dumps({**vars(RUN), **fields}))
+
+    return write
+
+
+@pytest.mark.parametrize(
+    ("spoil", "error"),
+    [
+        (Path.unlink, "there is no run to resume: run.json is missing"),
+        (lambda path: path.write_text("{torn"), "expected what a launch of this version with --state wrote"),
+        (lambda path: path.write_text("[" * 100_000), "expected what a launch of this version with --state wrote"),
+        (lambda path: path.write_bytes(b"\xff\xfe"), "expected what a launch of this version with --state wrote"),
+        (lambda path: path.write_text("[]"), "expected what a launch of this version with --state wrote"),
+        (damage(extra=1), "unexpected keyword argument 'extra'"),
+        (damage(seed="three"), "seed: expected a int, got 'three'"),
+        (damage(settings="noise=1"), "settings: expected a list"),
+        (damage(lineages={"arm": "../../etc/passwd"}), "lineages: expected names of files"),
+        (damage(epochs="ten"), "epochs: expected a number"),
+    ],
+)
+def test_a_damaged_run_is_one_line(tmp_path: Path, spoil: Callable[[Path], object], error: str) -> None:
+    write_run(tmp_path / "state", RUN)
+    spoil(tmp_path / "state" / "run.json")
+    with pytest.raises(HieraxError, match=error):
+        read_run(tmp_path / "state", trust=True)
+
+
+def test_a_state_that_cannot_be_written_is_refused(tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("no folder")
+    for state in (tmp_path / "file", tmp_path / "file" / "below", Path("/proc/none")):
+        with pytest.raises(HieraxError, match=f"--state {state}: it cannot be written"):
+            make_state(state)
+    (tmp_path / "open").mkdir()
+    (tmp_path / "open").chmod(0o777)
+    with pytest.raises(HieraxError, match="others may write there"):
+        make_state(tmp_path / "open")
+
+
+@root_only
+def test_a_state_in_a_folder_of_another_user_is_refused(tmp_path: Path) -> None:
+    foreign = tmp_path / "foreign"
+    foreign.mkdir()
+    os.chown(foreign, NOBODY, NOBODY)
+    for state in (foreign, foreign / "state"):
+        with pytest.raises(HieraxError, match="belongs to another user"):
+            make_state(state)
+        with pytest.raises(HieraxError, match="belongs to another user"):
+            read_run(state)
