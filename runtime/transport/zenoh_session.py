@@ -242,5 +242,4 @@ def _given(settings: Settings) -> zenoh.Config:
         config = zenoh.Config.from_json5(settings) if is_text else zenoh.Config.from_file(settings)
     else:
         config = zenoh.Config.from_env() if os.environ.get("ZENOH_CONFIG") else zenoh.Config()
-        return config
     return config

@@ -199,10 +199,10 @@ def test_the_worlds_record_names_no_code_that_the_deployment_does_not(tmp_path: 
             Slots(storage).write(encode_world(record))
         storage.close()
         if changed is roster:
-            assert orders.known_roster(resume=True) == roster
+            assert orders.known_roster() == roster
             continue
         with pytest.raises(NotAllowedError, match=r"^nodes\.left\.class: 'subprocess:run' may not be loaded"):
-            orders.known_roster(resume=True)
+            orders.known_roster()
 
 
 def test_trust_is_for_what_is_resumed(capsys: pytest.CaptureFixture[str]) -> None:

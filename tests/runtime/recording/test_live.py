@@ -138,7 +138,7 @@ def test_a_launch_that_is_not_there_is_said(start: Start) -> None:
 def _recorder_of(supervisor: int) -> int:
     """The process that records."""
     out = subprocess.run(
-        ["ps", "-o", "pid=,args=", "--ppid", str(supervisor)], capture_output=True, text=True, check=True
+        ["ps", "-ww", "-o", "pid=,args=", "--ppid", str(supervisor)], capture_output=True, text=True, check=True
     )
     (line,) = [line for line in out.stdout.splitlines() if "hierax.runtime.recording.process" in line]
     return int(line.split()[0])
