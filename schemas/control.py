@@ -160,7 +160,7 @@ class Lost(NamedTuple):
 
 
 class Census(NamedTuple):
-    """Keeper to an owner that is new: the processes that it keeps and that live."""
+    """Keeper to the world's process, or to an owner that is new: the processes that it keeps, which are up."""
 
     processes: dict[str, str]
 

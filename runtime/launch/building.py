@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import importlib
 import logging
-import time
 from pathlib import Path
 
 from hierax.runtime.allowance import Allowance
@@ -13,6 +12,7 @@ from hierax.runtime.engine.loose import Staleness
 from hierax.runtime.files import DIGESTS, open_probes, state_log
 from hierax.runtime.launch.faults import plant
 from hierax.runtime.launch.pipe import BEGIN, NodeOrder
+from hierax.runtime.launch.steady import SteadyClock
 from hierax.runtime.launch.voice import Voice
 from hierax.runtime.member import Member
 from hierax.runtime.node_loader import NodeLoader
@@ -73,7 +73,7 @@ def _built(
         slots,
         Pacemaker(DigestChain(roster_hash), order.epochs, _Commits(order, epochs)),
         order.owner,
-        time.monotonic,
+        SteadyClock(),
         on_uncertain_act=order.on_uncertain_act,
         probes=probes,
         states=states,

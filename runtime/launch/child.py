@@ -143,10 +143,17 @@ class Child:
 
     async def cut_off(self, listening: anyio.CancelScope) -> None:
         """End what a node has started with the node: it may hold the pipes open, so that no end of them comes."""
+        if self.handle == CLOSED:
+            return  # it never came to start anything
         await anyio.wait_readable(self.handle)  # the process has ended
         self.signal_group(signal.SIGKILL)
         await anyio.sleep(END_TIMEOUT_S)
         listening.cancel()
+
+    @property
+    def was_killed(self) -> bool:
+        """Whether it has ended by a signal, with no word of why it could not go on."""
+        return self.failure is None and (self.process.returncode or 0) < 0
 
     @property
     def last_words(self) -> NodeFailedError:
@@ -163,9 +170,16 @@ async def start_child(order: NodeOrder) -> Child:
         stderr=None,
         start_new_session=True,
     )
-    child = Child(order, process, os.pidfd_open(process.pid))
+    child = Child(order, process, _handle_of(process.pid))
     await child.tell(order.plain())
     return child
+
+
+def _handle_of(pid: int) -> int:
+    try:
+        return os.pidfd_open(pid)
+    except ProcessLookupError:
+        return CLOSED  # killed already, and noticed
 
 
 def _describe(code: int | None) -> str:

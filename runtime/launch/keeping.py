@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable, Mapping
 from secrets import token_hex
 from typing import Any
@@ -28,12 +27,16 @@ from hierax.runtime.launch.pipe import (
     NodeOrder,
 )
 from hierax.runtime.launch.requests import Requests
+from hierax.runtime.launch.steady import SteadyClock
 from hierax.runtime.owner.outlet import DETACH
-from hierax.schemas.control import Control, Dismiss, Lost, encode_control
+from hierax.schemas.control import Census, Control, Dismiss, Lost, encode_control
 from hierax.schemas.roster import Roster
 
 BEAT_S = 0.2
 """How often the world's process says something."""
+
+POLL_S = 0.01
+"""How often it is looked whether all processes are up."""
 
 SILENCE_S = 1.0
 """How long it may say nothing, beyond the epoch's deadline."""
@@ -51,6 +54,7 @@ class Keeping:
         tasks: in which everything runs; to be set before the first process is started.
         dismiss_elsewhere: tells a process that is kept elsewhere that it has no place any more, why, and whether
             another one is to come; to be set likewise.
+        begun: set when the run has begun: the world has recorded that, or goes on with a record.
         finished: set when the world has committed its last epoch.
         ending: whether processes may end from now on.
         members: the processes of the roster in force, by node, as the world said last.
@@ -73,7 +77,10 @@ class Keeping:
         self._coming: set[str] = set()
         self._last_roster: Roster | None = None
         self._heard_s = 0.0
+        self._told: Child | None = None
+        self._clock = SteadyClock()
         self._beat = anyio.Event()
+        self.begun = anyio.Event()
         self.finished = anyio.Event()
         self.ending = False
         self.members: Mapping[str, str] = {}
@@ -101,6 +108,35 @@ class Keeping:
         self._restarts.setdefault(child.name, Restarts(self.orders.policy(child.name)))
         self.tasks.start_soon(self._listen, child)
         return child
+
+    async def begin(self, timeout_s: float) -> list[str]:
+        """Wait until all processes are up, and have the world begin the run with those that there are then.
+
+        Until it has, a process that is killed is started anew, and shakes hands anew.
+
+        Args:
+            timeout_s: how long they may take.
+
+        Returns:
+            The nodes that were not up in time.
+        """
+        clock = SteadyClock()
+        patience = clock() + timeout_s
+        while True:
+            late = [name for name, child in self._current.items() if self._is_late(child)]
+            if not late and self.begun.is_set():
+                return []
+            if not late and self._told is not self._current[self._world]:
+                self._told = self._current[self._world]
+                await self.tell_owner(Census({name: child.token for name, child in self._current.items()}))
+            if clock() > patience:
+                return late or [self._world]
+            await anyio.sleep(POLL_S)
+
+    def _is_late(self, child: Child) -> bool:
+        if self.begun.is_set():
+            return not child.up.is_set() and (child.name in self._coming or not child.heard.is_set())
+        return not child.up.is_set() or child.heard.is_set()
 
     @property
     def present(self) -> list[Child]:
@@ -141,7 +177,8 @@ class Keeping:
     def _take_from_world(self, value: dict[str, Any]) -> None:
         status = value["status"]
         if status == BEAT:
-            self._heard_s = time.monotonic()
+            self._heard_s = self._clock()
+            self.begun.set()
             self.epoch = value["epoch"]
             self.version = value["version"]
             self.instances = value["instances"]
@@ -222,25 +259,46 @@ class Keeping:
         """Have another process come in the place of one that has ended, or end the run."""
         name = child.name
         failure = child.last_words
-        if not child.up.is_set() and not self._restarts[name].count and not child.order.request:
+        if not (child.up.is_set() or child.was_killed or self._restarts[name].count or child.order.request):
             self._fail(failure)
             return
+        begun = await self._has_begun()
         delay_s = self._restarts[name].delay_s(child)
-        if delay_s is None and (name == self._world or self.orders.policy(name).on_loss != DETACH):
+        may_lack = begun and name != self._world and self.orders.policy(name).on_loss == DETACH
+        if delay_s is None and not may_lack:
             self._fail(failure)
             return
         self._say(f"{failure}" + ("" if delay_s is None else "; it is started again"))
-        if name != self._world:
+        if begun and name != self._world:
             await self.tell_owner(Lost(name, child.token, delay_s is not None))
         if delay_s is not None:
             await anyio.sleep(delay_s)
             await self._restart(child)
+
+    async def _has_begun(self) -> bool:
+        """Whether the run has begun; where the world was told to begin, and has not said so yet, that is waited for."""
+        world = self._told
+        while world is not None and not self.begun.is_set():
+            if world.heard.is_set() and self._told is world:  # it has ended, and all that it said is taken in
+                self._told = None
+                if self.orders.has_begun(world.token):
+                    self.begun.set()
+            if self._told is not world:
+                break
+            await anyio.sleep(POLL_S)
+        return self.begun.is_set()
 
     async def _restart(self, child: Child) -> None:
         name = child.name
         if self.ending:
             return
         token = token_hex(8)
+        if not self.begun.is_set():
+            self.members = {**self.members, name: token}
+            again = await self.start(self.orders.anew(child.order, token))
+            for proposal in self.requests.proposals if name == self._world else ():
+                await again.tell(proposal)
+            return
         if self._last_roster is not None and name != self._world:  # nothing is left to do but to report
             self.members = {**self.members, name: token}
             await self.start(self.orders.to_report(child.order, token, self._last_roster))
@@ -248,7 +306,7 @@ class Keeping:
             return
         living = self._living()
         await self.start(self.orders.again(child.order, token, living, self.requests.proposals))
-        self._heard_s = time.monotonic()
+        self._heard_s = self._clock()
         if name == self._world:
             await self._tell_of_deaths(living)
 
@@ -280,14 +338,14 @@ class Keeping:
     async def watch_world(self) -> None:
         """The world's process watches the others; here it is watched itself."""
         deadline_s = self.orders.deployment.epoch_deadline_s
-        self._heard_s = time.monotonic()
+        self._heard_s = self._clock()
         if deadline_s is None:
             return
         while True:
             await anyio.sleep(SILENCE_S / 5)
             world = self._current[self._world]
-            if world.alive and time.monotonic() - self._heard_s > max(deadline_s, SILENCE_S):
-                self._heard_s = time.monotonic()
+            if world.alive and self._clock() - self._heard_s > max(deadline_s, SILENCE_S):
+                self._heard_s = self._clock()
                 self._kill(self._world, world.token, "it does not answer")
 
     # --- what others ask for

@@ -8,7 +8,7 @@ import sys
 import threading
 import time
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from types import FrameType
 from typing import get_args
 
@@ -20,6 +20,7 @@ from hierax.runtime.launch.backlog import Backlog
 from hierax.runtime.launch.building import build_member, preload
 from hierax.runtime.launch.desk import Desk
 from hierax.runtime.launch.pipe import BEGIN, COME_BACK, CUT_OFF, DISMISSED, FAILED, REPORT, TO_REPORT, UP, NodeOrder
+from hierax.runtime.launch.steady import SteadyClock
 from hierax.runtime.launch.voice import Voice
 from hierax.runtime.loading import LoadError, extend_import_path
 from hierax.runtime.member import Member
@@ -82,6 +83,8 @@ class NodeLife:
         self._inputs: deque[Control] = deque()
         self._words = Backlog()
         self._woken = False
+        self._processes: Mapping[str, str] | None = None
+        self._clock = SteadyClock()
         self._ticks = False
         self._ticked_s = self._moved_s = time.monotonic()
         self._place: tuple[object, ...] = ()
@@ -123,6 +126,11 @@ class NodeLife:
         """
         self._leaves, self._epoch = True, epoch
         self.stop()
+
+    def begin(self, processes: Mapping[str, str]) -> None:
+        """Have the world begin the run: all processes are up, these by node."""
+        self._processes = processes
+        self._wake()
 
     def post(self, control: Control) -> None:
         """What the keeper says to the member, or to the owner; never lost."""
@@ -276,7 +284,10 @@ class NodeLife:
                     return False
             self._voice.say(UP)
             if isinstance(member, WorldMember):
-                member.begin_run(order.roster, {**order.processes, order.name: order.process})
+                processes = self._until_told(port)
+                if processes is None:
+                    return False
+                member.begin_run(order.roster, {**processes, order.name: order.process})
             return True
         if order.life == TO_REPORT and order.roster is not None:
             member.recall(loader.wiring(order.roster))
@@ -291,6 +302,20 @@ class NodeLife:
             member.join(order.request)
         self._voice.say(UP)
         return True
+
+    def _until_told(self, port: ZenohPort) -> Mapping[str, str] | None:
+        """Wait until the keeper says that all are up, and which process runs which node; None: it says stop.
+
+        Meanwhile greetings are answered: a process that was killed before the run has begun is started anew.
+        """
+        while not self._stopping.is_set():
+            if self._processes is not None:
+                return self._processes
+            try:
+                port.receive()
+            except SchemaError as error:
+                _log.warning("%s: dropped what is no message of ours: %s", self._order.name, error)
+        return None
 
     def _run(self, member: Member, port: ZenohPort) -> None:
         world = member if isinstance(member, WorldMember) else None
@@ -418,13 +443,13 @@ class NodeLife:
         if now - self._beaten_s >= BEAT_S:
             self._beaten_s = now
             self._voice.beat(world.owner)
-        state = (world.owner.epoch, self.busy())
+        state, steady_s = (world.owner.epoch, self.busy()), self._clock()
         if not state[1] or state != self._stuck:
-            self._stuck, self._stuck_s = state, now
+            self._stuck, self._stuck_s = state, steady_s
             return
         deadline_s = self._order.owner.epoch_deadline_s if self._order.owner is not None else None
-        if deadline_s is not None and now - self._stuck_s > deadline_s:
-            self._stuck_s = now
+        if deadline_s is not None and steady_s - self._stuck_s > deadline_s:
+            self._stuck_s = steady_s
             why = f"it is in {state[1]} in epoch {state[0] + 1}, past the deadline"
             self._voice.end(self._order.name, self._order.process, why)
 

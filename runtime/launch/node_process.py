@@ -25,7 +25,7 @@ from hierax.runtime.launch.pipe import FINISH, STOP, Frames, NodeOrder, epoch_of
 from hierax.runtime.streams import own_output
 from hierax.runtime.watch.logs import QUIET, log_console, log_node, tell_left_out
 from hierax.runtime.watch.prints import name_prints
-from hierax.schemas.control import decode_control
+from hierax.schemas.control import Census, decode_control
 from hierax.schemas.values import Value
 
 TICK_S = 0.05
@@ -106,7 +106,11 @@ async def _obey(life: NodeLife, orders: int, frames: Frames, commands: list[Valu
             elif isinstance(command, dict):
                 life.leave(epoch_of_leave(command))
             else:
-                life.post(decode_control(command))
+                word = decode_control(command)
+                if isinstance(word, Census):
+                    life.begin(word.processes)
+                else:
+                    life.post(word)
         commands = await _next_frames(orders, frames)
         if not commands:
             await _end(life)

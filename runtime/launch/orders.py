@@ -19,7 +19,8 @@ from hierax.runtime.recording.info import RunInfo
 from hierax.runtime.recovery.disk import MappedFile
 from hierax.runtime.recovery.slots import Slots
 from hierax.runtime.world_member import has_record, read_record
-from hierax.schemas.checkpoint import decode_roster
+from hierax.schemas.checkpoint import decode_processes, decode_roster
+from hierax.schemas.errors import SchemaError
 from hierax.schemas.roster import Reference, Roster
 
 ANSWER_TIMEOUT_S = 5.0
@@ -127,6 +128,27 @@ class Orders:
             fault=self._next_fault(name),
             recorded=self._is_recorded(),
         )
+
+    def anew(self, order: NodeOrder, token: str) -> NodeOrder:
+        """The order of the process that comes in the place of one that was killed before the run had begun."""
+        return replace(order, process=token, fault=self._next_fault(order.name), recorded=self._is_recorded())
+
+    def has_begun(self, world: str) -> bool:
+        """Whether a process of the world's that is dead has begun the run: only with a record is anything sent.
+
+        Args:
+            world: the process's token.
+        """
+        name = self.deployment.roster.world
+        try:
+            with MappedFile(self._state / self._lineages.get(name, name), self.deployment.durability) as storage:
+                slots = Slots(storage)
+                if not has_record(slots):
+                    return False
+                record, _ = read_record(slots)
+            return bool(decode_processes(record.processes)[name][0] == world)  # else it is that of another run
+        except (HieraxError, SchemaError):
+            return True  # its next process says what is wrong with it
 
     def again(
         self, order: NodeOrder, token: str, processes: Mapping[str, str], proposals: Iterable[bytes]

@@ -219,6 +219,8 @@ class Supervisor:
     async def _start_all(self) -> None:
         roster = self._roster
         life = COME_BACK if self._resume else BEGIN
+        if self._resume:
+            self._keeping.begun.set()
         tokens = {name: token_hex(8) for name in roster.nodes}
         self._keeping.members = tokens
         for name in sorted(roster.nodes):
@@ -231,11 +233,7 @@ class Supervisor:
         """Wait for the processes to come up, then for the world to finish."""
         timeout_s = self._deployment.start_timeout_s
         async with self._unless_broken():
-            first = self._keeping.current
-            with anyio.move_on_after(timeout_s):
-                for child in first.values():
-                    await child.up.wait()
-            late = [name for name, child in first.items() if not child.up.is_set()]
+            late = await self._keeping.begin(timeout_s)
             if late:
                 self._break(NodeFailedError(f"not up within {timeout_s:g} s (start_timeout_s): {', '.join(late)}"))
             self._start_s = time.perf_counter() - begun

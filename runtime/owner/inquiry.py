@@ -11,6 +11,9 @@ from hierax.schemas.roster import Roster
 ANSWER_S = 0.2
 """How long a process that is well may take to say what it waits for."""
 
+ASK_AGAIN_S = 0.1
+"""After which time those are asked once more who have not answered: a question may be lost with a link."""
+
 RESENDS = 3
 """How often what is missing is sent again before its link is taken for dead."""
 
@@ -38,6 +41,7 @@ class Inquiry:
         self._deadline_s = settings.epoch_deadline_s
         self._began_s = 0.0
         self._asked_s: float | None = None
+        self._insisted = False
         self._number = 0
         self._resends = 0
         self._answers: dict[str, Status] = {}
@@ -60,6 +64,9 @@ class Inquiry:
             return
         if self._asked_s is None:
             self._ask(now, roster, processes)
+        elif now - self._asked_s > ASK_AGAIN_S and not self._insisted:
+            self._insisted = True
+            self._tell(sorted(roster.nodes.keys() - self._answers.keys()), processes)
         elif now - self._asked_s > ANSWER_S or self._answers.keys() == roster.nodes.keys():
             self._asked_s = None
             self._judge(epoch, attempt, roster, processes)
@@ -68,7 +75,11 @@ class Inquiry:
         self._asked_s = now
         self._number += 1
         self._answers = {}
-        for name in sorted(roster.nodes):
+        self._insisted = False
+        self._tell(sorted(roster.nodes), processes)
+
+    def _tell(self, names: list[str], processes: Mapping[str, str]) -> None:
+        for name in names:
             self._outlet.tell(processes[name], AskStatus(self._number))
 
     def _judge(self, epoch: int, attempt: int, roster: Roster, processes: Mapping[str, str]) -> None:
@@ -88,7 +99,7 @@ class Inquiry:
             what = f"the world goes on with epoch {epoch}, and that was committed already ({others})"
             self._outlet.stop(f"{what}, or somebody else has sent them observations")
             return
-        self._tell(epoch, silent, busy, waiting)
+        self._note(epoch, silent, busy, waiting)
         if silent or busy:
             self._blame(epoch, silent, busy, processes)
         elif self._resends < RESENDS:
@@ -98,7 +109,7 @@ class Inquiry:
             self._resends = 0
             self._blame_link(roster, waiting, behind, processes)
 
-    def _tell(
+    def _note(
         self, epoch: int, silent: list[str], busy: list[str], waiting: Mapping[str, tuple[tuple[str, str], ...]]
     ) -> None:
         parts = [f"{name} does not answer" for name in silent]

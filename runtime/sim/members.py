@@ -47,7 +47,7 @@ def _world_member(simulation: Simulation, process: SimProcess, port: SimPort) ->
         modules=(MODULE,),
         on_loss=scenario.on_loss,
         rejoin_timeout_s=scenario.rejoin_timeout_s,
-        epoch_deadline_s=0.3,
+        epoch_deadline_s=scenario.epoch_deadline_s,
         start_timeout_s=2.0,
         answer_timeout_s=0.8,
     )

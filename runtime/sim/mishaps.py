@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from hierax.runtime.sim.process import SimProcess
-from hierax.runtime.sim.scenario import CRASH, DAMAGE, HANG, PARTITION, PAUSE, SLOW, TORN, WORLD, Fault
+from hierax.runtime.sim.scenario import BREAK, CRASH, DAMAGE, HANG, PARTITION, PAUSE, SLOW, TORN, WORLD, Fault
 from hierax.schemas.control import Lost
 
 if TYPE_CHECKING:
@@ -32,7 +32,7 @@ class Mishaps:
     def befall(self, fault: Fault) -> None:
         """A fault happens."""
         self._simulation.trace(f"fault: {fault}")
-        if fault.kind in (CRASH, WORLD, TORN, DAMAGE, HANG, PAUSE, SLOW, PARTITION):
+        if fault.kind in (CRASH, WORLD, TORN, DAMAGE, HANG, PAUSE, SLOW, PARTITION, BREAK):
             candidates = [each for each in self._simulation.keepers.processes.values() if each.name == fault.name]
             if candidates:
                 self._befall_process(fault, candidates[fault.number % len(candidates)])
@@ -58,6 +58,8 @@ class Mishaps:
         elif fault.kind == SLOW:
             process.slowness_s = fault.share
             self._simulation.clock.schedule(fault.for_s, setattr, process, "slowness_s", 0.0)
+        elif fault.kind == BREAK:
+            self._simulation.network.break_link(process, fault.number, fault.for_s)
         elif fault.kind == PARTITION:
             self._simulation.network.cut.add(process.token)
             self._simulation.clock.schedule(fault.for_s, self._heal, process.token)

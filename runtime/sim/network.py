@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from random import Random
 from typing import TYPE_CHECKING
@@ -94,12 +95,44 @@ class Network:
         self._lanes: dict[tuple[str, str, str], float] = {}
         self.faults: list[Fault] = []
         self.cut: set[str] = set()
+        self._broken: Counter[frozenset[str]] = Counter()
+        self._breaks: Counter[frozenset[str]] = Counter()
         self.held: list[tuple[str, str, str, bytes]] = []
         self.at_once = False
 
     def parted(self, one: str, other: str) -> bool:
-        """Whether a partition lies between two processes."""
-        return (one in self.cut) != (other in self.cut)
+        """Whether a partition lies between two processes, or their link is broken."""
+        return (one in self.cut) != (other in self.cut) or self._broken[frozenset((one, other))] > 0
+
+    def break_link(self, process: SimProcess, number: int, for_s: float) -> None:
+        """Break the link of a process to a neighbour, or to the roster's owner, and mend it after a while.
+
+        Args:
+            process: whose link.
+            number: chooses the other process.
+            for_s: how long it stays broken.
+        """
+        near = {pair[1] for pairs in process.links.values() for pair in pairs}
+        others = [each for each in self._processes.values() if each.name in near or each.is_world]
+        others = [each for each in others if each is not process]
+        if not others:
+            return
+        other = others[number % len(others)]
+        link = frozenset((process.token, other.token))
+        self._broken[link] += 1
+        self._breaks[link] += 1
+        self._clock.schedule(for_s, self._mend, process, other)
+
+    def _mend(self, one: SimProcess, other: SimProcess) -> None:
+        """The link is there again; both ends find that out, if they are neighbours."""
+        link = frozenset((one.token, other.token))
+        self._broken[link] -= 1
+        if self._broken[link]:
+            return
+        self.open_links()
+        for process, neighbour in ((one, other), (other, one)):
+            if any(pair[1] == neighbour.name for pairs in process.links.values() for pair in pairs):
+                self._clock.schedule(self._delay(), process.take, "mended", neighbour.name)
 
     def send(self, sender: SimProcess, message: Message) -> None:
         """Put a message on its way to all processes that listen to this sender's name."""
@@ -176,11 +209,13 @@ class Network:
             at = now + delay + (self._rng.uniform(0.0, 0.5) if copy else 0.0)
             if ordered and not copy:
                 at = self._lanes[sender, receiver, kind] = max(at, self._lanes.get((sender, receiver, kind), 0.0))
-            self._clock.schedule(at - now, self._deliver, sender, receiver, kind, data)
+            breaks = self._breaks[frozenset((sender, receiver))]
+            self._clock.schedule(at - now, self._deliver, sender, receiver, kind, data, breaks)
 
-    def _deliver(self, sender: str, receiver: str, kind: str, data: bytes) -> None:
+    def _deliver(self, sender: str, receiver: str, kind: str, data: bytes, breaks: int) -> None:
         process = self._processes.get(receiver)
-        if process is not None and not self.parted(sender, receiver):
+        is_lost = self.parted(sender, receiver) or self._breaks[frozenset((sender, receiver))] != breaks
+        if process is not None and not is_lost:
             process.take("control" if kind == "control" else "message", data)
 
     def _delay(self) -> float:

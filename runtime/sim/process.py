@@ -131,6 +131,8 @@ class SimProcess:
         elif kind == "opened":
             opened, version = data
             opened(version)
+        elif kind == "mended":
+            self.member.port.mended(data)
         elif kind == "word":
             self._hear(data)
         else:

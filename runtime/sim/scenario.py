@@ -14,15 +14,21 @@ from hierax.schemas.roster import Reference, Roster, RosterEdge
 CRASH, WORLD, TORN, DAMAGE = "crash", "world", "torn", "damage"
 LOSS, DOUBLE, REORDER, DELAY, PARTITION = "loss", "double", "reorder", "delay", "partition"
 HANG, PAUSE, SLOW = "hang", "pause", "slow"
-FAULTS = (CRASH, WORLD, TORN, DAMAGE, LOSS, DOUBLE, REORDER, DELAY, PARTITION, HANG, PAUSE, SLOW)
+BREAK = "break"
+FAULTS = (CRASH, WORLD, TORN, DAMAGE, LOSS, DOUBLE, REORDER, DELAY, PARTITION, HANG, PAUSE, SLOW, BREAK)
 """All kinds of faults.
 
 crash: a node's process dies at one of its calls. world: so does the world's. torn: a
 process dies in the middle of a write. damage: after its death, a slot is found damaged.
 loss, double, reorder, delay: messages are lost, come twice, overtake one another, or take
 long, for a while. partition: processes are cut off and joined again. hang: a process sits
-in an operator; pause: it does not run at all; slow: it takes its time for a while.
+in an operator; pause: it does not run at all; slow: it takes its time for a while. break:
+the link between two processes breaks, what is under way on it is lost, and after a while
+it is mended, which both are told.
 """
+
+_NEED_DEADLINE = frozenset({DAMAGE, LOSS, PARTITION, HANG})
+"""Faults after which a run may need the epoch's deadline to go on."""
 
 WORLD_NAME = "world"
 NAMES = tuple(f"n{index}" for index in range(8))
@@ -38,7 +44,7 @@ class Fault:
         kind: one of `FAULTS`.
         at_s: when; the network's last `for_s`.
         name: whom it befalls, where it befalls a process.
-        number: at which of its calls a process dies; else free.
+        number: at which of its calls a process dies; of a link that breaks, to which other process; else free.
         for_s: how long it lasts.
         share: of messages that it befalls.
     """
@@ -77,6 +83,8 @@ class Scenario:
         on_uncertain_act: of the world.
         on_loss, rejoin_timeout_s: by node.
         left_dead: nodes whose processes are not started again.
+        epoch_deadline_s: how long an epoch may take before it is asked who waits for whom; None: for ever, so
+            that nothing but what befalls the run itself can make it go on.
     """
 
     seed: int
@@ -89,6 +97,7 @@ class Scenario:
     on_loss: Mapping[str, str] = field(default_factory=dict)
     rejoin_timeout_s: Mapping[str, float] = field(default_factory=dict)
     left_dead: frozenset[str] = frozenset()
+    epoch_deadline_s: float | None = 0.3
 
 
 def draw_scenario(seed: int, faults: Collection[str] = FAULTS, epochs: int | None = None) -> Scenario:
@@ -106,17 +115,21 @@ def draw_scenario(seed: int, faults: Collection[str] = FAULTS, epochs: int | Non
     proposals = _proposals(rng, roster, span_s)
     names = sorted(set(roster.nodes) - {WORLD_NAME}) + [p for p in NAMES[:3] if p not in roster.nodes]
     detached = frozenset(name for name in names if rng.random() < 0.1)
+    befalls = _faults(rng, tuple(kind for kind in FAULTS if kind in faults and kind != BREAK), names, span_s)
+    if BREAK in faults:
+        befalls += _breaks(Random(f"{seed}/breaks"), [*names, WORLD_NAME], span_s, only=len(faults) == 1)
     return Scenario(
         seed,
         roster,
         count,
-        _faults(rng, tuple(kind for kind in FAULTS if kind in faults), names, span_s),
+        befalls,
         proposals,
         together=rng.random() < 0.5,
         on_uncertain_act=rng.choice(("repeat", "skip")),
         on_loss=dict.fromkeys(sorted(detached), "detach"),
         rejoin_timeout_s={name: rng.choice((0.05, 0.5, 5.0)) for name in names},
         left_dead=frozenset(name for name in sorted(detached) if rng.random() < 0.5),
+        epoch_deadline_s=0.3 if not befalls or _NEED_DEADLINE & {fault.kind for fault in befalls} else None,
     )
 
 
@@ -182,6 +195,14 @@ def _faults(rng: Random, kinds: tuple[str, ...], names: list[str], span_s: float
         return ()
     count = rng.choice((0, 1, 1, 2, 2, 3, 4, 6))
     return tuple(_fault(rng, rng.choice(kinds), names, span_s) for _ in range(count))
+
+
+def _breaks(rng: Random, names: list[str], span_s: float, only: bool) -> tuple[Fault, ...]:
+    count = rng.choice((1, 2, 4)) if only else rng.choice((0, 0, 0, 0, 1, 3))
+    return tuple(
+        Fault(BREAK, rng.uniform(0.0, span_s), rng.choice(names), rng.randrange(6), rng.choice((0.002, 0.05, 0.5)))
+        for _ in range(count)
+    )
 
 
 def _fault(rng: Random, kind: str, names: list[str], span_s: float) -> Fault:

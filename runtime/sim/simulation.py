@@ -15,7 +15,7 @@ from hierax.runtime.sim.members import SimKeeper, SimWorldMember
 from hierax.runtime.sim.mishaps import Mishaps
 from hierax.runtime.sim.network import Network
 from hierax.runtime.sim.process import SimProcess
-from hierax.runtime.sim.scenario import Proposal, Scenario
+from hierax.runtime.sim.scenario import BREAK, Proposal, Scenario
 from hierax.runtime.sim.storage import SimStorage
 from hierax.runtime.world_member import has_record, read_record
 from hierax.schemas.changes import Attach, Replace
@@ -26,6 +26,9 @@ from hierax.schemas.roster import Roster
 
 AFTER_S = 20.0
 """How long a run may take after its last fault."""
+
+AFTER_BREAKS_S = 1.5
+"""Likewise, where links broke, nothing else befell it and no deadline helps."""
 
 PROPOSE_AGAIN_S = 0.4
 MAX_EVENTS = 400_000
@@ -129,7 +132,8 @@ class Simulation:
         for proposal in scenario.proposals:
             self.clock.schedule(proposal.at_s, self._propose, proposal)
             last_s = max(last_s, proposal.at_s)
-        limit_s = last_s + AFTER_S
+        only_breaks = {fault.kind for fault in scenario.faults} == {BREAK} and not scenario.proposals
+        limit_s = last_s + (AFTER_BREAKS_S if only_breaks else AFTER_S)
         events = 0
         while not self._done():
             events += 1

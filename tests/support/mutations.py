@@ -289,6 +289,32 @@ def commit_not_recorded() -> Iterator[None]:
         yield
 
 
+@contextmanager
+def one_end_says_again() -> Iterator[None]:
+    """When a link is mended, only one of its ends says again what may be lost."""
+    mended = Member.mended
+
+    def mutant(self: Member, neighbour: str) -> None:
+        if self.name < neighbour:
+            mended(self, neighbour)
+
+    with patch.object(Member, "mended", mutant):
+        yield
+
+
+@contextmanager
+def last_message_said_again() -> Iterator[None]:
+    """When a link is mended, each end says only one message again."""
+
+    def mutant(self: Engine, neighbour: str) -> None:
+        for receiver, kind in sorted(self._sent)[-1:]:
+            if receiver == neighbour:
+                self._outlet.send(self._sent[receiver, kind])
+
+    with patch.object(Engine, "say_again", mutant):
+        yield
+
+
 MUTATIONS = {
     "stale attempt accepted": stale_attempt_accepted,
     "latest roster fetched instead of the message's": latest_roster_fetched,
@@ -305,4 +331,6 @@ MUTATIONS = {
     "attempt number reused": attempt_reused,
     "version number reused": version_reused,
     "commit told before it is recorded": commit_not_recorded,
+    "one end of a mended link says again": one_end_says_again,
+    "one message of a mended link said again": last_message_said_again,
 }

@@ -1,4 +1,4 @@
-"""Launches whose processes are stopped for longer than a link holds, and go on: nothing waits for a deadline."""
+"""Launches whose processes are stopped for longer than a link holds, or killed as they start."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 from support.device_nodes import DEVICE, MOVES_S
-from support.launched import Launched, hierax, until
+from support.launched import Launched, hierax, processes_of, until
 
 EPOCHS = 400
 STOPS_S = (1.05, 1.5, 3.0)
@@ -47,3 +47,31 @@ def test_epochs_go_on_by_themselves_after_stops(seed: int, tmp_path: Path, monke
         assert launch.written[EPOCHS].hex() == wanted, f"seed {seed}"
         assert "started again" not in launch.err
         assert "deadline" not in launch.err
+
+
+@pytest.mark.parametrize("seed", [1, 2])
+def test_processes_may_be_killed_in_their_first_instants(seed: int, tmp_path: Path) -> None:
+    """Of those that start, and of those that come in their place."""
+    file = tmp_path / "device.yaml"
+    log = tmp_path / "device.log"
+    file.write_text(DEVICE.format(log=log, on_uncertain_act="repeat", deadline_s="null", eye=""), encoding="utf-8")
+    wanted = hierax("run", str(file), "--epochs", "50")["digest"]
+    rng = random.Random(seed)
+    kills, seen = 0, set[int]()
+    due: dict[int, float] = {}
+    with Launched(tmp_path, str(file), "--epochs", "50") as launch:
+        while launch.running:
+            for pid in set(processes_of(launch.process.pid)) - seen:
+                seen.add(pid)
+                if kills + len(due) < 5:
+                    due[pid] = time.monotonic() + rng.choice((0.0, rng.uniform(0.0, 2.0)))
+            for pid in [pid for pid, at_s in due.items() if time.monotonic() >= at_s]:
+                del due[pid]
+                os.kill(pid, signal.SIGKILL)
+                kills += 1
+            time.sleep(0.001)
+        launch.end()
+        assert launch.process.returncode == 0, f"seed {seed}: {launch.err}"
+        assert launch.written[50].hex() == wanted, f"seed {seed}"
+        assert launch.err.count("by signal SIGKILL; it is started again") == kills >= 4
+    assert sorted(set(map(int, log.read_text().split()))) == list(range(1, 51))
