@@ -110,12 +110,11 @@ def _ask(looking: Looking, seen: Seen, pattern: str) -> set[Edge]:
 def as_json(echo: Echo, full: bool = False) -> Json:
     """A message as plain JSON."""
     from hierax.runtime.plain import plain
-    from hierax.runtime.tools.summary import summarised
 
     header, payload = echo.message
     fields = {**header._asdict(), "payload": payload}
     return {
-        **{name: plain(value) if full else summarised(value) for name, value in fields.items()},
+        **{name: plain(value, full) for name, value in fields.items()},
         "size": echo.size,
         "rate_hz": echo.rate_hz,
         "missed": echo.missed,

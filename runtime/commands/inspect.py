@@ -46,14 +46,13 @@ def inspect(
 def as_json(seen: Seen, node: str, answer: Answer, full: bool = False) -> Json:
     """All of it as plain JSON."""
     from hierax.runtime.plain import plain
-    from hierax.runtime.tools.summary import summarised
 
     told = {key: value for key, value in answer.items() if key != "process"}
     return {
         "hierarchy": seen.hierarchy,
         "run": seen.run,
         "node": node,
-        **{key: plain(value) if full else summarised(value) for key, value in told.items()},
+        **{key: plain(value, full) for key, value in told.items()},
     }
 
 

@@ -1,4 +1,4 @@
-"""Values for people: arrays summarised, everything else as it is."""
+"""Values as text for people: arrays summarised, everything else as it is."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from hierax.runtime.plain import Json, plain
+from hierax.runtime.plain import HEAD_BYTES, statistics
 from hierax.schemas.values import Value
 
 SMALL_ARRAY = 16
@@ -16,38 +16,8 @@ SMALL_ARRAY = 16
 SHOWN_ITEMS = 20
 """Of longer lists and maps, the first ones are shown as text."""
 
-SHOWN_BYTES = 16
 _LINE_CHARS = 100
 _INDENT = "  "
-
-
-def summarised(value: Value) -> Json:
-    """A value as plain JSON, but for large arrays and long bytes: of them what they are like.
-
-    An array becomes ``{"array": {"dtype", "shape", "min", "max", "mean"}}``, without the last
-    three where it has no finite elements; bytes become ``{"bytes": {"size", "head"}}``.
-    """
-    if isinstance(value, np.ndarray) and value.size > SMALL_ARRAY:
-        return {"array": _array(value)}
-    if isinstance(value, (bytes, bytearray, memoryview)) and len(value) > 2 * SHOWN_BYTES:
-        return {"bytes": {"size": len(value), "head": bytes(value[:SHOWN_BYTES]).hex()}}
-    if isinstance(value, dict):
-        return {str(key): summarised(item) for key, item in value.items()}
-    if isinstance(value, (tuple, list)):
-        return [summarised(item) for item in value]
-    return plain(value)
-
-
-def _array(array: np.ndarray[Any, Any]) -> dict[str, Json]:
-    about: dict[str, Json] = {"dtype": str(array.dtype), "shape": list(array.shape)}
-    numbers = np.abs(array) if array.dtype.kind == "c" else array
-    finite = numbers[np.isfinite(numbers)]
-    if finite.size:
-        mean = float(finite.mean(dtype=np.float64))
-        about |= {"min": finite.min().item(), "max": finite.max().item(), "mean": mean}
-        if finite.size < numbers.size:
-            about["not_finite"] = int(numbers.size - finite.size)
-    return about
 
 
 def tree(value: Value, name: str = "", depth: int = 0) -> Iterator[str]:
@@ -74,7 +44,7 @@ def in_line(value: Value) -> str:
     if isinstance(value, (float, np.floating)):
         return f"{value:.6g}"
     if isinstance(value, (bytes, bytearray, memoryview)):
-        return f"{len(value)} bytes {bytes(value[:SHOWN_BYTES]).hex()}{'…' if len(value) > SHOWN_BYTES else ''}"
+        return f"{len(value)} bytes {bytes(value[:HEAD_BYTES]).hex()}{'…' if len(value) > HEAD_BYTES else ''}"
     if isinstance(value, np.ndarray):
         return _array_in_line(value)
     if isinstance(value, dict):
@@ -87,7 +57,7 @@ def in_line(value: Value) -> str:
 def _array_in_line(array: np.ndarray[Any, Any]) -> str:
     if array.size <= SMALL_ARRAY:
         return in_line(array.tolist())
-    about = _array(array)
+    about = statistics(array)
     shape = "×".join(map(str, array.shape))
     if "min" not in about:
         return f"{array.dtype} {shape}"
