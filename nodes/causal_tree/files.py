@@ -12,13 +12,58 @@ import numpy as np
 import yaml
 
 from hierax.nodes.causal_tree.errors import NetworkError
-from hierax.nodes.causal_tree.network import Network, parse
+from hierax.nodes.causal_tree.network import MAX_STATES, Network, check_tables, parse
 
-SUFFIXES = (".json", ".yaml", ".yml", ".bif")
+MAX_BYTES = {".json": 1 << 26, ".yaml": 1 << 22, ".yml": 1 << 22, ".bif": 1 << 26}
+"""What a file may have, by its ending."""
+
+SUFFIXES = tuple(MAX_BYTES)
+
+MAX_YAML_VALUES = 1 << 18
+"""Values of a YAML file, aliases counted wherever they stand."""
+
+MAX_DEPTH = 80
+
+
+class _TooMuch(Exception):  # noqa: N818 - told as another error, with its file
+    """The file has more than is allowed."""
 
 
 class _Loader(yaml.SafeLoader):
-    """Numbers and booleans as YAML 1.2 has them: 1e-12 is a number, and no and yes are the names of states."""
+    """Numbers and booleans as YAML 1.2 has them: 1e-12 is a number, and no and yes are the names of states.
+
+    Stops at what is too much before it is made.
+    """
+
+    _composed = 0
+    _depth = 0
+
+    def compose_node(self, parent: yaml.Node | None, index: Any) -> yaml.Node | None:
+        self._composed += 1
+        self._depth += 1
+        if self._composed > MAX_YAML_VALUES:
+            raise _TooMuch(f"has more than {MAX_YAML_VALUES} values in YAML; JSON may have more")
+        if self._depth > MAX_DEPTH:
+            raise _TooMuch(f"is nested deeper than {MAX_DEPTH} levels")
+        node: yaml.Node | None = super().compose_node(parent, index)
+        self._depth -= 1
+        return node
+
+    def construct_document(self, node: yaml.Node) -> Any:
+        if _size(node, {}) > MAX_YAML_VALUES:
+            raise _TooMuch(f"has more than {MAX_YAML_VALUES} values in YAML, aliases counted wherever they stand")
+        return super().construct_document(node)
+
+
+def _size(node: yaml.Node, known: dict[int, int]) -> int:
+    """How many values a node has; one that is within itself has more than are allowed."""
+    if isinstance(node, yaml.ScalarNode):
+        return 1
+    if id(node) not in known:
+        known[id(node)] = MAX_YAML_VALUES + 1
+        parts = node.value if isinstance(node, yaml.SequenceNode) else [part for pair in node.value for part in pair]
+        known[id(node)] = 1 + sum(_size(part, known) for part in parts)
+    return known[id(node)]
 
 
 _TAG = "tag:yaml.org,2002:"
@@ -49,13 +94,8 @@ def read_network(file: str | Path) -> Network:
     suffix = path.suffix.lower()
     if suffix not in SUFFIXES:
         raise NetworkError(f"{path}: expected a file with the ending {', '.join(SUFFIXES)}")
-    try:
-        text = path.read_text(encoding="utf-8-sig")
-    except OSError as error:
-        raise NetworkError(f"{path}: cannot be read: {error.strerror or error}") from error
-    except UnicodeDecodeError as error:
-        raise NetworkError(f"{path}: byte {error.object[error.start]:#04x} is not UTF-8") from error
-    description = _from_bif(path) if suffix == ".bif" else _from_text(text, path)
+    text = _text(path, MAX_BYTES[suffix])
+    description = _from_bif(path, text) if suffix == ".bif" else _from_text(text, path)
     try:
         return parse(description)
     except NetworkError as error:
@@ -64,11 +104,38 @@ def read_network(file: str | Path) -> Network:
         raise placed from error
 
 
+def _text(path: Path, most: int) -> str:
+    """What is in a file, and nothing of one that is too large, or of something else than a file."""
+    try:
+        is_other = path.exists() and not path.is_file()  # reading a FIFO waits for ever
+        data = b"" if is_other else _begin(path, most + 1)
+    except (OSError, ValueError) as error:
+        raise NetworkError(f"{path}: cannot be read: {getattr(error, 'strerror', None) or error}") from error
+    if is_other:
+        raise NetworkError(f"{path}: is no file")
+    if len(data) > most:
+        raise NetworkError(f"{path}: has more than the {most} bytes that are allowed of {path.suffix.lower()}")
+    try:
+        return data.decode("utf-8-sig")
+    except UnicodeDecodeError as error:
+        raise NetworkError(f"{path}: byte {error.object[error.start]:#04x} is not UTF-8") from error
+
+
+def _begin(path: Path, count: int) -> bytes:
+    with path.open("rb") as file:
+        return file.read(count)
+
+
 def _from_text(text: str, path: Path) -> Any:
     try:
         content = json.loads(text) if path.suffix.lower() == ".json" else yaml.load(text, Loader=_Loader)
+    except _TooMuch as error:
+        raise NetworkError(f"{path}: {error}") from error
+    except RecursionError as error:
+        raise NetworkError(f"{path}: is nested too deeply; expected a list of nodes") from error
     except ValueError as error:
-        raise NetworkError(f"{path}: is no JSON: {error}") from error
+        kind = "JSON" if path.suffix.lower() == ".json" else "YAML"
+        raise NetworkError(f"{path}: is no {kind}: {error}") from error
     except yaml.YAMLError as error:
         raise NetworkError(f"{path}: is no YAML: {' '.join(str(error).split())}") from error
     if isinstance(content, dict) and "network" in content:
@@ -76,7 +143,25 @@ def _from_text(text: str, path: Path) -> Any:
     return content
 
 
-def _from_bif(path: Path) -> list[dict[str, Any]]:
+_BIF_VARIABLE = re.compile(r'\bvariable\s+"?([^"\s{]+)"?\s*\{[^}]*?\[\s*([0-9]{1,18})\s*\]', re.DOTALL)
+_BIF_TABLE = re.compile(r"\bprobability\s*\(([^){]*)\)")
+
+
+def _check_bif(text: str) -> None:
+    """Whether the tables that a BIF file announces may be had: pyAgrum makes them before it reads their numbers."""
+    states = {name: int(count) for name, count in _BIF_VARIABLE.findall(text)}
+    heads = [re.findall(r'[^\s,|"]+', head) for head in _BIF_TABLE.findall(text)]
+    many = next((name for name, count in states.items() if count > MAX_STATES), None)
+    if many is not None:
+        raise NetworkError(f"states: {states[many]:.3g} of them; at most {MAX_STATES} are allowed", many)
+    check_tables({head[0]: [states.get(name, 1) for name in head] for head in heads if head})
+
+
+def _from_bif(path: Path, text: str) -> list[dict[str, Any]]:
+    try:
+        _check_bif(text)
+    except NetworkError as error:
+        raise NetworkError(f"{path}: {error}") from error
     try:
         with warnings.catch_warnings():  # where they are errors, those of its import end the process
             warnings.simplefilter("ignore")

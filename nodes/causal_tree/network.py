@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Hashable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
@@ -14,8 +15,16 @@ from hierax.nodes.causal_tree.errors import Name, NetworkError
 from hierax.nodes.causal_tree.shape import check_shape
 
 Floats = NDArray[np.float64]
+_NUMBER_BYTES = 8
 Description = Sequence[Mapping[str, Any]]
 """``[{"id", "states", "parents": [...], "prior" | "cpt"}]``, in any order; `parse` says what each is."""
+
+MAX_NODES = 1 << 18
+MAX_STATES = 1 << 16
+"""Of one node."""
+
+MAX_TABLE_BYTES = 1 << 27
+"""All tables of a network together: 16.7 million numbers."""
 
 SUM_TOLERANCE = 1e-6
 """How far from 1 a distribution may sum: published tables are rounded. The numbers are used as they stand."""
@@ -77,6 +86,8 @@ def parse(description: Description | Network) -> Network:
         raise NetworkError(f"expected a list of nodes, got {type(description).__name__}")
     if not description:
         raise NetworkError("expected a list of nodes, got an empty one")
+    if len(description) > MAX_NODES:
+        raise NetworkError(f"{len(description)} nodes; at most {MAX_NODES} are allowed")
     entries: dict[Name, Mapping[str, Any]] = {}
     for place, entry in enumerate(description):
         name = _id(entry, place)
@@ -85,12 +96,28 @@ def parse(description: Description | Network) -> Network:
         entries[name] = entry
     states = {name: _states(entry, name) for name, entry in entries.items()}
     parents = {name: _parents(entry, name, entries) for name, entry in entries.items()}
-    variables = {}
-    for name, entry in entries.items():
-        shape = (*(len(states[parent]) for parent in parents[name]), len(states[name]))
-        variables[name] = Variable(name, states[name], parents[name], _table(entry, name, shape))
+    shapes = {name: (*(len(states[parent]) for parent in parents[name]), len(states[name])) for name in entries}
+    check_tables(shapes)
+    variables = {
+        name: Variable(name, states[name], parents[name], _table(entry, name, shapes[name]))
+        for name, entry in entries.items()
+    }
     check_shape(parents)
     return Network(variables)
+
+
+def check_tables(shapes: Mapping[Name, Sequence[int]]) -> None:
+    """Whether tables of these shapes may be had, before any is made.
+
+    Raises:
+        NetworkError: all together they have more than `MAX_TABLE_BYTES`; names the node at which that shows.
+    """
+    numbers = 0
+    for name, shape in shapes.items():
+        numbers += math.prod(shape)
+        if numbers * _NUMBER_BYTES > MAX_TABLE_BYTES:
+            so_far = f"up to this one, of {_shown(tuple(shape))}, the tables have {numbers:.3g} numbers"
+            raise NetworkError(f"{so_far}; at most {MAX_TABLE_BYTES // _NUMBER_BYTES} ({MAX_TABLE_BYTES} bytes)", name)
 
 
 def _id(entry: object, place: int) -> Name:
@@ -113,17 +140,22 @@ def _states(entry: Mapping[str, Any], name: Name) -> tuple[str, ...]:
     if isinstance(states, (int, np.integer)) and not isinstance(states, bool):
         if states < 1:
             raise NetworkError(f"states: expected at least 1, got {states}", name)
+        if states > MAX_STATES:
+            raise NetworkError(f"states: {int(states):.3g} of them; at most {MAX_STATES} are allowed", name)
         return _numbered(int(states))
     if isinstance(states, (str, bytes)) or not isinstance(states, Sequence) or not states:
         raise NetworkError(f"states: expected their number or a list of their names, got {states!r:.60}", name)
+    if len(states) > MAX_STATES:
+        raise NetworkError(f"states: {len(states)} of them; at most {MAX_STATES} are allowed", name)
     names = tuple(str(state).lower() if isinstance(state, bool) else str(state) for state in states)
-    doubled = next((state for place, state in enumerate(names) if state in names[:place]), None)
+    seen: set[str] = set()
+    doubled = next((state for state in names if state in seen or seen.add(state)), None)  # type: ignore[func-returns-value]
     if doubled is not None:
         raise NetworkError(f"states: {doubled!r} is there twice", name)
     return names
 
 
-@lru_cache(maxsize=256)
+@lru_cache(maxsize=16)
 def _numbered(count: int) -> tuple[str, ...]:
     return tuple(map(str, range(count)))
 

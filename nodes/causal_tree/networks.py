@@ -9,7 +9,7 @@ import numpy as np
 
 from hierax.nodes.causal_tree.errors import EvidenceError, Name, NetworkError
 from hierax.nodes.causal_tree.files import read_network
-from hierax.nodes.causal_tree.network import Network, Variable, parse
+from hierax.nodes.causal_tree.network import MAX_NODES, MAX_STATES, Network, Variable, check_tables, parse
 from hierax.nodes.causal_tree.wide import Floats
 
 Source = Network | Sequence[Mapping[str, Any]] | Mapping[str, Any] | str
@@ -43,7 +43,13 @@ def random_tree(nodes: int, states: int, seed: int) -> list[dict[str, Any]]:
         nodes: how many.
         states: of each node.
         seed: of all draws; distributions are drawn evenly from all that there are.
+
+    Raises:
+        NetworkError: it would be too large.
     """
+    if nodes > MAX_NODES or states > MAX_STATES:
+        raise NetworkError(f"network: at most {MAX_NODES} nodes of {MAX_STATES} states are allowed")
+    check_tables({"n0": (states,), "others": (max(nodes - 1, 0), states, states)})
     random = np.random.Generator(np.random.PCG64(seed))
     description: list[dict[str, Any]] = []
     for number in range(nodes):

@@ -11,6 +11,9 @@ from hierax.nodes.causal_tree.network import Network
 from hierax.nodes.causal_tree.networks import Source, likelihoods, network_from, sampled
 from hierax.runtime import NO_TICK, Elements, Tick, Value, World
 
+MAX_DRAWN = 1 << 20
+"""Sets, times leaves of the network."""
+
 Shown = dict[str, int | tuple[float, ...]]
 """An evidence set: by node, the number of its state, or likelihoods."""
 
@@ -77,11 +80,15 @@ def _shown(network: Network, name: str, value: Any) -> int | tuple[float, ...]:
 
 def _drawn(network: Network, draw: Mapping[str, Any]) -> list[Shown]:
     share = draw.get("share") if isinstance(draw, Mapping) and set(draw) == {"sets", "share", "seed"} else None
-    if not isinstance(share, (int, float)) or not 0 <= share <= 1 or type(draw["sets"]) is not int or draw["sets"] < 1:
-        raise ValueError(f"draw: expected sets (at least 1), share (from 0 to 1) and seed, got {draw!r:.80}")
+    if isinstance(share, bool) or not isinstance(share, (int, float)) or not 0 <= share <= 1:
+        raise ValueError(f"draw: expected sets, share (from 0 to 1) and seed, got {draw!r:.80}")
+    if any(type(draw[name]) is not int or draw[name] < least for name, least in (("sets", 1), ("seed", 0))):
+        raise ValueError(f"draw: expected sets (at least 1) and seed as whole numbers, got {draw!r:.80}")
     random = np.random.Generator(np.random.PCG64(draw["seed"]))
     parents = {parent for variable in network.variables.values() for parent in variable.parents}
     leaves = [name for name in network.variables if name not in parents]
+    if draw["sets"] * len(leaves) > MAX_DRAWN:
+        raise ValueError(f"draw: sets of {len(leaves)} leaves: at most {MAX_DRAWN // len(leaves)} are allowed")
     found: list[Shown] = []
     for _ in range(draw["sets"]):
         states = sampled(network, random)

@@ -22,15 +22,34 @@ from hierax.schemas.limits import MAX_DEPTH
 
 MAX_TEXT_CHARS = 1 << 22
 MAX_PARTS = 1 << 18
-"""Values in a document, aliases counted wherever they stand."""
+"""Values in a document, aliases and what '<<' brings in counted wherever they stand."""
 
 _TAG = "tag:yaml.org,2002:"
 _INTEGERS = range(-(1 << 63), 1 << 64)
 _BOOLS = {"true": True, "false": False}
 
 
+class _TooMuch(Exception):  # noqa: N818 - told as another error, with its place
+    """The text has more than is allowed."""
+
+
 class _Loader(yaml.SafeLoader):
+    """Stops at what is too much while it reads: reading goes on for a minute where a text is a list of two million."""
+
     yaml_implicit_resolvers: dict[str, list[tuple[str, re.Pattern[str]]]] = {}  # noqa: RUF012 - the base class's name
+    _composed = 0
+    _depth = 0
+
+    def compose_node(self, parent: yaml.Node | None, index: Any) -> yaml.Node | None:
+        self._composed += 1
+        if self._composed > 2 * MAX_PARTS:  # keys are nodes, too
+            raise _TooMuch(f"the document has more than {MAX_PARTS} values")
+        if self._depth > MAX_DEPTH + 1:
+            raise _TooMuch(f"nested deeper than {MAX_DEPTH} levels")
+        self._depth += 1
+        node: yaml.Node | None = super().compose_node(parent, index)
+        self._depth -= 1
+        return node
 
 
 for _kind, _pattern, _first in (
@@ -92,8 +111,8 @@ def read_tree(text: str, place: str, has_lines: bool = True) -> Tree:
         ) from error
     except yaml.MarkedYAMLError as error:
         raise _syntax_error(error, tree) from error
-    except RecursionError as error:
-        raise DeploymentError(f"nested deeper than {MAX_DEPTH} levels", place) from error
+    except _TooMuch as error:
+        raise DeploymentError(str(error), place) from error
     if root is not None:
         tree.value = _Builder(tree).build(root, ())
     return tree
@@ -121,9 +140,7 @@ class _Builder:
         self.parts = 0
 
     def build(self, node: yaml.Node, keys: Keys) -> Any:
-        self.parts += 1
-        if self.parts > MAX_PARTS:
-            raise self.error(node, keys, f"the document has more than {MAX_PARTS} values")
+        self.count(1, node, keys)
         if len(keys) > MAX_DEPTH:
             raise self.error(node, keys[:4], f"nested deeper than {MAX_DEPTH} levels")
         self.tree.lines.setdefault(keys, node.start_mark.line + 1)
@@ -134,6 +151,12 @@ class _Builder:
         if isinstance(node, yaml.ScalarNode):
             return self.scalar(node, keys)
         raise self.error(node, keys, f"the tag {_short(node.tag)} cannot be used here")
+
+    def count(self, parts: int, node: yaml.Node, keys: Keys) -> None:
+        """So many values more."""
+        self.parts += parts
+        if self.parts > MAX_PARTS:
+            raise self.error(node, keys[:4], f"the document has more than {MAX_PARTS} values")
 
     def mapping(self, node: yaml.MappingNode, keys: Keys) -> dict[str, Any]:
         result: dict[str, Any] = {}
@@ -174,6 +197,7 @@ class _Builder:
         for source in sources:
             if not isinstance(source, yaml.MappingNode):
                 raise self.error(source, keys, "'<<' takes a map, or a list of maps")
+            self.count(len(source.value), source, keys)
             entries += source.value
         if any(key_node.tag == f"{_TAG}merge" for key_node, _ in entries):
             raise self.error(node, keys, "'<<' takes a map that has no '<<' itself")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import re
 import sys
 import warnings
@@ -123,3 +124,55 @@ def test_a_file_that_cannot_be_read(tmp_path: Path) -> None:
     (tmp_path / "latin.yaml").write_bytes(b"- {id: \xe4}")
     with pytest.raises(NetworkError, match=r"latin\.yaml: byte 0xe4 is not UTF-8"):
         read_network(tmp_path / "latin.yaml")
+
+
+def bomb(leaves: int = 8) -> str:
+    """Ten lists of ten lists … by aliases: a hundred million numbers in a kilobyte."""
+    levels = ["x0: &x0 [1,1,1,1,1,1,1,1,1,1]"]
+    levels += [f"x{i}: &x{i} [{','.join([f'*x{i - 1}'] * 10)}]" for i in range(1, leaves)]
+    return "\n".join(levels) + f"\nnetwork: [{{id: a, states: 2, prior: *x{leaves - 1}}}]\n"
+
+
+@pytest.mark.parametrize(
+    ("name", "text", "told"),
+    [
+        (
+            "n.json",
+            '[{"id": "a", "states": 1000000000000, "prior": [1]}]',
+            r"node 'a': states: 1e\+12 of them; at most",
+        ),
+        ("n.yaml", "[{id: a, states: 1000000000000, prior: [1]}]", r"node 'a': states: 1e\+12 of them; at most"),
+        ("n.yaml", bomb(), "has more than 262144 values in YAML, aliases counted"),
+        ("n.yaml", "&a [*a]", "has more than 262144 values in YAML, aliases counted"),
+        ("n.yaml", "[" * 5000, "is nested deeper than 80 levels"),
+        ("n.json", "[" * 100_000, "is nested too deeply"),
+        ("n.bif", BIF.replace("discrete[2] {no", "discrete[400000000] {no"), "node 'a': states: 4e\\+08 of them"),
+        ("n.yaml", "2026-13-45", "is no YAML: month must be in"),
+    ],
+)
+def test_what_would_be_too_large_is_refused_before_it_is_made(tmp_path: Path, name: str, text: str, told: str) -> None:
+    path = tmp_path / name
+    path.write_text(text)
+    with pytest.raises(NetworkError, match=told):
+        read_network(path)
+
+
+def test_tables_of_many_parents_are_refused_before_they_are_made(tmp_path: Path) -> None:
+    names = [f"p{number}" for number in range(40)]
+    nodes = [{"id": name, "states": 2, "prior": [0.5, 0.5]} for name in names]
+    path = tmp_path / "n.json"
+    path.write_text(json.dumps([*nodes, {"id": "all", "states": 2, "parents": names, "cpt": [0.5, 0.5]}]))
+    with pytest.raises(NetworkError, match=r"node 'all': .* numbers; at most 16777216 \(134217728 bytes\)"):
+        read_network(path)
+    variables = "".join(f"variable {name} {{ type discrete[2] {{no, yes}}; }}\n" for name in names)
+    bif = tmp_path / "n.bif"
+    bif.write_text(f'network "n" {{}}\n{variables}probability (p0 | {", ".join(names[1:])}) {{ table 1 0; }}\n')
+    with pytest.raises(NetworkError, match=r"node 'p0': .* numbers; at most"):
+        read_network(bif)
+
+
+def test_what_is_no_file_is_not_waited_for(tmp_path: Path) -> None:
+    path = tmp_path / "n.json"
+    os.mkfifo(path)
+    with pytest.raises(NetworkError, match="is no file"):
+        read_network(path)

@@ -71,3 +71,16 @@ def test_samples_are_of_the_network() -> None:
     draws = [sampled(network, random) for _ in range(2000)]
     assert {draw["rain"] for draw in draws} == {1}
     assert np.mean([draw["wet"] for draw in draws]) == pytest.approx(0.8, abs=0.03)
+
+
+@pytest.mark.parametrize(
+    "source",
+    [
+        {"nodes": 10**12, "states": 1, "seed": 0},
+        {"nodes": 1, "states": 10**12, "seed": 0},
+        {"nodes": 2000, "states": 1000, "seed": 0},
+    ],
+)
+def test_a_random_tree_is_bounded(source: dict[str, int]) -> None:
+    with pytest.raises(NetworkError, match="at most"):
+        network_from(source)

@@ -72,3 +72,18 @@ def test_drawn_evidence_is_of_the_leaves_and_possible() -> None:
 def test_wrong_parameters(parameters: Any, message: str) -> None:
     with pytest.raises(ValueError, match=message):
         EvidenceWorld(NETWORK, **parameters)
+
+
+@pytest.mark.parametrize(
+    "draw",
+    [
+        {"sets": 10**12, "share": 0.5, "seed": 0},
+        {"sets": 1, "share": True, "seed": 0},
+        {"sets": 1, "share": float("nan"), "seed": 0},
+        {"sets": 1, "share": 0.5, "seed": "a"},
+        {"sets": 1, "share": 0.5, "seed": -1},
+    ],
+)
+def test_what_is_drawn_is_bounded_and_checked(draw: dict[str, object]) -> None:
+    with pytest.raises(ValueError, match="draw: "):
+        EvidenceWorld(random_tree(10, 2, 0), draw=draw)

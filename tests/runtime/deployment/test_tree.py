@@ -137,3 +137,19 @@ def refusal(text: str) -> str:
 @given(st.text() | st.text("[]{}:-,&*!|>'\"#%@<? \n\tab01"))
 def test_any_text_is_read_or_refused(text: str) -> None:
     assert refusal(text).startswith("f")
+
+
+def test_what_merges_bring_in_counts() -> None:
+    """A text of some hundred kilobytes that would have a thousand million entries."""
+    wide = ", ".join(f"k{number}: 1" for number in range(5000))
+    text = f"a: &a {{{wide}}}\nb: {{<<: [{', '.join(['*a'] * 20_000)}]}}\n"
+    with pytest.raises(DeploymentError, match=f"the document has more than {MAX_PARTS} values"):
+        read_tree(text, "f")
+
+
+def test_reading_stops_at_what_is_too_much(monkeypatch: pytest.MonkeyPatch) -> None:
+    """And not at the end of a text that is a list of millions."""
+    monkeypatch.setattr("hierax.runtime.deployment.tree.MAX_PARTS", 1000)
+    text = "[" + "1," * 3000 + '"never read\n'
+    with pytest.raises(DeploymentError, match="the document has more than 1000 values"):
+        read_tree(text, "f")
