@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from hierax.runtime import Elements, Node, Value, World
+from hierax.schemas.limits import MAX_MESSAGE_BYTES
 
 
 class Counter(World):
@@ -53,6 +54,8 @@ class LevelWithPicture:
     """
 
     def __init__(self, size: int = 0) -> None:
+        if type(size) is not int or not 0 <= size <= MAX_MESSAGE_BYTES:
+            raise ValueError(f"size: expected a number of bytes from 0 to {MAX_MESSAGE_BYTES}, got {size!r}")
         self._picture = np.zeros(size, np.uint8)
 
     def __call__(self, belief: Value) -> Elements:

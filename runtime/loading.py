@@ -17,6 +17,7 @@ from types import ModuleType, UnionType
 from typing import Any, Union, get_args, get_origin, get_type_hints
 
 from hierax.runtime.allowance import Allowance
+from hierax.runtime.arguments import wrong_argument
 from hierax.runtime.core.binding import BoundNode, Setting, check_signature
 from hierax.runtime.core.errors import HieraxError
 from hierax.runtime.core.graph import Pair
@@ -230,6 +231,7 @@ def _edge_function(reference: Reference, edge: str, kind: str, allowance: Allowa
     if not inspect.isfunction(target):
         raise LoadError(_no_edge_function(target, reference), f"{where}.function")
     _check_names(target, reference, where)
+    _check_types(target, reference, where)
     function = functools.partial(target, **reference.parameters) if reference.parameters else target
     _check_signature(function, edge, kind)
     return function
@@ -292,6 +294,7 @@ def _call(target: Callable[..., Any], reference: Reference, where: str, field: s
         lacking = ", ".join(sorted(vars(target)["__abstractmethods__"]))
         raise LoadError(f"{reference.target} lacks {lacking}, which every subclass must define", f"{where}.{field}")
     _check_names(target, reference, where)
+    _check_types(target, reference, where)
     _check_complete(target, reference, where)
     try:
         return target(**reference.parameters)
@@ -320,6 +323,13 @@ def _check_names(target: Callable[..., Any], reference: Reference, where: str) -
         if name not in names:
             nearest = did_you_mean(name, names, "it takes") or "; it takes none"
             raise LoadError(f"{reference.target} has no such parameter{nearest}", f"{where}.parameters.{name}")
+
+
+def _check_types(target: Callable[..., Any], reference: Reference, where: str) -> None:
+    wrong = wrong_argument(target, reference.parameters)
+    if wrong is not None:
+        name, what = wrong
+        raise LoadError(what, f"{where}.parameters.{name}")
 
 
 def _check_complete(target: Callable[..., Any], reference: Reference, where: str) -> None:

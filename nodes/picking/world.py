@@ -14,6 +14,7 @@ from hierax.nodes.picking.workcell import STEP_HZ, Arm, Cube, Order, Touch, Work
 from hierax.nodes.tracking.math.geometry import Floats, exp_so3, log_so3, make_pose
 from hierax.nodes.tracking.simworld import shapes as sim_shapes
 from hierax.nodes.tracking.simworld.scene import develop, draw
+from hierax.nodes.tracking.simworld.world import MAX_AMOUNT, MAX_SIDE_PX
 from hierax.runtime import NO_TICK, Elements, Tick, Value, World
 from hierax.runtime.core.node import Policy
 
@@ -73,11 +74,12 @@ class PickWorld(World):
         fps: int = 20,
     ) -> None:
         for name, number, least in (("frames", frames, 1), ("width", width, 64), ("height", height, 64)):
-            if number < least:
-                raise ValueError(f"{name} is {number}; expected at least {least}")
+            most = 2**53 if name == "frames" else MAX_SIDE_PX
+            if not least <= number <= most:
+                raise ValueError(f"{name} is {number}; expected a whole number from {least} to {most}")
         for name, amount in (("noise", noise), ("blur_px", blur_px)):
-            if amount < 0.0:
-                raise ValueError(f"{name} is {amount}; expected a number not below 0")
+            if not 0.0 <= amount <= MAX_AMOUNT:
+                raise ValueError(f"{name} is {amount}; expected a number from 0 to {MAX_AMOUNT:g}")
         if fps < 1 or STEP_HZ % fps:
             raise ValueError(f"fps is {fps}; expected a divisor of {STEP_HZ}")
         self._bodies = _placed(scene, cubes)

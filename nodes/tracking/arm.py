@@ -6,6 +6,7 @@ edges that it takes from the context; without context its objects are lost.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 
 import numpy as np
@@ -103,7 +104,7 @@ class ArmNode(Node):
         deviations = {"start_m": start_m, "start_rad": start_rad, "motion_m": motion_m, "motion_rad": motion_rad}
         deviations.update(camera_m=camera_m, camera_rad=camera_rad, error_px=error_px)
         for name, number in deviations.items():
-            if not number > 0.0:
+            if not 0.0 < number < math.inf:
                 raise ValueError(f"{name} is {number}; expected a positive number")
         if not 0.0 <= kept_score <= found_score <= 1.0:
             raise ValueError(f"expected 0 <= kept_score <= found_score <= 1, got {kept_score} and {found_score}")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from math import sqrt
 
@@ -75,8 +76,8 @@ class SpatialNode(Node):
         if not 0.0 <= velocity_gain <= 1.0:
             raise ValueError(f"velocity_gain is {velocity_gain}; expected a number from 0 to 1")
         for name, number in (("damping", damping), ("max_sigmas", max_sigmas), ("friction", friction)):
-            if number < 0.0:
-                raise ValueError(f"{name} is {number}; expected a number not below 0")
+            if not 0.0 <= number < math.inf:
+                raise ValueError(f"{name} is {number}; expected a finite number not below 0")
         self._bodies = tuple(_body(item) for item in objects)
         self._table = table
         self._velocity_gain = velocity_gain

@@ -11,6 +11,7 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from functools import cached_property
 from pathlib import Path
 from types import TracebackType
 from typing import Any, NamedTuple
@@ -18,9 +19,10 @@ from typing import Any, NamedTuple
 import cv2
 import numpy as np
 
-from hierax.nodes.tracking.datasets.bop_json import read_json, read_numbers, read_obj_id, read_pose
+from hierax.nodes.tracking.datasets.bop_json import MAX_NUMBER, read_json, read_numbers, read_obj_id, read_pose
 from hierax.nodes.tracking.errors import DataError
 from hierax.nodes.tracking.math.geometry import Array, Floats, invert, make_pose
+from hierax.nodes.tracking.model.files import MAX_PIXELS, image_size, read_file
 from hierax.nodes.tracking.model.mesh import Mesh
 from hierax.nodes.tracking.model.ply import BOP_UNIT_M, read_ply
 
@@ -31,9 +33,15 @@ RESULTS_HEADER = "scene_id,im_id,obj_id,score,R,t,time"
 _IMAGE_FOLDERS = ("rgb", "gray")
 _IMAGE_SUFFIXES = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".pgm", ".ppm", ".bmp")
 
+MAX_OBJECTS = 255
+"""In the first frame: each has its label in an image of 8 bits."""
+
+MIN_FOCAL_PX, MAX_FOCAL_PX = 1.0, 1e6
+
 _FRAMES_AGAIN = 16
 """How many of its last frames a results file can take back."""
 
+_MAX_DIGITS = 9
 _TRAILING_BYTES = 1024
 """Some cameras write a little behind an image's end."""
 
@@ -85,6 +93,29 @@ class BopScene:
         self.scene_id = int(self.folder.name) if self.folder.name.isdecimal() else 0
         self.frames = self._read_frames()
 
+    @cached_property
+    def size(self) -> tuple[int, int]:
+        """Width and height of the first frame's image, which all others have to have.
+
+        Raises:
+            DataError: the image is missing or damaged.
+        """
+        height, width = read_image(self.frames[0].image).shape[:2]
+        return width, height
+
+    def image(self, path: Path) -> Array:
+        """The image of one of the frames, as `read_image` gives it.
+
+        Raises:
+            DataError: it is missing or damaged, or has another size than the first one.
+        """
+        image = read_image(path)
+        height, width = image.shape[:2]
+        if (width, height) != self.size:
+            expected = f"{self.size[0]}×{self.size[1]}, as the first frame has"
+            raise DataError(f"{path}: has {width}×{height} pixels; expected {expected}")
+        return image
+
     def first_objects(self) -> tuple[SceneObject, ...]:
         """The objects of the first frame with their true poses there: the only truth that tracking starts from.
 
@@ -96,6 +127,8 @@ class BopScene:
         entries = read_json(path).get(first)
         if not isinstance(entries, list) or not entries:
             raise DataError(f"{path}: frame {first}: expected a list of objects for the first frame")
+        if len(entries) > MAX_OBJECTS:
+            raise DataError(f"{path}: frame {first}: {len(entries)} objects; expected at most {MAX_OBJECTS}")
         return tuple(_scene_object(path, first, at, entry) for at, entry in enumerate(entries))
 
     def model(self, obj_id: int) -> Mesh:
@@ -115,9 +148,11 @@ class BopScene:
         cameras = read_json(path)
         if not cameras:
             raise DataError(f"{path}: no frames")
-        wrong = [key for key in cameras if not key.isdecimal()]
+        wrong = [key for key in cameras if not _is_number(key)]
         if wrong:
-            raise DataError(f"{path}: {wrong[0]!r} is no frame number")
+            raise DataError(f"{path}: {wrong[0]!r:.40} is no frame number; expected 0 to {MAX_NUMBER}")
+        if len({int(key) for key in cameras}) < len(cameras):
+            raise DataError(f"{path}: a frame is there twice; expected an entry for each number")
         images = _image_files(self.folder)
         frames = []
         for key in sorted(cameras, key=int):
@@ -137,14 +172,15 @@ def read_image(path: Path) -> Array:
     Raises:
         DataError: the file is missing, damaged, or has other than 8 bits.
     """
-    try:
-        data = path.read_bytes()
-    except FileNotFoundError as error:
-        raise DataError(f"{path}: no such file; expected an image") from error
-    except OSError as error:
-        raise DataError(f"{path}: cannot be read: {error.strerror}; expected an image") from error
+    data = read_file(path, "an image")
     _check_end(path, data)
-    image = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED) if data else None
+    width, height = image_size(data) or (0, 0)
+    if width * height > MAX_PIXELS:
+        raise DataError(f"{path}: has {width}×{height} pixels; expected at most {MAX_PIXELS} in all")
+    try:
+        image = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED) if data else None
+    except cv2.error as error:
+        raise DataError(f"{path}: cannot be decoded: {error.err}; expected an image") from error
     if image is None:
         raise DataError(f"{path}: cannot be decoded; expected an image")
     if image.dtype != np.uint8 or image.ndim > 3:
@@ -329,20 +365,30 @@ def read_results(path: str | Path, growing: bool = False) -> list[Result]:
     return rows
 
 
+def _is_number(text: str) -> bool:
+    return text.isdecimal() and len(text) <= _MAX_DIGITS and int(text) <= MAX_NUMBER
+
+
 def _image_files(folder: Path) -> dict[int, Path]:
     for name in _IMAGE_FOLDERS:
         if not (folder / name).is_dir():
             continue
         found = sorted(path for path in (folder / name).iterdir() if path.suffix.lower() in _IMAGE_SUFFIXES)
-        return {int(path.stem): path for path in reversed(found) if path.stem.isdecimal()}
+        return {int(path.stem): path for path in reversed(found) if _is_number(path.stem)}
     raise DataError(f"{folder}: neither rgb/ nor gray/; expected a folder of images")
 
 
 def _frame(path: Path, key: str, entry: Any, image: Path) -> Frame:
     where = f"{path}: frame {key}"
     matrix = read_numbers(where, entry, "cam_K", 9).reshape(3, 3)
-    if matrix[0, 0] <= 0 or matrix[1, 1] <= 0 or abs(matrix[0, 1]) > 1e-6 * matrix[0, 0]:
+    focal, others = matrix[[0, 1], [0, 1]], np.abs(matrix - np.diag(np.diag(matrix)))
+    if not (focal.min() > 0 and others[0, 1] <= 1e-6 * matrix[0, 0]):
         raise DataError(f"{where}: cam_K: expected positive focal lengths and no skew")
+    if not (focal.min() >= MIN_FOCAL_PX and focal.max() <= MAX_FOCAL_PX and others.max() <= MAX_FOCAL_PX):
+        bounds = f"{MIN_FOCAL_PX:g} to {MAX_FOCAL_PX:g} pixels, and a principal point not further away"
+        raise DataError(f"{where}: cam_K: expected focal lengths of {bounds}")
+    if others[1, 0] or others[2].any() or matrix[2, 2] != 1:
+        raise DataError(f"{where}: cam_K: expected [fx, 0, cx, 0, fy, cy, 0, 0, 1]")
     intrinsics = np.array([matrix[0, 0], matrix[1, 1], matrix[0, 2], matrix[1, 2]])
     camera = np.eye(4)
     if "cam_R_w2c" in entry or "cam_t_w2c" in entry:

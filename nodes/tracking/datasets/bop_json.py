@@ -10,9 +10,15 @@ import numpy as np
 
 from hierax.nodes.tracking.errors import DataError
 from hierax.nodes.tracking.math.geometry import Floats, make_pose, orthonormal
+from hierax.nodes.tracking.model.files import read_file
 from hierax.nodes.tracking.model.ply import BOP_UNIT_M
 
+MAX_NUMBER = 999_999
+"""Of a frame, and of a model: files' names have six digits."""
+
+MAX_DISTANCE_M = 10_000.0
 _ROTATION_TOLERANCE = 1e-2
+_HUGE = 10**300
 
 
 def read_json(path: Path) -> dict[str, Any]:
@@ -22,13 +28,13 @@ def read_json(path: Path) -> dict[str, Any]:
         DataError: it is missing or damaged.
     """
     try:
-        content = json.loads(path.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise DataError(f"{path}: cannot be read: {error.strerror}") from error
+        content = json.loads(read_file(path, "JSON").decode("utf-8"))
     except UnicodeDecodeError as error:
         raise DataError(f"{path}: not a text file; expected JSON") from error
     except json.JSONDecodeError as error:
         raise DataError(f"{path}, line {error.lineno}, column {error.colno}: {error.msg}; expected JSON") from error
+    except (ValueError, RecursionError) as error:  # numbers of thousands of digits, or lists within lists
+        raise DataError(f"{path}: {error!s:.100}; expected JSON with an entry for each number") from error
     if not isinstance(content, dict):
         raise DataError(f"{path}: expected a JSON object with an entry for each number")
     return content
@@ -41,7 +47,7 @@ def read_obj_id(where: str, entry: Any) -> int:
         DataError: there is none.
     """
     obj_id = entry.get("obj_id") if isinstance(entry, dict) else None
-    if not isinstance(obj_id, int) or obj_id < 0:
+    if type(obj_id) is not int or not 0 <= obj_id <= MAX_NUMBER:
         raise DataError(f"{where}: obj_id: expected the number of a model")
     return obj_id
 
@@ -54,6 +60,10 @@ def read_pose(where: str, entry: Any, rotation_key: str, translation_key: str) -
     """
     rotation = read_numbers(where, entry, rotation_key, 9).reshape(3, 3)
     translation = read_numbers(where, entry, translation_key, 3) * BOP_UNIT_M
+    if np.abs(translation).max() > MAX_DISTANCE_M:
+        raise DataError(f"{where}: {translation_key}: expected millimetres, at most {MAX_DISTANCE_M:g} m")
+    if np.abs(rotation).max() > 2.0:
+        raise DataError(f"{where}: {rotation_key}: expected a rotation matrix, row by row")
     off = float(np.abs(rotation @ rotation.T - np.eye(3)).max())
     if off > _ROTATION_TOLERANCE or np.linalg.det(rotation) < 0:
         raise DataError(f"{where}: {rotation_key}: expected a rotation matrix, row by row")
@@ -68,7 +78,7 @@ def read_numbers(where: str, entry: Any, key: str, count: int) -> Floats:
     """
     values = entry.get(key) if isinstance(entry, dict) else None
     if isinstance(values, list) and len(values) == count and all(type(value) in (int, float) for value in values):
-        numbers = np.array(values, dtype=np.float64)
+        numbers = np.array([float(min(max(value, -_HUGE), _HUGE)) for value in values])
         if np.all(np.isfinite(numbers)):
             return numbers
     raise DataError(f"{where}: {key}: expected {count} numbers")

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import math
+from collections.abc import Callable, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from functools import lru_cache
 from pathlib import Path
@@ -31,8 +32,8 @@ class BopWorld(World):
     """
 
     def __init__(self, scene: str, fps: float = 30.0) -> None:
-        if not fps > 0:
-            raise ValueError(f"fps must be positive, got {fps}")
+        if not 0 < fps < math.inf:
+            raise ValueError(f"fps must be positive and finite, got {fps}")
         self._scene = str(scene)
         self._fps = float(fps)
         self._count = len(_scene(self._scene).frames)
@@ -77,9 +78,11 @@ class ReadAhead:
     Args:
         paths: the images.
         depth: how many are read ahead at most.
+        read: reads one.
     """
 
-    def __init__(self, paths: Sequence[Path], depth: int = AHEAD) -> None:
+    def __init__(self, paths: Sequence[Path], depth: int = AHEAD, read: Callable[[Path], Array] = read_image) -> None:
+        self._read = read
         self._paths = paths
         self._depth = depth
         self._thread = ThreadPoolExecutor(1, thread_name_prefix="read-ahead")
@@ -89,14 +92,14 @@ class ReadAhead:
         """The image at an index.
 
         Raises:
-            DataError: it is missing or damaged.
+            DataError: it is missing or damaged, or of another size than the others.
         """
         ahead = range(index, min(index + 1 + self._depth, len(self._paths)))
         for at in [at for at in self._begun if at not in ahead]:
             self._begun.pop(at).cancel()
         for at in ahead:
             if at not in self._begun:
-                self._begun[at] = self._thread.submit(read_image, self._paths[at])
+                self._begun[at] = self._thread.submit(self._read, self._paths[at])
         return self._begun.pop(index).result()
 
 
@@ -107,4 +110,5 @@ def _scene(folder: str) -> BopScene:
 
 @lru_cache(maxsize=1)
 def _images(folder: str) -> ReadAhead:
-    return ReadAhead([frame.image for frame in _scene(folder).frames])
+    scene = _scene(folder)
+    return ReadAhead([frame.image for frame in scene.frames], read=scene.image)

@@ -42,7 +42,8 @@ def box_mesh(size: Sequence[float]) -> Mesh:
 
 def triangulated(polygons: Sequence[Any] | NDArray[Any]) -> NDArray[np.int32]:
     """Triangles (m, 3) of convex polygons; those of fewer than three corners fall away."""
-    if isinstance(polygons, np.ndarray):
-        return polygons.astype(np.int32)
-    triangles = [(face[0], face[at], face[at + 1]) for face in polygons for at in range(1, len(face) - 1)]
-    return np.array(triangles, dtype=np.int32).reshape(-1, 3)
+    if not isinstance(polygons, np.ndarray):
+        triangles = [(face[0], face[at], face[at + 1]) for face in polygons for at in range(1, len(face) - 1)]
+        polygons = np.array(triangles, dtype=np.int64).reshape(-1, 3)
+    # an index that there cannot be stays one
+    return np.clip(polygons, -1, np.iinfo(np.int32).max).astype(np.int32)

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from hierax.nodes.tracking.errors import DataError
 from hierax.nodes.tracking.math.geometry import Floats
+from hierax.nodes.tracking.model.files import read_file
 from hierax.nodes.tracking.model.mesh import Mesh, triangulated
 
 BOP_UNIT_M = 0.001
@@ -26,6 +27,14 @@ _TYPES = {
     **dict.fromkeys(("float", "float32"), "f4"),
     **dict.fromkeys(("double", "float64"), "f8"),
 }
+MAX_FACES = 200_000
+"""Of a mesh, and of everything else in its file: two frames of a scene with so many take 5 s and 0.5 GB."""
+
+_MAX_DIGITS = 9
+_FARTHEST_M = 100.0
+_LEAST_AREA = 1e-14
+"""Twice a face's area, in squares of the mesh's extent: one with less is a line or a point, and left out."""
+
 _ORDERS = {"binary_little_endian": "<", "binary_big_endian": ">"}
 _FACE_LISTS = ("vertex_indices", "vertex_index")
 
@@ -59,10 +68,7 @@ def read_ply(path: Path, unit_m: float = BOP_UNIT_M) -> Mesh:
     Raises:
         DataError: the file is missing or damaged; it names file, line or element, and what was expected.
     """
-    try:
-        data = path.read_bytes()
-    except OSError as error:
-        raise DataError(f"{path}: cannot be read: {error.strerror}; expected a PLY model") from error
+    data = read_file(path, "a PLY model")
     header = _read_header(path, data)
     rows = _AsciiRows(path, data, header) if header.format == "ascii" else _BinaryRows(path, data, header)
     vertices: Floats | None = None
@@ -111,7 +117,9 @@ def _read_header(path: Path, data: bytes) -> _Header:
             continue
         if words[0] == "format" and len(words) == 3:
             kind = words[1]
-        elif words[0] == "element" and len(words) == 3 and words[2].isdigit():
+        elif words[0] == "element" and len(words) == 3 and words[2].isdecimal():
+            if len(words[2]) > _MAX_DIGITS or int(words[2]) > MAX_FACES:
+                raise DataError(f"{where}: {line.strip()!r:.60}; expected at most {MAX_FACES} of an element")
             elements.append(_Element(words[1], int(words[2]), []))
         elif words[0] == "property" and elements:
             elements[-1].properties.append(_read_property(where, words))
@@ -168,9 +176,13 @@ class _AsciiRows:
             if item.count_kind is None:
                 at += 1
                 continue
-            length = int(row[at]) if at < len(row) else 0
-            if column == wanted:
-                found = [int(part) for part in row[at + 1 : at + 1 + length]]
+            numbers = [row[at]] if at < len(row) else [0.0]
+            length = int(numbers[0]) if _are_whole(numbers) and numbers[0] >= 0 else -1
+            if column == wanted and length >= 0:
+                numbers += row[at + 1 : at + 1 + length]
+                found = [int(part) for part in numbers[1:]] if _are_whole(numbers) else []
+            if length < 0 or not _are_whole(numbers):
+                raise DataError(f"{self._where(index)}: list '{item.name}': expected whole numbers, its length first")
             at += 1 + length
         if at != len(row):
             raise DataError(f"{self._where(index)}: {len(row)} numbers; the lists' lengths want {at}")
@@ -222,6 +234,8 @@ class _BinaryRows:
     def _records(self, element: _Element) -> NDArray[Any]:
         if any(item.count_kind is not None for item in element.properties):
             raise DataError(f"{self._path}: element '{element.name}' has a list; expected single numbers")
+        if not element.properties:
+            raise DataError(f"{self._path}: element '{element.name}' has no properties")
         dtype = np.dtype([(f"p{at}", self._order + item.kind) for at, item in enumerate(element.properties)])
         return self._take(element, dtype)
 
@@ -252,7 +266,10 @@ class _BinaryRows:
             for at, item in enumerate(element.properties):
                 length = 1
                 if item.count_kind is not None:
-                    length = int(self._take(element, np.dtype(self._order + item.count_kind), 1)[0])
+                    count = float(self._take(element, np.dtype(self._order + item.count_kind), 1)[0])
+                    if not _are_whole([count]) or count < 0:
+                        raise DataError(f"{self._path}: list '{item.name}': its length is {count:g}")
+                    length = int(count)
                 values = self._take(element, np.dtype(self._order + item.kind), length)
                 if at == wanted:
                     found = [int(part) for part in values]
@@ -283,13 +300,24 @@ def _columns(path: Path, element: _Element, names: Sequence[str]) -> list[int]:
 def _list_column(path: Path, element: _Element, names: Sequence[str]) -> int:
     for at, item in enumerate(element.properties):
         if item.name in names and item.count_kind is not None:
+            if "f" in item.kind + item.count_kind:
+                raise DataError(f"{path}: list '{item.name}' of element '{element.name}': expected whole numbers")
             return at
     raise DataError(f"{path}: element '{element.name}' has no list property '{names[0]}'")
+
+
+def _are_whole(numbers: Sequence[float]) -> bool:
+    return all(abs(number) < _WHOLE_BOUND and float(number).is_integer() for number in numbers)
+
+
+_WHOLE_BOUND = 2.0**31
 
 
 def _checked(path: Path, vertices: Floats, faces: NDArray[np.int32]) -> Mesh:
     if not len(faces):
         raise DataError(f"{path}: no faces; expected a mesh of triangles")
+    if len(faces) > MAX_FACES:
+        raise DataError(f"{path}: {len(faces)} triangles; expected at most {MAX_FACES}")
     if not np.all(np.isfinite(vertices)):
         row = int(np.argmin(np.all(np.isfinite(vertices), axis=1)))
         raise DataError(f"{path}: vertex {row} is not finite")
@@ -297,4 +325,13 @@ def _checked(path: Path, vertices: Floats, faces: NDArray[np.int32]) -> Mesh:
     if wrong.any():
         row = int(np.argmax(wrong.any(axis=1)))
         raise DataError(f"{path}: triangle {row} names vertices {faces[row].tolist()}; there are {len(vertices)}")
-    return Mesh(vertices, faces)
+    farthest = float(np.abs(vertices).max())
+    if farthest > _FARTHEST_M:
+        raise DataError(f"{path}: a vertex is {farthest:.3g} m from the origin; expected at most {_FARTHEST_M:g} m")
+    corners = vertices[faces]
+    areas = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
+    extent = float(np.ptp(vertices, axis=0).max())
+    has_area = areas > _LEAST_AREA * extent**2
+    if not has_area.any():
+        raise DataError(f"{path}: no face has an area; expected a mesh of triangles")
+    return Mesh(vertices, faces if has_area.all() else faces[has_area])

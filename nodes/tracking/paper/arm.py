@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 
 import numpy as np
@@ -53,7 +54,7 @@ class PaperArmNode(Node):
         patience: int = 10,
     ) -> None:
         for name, number in (("start_m", start_m), ("start_rad", start_rad), ("error_px", error_px)):
-            if not number > 0.0:
+            if not 0.0 < number < math.inf:
                 raise ValueError(f"{name} is {number}; expected a positive number")
         if not 0.0 <= kept_score <= 1.0:
             raise ValueError(f"kept_score is {kept_score}; expected a number from 0 to 1")

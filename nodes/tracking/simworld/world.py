@@ -18,6 +18,12 @@ from hierax.runtime.core.showing import Things
 
 DENSITY_KG_M3 = 600.0
 FRICTION = 0.6
+MAX_SIDE_PX = 4096
+MAX_AMOUNT = 1000.0
+"""Of noise, in grey levels, and of blur, in pixels."""
+
+MAX_FPS = 1e6
+
 FOCAL_LENGTH = 0.95
 """In widths of the picture."""
 
@@ -80,14 +86,15 @@ class SimWorld(World):
         fps: float = 30.0,
     ) -> None:
         bodies = first_bodies(cubes)
-        for name, number, least in (("frames", frames, 1), ("width", width, 64), ("height", height, 64)):
-            if number < least:
-                raise ValueError(f"{name} is {number}; expected at least {least}")
+        sizes = (("width", width, 64, MAX_SIDE_PX), ("height", height, 64, MAX_SIDE_PX))
+        for name, number, least, most in (("frames", frames, 1, 2**53), *sizes):
+            if not least <= number <= most:
+                raise ValueError(f"{name} is {number}; expected a whole number from {least} to {most}")
         for name, amount in (("noise", noise), ("blur_px", blur_px)):
-            if amount < 0.0:
-                raise ValueError(f"{name} is {amount}; expected a number not below 0")
-        if not fps > 0.0:
-            raise ValueError(f"fps is {fps}; expected a positive number")
+            if not 0.0 <= amount <= MAX_AMOUNT:
+                raise ValueError(f"{name} is {amount}; expected a number from 0 to {MAX_AMOUNT:g}")
+        if not 0.0 < fps <= MAX_FPS:
+            raise ValueError(f"fps is {fps}; expected a positive number, at most {MAX_FPS:g}")
         self._fps = float(fps)
         self._frames = frames
         self._size = (width, height)

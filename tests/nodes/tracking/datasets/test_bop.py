@@ -109,13 +109,13 @@ def test_damage_is_named(scene: Path, keys: tuple[str | int, ...], value: Any, m
 @pytest.mark.parametrize(
     ("name", "content", "message"),
     [
-        ("scene_camera.json", None, "scene_camera.json: cannot be read"),
-        ("scene_gt.json", None, "scene_gt.json: cannot be read"),
+        ("scene_camera.json", None, "scene_camera.json: no such file"),
+        ("scene_gt.json", None, "scene_gt.json: no such file"),
         ("scene_camera.json", "{", "scene_camera.json, line 1, column 2"),
         ("scene_gt.json", "[]", "scene_gt.json: expected a JSON object"),
-        ("../../models/models_info.json", None, "models_info.json: cannot be read"),
+        ("../../models/models_info.json", None, "models_info.json: no such file"),
         ("../../models/models_info.json", "{}", "models_info.json: no entry '5'"),
-        ("../../models/obj_000005.ply", None, "obj_000005.ply: cannot be read"),
+        ("../../models/obj_000005.ply", None, "obj_000005.ply: no such file"),
         ("../../models/obj_000005.ply", "solid", "obj_000005.ply: does not begin"),
         ("rgb/000003.png", "no image", "000003.png: cannot be decoded"),
     ],

@@ -52,5 +52,5 @@ def test_what_is_wrong_is_named(tmp_path: Path, frames: Any, infos: Any, said: s
 
 
 def test_a_missing_file_is_named(tmp_path: Path) -> None:
-    with pytest.raises(DataError, match=r"scene_gt\.json: cannot be read"):
+    with pytest.raises(DataError, match=r"scene_gt\.json: no such file"):
         read_truth(tmp_path)

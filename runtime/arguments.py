@@ -1,0 +1,67 @@
+"""Whether what a deployment gives as a parameter is of the type that the code's annotation says.
+
+Annotations of true or false, whole numbers, numbers and texts are looked at, each or None;
+others, and those that cannot be resolved, are the code's own business.
+"""
+
+from __future__ import annotations
+
+import inspect
+import math
+import types
+import typing
+from collections.abc import Callable, Mapping
+from typing import Any
+
+from hierax.schemas.values import Value
+
+_EXPECTED: dict[Any, str] = {bool: "true or false", int: "a whole number", float: "a number", str: "text"}
+
+
+def wrong_argument(target: Callable[..., Any], parameters: Mapping[str, Value]) -> tuple[str, str] | None:
+    """The first parameter that is of another type than annotated, and what was expected; None: there is none.
+
+    Args:
+        target: a class or function.
+        parameters: by name.
+    """
+    annotations = _annotations(target)
+    for name, value in parameters.items():
+        allowed = _allowed(annotations.get(name))
+        if allowed and not any(_is_of(value, kind) for kind in allowed):
+            expected = " or ".join("null" if kind is type(None) else _EXPECTED[kind] for kind in allowed)
+            return name, f"expected {expected}, got {_shown(value)}"
+        if float in allowed and isinstance(value, float) and math.isnan(value):
+            return name, "expected a number, got .nan"
+    return None
+
+
+def _annotations(target: Callable[..., Any]) -> dict[str, Any]:
+    try:
+        signature = inspect.signature(target, eval_str=True)
+    except (NameError, TypeError, ValueError, AttributeError, SyntaxError):
+        return {}
+    return {name: parameter.annotation for name, parameter in signature.parameters.items()}
+
+
+def _allowed(annotation: Any) -> tuple[Any, ...]:
+    """The types that a value may have; empty: any."""
+    is_union = typing.get_origin(annotation) in (typing.Union, types.UnionType)
+    kinds = typing.get_args(annotation) if is_union else (annotation,)
+    return kinds if all(kind in _EXPECTED or (is_union and kind is type(None)) for kind in kinds) else ()
+
+
+def _is_of(value: Value, kind: Any) -> bool:
+    if kind is float:
+        return isinstance(value, (int, float)) and not isinstance(value, bool)
+    if kind is int:
+        return isinstance(value, int) and not isinstance(value, bool)
+    return isinstance(value, kind)
+
+
+def _shown(value: Value) -> str:
+    if isinstance(value, (dict, list, tuple)):
+        return "a map" if isinstance(value, dict) else "a list"
+    if isinstance(value, bool):
+        return "true" if value else "false"
+    return "null" if value is None else f"{value!r:.60}"
