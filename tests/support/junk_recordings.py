@@ -266,6 +266,7 @@ class Subject:
         trust = TRUST
         return [
             ["replay", at, *trust],
+            ["replay", at],
             ["replay", at, "--verify", "--format", "json", *trust],
             ["replay", at, "--verify", "--world", "again", "--from", "2", *trust],
             ["replay", at, "--node", node, "--verify", "--tolerance", "0.1", *trust],
@@ -280,7 +281,8 @@ class Subject:
         ]
 
 
-TRUST: tuple[str, ...] = ()
+TRUST = ("--trust",)
+"""What is changed is no longer known to be one's own; each is read without it, too."""
 
 
 class Hangs(BaseException):
@@ -340,7 +342,7 @@ def _library_faults(subject: Subject, path: Path) -> Iterator[Fault]:
             for _ in read():
                 pass
 
-    calls = (("Recording", everything), ("recorded_node", lambda: read_recorded(path, subject.node)))
+    calls = (("Recording", everything), ("recorded_node", lambda: read_recorded(path, subject.node, trust=True)))
     for name, call in calls:
         error = _raised(call)
         if error is not None and not isinstance(error, (HieraxError, SchemaError)):
