@@ -8,11 +8,12 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator, Mapping, Sequence
-from typing import Any
-
-import yaml
+from typing import TYPE_CHECKING, Any
 
 from hierax.runtime.core.errors import HieraxError
+
+if TYPE_CHECKING:
+    import yaml
 
 HIDDEN = "(not stored)"
 """What stands for something secret in a text."""
@@ -103,6 +104,8 @@ def public_text(text: str, zenoh: Any) -> str:
 
 def _secret_scalars(text: str, secrets: frozenset[str]) -> Iterator[yaml.ScalarNode]:
     """What is secret in the settings of Zenoh, and in the parameters that they may come from."""
+    import yaml  # nodes' processes, which read no deployment file, do without it
+
     root = yaml.compose(text, Loader=yaml.SafeLoader)
     if not isinstance(root, yaml.MappingNode):
         return
@@ -119,9 +122,12 @@ def _sure(secret: str, key: yaml.Node) -> bool:
 
 
 def _scalars(node: yaml.Node, seen: set[int]) -> Iterator[yaml.ScalarNode]:
+    import yaml
+
     if id(node) in seen:
         return
     seen.add(id(node))
+
     if isinstance(node, yaml.ScalarNode):
         yield node
     elif isinstance(node, yaml.MappingNode):
