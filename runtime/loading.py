@@ -18,7 +18,7 @@ from typing import Any, Union, get_args, get_origin, get_type_hints
 
 from hierax.runtime.allowance import Allowance
 from hierax.runtime.arguments import wrong_argument
-from hierax.runtime.core.binding import BoundNode, Setting, check_signature
+from hierax.runtime.core.binding import BoundNode, Setting, check_signature, require_no_world
 from hierax.runtime.core.errors import HieraxError
 from hierax.runtime.core.graph import Pair
 from hierax.runtime.core.hierarchy import BoundEdge, Edge, Hierarchy, neighbours_above, neighbours_below
@@ -181,12 +181,14 @@ def bind_node(name: str, node: Node, world: str, pairs: Sequence[Pair], setting:
     """A node with its neighbours, ready to be called.
 
     Raises:
-        LoadError: an operator cannot be called, λ(∅) is not π⁰, or N₀ is no world.
+        LoadError: an operator cannot be called, λ(∅) is not π⁰, N₀ is no world, or another node is one.
     """
     where = f"nodes.{name}"
     if name == world and not isinstance(node, World):
         raise LoadError(f"the world's class must derive from World, {type(node).__name__} does not", f"{where}.class")
     try:
+        if name != world:
+            require_no_world(name, node)
         return BoundNode(name, node, neighbours_below(name, pairs), neighbours_above(name, pairs), setting)
     except HieraxError as error:
         raise LoadError(str(error).removeprefix(f"{name}: "), where) from error

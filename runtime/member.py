@@ -7,7 +7,7 @@ from collections.abc import Callable, Sequence
 
 from hierax.runtime.allowance import Refusals
 from hierax.runtime.core.binding import BoundNode
-from hierax.runtime.core.errors import ContradictionError, HieraxError
+from hierax.runtime.core.errors import ContradictionError, HieraxError, OperatorError
 from hierax.runtime.core.probe import Probe
 from hierax.runtime.core.process import ActiveNode
 from hierax.runtime.engine.outlet import Saved
@@ -22,6 +22,7 @@ from hierax.schemas.control import (
     NEVER,
     AskStatus,
     Control,
+    Failed,
     Fetch,
     HandOver,
     Join,
@@ -67,6 +68,7 @@ class Member(NodeRunner):
         probes, states, pacemaker: as `NodeRunner` has them.
 
     Attributes:
+        alone: the nodes that fail alone.
         dismissed: why the process is to end; empty: it is not.
         again: whether another one is to come in its place then.
     """
@@ -88,6 +90,9 @@ class Member(NodeRunner):
         self.process = process
         self.dismissed = ""
         self.again = False
+        self.alone: frozenset[str] = frozenset()
+        self._alone_in: dict[int, frozenset[str]] = {}
+        self._failure: Failed | None = None
         self._wire_roster = wire
         self._say = say
         self._slots = slots
@@ -123,6 +128,9 @@ class Member(NodeRunner):
             request: the change that it was started for; empty: it comes in the place of a process that
                 had a place in the roster.
         """
+        if self._failure is not None:
+            self._say(self._failure)
+            return
         if self.active:
             engine = self.engine
             place = (engine.wiring.roster, engine.attempt)
@@ -148,8 +156,19 @@ class Member(NodeRunner):
             OperatorError: an operator failed.
             ContradictionError: it was told something else before.
         """
-        self._do(order)
+        try:
+            self._do(order)
+        except OperatorError as error:
+            self.failed(error)
         self._finish()
+
+    def failed(self, error: OperatorError) -> None:
+        if not self.alone.intersection(error.subject.split("->")):
+            raise error
+        _log.info("%s", error, exc_info=error)
+        version = self.engine.wiring.roster
+        self._failure = Failed(self.name, self.process, version, error.subject, str(error))
+        self._say(self._failure)
 
     def _do(self, order: Order) -> None:
         if isinstance(order, Prepare):
@@ -224,6 +243,9 @@ class Member(NodeRunner):
     def rewired(self, version: int) -> None:
         super().rewired(version)
         self._refused.clear()
+        self._failure = None
+        self.alone = self._alone_in.get(version, self.alone)
+        self._alone_in = {later: alone for later, alone in self._alone_in.items() if later > version}
         self.port.unlink(version)
         self._linked = {later for later in self._linked if later >= version}
         self._fetched = {later for later in self._fetched if later > version}
@@ -269,6 +291,7 @@ class Member(NodeRunner):
             return
         self._check_same(roster)
         self._fetched.discard(version)
+        self._alone_in[version] = frozenset(order.alone)
         self._say_ready(version)
         if version in self._linked or version in self._linking:
             return
@@ -279,12 +302,17 @@ class Member(NodeRunner):
         except HieraxError as error:
             self._refuse(version, error)
             return
+        if not self.wired:
+            try:
+                self.wire(wiring, self._saved, joins=self._saved is None)
+            except OperatorError as error:  # s⁰
+                why = str(error).removeprefix(f"{self.name}: ")
+                self._say(Ready(self.name, self.process, version, why))
+                return
+            self.alone = self._alone_in[version]
         self._rosters[version] = roster
         self._link(wiring, self.linked)
-        if self.wired:
-            self.engine.prepare(wiring)
-        else:
-            self.wire(wiring, self._saved, joins=self._saved is None)
+        self.engine.prepare(wiring)
         self._say_ready(version)
 
     def _refuse(self, version: int, error: HieraxError) -> None:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import logging
+
 from hierax.runtime.allowance import Allowance
 from hierax.runtime.core.binding import BoundNode, Setting
 from hierax.runtime.core.graph import Pair
@@ -9,8 +11,11 @@ from hierax.runtime.core.hierarchy import BoundEdge
 from hierax.runtime.core.node import Node
 from hierax.runtime.engine.wiring import Place, Wiring
 from hierax.runtime.loading import bind_edge, bind_node, build_edge, build_node
+from hierax.runtime.spelling import misspelt_operators
 from hierax.schemas.roster import Roster, RosterEdge
 from hierax.schemas.values import encode_value
+
+_log = logging.getLogger("hierax")
 
 
 class NodeLoader:
@@ -58,9 +63,10 @@ class NodeLoader:
         reference = roster.nodes[self._name]
         key = encode_value(reference.plain())
         if key not in self._nodes:
-            self._nodes = {
-                key: build_node(reference, f"nodes.{self._name}", self._allowance, self._name == roster.world)
-            }
+            node = build_node(reference, f"nodes.{self._name}", self._allowance, self._name == roster.world)
+            for what in misspelt_operators(type(node)):
+                _log.warning("%s: %s", self._name, what)
+            self._nodes = {key: node}
         return self._nodes[key]
 
     def _edge(self, edge: RosterEdge) -> BoundEdge:

@@ -23,6 +23,7 @@ from hierax.runtime.core.digest import DigestChain
 from hierax.runtime.core.errors import HieraxError, OperatorError, ProbeError
 from hierax.runtime.core.node import Elements
 from hierax.runtime.core.probe import Probe
+from hierax.runtime.core.travel import elements_cannot_travel
 from hierax.runtime.engine.engine import Engine
 from hierax.runtime.engine.loose import BARRIER, LooseEngine, Staleness
 from hierax.runtime.engine.outlet import Called, Committed, Completed, Outlet, Saved
@@ -122,7 +123,10 @@ class NodeRunner(Outlet):
         """
         for watcher in self.watchers:
             watcher.received(message)
-        self.engine.receive(message)
+        try:
+            self.engine.receive(message)
+        except OperatorError as error:
+            self.failed(error)
         self._finish()
 
     def poll(self) -> bool:
@@ -136,7 +140,7 @@ class NodeRunner(Outlet):
         for watcher in self.watchers:
             watcher.turned()
         if self.pacemaker is None:
-            did = isinstance(engine, LooseEngine) and engine.poll()
+            did = self._poll(engine)
         else:
             before = engine.epoch
             if self.pacemaker.may_begin(engine):
@@ -144,6 +148,21 @@ class NodeRunner(Outlet):
             did = engine.epoch != before
         self._finish()
         return did
+
+    def _poll(self, engine: Engine) -> bool:
+        try:
+            return isinstance(engine, LooseEngine) and engine.poll()
+        except OperatorError as error:
+            self.failed(error)
+            return True
+
+    def failed(self, error: OperatorError) -> None:
+        """An operator or edge function that ran here has raised, or given what it must not.
+
+        Raises:
+            OperatorError: the same, unless somebody sees to it that the epoch is done again without its node.
+        """
+        raise error
 
     def close(self) -> None:
         """Close the state log, all watchers and all probes.
@@ -182,9 +201,8 @@ class NodeRunner(Outlet):
         try:
             self.port.send(message)
         except SchemaError as error:
-            header = message.header
-            what = f"its elements for {header.receiver} {error}"
-            raise OperatorError(header.sender, header.kind, header.epoch, what) from error
+            kind, sender, receiver, epoch = message.header[:4]
+            raise elements_cannot_travel(kind, sender, receiver, epoch, error) from error
         for watcher in self.watchers:
             watcher.sent(message)
 

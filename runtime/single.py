@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Awaitable, Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
@@ -12,9 +13,13 @@ import anyio
 from hierax.runtime.breaker import Breaker
 from hierax.runtime.core.binding import Setting
 from hierax.runtime.core.digest import DigestChain
-from hierax.runtime.core.errors import HieraxError
+from hierax.runtime.core.errors import HieraxError, OperatorError
+from hierax.runtime.core.node import Elements
 from hierax.runtime.deployment import Deployment
+from hierax.runtime.deployment.schedule import Scheduled
+from hierax.runtime.engine.engine import Engine
 from hierax.runtime.engine.outlet import Saved
+from hierax.runtime.engine.table import Phase, Verdict
 from hierax.runtime.files import DIGESTS, open_probes, state_log, write_roster
 from hierax.runtime.free import run_freely
 from hierax.runtime.loading import build_hierarchy
@@ -24,13 +29,16 @@ from hierax.runtime.owner.changes import ChangeError, apply
 from hierax.runtime.report import Interrupted, NodeReport, Report, make_report
 from hierax.runtime.runner import Log, NodeRunner, Pacemaker
 from hierax.runtime.transport.memory import MemoryNetwork
-from hierax.schemas.changes import Change, Replace
+from hierax.schemas.changes import Attach, Change, Detach, Replace
+from hierax.schemas.messages import Header
 
 if TYPE_CHECKING:
     from hierax.runtime.recording.in_process import InProcess
 
-Schedule = Sequence[tuple[int, Change]]
-"""Changes of the roster, and the first epoch under each."""
+_log = logging.getLogger("hierax")
+
+Schedule = Sequence[Scheduled]
+"""Changes of the roster, by the first epoch under each."""
 
 Watch = Callable[[str, NodeRunner], None]
 """Told a node's name and its runner, which has no engine yet: may have it watched."""
@@ -47,6 +55,7 @@ def run(
     watch: Watch | None = None,
     record: InProcess | None = None,
     breaker: Breaker | None = None,
+    acts: bool = True,
 ) -> Report:
     """Run a deployment in this process.
 
@@ -60,6 +69,7 @@ def run(
         watch: called for each node as its runner is made.
         record: takes in what is said; None: nobody does.
         breaker: ends the run when a signal comes; None: nothing does.
+        acts: whether the world moves its actuators.
 
     Raises:
         HieraxError: a node cannot be loaded or failed, or a change is refused.
@@ -79,7 +89,7 @@ def run(
 
     chain = DigestChain(deployment.roster.content_hash())
     pacemaker = Pacemaker(chain, deployment.epochs if epochs is None else epochs, on_commit)
-    nodes = _Nodes(deployment, seed, pacemaker, output, schedule, watch, record)
+    nodes = _Nodes(deployment, seed, pacemaker, output, schedule, watch, record, acts)
     try:
         if breaker is None:
             nodes.run(seed)
@@ -99,22 +109,47 @@ def run(
     return report
 
 
-class _WorldRunner(NodeRunner):
+class _Runner(NodeRunner):
+    """A node's runner.
+
+    Attributes:
+        on_failure: does without the node that has failed, or raises.
+    """
+
+    on_failure: Callable[[OperatorError], None]
+
+    def failed(self, error: OperatorError) -> None:
+        self.on_failure(error)
+
+    def _gravity(self, header: Header, verdict: Verdict) -> int:
+        return logging.INFO if verdict is Verdict.OLD_ROSTER else super()._gravity(header, verdict)
+
+
+class _WorldRunner(_Runner):
     """The world's runner: before an epoch begins, the roster may change.
 
     Attributes:
         due: the epochs before which it does.
         change: makes it do so.
+        acts: whether it moves its actuators.
     """
 
     due: Sequence[int] = ()
+    acts: bool = True
     change: Callable[[int], None]
 
     def _begin_next(self, pacemaker: Pacemaker) -> None:
         epoch = self.engine.epoch + 1
         if epoch in self.due:
             self.change(epoch)
-        super()._begin_next(pacemaker)
+        try:
+            super()._begin_next(pacemaker)
+        except OperatorError as error:
+            self.failed(error)
+
+    def act(self, epoch: int, actions: Elements) -> None:
+        if self.acts:
+            super().act(epoch, actions)
 
     def drain(self, drains: bool) -> None:
         super().drain(drains or self.engine.epoch + 2 in self.due)
@@ -132,13 +167,17 @@ class _Nodes:
         schedule: Schedule,
         watch: Watch | None,
         record: InProcess | None,
+        acts: bool,
     ) -> None:
+        self._acts = acts
         self._deployment = deployment
         self._watch = watch
         self._setting = Setting(seed, _wait)
         self._pacemaker = pacemaker
         self._output = output
         self._schedule = list(schedule)
+        self._alone = {name for name, policy in deployment.restarts.items() if policy.fails_alone}
+        self._failed: set[str] = set()
         self._roster = deployment.roster
         self._world = deployment.roster.world
         self._record = record
@@ -195,11 +234,13 @@ class _Nodes:
         port = self._network.open_port(name)
         probes = open_probes(self._deployment.probes, name, self._allowance, self._output, append)
         states = state_log(self._output, name, append)
-        runner = NodeRunner(None, port, probes, states)
+        runner = _Runner(None, port, probes, states)
         if name == self._world:
-            runner = _WorldRunner(None, port, probes, states, self._pacemaker)
-            runner.due = [epoch for epoch, _ in self._schedule]
-            runner.change = self._change
+            runner = world = _WorldRunner(None, port, probes, states, self._pacemaker)
+            world.due = [scheduled.epoch for scheduled in self._schedule]
+            world.acts = self._acts
+            world.change = self._change
+        runner.on_failure = self._on_failure
         runner.staleness = self._deployment.staleness
         if self._watch is not None:
             self._watch(name, runner)
@@ -208,11 +249,47 @@ class _Nodes:
         return runner
 
     def _change(self, epoch: int) -> None:
-        while self._schedule and self._schedule[0][0] <= epoch:
-            self._apply(epoch, self._schedule.pop(0)[1])
+        """Every node is done with the last epoch, so that nothing is under way."""
+        while self._schedule and self._schedule[0].epoch <= epoch:
+            _, change, alone = self._schedule.pop(0)
+            if isinstance(change, Detach) and change.name in self._failed and change.name not in self._roster.nodes:
+                continue
+            self._alone = (self._alone - _new_nodes(change)) | alone
+            self._apply(epoch, change)
+
+    def _on_failure(self, error: OperatorError) -> None:
+        """What fails alone is detached, and the epoch begun again without it; as in a launch."""
+        world = self.runners[self._world].engine
+        again: OperatorError | None = error
+        while again is not None:
+            name = self._culprit(again)
+            _log.warning("%s; %s is detached (on_loss)", again, name)
+            self._failed.add(name)
+            self._apply(world.epoch, Detach(name, cascade=True))
+            self._network.drop_all()
+            again = self._begin_again(world)
+
+    def _culprit(self, error: OperatorError) -> str:
+        """The node that an error is blamed on.
+
+        Raises:
+            OperatorError: the error, if that node does not fail alone.
+        """
+        ends = [name for name in error.subject.split("->") if name in self._alone and name in self._roster.nodes]
+        if not ends:
+            raise error
+        return max(ends, key=self._roster.instance)  # of two, what came last has brought the edge
+
+    def _begin_again(self, world: Engine) -> OperatorError | None:
+        if world.phase is Phase.DONE:  # epochs overlap: the next one is the first without it
+            return None
+        try:
+            world.begin_again(world.attempt + 1)
+        except OperatorError as error:
+            return error
+        return None
 
     def _apply(self, epoch: int, change: Change) -> None:
-        """Every node is done with the last epoch, so that nothing is under way."""
         old, version = self._roster, self._roster.version + 1
         roster = self._roster = apply(old, change, version, lambda _: version)
         for name in sorted(old.nodes.keys() - roster.nodes.keys()):
@@ -243,6 +320,7 @@ class _Nodes:
     def _close(self, name: str) -> None:
         runner = self.runners.pop(name)
         runner.close()
+        runner.watchers = ()
         runner.port.close()
 
 
@@ -255,6 +333,12 @@ def _kept(name: str, failures: dict[str, str] | None) -> Iterator[None]:
         if failures is None:
             raise
         failures[name] = str(error)
+
+
+def _new_nodes(change: Change) -> frozenset[str]:
+    if isinstance(change, Attach):
+        return frozenset(change.nodes)
+    return frozenset({change.name} if isinstance(change, Replace) else ())
 
 
 def _wait(awaitable: Awaitable[Any]) -> Any:

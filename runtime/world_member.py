@@ -7,7 +7,7 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import Literal
 
 from hierax.runtime.core.digest import DigestChain
-from hierax.runtime.core.errors import HieraxError
+from hierax.runtime.core.errors import HieraxError, OperatorError
 from hierax.runtime.core.node import Elements
 from hierax.runtime.core.probe import Probe
 from hierax.runtime.core.process import ActiveNode
@@ -28,7 +28,7 @@ from hierax.schemas.checkpoint import (
     decode_world,
     encode_world,
 )
-from hierax.schemas.control import Control, Order
+from hierax.schemas.control import Control, Failed, Order
 from hierax.schemas.roster import Roster
 from hierax.schemas.values import encode_value
 
@@ -98,6 +98,7 @@ class WorldMember(Member, OwnerOutlet):
         self._roster_bytes = b""
         self._process_bytes = b""
         self._own_orders: list[Order] = []
+        self._own_failures: list[Failed] = []
         self.owner: Owner
 
     def begin_run(self, roster: Roster, processes: Mapping[str, str]) -> None:
@@ -199,10 +200,13 @@ class WorldMember(Member, OwnerOutlet):
             self._roster_bytes = b""
         self.drain(pacemaker.limit == epoch or self.owner.drains)
         self.keep()
-        if engine.phase is Phase.DONE:
-            engine.begin(attempt)
-        else:
-            engine.begin_again(attempt)
+        try:
+            if engine.phase is Phase.DONE:
+                engine.begin(attempt)
+            else:
+                engine.begin_again(attempt)
+        except OperatorError as error:
+            self.failed(error)
 
     def answer(self, request: str, epoch: int, refusal: str) -> None:
         self._keeper.answer(request, epoch, refusal)
@@ -240,7 +244,10 @@ class WorldMember(Member, OwnerOutlet):
     # --- within
 
     def _hear(self, word: Control) -> None:
-        self.owner.hear(word)
+        if isinstance(word, Failed):  # it may be the owner that has just begun the epoch
+            self._own_failures.append(word)
+        else:
+            self.owner.hear(word)
 
     def _record(self) -> WorldRecord:
         owner, engine = self.owner, self.engine
@@ -266,10 +273,13 @@ class WorldMember(Member, OwnerOutlet):
 
     def _finish(self) -> None:
         super()._finish()
-        while self._own_orders:
+        while self._own_orders or self._own_failures:
             orders, self._own_orders = self._own_orders, []
+            failures, self._own_failures = self._own_failures, []
             for order in orders:
                 self._do(order)
+            for failure in failures:
+                self.owner.hear(failure)
             super()._finish()
 
     def _may_begin(self) -> bool:

@@ -25,9 +25,14 @@ NEVER = -1
 
 
 class Prepare(NamedTuple):
-    """Owner to process: get ready for a version of the roster (as `Roster.plain` gives it), and say so."""
+    """Owner to process: get ready for a version of the roster (as `Roster.plain` gives it), and say so.
+
+    Attributes:
+        alone: the nodes in it that fail alone: what they or their edges raise is told, and ends no process.
+    """
 
     roster: dict[str, Value]
+    alone: tuple[str, ...] = ()
 
 
 class Same(NamedTuple):
@@ -151,6 +156,23 @@ class Status(NamedTuple):
     version: int = 0
 
 
+class Failed(NamedTuple):
+    """Process to owner: an operator or edge function of a node that fails alone has raised.
+
+    Attributes:
+        name, process: who says so; an edge function may run in the process of the other node.
+        version: of the roster under which it happened.
+        subject: the node, or the edge as ``lower->upper``.
+        why: in one line.
+    """
+
+    name: str
+    process: str
+    version: int
+    subject: str
+    why: str
+
+
 class Lost(NamedTuple):
     """Keeper to owner: a process has died; whether another one will come in its place."""
 
@@ -170,12 +192,14 @@ class Propose(NamedTuple):
 
     Attributes:
         on_loss, rejoin_timeout_s: by node that is new in it, as `OwnerSettings` has them.
+        alone: those of them that fail alone.
     """
 
     request: str
     change: dict[str, Value]
     on_loss: dict[str, str] = {}  # noqa: RUF012 - never changed
     rejoin_timeout_s: dict[str, float] = {}  # noqa: RUF012
+    alone: tuple[str, ...] = ()
 
 
 Control = (
@@ -192,6 +216,7 @@ Control = (
     | Taken
     | Fetch
     | Status
+    | Failed
     | Lost
     | Census
     | Propose
@@ -202,7 +227,7 @@ Order = Prepare | Same | HandOver | TakeOver | AskStatus | Resend | Dismiss
 Offered = Prepare | Same | HandOver | TakeOver | AskStatus | Resend
 """What a process is told by the owner on its own key; a dismissal comes by way of its keeper."""
 
-Word = Join | Ready | State | Taken | Fetch | Status
+Word = Join | Ready | State | Taken | Fetch | Status | Failed
 """What a process says to the owner on the owner's key; the rest comes by way of the keeper."""
 
 _KINDS: dict[str, Callable[..., object]] = {kind.__name__: kind for kind in get_args(Control)}

@@ -64,6 +64,17 @@ def encode_value(value: Value) -> bytes:
     return pack(value, _PACKERS)
 
 
+def encode_frozen(value: Value) -> bytes:
+    """As `encode_value`; and nobody can write into the value's arrays any more.
+
+    Raises:
+        SchemaError: as `encode_value` has it.
+    """
+    if not is_sound(value, 0):
+        raise fault(value, "value", ())
+    return pack(value, _FREEZING)
+
+
 def decode_value(data: bytes | memoryview, where: str = "value") -> Value:
     """Read what `encode_value` wrote.
 
@@ -185,7 +196,14 @@ def array_in_place(value: Any) -> Any:
     return replace_numpy(value)
 
 
+def _frozen_in_place(value: Any) -> Any:
+    if isinstance(value, np.ndarray):
+        value.setflags(write=False)
+    return array_in_place(value)
+
+
 _PACKERS = Packers(array_in_place)
+_FREEZING = Packers(_frozen_in_place)
 
 
 def read_extension(code: int, data: bytes) -> Value:

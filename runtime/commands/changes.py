@@ -90,7 +90,7 @@ def attach(
         )
     file = _deployment(endpoint, deployment)
     change = read_attach(source, file)
-    restarts = read_restarts(source, file)
+    restarts = read_restarts(source, file, attached=True)
     what = f"attached {', '.join(change.nodes)}"
     if here:
         return _keep_here(change, restarts, what, _here(source, change, own, trust, endpoint, host), output_format)

@@ -2,38 +2,80 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Awaitable
-from typing import Any
+from contextlib import redirect_stdout
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
 
 from hierax.runtime.commands.options import File, Format, OutputFormat, Settings
 
+if TYPE_CHECKING:
+    from hierax.runtime.deployment import Deployment
 
-def validate(file: File, settings: Settings = None, output_format: OutputFormat = Format.text) -> int:
+
+def validate(
+    file: File,
+    settings: Settings = None,
+    dry: Annotated[
+        bool,
+        typer.Option(
+            "--dry",
+            help="Also call every operator and edge function once, on the initial beliefs; no actuator is moved, no "
+            "probe is told, and nothing is written.",
+        ),
+    ] = False,
+    output_format: OutputFormat = Format.text,
+) -> int:
     """Check a deployment file: read it, import and make what it names, and see that that forms a hierarchy."""
     from hierax.runtime.commands.show import print_json
-    from hierax.runtime.core.binding import Setting
     from hierax.runtime.core.errors import HieraxError
     from hierax.runtime.deployment.read import read_deployment
-    from hierax.runtime.loading import build_hierarchy, build_probe, check_initial_belief, extend_import_path
+    from hierax.runtime.loading import extend_import_path
 
     deployment = read_deployment(file, settings or ())
     roster = deployment.roster
     extend_import_path(deployment.import_paths)
     try:
-        hierarchy = build_hierarchy(roster, Setting(wait=_wait), deployment.allowance)
-        for name, node in hierarchy.nodes.items():
-            check_initial_belief(name, node)
-        for index, probe in enumerate(deployment.probes):
-            build_probe(probe.reference, f"probes[{index}]", deployment.allowance)
+        with redirect_stdout(sys.stderr):  # what a node prints must not mix with the result
+            _check(deployment)
+            calls = _dry_run(deployment) if dry else 0
     except HieraxError as error:
         raise deployment.explain(error) from error
     content = roster.content_hash().hex()
     if output_format is Format.json:
         result = {"hierarchy": deployment.name, "file": str(deployment.path)}
-        print_json({**result, "nodes": len(roster.nodes), "edges": len(roster.edges), "content": content})
+        called = {"dry_calls": calls} if dry else {}
+        print_json({**result, "nodes": len(roster.nodes), "edges": len(roster.edges), "content": content, **called})
     else:
-        print(f"{deployment.path}: OK, {len(roster.nodes)} nodes, {len(roster.edges)} edges, content {content}")
+        called_too = f", {calls} dry calls" if dry else ""
+        print(
+            f"{deployment.path}: OK, {len(roster.nodes)} nodes, {len(roster.edges)} edges{called_too}, "
+            f"content {content}"
+        )
     return 0
+
+
+def _check(deployment: Deployment) -> None:
+    """All that can be told without calling more than the initial beliefs."""
+    from hierax.runtime.core.binding import Setting
+    from hierax.runtime.loading import LoadError, build_hierarchy, build_probe, check_initial_belief
+    from hierax.runtime.spelling import misspelt_operators
+
+    hierarchy = build_hierarchy(deployment.roster, Setting(wait=_wait), deployment.allowance)
+    for name, node in hierarchy.nodes.items():
+        for what in misspelt_operators(type(node)):
+            raise LoadError(what, f"nodes.{name}.class")
+        check_initial_belief(name, node)
+    for index, probe in enumerate(deployment.probes):
+        build_probe(probe.reference, f"probes[{index}]", deployment.allowance)
+
+
+def _dry_run(deployment: Deployment) -> int:
+    from hierax.runtime.dry import run_dry
+
+    return run_dry(deployment)
 
 
 def _wait(awaitable: Awaitable[Any]) -> Any:

@@ -107,6 +107,8 @@ class Call:
 
     def _failed(self, epoch: int, error: BaseException) -> OperatorError:
         what = f"{type(error).__name__}: {error}{_raised_at(error)}"
+        if isinstance(error, ValueError) and "read-only" in str(error):
+            what += "; it writes into an array that is not its own: make a copy"
         return OperatorError(self.subject, self.operator, epoch, what)
 
 
@@ -159,6 +161,7 @@ class BoundNode:
     """
 
     __slots__ = (
+        "_may_be_none",
         "above",
         "act",
         "below",
@@ -178,6 +181,7 @@ class BoundNode:
         self.node = node
         self.below = below
         self.above = above
+        self._may_be_none: bool | None = None
 
         def bound(function: Operator, operator: str, takes: str = "") -> Call:
             return Call(function, name, operator, setting, below=below, above=above, takes=takes)
@@ -200,6 +204,18 @@ class BoundNode:
             known = ", ".join(sorted(self.policies))
             raise OperatorError(self.name, "select_policy", epoch, f"{policy!r:.60} is none of the policies {known}")
         return str.__str__(policy)  # the characters also of a str-Enum's member
+
+    def accept_none(self, operator: Call, epoch: int) -> None:
+        """An operator has given None for a belief, as one without a `return` does.
+
+        Raises:
+            OperatorError: the node's initial belief is something else.
+        """
+        if self._may_be_none is None:
+            self._may_be_none = self.initial_belief(0, 0.0) is None
+        if not self._may_be_none:
+            what = "gave None for the belief, and the initial belief is not None; does it lack a return?"
+            raise OperatorError(self.name, operator.operator, epoch, what)
 
     def _check_initial_policy(self) -> None:
         nameless = [policy for policy in self.policies if not isinstance(policy, str)]
@@ -279,6 +295,18 @@ def require_world(name: str, node: Node) -> World:
     if not isinstance(node, World):
         raise HierarchyError(f"{name}: the world's class must derive from World, {type(node).__name__} does not")
     return node
+
+
+def require_no_world(name: str, node: Node) -> None:
+    """A node above N₀, which nothing would ask for the time, nor to act.
+
+    Raises:
+        HierarchyError: its class derives from `World`.
+    """
+    if isinstance(node, World):
+        raise HierarchyError(
+            f"{name}: only N₀ may derive from World, and {type(node).__name__} does; derive it from Node"
+        )
 
 
 def bind_edge(function: Operator | None, lower: str, upper: str, operator: str, setting: Setting) -> Call | None:

@@ -15,15 +15,15 @@ from hashlib import blake2b
 from hierax.runtime.core.node import Elements, Value
 from hierax.runtime.core.process import ActiveHierarchy
 from hierax.schemas.messages import DIGEST_BYTES
-from hierax.schemas.values import encode_value
+from hierax.schemas.values import encode_frozen
 
 NO_DIGEST = bytes(DIGEST_BYTES)
 """What the first epoch's digest follows."""
 
 
 def encode_state(belief: Value, policy: str, actions: Elements) -> bytes:
-    """The bytes of an active node's state that digests and checkpoints are made of."""
-    return encode_value((belief, policy, actions))
+    """The bytes of an active node's state that digests and checkpoints are made of; its arrays are frozen."""
+    return encode_frozen((belief, policy, actions))
 
 
 def node_digest(state: bytes, parents: Iterable[bytes]) -> bytes:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 
-from hierax.runtime.core.binding import BoundNode, Call, Setting, bind_edge, require_world
+from hierax.runtime.core.binding import BoundNode, Call, Setting, bind_edge, require_no_world, require_world
 from hierax.runtime.core.graph import Pair, check_graph, topological_order
 from hierax.runtime.core.node import Elements, Node, World
 
@@ -84,6 +84,8 @@ class Hierarchy:
         pairs = [edge.pair for edge in self.edges]
         check_graph(self.world, self.nodes, pairs)
         require_world(self.world, self.nodes[self.world])
+        for name in sorted(self.nodes.keys() - {self.world}):
+            require_no_world(name, self.nodes[name])
         bound = {
             name: BoundNode(name, node, neighbours_below(name, pairs), neighbours_above(name, pairs), self.setting)
             for name, node in sorted(self.nodes.items())

@@ -66,7 +66,10 @@ def sensing_update(active: ActiveHierarchy, name: str, epoch: int, time_s: float
         sense = hierarchy.bound_edges[lower, name].sense
         observations += _apply(sense, epoch, time_s, active.states[lower].belief)
     state = active.states[name]
-    belief = hierarchy.bound[name].observe(epoch, time_s, observations, state.belief)
+    bound = hierarchy.bound[name]
+    belief = bound.observe(epoch, time_s, observations, state.belief)
+    if belief is None:
+        bound.accept_none(bound.observe, epoch)
     return active.with_state(name, state._replace(belief=belief))
 
 
@@ -84,6 +87,8 @@ def prediction_update(active: ActiveHierarchy, name: str, epoch: int, time_s: fl
     policy = bound.choose(epoch, time_s, tasks) if bound.above else state.policy
     actions = bound.policies[policy].elements(epoch, time_s, state.belief)
     belief = bound.predict(epoch, time_s, context, actions, state.belief)
+    if belief is None:
+        bound.accept_none(bound.predict, epoch)
     return active.with_state(name, ActiveNode(belief, policy, actions))
 
 

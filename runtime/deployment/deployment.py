@@ -51,6 +51,11 @@ class RestartPolicy:
     rejoin_timeout_s: float = 10.0
     on_loss: Literal["restart", "detach", "stop"] = "restart"
 
+    @property
+    def fails_alone(self) -> bool:
+        """Whether the node is detached, and nothing else ends, when an operator or edge function of it raises."""
+        return self.on_loss == "detach" and self.restart_policy != "always"
+
 
 @dataclass(frozen=True)
 class ViewSpec:

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from typing import NamedTuple
 
 from hierax.runtime.allowance import NotAllowedError
-from hierax.runtime.deployment.deployment import Deployment
+from hierax.runtime.deployment.deployment import Deployment, RestartPolicy
 from hierax.runtime.deployment.errors import DeploymentError
-from hierax.runtime.deployment.snippet import read_attach, read_replace
+from hierax.runtime.deployment.snippet import read_attach, read_replace, read_restarts
 from hierax.runtime.nearest import did_you_mean
 from hierax.runtime.owner.changes import ChangeError, apply
 from hierax.schemas.changes import Change, Detach
@@ -23,7 +24,21 @@ FORMS = {
 _DIGITS = 19
 
 
-def read_schedule(texts: Sequence[str], deployment: Deployment) -> tuple[tuple[int, Change], ...]:
+class Scheduled(NamedTuple):
+    """A change that is known before the run.
+
+    Attributes:
+        epoch: at the start of which it takes effect.
+        change: what changes.
+        alone: of its new nodes, those that are detached when an operator or edge function of theirs raises.
+    """
+
+    epoch: int
+    change: Change
+    alone: frozenset[str] = frozenset()
+
+
+def read_schedule(texts: Sequence[str], deployment: Deployment) -> tuple[Scheduled, ...]:
     """Changes by the epoch that each takes effect at the start of.
 
     They are tried on the deployment's roster, so that none is refused in the middle of a run.
@@ -39,12 +54,12 @@ def read_schedule(texts: Sequence[str], deployment: Deployment) -> tuple[tuple[i
     Raises:
         DeploymentError: one is written wrongly, its snippet is wrong, or it cannot be made.
     """
-    read = [(*_read(text, deployment), text) for text in texts]
-    read.sort(key=lambda entry: entry[0])
+    read = [(_read(text, deployment), text) for text in texts]
+    read.sort(key=lambda entry: entry[0].epoch)
     roster = deployment.roster
-    for _, change, text in read:
-        roster = _after(change, roster, deployment, f"--at {text}")
-    return tuple((epoch, change) for epoch, change, _ in read)
+    for scheduled, text in read:
+        roster = _after(scheduled.change, roster, deployment, f"--at {text}")
+    return tuple(scheduled for scheduled, _ in read)
 
 
 def _after(change: Change, roster: Roster, deployment: Deployment, place: str) -> Roster:
@@ -56,7 +71,7 @@ def _after(change: Change, roster: Roster, deployment: Deployment, place: str) -
         raise DeploymentError(str(error), place) from error
 
 
-def _read(text: str, deployment: Deployment) -> tuple[int, Change]:
+def _read(text: str, deployment: Deployment) -> Scheduled:
     place = f"--at {text}"
     number, _, rest = text.partition(":")
     kind, _, rest = rest.partition(":")
@@ -67,13 +82,19 @@ def _read(text: str, deployment: Deployment) -> tuple[int, Change]:
         raise DeploymentError(f"there is no change {kind!r}{did_you_mean(kind, FORMS)}", place)
     epoch = _epoch(number.strip(), place)
     if kind == "attach" and rest:
-        return epoch, read_attach(rest, deployment)
+        policies = read_restarts(rest, deployment, attached=True)
+        return Scheduled(epoch, read_attach(rest, deployment), _alone(policies))
     name, colon, rest = rest.partition(":")
     if kind == "replace" and name and rest:
-        return epoch, read_replace(rest, name, deployment)
+        policies = read_restarts(rest, deployment)
+        return Scheduled(epoch, read_replace(rest, name, deployment), _alone(policies))
     if kind == "detach" and name and (not colon or rest == "cascade"):
-        return epoch, Detach(name, bool(colon))
+        return Scheduled(epoch, Detach(name, bool(colon)))
     raise DeploymentError(f"expected {FORMS[kind]}", place)
+
+
+def _alone(policies: Mapping[str, RestartPolicy]) -> frozenset[str]:
+    return frozenset(name for name, policy in policies.items() if policy.fails_alone)
 
 
 def _epoch(text: str, place: str) -> int:

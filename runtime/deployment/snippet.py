@@ -8,7 +8,9 @@ nodes there are then, and what may be loaded, `hierax.runtime.owner.changes` dec
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
+from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 from pydantic import ValidationError
 
@@ -63,19 +65,37 @@ def read_replace(source: str | Path, name: str, deployment: Deployment) -> Repla
     return Replace(name, roster_nodes(model.nodes, document)[name], edges)
 
 
-def read_restarts(source: str | Path, deployment: Deployment) -> Mapping[str, RestartPolicy]:
+def read_restarts(source: str | Path, deployment: Deployment, *, attached: bool = False) -> Mapping[str, RestartPolicy]:
     """What a source of `read_attach` or `read_replace` says about the restarts of its nodes.
 
-    What it leaves out is as ``restart`` at the top of the deployment file has it.
+    What it leaves out is as ``restart`` at the top of the deployment file has it; but what is attached
+    fails alone (``on_loss: detach``) where neither file says what is to follow.
+
+    Args:
+        source: likewise.
+        deployment: of the run.
+        attached: whether its nodes are.
 
     Raises:
         DeploymentError: as `read_attach`.
     """
-    if _is_node(source, deployment):
-        return {str(source): deployment.restarts[str(source)]}
-    model, document = _read(source, deployment)
     otherwise = deployment.restart
+    if attached and not _says(deployment, "restart"):
+        otherwise = replace(otherwise, on_loss="detach")
+    if _is_node(source, deployment):
+        own = deployment.restarts[str(source)]
+        said = _says(deployment, "nodes", str(source))
+        return {str(source): own if said else replace(own, on_loss=otherwise.on_loss)}
+    model, document = _read(source, deployment)
     return {name: restart_policy(node, otherwise, document, ("nodes", name)) for name, node in model.nodes.items()}
+
+
+def _says(deployment: Deployment, *keys: str) -> bool:
+    """Whether the deployment file says at this path what follows on a loss."""
+    found: Any = deployment.document.root
+    for key in keys:
+        found = found.get(key) if isinstance(found, dict) else None
+    return isinstance(found, dict) and "on_loss" in found
 
 
 def _is_node(source: str | Path, deployment: Deployment) -> bool:

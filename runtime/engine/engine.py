@@ -10,6 +10,7 @@ from hierax.runtime.core.errors import ContradictionError, OperatorError
 from hierax.runtime.core.node import Elements, Value, World
 from hierax.runtime.core.probe import Step
 from hierax.runtime.core.process import ActiveNode
+from hierax.runtime.core.travel import cannot_travel
 from hierax.runtime.engine.held import Held
 from hierax.runtime.engine.outlet import Called, Committed, Completed, Outlet, Saved
 from hierax.runtime.engine.table import (
@@ -21,6 +22,7 @@ from hierax.runtime.engine.table import (
     Phase,
     Verdict,
 )
+from hierax.runtime.engine.vigilance import Vigilance, is_due
 from hierax.runtime.engine.wiring import Slot, Wiring
 from hierax.schemas.errors import SchemaError
 from hierax.schemas.messages import CONTEXT, NO_EXTENSIONS, OBSERVATIONS, TASKS, Header, Message
@@ -73,6 +75,7 @@ class Engine:
         self._sent: dict[Slot, Message] = {}
         self._observations: Elements = ()
         self._sensed: Value = None
+        self._vigilance: Vigilance | None = None
         self.digest = NO_DIGEST
         self.time_s = 0.0
         self._wire(wiring)
@@ -136,8 +139,8 @@ class Engine:
         self._start = saved.start
         self._state = saved.now
         self._belief: Value = saved.now.belief
-        self._encoded_start = self._encoded(saved.start)
-        self._encoded_now = self._encoded(saved.now)
+        self._encoded_start = self._encoded_saved(saved.start)
+        self._encoded_now = self._encoded_saved(saved.now)
         self._inbox.clear()
         self._enter(Phase.DONE)
 
@@ -375,6 +378,7 @@ class Engine:
         self._inbox = {}
         self._heard = self._told = _NO_MESSAGES
         self._sent.clear()
+        self._vigilance = Vigilance() if is_due(self.epoch) else None
         self._enter(Phase.SENSE)
 
     def _enter(self, phase: Phase) -> None:
@@ -389,6 +393,8 @@ class Engine:
     def _begin(self, world: World) -> None:
         self.time_s = epoch_time_s(self.name, world, self._belief, self.epoch)
         self._sensed = self._belief
+        if self._vigilance:
+            self._vigilance.keep("belief", self._belief)
         self._send_up()
 
     def _take(self, slot: Slot, message: Message) -> None:
@@ -406,9 +412,17 @@ class Engine:
         node = self.node
         self.time_s = time_s = inbox[node.below[0], OBSERVATIONS].header.time_s
         self._observations = observations = _union(inbox, node.below, OBSERVATIONS)
-        self._sensed = node.observe(self.epoch, time_s, observations, self._belief)
-        if self.events:
-            self._called(node.observe, self._sensed)
+        vigilance = self._vigilance
+        if vigilance:
+            vigilance.keep("belief", self._belief)
+            vigilance.keep("observations", observations)
+        self._sensed = sensed = node.observe(self.epoch, time_s, observations, self._belief)
+        if sensed is None:
+            node.accept_none(node.observe, self.epoch)
+        if vigilance or self.events:
+            self._called(node.observe, sensed)
+        if vigilance:
+            vigilance.keep("belief", sensed)
         self._send_up()
 
     def _send_up(self) -> None:
@@ -418,7 +432,7 @@ class Engine:
             elements: Elements = ()
             if sense is not None:
                 elements = sense.elements(epoch, time_s, belief)
-                if self.events:
+                if self._vigilance or self.events:
                     self._called(sense, elements)
             self._send(OBSERVATIONS, upper, elements, b"")
         if not self._awaited:
@@ -434,17 +448,25 @@ class Engine:
         tasks = _union(inbox, wiring.tasking, TASKS) if wiring.tasking else ()
         context = _union(inbox, above, CONTEXT) if above else ()
         policy = self._state.policy
+        vigilance = self._vigilance
+        if vigilance:
+            vigilance.keep("tasks", tasks)
+            vigilance.keep("context", context)
         if above:
             policy = node.choose(epoch, time_s, tasks)
-            if self.events:
+            if vigilance or self.events:
                 self._called(node.select_policy, policy)
         act = node.policies[policy]
         actions = act.elements(epoch, time_s, sensed)
-        if self.events:
+        if vigilance or self.events:
             self._called(act, actions)
+        if vigilance:
+            vigilance.keep("actions", actions)
         self._send_tasks(actions)
         belief = node.predict(epoch, time_s, context, actions, sensed)
-        if self.events:
+        if belief is None:
+            node.accept_none(node.predict, epoch)
+        if vigilance or self.events:
             self._called(node.predict, belief)
         self._state = state = ActiveNode(belief, policy, actions)
         self._belief = belief
@@ -456,7 +478,7 @@ class Engine:
     def _send_tasks(self, actions: Elements) -> None:
         for lower, task in self.wiring.task:
             elements = task.elements(self.epoch, self.time_s, actions)
-            if self.events:
+            if self._vigilance or self.events:
                 self._called(task, elements)
             self._send(TASKS, lower, elements, b"")
 
@@ -477,13 +499,15 @@ class Engine:
         )
         completed = Completed(step, self._encoded_now, self.digest)
         outlet.predicted(completed)
+        if self._vigilance:
+            self._vigilance.keep("belief", state.belief)
         if self._world is None:
             outlet.save(epoch, attempt, self._encoded_start, self._encoded_now)
         for lower, enrich in self.wiring.context:
             elements: Elements = ()
             if enrich is not None:
                 elements = enrich.elements(epoch, time_s, state.belief)
-                if self.events:
+                if self._vigilance or self.events:
                     self._called(enrich, elements)
             self._send(CONTEXT, lower, elements, self.digest)
         if self._world is not None:
@@ -511,15 +535,26 @@ class Engine:
         return NO_EXTENSIONS
 
     def _called(self, call: Call, result: Value) -> None:
-        self._outlet.called(Called(self.epoch, self.attempt, call.subject, call.operator, result))
+        """Where somebody watches, or it is looked at whether operators leave alone what they are given."""
+        if self._vigilance:
+            self._vigilance.check(call, self.epoch)
+        if self.events:
+            self._outlet.called(Called(self.epoch, self.attempt, call.subject, call.operator, result))
 
     def _encoded(self, state: ActiveNode) -> bytes:
-        """The state's bytes; a state that cannot be encoded is the operator's fault."""
+        """The bytes of the state that the operators have made."""
         try:
             return encode_state(state.belief, state.policy, state.actions)
         except SchemaError as error:
-            what = f"its belief or actions {error}"
-            raise OperatorError(self.name, "predict" if self.epoch else "initial_belief", self.epoch, what) from error
+            raise cannot_travel(self.name, self.epoch, self._sensed, state, error) from error
+
+    def _encoded_saved(self, state: ActiveNode) -> bytes:
+        """The bytes of the state with which it begins."""
+        try:
+            return encode_state(state.belief, state.policy, state.actions)
+        except SchemaError as error:
+            operator = "take_over" if self.epoch else "initial_belief"
+            raise OperatorError(self.name, operator, self.epoch, f"its belief: {error}") from error
 
 
 def _union(inbox: Mapping[Slot, Message], senders: Sequence[str], kind: str) -> Elements:

@@ -37,6 +37,7 @@ def build_member(
     """
     member = _built(order, loader, port, line, voice, epochs)
     member.staleness = Staleness(order.staleness, order.exact)
+    member.alone = frozenset(order.alone)
     if order.fault:
         plant(member, order.fault)
     return member

@@ -264,7 +264,7 @@ class Keeping:
             return
         begun = await self._has_begun()
         delay_s = self._restarts[name].delay_s(child)
-        may_lack = begun and name != self._world and self.orders.policy(name).on_loss == DETACH
+        may_lack = begun and name != self._world and self._policy(child).on_loss == DETACH
         if delay_s is None and not may_lack:
             self._fail(failure)
             return
@@ -327,7 +327,13 @@ class Keeping:
 
     def _is_replaced(self, name: str) -> bool:
         """Whether another process of a node is there, or comes."""
-        return name in self._coming or self._current[name].alive
+        current = self._current.get(name)
+        return name in self._coming or (current is not None and current.alive)
+
+    def _policy(self, child: Child) -> RestartPolicy:
+        """What is done when a process ends; of one whose change is not committed yet, as that has it."""
+        asked = self.requests.policies(child.order.request)
+        return asked.get(child.name, self.orders.policy(child.name))
 
     def _living(self) -> dict[str, str]:
         """The processes that live, as far as is known here: of those kept elsewhere, whether they are heard of."""

@@ -89,6 +89,7 @@ class NodeOrder:
         on_uncertain_act: of the world's process.
         processes: of the world's process: those of the other nodes that live.
         proposals: of the world's process that comes back: control messages for the owner.
+        alone: the nodes of `roster` that fail alone.
         fault: where the process kills itself, as `hierax.runtime.launch.faults` has it; empty: nowhere.
         recorded: whether somebody records the run, who has to hear the process from its first message on.
         elsewhere: whether another than the launch's own keeper keeps the process: its dismissal comes over Zenoh.
@@ -121,6 +122,7 @@ class NodeOrder:
     on_uncertain_act: OnUncertainAct
     processes: Mapping[str, str]
     proposals: tuple[bytes, ...]
+    alone: tuple[str, ...] = ()
     fault: str = ""
     recorded: bool = False
     elsewhere: bool = False

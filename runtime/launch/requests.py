@@ -118,6 +118,11 @@ class Requests:
                 hub.stop_serving()
                 await portal.stop(cancel_remaining=True)
 
+    def policies(self, request: str) -> Mapping[str, RestartPolicy]:
+        """Of the nodes that are new in a change that is asked for."""
+        asked = self._asked.get(request)
+        return {} if asked is None else asked.policies
+
     def answer(self, request: str, epoch: int, refusal: str) -> None:
         """What became of a change."""
         asked = self._asked.get(request)
@@ -193,6 +198,7 @@ class Requests:
             change.plain(),
             {name: policy.on_loss for name, policy in policies.items()},
             {name: float(policy.rejoin_timeout_s) for name, policy in policies.items()},
+            tuple(sorted(name for name, policy in policies.items() if policy.fails_alone)),
         )
         self._forget_oldest()
         self._asked[request] = Asked(policies, encode_control(proposal))

@@ -73,6 +73,8 @@ class Answers:
         for key, first, names in due:
             gone = [name for name in names if name not in members.roster.nodes or members.born[name][2] != key]
             if gone:
-                self.give(key, 0, f"{', '.join(gone)}: detached again before the first epoch was committed")
+                why = "; ".join(members.failures[name] for name in names if name in members.failures)
+                why = f"{why}; " if why else ""
+                self.give(key, 0, f"{why}{', '.join(gone)}: detached again before the first epoch was committed")
             else:
                 self.give(key, first, "")

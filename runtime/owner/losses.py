@@ -10,7 +10,7 @@ from hierax.runtime.owner.outlet import DETACH, OwnerOutlet, OwnerSettings
 from hierax.runtime.owner.plan import Request
 from hierax.runtime.owner.planning import Planning
 from hierax.schemas.changes import Detach
-from hierax.schemas.control import Census, Lost
+from hierax.schemas.control import Census, Failed, Lost
 
 
 class Losses:
@@ -52,6 +52,28 @@ class Losses:
         self._on_lost(name, process, word.restarts)
         if refusal and self._stays_away(name):
             self._give_up(name, refusal)
+
+    def fail(self, word: Failed) -> None:
+        """What a node that fails alone has raised; it is said again until the epoch is done again without the node."""
+        members = self._members
+        if word.version != members.roster.version or members.processes.get(word.name) != word.process:
+            return
+        told = tuple(word.subject.split("->"))
+        if word.name not in told or (len(told) > 1 and told not in {edge.pair for edge in members.roster.edges}):
+            return
+        ends = [name for name in told if name in members.alone and name in members.roster.nodes]
+        if not ends:
+            return  # under one version, processes are told the same of who fails alone: this is not from one of them
+        name = max(ends, key=lambda end: members.born[end][0])  # of two, what came last has brought the edge
+        if name in members.failures:
+            return
+        members.failures[name] = word.why
+        if name not in members.lost:
+            members.lose(name)
+            if self._planning.plan is not None:
+                self._planning.redo(self._planning.plan)
+        self._outlet.note(f"{word.why}; {name} is detached (on_loss)")
+        self._planning.ask(Request("", Detach(name, cascade=True), self._clock()))
 
     def count(self, word: Census) -> None:
         """The keeper's processes, for an owner that is new: what of them is missing is lost."""

@@ -38,6 +38,8 @@ class Members:
         newcomers: processes to come, by node and the request that they are for; in the place of a lost one,
             that is empty.
         ended: nodes and processes that are to be killed, and since when.
+        alone: the nodes that are detached when an operator or edge function of theirs raises.
+        failures: by node that was detached for that, why.
     """
 
     def __init__(
@@ -57,6 +59,8 @@ class Members:
         self.ended: dict[tuple[str, str], float] = {}
         self._outlet = outlet
         self._clock = clock
+        self.alone = frozenset(settings.alone)
+        self.failures: dict[str, str] = {}
         self._on_loss = dict(settings.on_loss)
         self._rejoin_timeout_s = dict(settings.rejoin_timeout_s)
         self._given_up: set[str] = set()
@@ -159,6 +163,11 @@ class Members:
 
     # --- another version
 
+    def alone_in(self, plan: Plan) -> tuple[str, ...]:
+        """The nodes that fail alone under a plan's roster."""
+        new = {name: name in request.alone for request in plan.requests for name in request.new_nodes}
+        return tuple(name for name in sorted(plan.roster.nodes) if new.get(name, name in self.alone))
+
     def take_effect(self, plan: Plan, epoch: int) -> dict[str, str]:
         """A plan's roster is in force from this epoch on.
 
@@ -166,6 +175,8 @@ class Members:
             By node, the processes that have no place any more.
         """
         old = self.processes
+        self.alone = frozenset(self.alone_in(plan))
+        self.failures = {name: why for name, why in self.failures.items() if name not in plan.roster.nodes}
         self.roster = plan.roster
         self.processes = dict(plan.processes)
         self.lost.clear()

@@ -20,6 +20,7 @@ class OwnerSettings:
         modules: from which code may be loaded.
         on_loss: by node, `RESTART`, `DETACH` or `STOP`; `RESTART` where it says nothing.
         rejoin_timeout_s: by node, how long a lost one may take to come back.
+        alone: the nodes that are detached when an operator or edge function of theirs raises.
         epoch_deadline_s: how long an epoch may take before it is asked who waits for whom; None: for ever.
         start_timeout_s: how long a new node's process may take to come up.
         answer_timeout_s: how long a process may take to answer the owner.
@@ -29,6 +30,7 @@ class OwnerSettings:
     modules: tuple[str, ...] = ()
     on_loss: Mapping[str, str] = field(default_factory=dict)
     rejoin_timeout_s: Mapping[str, float] = field(default_factory=dict)
+    alone: tuple[str, ...] = ()
     epoch_deadline_s: float | None = None
     start_timeout_s: float = 30.0
     answer_timeout_s: float = 5.0

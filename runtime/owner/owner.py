@@ -23,6 +23,7 @@ from hierax.schemas.control import (
     NEVER,
     Census,
     Control,
+    Failed,
     Fetch,
     Join,
     Lost,
@@ -191,6 +192,8 @@ class Owner:
             self._arrivals.hear(word)
         elif isinstance(word, Lost):
             self._losses.hear(word)
+        elif isinstance(word, Failed):
+            self._losses.fail(word)
         elif isinstance(word, Fetch):
             self._on_fetch(word)
         elif isinstance(word, Status):
@@ -227,7 +230,7 @@ class Owner:
                 self._outlet.note(f"a change is refused: {error}")
             self._answers.give(key, 0, str(error))
             return
-        self._planning.ask(Request(key, change, self._clock(), word.on_loss, word.rejoin_timeout_s))
+        self._planning.ask(Request(key, change, self._clock(), word.on_loss, word.rejoin_timeout_s, word.alone))
 
     def _on_fetch(self, word: Fetch) -> None:
         """Only who has a place in a version is told of it: another process of that node would take part as well."""
@@ -236,4 +239,4 @@ class Owner:
         now = self._clock()
         if now - self._told_s.get(word.name, -inf) >= FETCH_S:  # who asks more often is not the process
             self._told_s[word.name] = now
-            self._outlet.tell(word.process, Prepare(self.roster.plain()))
+            self._outlet.tell(word.process, Prepare(self.roster.plain(), tuple(sorted(self._members.alone))))

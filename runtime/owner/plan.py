@@ -26,7 +26,7 @@ class Request:
         key: by which the answer is told apart; empty: the owner itself asks.
         change: what is wanted.
         since_s: when it was asked for.
-        on_loss, rejoin_timeout_s: of its new nodes, as `OwnerSettings` has them.
+        on_loss, rejoin_timeout_s, alone: of its new nodes, as `OwnerSettings` has them.
         tries: how often a plan with it had to be dropped.
     """
 
@@ -35,6 +35,7 @@ class Request:
     since_s: float
     on_loss: Mapping[str, str] = field(default_factory=dict)
     rejoin_timeout_s: Mapping[str, float] = field(default_factory=dict)
+    alone: tuple[str, ...] = ()
     tries: int = 0
 
     @property

@@ -258,11 +258,11 @@ class Planning:
 
     def _tell_waiting(self, plan: Plan) -> None:
         plan.told_s = self._clock()
-        plain = plan.roster.plain()
+        prepare = Prepare(plan.roster.plain(), self._members.alone_in(plan))
         epoch, attempt = self._course.epoch, self._course.last_attempt
         for name in sorted(plan.waiting):
             if plan.stage is Stage.PREPARE:
-                self._outlet.tell(plan.processes[name], Prepare(plain))
+                self._outlet.tell(plan.processes[name], prepare)
             elif name in plan.states:
                 self._outlet.tell(plan.processes[name], TakeOver(plan.version, epoch, attempt, plan.states[name]))
             else:

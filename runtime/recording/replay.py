@@ -16,6 +16,7 @@ from hierax.runtime.core.digest import NO_DIGEST, encode_state, epoch_digest, no
 from hierax.runtime.core.errors import HieraxError
 from hierax.runtime.core.node import Elements, Value, World
 from hierax.runtime.core.process import ActiveNode
+from hierax.runtime.core.travel import cannot_travel, elements_cannot_travel
 from hierax.runtime.engine.wiring import Wiring
 from hierax.runtime.loading import build_node
 from hierax.runtime.nearest import did_you_mean
@@ -238,6 +239,8 @@ class Replay:
             for lower in wiring.node.below:
                 observations += self._input(replayed.recorded, name, OBSERVATIONS, lower)
             belief = wiring.node.observe(epoch, time_s, observations, belief)
+            if belief is None:
+                wiring.node.accept_none(wiring.node.observe, epoch)
             replayed.sensed[name] = belief
         self.states[name] = self.states[name]._replace(belief=belief)
         for upper, sense in wiring.sense:
@@ -259,12 +262,14 @@ class Replay:
         for lower, task in wiring.task:
             self._give(replayed, TASKS, name, lower, task.elements(epoch, time_s, actions), b"")
         belief = node.predict(epoch, time_s, context, actions, state.belief)
+        if belief is None:
+            node.accept_none(node.predict, epoch)
         done = ActiveNode(belief, policy, actions)
         self.states[name] = replayed.states[name] = done
         try:
             encoded = encode_state(*done)
         except SchemaError as error:
-            raise HieraxError(f"{name}: its belief or actions {error}") from error
+            raise cannot_travel(name, epoch, state.belief, done, error) from error
         digests[name] = node_digest(encoded, above) if all(above) else b""
         for lower, enrich in wiring.context:
             elements = () if enrich is None else enrich.elements(epoch, time_s, belief)
@@ -294,7 +299,7 @@ class Replay:
         try:
             travelled = decode_value(encode_value(elements))
         except SchemaError as error:
-            raise HieraxError(f"{sender}: its elements for {receiver} {error}") from error
+            raise elements_cannot_travel(kind, sender, receiver, replayed.epoch, error) from error
         line = (kind, sender, receiver)
         replayed.lines[line] = travelled
         recorded = replayed.recorded

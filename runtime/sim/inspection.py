@@ -139,6 +139,7 @@ class Inspected(BoundNode):
     ) -> None:
         self.name, self.node, self.below, self.above = bound.name, bound.node, bound.below, bound.above
         self.initial_belief, self.policies = bound.initial_belief, bound.policies
+        self._may_be_none = None
 
         def observe(epoch: int, time_s: float, observations: Elements, belief: Value) -> Value:
             return bound.observe(epoch, time_s, inspector.observed(observations, bound.below, version, epoch), belief)

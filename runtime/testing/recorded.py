@@ -9,6 +9,7 @@ from typing import TypeVar
 
 from hierax.runtime.allowance import Allowance
 from hierax.runtime.core.binding import BoundNode, Setting
+from hierax.runtime.core.difference import difference
 from hierax.runtime.core.errors import HieraxError
 from hierax.runtime.core.hierarchy import neighbours_above, neighbours_below
 from hierax.runtime.core.node import Elements, Node, Value
@@ -19,7 +20,7 @@ from hierax.runtime.nearest import did_you_mean
 from hierax.runtime.recording.deployments import allowance_of
 from hierax.runtime.recording.reading import Recording
 from hierax.runtime.recording.trace import EpochTrace
-from hierax.runtime.testing.node import Input, difference, wait_for
+from hierax.runtime.testing.node import Input, wait_for
 from hierax.schemas.messages import CONTEXT, OBSERVATIONS, TASKS
 from hierax.schemas.roster import Reference, Roster
 from hierax.schemas.values import encode_value

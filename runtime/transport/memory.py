@@ -72,6 +72,11 @@ class MemoryNetwork:
             self.tap(header, data)
         lane.append(data)
 
+    def drop_all(self) -> None:
+        """Lose what is under way."""
+        for port in self._ports.values():
+            port.lanes.clear()
+
     def forget(self, name: str) -> None:
         """Take a port out."""
         self._ports.pop(name, None)

@@ -95,6 +95,21 @@ def test_what_is_said_about_restarts(tmp_path: Path) -> None:
     assert read_restarts("left", read) == {"left": RestartPolicy(max_restarts=2)}
 
 
+def test_what_is_attached_fails_alone_unless_a_file_says_otherwise(tmp_path: Path) -> None:
+    path = snippet(tmp_path)
+    read = deployment(tmp_path)
+    assert {name: each.on_loss for name, each in read_restarts(path, read, attached=True).items()} == {
+        "second": "detach",
+        "third": "detach",
+    }
+    assert read_restarts("left", read, attached=True)["left"].fails_alone
+    other = read_deployment(read.path, ["restart.on_loss=stop"])
+    assert [each.on_loss for each in read_restarts(path, other, attached=True).values()] == ["detach", "stop"]
+    own = read_deployment(read.path, ["nodes.left.on_loss=restart"])
+    assert read_restarts("left", own, attached=True)["left"].on_loss == "restart"
+    assert not RestartPolicy(restart_policy="always", on_loss="detach").fails_alone
+
+
 MISTAKES = [
     # a part of the right snippet, what stands there instead, the mistake's line, the message after file and line
     ("nodes:\n", "node:\n", "node:", "node: unknown field; did you mean 'nodes'?"),

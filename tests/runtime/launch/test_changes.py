@@ -10,7 +10,7 @@ from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import pytest
-from support.live import Live, Program, until
+from support.live import MIXING, Live, Program, until
 
 BULKY = "support.live_nodes:Bulky"
 
@@ -85,6 +85,52 @@ def test_a_refused_change_leaves_the_run_as_it_is(live: Live) -> None:
     assert live.run["nodes"].keys() == {"world", "low", "high"}
     live.goes_on()
     live.is_repeated_by()
+
+
+FAILING = """\
+nodes:
+  top: {{class: "support.failing_nodes:Failing", parameters: {{name: top, operator: {operator}}}}}
+edges:
+  {lower} -> top: {{{functions}}}
+"""
+
+FAILURES = {
+    "top: observe": ("low", "observe", "Mix"),
+    "world->top: sense": ("world", "none", "FailingMix"),
+    "low->top: sense": ("low", "none", "SetMix"),
+}
+"""What fails: the lower node, the operator, the sense function."""
+
+
+def failing(live: Live, number: int, lower: str, operator: str, sense: str, epoch: int = 1) -> str:
+    """The path of a snippet whose node fails."""
+    operator += f", epoch: {epoch}"
+    module = MIXING if sense == "Mix" else "support.failing_nodes"
+    path = live.folder / f"failing-{number}.yaml"
+    function = f'sense: {{function: "{module}:{sense}", parameters: {{name: x}}}}'
+    path.write_text(FAILING.format(operator=operator, lower=lower, functions=function), encoding="utf-8")
+    return str(path)
+
+
+def test_what_fails_in_its_first_epoch_is_refused_and_the_run_goes_on(live: Live) -> None:
+    for number, (place, what) in enumerate(FAILURES.items()):
+        done = live.hierax("attach", failing(live, number, *what))
+        assert (done.returncode, len(done.stderr.splitlines())) == (1, 1), done.stderr
+        assert re.match(rf"error: {place} in epoch \d+: ", done.stderr), done.stderr
+        assert ("a set cannot be sent" if "SetMix" in what else "RuntimeError: out of luck (") in done.stderr
+    assert live.run["nodes"].keys() == {"world", "low", "high"}
+    live.goes_on()
+    live.is_repeated_by()
+
+
+def test_what_fails_later_is_detached_there(live: Live) -> None:
+    path = failing(live, 0, "low", "count", "Mix", epoch=40)
+    epoch = live.change("attach", path)
+    said = live.launch.says("top is detached (on_loss)")
+    assert said.startswith(f"hierax: top: observe in epoch {epoch + 40}: RuntimeError: out of luck (")
+    live.launch.says(f"top: its process exits: top: it is detached from epoch {epoch + 40} on")
+    live.goes_on()
+    live.is_repeated_by(f"{epoch}:attach:{path}")
 
 
 # --- a process that comes back when it is no longer wanted; a stopped one is cut off, as far as the others can see

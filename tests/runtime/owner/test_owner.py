@@ -16,6 +16,7 @@ from hierax.schemas.control import (
     AskStatus,
     Control,
     Dismiss,
+    Failed,
     Fetch,
     HandOver,
     Join,
@@ -372,6 +373,60 @@ def test_on_loss() -> None:
     ((kind, why),) = owned.wait(1.1)
     assert kind == "stop"
     assert "it did not come back in time" in why
+
+
+def attached_alone() -> Owned:
+    """One to which `top` was attached above `low`, and fails alone; in the first epoch with it."""
+    owned = begun()
+    owned.hear(propose(Attach({"top": NODE}, (RosterEdge("low", "top"),)))._replace(alone=("top",)))
+    calls = owned.hear(join("top.1", request="c1"))
+    assert [order.alone for _, order in calls if isinstance(order, Prepare)] == [("top",)] * 3
+    owned.ready(1, "world.1", "low.1", "top.1")
+    assert owned.commit()[-1] == ("begin", 2, 0, 1)
+    return owned
+
+
+def test_what_fails_alone_is_detached_and_the_epoch_done_again() -> None:
+    owned = attached_alone()
+    failed = Failed("low", "low.1", 1, "low->top", "low->top: sense in epoch 2: ValueError: no")
+    calls = owned.hear(failed, failed)
+    assert [process for process, order, *_ in calls if isinstance(order, Prepare)] == ["low.1", "world.1"]
+    assert [order.alone for _, order, *_ in calls if isinstance(order, Prepare)] == [(), ()]
+    calls = owned.ready(2, "world.1", "low.1")
+    assert calls == [("begin", 2, 1, 2), ("top.1", Dismiss("top: it is detached from epoch 2 on"))]
+    assert owned.hear(failed) == [], "of a version that is past"
+    answer = owned.commit()[1]
+    refusal = f"{failed.why}; top: detached again before the first epoch was committed"
+    assert answer == ("answer", "c1", 0, refusal)
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"process": "low.0"},
+        {"name": "high", "process": "high.1"},
+        {"version": 0},
+        {"version": 2},
+        {"subject": "world->top"},
+        {"subject": "low->high"},
+        {"subject": "top"},
+        {"subject": "low"},
+    ],
+)
+def test_a_failure_that_somebody_else_tells_of(change: dict[str, Any]) -> None:
+    owned = attached_alone()
+    assert owned.hear(Failed("low", "low.1", 1, "low->top", "no")._replace(**change)) == []
+
+
+def test_a_failure_while_the_next_version_is_prepared() -> None:
+    owned = attached_alone()
+    owned.hear(propose(Detach("high"), "c2"))
+    owned.hear(Failed("top", "top.1", 1, "top", "top: observe in epoch 2: ValueError: no"))
+    assert owned.ready(3, "world.1", "low.1")[0] == ("begin", 2, 1, 3)
+    assert set(owned.owner.roster.nodes) == {"world", "low", "high"}
+    owned.ready(4, "world.1", "low.1")
+    owned.commit()
+    assert set(owned.owner.roster.nodes) == {"world", "low"}
 
 
 def test_several_lost_nodes_are_detached_at_once() -> None:

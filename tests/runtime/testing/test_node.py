@@ -12,7 +12,8 @@ import pytest
 from support.hierarchies import MixingNode, MixingWorld
 
 from hierax.runtime import NO_TICK, Elements, Node, Tick, Value, World
-from hierax.runtime.testing.node import check_node, difference, make_inputs
+from hierax.runtime.core.difference import difference
+from hierax.runtime.testing.node import check_node, make_inputs
 
 READINGS: list[Elements] = [(1.0,), (2.0, 3.0), ()]
 
