@@ -15,6 +15,7 @@ from hierax.runtime.commands.main import main
 from hierax.runtime.launch.run_file import Running, register
 from hierax.runtime.transport import hub
 from hierax.runtime.transport.port import TransportError
+from hierax.schemas.keys import Keys
 
 SNIPPET = """\
 nodes:
@@ -47,7 +48,7 @@ class FakeLaunches:
             "nodes": {"world": NODE, "left": {**NODE, "pid": None, "state": "elsewhere"}},
         }
 
-    def ask(self, endpoint: str, question: dict[str, Any], timeout_s: float = 0.0) -> Any:
+    def ask(self, endpoint: str, question: dict[str, Any], timeout_s: float = 0.0, keys: Keys | None = None) -> Any:
         """In the place of `hub.ask`."""
         self.asked.append((endpoint, question))
         if endpoint in self.silent:
