@@ -64,9 +64,10 @@ def test_a_run_and_its_recording_go_into_files(tmp_path: Path, capsys: pytest.Ca
     assert main(["view", str(run), "--from", "2", "--save", str(again)]) == 0
     for path in (seen, again):
         assert b"/position_m/world/object" in path.read_bytes()
-    assert "there is no committed epoch in it from 9 to its end" in failure(
-        capsys, str(run), "--from", "9", "--save", str(again)
-    )
+    late = (str(run), "--from", "9", "--save", str(again))
+    assert f"{again}: is there already; --overwrite replaces it" in failure(capsys, *late)
+    assert "there is no committed epoch in it from 9 to its end" in failure(capsys, *late, "--overwrite")
+    assert f"{run}: is no file of Rerun's" in failure(capsys, str(run), "--save", str(run), "--overwrite")
 
 
 @needs_rerun
