@@ -50,6 +50,10 @@ changes: $(INSTALLED)
 fuzz: $(INSTALLED)
 	$(BIN)/python benchmarks/fuzz_keys.py
 
+# docs/recording.md: recordings with junk in every field, and all commands that read them; some twenty minutes
+junk: $(INSTALLED)
+	$(BIN)/python benchmarks/junk.py
+
 # ViSP's model-based tracker, for benchmarks/visp_rival/compare.py; installed where it is missing, if root may
 rival: $(INSTALLED)
 	@test -d /usr/include/$$(gcc -dumpmachine)/visp3/mbt || test "$$(id -u)" != 0 || ! command -v apt-get > /dev/null || \
