@@ -29,10 +29,10 @@ SUBJECTS = {
     "letters": (4, ()),
     "servo": (6, ()),
     "chain": (4, ()),
-    "causal-tree": (2, ("network.nodes=40",)),
+    "causal-tree": (2, ("draw.sets=2",)),
     "tracking": (2, ("cubes=2", "frames=2")),
 }
-NODES = {"letters": "word", "servo": "camera", "chain": "arm", "causal-tree": "top", "tracking": "arm"}
+NODES = {"letters": "word", "servo": "camera", "chain": "arm", "causal-tree": "trunk", "tracking": "arm"}
 
 
 def main() -> int:
