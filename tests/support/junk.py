@@ -63,7 +63,7 @@ def places(value: Any, path: Path = ()) -> Iterator[Path]:
     if isinstance(value, dict):
         for key, item in value.items():
             yield from places(item, (*path, key))
-    elif isinstance(value, (list, tuple)):
+    elif isinstance(value, list):
         for index, item in enumerate(value):
             yield from places(item, (*path, index))
 
