@@ -33,6 +33,7 @@ class Doubts:
         self._outlet = outlet
         self._number = FIRST_INQUIRY
         self._asked: dict[str, int] = {}
+        self._lies: dict[str, int] = {}
         self._epoch = 0
         self._repeats = 0
 
@@ -55,8 +56,7 @@ class Doubts:
             return
         del self._asked[status.name]
         if not self.is_ahead(status):
-            what = f"{status.name}: somebody has said in its name that it is further than the world; it is not"
-            self._outlet.note(what)
+            self._tell_of_lie(status.name)
             return
         course = self._course
         where = f"epoch {status.epoch}, attempt {status.attempt}, roster version {status.version}"
@@ -75,3 +75,12 @@ class Doubts:
         if course.running and not self._members.lost:
             self._outlet.note(f"{what}; the epoch is begun again")
             course.begin()
+
+    def _tell_of_lie(self, name: str) -> None:
+        """The first time, the second, the fourth, the eighth, …: it may be said any number of times."""
+        count = self._lies[name] = self._lies.get(name, 0) + 1
+        if count & (count - 1) == 0:
+            times = "" if count == 1 else f" ({count} times)"
+            self._outlet.note(
+                f"{name}: somebody has said in its name that it is further than the world; it is not{times}"
+            )

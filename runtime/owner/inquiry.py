@@ -64,9 +64,10 @@ class Inquiry:
             return
         if self._asked_s is None:
             self._ask(now, roster, processes)
-        elif now - self._asked_s > ASK_AGAIN_S and not self._insisted:
-            self._insisted = True
-            self._tell(sorted(roster.nodes.keys() - self._answers.keys()), processes)
+        elif self._answers.keys() != roster.nodes.keys() and not self._insisted:
+            if now - self._asked_s > ASK_AGAIN_S:
+                self._insisted = True
+                self._tell(sorted(roster.nodes.keys() - self._answers.keys()), processes)
         elif now - self._asked_s > ANSWER_S or self._answers.keys() == roster.nodes.keys():
             self._asked_s = None
             self._judge(epoch, attempt, roster, processes)
