@@ -162,7 +162,7 @@ class Kept:
 def kept(live: Live) -> Iterator[Callable[..., Kept]]:
     made: list[Kept] = []
 
-    def make(policy: str = "") -> Kept:
+    def make(policy: str = ", on_loss: restart") -> Kept:
         made.append(Kept(live, policy))
         return made[-1]
 
