@@ -8,6 +8,7 @@ from typing import Any
 
 import anyio
 import anyio.abc
+import anyio.to_thread
 
 from hierax.runtime.deployment.deployment import RestartPolicy
 from hierax.runtime.launch.child import END_TIMEOUT_S, Child, NodeFailedError, Restarts, start_child
@@ -20,6 +21,7 @@ from hierax.runtime.launch.pipe import (
     END,
     FINISHED,
     HALT,
+    MISSES,
     NEWCOMER,
     NOTE,
     STOP,
@@ -38,6 +40,9 @@ BEAT_S = 0.2
 POLL_S = 0.01
 """How often it is looked whether all processes are up."""
 
+COMES_BACK_S = 0.5
+"""How long a process that is kept elsewhere may be gone: where the hub was stopped, all seem to be for a moment."""
+
 SILENCE_S = 1.0
 """How long it may say nothing, beyond the epoch's deadline."""
 
@@ -54,6 +59,8 @@ class Keeping:
         tasks: in which everything runs; to be set before the first process is started.
         dismiss_elsewhere: tells a process that is kept elsewhere that it has no place any more, why, and whether
             another one is to come; to be set likewise.
+        hears_of: whether a process, by its token, is linked to the hub; to be set likewise.
+        introduce: has processes link again of which one misses this other one; to be set likewise.
         begun: set when the run has begun: the world has recorded that, or goes on with a record.
         finished: set when the world has committed its last epoch.
         ending: whether processes may end from now on.
@@ -63,6 +70,8 @@ class Keeping:
     """
 
     tasks: anyio.abc.TaskGroup
+    introduce: Callable[[str], None]
+    hears_of: Callable[[str], bool]
     dismiss_elsewhere: Callable[[str, str, bool], None]
 
     def __init__(self, orders: Orders, say: Callable[[str], None], fail: Callable[[Exception], None]) -> None:
@@ -171,6 +180,8 @@ class Keeping:
         if child.take(value):
             if value["status"] == DISMISSED:
                 self._say(f"{child.name}: its process exits: {child.dismissed}")
+        elif value["status"] == MISSES:
+            self.tasks.start_soon(anyio.to_thread.run_sync, self.introduce, value["process"])
         elif self._current.get(self._world) is child:
             self._take_from_world(value)
 
@@ -358,7 +369,10 @@ class Keeping:
 
     async def on_gone(self, name: str, token: str) -> None:
         """A process is gone, or cut off; what is kept here is noticed more surely by its end."""
-        if token not in self._children and token not in self._gone and self.members.get(name) == token:
+        if token in self._children or token in self._gone:
+            return
+        await anyio.sleep(COMES_BACK_S)
+        if not self.hears_of(token) and token not in self._gone and self.members.get(name) == token:
             self._gone.add(token)
             self._say(f"{name}: its process, kept elsewhere, is gone or cannot be reached")
             await self.tell_owner(Lost(name, token, True))

@@ -19,7 +19,18 @@ from hierax.runtime.core.errors import ContradictionError, HieraxError
 from hierax.runtime.launch.backlog import Backlog
 from hierax.runtime.launch.building import build_member, preload
 from hierax.runtime.launch.desk import Desk
-from hierax.runtime.launch.pipe import BEGIN, COME_BACK, CUT_OFF, DISMISSED, FAILED, REPORT, TO_REPORT, UP, NodeOrder
+from hierax.runtime.launch.pipe import (
+    BEGIN,
+    COME_BACK,
+    CUT_OFF,
+    DISMISSED,
+    FAILED,
+    MISSES,
+    REPORT,
+    TO_REPORT,
+    UP,
+    NodeOrder,
+)
 from hierax.runtime.launch.steady import SteadyClock
 from hierax.runtime.launch.voice import Voice
 from hierax.runtime.loading import LoadError, extend_import_path
@@ -190,6 +201,8 @@ class NodeLife:
         port = self._port
         if port is not None and not self._stopping.is_set():
             port.greet()
+            for process in port.absent.due():
+                self._voice.say(MISSES, process=process)
 
     def close(self) -> None:
         """Close the port, when no other thread uses it any more."""

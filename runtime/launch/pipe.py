@@ -51,6 +51,8 @@ HALT = "halt"
 """Status of the world: the run cannot go on, and why."""
 BEAT = "beat"
 """Status of the world, again and again and when its roster changes: the epoch, and the roster's processes."""
+MISSES = "misses"
+"""Status: the link to a process broke, and it has not come back."""
 NOTE = "note"
 """Status of the world: people should know."""
 

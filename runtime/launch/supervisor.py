@@ -161,6 +161,8 @@ class Supervisor:
             async with anyio.create_task_group() as tasks:
                 self._keeping.tasks = tasks
                 self._keeping.dismiss_elsewhere = hub.dismiss
+                self._keeping.introduce = hub.introduce
+                self._keeping.hears_of = hub.hears_of
                 tasks.start_soon(self._watch_signals)
                 try:
                     await self._start_recorder(tasks)

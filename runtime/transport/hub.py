@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 import socket
+import threading
 import time
 from collections.abc import Callable, Iterator
 from typing import Any
@@ -11,7 +12,7 @@ from typing import Any
 import zenoh
 
 from hierax.runtime.transport.port import TransportError
-from hierax.runtime.transport.zenoh_session import Settings, close_session, free_endpoint, open_session
+from hierax.runtime.transport.zenoh_session import LOOPBACK, Settings, close_session, free_endpoint, open_session
 from hierax.schemas.control import Dismiss, encode_control
 from hierax.schemas.errors import SchemaError
 from hierax.schemas.keys import Keys
@@ -26,6 +27,9 @@ FOUND_TIMEOUT_S = 2.0
 """How long keepers may take to say which runs they keep."""
 
 LOOK_AGAIN_S = 0.02
+
+INTRODUCE_S = 0.3
+"""How long it takes at most until everybody has heard of everybody."""
 
 KNOCK_TIMEOUT_S = 5.0
 
@@ -52,6 +56,9 @@ class Hub:
     ) -> None:
         self.endpoint, self._session = _listen(settings, host)
         self._keys = keys
+        self._settings, self._host = settings, host
+        self._living: set[str] = set()
+        self._introduces = threading.Lock()
         self._queryable: Any = None
         self._watcher: Any = None
         self._subscriber: Any = None
@@ -90,11 +97,39 @@ class Hub:
         """Tell of every process of a node that is gone, or cut off: the node's name and the process's token."""
 
         def changed(sample: zenoh.Sample) -> None:
+            name, token = str(sample.key_expr).split("/")[-2:]
             if sample.kind == zenoh.SampleKind.DELETE:
-                name, token = str(sample.key_expr).split("/")[-2:]
+                self._living.discard(token)
                 on_gone(name, token)
+            else:
+                self._living.add(token)
 
-        self._watcher = self._session.liveliness().declare_subscriber(self._keys.alive("*"), changed)
+        liveliness = self._session.liveliness()
+        self._watcher = liveliness.declare_subscriber(self._keys.alive("*"), changed, history=True)
+
+    def hears_of(self, process: str) -> bool:
+        """Whether a process of a node, by its token, is there and linked to the hub."""
+        return process in self._living
+
+    def introduce(self, process: str) -> None:
+        """Have two processes link again whose link broke, while both kept theirs to the hub.
+
+        Gossip tells of everybody anew when somebody comes; a session that comes for a moment will do.
+
+        Args:
+            process: the token of the one that is missed; where it is not heard of here either, nothing is done.
+        """
+        if process not in self._living or not self._introduces.acquire(blocking=False):
+            return  # it is dead; or all are just being told
+        try:
+            listen = f"tcp/{self._host}:0" if self._host else LOOPBACK
+            session = open_session([listen], [self.endpoint], self._settings, shared_memory=False)
+            time.sleep(INTRODUCE_S)
+            close_session(session)
+        except TransportError as error:
+            _log.info("processes are not introduced to one another again: %s", error)
+        finally:
+            self._introduces.release()
 
     def dismiss(self, process: str, why: str, again: bool = False) -> None:
         """Tell a process that is kept elsewhere, if it can be reached, that nobody needs it any more.

@@ -12,6 +12,7 @@ from typing import Any
 
 import zenoh
 
+from hierax.runtime.transport.absent import Absent
 from hierax.runtime.transport.port import Port, TransportError
 from hierax.runtime.transport.rendezvous import Handshake, Rendezvous
 from hierax.runtime.transport.zenoh_session import close_session
@@ -57,6 +58,9 @@ class ZenohPort(Port):
 
     One thread receives; others may call `greet` and `interrupt`.
 
+    Attributes:
+        absent: processes of the run that were there, and whose links broke.
+
     Args:
         session: an open session.
         keys: of the run.
@@ -84,6 +88,7 @@ class ZenohPort(Port):
         self._lanes: Mapping[str, Lane] = {}
         self._publishers: dict[Lane, Any] = {}
         self._shaking = threading.Lock()
+        self.absent = Absent()
         self._own_key = keys.edge(INTERRUPT, name, name)
         try:
             self._inbox = session.declare_subscriber(keys.inbox(name), zenoh.handlers.FifoChannel(QUEUE_SIZE))
@@ -206,11 +211,13 @@ class ZenohPort(Port):
         """
         peer, process = str(sample.key_expr).split("/")[-2:]
         if sample.kind != zenoh.SampleKind.PUT:
+            self.absent.gone(process)
             with self._shaking:
                 for _, handshake in self._handshakes(peer):
                     if handshake.peer_process == process:
                         handshake.interrupted()
             return
+        self.absent.came(process)
         try:
             self._greet(peer)
         except TransportError:
