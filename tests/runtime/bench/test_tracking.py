@@ -71,7 +71,7 @@ def test_a_scene_without_truth_says_so(tmp_path: Path, capsys: pytest.CaptureFix
     ours = Allowance(("hierax.nodes.tracking.generator.scenes",))
     scene = load("hierax.nodes.tracking.generator.scenes:write_scene", "test", ours)(tmp_path, "tower", 0, 2)
     assert main(["bench", "tracking", "--scene", str(scene), "--truth", str(tmp_path), "--ways", CONTEXT]) == 1
-    assert "scene_gt.json: cannot be read" in capsys.readouterr().err
+    assert "scene_gt.json: no such file" in capsys.readouterr().err
 
 
 def test_the_speed_is_that_of_launches(
