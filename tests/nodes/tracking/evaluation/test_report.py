@@ -89,7 +89,7 @@ def test_the_probe_draws_where_the_truth_is_known(output: Path, tmp_path: Path) 
     probe.close()
     assert (output / "errors.png").exists()
     assert main([str(output), "--truth", str(folder)]) == 0
-    with pytest.raises(DataError, match=r"scene_gt\.json: cannot be read"):
+    with pytest.raises(DataError, match=r"scene_gt\.json: no such file"):
         ErrorPlot(str(tmp_path / "none")).open(output)
     nowhere = ErrorPlot(str(folder))
     nowhere.open(None)
