@@ -254,11 +254,14 @@ class LooseEngine(Engine):
         super()._turn(epoch, attempt)
 
     def _remember(self) -> None:
-        """Keep what was said in the epoch that is left behind for as long as somebody may be in it."""
+        """Keep what was said in the epoch that is left behind for as long as somebody may lack it.
+
+        A neighbour below may be in that epoch still, and lack what is as old as it may be there.
+        """
         if self._staleness.epochs:
             self._sent_in[self.epoch] = dict(self._sent)
             self._sent_in = {
-                epoch: sent for epoch, sent in self._sent_in.items() if epoch > self.epoch - self._staleness.epochs
+                epoch: sent for epoch, sent in self._sent_in.items() if epoch >= self.epoch - self._staleness.epochs
             }
 
     def _undo(self, attempt: int) -> None:

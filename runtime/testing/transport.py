@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import threading
+import time
 from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 
 import numpy as np
 
@@ -14,6 +16,7 @@ from hierax.schemas.values import Value
 
 Edges = Sequence[tuple[str, str]]
 OpenPorts = Callable[[Edges], Mapping[str, Port]]
+BreakLink = Callable[[Mapping[str, Port], str, str], None]
 
 EDGES: Edges = (("world", "left"), ("world", "right"), ("left", "top"), ("right", "top"))
 TIMEOUT_S = 20.0
@@ -21,7 +24,7 @@ LANE_MESSAGES = 500
 BURST = 50
 
 
-def check_transport(open_ports: OpenPorts, most_bytes: int | None = None) -> None:
+def check_transport(open_ports: OpenPorts, most_bytes: int | None = None, break_link: BreakLink | None = None) -> None:
     """Check a transport.
 
     Args:
@@ -29,6 +32,8 @@ def check_transport(open_ports: OpenPorts, most_bytes: int | None = None) -> Non
             they are closed here.
         most_bytes: how long a message it carries; None: any that is a message. Of a longer one it has to say that it
             does not.
+        break_link: breaks the link between two of the ports, and mends it, or lets it be mended; None: that a port
+            tells of it is not checked.
 
     Raises:
         AssertionError: the transport does not do what `Port` promises; says what.
@@ -39,6 +44,7 @@ def check_transport(open_ports: OpenPorts, most_bytes: int | None = None) -> Non
         _refuses_strangers,
         _refuses_what_cannot_travel,
         _can_be_interrupted,
+        *([] if break_link is None else [_tells_of(break_link)]),
         _closes,
     ):
         ports = open_ports(EDGES)
@@ -138,6 +144,27 @@ def _can_be_interrupted(ports: Mapping[str, Port]) -> None:
     port = ports["top"]
     threading.Timer(0.01, port.interrupt).start()
     assert receive(port) is None, "interrupted, but something came"
+
+
+def _note(mended: list[tuple[str, str]], name: str, neighbour: str) -> None:
+    mended.append((name, neighbour))
+
+
+def _tells_of(break_link: BreakLink) -> Callable[[Mapping[str, Port]], None]:
+    def check(ports: Mapping[str, Port]) -> None:
+        mended: list[tuple[str, str]] = []
+        for name, port in ports.items():
+            port.mended = partial(_note, mended, name)
+        break_link(ports, "left", "top")
+        patience = time.monotonic() + TIMEOUT_S
+        while len(mended) < 2 and time.monotonic() < patience:
+            for name in ("left", "top"):
+                assert receive(ports[name], 0.05) is None, f"{name}: something came that nobody sent"
+        assert sorted(mended) == [("left", "top"), ("top", "left")], f"a broken link was mended, and told was {mended}"
+        ports["left"].send(Message(Header(OBSERVATIONS, "left", "top", 1), ()))
+        assert receive(ports["top"]) is not None, "a message after a link was mended is lost"
+
+    return check
 
 
 def _closes(ports: Mapping[str, Port]) -> None:

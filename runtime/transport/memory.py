@@ -49,7 +49,7 @@ class MemoryNetwork:
 
     def next_receiver(self) -> str | None:
         """A node that has a message to receive, by the seed; None where nothing is under way."""
-        waiting = [name for name in sorted(self._ports) if self._ports[name].lanes]
+        waiting = [name for name, port in sorted(self._ports.items()) if port.lanes or port.breaks]
         return waiting[self.draw(len(waiting))] if waiting else None
 
     def draw(self, count: int) -> int:
@@ -77,6 +77,13 @@ class MemoryNetwork:
         for port in self._ports.values():
             port.lanes.clear()
 
+    def break_link(self, one: str, other: str) -> None:
+        """Break the link between two nodes, which loses what is under way on it, and mend it."""
+        for name, neighbour in ((one, other), (other, one)):
+            port = self._ports[name]
+            port.lanes = {lane: queue for lane, queue in port.lanes.items() if lane[0] != neighbour}
+            port.breaks.append(neighbour)
+
     def forget(self, name: str) -> None:
         """Take a port out."""
         self._ports.pop(name, None)
@@ -91,6 +98,7 @@ class MemoryPort(Port):
         self._interrupted = False
         self._closed = False
         self.lanes: dict[Lane, deque[bytes]] = {}
+        self.breaks: deque[str] = deque()
 
     def send(self, message: Message) -> None:
         if self._closed:
@@ -98,6 +106,8 @@ class MemoryPort(Port):
         self._network.put(message)
 
     def receive(self) -> Message | None:
+        while self.breaks and not self._closed:
+            self.mended(self.breaks.popleft())
         if self._interrupted or self._closed or not self.lanes:
             self._interrupted = False
             return None

@@ -45,6 +45,9 @@ def stream_of(hierarchy: str, run: str | None = None) -> Stream:
     return rr.RecordingStream(f"hierax {hierarchy}", recording_id=run)
 
 
+_LOOK_S = 0.2
+
+
 @dataclass(frozen=True)
 class Place:
     """Where a stream is seen.
@@ -80,7 +83,14 @@ def web_viewer(stream: Stream, port: int | None, memory: str, opens: bool) -> It
         address = f"http://{HOST}:{web_port}/?url={quote(_data_address(data_port), safe='')}"
         if opens:
             webbrowser.open(address)
-        yield Place(address, Event().wait)
+        yield Place(address, _for_ever)
+
+
+def _for_ever() -> None:
+    """Wait until Ctrl-C; looked for again and again, as one that another thread takes wakes nobody who only waits."""
+    never = Event()
+    while not never.wait(_LOOK_S):
+        continue
 
 
 @contextmanager

@@ -64,8 +64,8 @@ def hierax(folder: Path, *arguments: str) -> str:
 
 
 def test_a_launch_and_its_recorder_are_those_of_one_process(folder: Path) -> None:
-    options = ("shadowed.yaml", "--epochs", "5", "--record", "run.mcap", "--format", "json")
-    launched, run = (json.loads(hierax(folder, mode, *options)) for mode in ("launch", "run"))
+    options = ("shadowed.yaml", "--epochs", "5", "--format", "json", "--record")
+    launched, run = (json.loads(hierax(folder, mode, *options, f"{mode}.mcap")) for mode in ("launch", "run"))
     assert launched["digest"] == run["digest"]
     assert launched["nodes"]["world"]["belief"] == 5
 

@@ -6,7 +6,7 @@ Whole hierarchies are compared with a formal reference; one engine is looked at 
 from __future__ import annotations
 
 import random
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import Any
 
 import pytest
@@ -30,6 +30,7 @@ from hierax.runtime.transport.memory import MemoryNetwork
 from hierax.schemas.messages import CONTEXT, OBSERVATIONS, TASKS, Message
 
 ROSTER_HASH = bytes(range(32))
+BREAKS = 30
 
 
 def formal_digests(hierarchy: Hierarchy, epochs: int, staleness: int) -> list[bytes]:
@@ -89,7 +90,12 @@ class DrainingRunner(NodeRunner):
 
 
 def run(
-    hierarchy: Hierarchy, epochs: int, staleness: Staleness, seed: int, make: type[NodeRunner] = NodeRunner
+    hierarchy: Hierarchy,
+    epochs: int,
+    staleness: Staleness,
+    seed: int,
+    make: type[NodeRunner] = NodeRunner,
+    disturb: Callable[[MemoryNetwork], None] = lambda network: None,
 ) -> tuple[list[bytes], list[LooseEngine]]:
     network = MemoryNetwork(seed)
     tasking = frozenset(pair for pair, edge in hierarchy.bound_edges.items() if edge.task)
@@ -102,6 +108,7 @@ def run(
         runner = make(None, network.open_port(name), (), None, pacemaker if name == hierarchy.world else None)
         runner.staleness = staleness
         runner.wire(Wiring(node, edges, place))
+        runner.port.mended = runner.engine.say_again
         runners[name] = runner
     runners[hierarchy.world].start()
     if staleness.free:
@@ -110,8 +117,28 @@ def run(
         received = runners[name].port.receive()
         if received is not None:
             runners[name].step(received)
+            disturb(network)
     engines = [runner.engine for runner in runners.values()]
     return digests, [engine for engine in engines if isinstance(engine, LooseEngine)]
+
+
+@pytest.mark.parametrize("staleness", [Staleness(1, exact=True), Staleness(3, exact=True)])
+@pytest.mark.parametrize("seed", range(10))
+def test_links_may_break_and_what_was_lost_is_said_again(seed: int, staleness: Staleness) -> None:
+    hierarchy = random_hierarchy(seed)
+    epochs = 9
+    rng = random.Random(seed)
+    pairs = sorted(hierarchy.bound_edges)
+
+    broken: list[tuple[str, str]] = []
+
+    def disturb(network: MemoryNetwork) -> None:
+        if rng.random() < 0.1 and len(broken) < BREAKS:  # each has much said again, which may be lost as well
+            broken.append(rng.choice(pairs))
+            network.break_link(*broken[-1])
+
+    digests, _ = run(hierarchy, epochs, staleness, seed, disturb=disturb)
+    assert digests == formal_digests(hierarchy, epochs, staleness.epochs or 0)
 
 
 def take_turns(runners: Mapping[str, NodeRunner], pacemaker: Pacemaker, rng: random.Random) -> None:

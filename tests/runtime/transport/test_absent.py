@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-import os
-import socket
 import threading
 from secrets import token_hex
 
 import pytest
-import zenoh
 from support.launched import until
+from support.sockets import break_link
 
 from hierax.runtime.transport.absent import TRIES_S, Absent
 from hierax.runtime.transport.hub import Hub
@@ -31,29 +29,6 @@ def test_who_is_gone_is_asked_for_a_few_times() -> None:
         asked += [(process, now) for process in absent.due()]
     assert [process for process, _ in asked] == ["a"] * len(TRIES_S)
     assert [when for _, when in asked] == pytest.approx(TRIES_S, abs=0.11)
-
-
-def break_link(one: zenoh.Session, other: zenoh.Session) -> int:
-    """Shut the sockets of this process that link two sessions of its; how many there were."""
-    links = [link for link in one.info.links() if str(link.zid) == str(other.info.zid())]
-    ends = {(_address(link.src), _address(link.dst)) for link in links}
-    return sum(_shut(int(name), ends) for name in os.listdir("/proc/self/fd"))
-
-
-def _shut(file: int, ends: set[tuple[tuple[str, int], tuple[str, int]]]) -> bool:
-    try:
-        with socket.socket(fileno=os.dup(file)) as each:
-            if (each.getsockname(), each.getpeername()) in ends:
-                each.shutdown(socket.SHUT_RDWR)
-                return True
-    except OSError:
-        pass  # no socket, or one that listens
-    return False
-
-
-def _address(locator: object) -> tuple[str, int]:
-    host, _, port = str(locator).partition("/")[2].rpartition(":")
-    return host, int(port)
 
 
 def test_a_link_that_breaks_alone_is_made_again_and_both_ends_are_told() -> None:

@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 import threading
+import time
 from collections.abc import Mapping, Sequence
 from secrets import token_hex
 
 import pytest
+from support.sockets import break_link
 
 from hierax.runtime.core.hierarchy import neighbours_above, neighbours_below
 from hierax.runtime.testing.transport import check_transport, receive
-from hierax.runtime.transport.memory import MemoryNetwork
+from hierax.runtime.transport.memory import MemoryNetwork, MemoryPort
 from hierax.runtime.transport.port import Port, TransportError
 from hierax.runtime.transport.zenoh_port import INTERRUPT, ZenohPort
 from hierax.runtime.transport.zenoh_session import LOOPBACK, LOW_LATENCY_BYTES, free_endpoint, open_session
@@ -22,6 +24,30 @@ from hierax.schemas.messages import CONTEXT, HELLO, OBSERVATIONS, Header, Messag
 def open_memory(edges: Sequence[tuple[str, str]]) -> Mapping[str, Port]:
     network = MemoryNetwork(seed=1)
     return {name: network.open_port(name) for name in sorted({name for edge in edges for name in edge})}
+
+
+def break_in_memory(ports: Mapping[str, Port], one: str, other: str) -> None:
+    port = ports[one]
+    assert isinstance(port, MemoryPort)
+    port._network.break_link(one, other)
+
+
+def break_over_zenoh(ports: Mapping[str, Port], one: str, other: str) -> None:
+    """Break all links of one of them; that to the first session is made again by itself, and the others then are."""
+    zenoh_ports = {name: port for name, port in ports.items() if isinstance(port, ZenohPort)}
+    for name in zenoh_ports.keys() - {one}:
+        break_link(zenoh_ports[one]._session, zenoh_ports[name]._session)
+    threading.Thread(target=greet_for_a_while, args=[list(zenoh_ports.values())], daemon=True).start()
+
+
+def greet_for_a_while(ports: Sequence[ZenohPort]) -> None:
+    for _ in range(100):
+        time.sleep(0.05)
+        try:
+            for port in ports:
+                port.greet()
+        except TransportError:
+            return  # closed
 
 
 def open_zenoh(
@@ -74,11 +100,11 @@ def connect(ports: Mapping[str, ZenohPort]) -> None:
 
 
 def test_memory() -> None:
-    check_transport(open_memory)
+    check_transport(open_memory, break_link=break_in_memory)
 
 
 def test_zenoh() -> None:
-    check_transport(open_zenoh)
+    check_transport(open_zenoh, break_link=break_over_zenoh)
 
 
 def test_low_latency_zenoh() -> None:
