@@ -73,6 +73,8 @@ class _LocalKeeper:
         self._children: list[Child] = []
         self._failure: Exception | None = None
         self._ending = False
+        self._kept = 0
+        self._leaving = 0
 
     async def run(self, orders: Sequence[NodeOrder], told: Callable[[], None]) -> int:
         """All of it."""
@@ -82,6 +84,7 @@ class _LocalKeeper:
             tasks.start_soon(self._watch_hub, orders[0].hub, tasks.cancel_scope)
             try:
                 async with anyio.create_task_group() as kept:
+                    self._kept = len(orders)
                     for order in orders:
                         kept.start_soon(self._keep, order, tasks.cancel_scope)
             finally:
@@ -107,6 +110,7 @@ class _LocalKeeper:
                 return
             if child.dismissed and not await self._has_place(order):
                 self._say(f"{child.name}: its process exits: {child.dismissed}")
+                self._kept -= 1
                 return
             if child.dismissed:
                 child.culprit = f"{child.name}: somebody has dismissed its process, and not the launch"
@@ -120,8 +124,12 @@ class _LocalKeeper:
 
     async def _has_place(self, order: NodeOrder) -> bool:
         """Whether a process that was dismissed runs its node all the same, by what the launch's keeper says."""
-        await anyio.sleep(SETTLE_S)  # until it has heard of the dismissal, if there was one
-        return await anyio.to_thread.run_sync(_is_counted_on, order, abandon_on_cancel=True)
+        self._leaving += 1  # where it is over for all of them, a launch that is gone is no failure
+        try:
+            await anyio.sleep(SETTLE_S)  # until it has heard of the dismissal, if there was one
+            return await anyio.to_thread.run_sync(_is_counted_on, order, abandon_on_cancel=True)
+        finally:
+            self._leaving -= 1
 
     async def _listen(self, child: Child) -> None:
         assert child.process.stdout is not None
@@ -135,7 +143,8 @@ class _LocalKeeper:
         """A launch that cannot be reached may be reached again; one that is gone says so to whoever knocks."""
         while True:
             await anyio.sleep(LOOK_S)
-            if await anyio.to_thread.run_sync(is_gone, endpoint, abandon_on_cancel=True):
+            gone = await anyio.to_thread.run_sync(is_gone, endpoint, abandon_on_cancel=True)
+            if gone and self._leaving < self._kept:
                 self._fail(HieraxError(f"the launch at {endpoint} is gone; its nodes here are ended"), scope)
 
     def _fail(self, error: Exception, scope: anyio.CancelScope) -> None:
