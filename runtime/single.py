@@ -29,7 +29,7 @@ from hierax.runtime.owner.changes import ChangeError, apply
 from hierax.runtime.report import Interrupted, NodeReport, Report, make_report
 from hierax.runtime.runner import Log, NodeRunner, Pacemaker
 from hierax.runtime.transport.memory import MemoryNetwork
-from hierax.schemas.changes import Attach, Change, Detach, Replace
+from hierax.schemas.changes import Change, Detach, Replace, new_nodes
 from hierax.schemas.messages import Header
 
 if TYPE_CHECKING:
@@ -185,9 +185,8 @@ class _Nodes:
         if record is not None:
             self._network.tap = record.message
         allowance = self._allowance = deployment.allowance
-        build_hierarchy(
-            self._roster, self._setting, allowance
-        )  # that it is one, and what is wrong with the first node that is
+        # that it is one, and what is wrong with the first node that is
+        build_hierarchy(self._roster, self._setting, allowance)
         self._loaders = {name: NodeLoader(name, self._setting, allowance) for name in self._roster.nodes}
         self.runners: dict[str, NodeRunner] = {}
         for name in sorted(self._roster.nodes):
@@ -254,7 +253,7 @@ class _Nodes:
             _, change, alone = self._schedule.pop(0)
             if isinstance(change, Detach) and change.name in self._failed and change.name not in self._roster.nodes:
                 continue
-            self._alone = (self._alone - _new_nodes(change)) | alone
+            self._alone = (self._alone - new_nodes(change).keys()) | alone
             self._apply(epoch, change)
 
     def _on_failure(self, error: OperatorError) -> None:
@@ -333,12 +332,6 @@ def _kept(name: str, failures: dict[str, str] | None) -> Iterator[None]:
         if failures is None:
             raise
         failures[name] = str(error)
-
-
-def _new_nodes(change: Change) -> frozenset[str]:
-    if isinstance(change, Attach):
-        return frozenset(change.nodes)
-    return frozenset({change.name} if isinstance(change, Replace) else ())
 
 
 def _wait(awaitable: Awaitable[Any]) -> Any:

@@ -18,7 +18,7 @@ _REPLACED = "backslashreplace"
 """What becomes of characters that the stream's encoding does not have."""
 
 
-class OutputError(HieraxError):
+class StandardOutputError(HieraxError):
     """Standard output cannot be written."""
 
 
@@ -42,7 +42,7 @@ def own_output() -> int:
 def own_streams() -> None:
     """The same, with `sys.stdout` and `sys.stderr` for what this process says itself.
 
-    What cannot be encoded is escaped; `OutputError` is raised where standard output cannot be
+    What cannot be encoded is escaped; `StandardOutputError` is raised where standard output cannot be
     written; what cannot be written to standard error is left out.
     """
     encodings = [stream.encoding if stream is not None else "utf-8" for stream in (sys.stdout, sys.stderr)]
@@ -72,7 +72,7 @@ class _Output(io.FileIO):
         except BrokenPipeError:
             raise
         except OSError as error:
-            raise OutputError(f"standard output: cannot be written: {error.strerror or error}") from error
+            raise StandardOutputError(f"standard output: cannot be written: {error.strerror or error}") from error
 
 
 class _Errors(io.FileIO):

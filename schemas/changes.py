@@ -123,6 +123,13 @@ _READERS: dict[str, Callable[[Value], Change]] = {
 }
 
 
+def new_nodes(change: Change) -> Mapping[str, Reference]:
+    """The nodes for which a change needs processes, by name."""
+    if isinstance(change, Attach):
+        return change.nodes
+    return {change.name: change.reference} if isinstance(change, Replace) else {}
+
+
 def read_change(value: Value) -> Change:
     """A change of any kind from a value.
 

@@ -19,6 +19,7 @@ from hierax.nodes.tracking.estimation.tracked import (
     diagonal_covariance,
     first_belief,
     imagined,
+    tracked_metrics,
 )
 from hierax.nodes.tracking.math.geometry import Floats, exp_se3, invert, log_se3
 from hierax.nodes.tracking.schema import (
@@ -190,13 +191,7 @@ class ArmNode(Node):
 
     def metrics(self, belief: ArmBelief) -> Mapping[str, float]:
         """How many objects are tracked, and the mean score."""
-        objects = belief["objects"]
-        scores = [item["score"] for item in objects]
-        return {
-            "tracked": float(sum(item["status"] == TRACKED for item in objects)),
-            "lost": float(sum(item["status"] == LOST for item in objects)),
-            "score_mean": float(np.mean(scores)) if scores else 0.0,
-        }
+        return tracked_metrics(belief["objects"])
 
     def show(self, step: Step, before: Value) -> Things:
         """The image with edges, the camera, the scores."""

@@ -9,7 +9,7 @@ from collections.abc import Callable
 
 from hierax.runtime.commands.entry import CTRL_C, INTERRUPTED
 from hierax.runtime.core.errors import HieraxError
-from hierax.runtime.streams import OutputError, drop_output
+from hierax.runtime.streams import StandardOutputError, drop_output
 from hierax.schemas.errors import SchemaError
 
 OK = 0
@@ -36,7 +36,7 @@ def exit_code(command: Callable[[], int]) -> int:
         code = command()
         sys.stdout.flush()
         return code
-    except OutputError as error:
+    except StandardOutputError as error:
         drop_output()
         _say(f"error: {error}")
         return FAILED

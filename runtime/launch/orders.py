@@ -142,7 +142,7 @@ class Orders:
         """
         name = self.deployment.roster.world
         try:
-            with MappedFile(self._state / self._lineages.get(name, name), self.deployment.durability) as storage:
+            with MappedFile(self._record, self.deployment.durability) as storage:
                 slots = Slots(storage)
                 if not has_record(slots):
                     return False
@@ -150,6 +150,12 @@ class Orders:
             return bool(decode_processes(record.processes)[name][0] == world)  # else it is that of another run
         except (HieraxError, SchemaError):
             return True  # its next process says what is wrong with it
+
+    @property
+    def _record(self) -> Path:
+        """Where the world's record is."""
+        world = self.deployment.roster.world
+        return self._state / self._lineages.get(world, world)
 
     def again(
         self, order: NodeOrder, token: str, processes: Mapping[str, str], proposals: Iterable[bytes]
@@ -226,8 +232,7 @@ class Orders:
         Raises:
             HieraxError: there is nothing to resume, or its roster names code that the deployment does not allow.
         """
-        world = self.deployment.roster.world
-        path = self._state / self._lineages.get(world, world)
+        path = self._record
         never = f"{self._state}: there is nothing to resume: the run was ended before its first epoch; launch it anew"
         if not Path(f"{path}.0").exists():
             raise HieraxError(never)

@@ -6,7 +6,7 @@ from collections.abc import AsyncIterator, Callable, Iterable, Mapping
 from contextlib import asynccontextmanager
 from dataclasses import dataclass, field
 from secrets import token_hex
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, get_args, get_type_hints
 
 import anyio
 import anyio.from_thread
@@ -18,10 +18,9 @@ from hierax.runtime.launch.child import Child
 from hierax.runtime.launch.pipe import NEWCOMER, NodeOrder
 from hierax.runtime.nearest import did_you_mean
 from hierax.runtime.transport.hub import Hub
-from hierax.schemas.changes import Attach, Change, Replace, read_change
+from hierax.schemas.changes import Attach, Change, new_nodes, read_change
 from hierax.schemas.control import Propose, encode_control
 from hierax.schemas.errors import SchemaError, shown
-from hierax.schemas.roster import Reference
 from hierax.schemas.values import Value
 
 if TYPE_CHECKING:
@@ -165,7 +164,7 @@ class Requests:
     async def _change_if_room(self, query: dict[str, Any]) -> Value:
         """So many changes at once, and no more: each may need processes, and the owner makes one after the other."""
         change = read_change(query.get("change"))
-        new = len(_new_nodes(change))
+        new = len(new_nodes(change))
         if new > MAX_NEW_NODES:
             raise HieraxError(f"a change of {new} new nodes: at most {MAX_NEW_NODES} come at once")
         waiting = sum(not asked.done.is_set() for asked in self._asked.values())
@@ -191,7 +190,7 @@ class Requests:
             raise SchemaError("expected true or false, and an address", "question.here, question.host")
         keeping.orders.deployment.allowance.check_all(change)
         await self._check(change)
-        policies = {name: _policy_of(query, name) for name in _new_nodes(change)}
+        policies = {name: _policy_of(query, name) for name in new_nodes(change)}
         request = token_hex(4)
         proposal = Propose(
             request,
@@ -204,7 +203,7 @@ class Requests:
         self._asked[request] = Asked(policies, encode_control(proposal))
         orders = [
             keeping.orders.order(name, token_hex(8), NEWCOMER, request=request, reference=reference)
-            for name, reference in _new_nodes(change).items()
+            for name, reference in new_nodes(change).items()
         ]
         if here:
             orders = [keeping.orders.elsewhere(order, host) for order in orders]
@@ -281,12 +280,6 @@ class Requests:
         return "cut off" if self._keeping.cut_off(token) else "elsewhere"
 
 
-def _new_nodes(change: Change) -> dict[str, Reference]:
-    if isinstance(change, Attach):
-        return dict(change.nodes)
-    return {change.name: change.reference} if isinstance(change, Replace) else {}
-
-
 def _policy_of(query: Mapping[str, Any], name: str) -> RestartPolicy:
     """What is done when a new node's process ends.
 
@@ -308,14 +301,19 @@ def _is_time(value: Value) -> bool:
     return type(value) in (int, float) and 0 <= value < LONGEST_S
 
 
+def _one_of(field_name: str) -> Callable[[Value], bool]:
+    known = get_args(get_type_hints(RestartPolicy)[field_name])
+    return lambda value: isinstance(value, str) and value in known
+
+
 _POLICY: Mapping[str, Callable[[Value], bool]] = {
-    "restart_policy": lambda value: isinstance(value, str) and value in ("never", "on-failure", "always"),
+    "restart_policy": _one_of("restart_policy"),
     "max_restarts": lambda value: type(value) is int and value >= 0,
     "restart_delay_s": _is_time,
     "max_restart_delay_s": _is_time,
     "restart_window_s": lambda value: value is None or _is_time(value),
     "rejoin_timeout_s": _is_time,
-    "on_loss": lambda value: isinstance(value, str) and value in ("restart", "detach", "stop"),
+    "on_loss": _one_of("on_loss"),
 }
 
 

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from enum import Enum
 
-from hierax.schemas.changes import Attach, Change, Replace
+from hierax.schemas.changes import Change, new_nodes
 from hierax.schemas.roster import Roster
 
 
@@ -41,9 +41,7 @@ class Request:
     @property
     def new_nodes(self) -> tuple[str, ...]:
         """The nodes for which it needs processes."""
-        if isinstance(self.change, Attach):
-            return tuple(sorted(self.change.nodes))
-        return (self.change.name,) if isinstance(self.change, Replace) else ()
+        return tuple(sorted(new_nodes(self.change)))
 
 
 @dataclass

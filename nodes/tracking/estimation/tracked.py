@@ -2,14 +2,23 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
 from hierax.nodes.tracking.estimation.appearance import NOTHING
 from hierax.nodes.tracking.math.batched import invert_many, log_many
 from hierax.nodes.tracking.math.geometry import Floats, invert
-from hierax.nodes.tracking.schema import EXPECTED, ControlPoints, ExpectedObject, FirstPose, PaperObject, TrackedObject
+from hierax.nodes.tracking.schema import (
+    EXPECTED,
+    LOST,
+    TRACKED,
+    ControlPoints,
+    ExpectedObject,
+    FirstPose,
+    PaperObject,
+    TrackedObject,
+)
 
 _FIRST_UNREST = 0.2
 _DASH_M = 0.002
@@ -37,9 +46,7 @@ def first_belief(item: FirstPose, covariance: Floats) -> TrackedObject:
     Raises:
         ValueError: the pose is no 4 × 4 matrix of finite numbers.
     """
-    pose = np.asarray(item["pose"], dtype=np.float64)
-    if pose.shape != (4, 4) or not np.all(np.isfinite(pose)):
-        raise ValueError(f"object {item['id']}: pose: expected a 4 × 4 matrix of finite numbers")
+    pose = first_pose(item)
     return {
         "id": int(item["id"]),
         "obj_id": int(item["obj_id"]),
@@ -61,6 +68,28 @@ def first_belief(item: FirstPose, covariance: Floats) -> TrackedObject:
         "controls": NO_CONTROLS,
         "edges": np.zeros((0, 2, 3)),
         "slots": NOTHING,
+    }
+
+
+def first_pose(item: FirstPose) -> Floats:
+    """(4, 4) camera_from_object in the first frame.
+
+    Raises:
+        ValueError: it is no 4 × 4 matrix of finite numbers.
+    """
+    pose = np.asarray(item["pose"], dtype=np.float64)
+    if pose.shape != (4, 4) or not np.all(np.isfinite(pose)):
+        raise ValueError(f"object {item['id']}: pose: expected a 4 × 4 matrix of finite numbers")
+    return pose
+
+
+def tracked_metrics(objects: Sequence[TrackedObject] | Sequence[PaperObject]) -> Mapping[str, float]:
+    """How many objects are tracked and lost, and the mean score."""
+    scores = [item["score"] for item in objects]
+    return {
+        "tracked": float(sum(item["status"] == TRACKED for item in objects)),
+        "lost": float(sum(item["status"] == LOST for item in objects)),
+        "score_mean": float(np.mean(scores)) if scores else 0.0,
     }
 
 

@@ -7,7 +7,13 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from hierax.nodes.tracking.estimation.tracked import NO_POSES, check_ids, diagonal_covariance
+from hierax.nodes.tracking.estimation.tracked import (
+    NO_POSES,
+    check_ids,
+    diagonal_covariance,
+    first_pose,
+    tracked_metrics,
+)
 from hierax.nodes.tracking.math.geometry import Array, Floats, invert, transform
 from hierax.nodes.tracking.paper.lines import expected_lines, image_lines, match_lines
 from hierax.nodes.tracking.schema import (
@@ -117,22 +123,13 @@ class PaperArmNode(Node):
 
     def metrics(self, belief: PaperArmBelief) -> Mapping[str, float]:
         """How many objects are tracked, and the mean score."""
-        objects = belief["objects"]
-        scores = [item["score"] for item in objects]
-        return {
-            "tracked": float(sum(item["status"] == TRACKED for item in objects)),
-            "lost": float(sum(item["status"] == LOST for item in objects)),
-            "score_mean": float(np.mean(scores)) if scores else 0.0,
-        }
+        return tracked_metrics(belief["objects"])
 
     def _first(self, item: FirstPose) -> PaperObject:
-        pose = np.asarray(item["pose"], dtype=np.float64)
-        if pose.shape != (4, 4) or not np.all(np.isfinite(pose)):
-            raise ValueError(f"object {item['id']}: pose: expected a 4 × 4 matrix of finite numbers")
         return {
             "id": int(item["id"]),
             "obj_id": int(item["obj_id"]),
-            "pose": pose,
+            "pose": first_pose(item),
             "covariance": self._start,
             "score": 1.0,
             "status": EXPECTED,
