@@ -16,18 +16,10 @@ from hierax.runtime import NO_TICK, Elements, Node, Step, Tick, Value, World
 from hierax.runtime.core.node import Policy, do_nothing
 from hierax.runtime.core.showing import GREY, Curve, Things, colour_of
 
-ACCELERATION = 8.49
-"""k, in m/s²: g · sin 60°."""
-
-STEP_S = 0.05
-"""δt: how much time an epoch takes, in seconds."""
-
-NOISE = 0.1
-"""Standard deviation of the camera's measurement, in metres."""
-
-GAIN = 0.25
-"""How much of a measurement the camera node believes; of its expectation it believes the rest."""
-
+ACCELERATION = 8.49  # k, in m/s²: g · sin 60°
+STEP_S = 0.05  # δt: how much time an epoch takes, in seconds
+NOISE = 0.1  # standard deviation of the camera's measurement, in metres
+GAIN = 0.25  # how much of a measurement the camera node believes; of its expectation it believes the rest
 HOLD = "hold"
 MOVE = "move"
 
@@ -65,8 +57,7 @@ class SlidingWorld(World):
     Belief: ``epochs`` that have passed (the time is δt times that), ``camera``: the
     position last commanded, and sums over the epochs: ``error_sum`` of the errors
     |x(t) - camera|, in metres, ``square_sum`` of their squares. The error of an epoch is
-    between the object at the time of that epoch's observation and the position that is
-    commanded in the same epoch.
+    between the object at the time of that epoch's observation and the position that is commanded in the same epoch.
     """
 
     initial_policy = HOLD

@@ -12,8 +12,8 @@ from hierax.nodes.causal_tree.plan import Group, Plan
 from hierax.nodes.causal_tree.quick import along
 from hierax.nodes.causal_tree.wide import Places, Wide, divide, multiply, ones, products, total
 
+# By number of states: columns, once each, and the likelihoods there; shape (size, columns).
 Inputs = Mapping[int, tuple[Places, Wide]]
-"""By number of states: columns, once each, and the likelihoods there; shape (size, columns)."""
 
 Columns = slice | Places
 
@@ -31,15 +31,10 @@ class NothingLeftError(Exception):
 
 
 class Product(NamedTuple):
-    """Products from which factors can be taken out again, whatever is 0.
+    """Products from which factors can be taken out again, whatever is 0."""
 
-    Attributes:
-        rest: of all factors that are not 0.
-        zeros: how many are.
-    """
-
-    rest: Wide
-    zeros: NDArray[np.int64]
+    rest: Wide  # of all factors that are not 0
+    zeros: NDArray[np.int64]  # how many are
 
     @staticmethod
     def of(values: Wide) -> Product:

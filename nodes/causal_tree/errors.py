@@ -4,8 +4,7 @@ from __future__ import annotations
 
 from hierax.runtime.core.errors import HieraxError
 
-Name = str | int
-"""A node's id."""
+Name = str | int  # a node's id
 
 
 class NetworkError(HieraxError, ValueError):

@@ -14,14 +14,12 @@ import yaml
 from hierax.nodes.causal_tree.errors import NetworkError
 from hierax.nodes.causal_tree.network import MAX_STATES, Network, check_tables, parse
 
+# What a file may have, by its ending.
 MAX_BYTES = {".json": 1 << 26, ".yaml": 1 << 22, ".yml": 1 << 22, ".bif": 1 << 26}
-"""What a file may have, by its ending."""
 
 SUFFIXES = tuple(MAX_BYTES)
 
-MAX_YAML_VALUES = 1 << 18
-"""Values of a YAML file, aliases counted wherever they stand."""
-
+MAX_YAML_VALUES = 1 << 18  # values of a YAML file, aliases counted wherever they stand
 MAX_DEPTH = 80
 
 

@@ -31,31 +31,19 @@ from hierax.nodes.causal_tree.wide import Floats, Places, Wide, multiply, ones, 
 
 
 class Upward(NamedTuple):
-    """What a part tells those above it.
+    """What a part tells those above it."""
 
-    Attributes:
-        messages: diagnostic support, by arrow.
-        impossible: the node where the evidence shows to contradict itself; None where it does not.
-        certain: whether nothing but evidence of this epoch was used.
-    """
-
-    messages: Messages
-    impossible: str | None
-    certain: bool
+    messages: Messages  # diagnostic support, by arrow
+    impossible: str | None  # the node where the evidence shows to contradict itself; None where it does not
+    certain: bool  # whether nothing but evidence of this epoch was used
 
 
 class Whole(NamedTuple):
-    """What a part tells those below it, and believes.
+    """What a part tells those below it, and believes."""
 
-    Attributes:
-        causal: causal support, by arrow.
-        posterior: shape (nodes, most states).
-        impossible: the node where the evidence shows to contradict itself; None where it does not.
-    """
-
-    causal: Mapping[Arrow, Floats]
-    posterior: Floats
-    impossible: str | None
+    causal: Mapping[Arrow, Floats]  # causal support, by arrow
+    posterior: Floats  # shape (nodes, most states)
+    impossible: str | None  # the node where the evidence shows to contradict itself; None where it does not
 
 
 class _Known(NamedTuple):

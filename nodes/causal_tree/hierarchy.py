@@ -23,9 +23,7 @@ def epochs_needed(network: Description | Network) -> int:
 
 
 def as_deployment(
-    description: Description,
-    sets: Sequence[Mapping[str, Any]],
-    parts: Mapping[str, Sequence[str]] | None = None,
+    description: Description, sets: Sequence[Mapping[str, Any]], parts: Mapping[str, Sequence[str]] | None = None
 ) -> dict[str, Any]:
     """A network as the content of a deployment file.
 

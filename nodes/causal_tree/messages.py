@@ -9,12 +9,8 @@ import numpy as np
 
 from hierax.nodes.causal_tree.wide import Floats, Wide, shifted
 
-Arrow = tuple[str, str]
-"""A child and its parent."""
-
-Messages = Mapping[str, Mapping[str, Floats]]
-"""By child, then by parent."""
-
+Arrow = tuple[str, str]  # a child and its parent
+Messages = Mapping[str, Mapping[str, Floats]]  # by child, then by parent
 Evidence = Mapping[str, int | tuple[float, ...]]
 """By node, the number of the state that it is in without doubt, or likelihoods."""
 

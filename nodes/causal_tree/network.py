@@ -20,14 +20,11 @@ Description = Sequence[Mapping[str, Any]]
 """``[{"id", "states", "parents": [...], "prior" | "cpt"}]``, in any order; `parse` says what each is."""
 
 MAX_NODES = 1 << 18
-MAX_STATES = 1 << 16
-"""Of one node."""
+MAX_STATES = 1 << 16  # of one node
+MAX_TABLE_BYTES = 1 << 27  # all tables of a network together: 16.7 million numbers
 
-MAX_TABLE_BYTES = 1 << 27
-"""All tables of a network together: 16.7 million numbers."""
-
+# How far from 1 a distribution may sum: published tables are rounded. The numbers are used as they stand.
 SUM_TOLERANCE = 1e-6
-"""How far from 1 a distribution may sum: published tables are rounded. The numbers are used as they stand."""
 
 
 @dataclass(frozen=True)

@@ -12,8 +12,8 @@ from hierax.nodes.causal_tree.files import read_network
 from hierax.nodes.causal_tree.network import MAX_NODES, MAX_STATES, Network, Variable, check_tables, parse
 from hierax.nodes.causal_tree.wide import Floats
 
+# A network; a description; the path of a file; or ``{nodes, states, seed}``: a random tree.
 Source = Network | Sequence[Mapping[str, Any]] | Mapping[str, Any] | str
-"""A network; a description; the path of a file; or ``{nodes, states, seed}``: a random tree."""
 
 
 def network_from(source: Source) -> Network:

@@ -31,8 +31,7 @@ from hierax.nodes.causal_tree.wide import Floats
 from hierax.runtime import NO_TICK, Elements, Node, Step, Tick, Value
 from hierax.runtime.core.showing import Things
 
-SHOWN_NODES = 8
-"""Of larger parts the metrics have no posteriors."""
+SHOWN_NODES = 8  # of larger parts the metrics have no posteriors
 
 
 class Part(Node):

@@ -22,15 +22,10 @@ from hierax.nodes.causal_tree.wide import Floats, Places, Wide, widen
 
 
 class Family(NamedTuple):
-    """A node with parents, as numbers of variables.
+    """A node with parents, as numbers of variables."""
 
-    Attributes:
-        members: the parents, in the order of the table's axes, then the node.
-        table: P(node | parents).
-    """
-
-    members: tuple[int, ...]
-    table: Floats
+    members: tuple[int, ...]  # the parents, in the order of the table's axes, then the node
+    table: Floats  # P(node | parents)
 
 
 class Block(NamedTuple):
@@ -42,27 +37,16 @@ class Block(NamedTuple):
 
 @dataclass(frozen=True)
 class Group:
-    """Families of one depth and shape; n of them.
+    """Families of one depth and shape; n of them."""
 
-    Attributes:
-        table: of all, shape (top's states, others' states…, n).
-        others: for each other, where its n variables are.
-        top_size: the tops' number of states.
-        tops: their columns, family by family, shape (n,).
-        order: the families by top, where they do not stand so; shape (n,).
-        starts: in this order, where the families of each top begin; None where each has one.
-        targets: the columns of the tops, once each: a slice where they stand side by side.
-        nodes: the child of each family, as the number of a variable.
-    """
-
-    table: Floats
-    others: tuple[Block, ...]
-    top_size: int
-    tops: Places
-    order: Places | None
-    starts: Places | None
-    targets: slice | Places
-    nodes: tuple[int, ...]
+    table: Floats  # of all, shape (top's states, others' states…, n)
+    others: tuple[Block, ...]  # for each other, where its n variables are
+    top_size: int  # the tops' number of states
+    tops: Places  # their columns, family by family, shape (n,)
+    order: Places | None  # the families by top, where they do not stand so; shape (n,)
+    starts: Places | None  # in this order, where the families of each top begin; None where each has one
+    targets: slice | Places  # the columns of the tops, once each: a slice where they stand side by side
+    nodes: tuple[int, ...]  # the child of each family, as the number of a variable
 
     @cached_property
     def wide_table(self) -> Wide:
@@ -72,27 +56,16 @@ class Group:
 
 @dataclass(frozen=True)
 class Plan:
-    """How a network is swept.
+    """How a network is swept."""
 
-    Attributes:
-        groups: from the roots outward.
-        sizes: of each variable, its number of states.
-        columns: of each variable, its column in the array of its size.
-        members: by size, the variable of each column.
-        base: by size, the priors where a variable has no parents, else 1; shape (size, columns).
-        roots: variables that hang from none, one in each part of the network.
-        least: the smallest number of all tables and priors.
-        others: the most others that a family has.
-    """
-
-    groups: tuple[Group, ...]
-    sizes: Sequence[int]
-    columns: Places
-    members: Mapping[int, Places]
-    base: Mapping[int, Floats]
-    roots: Sequence[int]
-    least: float
-    others: int
+    groups: tuple[Group, ...]  # from the roots outward
+    sizes: Sequence[int]  # of each variable, its number of states
+    columns: Places  # of each variable, its column in the array of its size
+    members: Mapping[int, Places]  # by size, the variable of each column
+    base: Mapping[int, Floats]  # by size, the priors where a variable has no parents, else 1; shape (size, columns)
+    roots: Sequence[int]  # variables that hang from none, one in each part of the network
+    least: float  # the smallest number of all tables and priors
+    others: int  # the most others that a family has
 
     @cached_property
     def wide_base(self) -> Mapping[int, Wide]:

@@ -14,8 +14,7 @@ from hierax.nodes.causal_tree.wide import Floats, Places
 
 N = TypeVar("N", np.float64, np.int64)
 
-FLOOR_LOG2 = -1000.0
-"""All products stay above 2 to this power: far enough from where float64 loses digits, at 2^-1022."""
+FLOOR_LOG2 = -1000.0  # all products stay above 2 to this power: far enough from where float64 loses digits, at 2^-1022
 
 
 class _Step(NamedTuple):

@@ -7,8 +7,7 @@ from collections.abc import Mapping, Sequence
 
 from hierax.nodes.causal_tree.errors import Name, NetworkError
 
-Parents = Mapping[Name, Sequence[Name]]
-"""By node, its parents."""
+Parents = Mapping[Name, Sequence[Name]]  # by node, its parents
 
 
 def check_shape(parents: Parents) -> None:

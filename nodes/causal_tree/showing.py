@@ -10,15 +10,9 @@ from hierax.nodes.causal_tree.wide import Floats
 from hierax.runtime.core.graph import topological_order
 from hierax.runtime.core.showing import GREY, Colour, Graph, Things, colour_of
 
-FEW_NODES = 4
-"""Of a smaller part all posteriors are curves."""
-
-MOST_NODES = 60
-"""A larger part is no picture that anybody can read."""
-
-SEEN, INFERRED = colour_of(6), colour_of(2)
-"""Colours of nodes of which there is evidence, and of the others."""
-
+FEW_NODES = 4  # of a smaller part all posteriors are curves
+MOST_NODES = 60  # a larger part is no picture that anybody can read
+SEEN, INFERRED = colour_of(6), colour_of(2)  # colours of nodes of which there is evidence, and of the others
 _ACROSS, _DOWN = 130.0, 90.0
 
 

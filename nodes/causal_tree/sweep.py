@@ -15,8 +15,7 @@ __all__ = ["Inputs", "NothingLeftError", "Sweep"]
 
 NO_INPUTS: Inputs = {}
 
-LEAST_INPUT = 2.0**-300
-"""Likelihoods further apart than this go the careful way at once."""
+LEAST_INPUT = 2.0**-300  # likelihoods further apart than this go the careful way at once
 
 
 class Sweep:

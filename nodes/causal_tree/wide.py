@@ -16,14 +16,11 @@ Floats = NDArray[np.float64]
 Exponents = NDArray[np.int64]
 Places = NDArray[np.intp]
 
+# Stands for the exponent of 0 where the greatest is looked for; sums of true exponents stay far from it.
 NONE = -(1 << 60)
-"""Stands for the exponent of 0 where the greatest is looked for; sums of true exponents stay far from it."""
 
-VANISHING = -1100
-"""Below this exponent, 2^exponent is nothing beside 1."""
-
-CHUNK = 512
-"""So many fractions can be multiplied before their product underflows."""
+VANISHING = -1100  # below this exponent, 2^exponent is nothing beside 1
+CHUNK = 512  # so many fractions can be multiplied before their product underflows
 
 
 class Wide(NamedTuple):

@@ -11,11 +11,8 @@ from hierax.nodes.causal_tree.network import Network
 from hierax.nodes.causal_tree.networks import Source, likelihoods, network_from, sampled
 from hierax.runtime import NO_TICK, Elements, Tick, Value, World
 
-MAX_DRAWN = 1 << 20
-"""Sets, times leaves of the network."""
-
-Shown = dict[str, int | tuple[float, ...]]
-"""An evidence set: by node, the number of its state, or likelihoods."""
+MAX_DRAWN = 1 << 20  # sets, times leaves of the network
+Shown = dict[str, int | tuple[float, ...]]  # an evidence set: by node, the number of its state, or likelihoods
 
 
 class EvidenceWorld(World):

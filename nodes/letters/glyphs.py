@@ -12,15 +12,9 @@ import numpy as np
 
 cv2.setNumThreads(1)  # equal pixels in every run, and no threads in the nodes' processes
 
-PAPER = 200
-"""Grey value of the ground; far enough from 255 for noise to stay Gaussian."""
-
-INK = 56
-"""Grey value of the strokes."""
-
-AMBIGUOUS = "?"
-"""The sign between H and A."""
-
+PAPER = 200  # grey value of the ground; far enough from 255 for noise to stay Gaussian
+INK = 56  # grey value of the strokes
+AMBIGUOUS = "?"  # the sign between H and A
 GREYS = np.dtype(np.uint8)
 
 Picture = np.ndarray[Any, np.dtype[np.uint8]]
@@ -28,6 +22,7 @@ Stroke = Sequence[tuple[float, float]]
 
 _FRACTION_BITS = 6
 _BOW = [(0.54 + 0.34 * math.cos(math.radians(a)), 0.5 + 0.35 * math.sin(math.radians(a))) for a in range(45, 316, 15)]
+# Each letter's strokes in a unit square, y down. H and A have the same ones, in other places.
 _STROKES: dict[str, list[Stroke]] = {
     "A": [[(0.22, 0.86), (0.5, 0.14)], [(0.78, 0.86), (0.5, 0.14)], [(0.36, 0.5), (0.64, 0.5)]],
     "C": [_BOW],
@@ -35,10 +30,8 @@ _STROKES: dict[str, list[Stroke]] = {
     "H": [[(0.22, 0.86), (0.22, 0.14)], [(0.78, 0.86), (0.78, 0.14)], [(0.22, 0.5), (0.78, 0.5)]],
     "T": [[(0.2, 0.16), (0.8, 0.16)], [(0.5, 0.16), (0.5, 0.86)]],
 }
-"""Each letter's strokes in a unit square, y down. H and A have the same ones, in other places."""
 
-DRAWN = tuple(_STROKES)
-"""The letters that can be drawn."""
+DRAWN = tuple(_STROKES)  # the letters that can be drawn
 
 
 def strokes(sign: str, ambiguity: float) -> list[Stroke]:

@@ -15,8 +15,7 @@ from hierax.runtime.core.errors import HieraxError
 
 Weights = Mapping[str, float]
 
-TINY = sys.float_info.min
-"""The least number other than 0 in a message."""
+TINY = sys.float_info.min  # the least number other than 0 in a message
 
 
 class ImpossibleEvidenceError(HieraxError):

@@ -1,8 +1,7 @@
 """Letters in a picture: the likelihoods of `hierax.nodes.letters` come from pixels.
 
-A sign is drawn by someone whose hand is not exact: of an H the uprights may lean
-together, by an amount a between 0 (an H as it should be) and 1 (an A), with density
-2(1 - a); of an A, with density 2a. A camera adds Gaussian noise. So
+A sign is drawn by someone whose hand is not exact: of an H the uprights may lean together, by an amount a between 0 (an
+H as it should be) and 1 (an A), with density 2(1 - a); of an A, with density 2a. A camera adds Gaussian noise. So
 
     p(pixels | H) = ∫ N(pixels; drawn(a), σ²) 2(1 - a) da
 
@@ -29,9 +28,7 @@ from hierax.runtime.core.showing import Image, Thing, Things
 
 MIN_SIZE = 12
 MAX_SIZE = 256
-LEANINGS = tuple(step / 20 for step in range(21))
-"""The values of a at which the integral is summed."""
-
+LEANINGS = tuple(step / 20 for step in range(21))  # the values of a at which the integral is summed
 Templates = tuple[np.ndarray[Any, np.dtype[np.int32]], tuple[float, ...]]
 
 

@@ -1,10 +1,9 @@
 """Letters under a word: perceptual context by belief propagation (example 1 of arXiv 1801.02270).
 
-The paper embeds Pearl's belief propagation (Pearl 1988, chapter 4) in a cognitive
-hierarchy: a belief holds diagnostic parts, which come from below, and causal support,
-which comes from above. It is built here so that one Update is exact for any likelihoods:
-slots are keyed by the child's name, a missing part is uniform, and the context for a
-letter leaves out what that letter said itself.
+The paper embeds Pearl's belief propagation (Pearl 1988, chapter 4) in a cognitive hierarchy: a belief holds diagnostic
+parts, which come from below, and causal support, which comes from above. It is built here so that one Update is exact
+for any likelihoods: slots are keyed by the child's name, a missing part is uniform, and the context for a letter leaves
+out what that letter said itself.
 
 A belief is ``{"diagnostic": …, "causal": …, "posterior": …}``, each part by hypothesis
 and of sum 1; the posterior follows from the other two and is kept to be read.
@@ -20,8 +19,7 @@ from hierax.runtime import NO_TICK, Elements, Node, Step, Tick, Value, World
 from hierax.runtime.core.node import structural_difference
 from hierax.runtime.core.showing import Curve, Thing, Things, colour_of
 
-UNKNOWN = "?"
-"""In a string of letters, the one of which the sign tells nothing."""
+UNKNOWN = "?"  # in a string of letters, the one of which the sign tells nothing
 
 
 class SymbolWorld(World):

@@ -39,15 +39,13 @@ _THINNER_M = 0.008
 class GraspNode(Node):
     """Picks up a cube: watch, approach, descend, close, lift, hold; after a failure retreat, and watch again.
 
-    τ takes in what is tracked and says which phase the task has come to; the policy asks
-    for what the phase needs; nothing passes in γ. Context for the node below is which cube
-    the hand holds.
+    τ takes in what is tracked and says which phase the task has come to; the policy asks for what the phase needs;
+    nothing passes in γ. Context for the node below is which cube the hand holds.
 
-    The belief: ``phase`` and ``since_s`` (when it began), ``steady_s`` (since when what the phase
-    waits for holds; None while it does not), ``width`` (of the gripper, then), ``bodies``
-    and ``hand`` as last observed, ``target`` (id of the cube, None while watching),
-    ``box_from_gripper`` and ``box_width`` (m) of the chosen grasp, ``gripper`` (world_from_gripper
-    at the grasp; None while watching) and ``attempts``, how many have begun.
+    The belief: ``phase`` and ``since_s`` (when it began), ``steady_s`` (since when what the phase waits for holds; None
+    while it does not), ``width`` (of the gripper, then), ``bodies`` and ``hand`` as last observed, ``target`` (id of
+    the cube, None while watching), ``box_from_gripper`` and ``box_width`` (m) of the chosen grasp, ``gripper``
+    (world_from_gripper at the grasp; None while watching) and ``attempts``, how many have begun.
 
     Args:
         target: id of the cube to pick up; None for whichever is the easiest.
@@ -242,6 +240,7 @@ def _filled(belief: Value) -> bool:
     return bool(belief["hand"]["width"] > belief["box_width"] - _THINNER_M)
 
 
+# By phase, what follows.
 _NEXT = {
     WATCH: GraspNode._after_watch,
     APPROACH: GraspNode._after_approach,
@@ -251,8 +250,8 @@ _NEXT = {
     HOLD: GraspNode._after_hold,
     RETREAT: GraspNode._after_retreat,
 }
-"""By phase, what follows."""
 
+# By phase, what is asked of the gripper.
 _WISHES = {
     WATCH: GraspNode._wish_watch,
     APPROACH: GraspNode._wish_approach,
@@ -262,4 +261,3 @@ _WISHES = {
     HOLD: GraspNode._wish_lift,
     RETREAT: GraspNode._wish_retreat,
 }
-"""By phase, what is asked of the gripper."""

@@ -13,13 +13,13 @@ import numpy as np
 
 from hierax.nodes.tracking.math.geometry import Floats, exp_so3, make_pose
 
+# By id, from 1: sides and RGB of the cubes.
 SIDES_M = (0.055, 0.040, 0.048, 0.044, 0.051)
 COLOURS = ((196, 52, 44), (45, 96, 190), (58, 150, 72), (235, 190, 40), (120, 70, 160))
-"""By id, from 1: sides and RGB of the cubes."""
 
+# How far a first guess is off the plan at most, in place and in turn.
 GUESS_M = 0.003
 GUESS_RAD = np.radians(1.2)
-"""How far a first guess is off the plan at most, in place and in turn."""
 
 _NEAREST_M = np.array([0.40, -0.17])
 _FARTHEST_M = np.array([0.60, 0.17])
@@ -31,21 +31,13 @@ _PLAN, _GUESS = 1, 2
 
 
 class Place(NamedTuple):
-    """Where a cube is to stand.
+    """Where a cube is to stand."""
 
-    Attributes:
-        id: its label, from 1, which is its model's number too.
-        side_m: length of its edges.
-        colour: RGB, 0 to 255.
-        pose: world_from_object, upright.
-        below: id of the cube that it stands on; 0 for the table.
-    """
-
-    id: int
-    side_m: float
-    colour: tuple[int, int, int]
-    pose: Floats
-    below: int
+    id: int  # its label, from 1, which is its model's number too
+    side_m: float  # length of its edges
+    colour: tuple[int, int, int]  # RGB, 0 to 255
+    pose: Floats  # world_from_object, upright
+    below: int  # id of the cube that it stands on; 0 for the table
 
 
 def planned(scene: int, cubes: int = len(SIDES_M)) -> tuple[Place, ...]:

@@ -1,9 +1,8 @@
 """The Franka Panda: where its gripper and its hand camera are for given joints, and joints for a wanted gripper pose.
 
-The gripper's frame has its origin between the finger pads; z points along the fingers (the
-direction of approach), y is the direction in which they close. Lengths are those of the
-maker's table of Denavit-Hartenberg parameters (Craig's convention), as in pybullet_data's
-model. The arm stands in the origin of the world, on the table z = 0.
+The gripper's frame has its origin between the finger pads; z points along the fingers (the direction of approach), y is
+the direction in which they close. Lengths are those of the maker's table of Denavit-Hartenberg parameters (Craig's
+convention), as in pybullet_data's model. The arm stands in the origin of the world, on the table z = 0.
 """
 
 from __future__ import annotations
@@ -20,16 +19,14 @@ _TWISTS_RAD = tuple(turns * np.pi / 2 for turns in (0, -1, 1, 1, -1, 1, 1))
 _FLANGE_M = 0.107
 _HAND_TURN_RAD = -np.pi / 4
 
-HAND_TO_GRIPPER_M = 0.1034
-"""From the hand's frame, on the flange, to between the finger pads."""
-
+HAND_TO_GRIPPER_M = 0.1034  # from the hand's frame, on the flange, to between the finger pads
 LOWEST_RAD = np.array([-2.8973, -1.7628, -2.8973, -3.0718, -2.8973, -0.0175, -2.8973])
 HIGHEST_RAD = np.array([2.8973, 1.7628, 2.8973, -0.0698, 2.8973, 3.7525, 2.8973])
 TORQUES_NM = (87.0, 87.0, 87.0, 87.0, 12.0, 12.0, 12.0)
 WIDEST_M = 0.08
 
+# The posture that the arm keeps to as far as the gripper's pose leaves it free.
 REST_RAD = np.array([0.0, -0.55, 0.0, -2.45, 0.0, 2.1, 0.785])
-"""The posture that the arm keeps to as far as the gripper's pose leaves it free."""
 
 _HOME_TILT_RAD = np.radians(15.0)
 _HOME_M = np.array([0.30, 0.0, 0.38])
@@ -122,8 +119,6 @@ def _error(gripper: Floats, joints: Floats) -> tuple[Floats, Floats]:
 
 
 GRIPPER_FROM_CAMERA = _mount()
-HOME_GRIPPER = gripper_down(_HOME_M, tilt_rad=_HOME_TILT_RAD)
-"""world_from_gripper where the camera overlooks the table."""
-
+HOME_GRIPPER = gripper_down(_HOME_M, tilt_rad=_HOME_TILT_RAD)  # world_from_gripper where the camera overlooks the table
 HOME_RAD = joints_for(HOME_GRIPPER, REST_RAD, 300)[0]
 CAMERA_FROM_GRIPPER = invert(GRIPPER_FROM_CAMERA)

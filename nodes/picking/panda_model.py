@@ -1,9 +1,8 @@
 """The Panda of pybullet_data as physics needs it: without what is only to be seen, with boxes for fingers.
 
-The model's finger is a mesh with a rounded inside. In its first step against a box it has one
-point of contact, against which the box turns; a box in its place has four. That matters
-where the simulator is built anew in every epoch (docs/decisions/0017), and leaving out the
-visible meshes makes that five times as fast.
+The model's finger is a mesh with a rounded inside. In its first step against a box it has one point of contact, against
+which the box turns; a box in its place has four. That matters where the simulator is built anew in every epoch
+(docs/decisions/0017), and leaving out the visible meshes makes that five times as fast.
 """
 
 from __future__ import annotations
@@ -20,14 +19,14 @@ _FOLDER = "franka_panda"
 _FILE = "panda.urdf"
 _PACKAGE = "package://"
 
+# By the name of its link, on which side of the middle a finger is, along the gripper's y.
 FINGERS = {"panda_leftfinger": 1.0, "panda_rightfinger": -1.0}
-"""By the name of its link, on which side of the middle a finger is, along the gripper's y."""
 
+# The pad and the rest of a finger in its link's frame, lowest and highest corners, measured from the mesh.
 FINGER_BOXES_M = (
     ((-0.00875, 0.0, 0.036), (0.00875, 0.0145, 0.0538)),
     ((-0.01045, 0.0075, 0.0), (0.01045, 0.0264, 0.036)),
 )
-"""The pad and the rest of a finger in its link's frame, lowest and highest corners, measured from the mesh."""
 
 
 def panda_file() -> Path:

@@ -11,15 +11,9 @@ from numpy.typing import NDArray
 from hierax.nodes.picking.panda import HOME_GRIPPER, HOME_RAD, WIDEST_M, joints_for
 from hierax.nodes.tracking.math.geometry import Floats, invert, make_pose, transform
 
-APPROACH_M = 0.10
-"""How far before the grasp the gripper begins to approach it in a straight line."""
-
-CLEARANCES_M = (0.006, 0.003)
-"""How far the gripper keeps off everything; less only where there is no grasp with more."""
-
-OPENING_M = 0.022
-"""How much wider than the box the gripper is while it approaches."""
-
+APPROACH_M = 0.10  # how far before the grasp the gripper begins to approach it in a straight line
+CLEARANCES_M = (0.006, 0.003)  # how far the gripper keeps off everything; less only where there is no grasp with more
+OPENING_M = 0.022  # how much wider than the box the gripper is while it approaches
 _TILTS_RAD = np.radians([0.0, 30.0, -30.0, 60.0, -60.0, 90.0, -90.0])
 _LEVEL = 0.2
 _FINGERS_M = 0.037
@@ -40,17 +34,11 @@ class Boxes(NamedTuple):
 
 
 class Grasp(NamedTuple):
-    """A way to take a box.
+    """A way to take a box."""
 
-    Attributes:
-        id: of the box.
-        box_from_gripper: the gripper's pose when it closes.
-        width_m: between the faces that it takes.
-    """
-
-    id: int
-    box_from_gripper: Floats
-    width_m: float
+    id: int  # of the box
+    box_from_gripper: Floats  # the gripper's pose when it closes
+    width_m: float  # between the faces that it takes
 
 
 def choose(bodies: Sequence[Mapping[str, Any]], eligible: Sequence[int]) -> Grasp | None:

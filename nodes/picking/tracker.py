@@ -26,11 +26,10 @@ from hierax.runtime.core.node import Policy
 class PickArm(ArmNode):
     """An arm node that also knows its hand.
 
-    What stands above it knows where things are by this node's camera, whose pose it corrects.
-    So it says where the hand is by the same camera, and turns what is asked of the hand, which
-    is meant beside what the camera sees, into where the joints have to bring it. While the
-    hand grips, the camera sees little but what moves with it, of which it cannot learn where it
-    is itself: the correction stays what it was.
+    What stands above it knows where things are by this node's camera, whose pose it corrects. So it says where the hand
+    is by the same camera, and turns what is asked of the hand, which is meant beside what the camera sees, into where
+    the joints have to bring it. While the hand grips, the camera sees little but what moves with it, of which it cannot
+    learn where it is itself: the correction stays what it was.
 
     The belief is that of `ArmNode`, with ``hand``, as the world gave it (None before the first
     image), ``joints_from_camera`` ((4, 4): from where the camera has things to where the joints

@@ -18,9 +18,7 @@ from hierax.runtime import Probe, Step, Value
 VIEWS_FOLDER = "views"
 CONTACT_SHEET = "contact-sheet.png"
 
-BESIDE = ((1.20, -0.85, 0.62), (0.35, 0.0, 0.27))
-"""Where the view is from, and what it looks at, metres."""
-
+BESIDE = ((1.20, -0.85, 0.62), (0.35, 0.0, 0.27))  # where the view is from, and what it looks at, metres
 _FINGERS = (9, 10)
 _TABLE_HALF_M = (0.75, 0.65, 0.02)
 _TABLE_COLOUR = (168, 134, 98)

@@ -28,9 +28,7 @@ CUBE_FRICTION = 0.7
 FINGER_FRICTION = 1.0
 TABLE_FRICTION = 1.0
 
-GRIP_N = 20.0
-"""Force of each finger."""
-
+GRIP_N = 20.0  # force of each finger
 _FINGERS = (9, 10)
 _FINGER_M_S = 0.06
 _FINGER_GAIN = 10.0
@@ -41,16 +39,11 @@ _TABLE_HALF_M = (2.0, 2.0, 0.5)
 
 
 class Arm(NamedTuple):
-    """The arm's joints.
+    """The arm's joints."""
 
-    Attributes:
-        joints: (7,) radians; `speeds`: (7,) rad/s.
-        fingers: (2,) how far each finger is from the middle, metres; `finger_speeds`: (2,) m/s.
-    """
-
-    joints: Floats
+    joints: Floats  # (7,) radians; `speeds`: (7,) rad/s
     speeds: Floats
-    fingers: Floats
+    fingers: Floats  # (2,) how far each finger is from the middle, metres; `finger_speeds`: (2,) m/s
     finger_speeds: Floats
 
 
@@ -63,16 +56,11 @@ class Cube(NamedTuple):
 
 
 class Order(NamedTuple):
-    """What the arm's controller does during a call.
+    """What the arm's controller does during a call."""
 
-    Attributes:
-        start, end: (7,) joint angles, radians, between which the targets go at an even pace.
-        width_m: between the finger pads; less than what is between them means to squeeze it.
-    """
-
-    start: Floats
+    start: Floats  # start, end: (7,) joint angles, radians, between which the targets go at an even pace
     end: Floats
-    width_m: float
+    width_m: float  # between the finger pads; less than what is between them means to squeeze it
 
 
 class Touch(NamedTuple):

@@ -18,39 +18,34 @@ from hierax.nodes.tracking.simworld.world import MAX_AMOUNT, MAX_SIDE_PX
 from hierax.runtime import NO_TICK, Elements, Tick, Value, World
 from hierax.runtime.core.node import Policy
 
+# How far a cube stands off its place in the plan at most, and how far it is turned.
 OFF_PLAN_M = 0.004
 OFF_PLAN_RAD = np.radians(1.8)
-"""How far a cube stands off its place in the plan at most, and how far it is turned."""
 
-FOCAL_LENGTH = 0.8
-"""In widths of the picture."""
+FOCAL_LENGTH = 0.8  # in widths of the picture
 
+# A cube is grasped when it has been held so high for so long.
 LIFTED_M = 0.10
 HELD_S = 2.0
-"""A cube is grasped when it has been held so high for so long."""
 
 _ENOUGH_S = 2.5
 _ACCELERATION_M_S2 = 0.5
-_TURN_M_RAD = 0.2
-"""A turn of a radian takes as long as a move of this."""
-
+_TURN_M_RAD = 0.2  # a turn of a radian takes as long as a move of this
 _TRUTH = 3
 
 
 class PickWorld(World):
     """An arm with a camera in its hand, over a table with cubes.
 
-    The arm's controller moves the gripper on a straight line to where it is commanded,
-    speeding up and slowing down; joints are position controlled, fingers have a bounded
-    force. Nothing but friction holds a cube.
+    The arm's controller moves the gripper on a straight line to where it is commanded, speeding up and slowing down;
+    joints are position controlled, fingers have a bounded force. Nothing but friction holds a cube.
 
-    The belief: ``frame``, ``time_s``, the arm (``joints`` (7,), ``speeds`` (7,), ``fingers``
-    (2,), ``finger_speeds`` (2,); rad, m, s), its controller (``targets`` (7,), rad; ``setpoint``,
-    world_from_gripper; ``pace``, m/s), the camera (``camera``, world_from_camera;
-    ``intrinsics``, ``size``, ``noise``, ``blur_px``) and ``bodies``, a tuple of ``id``,
-    ``obj_id``, ``side_m``, ``colour``, ``pose`` (world_from_object), ``velocity`` (6,),
-    ``floor_m`` (the height that it began at), ``lift_m`` (how far it is above that) and
-    ``held_s`` (how long it has been lifted and touched by nothing but the fingers).
+    The belief: ``frame``, ``time_s``, the arm (``joints`` (7,), ``speeds`` (7,), ``fingers`` (2,), ``finger_speeds``
+    (2,); rad, m, s), its controller (``targets`` (7,), rad; ``setpoint``, world_from_gripper; ``pace``, m/s), the
+    camera (``camera``, world_from_camera; ``intrinsics``, ``size``, ``noise``, ``blur_px``) and ``bodies``, a tuple of
+    ``id``, ``obj_id``, ``side_m``, ``colour``, ``pose`` (world_from_object), ``velocity`` (6,), ``floor_m`` (the height
+    that it began at), ``lift_m`` (how far it is above that) and ``held_s`` (how long it has been lifted and touched by
+    nothing but the fingers).
 
     Args:
         scene: number of the scene, from 0.

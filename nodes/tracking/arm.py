@@ -41,27 +41,19 @@ from hierax.runtime import Elements, Node, Step, Value
 from hierax.runtime.core.showing import Things
 
 _DRIFT_GAIN = 0.3
-_PROBATION = 20
-"""For so many images an object that was found again is looked for elsewhere, too."""
+_PROBATION = 20  # for so many images an object that was found again is looked for elsewhere, too
+_LEAST_SHOWN = 10.0  # an object of which fewer control points should be seen is neither supported nor missed
+_LESS = 0.85  # something happens to an object that the image supports by less than this part of what it did before
+_LEAST_FOUND = 20.0  # one whose place is vague is not found by fewer control points than these
 
-_LEAST_SHOWN = 10.0
-"""An object of which fewer control points should be seen is neither supported nor missed."""
-
-_LESS = 0.85
-"""Something happens to an object that the image supports by less than this part of what it did before."""
-
-_LEAST_FOUND = 20.0
-"""One whose place is vague is not found by fewer control points than these."""
-
+# An object whose place is less certain than this (standard deviation) has to be found, not kept.
 _VAGUE_M = 0.02
 _VAGUE_RAD = 0.3
-"""An object whose place is less certain than this (standard deviation) has to be found, not kept."""
 
+# Of what its motion may change in a frame, what stands on something rises, and tilts, by so much.
 _UPWARDS, _TILTING = 0.1, 0.15
-"""Of what its motion may change in a frame, what stands on something rises, and tilts, by so much."""
 
-_UNKNOWN = np.diag([0.1**2] * 3 + [0.6**2] * 3)
-"""A covariance that says next to nothing of a pose (m², rad²)."""
+_UNKNOWN = np.diag([0.1**2] * 3 + [0.6**2] * 3)  # a covariance that says next to nothing of a pose (m², rad²)
 
 
 class ArmNode(Node):

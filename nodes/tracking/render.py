@@ -1,7 +1,6 @@
 """What the spatial node expects its camera to see: each object as if nothing hid it, and all of them together.
 
-An image depends on the arguments alone, to the bit; what a renderer keeps from one to the
-next is a cache.
+An image depends on the arguments alone, to the bit; what a renderer keeps from one to the next is a cache.
 """
 
 from __future__ import annotations
@@ -22,8 +21,7 @@ LEAST_CHANCE = 0.02
 """Control points that are less likely to be seen are left out."""
 
 
-_NEAR = 0.1
-"""Of a body's covariance, so much is left around each of its other poses."""
+_NEAR = 0.1  # of a body's covariance, so much is left around each of its other poses
 
 
 class Item(NamedTuple):
@@ -221,11 +219,7 @@ class SegmentedDepth:
             hollow = not renderer.shape.convex
             alone = [
                 controls_of(
-                    renderer.shape,
-                    pose,
-                    intrinsics,
-                    size,
-                    renderer.layer(pose, intrinsics, size) if hollow else None,
+                    renderer.shape, pose, intrinsics, size, renderer.layer(pose, intrinsics, size) if hollow else None
                 )
                 for pose in poses
             ]

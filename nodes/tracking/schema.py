@@ -16,22 +16,16 @@ from numpy.typing import NDArray
 
 from hierax.nodes.tracking.math.geometry import Array, Floats
 
+# Status of an object: the newest image supports its pose; it is known from prediction alone; nobody knows where.
 TRACKED, EXPECTED, LOST = "tracked", "expected", "lost"
-"""Status of an object: the newest image supports its pose; it is known from prediction alone; nobody knows where."""
 
 
 class Is(NamedTuple):
-    """What an array is.
+    """What an array is."""
 
-    Attributes:
-        shape: numbers, or letters for lengths that differ from value to value.
-        dtype: numpy's name of it.
-        meaning: unit and frame.
-    """
-
-    shape: tuple[int | str, ...]
-    dtype: str
-    meaning: str = ""
+    shape: tuple[int | str, ...]  # numbers, or letters for lengths that differ from value to value
+    dtype: str  # numpy's name of it
+    meaning: str = ""  # unit and frame
 
 
 CameraPose = Annotated[Floats, Is((4, 4), "float64", "world_from_camera, m")]
@@ -40,8 +34,7 @@ WorldFromObject = Annotated[Floats, Is((4, 4), "float64", "world_from_object, m"
 Covariance = Annotated[Floats, Is((6, 6), "float64", "of a twist in the object's frame, m² and rad²")]
 Intrinsics = Annotated[Array, Is((4,), "float64", "fx, fy, cx, cy in pixels, pixel centres at integers")]
 Upwards = Annotated[Floats, Is((3,), "float64", "unit vector in the object's frame; zeros where nothing carries it")]
-Size = tuple[int, int]
-"""Width and height in pixels."""
+Size = tuple[int, int]  # width and height in pixels
 
 
 class Model(TypedDict):
@@ -52,17 +45,11 @@ class Model(TypedDict):
 
 
 class FirstPose(TypedDict):
-    """An object as it is given to a node at the start.
+    """An object as it is given to a node at the start."""
 
-    Attributes:
-        id: label in this scene, 1 to 255.
-        obj_id: number of its model.
-        pose: camera_from_object in the first frame.
-    """
-
-    id: int
-    obj_id: int
-    pose: CameraFromObject
+    id: int  # label in this scene, 1 to 255
+    obj_id: int  # number of its model
+    pose: CameraFromObject  # camera_from_object in the first frame
 
 
 class FirstBody(FirstPose):
@@ -72,18 +59,12 @@ class FirstBody(FirstPose):
 
 
 class Picture(TypedDict):
-    """World to arm: what the camera sees.
+    """World to arm: what the camera sees."""
 
-    Attributes:
-        image: gray (h, w) or RGB (h, w, 3).
-        camera: as the world says it is.
-        frame: number of the image.
-    """
-
-    image: Annotated[Array, Is(("...",), "uint8", "grey levels")]
-    camera: CameraPose
+    image: Annotated[Array, Is(("...",), "uint8", "grey levels")]  # gray (h, w) or RGB (h, w, 3)
+    camera: CameraPose  # as the world says it is
     intrinsics: Intrinsics
-    frame: int
+    frame: int  # number of the image
 
 
 class ControlPoints(TypedDict):
@@ -99,58 +80,37 @@ class ControlPoints(TypedDict):
 
 
 class Alternative(TypedDict):
-    """Another pose that an object may have.
+    """Another pose that an object may have."""
 
-    Attributes:
-        pose: world_from_object in the context, camera_from_object in the arm's belief.
-        controls: what would be seen of it there.
-        kept: whether it is one of the arm's earlier guesses.
-    """
-
-    pose: WorldFromObject
-    controls: ControlPoints
-    kept: bool
+    pose: WorldFromObject  # world_from_object in the context, camera_from_object in the arm's belief
+    controls: ControlPoints  # what would be seen of it there
+    kept: bool  # whether it is one of the arm's earlier guesses
 
 
 class ExpectedObject(TypedDict):
-    """Spatial to arm, within `Imagery`: where an object is expected, and what of it.
-
-    Attributes:
-        status: as the arm said last.
-        support: upwards, where something carries it.
-        stands: whether it lies on a face there.
-        controls: those that are likely enough to be seen.
-        others: poses that it may have besides.
-    """
+    """Spatial to arm, within `Imagery`: where an object is expected, and what of it."""
 
     id: int
     obj_id: int
     pose: WorldFromObject
     covariance: Covariance
-    status: str
-    support: Upwards
-    stands: bool
-    controls: ControlPoints
-    others: tuple[Alternative, ...]
+    status: str  # as the arm said last
+    support: Upwards  # upwards, where something carries it
+    stands: bool  # whether it lies on a face there
+    controls: ControlPoints  # those that are likely enough to be seen
+    others: tuple[Alternative, ...]  # poses that it may have besides
 
 
 class Imagery(TypedDict):
-    """Spatial to arm: the scene as it is expected to be seen (theory, example 3).
+    """Spatial to arm: the scene as it is expected to be seen (theory, example 3)."""
 
-    Attributes:
-        depth, labels: of the part of the image that holds all bodies; 0 where nothing is.
-        camera: at which it was drawn.
-        intrinsics: of that part.
-        corner: left and top of that part in the whole image.
-        size: of the whole image.
-    """
-
+    # depth, labels: of the part of the image that holds all bodies; 0 where nothing is
     depth: Annotated[NDArray[np.float32], Is(("h", "w"), "float32", "m along the camera's z")]
     labels: Annotated[NDArray[np.uint8], Is(("h", "w"), "uint8", "ids")]
-    camera: CameraPose
-    intrinsics: Intrinsics
-    corner: tuple[int, int]
-    size: Size
+    camera: CameraPose  # at which it was drawn
+    intrinsics: Intrinsics  # of that part
+    corner: tuple[int, int]  # left and top of that part in the whole image
+    size: Size  # of the whole image
     poses: tuple[ExpectedObject, ...]
 
 
@@ -169,66 +129,42 @@ class Looks(TypedDict):
 
 
 class TrackedObject(TypedDict):
-    """What the arm believes of one object.
-
-    Attributes:
-        pose: seen from the belief's camera.
-        before: the same an image earlier.
-        score: how well the image supports the pose, 0 to 1.
-        probation: for how many more images it may turn out to be elsewhere.
-        status: `TRACKED`, `EXPECTED` or `LOST`.
-        misses: images in a row without support.
-        unrest: 0 to 1, how much of a push its latest motion asks for.
-        trend: running mean of how far images had it from its predictions.
-        vain: for how many images in a row it was looked for elsewhere and not found.
-        support: upwards, where something carries it.
-        stands: whether it lies on a face there.
-        sought: whether it is to be imagined elsewhere, too.
-        others: what came of that.
-        guesses: poses that explain the newest image nearly as well.
-        controls: points on the edges expected to be seen.
-        edges: a dash along the edge at each.
-        slots: what it looks like beside them.
-    """
+    """What the arm believes of one object."""
 
     id: int
     obj_id: int
-    pose: CameraFromObject
-    before: CameraFromObject
+    pose: CameraFromObject  # seen from the belief's camera
+    before: CameraFromObject  # the same an image earlier
     covariance: Covariance
-    score: float
-    probation: int
-    status: str
-    misses: int
-    unrest: float
+    score: float  # how well the image supports the pose, 0 to 1
+    probation: int  # for how many more images it may turn out to be elsewhere
+    status: str  # `TRACKED`, `EXPECTED` or `LOST`
+    misses: int  # images in a row without support
+    unrest: float  # 0 to 1, how much of a push its latest motion asks for
+    # running mean of how far images had it from its predictions
     trend: Annotated[Floats, Is((6,), "float64", "standard deviations")]
-    vain: int
-    support: Upwards
-    stands: bool
-    others: tuple[Alternative, ...]
+    vain: int  # for how many images in a row it was looked for elsewhere and not found
+    support: Upwards  # upwards, where something carries it
+    stands: bool  # whether it lies on a face there
+    others: tuple[Alternative, ...]  # what came of that
+    # poses that explain the newest image nearly as well
     guesses: Annotated[Floats, Is(("n", 4, 4), "float64", "camera_from_object, m")]
-    sought: bool
-    controls: ControlPoints
-    edges: Annotated[Floats, Is(("n", 2, 3), "float64", "m, object's frame")]
-    slots: Looks
+    sought: bool  # whether it is to be imagined elsewhere, too
+    controls: ControlPoints  # points on the edges expected to be seen
+    edges: Annotated[Floats, Is(("n", 2, 3), "float64", "m, object's frame")]  # a dash along the edge at each
+    slots: Looks  # what it looks like beside them
 
 
 class ArmBelief(TypedDict):
-    """What the arm node believes; of camera and image nothing before the first one.
+    """What the arm node believes; of camera and image nothing before the first one."""
 
-    Attributes:
-        camera: with the error corrected that all objects show together.
-        reported: the same as the world gave it.
-        drift: ``reported @ drift`` is where the camera is expected.
-        frame: the newest image's number.
-    """
-
-    camera: CameraPose | None
-    reported: CameraPose | None
+    camera: CameraPose | None  # with the error corrected that all objects show together
+    reported: CameraPose | None  # the same as the world gave it
+    # ``reported @ drift`` is where the camera is expected
     drift: Annotated[Floats, Is((4, 4), "float64", "reported_from_camera, m")]
     intrinsics: Intrinsics | None
     size: Size | None
-    frame: int | None
+    frame: int | None  # the newest image's number
     objects: tuple[TrackedObject, ...]
 
 
@@ -284,95 +220,64 @@ class SeenCamera(TypedDict):
 
 
 class Cube(TypedDict):
-    """What the simulated world knows of one cube: the truth.
-
-    Attributes:
-        side_m: length of its edges, metres.
-        colour: red, green, blue, 0 to 255.
-        velocity: of its origin, and its turning.
-    """
+    """What the simulated world knows of one cube: the truth."""
 
     id: int
     obj_id: int
-    side_m: float
-    colour: tuple[int, int, int]
+    side_m: float  # length of its edges, metres
+    colour: tuple[int, int, int]  # red, green, blue, 0 to 255
     pose: WorldFromObject
-    velocity: Annotated[Floats, Is((6,), "float64", "m/s and rad/s, world frame")]
+    velocity: Annotated[Floats, Is((6,), "float64", "m/s and rad/s, world frame")]  # of its origin, and its turning
 
 
 class SimBelief(TypedDict):
-    """What the simulated world is.
+    """What the simulated world is."""
 
-    Attributes:
-        frame: number of the image that is seen next.
-        time_s: of it.
-        noise: standard deviation of the sensor's noise, grey levels of 256.
-        blur_px: standard deviation of the lens's blur, pixels.
-    """
-
-    frame: int
-    time_s: float
+    frame: int  # number of the image that is seen next
+    time_s: float  # of it
     camera: CameraPose
     intrinsics: Intrinsics
     size: Size
-    noise: float
-    blur_px: float
+    noise: float  # standard deviation of the sensor's noise, grey levels of 256
+    blur_px: float  # standard deviation of the lens's blur, pixels
     bodies: tuple[Cube, ...]
 
 
 class Body(TypedDict):
-    """What the spatial node believes of one body.
-
-    Attributes:
-        velocity: of its origin, and its turning.
-        drift: the same as observed, also where it may be nothing but errors.
-        status: as the arm said last.
-        seen: the pose that the last observation gave it; None where it was not tracked.
-        unseen: for how many observations it was not.
-        support: upwards, where something carries it.
-        stands: whether it lies on a face there.
-        known: whether it was ever tracked.
-        sought, guesses: as the arm gave them.
-        turn: how often it was imagined elsewhere.
-        others: where it may be besides, the first ``kept`` of them the guesses.
-        mass: kg.
-    """
+    """What the spatial node believes of one body."""
 
     id: int
     obj_id: int
     pose: WorldFromObject
-    velocity: Annotated[Floats, Is((6,), "float64", "m/s and rad/s, world frame")]
+    velocity: Annotated[Floats, Is((6,), "float64", "m/s and rad/s, world frame")]  # of its origin, and its turning
+    # the same as observed, also where it may be nothing but errors
     drift: Annotated[Floats, Is((6,), "float64", "m/s and rad/s, world frame")]
     covariance: Covariance
-    status: str
-    seen: WorldFromObject | None
-    unseen: int
-    support: Upwards
-    stands: bool
-    known: bool
-    sought: bool
-    turn: int
+    status: str  # as the arm said last
+    seen: WorldFromObject | None  # the pose that the last observation gave it; None where it was not tracked
+    unseen: int  # for how many observations it was not
+    support: Upwards  # upwards, where something carries it
+    stands: bool  # whether it lies on a face there
+    known: bool  # whether it was ever tracked
+    sought: bool  # sought, guesses: as the arm gave them
+    turn: int  # how often it was imagined elsewhere
     guesses: Annotated[Floats, Is(("n", 4, 4), "float64", "world_from_object, m")]
+    # where it may be besides, the first ``kept`` of them the guesses
     others: Annotated[Floats, Is(("n", 4, 4), "float64", "world_from_object, m")]
     kept: int
     model: Model
-    mass: float
+    mass: float  # kg
 
 
 class SpatialBelief(TypedDict):
-    """What the spatial node believes; of the camera nothing before the first observation.
-
-    Attributes:
-        time_s: of the last observation.
-        interval_s: from the one before to it.
-    """
+    """What the spatial node believes; of the camera nothing before the first observation."""
 
     camera: CameraPose | None
     intrinsics: Intrinsics | None
     size: Size | None
     frame: int | None
-    time_s: float | None
-    interval_s: float
+    time_s: float | None  # of the last observation
+    interval_s: float  # from the one before to it
     bodies: tuple[Body, ...]
 
 

@@ -1,9 +1,8 @@
 """What the nodes of a tracking deployment show: `hierax view`.
 
-The views: ``camera``, the image with edges as they were expected (red) and as the correction
-puts them (green); ``imagined``, the depth image with labels that the spatial node expects;
-``scene``, the camera and the bodies at their poses; ``error_mm`` and ``turn_deg`` against the
-truth, where the world knows it; ``scores`` of the arm's objects.
+The views: ``camera``, the image with edges as they were expected (red) and as the correction puts them (green);
+``imagined``, the depth image with labels that the spatial node expects; ``scene``, the camera and the bodies at their
+poses; ``error_mm`` and ``turn_deg`` against the truth, where the world knows it; ``scores`` of the arm's objects.
 """
 
 from __future__ import annotations
@@ -35,18 +34,14 @@ from hierax.runtime.core.showing import (
 
 _NEAREST_M = 0.02
 _FRUSTUM_M = 0.12
-_COARSER = 4
-"""The image is drawn in the scene, too: small, so with every so manieth pixel."""
-
+_COARSER = 4  # the image is drawn in the scene, too: small, so with every so manieth pixel
 _TRUE_M = 0.06
-_EXPECTED_PX, _CORRECTED_PX = 3.5, 1.5
-"""Widths: where both are at one place, both are seen."""
+_EXPECTED_PX, _CORRECTED_PX = 3.5, 1.5  # widths: where both are at one place, both are seen
 _GRID_M, _GRID_STEP_M = 0.4, 0.1
 _LOST = (120, 120, 120)
 _GRID = (170, 170, 170)
 
-_renderer = DepthRenderer()
-"""A cache of the bodies' meshes, prepared."""
+_renderer = DepthRenderer()  # a cache of the bodies' meshes, prepared
 
 
 def world_things(step: Step) -> dict[str, Thing]:

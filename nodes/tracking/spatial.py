@@ -22,22 +22,17 @@ DEFAULT_INTERVAL_S = 1.0 / 30.0
 _TURNING = 6.0
 """Rad/s for a m/s: faster than this, relative to how it moves, a body about to turn over turns."""
 
-_ACCELERATION = np.array([10.0, 150.0])
-"""Largest of a body that is believed: m/s², rad/s²."""
+_ACCELERATION = np.array([10.0, 150.0])  # largest of a body that is believed: m/s², rad/s²
 
+# A mean displacement that makes a body at rest one that moves, and one that moves one at rest.
 _MOVES_SIGMAS, _STOPPED_SIGMAS = 4.0, 1.0
-"""A mean displacement that makes a body at rest one that moves, and one that moves one at rest."""
 
-_FALLS = 0.6
-"""What sinks by this part of a free fall is not carried."""
-
-_UNSURE = 0.2
-"""Standard deviation of how far one goes that is not seen, for every metre that it was on its way to go."""
-
+_FALLS = 0.6  # what sinks by this part of a free fall is not carried
+_UNSURE = 0.2  # standard deviation of how far one goes that is not seen, for every metre that it was on its way to go
 _NO_POSES = np.zeros((0, 4, 4))
 
+# How much farther a body may be that was found again just now (m², rad²).
 _ASTRAY = np.diag([0.02**2] * 3 + [0.5**2] * 3)
-"""How much farther a body may be that was found again just now (m², rad²)."""
 
 UNSEEN = np.diag([0.01**2] * 3 + [0.1**2] * 3)
 """The covariance of a body's pose before the first observation (m², rad²)."""
@@ -46,10 +41,9 @@ UNSEEN = np.diag([0.01**2] * 3 + [0.1**2] * 3)
 class SpatialNode(Node):
     """Knows where bodies are in the world, how they move, and what physics lets them do next.
 
-    τ moves the bodies to the poses that the arm corrected and learns their velocities
-    from the differences of these, filtered. Not from how far they are from the predicted
-    ones: a body that is held in the air would seem to move up as fast as physics has it fall.
-    γ lets one frame interval pass: over a table, with gravity and contacts (bodies that
+    τ moves the bodies to the poses that the arm corrected and learns their velocities from the differences of these,
+    filtered. Not from how far they are from the predicted ones: a body that is held in the air would seem to move up as
+    fast as physics has it fall. γ lets one frame interval pass: over a table, with gravity and contacts (bodies that
     interpenetrate are pushed apart, things settle); without one, at constant velocity.
 
     The belief is a `SpatialBelief`, see `hierax.nodes.tracking.schema`.

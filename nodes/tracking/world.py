@@ -1,8 +1,7 @@
 """One deployment for both worlds: simulated cubes, or a scene folder of photographs in the BOP format.
 
-Each function takes ``scene``: None for the simulated world, else the path of the folder.
-What the nodes may know at the start is settled here: both get the objects' first poses,
-the spatial node their models too, the arm none.
+Each function takes ``scene``: None for the simulated world, else the path of the folder. What the nodes may know at the
+start is settled here: both get the objects' first poses, the spatial node their models too, the arm none.
 """
 
 from __future__ import annotations
@@ -75,11 +74,7 @@ def arm(
 
 
 def spatial(
-    scene: str | None = None,
-    cubes: int = len(SCENE),
-    table: bool | None = None,
-    physics: bool = True,
-    **options: Any,
+    scene: str | None = None, cubes: int = len(SCENE), table: bool | None = None, physics: bool = True, **options: Any
 ) -> SpatialNode:
     """The spatial node with the objects' first poses and their models.
 

@@ -1,8 +1,7 @@
 """Scene folders and results files of the BOP benchmark (https://bop.felk.cvut.cz).
 
-A scene is ``DATASET/SPLIT/000001`` with ``scene_camera.json``, ``scene_gt.json`` and
-``rgb/`` or ``gray/``; its models are ``DATASET/models/obj_000001.ply`` and
-``models_info.json``. Lengths in the files are millimetres, here metres. Of
+A scene is ``DATASET/SPLIT/000001`` with ``scene_camera.json``, ``scene_gt.json`` and ``rgb/`` or ``gray/``; its models
+are ``DATASET/models/obj_000001.ply`` and ``models_info.json``. Lengths in the files are millimetres, here metres. Of
 ``scene_gt.json`` nothing but the first frame is ever read.
 """
 
@@ -33,47 +32,29 @@ RESULTS_HEADER = "scene_id,im_id,obj_id,score,R,t,time"
 _IMAGE_FOLDERS = ("rgb", "gray")
 _IMAGE_SUFFIXES = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".pgm", ".ppm", ".bmp")
 
-MAX_OBJECTS = 255
-"""In the first frame: each has its label in an image of 8 bits."""
-
+MAX_OBJECTS = 255  # in the first frame: each has its label in an image of 8 bits
 MIN_FOCAL_PX, MAX_FOCAL_PX = 1.0, 1e6
 
-_FRAMES_AGAIN = 16
-"""How many of its last frames a results file can take back."""
-
+_FRAMES_AGAIN = 16  # how many of its last frames a results file can take back
 _MAX_DIGITS = 9
-_TRAILING_BYTES = 1024
-"""Some cameras write a little behind an image's end."""
+_TRAILING_BYTES = 1024  # some cameras write a little behind an image's end
 
 
 class Frame(NamedTuple):
-    """One image of a scene.
+    """One image of a scene."""
 
-    Attributes:
-        im_id: its number in the scene.
-        image: the file.
-        intrinsics: (4,) fx, fy, cx, cy in pixels.
-        camera: world_from_camera; the identity where the scene gives no camera pose.
-    """
-
-    im_id: int
-    image: Path
-    intrinsics: Floats
-    camera: Floats
+    im_id: int  # its number in the scene
+    image: Path  # the file
+    intrinsics: Floats  # (4,) fx, fy, cx, cy in pixels
+    camera: Floats  # world_from_camera; the identity where the scene gives no camera pose
 
 
 class SceneObject(NamedTuple):
-    """An object of the first frame.
+    """An object of the first frame."""
 
-    Attributes:
-        id: label in this scene, from 1 in the file's order.
-        obj_id: number of its model.
-        pose: camera_from_object in the first frame.
-    """
-
-    id: int
-    obj_id: int
-    pose: Floats
+    id: int  # label in this scene, from 1 in the file's order
+    obj_id: int  # number of its model
+    pose: Floats  # camera_from_object in the first frame
 
 
 class BopScene:
@@ -200,10 +181,9 @@ def _check_end(path: Path, data: bytes) -> None:
 class ResultsFile:
     """Writes a BOP results file: ``scene_id,im_id,obj_id,score,R,t,time``, one pose a line, after that header.
 
-    R is nine numbers, row by row, and t three in millimetres, separated by spaces; time is
-    the image's in seconds, -1 where it is not known. An object that is lost has no line in
-    that frame. A frame's lines are given to the system at once, and before `write` returns,
-    so that they outlive the process.
+    R is nine numbers, row by row, and t three in millimetres, separated by spaces; time is the image's in seconds, -1
+    where it is not known. An object that is lost has no line in that frame. A frame's lines are given to the system at
+    once, and before `write` returns, so that they outlive the process.
 
     A frame that is written again takes the place of its earlier lines and of all behind
     them: whoever tells a frame again tells those after it again, too.

@@ -13,9 +13,7 @@ from hierax.nodes.tracking.math.geometry import Floats, make_pose, orthonormal
 from hierax.nodes.tracking.model.files import read_file
 from hierax.nodes.tracking.model.ply import BOP_UNIT_M
 
-MAX_NUMBER = 999_999
-"""Of a frame, and of a model: files' names have six digits."""
-
+MAX_NUMBER = 999_999  # of a frame, and of a model: files' names have six digits
 MAX_DISTANCE_M = 10_000.0
 _ROTATION_TOLERANCE = 1e-2
 _HUGE = 10**300

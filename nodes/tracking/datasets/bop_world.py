@@ -13,8 +13,7 @@ from hierax.nodes.tracking.math.geometry import Array
 from hierax.nodes.tracking.schema import Picture
 from hierax.runtime import NO_TICK, Elements, Tick, Value, World
 
-AHEAD = 8
-"""How many images are read ahead at most."""
+AHEAD = 8  # how many images are read ahead at most
 
 
 class BopWorld(World):

@@ -14,17 +14,11 @@ SHARES = "scene_gt_info.json"
 
 
 class TruePose(NamedTuple):
-    """An object in a frame.
+    """An object in a frame."""
 
-    Attributes:
-        obj_id: the object.
-        pose: camera_from_object, metres.
-        visible: share of its silhouette that is seen, 0 to 1; 1 where nobody says.
-    """
-
-    obj_id: int
-    pose: Floats
-    visible: float
+    obj_id: int  # the object
+    pose: Floats  # camera_from_object, metres
+    visible: float  # share of its silhouette that is seen, 0 to 1; 1 where nobody says
 
 
 def read_truth(folder: Path) -> dict[int, list[TruePose]]:

@@ -1,10 +1,9 @@
 """Correcting the poses of all objects at once so that their expected edges lie on edges of the image.
 
-At each control point every peak of the image's gradient along the edge's normal is a
-hypothesis. Gauss-Newton on SE(3) moves the poses: in each iteration every control point takes
-the hypothesis that is nearest to where its pose now puts it and looks like its edge, weighted
-by Tukey's function. What all objects seem to do together is the camera's error: it is one
-further unknown, a twist in the camera's frame, with a prior of its own.
+At each control point every peak of the image's gradient along the edge's normal is a hypothesis. Gauss-Newton on SE(3)
+moves the poses: in each iteration every control point takes the hypothesis that is nearest to where its pose now puts
+it and looks like its edge, weighted by Tukey's function. What all objects seem to do together is the camera's error: it
+is one further unknown, a twist in the camera's frame, with a prior of its own.
 """
 
 from __future__ import annotations
@@ -31,27 +30,19 @@ from hierax.nodes.tracking.estimation.stages import (
 from hierax.nodes.tracking.math.batched import exp_many, log_many, solved
 from hierax.nodes.tracking.math.geometry import Array, Floats
 
+# Where edges are so dense that more than the rest of the places are near one, to be near one proves little.
 _LEAST_RARITY = 0.4
-"""Where edges are so dense that more than the rest of the places are near one, to be near one proves little."""
 
-_SPREADS = 3.5
-"""Where Tukey's weight ends in the end, in medians of the residuals' sizes."""
-
-_STRANGE = 4.5
-"""A peak that looks stranger than this supports no control point."""
+_SPREADS = 3.5  # where Tukey's weight ends in the end, in medians of the residuals' sizes
+_STRANGE = 4.5  # a peak that looks stranger than this supports no control point
 
 
 class Start(NamedTuple):
-    """Where the search begins.
+    """Where the search begins."""
 
-    Attributes:
-        poses: (m, 4, 4) camera_from_object, predicted.
-        information: (m, 6, 6) inverse covariance of each, twist in the object's frame.
-        camera: (6, 6) inverse covariance of the camera's error, twist in its own frame; None where it is known.
-    """
-
-    poses: Floats
-    information: Floats
+    poses: Floats  # (m, 4, 4) camera_from_object, predicted
+    information: Floats  # (m, 6, 6) inverse covariance of each, twist in the object's frame
+    # (6, 6) inverse covariance of the camera's error, twist in its own frame; None where it is known
     camera: Floats | None = None
 
 
@@ -66,32 +57,21 @@ class Matches(NamedTuple):
 
 
 class Aligned(NamedTuple):
-    """What the image says of the poses.
+    """What the image says of the poses."""
 
-    Attributes:
-        poses: (m, 4, 4) camera_from_object, corrected.
-        shift: (4, 4) what the camera's error does to all of them: ``pose = shift @ predicted @ exp(own)``.
-        own: (m, 6) twist of each object in its frame.
-        blocks: (m, 12, 12) the image's information about (twist of the camera's frame, twist of the object's) here.
-        slopes: (m, 12) gradient of the image's loss over the same: zero but for what the priors hold back.
-        scores: (m,) 0 to 1: the share of control points that the image supports, beyond chance.
-        shown: (m,) how many control points should be seen.
-        gains: (m,) how many of them speak for the pose, each by how near and how familiar its hypothesis is.
-        tone, told: how far edges seem to be moved by the encoding of light, beyond what was known; see `encoding`.
-        lines, profiles, matches: of the last stage.
-    """
-
-    poses: Floats
-    shift: Floats
-    own: Floats
+    poses: Floats  # (m, 4, 4) camera_from_object, corrected
+    shift: Floats  # (4, 4) what the camera's error does to all of them: ``pose = shift @ predicted @ exp(own)``
+    own: Floats  # (m, 6) twist of each object in its frame
+    # (m, 12, 12) the image's information about (twist of the camera's frame, twist of the object's) here
     blocks: Floats
-    slopes: Floats
-    scores: Floats
-    shown: Floats
-    gains: Floats
+    slopes: Floats  # (m, 12) gradient of the image's loss over the same: zero but for what the priors hold back
+    scores: Floats  # (m,) 0 to 1: the share of control points that the image supports, beyond chance
+    shown: Floats  # (m,) how many control points should be seen
+    gains: Floats  # (m,) how many of them speak for the pose, each by how near and how familiar its hypothesis is
+    # tone, told: how far edges seem to be moved by the encoding of light, beyond what was known; see `encoding`
     tone: Tone
     told: Floats
-    lines: Lines
+    lines: Lines  # lines, profiles, matches: of the last stage
     profiles: Profiles
     matches: Matches
 

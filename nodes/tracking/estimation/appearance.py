@@ -1,8 +1,7 @@
 """What objects looked like beside their edges: a memory of colours that tells an object's edge from a shadow's.
 
-For each side of each edge where the object is (a face, always lit alike while the object is at
-rest) the colour beside the matched place is remembered. A peak with another colour on that
-side is strange: probably an edge of something else.
+For each side of each edge where the object is (a face, always lit alike while the object is at rest) the colour beside
+the matched place is remembered. A peak with another colour on that side is strange: probably an edge of something else.
 """
 
 from __future__ import annotations
@@ -29,39 +28,26 @@ NOTHING: Looks = {
     "encoding": UNTOLD,
 }
 
-_LEAST_SPREAD = 64.0
-"""Variance of a colour that never changed: noise and the softness of the reading, grey levels²."""
-
+_LEAST_SPREAD = 64.0  # variance of a colour that never changed: noise and the softness of the reading, grey levels²
 _MOST_STRANGE = 4.0
 _FORGIVEN = 2.0
-_FRAMES = 12.0
-"""Over so many frames a colour is remembered, once there have been so many."""
-
+_FRAMES = 12.0  # over so many frames a colour is remembered, once there have been so many
 _FIRST_WEIGHT = 2.0
 
 _TRUSTED_PX = 0.2
 _OFFSET_FRAMES = 40.0
 _FADING = 0.7
-_DOUBT = 2
-"""A part of an edge is trusted by the share of images that it was found in to this power."""
+_DOUBT = 2  # a part of an edge is trusted by the share of images that it was found in to this power
 
 
 class Memory(NamedTuple):
-    """What is remembered beside each control point.
+    """What is remembered beside each control point."""
 
-    Attributes:
-        colours: (n, 2, channels) inside and outside; any where nothing is remembered.
-        precision: (n, 2) 1/variance; 0 where nothing is remembered or the object is not on that side.
-        trust: (n,) 0 to 1, less on edges that are off in image after image: shadows at an object's foot, mostly.
-        apart: (n,) 0 to 1, how far the edge stands alone, see `hierax.nodes.tracking.estimation.crowding`.
-        factor: (n,) how far light's encoding moves edges, the same for all; see
-            `hierax.nodes.tracking.estimation.gamma_bias`.
-    """
-
-    colours: Singles
-    precision: Singles
-    trust: Singles
-    apart: Singles
+    colours: Singles  # (n, 2, channels) inside and outside; any where nothing is remembered
+    precision: Singles  # (n, 2) 1/variance; 0 where nothing is remembered or the object is not on that side
+    trust: Singles  # (n,) 0 to 1, less on edges that are off in image after image: shadows at an object's foot, mostly
+    apart: Singles  # (n,) 0 to 1, how far the edge stands alone, see `hierax.nodes.tracking.estimation.crowding`
+    # (n,) how far light's encoding moves edges, the same for all; see `hierax.nodes.tracking.estimation.gamma_bias`
     factor: Singles
 
 

@@ -12,16 +12,15 @@ import numpy as np
 from hierax.nodes.tracking.estimation.profiles import Controls
 from hierax.nodes.tracking.math.geometry import Array, Floats
 
+# Parallel edges that far apart have peaks of their own: three standard deviations of the lens's blur and ours.
 _APART_PX = 3.0
-"""Parallel edges that far apart have peaks of their own: three standard deviations of the lens's blur and ours."""
 
 _PARALLEL = 0.9
-_BEYOND_PX = 4.0
-"""How far beyond its last control points an edge goes on."""
+_BEYOND_PX = 4.0  # how far beyond its last control points an edge goes on
 
+# Edges that are as near as this, and in depth by this share of it, are one that is listed twice.
 _SAME_PX = 0.7
 _SAME_DEPTH = 0.005
-"""Edges that are as near as this, and in depth by this share of it, are one that is listed twice."""
 
 _NEAREST_M = 0.02
 

@@ -19,25 +19,17 @@ LEAST_UNREST = 0.02
 SURPRISED = 1.5
 _CALMING = 0.85
 _TREND_GAIN = 0.3
-_EASE = 1e-3
-"""Share of the prior that is counted as seen, so that what no edge shows stays finite."""
+_EASE = 1e-3  # share of the prior that is counted as seen, so that what no edge shows stays finite
 
 
 class Prior(NamedTuple):
-    """What is known before the image.
+    """What is known before the image."""
 
-    Attributes:
-        covariance: (m, 6, 6) of the objects where they were seen last.
-        motion: (6, 6) of an object's deviation from its prediction within a frame, when it is pushed.
-        unrest: (m,) how much of that each object's latest motion asks for.
-        trend: (m, 6) running mean of how far images had objects from their predictions, in standard deviations.
-        camera: (6, 6) inverse covariance of the camera's error, twist in its frame; None where its pose is exact.
-    """
-
-    covariance: Floats
-    motion: Floats
-    unrest: Floats
-    trend: Floats
+    covariance: Floats  # (m, 6, 6) of the objects where they were seen last
+    motion: Floats  # (6, 6) of an object's deviation from its prediction within a frame, when it is pushed
+    unrest: Floats  # (m,) how much of that each object's latest motion asks for
+    trend: Floats  # (m, 6) running mean of how far images had objects from their predictions, in standard deviations
+    # (6, 6) inverse covariance of the camera's error, twist in its frame; None where its pose is exact
     camera: Floats | None
 
     def spread(self) -> Floats:
@@ -47,21 +39,13 @@ class Prior(NamedTuple):
 
 
 class Fused(NamedTuple):
-    """What is known after the image.
+    """What is known after the image."""
 
-    Attributes:
-        shift: (6,) twist of the camera's frame: what its error does to all poses.
-        own: (m, 6) twist of each object in its frame.
-        covariance: (m, 6, 6) of the corrected poses.
-        unrest: (m,).
-        trend: (m, 6).
-    """
-
-    shift: Floats
-    own: Floats
-    covariance: Floats
-    unrest: Floats
-    trend: Floats
+    shift: Floats  # (6,) twist of the camera's frame: what its error does to all poses
+    own: Floats  # (m, 6) twist of each object in its frame
+    covariance: Floats  # (m, 6, 6) of the corrected poses
+    unrest: Floats  # (m,)
+    trend: Floats  # (m, 6)
 
 
 def fuse(aligned: Aligned, prior: Prior, resting: NDArray[np.bool_] | None = None) -> Fused:

@@ -1,11 +1,10 @@
 """How pictures encode light, and how far that moves edges.
 
-A lens adds up light; what a picture holds of it is encoded, about by its square root, so that
-a step between dark and bright is steeper at its dark end: its place is found too far in the
-dark, in proportion to the blur and, nearly, to the contrast of the two sides, (a - b)/(a + b).
-An object on darker ground seems larger by that all around, and so nearer. The factor in
-pixels is one for the whole picture, the same in every picture of a camera: it is learned from
-edges of which some are bright inside and some outside.
+A lens adds up light; what a picture holds of it is encoded, about by its square root, so that a step between dark and
+bright is steeper at its dark end: its place is found too far in the dark, in proportion to the blur and, nearly, to the
+contrast of the two sides, (a - b)/(a + b). An object on darker ground seems larger by that all around, and so nearer.
+The factor in pixels is one for the whole picture, the same in every picture of a camera: it is learned from edges of
+which some are bright inside and some outside.
 """
 
 from __future__ import annotations
@@ -18,38 +17,26 @@ from hierax.nodes.tracking.estimation.profiles import Profiles, Singles
 from hierax.nodes.tracking.math.batched import solved
 from hierax.nodes.tracking.math.geometry import Floats
 
+# Pictures that hold light as it is have 0; those of a sharp lens, encoded as screens want it, 0.2.
 USUAL_PX = 0.05
 _SPREAD_PX = 0.2
-"""Pictures that hold light as it is have 0; those of a sharp lens, encoded as screens want it, 0.2."""
 
-_MOST_PX = 0.4
-"""Of blurred pictures; less than nothing it never is, though shadows beside objects may make it seem so."""
+_MOST_PX = 0.4  # of blurred pictures; less than nothing it never is, though shadows beside objects may make it seem so
+_LEAST_LIGHT = 4.0  # grey levels: of two sides in the dark the contrast says nothing
 
-_LEAST_LIGHT = 4.0
-"""Grey levels: of two sides in the dark the contrast says nothing."""
-
+# Over so many images what an object tells is added up: one's edges err alike in images that are much the same.
 _IMAGES = 30.0
-"""Over so many images what an object tells is added up: one's edges err alike in images that are much the same."""
 
-_EASE = 1e-3
-"""Share of an object's information that is added, so that what no edge shows of its pose stays finite."""
-
-UNTOLD: Floats = np.zeros(2)
-"""What an object has told so far: its information, 1/px², and that times the factor."""
+_EASE = 1e-3  # share of an object's information that is added, so that what no edge shows of its pose stays finite
+UNTOLD: Floats = np.zeros(2)  # what an object has told so far: its information, 1/px², and that times the factor
 
 
 class Tone(NamedTuple):
-    """What control points say of the factor, around some poses.
+    """What control points say of the factor, around some poses."""
 
-    Attributes:
-        couplings: (m, 12) of each object between the factor and twists (of the camera's frame, of the object's).
-        weights: (m,) information, 1/px², were the poses known.
-        slopes: (m,) gradient of the image's loss over the factor.
-    """
-
-    couplings: Floats
-    weights: Floats
-    slopes: Floats
+    couplings: Floats  # (m, 12) of each object between the factor and twists (of the camera's frame, of the object's)
+    weights: Floats  # (m,) information, 1/px², were the poses known
+    slopes: Floats  # (m,) gradient of the image's loss over the factor
 
 
 def contrasts(profiles: Profiles) -> Singles:

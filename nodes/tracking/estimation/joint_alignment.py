@@ -19,54 +19,34 @@ from hierax.nodes.tracking.math.batched import exp_many, inverse
 from hierax.nodes.tracking.math.geometry import Array, Floats
 from hierax.nodes.tracking.schema import Looks, TrackedObject
 
-FAMILIAR_UNREST = 0.3
-"""An object with less unrest is lit as it was."""
-
-LEARNED_SCORE = 0.6
-"""With a lower score an object tells nothing of its looks, nor of light's encoding."""
-
+FAMILIAR_UNREST = 0.3  # an object with less unrest is lit as it was
+LEARNED_SCORE = 0.6  # with a lower score an object tells nothing of its looks, nor of light's encoding
 _NEAR = Search()
 _CALM = Search(reach_px=(8,), scale_px=((8.0, 1.0),), iterations=7)
-_SETTLED_M = 0.004
-"""Where no object moves, and all are known better than this, the image is searched near by."""
+_SETTLED_M = 0.004  # where no object moves, and all are known better than this, the image is searched near by
+_LEAST_FREEDOM = 0.3  # share of a push's motion that the search leaves open for an object at rest
 
-_LEAST_FREEDOM = 0.3
-"""Share of a push's motion that the search leaves open for an object at rest."""
-
+# An object with that little unrest rests; by so much of its control points another explanation is clearly better.
 _AT_REST = 0.1
 _CLEARLY = 0.1
-"""An object with that little unrest rests; by so much of its control points another explanation is clearly better."""
 
-_JUMP_PX = 2.0
-"""A camera's error that moves an object's origin by more is large."""
-
+_JUMP_PX = 2.0  # a camera's error that moves an object's origin by more is large
 _CHANGE_PER_M = 50.0
 _CHANGE_PER_RAD = 4.0
 _MOST_CHANGE = 0.5
 
 
 class Task(NamedTuple):
-    """What is aligned.
+    """What is aligned."""
 
-    Attributes:
-        image: of `hierax.nodes.tracking.estimation.profiles.smoothed`.
-        controls: the control points of all objects.
-        memory: what is remembered of them.
-        intrinsics: (4,) fx, fy, cx, cy in pixels.
-        start: where the objects are expected, with room for motion.
-        search: how the image is searched.
-        prior: what is known before it.
-        encoding: of light's encoding, the factor and its information.
-    """
-
-    image: Image
-    controls: Controls
-    memory: Memory
-    intrinsics: Array
-    start: Start
-    search: Search
-    prior: Prior
-    encoding: tuple[float, float]
+    image: Image  # of `hierax.nodes.tracking.estimation.profiles.smoothed`
+    controls: Controls  # the control points of all objects
+    memory: Memory  # what is remembered of them
+    intrinsics: Array  # (4,) fx, fy, cx, cy in pixels
+    start: Start  # where the objects are expected, with room for motion
+    search: Search  # how the image is searched
+    prior: Prior  # what is known before it
+    encoding: tuple[float, float]  # of light's encoding, the factor and its information
 
 
 class Explained(NamedTuple):

@@ -25,38 +25,22 @@ _ALONG_M = 1e-3
 _PART_M = 0.008
 _PARTS = 4096
 _FACES = 65536
-EDGE_SLOTS = _PARTS * _FACES
-"""A slot's number over this is its edge's."""
-
-_FLANK_PX = 4
-"""How far beyond the searched places a profile is read: what lies beside a peak tells whose edge it is."""
-
-_BESIDE_PX = (2, 3, 4)
-"""Where beside a peak the colour of a side is read."""
+EDGE_SLOTS = _PARTS * _FACES  # a slot's number over this is its edge's
+_FLANK_PX = 4  # how far beyond the searched places a profile is read: what lies beside a peak tells whose edge it is
+_BESIDE_PX = (2, 3, 4)  # where beside a peak the colour of a side is read
 
 
 class Controls(NamedTuple):
-    """Control points of several objects, each object's together.
+    """Control points of several objects, each object's together."""
 
-    Attributes:
-        owners: (n,) index of the object (of its pose in the stack of poses), ascending.
-        points: (n, 3) object's frame, metres.
-        tangents: (n, 3) unit vectors along the edge, object's frame.
-        inwards: (n, 3) unit vectors into a face that is seen, square to the edge, object's frame.
-        creases: (n,) whether the object is on both sides.
-        edges: (n,) number of the edge, different for different objects, ascending.
-        slots: (n, 2) where the colours inside and outside are remembered, see `appearance`.
-        visible: (n,) the chance that nothing hides it.
-    """
-
-    owners: Indices
-    points: Floats
-    tangents: Floats
-    inwards: Floats
-    creases: NDArray[np.bool_]
-    edges: Indices
-    slots: NDArray[np.int64]
-    visible: Floats
+    owners: Indices  # (n,) index of the object (of its pose in the stack of poses), ascending
+    points: Floats  # (n, 3) object's frame, metres
+    tangents: Floats  # (n, 3) unit vectors along the edge, object's frame
+    inwards: Floats  # (n, 3) unit vectors into a face that is seen, square to the edge, object's frame
+    creases: NDArray[np.bool_]  # (n,) whether the object is on both sides
+    edges: Indices  # (n,) number of the edge, different for different objects, ascending
+    slots: NDArray[np.int64]  # (n, 2) where the colours inside and outside are remembered, see `appearance`
+    visible: Floats  # (n,) the chance that nothing hides it
 
     def rows_of(self, chosen: Sequence[int], most: int) -> list[Indices]:
         """Of each of some objects the rows of its controls, evenly thinned out to at most so many."""
@@ -81,36 +65,22 @@ class Controls(NamedTuple):
 
 
 class Lines(NamedTuple):
-    """Control points as some poses show them.
+    """Control points as some poses show them."""
 
-    Attributes:
-        rows: (n,) which of the controls are in the image.
-        pixels: (n, 2).
-        normals: (n, 2) unit, across the edge, into the face of `inwards`.
-    """
-
-    rows: Indices
-    pixels: Floats
-    normals: Floats
+    rows: Indices  # (n,) which of the controls are in the image
+    pixels: Floats  # (n, 2)
+    normals: Floats  # (n, 2) unit, across the edge, into the face of `inwards`
 
 
 class Profiles(NamedTuple):
-    """Profiles along the normals.
+    """Profiles along the normals."""
 
-    Attributes:
-        places: (n, k) pixels along the normal of each peak of the gradient, inf where there is none.
-        sizes: (n, k) its gradient, grey levels per pixel.
-        sharpness: (n, k) curvature over height, 1/px²: what a blurred step has more of than a shadow.
-        inside, outside: (n, k, channels) colours beside each place.
-        reach: places lie within so many pixels.
-    """
-
-    places: Singles
-    sizes: Singles
-    sharpness: Singles
-    inside: Singles
+    places: Singles  # (n, k) pixels along the normal of each peak of the gradient, inf where there is none
+    sizes: Singles  # (n, k) its gradient, grey levels per pixel
+    sharpness: Singles  # (n, k) curvature over height, 1/px²: what a blurred step has more of than a shadow
+    inside: Singles  # inside, outside: (n, k, channels) colours beside each place
     outside: Singles
-    reach: int
+    reach: int  # places lie within so many pixels
 
 
 def smoothed(image: Array) -> Image:

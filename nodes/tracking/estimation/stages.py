@@ -24,40 +24,30 @@ from hierax.nodes.tracking.math.geometry import Array, Floats
 
 NEAREST_M = 0.02
 STRANGE_WEIGHT = 0.5
-_USUAL_SHARPNESS = 0.7
-"""Quantile of the control points' sharpness that counts as an edge in focus."""
+_USUAL_SHARPNESS = 0.7  # quantile of the control points' sharpness that counts as an edge in focus
 
+# Standard deviations of how far an edge is off as a whole: the shadow at an object's foot, light, blur and the model's
+# own error move it, alike along the edge and from image to image.
 _OUTLINE_PX = 0.2
 _CREASE_PX = 0.1
-"""Standard deviations of how far an edge is off as a whole: the shadow at an object's foot, light, blur and the
-model's own error move it, alike along the edge and from image to image."""
 
 
 class Search(NamedTuple):
-    """How the image is searched.
+    """How the image is searched."""
 
-    Attributes:
-        reach_px: how far along the normal, one entry a stage.
-        scale_px: where Tukey's weight ends in the first and the last iteration of each stage.
-        iterations: Gauss-Newton steps in a stage.
-        fine_px: least and largest end of Tukey's weight in the steps that follow the last stage.
-        fine_iterations: how many those are.
-        contrast: smallest slope that counts as an edge, grey levels per pixel.
-        noise_px: what a control point's residual is worth; neighbours on an edge err alike, and from image to
-            image, so this is more than one of them errs.
-        blur_power: how strongly blurred peaks lose weight.
-        support_px: how near a hypothesis must be in the end to support a control point.
-    """
-
-    reach_px: tuple[int, ...] = (14, 6)
+    reach_px: tuple[int, ...] = (14, 6)  # how far along the normal, one entry a stage
+    # where Tukey's weight ends in the first and the last iteration of each stage
     scale_px: tuple[tuple[float, float], ...] = ((14.0, 4.0), (5.0, 1.0))
-    iterations: int = 6
+    iterations: int = 6  # Gauss-Newton steps in a stage
+    # least and largest end of Tukey's weight in the steps that follow the last stage
     fine_px: tuple[float, float] = (0.3, 1.0)
-    fine_iterations: int = 4
-    contrast: float = 1.5
+    fine_iterations: int = 4  # how many those are
+    contrast: float = 1.5  # smallest slope that counts as an edge, grey levels per pixel
+    # what a control point's residual is worth; neighbours on an edge err alike, and from image to image, so this is
+    # more than one of them errs
     noise_px: float = 1.5
-    blur_power: float = 4.0
-    support_px: float = 1.5
+    blur_power: float = 4.0  # how strongly blurred peaks lose weight
+    support_px: float = 1.5  # how near a hypothesis must be in the end to support a control point
 
 
 class Stage(NamedTuple):

@@ -22,13 +22,11 @@ VIDEO_FILE = "video.mp4"
 PICTURES_FOLDER = "pictures"
 CONTACT_SHEET = "contact-sheet.png"
 
+# RGB of edges where they were expected, and where the arm's correction puts them.
 EXPECTED = (235, 60, 50)
 CORRECTED = (60, 235, 80)
-"""RGB of edges where they were expected, and where the arm's correction puts them."""
 
-_EXPECTED_PX, _CORRECTED_PX = 2, 1
-"""Widths: where both are at one place, both are seen."""
-
+_EXPECTED_PX, _CORRECTED_PX = 2, 1  # widths: where both are at one place, both are seen
 _STATUSES = ("tracked", "expected", "lost")
 _NEAREST_M = 0.02
 _WHITE = (255, 255, 255)
@@ -39,8 +37,7 @@ _SHEET_PICTURES = 9
 _SHEET_WIDTH_PX = 480
 _PICTURE = re.compile(r"frame-(\d{6,})\.png")
 _UNFINISHED = ".part"
-_EPOCHS_AGAIN = 4
-"""How many of the last epochs can be told again with their expected edges still known."""
+_EPOCHS_AGAIN = 4  # how many of the last epochs can be told again with their expected edges still known
 
 
 class _Shown(NamedTuple):
@@ -55,10 +52,9 @@ class _Shown(NamedTuple):
 class Pictures(Probe):
     """Draws the arm's edges over the camera's images, into ``pictures/`` in the output folder.
 
-    Red are the edges where they were expected, before the image was seen; green where the
-    correction puts them; objects that are not tracked have no green. The first frame,
-    every `every`-th and the last one are written, and a contact sheet of them at the end;
-    with `video` every frame, and all of them as ``video.mp4`` in the output folder.
+    Red are the edges where they were expected, before the image was seen; green where the correction puts them; objects
+    that are not tracked have no green. The first frame, every `every`-th and the last one are written, and a contact
+    sheet of them at the end; with `video` every frame, and all of them as ``video.mp4`` in the output folder.
 
     A frame that is told again is drawn again. The first frame that a new process of the arm
     is told has no red: what was expected died with the process before.

@@ -23,14 +23,11 @@ from hierax.nodes.tracking.datasets.truth import TruePose, read_truth
 from hierax.nodes.tracking.errors import DataError
 from hierax.nodes.tracking.math.geometry import Array, Floats, pose_error
 
-LIMITS = ((2.0, 2.0), (5.0, 5.0), (10.0, 5.0))
-"""Millimetres and degrees within which a pose is right."""
+LIMITS = ((2.0, 2.0), (5.0, 5.0), (10.0, 5.0))  # millimetres and degrees within which a pose is right
+LEAST_VISIBLE = 0.1  # what is seen less of an object does not count
 
-LEAST_VISIBLE = 0.1
-"""What is seen less of an object does not count."""
-
+# Visible shares that are judged apart; the last one's end is part of it.
 BINS = ((0.1, 0.3), (0.3, 0.5), (0.5, 0.7), (0.7, 0.9), (0.9, 1.0))
-"""Visible shares that are judged apart; the last one's end is part of it."""
 
 HIDDEN = (0.1, 0.5)
 WIDE_BINS = (HIDDEN, (0.5, 0.9))
@@ -41,20 +38,13 @@ _ASTRAY = (20.0, 10.0)
 
 
 class Course(NamedTuple):
-    """One object through all frames.
+    """One object through all frames."""
 
-    Attributes:
-        obj_id: the object.
-        frames: (n,) their numbers.
-        distance_mm, angle_deg: (n,) errors, nan where no pose was given.
-        visible: (n,) the visible share.
-    """
-
-    obj_id: int
-    frames: Array
-    distance_mm: Floats
+    obj_id: int  # the object
+    frames: Array  # (n,) their numbers
+    distance_mm: Floats  # distance_mm, angle_deg: (n,) errors, nan where no pose was given
     angle_deg: Floats
-    visible: Floats
+    visible: Floats  # (n,) the visible share
 
     @property
     def counted(self) -> Array:
@@ -72,18 +62,12 @@ class Course(NamedTuple):
 
 
 class Band(NamedTuple):
-    """Frames in which so much of an object is visible.
+    """Frames in which so much of an object is visible."""
 
-    Attributes:
-        low, high: the visible share.
-        frames: how many frames of objects.
-        shares: right by each of `LIMITS`; nan where there is no frame.
-    """
-
-    low: float
+    low: float  # low, high: the visible share
     high: float
-    frames: int
-    shares: tuple[float, ...]
+    frames: int  # how many frames of objects
+    shares: tuple[float, ...]  # right by each of `LIMITS`; nan where there is no frame
 
     def plain(self) -> dict[str, Any]:
         """As plain JSON."""
@@ -91,31 +75,21 @@ class Band(NamedTuple):
 
 
 class Score(NamedTuple):
-    """A run's figures; shares are 0 to 1, nan where nothing falls under them.
+    """A run's figures; shares are 0 to 1, nan where nothing falls under them."""
 
-    Attributes:
-        objects, frames: how many there are; frames of all objects together that count.
-        shares: right by each of `LIMITS`.
-        bands: by how much is visible, as `BINS` and `WIDE_BINS` have it.
-        mean_mm, worst_mm, mean_deg, worst_deg: of the poses given.
-        missing: share without a pose.
-        astray: share with a pose that is off by more than 20 mm or 10 degrees.
-        lost: objects that in none of their last ten counted frames are right by 10 mm and 5°.
-        again_frames: of each time that an object came back, after how many frames it was right by
-            5 mm and 5°; None where it was not before it was gone again, or at all.
-    """
-
-    objects: int
+    objects: int  # objects, frames: how many there are; frames of all objects together that count
     frames: int
-    shares: tuple[float, ...]
-    bands: tuple[Band, ...]
-    mean_mm: float
+    shares: tuple[float, ...]  # right by each of `LIMITS`
+    bands: tuple[Band, ...]  # by how much is visible, as `BINS` and `WIDE_BINS` have it
+    mean_mm: float  # mean_mm, worst_mm, mean_deg, worst_deg: of the poses given
     worst_mm: float
     mean_deg: float
     worst_deg: float
-    missing: float
-    astray: float
-    lost: int
+    missing: float  # share without a pose
+    astray: float  # share with a pose that is off by more than 20 mm or 10 degrees
+    lost: int  # objects that in none of their last ten counted frames are right by 10 mm and 5°
+    # of each time that an object came back, after how many frames it was right by 5 mm and 5°; None where it was not
+    # before it was gone again, or at all
     again_frames: tuple[int | None, ...]
 
     def band(self, low: float, high: float) -> Band:

@@ -9,33 +9,21 @@ import numpy as np
 from hierax.nodes.tracking.math.geometry import Array, Floats, exp_se3, make_pose
 
 FPS = 30.0
-DRIFT_M, DRIFT_DEG = 0.008, 1.0
-"""How far the reported camera drifts from the true one at most."""
-
-JITTER_M, JITTER_DEG = 0.001, 0.1
-"""Standard deviation, in each axis and frame, of what comes on top."""
-
+DRIFT_M, DRIFT_DEG = 0.008, 1.0  # how far the reported camera drifts from the true one at most
+JITTER_M, JITTER_DEG = 0.001, 0.1  # standard deviation, in each axis and frame, of what comes on top
 _TREMBLE_M, _TREMBLE_DEG = 0.0006, 0.06
 _DRIFT_WIDTH_FRAMES = 8.0
 
 
 class Swing(NamedTuple):
-    """A camera's path around what it looks at.
+    """A camera's path around what it looks at."""
 
-    Attributes:
-        azimuth_deg, elevation_deg: around which it swings.
-        radius_m: its distance at the beginning and at the end.
-        swing_deg: how far to each side, 0 for a still camera.
-        period_s: of the swinging.
-        phase: of the swinging at the beginning, rad.
-    """
-
-    azimuth_deg: float
+    azimuth_deg: float  # azimuth_deg, elevation_deg: around which it swings
     elevation_deg: float
-    radius_m: tuple[float, float]
-    swing_deg: float
-    period_s: float
-    phase: float
+    radius_m: tuple[float, float]  # its distance at the beginning and at the end
+    swing_deg: float  # how far to each side, 0 for a still camera
+    period_s: float  # of the swinging
+    phase: float  # of the swinging at the beginning, rad
 
 
 def camera_path(swing: Swing, target_m: Array, frames: int, rng: np.random.Generator) -> Floats:

@@ -31,32 +31,21 @@ INTRINSICS = np.array([FOCAL_PX, FOCAL_PX, 318.4, 241.2])
 
 _CANDIDATES = 40
 _LOOKS = 6
-_COARSE = 4
-"""Candidates are looked at in pictures that are smaller by this."""
+_COARSE = 4  # candidates are looked at in pictures that are smaller by this
 
 
 @dataclass(frozen=True)
 class Film:
-    """A scene in motion, all of it true.
+    """A scene in motion, all of it true."""
 
-    Attributes:
-        things: the objects.
-        poses: (frames, objects, 4, 4) world_from_object.
-        camera: (frames, 4, 4) world_from_camera.
-        lamp, wood: the light and the table.
-        strangers: things that no model is given of.
-        stranger_poses: (frames, strangers, 4, 4).
-        still: whether start and camera are exact by the kind's nature.
-    """
-
-    things: Sequence[Thing]
-    poses: Floats
-    camera: Floats
-    lamp: Lamp
+    things: Sequence[Thing]  # the objects
+    poses: Floats  # (frames, objects, 4, 4) world_from_object
+    camera: Floats  # (frames, 4, 4) world_from_camera
+    lamp: Lamp  # lamp, wood: the light and the table
     wood: Wood
-    strangers: Sequence[Thing] = ()
-    stranger_poses: Floats = field(default_factory=lambda: np.zeros((0, 0, 4, 4)))
-    still: bool = False
+    strangers: Sequence[Thing] = ()  # things that no model is given of
+    stranger_poses: Floats = field(default_factory=lambda: np.zeros((0, 0, 4, 4)))  # (frames, strangers, 4, 4)
+    still: bool = False  # whether start and camera are exact by the kind's nature
 
     def first(self, objects: int | None) -> Film:
         """The film with so many of its objects at most.
@@ -232,6 +221,7 @@ def _coarse_size() -> tuple[int, int]:
     return SIZE[0] // _COARSE, SIZE[1] // _COARSE
 
 
+# By name.
 KINDS: dict[str, Callable[[np.random.Generator, int], Film]] = {
     "scattered": _scattered,
     "hidden": _hidden,
@@ -240,4 +230,3 @@ KINDS: dict[str, Callable[[np.random.Generator, int], Film]] = {
     "low-contrast": _low_contrast,
     "pushed": _pushed,
 }
-"""By name."""

@@ -26,12 +26,8 @@ from hierax.nodes.tracking.math.geometry import (
 from hierax.nodes.tracking.simworld.raster import visible_shares
 from hierax.nodes.tracking.simworld.shapes import Thing, box, regular, wedge
 
-MOST_PX = 9.0
-"""The camera stands so far away that nothing moves by more than about this from frame to frame."""
-
-HIDDEN_FRAMES = 22
-"""For how many frames the screen hides what slides behind it."""
-
+MOST_PX = 9.0  # the camera stands so far away that nothing moves by more than about this from frame to frame
+HIDDEN_FRAMES = 22  # for how many frames the screen hides what slides behind it
 _STEPS = 16
 _DENSITY_KG_M3 = 500.0
 _ROD_M = (0.007, 0.36)
@@ -51,17 +47,11 @@ class Pushed(NamedTuple):
 
 
 class _Plan(NamedTuple):
-    """Things where they stand at first, and the rod's way.
+    """Things where they stand at first, and the rod's way."""
 
-    Attributes:
-        things: the objects; the screen is 0, what slides behind it is 1.
-        rod: the rod at its first place.
-        times_s, tips_m: (n,) and (n, 3): when the rod's tip is where.
-    """
-
-    things: list[Thing]
-    rod: Thing
-    times_s: Floats
+    things: list[Thing]  # the objects; the screen is 0, what slides behind it is 1
+    rod: Thing  # the rod at its first place
+    times_s: Floats  # times_s, tips_m: (n,) and (n, 3): when the rod's tip is where
     tips_m: Floats
 
 

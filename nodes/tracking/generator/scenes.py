@@ -180,11 +180,7 @@ def _cameras(path: Floats) -> dict[str, Any]:
 
 def _objects(poses: Sequence[Floats]) -> list[dict[str, Any]]:
     return [
-        {
-            "cam_R_m2c": pose[:3, :3].ravel().tolist(),
-            "cam_t_m2c": (pose[:3, 3] / BOP_UNIT_M).tolist(),
-            "obj_id": number,
-        }
+        {"cam_R_m2c": pose[:3, :3].ravel().tolist(), "cam_t_m2c": (pose[:3, 3] / BOP_UNIT_M).tolist(), "obj_id": number}
         for number, pose in enumerate(poses, start=1)
     ]
 

@@ -13,25 +13,19 @@ from hierax.nodes.tracking.simworld.shapes import Shape, Thing, angle_piece, box
 
 cv2.setNumThreads(1)
 
+# world_from_object of what lies as it was extruded, and of what has its y axis upwards.
 _UPRIGHT = np.eye(3)
 _LYING = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
-"""world_from_object of what lies as it was extruded, and of what has its y axis upwards."""
 
 _TRIES = 400
 
 
 class Item(NamedTuple):
-    """A thing that has no place yet.
+    """A thing that has no place yet."""
 
-    Attributes:
-        shape: its form.
-        rest: (3, 3) rotation in which it lies steadily.
-        colour: RGB, 0 to 255.
-    """
-
-    shape: Shape
-    rest: Floats
-    colour: tuple[int, int, int]
+    shape: Shape  # its form
+    rest: Floats  # (3, 3) rotation in which it lies steadily
+    colour: tuple[int, int, int]  # RGB, 0 to 255
 
     @property
     def height_m(self) -> float:
@@ -83,11 +77,7 @@ def greys(rng: np.random.Generator, count: int, middle: float) -> list[tuple[int
 
 
 def scattered(
-    items: Sequence[Item],
-    rng: np.random.Generator,
-    radius_m: float,
-    gap_m: float,
-    taken: Sequence[Thing] = (),
+    items: Sequence[Item], rng: np.random.Generator, radius_m: float, gap_m: float, taken: Sequence[Thing] = ()
 ) -> list[Thing] | None:
     """Put items on the table, at random in a disc around the origin.
 

@@ -12,9 +12,7 @@ import numpy as np
 
 from hierax.nodes.tracking.math.geometry import Floats, exp_se3
 
-AT_ONCE = 8
-"""So many poses are imagined of a body for one image."""
-
+AT_ONCE = 8  # so many poses are imagined of a body for one image
 _BASES = (2, 3, 5, 7, 11, 13)
 _TABLE = 512
 

@@ -1,10 +1,9 @@
 """Control points on the edges of objects that a camera is expected to see, and the chance that each one is.
 
-An edge is an outline where all that the object shows beside it lies on one side of it in
-the image, a crease where faces on both sides are seen. A smooth surface has its outline
-where it turns away. What an object hides of itself is left out. What another may hide is
-kept with the chance that it does not, given how uncertain both poses are: a mask that is
-believed too firmly hides true edges.
+An edge is an outline where all that the object shows beside it lies on one side of it in the image, a crease where
+faces on both sides are seen. A smooth surface has its outline where it turns away. What an object hides of itself is
+left out. What another may hide is kept with the chance that it does not, given how uncertain both poses are: a mask
+that is believed too firmly hides true edges.
 """
 
 from __future__ import annotations
@@ -25,45 +24,30 @@ CREASE = 1
 SPACING_PX = 4.0
 POINTS_MAX = 300
 
-_MARGIN_PX = 3.0
-"""From the ends of a chain: near a corner, another edge may be the nearest."""
+_MARGIN_PX = 3.0  # from the ends of a chain: near a corner, another edge may be the nearest
+_OUTSIDE_PX = 8.0  # how far outside the image points are still listed: the camera may turn a little
+_SECTORS = 12  # directions that parts of smooth outlines are told apart by
+_BESIDE_PX = 1.0  # how far beside an edge an object's own depth is looked up
 
-_OUTSIDE_PX = 8.0
-"""How far outside the image points are still listed: the camera may turn a little."""
-
-_SECTORS = 12
-"""Directions that parts of smooth outlines are told apart by."""
-
-_BESIDE_PX = 1.0
-"""How far beside an edge an object's own depth is looked up."""
-
+# Of the object's size: a point that is deeper by more than this under its own surface is hidden by it.
 _OWN_SHARE = 0.01
-"""Of the object's size: a point that is deeper by more than this under its own surface is hidden by it."""
 
 
 class Controls(NamedTuple):
-    """Control points on one object, in the object's frame, sorted by edge.
+    """Control points on one object, in the object's frame, sorted by edge."""
 
-    Attributes:
-        points: (n, 3) float64, metres.
-        tangents: (n, 3) unit vectors along the edge.
-        inwards: (n, 3) unit vectors across the edge in the first face that is seen beside it, away from the edge;
-            on the outline of a smooth surface, into the body.
-        kinds: (n,) uint8, `OUTLINE` or `CREASE`.
-        edges: (n,) int32, number of the edge, the same whatever is seen of it; edges are about straight, rims in arcs.
-            An outline of a smooth surface is numbered by the direction to which it bounds the surface.
-        faces: (n, 2) int32, numbers of the patches of the surface seen beside it, the one of `inwards` first;
-            -1: none.
-        visible: (n,) float32, the chance that no other object hides it.
-    """
-
-    points: Floats
-    tangents: Floats
+    points: Floats  # (n, 3) float64, metres
+    tangents: Floats  # (n, 3) unit vectors along the edge
+    # (n, 3) unit vectors across the edge in the first face that is seen beside it, away from the edge; on the outline
+    # of a smooth surface, into the body
     inwards: Floats
-    kinds: NDArray[np.uint8]
+    kinds: NDArray[np.uint8]  # (n,) uint8, `OUTLINE` or `CREASE`
+    # (n,) int32, number of the edge, the same whatever is seen of it; edges are about straight, rims in arcs. An
+    # outline of a smooth surface is numbered by the direction to which it bounds the surface.
     edges: Ints
+    # (n, 2) int32, numbers of the patches of the surface seen beside it, the one of `inwards` first; -1: none
     faces: Ints
-    visible: NDArray[np.float32]
+    visible: NDArray[np.float32]  # (n,) float32, the chance that no other object hides it
 
 
 class _Lines(NamedTuple):

@@ -1,10 +1,9 @@
 """Each object drawn alone: its depth in a window of the image, as if nothing hid it.
 
-A mesh of few triangles is drawn by exact ray casting. A ray r (z = 1) meets the triangle of
-corners a, b, c where r = a·α + b·β + c·γ with α, β, γ not below 0, at the inverse depth
-1/z = α + β + γ; all four are affine in the pixel. A large mesh is drawn by pybullet's
-TinyRenderer, each by a client of its own with nothing else in it: no table, no light, no
-physics. The client is a cache; a layer depends on the arguments alone, to the bit.
+A mesh of few triangles is drawn by exact ray casting. A ray r (z = 1) meets the triangle of corners a, b, c where r =
+a·α + b·β + c·γ with α, β, γ not below 0, at the inverse depth 1/z = α + β + γ; all four are affine in the pixel. A
+large mesh is drawn by pybullet's TinyRenderer, each by a client of its own with nothing else in it: no table, no light,
+no physics. The client is a cache; a layer depends on the arguments alone, to the bit.
 """
 
 from __future__ import annotations
@@ -22,18 +21,11 @@ from hierax.nodes.tracking.model.shapes import Shape
 
 NEAREST_M = 0.01
 
-_FACES_PER_SHAPE = 15_000
-"""A pybullet visual shape refuses much larger meshes; larger ones are drawn in parts."""
-
-_CAST_MAX = 300
-"""Triangles up to which casting rays is quicker than TinyRenderer."""
-
+_FACES_PER_SHAPE = 15_000  # a pybullet visual shape refuses much larger meshes; larger ones are drawn in parts
+_CAST_MAX = 300  # triangles up to which casting rays is quicker than TinyRenderer
 _MARGIN_PX = 3
-_BARELY = 1e-12
-"""A plane or a triangle that comes nearer to the camera's centre than this (m, m³) is seen edge-on."""
-
-_SEAM = 1e-9
-"""What α, β, γ may be below 0, 1/m: a ray between two triangles meets one of them."""
+_BARELY = 1e-12  # a plane or a triangle that comes nearer to the camera's centre than this (m, m³) is seen edge-on
+_SEAM = 1e-9  # what α, β, γ may be below 0, 1/m: a ray between two triangles meets one of them
 
 
 class Window(NamedTuple):
@@ -56,17 +48,12 @@ class Window(NamedTuple):
 
 
 class Layer(NamedTuple):
-    """One object as a camera sees it, were it alone.
+    """One object as a camera sees it, were it alone."""
 
-    Attributes:
-        window: where its image stands in the camera's.
-        inverse: (h, w) float64, 1/z of the surface, 1/m; 0 where it is not.
-        sides: (n, 3) of the far sides of its bounding box: 1/z at pixel (u, v) of the camera's image is
-            a·u + b·v + c; a ray leaves the box where the greatest of them is.
-    """
-
-    window: Window
-    inverse: Floats
+    window: Window  # where its image stands in the camera's
+    inverse: Floats  # (h, w) float64, 1/z of the surface, 1/m; 0 where it is not
+    # (n, 3) of the far sides of its bounding box: 1/z at pixel (u, v) of the camera's image is a·u + b·v + c; a ray
+    # leaves the box where the greatest of them is
     sides: Floats
 
     def leaving(self, pixels: Floats) -> Floats:

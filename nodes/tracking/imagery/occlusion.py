@@ -1,9 +1,8 @@
 """The chance that points on one object are hidden by another, both at uncertain poses.
 
-A point is hidden where it lies inside the other's outline in the image, and behind it.
-Both are uncertain: the outline by what both poses' errors move it and the point against
-each other, across the outline; the order in depth likewise, along the ray. Solid bodies do
-not run into each other: whatever is nearer than the middle of the other body, along the
+A point is hidden where it lies inside the other's outline in the image, and behind it. Both are uncertain: the outline
+by what both poses' errors move it and the point against each other, across the outline; the order in depth likewise,
+along the ray. Solid bodies do not run into each other: whatever is nearer than the middle of the other body, along the
 ray, lies before it, and touches it at most.
 """
 
@@ -21,32 +20,22 @@ from hierax.nodes.tracking.math.geometry import Array, Floats, invert, project, 
 
 cv2.setNumThreads(1)
 
-_REACH_PX = 24
-"""How far outside an outline its uncertainty is still looked at."""
+_REACH_PX = 24  # how far outside an outline its uncertainty is still looked at
 
+# Standard deviations of what is left when both poses are certain: pixels are whole, models are not exact.
 _LEAST_PX = 0.7
 _LEAST_M = 0.001
-"""Standard deviations of what is left when both poses are certain: pixels are whole, models are not exact."""
 
-_INSIDE_PX = 1.5
-"""How far inside the outline the depth of what may hide is read."""
-
-_SURE = 3.0
-"""Standard deviations in depth at which a point is before something for sure."""
+_INSIDE_PX = 1.5  # how far inside the outline the depth of what may hide is read
+_SURE = 3.0  # standard deviations in depth at which a point is before something for sure
 
 
 class Placed(NamedTuple):
-    """An object as it is expected.
+    """An object as it is expected."""
 
-    Attributes:
-        pose: camera_from_object.
-        covariance: (6, 6) of the pose's error, twist in the object's frame.
-        layer: the object drawn alone; None where it is not in the image.
-    """
-
-    pose: Floats
-    covariance: Floats
-    layer: Layer | None
+    pose: Floats  # camera_from_object
+    covariance: Floats  # (6, 6) of the pose's error, twist in the object's frame
+    layer: Layer | None  # the object drawn alone; None where it is not in the image
 
 
 class _Points(NamedTuple):

@@ -1,9 +1,8 @@
 """Rigid bodies that push one another: pybullet as a pure function of values.
 
-A pybullet client that is only given poses and velocities goes on differently from the
-one that they came from (it keeps contacts and solver state), so it is emptied and built
-again from the values at every call: about a millisecond for six cubes, and equal to the
-bit however often and in whichever process it is done.
+A pybullet client that is only given poses and velocities goes on differently from the one that they came from (it keeps
+contacts and solver state), so it is emptied and built again from the values at every call: about a millisecond for six
+cubes, and equal to the bit however often and in whichever process it is done.
 """
 
 from __future__ import annotations
@@ -28,31 +27,20 @@ HULL_DIRECTIONS = 240
 
 
 class Motion(NamedTuple):
-    """Where a body is and how it moves.
+    """Where a body is and how it moves."""
 
-    Attributes:
-        pose: world_from_object, 4x4.
-        velocity: linear (m/s) of the object's origin and angular (rad/s), both in the world frame, (6,).
-    """
-
-    pose: Floats
-    velocity: Floats
+    pose: Floats  # world_from_object, 4x4
+    velocity: Floats  # linear (m/s) of the object's origin and angular (rad/s), both in the world frame, (6,)
 
 
 @dataclass(frozen=True)
 class Solid:
-    """A body's shape and matter, all that contacts depend on.
+    """A body's shape and matter, all that contacts depend on."""
 
-    Attributes:
-        vertices: (n, 3), metres, in the object frame; the shape is their convex hull, of
-            large meshes approximately.
-        mass: kg, evenly spread over the shape's bounding box.
-        friction: Coulomb's coefficient; that of two bodies in contact is the product.
-    """
-
+    # (n, 3), metres, in the object frame; the shape is their convex hull, of large meshes approximately
     vertices: Floats
-    mass: float
-    friction: float = 0.7
+    mass: float  # kg, evenly spread over the shape's bounding box
+    friction: float = 0.7  # Coulomb's coefficient; that of two bodies in contact is the product
     centre: Floats = field(init=False)
     half: Floats = field(init=False)
     hull: Floats = field(init=False, repr=False)
@@ -90,8 +78,7 @@ class Simulator:
 
         Args:
             solids, motions: of each body, in the same order.
-            duration_s: how long, in seconds; done in equal steps of at most `STEP_S`, at
-                most `MAX_STEPS` of them.
+            duration_s: how long, in seconds; done in equal steps of at most `STEP_S`, at most `MAX_STEPS` of them.
             drives: by index of a body, the horizontal velocity (2,), m/s, to which a thread
                 draws it; it pulls against the friction of that body alone.
 

@@ -7,15 +7,15 @@ import numpy as np
 from hierax.nodes.tracking.math.geometry import Floats
 from hierax.nodes.tracking.schema import Body
 
+# How certain the height and the tilt of a body at rest are, and how fast one moves that is not.
 _RESTING_M = 0.0005
 _RESTING_RAD = 0.004
 _RESTING_M_S = 0.1
 _RESTING_RAD_S = 0.3
-"""How certain the height and the tilt of a body at rest are, and how fast one moves that is not."""
 
+# What lies on a face has corners no higher than this above the lowest, and spread as far (standard deviation).
 _FLAT_M = 0.004
 _BASE_M = 0.003
-"""What lies on a face has corners no higher than this above the lowest, and spread as far (standard deviation)."""
 
 
 def resting(body: Body, carried: bool) -> Body:

@@ -7,11 +7,8 @@ from pathlib import Path
 
 from hierax.nodes.tracking.errors import DataError
 
-MAX_FILE_BYTES = 1 << 26
-"""Of a model, an image or a JSON file."""
-
-MAX_PIXELS = 1 << 25
-"""Of an image: a small file may unpack to gigabytes."""
+MAX_FILE_BYTES = 1 << 26  # of a model, an image or a JSON file
+MAX_PIXELS = 1 << 25  # of an image: a small file may unpack to gigabytes
 
 
 def read_file(path: Path, expected: str) -> bytes:

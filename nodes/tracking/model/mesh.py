@@ -12,15 +12,10 @@ from hierax.nodes.tracking.math.geometry import Floats
 
 
 class Mesh(NamedTuple):
-    """A surface of triangles.
+    """A surface of triangles."""
 
-    Attributes:
-        vertices: (n, 3) float64, metres.
-        faces: (m, 3) int32, indices of vertices, counter-clockwise seen from outside.
-    """
-
-    vertices: Floats
-    faces: NDArray[np.int32]
+    vertices: Floats  # (n, 3) float64, metres
+    faces: NDArray[np.int32]  # (m, 3) int32, indices of vertices, counter-clockwise seen from outside
 
 
 def box_mesh(size: Sequence[float]) -> Mesh:

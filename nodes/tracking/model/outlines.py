@@ -12,19 +12,12 @@ from hierax.nodes.tracking.model.shapes import Ints, Shape
 
 
 class Outline(NamedTuple):
-    """Pieces (n) of the lines at which a surface's normal is at right angles to the ray, object's frame.
+    """Pieces (n) of the lines at which a surface's normal is at right angles to the ray, object's frame."""
 
-    Attributes:
-        ends: (n, 2, 3) metres; each begins where the one before it in its chain ended.
-        outwards: (n, 3) unit normals of the surface.
-        smooth: (n,) places in `Shape.smooth` of the faces that they cross.
-        chains: (n,) number of the chain, from 0, rising.
-    """
-
-    ends: Floats
-    outwards: Floats
-    smooth: NDArray[np.intp]
-    chains: Ints
+    ends: Floats  # (n, 2, 3) metres; each begins where the one before it in its chain ended
+    outwards: Floats  # (n, 3) unit normals of the surface
+    smooth: NDArray[np.intp]  # (n,) places in `Shape.smooth` of the faces that they cross
+    chains: Ints  # (n,) number of the chain, from 0, rising
 
 
 def outline_of(shape: Shape, viewpoint: Floats) -> Outline:

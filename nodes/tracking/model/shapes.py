@@ -10,61 +10,39 @@ from numpy.typing import NDArray
 
 from hierax.nodes.tracking.math.geometry import Array, Floats
 
+# Faces that meet at a larger angle meet in an edge that is seen; at a smaller one the surface is smooth.
 SHARP_RADIANS = 0.3
-"""Faces that meet at a larger angle meet in an edge that is seen; at a smaller one the surface is smooth."""
 
 _PLANAR_RADIANS = 0.005
+# Vertices nearer than this share of the mesh's diameter are one: files double them along the seams of textures.
 _WELD = 1e-6
-"""Vertices nearer than this share of the mesh's diameter are one: files double them along the seams of textures."""
 
-_STRAIGHT = 0.94
-"""Cosine of the largest angle between two edges that go on one another in a chain."""
-
-_ARC = 0.7
-"""Cosine of the angle to its first edge up to which a chain goes on."""
-
+_STRAIGHT = 0.94  # cosine of the largest angle between two edges that go on one another in a chain
+_ARC = 0.7  # cosine of the angle to its first edge up to which a chain goes on
 Ints = NDArray[np.int32]
 Flags = NDArray[np.bool_]
 
 
 class Shape(NamedTuple):
-    """A mesh, prepared. Everything stands in the object's frame.
+    """A mesh, prepared. Everything stands in the object's frame."""
 
-    Attributes:
-        vertices: (v, 3) metres.
-        faces: (m, 3) indices of vertices; neighbours are wound alike, a closed surface counter-clockwise from outside.
-        normals: (m, 3) unit.
-        closed: (m,) whether the face belongs to a closed surface, of which only the outside is ever seen.
-        patches: (m,) number of the patch of the surface, bounded by sharp edges, that the face belongs to.
-        edges: (e, 2) indices of vertices: the sharp edges, chain by chain, each in its order.
-        edge_faces: (e, 2) the faces beside each; the second is -1 where a sheet ends.
-        inwards: (e, 2, 3) unit vectors in those faces, across the edge and away from it.
-        chains: (e,) number of the chain that the edge belongs to, rising: pieces that go on about straight are one.
-        smooth: (k,) faces beside which the surface bends without an edge.
-        smooth_patches: (k,) which of the patches with such faces, counted from 0, each belongs to.
-        smooth_corners: (k, 3) their corners, as numbers of the next two.
-        corners: (u, 3) points of smooth surfaces, one for each vertex and patch.
-        corner_normals: (u, 3) unit normals of the smooth surface there.
-        convex: whether no part of it ever hides another.
-        low, high: (3,) of the bounding box.
-    """
-
-    vertices: Floats
+    vertices: Floats  # (v, 3) metres
+    # (m, 3) indices of vertices; neighbours are wound alike, a closed surface counter-clockwise from outside
     faces: Ints
-    normals: Floats
-    closed: Flags
-    patches: Ints
-    edges: Ints
-    edge_faces: Ints
-    inwards: Floats
-    chains: Ints
-    smooth: Ints
-    smooth_patches: Ints
-    smooth_corners: Ints
-    corners: Floats
-    corner_normals: Floats
-    convex: bool
-    low: Floats
+    normals: Floats  # (m, 3) unit
+    closed: Flags  # (m,) whether the face belongs to a closed surface, of which only the outside is ever seen
+    patches: Ints  # (m,) number of the patch of the surface, bounded by sharp edges, that the face belongs to
+    edges: Ints  # (e, 2) indices of vertices: the sharp edges, chain by chain, each in its order
+    edge_faces: Ints  # (e, 2) the faces beside each; the second is -1 where a sheet ends
+    inwards: Floats  # (e, 2, 3) unit vectors in those faces, across the edge and away from it
+    chains: Ints  # (e,) number of the chain that the edge belongs to, rising: pieces that go on about straight are one
+    smooth: Ints  # (k,) faces beside which the surface bends without an edge
+    smooth_patches: Ints  # (k,) which of the patches with such faces, counted from 0, each belongs to
+    smooth_corners: Ints  # (k, 3) their corners, as numbers of the next two
+    corners: Floats  # (u, 3) points of smooth surfaces, one for each vertex and patch
+    corner_normals: Floats  # (u, 3) unit normals of the smooth surface there
+    convex: bool  # whether no part of it ever hides another
+    low: Floats  # low, high: (3,) of the bounding box
     high: Floats
 
 

@@ -30,8 +30,7 @@ from hierax.nodes.tracking.schema import (
 from hierax.runtime import Elements, Node
 
 _NO_EDGES = np.zeros((0, 2, 3))
-_LEAST_INFORMATION = 1e-2
-"""Of the first pose's, counted as seen, so that what no line shows stays finite."""
+_LEAST_INFORMATION = 1e-2  # of the first pose's, counted as seen, so that what no line shows stays finite
 
 
 class PaperArmNode(Node):

@@ -1,10 +1,9 @@
 """The update of the arm as the paper prints it (theory, example 3): line segments, matched, and solvePnP.
 
-Expected edges: the object's part of the depth image, its Laplacian, a Hough transform for the
-end points, and the depth image for their depths. The Laplacian is that of the *inverse*
-depth: what a plane looks like in it is affine in the pixel, so that it vanishes on the
-faces. Each expected edge is matched to the nearest line segment of the image that runs
-alike, and its end points to where they fall on that; solvePnP gives the pose.
+Expected edges: the object's part of the depth image, its Laplacian, a Hough transform for the end points, and the depth
+image for their depths. The Laplacian is that of the *inverse* depth: what a plane looks like in it is affine in the
+pixel, so that it vanishes on the faces. Each expected edge is matched to the nearest line segment of the image that
+runs alike, and its end points to where they fall on that; solvePnP gives the pose.
 """
 
 from __future__ import annotations
@@ -19,19 +18,15 @@ from hierax.nodes.tracking.math.geometry import Array, Floats, exp_so3, log_so3,
 
 cv2.setNumThreads(1)
 
-_BEND = 2e-3
-"""Laplacian of the inverse depth, relative to it, from which a pixel is on an edge."""
-
+_BEND = 2e-3  # laplacian of the inverse depth, relative to it, from which a pixel is on an edge
 _VOTES = 12
 _SHORTEST_PX = 8.0
 _GAP_PX = 4.0
+# Two lines that the Hough transform finds along one edge: nearer and more alike than this.
 _SAME_PX = 3.0
 _SAME_COSINE = 0.985
-"""Two lines that the Hough transform finds along one edge: nearer and more alike than this."""
 
-_DEPTH_PX = 3
-"""How far around an end point the surface that it lies on is looked for."""
-
+_DEPTH_PX = 3  # how far around an end point the surface that it lies on is looked for
 _GATES_PX = (16.0, 10.0, 6.0, 4.0, 3.0)
 _ALIKE_COSINE = 0.97
 _LEAST_LINES = 3
@@ -39,20 +34,14 @@ _NEAREST_M = 0.02
 
 
 class LineMatch(NamedTuple):
-    """What the line segments of an image say of a pose.
+    """What the line segments of an image say of a pose."""
 
-    Attributes:
-        pose: camera_from_object, corrected.
-        information: (6, 6) about the twist ξ in ``pose @ exp_se3(ξ)``, for end points that err by one pixel
-            across their line, independently.
-        score: 0 to 1: the share of the expected edges, by length, that a segment was matched to.
-        residual_px: root mean square of the end points' distances to their lines.
-    """
-
-    pose: Floats
+    pose: Floats  # camera_from_object, corrected
+    # (6, 6) about the twist ξ in ``pose @ exp_se3(ξ)``, for end points that err by one pixel across their line,
+    # independently
     information: Floats
-    score: float
-    residual_px: float
+    score: float  # 0 to 1: the share of the expected edges, by length, that a segment was matched to
+    residual_px: float  # root mean square of the end points' distances to their lines
 
 
 def image_lines(image: Array) -> Floats:

@@ -35,73 +35,46 @@ from hierax.nodes.tracking.search.multistart import Found, Looking, in_turn
 from hierax.nodes.tracking.search.reacquisition import look_elsewhere
 
 _SEARCHED_AT_ONCE = 3
-_LEAST_SHOWN = 10.0
-"""An object of which fewer control points should be seen is not judged by the image."""
-
+_LEAST_SHOWN = 10.0  # an object of which fewer control points should be seen is not judged by the image
 _SURE_SEEN = 0.9
+# What is predicted to move less than this from one image to the next, and is as calm, tells where its edges are off: by
+# its shadows. Of what moves, the prediction is, and an edge that comes into view would soon not be trusted.
 _LEARNED_UNREST = 0.1
 _STILL_M, _STILL_RAD = 0.0005, 0.002
-"""What is predicted to move less than this from one image to the next, and is as calm, tells where its edges are off:
-by its shadows. Of what moves, the prediction is, and an edge that comes into view would soon not be trusted."""
 
 _FOUND_PX = 1.0
 
 
 class Options(NamedTuple):
-    """How far things go.
+    """How far things go."""
 
-    Attributes:
-        motion: (6, 6) covariance of an object's deviation from its prediction within a frame, when it is pushed;
-            or (m, 6, 6), of each.
-        error_px: standard deviation of a control point, as if they erred independently.
-        sure_score: an object that scores less is also looked for farther away.
-        certain_score: so is one that was found again just now and scores less than this.
-        falling: as `motion`, falling over included; None: the same.
-    """
-
+    # (6, 6) covariance of an object's deviation from its prediction within a frame, when it is pushed; or (m, 6, 6), of
+    # each
     motion: Floats
-    error_px: float
-    sure_score: float
-    certain_score: float = 0.95
-    falling: Floats | None = None
+    error_px: float  # standard deviation of a control point, as if they erred independently
+    sure_score: float  # an object that scores less is also looked for farther away
+    certain_score: float = 0.95  # so is one that was found again just now and scores less than this
+    falling: Floats | None = None  # as `motion`, falling over included; None: the same
 
 
 class Estimate(NamedTuple):
-    """One object after the image.
+    """One object after the image."""
 
-    Attributes:
-        pose: camera_from_object.
-        covariance: (6, 6) twist in the object's frame.
-        unrest: how much of `Options.motion` its latest motion asks for.
-        trend: see `hierax.nodes.tracking.estimation.fusion.Prior`.
-        score: 0 to 1.
-        shown: how many control points should have been seen.
-        slots: what is remembered of its looks.
-        vain: for how many images in a row it was looked for elsewhere and not found there.
-        elsewhere: whether it was found there now.
-        sure: false where another pose explains the image nearly as well.
-        guesses: (n, 4, 4) the poses that explain the image best besides.
-    """
-
-    pose: Floats
-    covariance: Floats
-    unrest: float
-    trend: Floats
-    score: float
-    shown: float
-    slots: Looks
-    vain: int
-    elsewhere: bool
-    sure: bool
-    guesses: Floats
+    pose: Floats  # camera_from_object
+    covariance: Floats  # (6, 6) twist in the object's frame
+    unrest: float  # how much of `Options.motion` its latest motion asks for
+    trend: Floats  # see `hierax.nodes.tracking.estimation.fusion.Prior`
+    score: float  # 0 to 1
+    shown: float  # how many control points should have been seen
+    slots: Looks  # what is remembered of its looks
+    vain: int  # for how many images in a row it was looked for elsewhere and not found there
+    elsewhere: bool  # whether it was found there now
+    sure: bool  # false where another pose explains the image nearly as well
+    guesses: Floats  # (n, 4, 4) the poses that explain the image best besides
 
 
 def associate(
-    image: Image,
-    objects: Sequence[TrackedObject],
-    camera: Floats | None,
-    intrinsics: Array,
-    options: Options,
+    image: Image, objects: Sequence[TrackedObject], camera: Floats | None, intrinsics: Array, options: Options
 ) -> tuple[Floats, list[Estimate]] | None:
     """The poses that explain an image.
 
@@ -203,12 +176,7 @@ def _is_still(item: TrackedObject, unrest: float) -> bool:
 
 
 def _learned(
-    aligned: Aligned,
-    found: Found,
-    task: Task,
-    slots: list[Looks],
-    doubtful: list[int],
-    still: list[bool],
+    aligned: Aligned, found: Found, task: Task, slots: list[Looks], doubtful: list[int], still: list[bool]
 ) -> list[Looks]:
     """What is remembered of the looks of those objects that are surely where they were expected."""
     controls, lines, profiles, matches = task.controls, aligned.lines, aligned.profiles, aligned.matches

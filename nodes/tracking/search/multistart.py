@@ -1,9 +1,8 @@
 """Looking for objects that are not where they were expected: many starts, the best explained one wins.
 
-An object may be on its way from where it was, faster or slower than thought, or anywhere that
-its uncertainty allows. All starts are aligned roughly at once, the best few of each object
-finely. One that more control points speak for takes the place of the expected explanation;
-the more unlikely it was before the image, the more.
+An object may be on its way from where it was, faster or slower than thought, or anywhere that its uncertainty allows.
+All starts are aligned roughly at once, the best few of each object finely. One that more control points speak for takes
+the place of the expected explanation; the more unlikely it was before the image, the more.
 """
 
 from __future__ import annotations
@@ -29,54 +28,48 @@ ROUGH = Search(
     reach_px=(20,), scale_px=((20.0, 6.0),), iterations=5, fine_px=(4.0, 4.0), fine_iterations=1, support_px=3.0
 )
 FINE = Search(reach_px=(10, 5), scale_px=((10.0, 4.0), (4.0, 1.0)), iterations=5)
+# How many of an object's starts are aligned finely, and with how many of its control points all are roughly.
 _KEPT = 4
 ROUGH_POINTS = 40
-"""How many of an object's starts are aligned finely, and with how many of its control points all are roughly."""
 
-_BETTER = 0.03
-"""By so much of its control points another explanation must be better than the expected one."""
+_BETTER = 0.03  # by so much of its control points another explanation must be better than the expected one
+_LEAST_FOUND = 18.0  # where fewer of its control points should be seen, an object is not found
 
-_LEAST_FOUND = 18.0
-"""Where fewer of its control points should be seen, an object is not found."""
-
+# So large a share of the control points that support the expected explanation must speak for another one beyond that,
+# however unlikely it was before.
 _UNLIKELIEST = 0.25
-"""So large a share of the control points that support the expected explanation must speak for another one beyond
-that, however unlikely it was before."""
 
+# Such a share speaks against one that lies within a push, or a fall, of the expected one, besides its distance; the
+# second where an image of a still camera supports the expected one suddenly less.
 _EVENT, _EVENT_SEEN = 0.18, 0.08
-"""Such a share speaks against one that lies within a push, or a fall, of the expected one, besides its distance; the
-second where an image of a still camera supports the expected one suddenly less."""
 
-_WORSE = 0.85
-"""By less than this part of what it did before."""
+_WORSE = 0.85  # by less than this part of what it did before
 
+# An object that the image supports by that score where it was expected is not farther away than a push can have moved
+# it (one of which no image has told yet: than its first pose can be off): the square of the distance, in standard
+# deviations.
 _SUPPORTED = 0.35
 _REACH = 36.0
-"""An object that the image supports by that score where it was expected is not farther away than a push can have
-moved it (one of which no image has told yet: than its first pose can be off): the square of the distance, in
-standard deviations."""
 
-_MUCH = 0.12
-"""Unless the image supports it there by so large a share of its control points more."""
-
+_MUCH = 0.12  # unless the image supports it there by so large a share of its control points more
 _FARTHER = (1.0, 0.0, 0.5, 1.5, 2.0)
 _AROUND = np.random.default_rng(1).normal(size=(4, 24, 6))
+# Of an object whose place is that uncertain, so many standard deviations are tried in two directions.
 _VAGUE_M = 0.015
 _LEVER_M = 0.05
 _GRID = np.stack(np.meshgrid(np.linspace(-1.5, 1.5, 7), np.linspace(-1.5, 1.5, 7)), axis=-1).reshape(-1, 2)
-"""Of an object whose place is that uncertain, so many standard deviations are tried in two directions."""
 
+# An object that was looked for in vain so often in a row is looked for only in every so manyeth image.
 _VAIN_AT_ONCE = 5
 _VAIN_EVERY = 8
-"""An object that was looked for in vain so often in a row is looked for only in every so manyeth image."""
 
 
+# How much farther an object may be that was looked for in vain, or that was found again just now (m², rad²).
 _ASTRAY = np.diag([0.01**2] * 3 + [0.3**2] * 3)
-"""How much farther an object may be that was looked for in vain, or that was found again just now (m², rad²)."""
 
 
+# Of what its motion may change in a frame, what falls over rises or sinks by so much: by less than it slides.
 FALLING = 0.3
-"""Of what its motion may change in a frame, what falls over rises or sinks by so much: by less than it slides."""
 
 
 def held(motion: Floats, support: Floats, upwards: float, tilting: float) -> Floats:
@@ -95,31 +88,18 @@ def held(motion: Floats, support: Floats, upwards: float, tilting: float) -> Flo
 
 
 class Found(NamedTuple):
-    """What is found of the objects in an image.
+    """What is found of the objects in an image."""
 
-    Attributes:
-        poses: (m, 4, 4) camera_from_object.
-        covariance: (m, 6, 6) twist in the object's frame.
-        scores: (m,) 0 to 1.
-        shown: (m,) how many control points should be seen.
-        gains: (m,) how many of them speak for the pose.
-        unrest: (m,) how much of a push the latest motion asks for.
-        trend: (m, 6) see `hierax.nodes.tracking.estimation.fusion.Prior`.
-        elsewhere: (m,) whether it was found elsewhere than expected.
-        sure: (m,) false where another pose explains the image nearly as well.
-        guesses: of each object the (n, 4, 4) poses that explain the image best besides.
-    """
-
-    poses: Floats
-    covariance: Floats
-    scores: Floats
-    shown: Floats
-    gains: Floats
-    unrest: Floats
-    trend: Floats
-    elsewhere: NDArray[np.bool_]
-    sure: NDArray[np.bool_]
-    guesses: list[Floats]
+    poses: Floats  # (m, 4, 4) camera_from_object
+    covariance: Floats  # (m, 6, 6) twist in the object's frame
+    scores: Floats  # (m,) 0 to 1
+    shown: Floats  # (m,) how many control points should be seen
+    gains: Floats  # (m,) how many of them speak for the pose
+    unrest: Floats  # (m,) how much of a push the latest motion asks for
+    trend: Floats  # (m, 6) see `hierax.nodes.tracking.estimation.fusion.Prior`
+    elsewhere: NDArray[np.bool_]  # (m,) whether it was found elsewhere than expected
+    sure: NDArray[np.bool_]  # (m,) false where another pose explains the image nearly as well
+    guesses: list[Floats]  # of each object the (n, 4, 4) poses that explain the image best besides
 
     def copied(self) -> Found:
         """The same, to be changed."""

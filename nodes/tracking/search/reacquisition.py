@@ -31,34 +31,30 @@ from hierax.nodes.tracking.search.multistart import (
     search_elsewhere,
 )
 
-GUESSES = 3
-"""So many candidates of an object are kept from one image to the next."""
-
+GUESSES = 3  # so many candidates of an object are kept from one image to the next
 _KEPT = 4
+# What a control point speaks for a pose by chance: what is seen where it should be speaks for a pose, what is not,
+# against it.
 _CHANCE = 0.5
-"""What a control point speaks for a pose by chance: what is seen where it should be speaks for a pose, what is not,
-against it."""
 
-_FAMILIAR = 0.3
-"""What one that looks as it is remembered speaks for it besides."""
+_FAMILIAR = 0.3  # what one that looks as it is remembered speaks for it besides
 
+# So large a share of the control points that should be seen must speak for a pose beyond that, however unlikely it was
+# before.
 _UNLIKELIEST = 0.25
-"""So large a share of the control points that should be seen must speak for a pose beyond that, however unlikely it
-was before."""
 
-_CLEARLY = 1.5
-"""By so many control points a candidate must be better than any that differs from it."""
+_CLEARLY = 1.5  # by so many control points a candidate must be better than any that differs from it
 
+# A candidate with this score, and so many control points that are no other object's edges, may be the object.
 _FOUND_SCORE = 0.7
 _LEAST_FOUND = 18.0
-"""A candidate with this score, and so many control points that are no other object's edges, may be the object."""
 
+# What is surely seen of an object with this score claims what the image shows so near to it, in that direction.
 _SEEN = 0.5
 _SUPPORTED = 0.5
 _CLAIM_PX = 2.5
 _CLAIM_ALONG_PX = 4.0
 _PARALLEL = 0.9
-"""What is surely seen of an object with this score claims what the image shows so near to it, in that direction."""
 
 _NEAR_PX = 3.0
 _STRANGE = 0.5
@@ -68,21 +64,13 @@ _APART_RAD = 0.14
 
 
 class _Candidates(NamedTuple):
-    """Poses that objects may have.
+    """Poses that objects may have."""
 
-    Attributes:
-        owners: (n,) whose.
-        views: (n,) which of the controls are those that would be seen of it there.
-        starts: (n, 4, 4) camera_from_object.
-        settled: (n,) whether it was found in an earlier image, or is the expected one.
-        expected: (n,) whether it is that.
-    """
-
-    owners: Indices
-    views: Indices
-    starts: Floats
-    settled: Array
-    expected: Array
+    owners: Indices  # (n,) whose
+    views: Indices  # (n,) which of the controls are those that would be seen of it there
+    starts: Floats  # (n, 4, 4) camera_from_object
+    settled: Array  # (n,) whether it was found in an earlier image, or is the expected one
+    expected: Array  # (n,) whether it is that
 
     def only(self, chosen: Array) -> _Candidates:
         parts: list[Any] = [part[chosen] for part in self]
@@ -106,12 +94,7 @@ def look_elsewhere(
 
 
 def find_again(
-    looking: Looking,
-    objects: Sequence[TrackedObject],
-    shift: Floats,
-    found: Found,
-    sought: Sequence[int],
-    prior: Prior,
+    looking: Looking, objects: Sequence[TrackedObject], shift: Floats, found: Found, sought: Sequence[int], prior: Prior
 ) -> Found:
     """The same as found, but for objects of which a pose that was imagined besides explains the image clearly best.
 
@@ -155,11 +138,7 @@ def find_again(
 
 
 def _candidates(
-    looking: Looking,
-    objects: Sequence[TrackedObject],
-    shift: Floats,
-    found: Found,
-    sought: Sequence[int],
+    looking: Looking, objects: Sequence[TrackedObject], shift: Floats, found: Found, sought: Sequence[int]
 ) -> tuple[_Candidates, Controls, Memory]:
     """What may be, with all their controls, and what is remembered beside those."""
     rows: list[tuple[int, int, Floats, bool, bool]] = []

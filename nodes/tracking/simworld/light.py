@@ -1,10 +1,9 @@
 """Light and soft shadows of the simulated scene.
 
-A lamp shaped like a disc stands far away. Its light is the mean of that of points on the
-disc; from each of them a convex part of a body throws a convex polygon of shadow on a plane.
-So shadows are sharp where things touch and get softer with distance, as they should: a
-shadow that is merely blurred darkens the table on the lit side of a body too, and every
-edge there would seem to be half a millimetre farther out than it is.
+A lamp shaped like a disc stands far away. Its light is the mean of that of points on the disc; from each of them a
+convex part of a body throws a convex polygon of shadow on a plane. So shadows are sharp where things touch and get
+softer with distance, as they should: a shadow that is merely blurred darkens the table on the lit side of a body too,
+and every edge there would seem to be half a millimetre farther out than it is.
 """
 
 from __future__ import annotations
@@ -21,25 +20,18 @@ from hierax.nodes.tracking.simworld.shapes import Face
 
 cv2.setNumThreads(1)
 
-LAMP_POINTS = 9
-"""Shadows are the mean of those that so many points of a lamp throw."""
+LAMP_POINTS = 9  # shadows are the mean of those that so many points of a lamp throw
 
 
 @dataclass(frozen=True)
 class Lamp:
-    """A disc that shines from far away, and the light that comes from everywhere.
+    """A disc that shines from far away, and the light that comes from everywhere."""
 
-    Attributes:
-        towards: from the scene to the disc's middle, world frame; made a unit vector.
-        radius: of the disc, at distance 1: how soft shadows are.
-        ambient: how bright a white face is in the shadow.
-        diffuse: how much brighter it is where it looks into the lamp.
-    """
-
+    # from the scene to the disc's middle, world frame; made a unit vector
     towards: tuple[float, float, float] = (-0.42, -0.38, 1.05)
-    radius: float = 0.07
-    ambient: float = 0.36
-    diffuse: float = 0.78
+    radius: float = 0.07  # of the disc, at distance 1: how soft shadows are
+    ambient: float = 0.36  # how bright a white face is in the shadow
+    diffuse: float = 0.78  # how much brighter it is where it looks into the lamp
 
     @property
     def direction(self) -> Floats:
@@ -91,9 +83,8 @@ def shadows(corners: Floats, face: Face, lamp: Lamp = LAMP) -> list[Floats]:
         lamp: the light.
 
     Returns:
-        For each point of the lamp a convex polygon (n, 2) in the face's coordinates a and
-        b; none where nothing of the part is between the plane and the light, or where the
-        face is out of the shadow.
+        For each point of the lamp a convex polygon (n, 2) in the face's coordinates a and b; none where nothing of the
+        part is between the plane and the light, or where the face is out of the shadow.
     """
     normal = face.normal
     heights = (corners - face.corner) @ normal

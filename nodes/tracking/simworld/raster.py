@@ -16,22 +16,15 @@ from hierax.nodes.tracking.simworld.shapes import Body, Face
 
 _NEAREST_M = 1e-3
 
-Window = tuple[int, int, int, int]
-"""Pixels of a picture: left, top, right, bottom, the ends excluded."""
+Window = tuple[int, int, int, int]  # pixels of a picture: left, top, right, bottom, the ends excluded
 
 
 class Covered(NamedTuple):
-    """A face at the samples of a window.
+    """A face at the samples of a window."""
 
-    Attributes:
-        inside: bool (h, w), whether the sample shows the face.
-        nearness: float32, the inverse of the depth in 1/m.
-        a, b: float32, the face's coordinates, times the nearness.
-    """
-
-    inside: Array
-    nearness: Array
-    a: Array
+    inside: Array  # bool (h, w), whether the sample shows the face
+    nearness: Array  # float32, the inverse of the depth in 1/m
+    a: Array  # a, b: float32, the face's coordinates, times the nearness
     b: Array
 
 

@@ -19,9 +19,7 @@ from hierax.nodes.tracking.simworld.shapes import Body, Face
 
 cv2.setNumThreads(1)
 
-SAMPLES = 2
-"""Per pixel, along each axis."""
-
+SAMPLES = 2  # per pixel, along each axis
 TABLE_M = (1.5, 1.3)
 TABLE_PX_PER_M = 800
 TABLE_RIM_PX = 6
@@ -29,19 +27,12 @@ FACE_PX = 96
 
 
 class Wood(NamedTuple):
-    """How the table looks.
+    """How the table looks."""
 
-    Attributes:
-        colour: RGB, 0 to 255.
-        unevenness: how strong grain and planks are; 1 is that of a plain table.
-        seed: which grain.
-        tile_m: side of the squares, light and dark by turns, with which it is laid; 0 for planks.
-    """
-
-    colour: tuple[int, int, int] = (168, 134, 98)
-    unevenness: float = 1.0
-    seed: int = 7
-    tile_m: float = 0.0
+    colour: tuple[int, int, int] = (168, 134, 98)  # RGB, 0 to 255
+    unevenness: float = 1.0  # how strong grain and planks are; 1 is that of a plain table
+    seed: int = 7  # which grain
+    tile_m: float = 0.0  # side of the squares, light and dark by turns, with which it is laid; 0 for planks
 
 
 WOOD = Wood()
@@ -206,12 +197,7 @@ def _planks(wood: Wood) -> Array:
         tone[index : index + plank_px] *= 1.0 + wood.unevenness * (rng.uniform(0.93, 1.06) - 1.0)
         tone[index : index + 2] *= 1.0 - 0.28 * wood.unevenness
     planks: Array = np.clip(tone[..., None] * np.array(wood.colour, np.float32), 0, 220).astype(np.uint8)
-    for edge in (
-        planks[:TABLE_RIM_PX],
-        planks[-TABLE_RIM_PX:],
-        planks[:, :TABLE_RIM_PX],
-        planks[:, -TABLE_RIM_PX:],
-    ):
+    for edge in (planks[:TABLE_RIM_PX], planks[-TABLE_RIM_PX:], planks[:, :TABLE_RIM_PX], planks[:, -TABLE_RIM_PX:]):
         edge[:] = (edge * 0.55).astype(np.uint8)
     return planks
 

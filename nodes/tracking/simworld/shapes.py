@@ -15,17 +15,12 @@ _SIDES = [(axis, sign) for axis in range(3) for sign in (-1.0, 1.0)]
 
 
 class Face(NamedTuple):
-    """A plane side of a body, seen from outside: corner + a * right + b * up, metres.
+    """A plane side of a body, seen from outside: corner + a * right + b * up, metres."""
 
-    Attributes:
-        corner, right, up: (3,); a and b go from 0 to 1.
-        cells: convex polygons (n, 2) of a and b, counter-clockwise, that the side consists
-            of; none for the whole parallelogram.
-    """
-
-    corner: Floats
+    corner: Floats  # corner, right, up: (3,); a and b go from 0 to 1
     right: Floats
     up: Floats
+    # convex polygons (n, 2) of a and b, counter-clockwise, that the side consists of; none for the whole parallelogram
     cells: tuple[Floats, ...] = ()
 
     @property
@@ -56,17 +51,11 @@ class Body(Protocol):
 
 
 class Cube(NamedTuple):
-    """A cube.
+    """A cube."""
 
-    Attributes:
-        pose: world_from_object, 4x4, origin at the cube's centre.
-        side_m: length of its edges.
-        colour: RGB, 0 to 255.
-    """
-
-    pose: Floats
-    side_m: float
-    colour: tuple[int, int, int]
+    pose: Floats  # world_from_object, 4x4, origin at the cube's centre
+    side_m: float  # length of its edges
+    colour: tuple[int, int, int]  # RGB, 0 to 255
 
     def faces(self) -> list[Face]:
         """All six sides."""
@@ -78,31 +67,19 @@ class Cube(NamedTuple):
 
 
 class Shape(NamedTuple):
-    """A body's form, in its own frame.
+    """A body's form, in its own frame."""
 
-    Attributes:
-        sides: its faces.
-        convex: corners (n, 3) of the convex parts that it consists of.
-        mesh: its surface.
-    """
-
-    sides: tuple[Face, ...]
-    convex: tuple[Floats, ...]
-    mesh: Mesh
+    sides: tuple[Face, ...]  # its faces
+    convex: tuple[Floats, ...]  # corners (n, 3) of the convex parts that it consists of
+    mesh: Mesh  # its surface
 
 
 class Thing(NamedTuple):
-    """A body of any shape.
+    """A body of any shape."""
 
-    Attributes:
-        pose: world_from_object, 4x4.
-        shape: its form.
-        colour: RGB, 0 to 255.
-    """
-
-    pose: Floats
-    shape: Shape
-    colour: tuple[int, int, int]
+    pose: Floats  # world_from_object, 4x4
+    shape: Shape  # its form
+    colour: tuple[int, int, int]  # RGB, 0 to 255
 
     def faces(self) -> list[Face]:
         """All sides."""
@@ -163,8 +140,7 @@ def extruded(
     Args:
         outline: (n, 2) corners, counter-clockwise, metres.
         length_m: along z.
-        cells: indices of corners of convex polygons that the outline consists of; none
-            where it is convex.
+        cells: indices of corners of convex polygons that the outline consists of; none where it is convex.
     """
     corners = np.asarray(outline, dtype=np.float64)
     count = len(corners)

@@ -19,14 +19,10 @@ from hierax.runtime.core.showing import Things
 DENSITY_KG_M3 = 600.0
 FRICTION = 0.6
 MAX_SIDE_PX = 4096
-MAX_AMOUNT = 1000.0
-"""Of noise, in grey levels, and of blur, in pixels."""
-
+MAX_AMOUNT = 1000.0  # of noise, in grey levels, and of blur, in pixels
 MAX_FPS = 1e6
 
-FOCAL_LENGTH = 0.95
-"""In widths of the picture."""
-
+FOCAL_LENGTH = 0.95  # in widths of the picture
 LOOK_AT_M = np.array([0.03, 0.01, 0.04])
 RADIUS_M = 0.56
 ELEVATION_DEG = 38.0
@@ -34,10 +30,10 @@ AZIMUTH_DEG = -93.0
 SWING_DEG = 22.0
 SWING_PERIOD_S = 4.0
 
+# One cube is drawn over the table by a thread, in front of the others.
 DRIVEN_ID = 4
 DRIVE_M_S = np.array([0.11, 0.01])
 DRIVE_FROM_S, DRIVE_TO_S = 0.4, 1.8
-"""One cube is drawn over the table by a thread, in front of the others."""
 
 
 class Placed(NamedTuple):
@@ -49,6 +45,8 @@ class Placed(NamedTuple):
     colour: tuple[int, int, int]
 
 
+# By id, from 1. The second stands on the first, and they hide one another as the camera goes round; the turns are such
+# that no side becomes a sliver, of which one camera cannot tell whether it sees it.
 SCENE = (
     Placed(0.080, (0.05, 0.02, 0.0400), 38.0, (196, 52, 44)),
     Placed(0.060, (0.05, 0.02, 0.1100), 55.0, (45, 96, 190)),
@@ -57,8 +55,6 @@ SCENE = (
     Placed(0.090, (0.17, 0.13, 0.0450), 36.0, (120, 70, 160)),
     Placed(0.045, (0.16, -0.05, 0.0225), 25.0, (226, 120, 40)),
 )
-"""By id, from 1. The second stands on the first, and they hide one another as the camera goes round; the turns are such
-that no side becomes a sliver, of which one camera cannot tell whether it sees it."""
 
 
 class SimWorld(World):
@@ -131,13 +127,7 @@ class SimWorld(World):
             {**body, "pose": motion.pose, "velocity": motion.velocity}
             for body, motion in zip(bodies, after, strict=True)
         )
-        return {
-            **belief,
-            "frame": belief["frame"] + 1,
-            "time_s": time_s,
-            "camera": camera_at(time_s),
-            "bodies": moved,
-        }
+        return {**belief, "frame": belief["frame"] + 1, "time_s": time_s, "camera": camera_at(time_s), "bodies": moved}
 
     def show(self, step: Step, before: Value) -> Things:
         """The true poses."""
@@ -157,14 +147,7 @@ def picture_seen(belief: SimBelief, tick: Tick = NO_TICK) -> tuple[Picture, ...]
     cubes = [Cube(body["pose"], body["side_m"], body["colour"]) for body in belief["bodies"]]
     picture = draw(cubes, belief["camera"], belief["intrinsics"], belief["size"])
     image = develop(picture, belief["blur_px"], belief["noise"], tick.rng)
-    return (
-        {
-            "image": image,
-            "camera": belief["camera"],
-            "intrinsics": belief["intrinsics"],
-            "frame": belief["frame"],
-        },
-    )
+    return ({"image": image, "camera": belief["camera"], "intrinsics": belief["intrinsics"], "frame": belief["frame"]},)
 
 
 def camera_at(time_s: float) -> Floats:
