@@ -42,10 +42,10 @@ import yaml
 
 from hierax.runtime.commands.main import main as hierax_main
 from hierax.runtime.core.probe import Probe, Step
-from hierax.runtime.deployment.files import shipped
+from hierax.runtime.deployment.locating import shipped
 from hierax.runtime.deployment.read import read_deployment
-from hierax.runtime.owner.changes import ChangeError, apply
 from hierax.runtime.owner.owner import OVER
+from hierax.runtime.owner.roster_changes import ChangeError, apply
 from hierax.schemas.changes import Attach, Change, Detach, Replace
 from hierax.schemas.roster import Reference, Roster, RosterEdge
 

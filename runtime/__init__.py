@@ -6,14 +6,16 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from hierax.runtime.core.node import Elements, Node, Value, World
+    from hierax.runtime.core.elements import Elements, Value
+    from hierax.runtime.core.node import Node, World
     from hierax.runtime.core.probe import Probe, Step
     from hierax.runtime.core.tick import NO_TICK, Tick
 
 __all__ = ["NO_TICK", "Elements", "Node", "Probe", "Step", "Tick", "Value", "World"]
 
 _HOMES = {
-    **dict.fromkeys(("Elements", "Node", "Value", "World"), "hierax.runtime.core.node"),
+    **dict.fromkeys(("Elements", "Value"), "hierax.runtime.core.elements"),
+    **dict.fromkeys(("Node", "World"), "hierax.runtime.core.node"),
     **dict.fromkeys(("Probe", "Step"), "hierax.runtime.core.probe"),
     **dict.fromkeys(("NO_TICK", "Tick"), "hierax.runtime.core.tick"),
 }

@@ -1,7 +1,7 @@
 """Changes of a roster, as data that travels: from whoever asks for one to the roster's owner.
 
 Each says what is wanted, not what the roster is after it: that depends on the roster
-which it finds, and its owner decides (`hierax.runtime.owner.changes`).
+which it finds, and its owner decides (`hierax.runtime.owner.roster_changes`).
 """
 
 from __future__ import annotations

@@ -35,7 +35,7 @@ class Prepare(NamedTuple):
     alone: tuple[str, ...] = ()
 
 
-class Same(NamedTuple):
+class Unchanged(NamedTuple):
     """Owner to process: a version has its node, its neighbours and their edges as an earlier one has them."""
 
     version: int
@@ -191,7 +191,7 @@ class Propose(NamedTuple):
     """To the owner: a change of the roster (as its `plain` gives it) is asked for.
 
     Attributes:
-        on_loss, rejoin_timeout_s: by node that is new in it, as `OwnerSettings` has them.
+        on_loss, rejoin_timeout_s: by node that is new in it, as `OwnerPolicy` has them.
         alone: those of them that fail alone.
     """
 
@@ -204,7 +204,7 @@ class Propose(NamedTuple):
 
 Control = (
     Prepare
-    | Same
+    | Unchanged
     | HandOver
     | TakeOver
     | AskStatus
@@ -221,10 +221,10 @@ Control = (
     | Census
     | Propose
 )
-Order = Prepare | Same | HandOver | TakeOver | AskStatus | Resend | Dismiss
+Order = Prepare | Unchanged | HandOver | TakeOver | AskStatus | Resend | Dismiss
 """What a process is told by the owner."""
 
-Offered = Prepare | Same | HandOver | TakeOver | AskStatus | Resend
+Offered = Prepare | Unchanged | HandOver | TakeOver | AskStatus | Resend
 """What a process is told by the owner on its own key; a dismissal comes by way of its keeper."""
 
 Word = Join | Ready | State | Taken | Fetch | Status | Failed

@@ -19,7 +19,7 @@ import msgpack
 import numpy as np
 import zenoh
 
-from hierax.runtime.streams import own_streams
+from hierax.runtime.host.streams import own_streams
 from hierax.runtime.transport.zenoh_session import LOOPBACK, close_session, open_session
 
 RETRY_S = 0.05

@@ -17,11 +17,11 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from hierax.runtime.allowance import Allowance
 from hierax.runtime.bench.bayes_limit import Limit, reference
 from hierax.runtime.core.errors import HieraxError
-from hierax.runtime.loading import load
-from hierax.runtime.plain import Json
+from hierax.runtime.execution.plain import Json
+from hierax.runtime.loading.allowance import Allowance
+from hierax.runtime.loading.loader import load
 
 MODULE = "hierax.nodes.causal_tree"
 ALLOWED = Allowance((MODULE,))

@@ -15,15 +15,15 @@ from typing import Any
 
 import numpy as np
 
-from hierax.runtime.allowance import Allowance
 from hierax.runtime.core.errors import HieraxError
 from hierax.runtime.deployment import Deployment
 from hierax.runtime.deployment.read import read_deployment
+from hierax.runtime.execution.plain import Json
+from hierax.runtime.execution.runner import NodeRunner
+from hierax.runtime.execution.single import run
 from hierax.runtime.launch.supervisor import launch
-from hierax.runtime.loading import load
-from hierax.runtime.plain import Json
-from hierax.runtime.runner import NodeRunner
-from hierax.runtime.single import run
+from hierax.runtime.loading.allowance import Allowance
+from hierax.runtime.loading.loader import load
 from hierax.runtime.watch.meter import EDGES, OBSERVE, PREDICT, Meter
 
 DEPLOYMENT = "tracking"

@@ -83,7 +83,7 @@ def _other(
     trust: bool,
 ) -> Iterable[EpochView]:
     from hierax.runtime.deployment.read import read_deployment
-    from hierax.runtime.loading import extend_import_path
+    from hierax.runtime.loading.loader import extend_import_path
     from hierax.runtime.recording.deployments import allowance_of, in_place_of
     from hierax.runtime.recording.replay import Replay, has_actuators
 

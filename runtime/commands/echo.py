@@ -14,10 +14,10 @@ from hierax.runtime.commands.options import Format, OutputFormat
 from hierax.runtime.commands.which import Connect, Run, endpoint_of, keys_here, keys_of
 
 if TYPE_CHECKING:
-    from hierax.runtime.plain import Json
+    from hierax.runtime.execution.plain import Json
     from hierax.runtime.tools.echoes import Echo, Edge
-    from hierax.runtime.tools.looking import Looking, Seen
-    from hierax.runtime.transport.window import Glass
+    from hierax.runtime.tools.inspecting import LaunchInspector, LaunchState
+    from hierax.runtime.transport.inspection import LaunchClient
 
 ASK_AGAIN_S = 1.5
 """Well within the time for which nodes show copies when they are asked."""
@@ -45,12 +45,12 @@ def echo(
     output_format: OutputFormat = Format.text,
 ) -> int:
     """Show messages as they go, with size and rate, until Ctrl-C. The run never waits for this."""
-    from hierax.runtime.tools.looking import Looking
-    from hierax.runtime.transport.window import Glass
+    from hierax.runtime.tools.inspecting import LaunchInspector
+    from hierax.runtime.transport.inspection import LaunchClient
 
     endpoint = endpoint_of(run, connect)
-    with Glass(endpoint, keys=keys_of(endpoint)) as glass:
-        for number, each in enumerate(echoes(glass, Looking(glass), key), start=1):
+    with LaunchClient(endpoint, keys=keys_of(endpoint)) as client:
+        for number, each in enumerate(echoes(client, LaunchInspector(client), key), start=1):
             if output_format is Format.json:
                 print(json.dumps(as_json(each, full), allow_nan=False), flush=True)
             else:
@@ -61,7 +61,7 @@ def echo(
     return 0
 
 
-def echoes(glass: Glass, looking: Looking, pattern: str) -> Iterator[Echo]:
+def echoes(client: LaunchClient, inspector: LaunchInspector, pattern: str) -> Iterator[Echo]:
     """Messages as they come; ends when the launch does."""
     from hierax.runtime.tools.echoes import Counter
     from hierax.runtime.transport.port import TransportError
@@ -73,10 +73,10 @@ def echoes(glass: Glass, looking: Looking, pattern: str) -> Iterator[Echo]:
         if not came.full():  # what is left out is seen by its epoch
             came.put_nowait(data)
 
-    seen = looking.look()
-    _ask(looking, seen, pattern)
-    glass.listen(f"{seen.keys.root}/seen/**", heard)
-    wanted = _ask(looking, seen, pattern)
+    seen = inspector.look()
+    _ask(inspector, seen, pattern)
+    client.listen(f"{seen.keys.root}/seen/**", heard)
+    wanted = _ask(inspector, seen, pattern)
     asked_s = time.monotonic()
     counter = Counter()
     while True:
@@ -86,8 +86,8 @@ def echoes(glass: Glass, looking: Looking, pattern: str) -> Iterator[Echo]:
             data = b""
         if time.monotonic() - asked_s >= ASK_AGAIN_S:
             try:
-                seen = looking.look()
-                wanted = _ask(looking, seen, pattern)
+                seen = inspector.look()
+                wanted = _ask(inspector, seen, pattern)
             except TransportError:
                 return
             asked_s = time.monotonic()
@@ -97,19 +97,19 @@ def echoes(glass: Glass, looking: Looking, pattern: str) -> Iterator[Echo]:
                 yield counter.take(message, len(data))
 
 
-def _ask(looking: Looking, seen: Seen, pattern: str) -> set[Edge]:
+def _ask(inspector: LaunchInspector, seen: LaunchState, pattern: str) -> set[Edge]:
     """Have the nodes show what is wanted for some seconds more."""
     from hierax.runtime.tools.echoes import chosen, edges_of
 
-    wanted = chosen(pattern, edges_of(looking.pairs(seen)))
+    wanted = chosen(pattern, edges_of(inspector.pairs(seen)))
     senders = {sender for _, sender, _ in wanted}
-    looking.ask(seen, {"look": "echo", "edges": [list(edge) for edge in wanted]}, senders & seen.nodes.keys())
+    inspector.ask(seen, {"look": "echo", "edges": [list(edge) for edge in wanted]}, senders & seen.nodes.keys())
     return set(wanted)
 
 
 def as_json(echo: Echo, full: bool = False) -> Json:
     """A message as plain JSON."""
-    from hierax.runtime.plain import plain
+    from hierax.runtime.execution.plain import plain
 
     header, payload = echo.message
     fields = {**header._asdict(), "payload": payload}

@@ -35,7 +35,7 @@ def entry(main: Callable[[Sequence[str]], int] | None = None) -> None:
     if signal.getsignal(signal.SIGINT) is signal.default_int_handler:  # else who has started it wants it ignored
         signal.signal(signal.SIGINT, CTRL_C)
     try:
-        from hierax.runtime.streams import own_streams
+        from hierax.runtime.host.streams import own_streams
 
         own_streams()
         code = (main or _imported())(sys.argv[1:])

@@ -9,7 +9,7 @@ from collections.abc import Callable
 
 from hierax.runtime.commands.entry import CTRL_C, INTERRUPTED
 from hierax.runtime.core.errors import HieraxError
-from hierax.runtime.streams import StandardOutputError, drop_output
+from hierax.runtime.host.streams import StandardOutputError, drop_output
 from hierax.schemas.errors import SchemaError
 
 OK = 0

@@ -12,7 +12,7 @@ from hierax.runtime.commands.options import File, Settings
 
 if TYPE_CHECKING:
     from hierax.runtime.deployment import Deployment
-    from hierax.runtime.plain import Json
+    from hierax.runtime.execution.plain import Json
     from hierax.schemas.roster import Reference, Roster
 
 

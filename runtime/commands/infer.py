@@ -37,9 +37,9 @@ def infer(
     output_format: OutputFormat = Format.text,
 ) -> int:
     """Print the posterior of every node of a Bayesian network, exactly."""
-    from hierax.runtime.allowance import Allowance
     from hierax.runtime.commands.show import print_json, print_table
-    from hierax.runtime.loading import load
+    from hierax.runtime.loading.allowance import Allowance
+    from hierax.runtime.loading.loader import load
 
     ours = Allowance((MODULE,))
     read = load(f"{MODULE}:read_network", MODULE, ours)(network)
@@ -69,7 +69,7 @@ def _evidence(network: Any, given: Sequence[str], likelihoods: Any) -> dict[Any,
     """
     from hierax.runtime.commands.errors import CommandError
     from hierax.runtime.core.errors import HieraxError
-    from hierax.runtime.nearest import did_you_mean
+    from hierax.runtime.loading.nearest import did_you_mean
 
     names = {str(name): name for name in network.variables}
     found: dict[Any, Any] = {}

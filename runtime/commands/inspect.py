@@ -11,8 +11,8 @@ from hierax.runtime.commands.options import Format, OutputFormat
 from hierax.runtime.commands.which import Connect, Run, endpoint_of, keys_of, nodes_here
 
 if TYPE_CHECKING:
-    from hierax.runtime.plain import Json
-    from hierax.runtime.tools.looking import Answer, Seen
+    from hierax.runtime.execution.plain import Json
+    from hierax.runtime.tools.inspecting import Answer, LaunchState
 
 NodeArgument = Annotated[
     str, typer.Argument(metavar="NODE", help="A node's name.", show_default=False, autocompletion=nodes_here)
@@ -28,14 +28,14 @@ def inspect(
 ) -> int:
     """Show what a node has observed, believes, was told from above and does, after its last epoch."""
     from hierax.runtime.commands.show import print_json
-    from hierax.runtime.tools.looking import Looking
-    from hierax.runtime.transport.window import Glass
+    from hierax.runtime.tools.inspecting import LaunchInspector
+    from hierax.runtime.transport.inspection import LaunchClient
 
     endpoint = endpoint_of(run, connect)
-    with Glass(endpoint, keys=keys_of(endpoint)) as glass:
-        looking = Looking(glass)
-        seen = looking.look()
-        answer = looking.state(seen, node)
+    with LaunchClient(endpoint, keys=keys_of(endpoint)) as client:
+        inspector = LaunchInspector(client)
+        seen = inspector.look()
+        answer = inspector.state(seen, node)
     if output_format is Format.json:
         print_json(as_json(seen, node, answer, full))
     else:
@@ -43,9 +43,9 @@ def inspect(
     return 0
 
 
-def as_json(seen: Seen, node: str, answer: Answer, full: bool = False) -> Json:
+def as_json(seen: LaunchState, node: str, answer: Answer, full: bool = False) -> Json:
     """All of it as plain JSON."""
-    from hierax.runtime.plain import plain
+    from hierax.runtime.execution.plain import plain
 
     told = {key: value for key, value in answer.items() if key != "process"}
     return {
@@ -56,7 +56,7 @@ def as_json(seen: Seen, node: str, answer: Answer, full: bool = False) -> Json:
     }
 
 
-def _print(seen: Seen, node: str, answer: Mapping[str, Any]) -> None:
+def _print(seen: LaunchState, node: str, answer: Mapping[str, Any]) -> None:
     from hierax.runtime.tools.summary import tree
 
     counts = {True: "committed", False: "not committed yet", None: "epochs overlap"}[answer["committed"]]

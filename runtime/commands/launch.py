@@ -34,7 +34,7 @@ from hierax.runtime.commands.recordings import (
 )
 
 if TYPE_CHECKING:
-    from hierax.runtime.launch.recorder import Wanted
+    from hierax.runtime.launch.recorder_process import Wanted
 
 
 def launch(
@@ -98,11 +98,11 @@ def launch(
     ] = None,
 ) -> int:
     """Run a deployment with each node in a process of its own, over Zenoh."""
-    from hierax.runtime.commands.running import run_deployment
+    from hierax.runtime.commands.run_deployment import run_deployment
     from hierax.runtime.deployment.secrets import completed
     from hierax.runtime.launch import supervisor
     from hierax.runtime.launch.faults import read_faults
-    from hierax.runtime.launch.recorder import Wanted
+    from hierax.runtime.launch.recorder_process import Wanted
     from hierax.runtime.launch.run_file import read_run
     from hierax.runtime.watch import telemetry
 

@@ -33,15 +33,15 @@ class Level(str, Enum):
 
 def _runs_logged() -> list[tuple[str, str]]:
     """For completion."""
-    from hierax.runtime.watch.run_folder import about_run, known_folders
+    from hierax.runtime.host.run_folder import about_run, known_folders
 
     return [(folder.name, str(about_run(folder).get("hierarchy", ""))) for folder in known_folders()]
 
 
 def _names_logged() -> list[str]:
     """For completion."""
+    from hierax.runtime.host.run_folder import known_folders
     from hierax.runtime.tools.logs import Reader
-    from hierax.runtime.watch.run_folder import known_folders
 
     return sorted({name for folder in known_folders() for name in Reader(folder).names})
 
@@ -101,9 +101,9 @@ def logs(
 
 def _entries(folder: Path, wanted: Wanted, follow: bool) -> Iterator[Entry]:
     from hierax.runtime.core.errors import HieraxError
-    from hierax.runtime.nearest import did_you_mean
+    from hierax.runtime.host.run_folder import is_alive
+    from hierax.runtime.loading.nearest import did_you_mean
     from hierax.runtime.tools.logs import Reader
-    from hierax.runtime.watch.run_folder import is_alive
 
     reader = Reader(folder)
     unknown = [name for name in wanted.nodes if name not in reader.names]

@@ -10,7 +10,6 @@ import typer
 
 from hierax.runtime.commands.bench import epoch, tracking
 from hierax.runtime.commands.bench_bayes import bayes
-from hierax.runtime.commands.changes import attach, detach, ps, replace
 from hierax.runtime.commands.check import check
 from hierax.runtime.commands.diff import diff
 from hierax.runtime.commands.doctor import doctor
@@ -22,6 +21,7 @@ from hierax.runtime.commands.infer import infer
 from hierax.runtime.commands.inspect import inspect
 from hierax.runtime.commands.launch import launch
 from hierax.runtime.commands.logs import logs
+from hierax.runtime.commands.membership import attach, detach, ps, replace
 from hierax.runtime.commands.new import new
 from hierax.runtime.commands.record import record
 from hierax.runtime.commands.replay import replay

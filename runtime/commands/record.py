@@ -50,7 +50,7 @@ def record(
     """Record a launch that runs, until it is over, or Ctrl-C. Exit code 1 if something said is not in the file."""
     from hierax.runtime.commands.show import print_json
     from hierax.runtime.recording.info import RunInfo
-    from hierax.runtime.recording.process import LiveRecording
+    from hierax.runtime.recording.live_recording import LiveRecording
     from hierax.runtime.transport.hub import ask
 
     if hierarchy is not None and run is not None:

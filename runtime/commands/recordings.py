@@ -175,7 +175,7 @@ def tell_violations(violations: Sequence[Any]) -> int:
 
 def comparison_json(comparison: Comparison) -> dict[str, Any]:
     """A comparison as plain JSON."""
-    from hierax.runtime.plain import plain
+    from hierax.runtime.execution.plain import plain
 
     difference = comparison.difference
     return {

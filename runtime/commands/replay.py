@@ -24,9 +24,9 @@ from hierax.runtime.commands.recordings import (
 )
 
 if TYPE_CHECKING:
+    from hierax.runtime.execution.report import Report
     from hierax.runtime.recording.diff import Comparison
     from hierax.runtime.recording.replay import Replay, ReplayedEpoch
-    from hierax.runtime.report import Report
 
 
 def replay(
@@ -68,9 +68,9 @@ def replay(
     output_format: OutputFormat = Format.text,
 ) -> int:
     """Do a recording again, in this process: whole, from an epoch on, or one node on its recorded inputs."""
-    from hierax.runtime.allowance import module_of
     from hierax.runtime.commands.show import print_json, print_report
-    from hierax.runtime.loading import extend_import_path
+    from hierax.runtime.loading.allowance import module_of
+    from hierax.runtime.loading.loader import extend_import_path
     from hierax.runtime.recording.deployments import (
         allowance_of,
         check_classes,
@@ -150,7 +150,7 @@ class _Paced:
     def report(self, name: str) -> Report:
         """What the replay has come to: the live nodes after its last epoch."""
         from hierax.runtime.core.binding import metrics_of
-        from hierax.runtime.report import NodeReport, make_report
+        from hierax.runtime.execution.report import NodeReport, make_report
 
         assert self._last is not None
         epoch, states = self._last.epoch, self._replay.states

@@ -22,9 +22,9 @@ from hierax.runtime.commands.recordings import (
 
 if TYPE_CHECKING:
     from hierax.runtime.deployment import Deployment
+    from hierax.runtime.execution.report import Report
+    from hierax.runtime.execution.single import Watch
     from hierax.runtime.recording.in_process import InProcess
-    from hierax.runtime.report import Report
-    from hierax.runtime.single import Watch
 
 
 def run(
@@ -52,10 +52,10 @@ def run(
     overwrite: Overwrite = False,
 ) -> int:
     """Run a deployment in this process: the deterministic mode."""
-    from hierax.runtime import single
-    from hierax.runtime.breaker import Breaker
-    from hierax.runtime.commands.running import run_deployment
+    from hierax.runtime.commands.run_deployment import run_deployment
     from hierax.runtime.deployment.schedule import read_schedule
+    from hierax.runtime.execution import single
+    from hierax.runtime.execution.breaker import Breaker
     from hierax.runtime.recording.in_process import InProcess
 
     selection = selection_of(exclude, max_size, max_duration, record is not None)

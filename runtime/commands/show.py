@@ -9,13 +9,13 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from hierax.runtime.plain import Json
+from hierax.runtime.execution.plain import Json
 from hierax.schemas.values import Value
 
 if TYPE_CHECKING:
     from rich.console import Console
 
-    from hierax.runtime.report import Report
+    from hierax.runtime.execution.report import Report
 
 PIPE_COLUMNS = 200
 """Width of tables that are not printed on a terminal."""

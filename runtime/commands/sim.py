@@ -84,7 +84,7 @@ def _seeds(text: str) -> range:
 
 
 def _kinds(text: str | None) -> tuple[str, ...]:
-    from hierax.runtime.nearest import did_you_mean
+    from hierax.runtime.loading.nearest import did_you_mean
     from hierax.runtime.sim.scenario import FAULTS
 
     if text is None:

@@ -16,7 +16,7 @@ from hierax.runtime.commands.which import Connect, Run, endpoint_of, keys_of
 if TYPE_CHECKING:
     from rich.table import Table
 
-    from hierax.runtime.tools.looking import Looking
+    from hierax.runtime.tools.inspecting import LaunchInspector
 
 _TIMES = ("observe", "policy", "predict", "edges", "act", "other", "waiting")
 _COLUMNS = ("node", "state", "epoch", *_TIMES, "for", "cpu", "memory", "restarts")
@@ -39,12 +39,12 @@ def top(
     output_format: OutputFormat = Format.text,
 ) -> int:
     """Show where the time of a launch's nodes goes, until Ctrl-C: per epoch, in which operator, waiting for whom."""
-    from hierax.runtime.tools.looking import Looking
-    from hierax.runtime.transport.window import Glass
+    from hierax.runtime.tools.inspecting import LaunchInspector
+    from hierax.runtime.transport.inspection import LaunchClient
 
     endpoint = endpoint_of(run, connect)
-    with Glass(endpoint, keys=keys_of(endpoint)) as glass:
-        looks = overviews(Looking(glass), interval, time.sleep)
+    with LaunchClient(endpoint, keys=keys_of(endpoint)) as client:
+        looks = overviews(LaunchInspector(client), interval, time.sleep)
         if once:
             _print_one(next(looks), output_format)
         elif output_format is Format.json or not sys.stdout.isatty():
@@ -55,22 +55,24 @@ def top(
     return 0
 
 
-def overviews(looking: Looking, interval_s: float, sleep: Callable[[float], None]) -> Iterator[Mapping[str, Any]]:
+def overviews(
+    inspector: LaunchInspector, interval_s: float, sleep: Callable[[float], None]
+) -> Iterator[Mapping[str, Any]]:
     """One overview after the other, each of an interval; ends when the launch does."""
-    from hierax.runtime.tools.looking import Answer
+    from hierax.runtime.tools.inspecting import Answer
     from hierax.runtime.tools.rates import overview
     from hierax.runtime.transport.port import TransportError
 
     question = {"look": "meter"}
-    seen = looking.look()
-    before: dict[str, Answer] = looking.ask(seen, question, seen.nodes)
+    seen = inspector.look()
+    before: dict[str, Answer] = inspector.ask(seen, question, seen.nodes)
     while True:
         sleep(interval_s)
         try:
-            seen = looking.look()
+            seen = inspector.look()
         except TransportError:
             return  # it is over
-        after = looking.ask(seen, question, seen.nodes)
+        after = inspector.ask(seen, question, seen.nodes)
         yield overview(seen, before, after)
         before = after
 

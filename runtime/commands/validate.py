@@ -32,7 +32,7 @@ def validate(
     from hierax.runtime.commands.show import print_json
     from hierax.runtime.core.errors import HieraxError
     from hierax.runtime.deployment.read import read_deployment
-    from hierax.runtime.loading import extend_import_path
+    from hierax.runtime.loading.loader import extend_import_path
 
     deployment = read_deployment(file, settings or ())
     roster = deployment.roster
@@ -59,11 +59,11 @@ def validate(
 
 def _check(deployment: Deployment) -> None:
     """All that can be told without calling more than the initial beliefs."""
-    from hierax.runtime.core.binding import Setting
-    from hierax.runtime.loading import LoadError, build_hierarchy, build_probe, check_initial_belief
-    from hierax.runtime.spelling import misspelt_operators
+    from hierax.runtime.core.binding import OperatorSetting
+    from hierax.runtime.loading.loader import LoadError, build_hierarchy, build_probe, check_initial_belief
+    from hierax.runtime.loading.spelling import misspelt_operators
 
-    hierarchy = build_hierarchy(deployment.roster, Setting(wait=_wait), deployment.allowance)
+    hierarchy = build_hierarchy(deployment.roster, OperatorSetting(wait=_wait), deployment.allowance)
     for name, node in hierarchy.nodes.items():
         for what in misspelt_operators(type(node)):
             raise LoadError(what, f"nodes.{name}.class")
@@ -73,7 +73,7 @@ def _check(deployment: Deployment) -> None:
 
 
 def _dry_run(deployment: Deployment) -> int:
-    from hierax.runtime.dry import run_dry
+    from hierax.runtime.execution.dry import run_dry
 
     return run_dry(deployment)
 

@@ -10,19 +10,19 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from hierax.runtime.commands.changes import DeploymentFile
 from hierax.runtime.commands.errors import CommandError
+from hierax.runtime.commands.membership import DeploymentFile
 from hierax.runtime.commands.options import Epochs, Overwrite, Seed, Settings, Trust
 from hierax.runtime.commands.which import Connect, Run
 
 if TYPE_CHECKING:
     from hierax.runtime.deployment import Deployment
-    from hierax.runtime.viewing.exhibit import Exhibit
+    from hierax.runtime.viewing.presenter import ViewPresenter
     from hierax.runtime.viewing.viewer import Place, Stream
 
 RECORDING_SUFFIX = ".mcap"
 
-Show = Callable[["Exhibit"], None]
+Show = Callable[["ViewPresenter"], None]
 
 
 def view(
@@ -94,7 +94,7 @@ def view(
         endless = source is None
         try:
             with _explained(deployment):
-                show(_exhibit(deployment, stream))
+                show(_presenter(deployment, stream))
             if place.until_closed is not None:
                 endless = True
                 _say("that is all; Ctrl-C ends the viewer")
@@ -112,13 +112,13 @@ Source = tuple["Deployment | None", str, Show]
 
 def _of_deployment(source: str, settings: Settings, epochs: int | None, seed: int) -> Source:
     from hierax.runtime.deployment.read import read_deployment
-    from hierax.runtime.viewing.running import run_seen
+    from hierax.runtime.viewing.single_run import run_seen
 
     deployment = read_deployment(source, settings or ())
 
-    def show(exhibit: Exhibit) -> None:
+    def show(presenter: ViewPresenter) -> None:
         with redirect_stdout(sys.stderr):
-            run_seen(deployment, exhibit, epochs=epochs, seed=seed)
+            run_seen(deployment, presenter, epochs=epochs, seed=seed)
 
     return deployment, deployment.name, show
 
@@ -131,8 +131,8 @@ def _of_recording(file: Path, first: int, last: int | None, trust: bool) -> Sour
     recording = Recording.open(file)
     allowance = allowance_of(recording, trust)
 
-    def show(exhibit: Exhibit) -> None:
-        if not show_recording(recording, exhibit, allowance, first, last):
+    def show(presenter: ViewPresenter) -> None:
+        if not show_recording(recording, presenter, allowance, first, last):
             raise CommandError(f"{file}: there is no committed epoch in it from {first} to {last or 'its end'}")
         if recording.loss:
             _say(f"{file}: {recording.loss}")
@@ -141,13 +141,13 @@ def _of_recording(file: Path, first: int, last: int | None, trust: bool) -> Sour
 
 
 def _of_launch(run: str | None, connect: str | None, file: str | None, trust: bool) -> Source:
-    from hierax.runtime.allowance import ANYTHING
     from hierax.runtime.commands.which import endpoint_of, keys_of
     from hierax.runtime.core.errors import HieraxError
     from hierax.runtime.deployment.read import read_deployment
     from hierax.runtime.deployment.secrets import usable
     from hierax.runtime.launch.run_file import known_runs
-    from hierax.runtime.transport.window import Glass
+    from hierax.runtime.loading.allowance import ANYTHING
+    from hierax.runtime.transport.inspection import LaunchClient
     from hierax.runtime.viewing.live import show_launch
 
     endpoint = endpoint_of(run, connect)
@@ -168,9 +168,9 @@ def _of_launch(run: str | None, connect: str | None, file: str | None, trust: bo
         )
     allowance = ANYTHING if deployment is None or trust else deployment.allowance
 
-    def show(exhibit: Exhibit) -> None:
-        with Glass(endpoint, keys=keys_of(endpoint)) as glass, redirect_stdout(sys.stderr):
-            show_launch(glass, exhibit, allowance)
+    def show(presenter: ViewPresenter) -> None:
+        with LaunchClient(endpoint, keys=keys_of(endpoint)) as client, redirect_stdout(sys.stderr):
+            show_launch(client, presenter, allowance)
 
     return deployment, "launch" if running is None else running.hierarchy, show
 
@@ -206,18 +206,18 @@ def _viewer(
     return window(stream, memory) if native else web_viewer(stream, port, memory, opens)
 
 
-def _exhibit(deployment: Deployment | None, stream: Stream) -> Exhibit:
-    from hierax.runtime.loading import extend_import_path, load_function
-    from hierax.runtime.viewing.exhibit import Exhibit
+def _presenter(deployment: Deployment | None, stream: Stream) -> ViewPresenter:
+    from hierax.runtime.loading.loader import extend_import_path, load_function
+    from hierax.runtime.viewing.presenter import ViewPresenter
     from hierax.runtime.viewing.rerun_canvas import RerunCanvas
 
     canvas = RerunCanvas(stream)
     if deployment is None:
-        return Exhibit(canvas, tell=_say)
+        return ViewPresenter(canvas, tell=_say)
     extend_import_path(deployment.import_paths)
     spec = deployment.view
     together = None if spec.show is None else load_function(spec.show, "view.show", deployment.allowance)
-    return Exhibit(canvas, spec.layout, together, _say)
+    return ViewPresenter(canvas, spec.layout, together, _say)
 
 
 def _say(line: str) -> None:

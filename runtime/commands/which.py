@@ -14,7 +14,7 @@ from hierax.runtime.core.errors import HieraxError
 
 if TYPE_CHECKING:
     from hierax.runtime.launch.run_file import Running
-    from hierax.runtime.tools.looking import Looking, Seen
+    from hierax.runtime.tools.inspecting import LaunchInspector, LaunchState
     from hierax.schemas.keys import Keys
 
 _ENDPOINT = re.compile(r"[a-z]+/.+:[0-9]+")
@@ -55,7 +55,7 @@ def endpoint_of(run: str | None, connect: str | None) -> str:
         CommandError: there is none, or several; or an option is wrong.
     """
     from hierax.runtime.launch.run_file import known_runs
-    from hierax.runtime.nearest import did_you_mean
+    from hierax.runtime.loading.nearest import did_you_mean
 
     if connect is not None:
         if not _ENDPOINT.fullmatch(connect):
@@ -97,18 +97,18 @@ def keys_of(endpoint: str) -> Keys | None:
     return None if running is None else Keys(running.hierarchy, running.run)
 
 
-def _looks() -> Iterator[tuple[Looking, Seen]]:
+def _looks() -> Iterator[tuple[LaunchInspector, LaunchState]]:
     """For completion: the launches on this machine that answer."""
     from hierax.runtime.launch.run_file import known_runs
-    from hierax.runtime.tools.looking import Looking
-    from hierax.runtime.transport.window import Glass
+    from hierax.runtime.tools.inspecting import LaunchInspector
+    from hierax.runtime.transport.inspection import LaunchClient
     from hierax.schemas.keys import Keys
 
     for running in known_runs():
         keys = Keys(running.hierarchy, running.run)
-        with suppress(HieraxError), Glass(running.endpoint, keys=keys) as glass:  # it may have ended just now
-            looking = Looking(glass)
-            yield looking, looking.look()
+        with suppress(HieraxError), LaunchClient(running.endpoint, keys=keys) as client:  # it may have ended just now
+            inspector = LaunchInspector(client)
+            yield inspector, inspector.look()
 
 
 def nodes_here() -> list[str]:
@@ -120,4 +120,4 @@ def keys_here() -> list[str]:
     """For completion: the keys of the launches on this machine."""
     from hierax.runtime.tools.echoes import edges_of, short_key
 
-    return sorted({short_key(edge) for looking, seen in _looks() for edge in edges_of(looking.pairs(seen))})
+    return sorted({short_key(edge) for inspector, seen in _looks() for edge in edges_of(inspector.pairs(seen))})

@@ -13,8 +13,9 @@ from functools import partial
 from math import isfinite
 from typing import Any
 
+from hierax.runtime.core.elements import Elements, Value
 from hierax.runtime.core.errors import HierarchyError, OperatorError
-from hierax.runtime.core.node import Elements, Node, Value, World
+from hierax.runtime.core.node import Node, World
 from hierax.runtime.core.tick import Tick
 
 Operator = Callable[..., Any]
@@ -23,7 +24,7 @@ Waiter = Callable[[Awaitable[Any]], Any]
 
 
 @dataclass(frozen=True)
-class Setting:
+class OperatorSetting:
     """What a run gives to every operator.
 
     Attributes:
@@ -59,7 +60,7 @@ class Call:
         function: Operator,
         subject: str,
         operator: str,
-        setting: Setting,
+        setting: OperatorSetting,
         *,
         below: tuple[str, ...],
         above: tuple[str, ...],
@@ -174,7 +175,9 @@ class BoundNode:
         "select_policy",
     )
 
-    def __init__(self, name: str, node: Node, below: tuple[str, ...], above: tuple[str, ...], setting: Setting) -> None:
+    def __init__(
+        self, name: str, node: Node, below: tuple[str, ...], above: tuple[str, ...], setting: OperatorSetting
+    ) -> None:
         if not isinstance(node, Node):
             raise HierarchyError(f"{name}: expected an object whose class derives from Node, got {node!r:.60}")
         self.name = name
@@ -309,7 +312,9 @@ def require_no_world(name: str, node: Node) -> None:
         )
 
 
-def bind_edge(function: Operator | None, lower: str, upper: str, operator: str, setting: Setting) -> Call | None:
+def bind_edge(
+    function: Operator | None, lower: str, upper: str, operator: str, setting: OperatorSetting
+) -> Call | None:
     """An edge function as a call; none stands for the function that always gives the empty set."""
     if function is None:
         return None
@@ -354,7 +359,7 @@ def _wants_tick(function: Operator, subject: str, operator: str, takes: tuple[st
         raise HierarchyError(f"{subject}: {error}") from error
 
 
-def _synchronous(function: Operator, setting: Setting, where: str) -> Operator:
+def _synchronous(function: Operator, setting: OperatorSetting, where: str) -> Operator:
     is_async = inspect.iscoroutinefunction(function) or inspect.iscoroutinefunction(
         getattr(function, "__call__", None)  # noqa: B004 - an edge function may be an object
     )

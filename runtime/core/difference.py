@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from hierax.runtime.core.node import Value
+from hierax.runtime.core.elements import Value
 from hierax.schemas.values import encode_value
 
 

@@ -12,7 +12,7 @@ import struct
 from collections.abc import Iterable
 from hashlib import blake2b
 
-from hierax.runtime.core.node import Elements, Value
+from hierax.runtime.core.elements import Elements, Value
 from hierax.runtime.core.process import ActiveHierarchy
 from hierax.schemas.messages import DIGEST_BYTES
 from hierax.schemas.values import encode_frozen

@@ -5,9 +5,10 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 
-from hierax.runtime.core.binding import BoundNode, Call, Setting, bind_edge, require_no_world, require_world
+from hierax.runtime.core.binding import BoundNode, Call, OperatorSetting, bind_edge, require_no_world, require_world
+from hierax.runtime.core.elements import Elements
 from hierax.runtime.core.graph import Pair, check_graph, topological_order
-from hierax.runtime.core.node import Elements, Node, World
+from hierax.runtime.core.node import Node, World
 
 
 @dataclass(frozen=True)
@@ -44,7 +45,7 @@ class BoundEdge:
     context: Call | None
 
     @staticmethod
-    def of(edge: Edge, setting: Setting, side: str = "both") -> BoundEdge:
+    def of(edge: Edge, setting: OperatorSetting, side: str = "both") -> BoundEdge:
         """Bind an edge: φ for the ``lower`` side, ψ and ϱ for the ``upper``, or ``both``."""
         low = side in ("lower", "both")
         up = side in ("upper", "both")
@@ -75,7 +76,7 @@ class Hierarchy:
     nodes: Mapping[str, Node]
     world: str
     edges: Sequence[Edge]
-    setting: Setting = field(default_factory=Setting)
+    setting: OperatorSetting = field(default_factory=OperatorSetting)
     bound: Mapping[str, BoundNode] = field(init=False, repr=False)
     bound_edges: Mapping[Pair, BoundEdge] = field(init=False, repr=False)
     order: tuple[str, ...] = field(init=False, repr=False)

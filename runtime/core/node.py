@@ -4,21 +4,16 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 
+from hierax.runtime.core.elements import Elements, Value
 from hierax.runtime.core.tick import NO_TICK, Tick
 
 if TYPE_CHECKING:
     from hierax.runtime.core.probe import Step
     from hierax.runtime.core.showing import Things
-
-Value = Any
-"""A value as `hierax.schemas.values` describes it; never mutated."""
-
-Elements = tuple[Value, ...]
-"""A set of the theory (observations, actions, task parameters, context), in a fixed order."""
 
 Policy = Callable[..., Elements]
 

@@ -6,7 +6,7 @@ from abc import ABC, abstractmethod
 from pathlib import Path
 from typing import NamedTuple
 
-from hierax.runtime.core.node import Elements, Value
+from hierax.runtime.core.elements import Elements, Value
 
 
 class Step(NamedTuple):

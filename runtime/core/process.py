@@ -12,8 +12,8 @@ from types import MappingProxyType
 from typing import NamedTuple
 
 from hierax.runtime.core.binding import Call, epoch_time_s
+from hierax.runtime.core.elements import Elements, Value
 from hierax.runtime.core.hierarchy import Hierarchy
-from hierax.runtime.core.node import Elements, Value
 
 
 class ActiveNode(NamedTuple):

@@ -10,7 +10,7 @@ from hierax.runtime.deployment.document import Document
 from hierax.runtime.deployment.errors import DeploymentError
 from hierax.runtime.deployment.models import DeploymentModel, TopModel, field_meaning, field_names
 from hierax.runtime.deployment.paths import Keys
-from hierax.runtime.nearest import did_you_mean
+from hierax.runtime.loading.nearest import did_you_mean
 
 _EXPECTED = {
     "int_type": "a whole number",

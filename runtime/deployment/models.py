@@ -11,9 +11,9 @@ from typing import Annotated, Any, Literal
 
 from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field, WithJsonSchema
 
-from hierax.runtime.allowance import TARGET_PATTERN, is_target
 from hierax.runtime.deployment.deployment import EPOCH_DEADLINE_S, RestartPolicy
 from hierax.runtime.deployment.paths import Keys
+from hierax.runtime.loading.allowance import TARGET_PATTERN, is_target
 from hierax.schemas.keys import check_name
 
 NAME_PATTERN = r"^[A-Za-z0-9][A-Za-z0-9_.-]*$"

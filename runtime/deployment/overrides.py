@@ -10,7 +10,7 @@ from hierax.runtime.deployment.models import field_names
 from hierax.runtime.deployment.paths import Keys, field_text, longest_key, normal_path
 from hierax.runtime.deployment.secrets import told
 from hierax.runtime.deployment.tree import read_tree
-from hierax.runtime.nearest import did_you_mean
+from hierax.runtime.loading.nearest import did_you_mean
 
 _CLOSED = (("nodes",), ("edges",), ("parameters",), ("probes",))
 """Maps that a ``--set`` changes the entries of, but adds none to."""

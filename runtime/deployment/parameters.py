@@ -8,7 +8,7 @@ from typing import Any
 from hierax.runtime.deployment.document import Document
 from hierax.runtime.deployment.errors import DeploymentError
 from hierax.runtime.deployment.paths import Keys
-from hierax.runtime.nearest import did_you_mean
+from hierax.runtime.loading.nearest import did_you_mean
 
 MAX_EXPANDED = 1 << 24
 """Characters and values of a document after substitution."""

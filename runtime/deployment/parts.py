@@ -10,7 +10,7 @@ from hierax.runtime.deployment.deployment import RestartPolicy
 from hierax.runtime.deployment.document import Document
 from hierax.runtime.deployment.models import EdgeModel, FunctionModel, NodeModel, RestartModel, split_edge
 from hierax.runtime.deployment.paths import Keys
-from hierax.runtime.nearest import did_you_mean
+from hierax.runtime.loading.nearest import did_you_mean
 from hierax.schemas.errors import SchemaError
 from hierax.schemas.roster import Reference, RosterEdge
 from hierax.schemas.values import decode_value, encode_value

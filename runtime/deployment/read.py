@@ -8,21 +8,21 @@ from typing import Any
 
 from pydantic import ValidationError
 
-from hierax.runtime.allowance import module_of
 from hierax.runtime.core.errors import HierarchyError
 from hierax.runtime.core.graph import check_graph
 from hierax.runtime.deployment.deployment import Deployment, RestartPolicy, ViewSpec
 from hierax.runtime.deployment.document import Document
 from hierax.runtime.deployment.errors import DeploymentError
 from hierax.runtime.deployment.faults import first_error
-from hierax.runtime.deployment.files import find_file, import_paths, read_text
+from hierax.runtime.deployment.locating import find_file, import_paths, read_text
 from hierax.runtime.deployment.models import DeploymentModel, ViewModel, split_edge
 from hierax.runtime.deployment.overrides import apply_override
 from hierax.runtime.deployment.parameters import substitute
 from hierax.runtime.deployment.parts import KINDS, check_known, reference, restart_policy, roster_edges, roster_nodes
 from hierax.runtime.deployment.paths import Keys
 from hierax.runtime.deployment.tree import read_tree
-from hierax.runtime.engine.loose import Staleness
+from hierax.runtime.engine.stale import Staleness
+from hierax.runtime.loading.allowance import module_of
 from hierax.schemas.roster import ProbeSpec, Roster
 
 

@@ -5,12 +5,12 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
-from hierax.runtime.allowance import NotAllowedError
 from hierax.runtime.deployment.deployment import Deployment, RestartPolicy
 from hierax.runtime.deployment.errors import DeploymentError
 from hierax.runtime.deployment.snippet import read_attach, read_replace, read_restarts
-from hierax.runtime.nearest import did_you_mean
-from hierax.runtime.owner.changes import ChangeError, apply
+from hierax.runtime.loading.allowance import NotAllowedError
+from hierax.runtime.loading.nearest import did_you_mean
+from hierax.runtime.owner.roster_changes import ChangeError, apply
 from hierax.schemas.changes import Change, Detach
 from hierax.schemas.roster import Roster
 

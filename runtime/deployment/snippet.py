@@ -2,7 +2,7 @@
 
 ``${NAME}`` stands for a parameter of the deployment. Nothing of what a snippet names is
 imported, and nothing is checked that depends on the roster which it will find: what
-nodes there are then, and what may be loaded, `hierax.runtime.owner.changes` decides.
+nodes there are then, and what may be loaded, `hierax.runtime.owner.roster_changes` decides.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from hierax.runtime.deployment.models import SnippetModel, split_edge
 from hierax.runtime.deployment.parameters import substitute
 from hierax.runtime.deployment.parts import restart_policy, roster_edges, roster_nodes
 from hierax.runtime.deployment.read import read_document
-from hierax.runtime.nearest import did_you_mean
+from hierax.runtime.loading.nearest import did_you_mean
 from hierax.schemas.changes import Attach, Replace
 
 

@@ -6,13 +6,14 @@ from collections.abc import Mapping, Sequence
 
 from hierax.runtime.core.binding import Call, epoch_time_s, is_finished
 from hierax.runtime.core.digest import NO_DIGEST, encode_state, node_digest
+from hierax.runtime.core.elements import Elements, Value
 from hierax.runtime.core.errors import ContradictionError, OperatorError
-from hierax.runtime.core.node import Elements, Value, World
+from hierax.runtime.core.node import World
 from hierax.runtime.core.probe import Step
 from hierax.runtime.core.process import ActiveNode
 from hierax.runtime.core.travel import cannot_travel
+from hierax.runtime.engine.effects import Called, Committed, Completed, EngineEffects, Saved
 from hierax.runtime.engine.held import Held
-from hierax.runtime.engine.outlet import Called, Committed, Completed, Outlet, Saved
 from hierax.runtime.engine.table import (
     ACTIONS,
     ATTEMPTS_AHEAD,
@@ -58,13 +59,13 @@ class Engine:
     def __init__(
         self,
         wiring: Wiring,
-        outlet: Outlet,
+        effects: EngineEffects,
         *,
         saved: Saved | None = None,
         joins: bool = False,
         events: bool = False,
     ) -> None:
-        self._outlet = outlet
+        self._effects = effects
         self.events = events
         self._joins = joins
         self.begun = False
@@ -187,7 +188,7 @@ class Engine:
     def rewire(self, version: int) -> None:
         """Take up a prepared version: the world, before it begins an epoch or attempt of it."""
         self._wire(self._prepared[version])
-        self._outlet.rewired(version)
+        self._effects.rewired(version)
         self._prepared = {later: wiring for later, wiring in self._prepared.items() if later > version}
 
     def say_again(self, neighbour: str) -> None:
@@ -201,7 +202,7 @@ class Engine:
         """Send once more what these neighbours were sent of the epoch's attempt."""
         for receiver, kind in sorted(self._sent):
             if receiver in receivers:
-                self._outlet.send(self._sent[receiver, kind])
+                self._effects.send(self._sent[receiver, kind])
 
     def receive(self, message: Message) -> None:
         """Take a message in, by the table.
@@ -237,7 +238,7 @@ class Engine:
             self.rewire(roster)
             self.receive(message)
         elif ACTIONS[verdict] is Action.REFUSE:
-            self._outlet.refused(header, verdict)
+            self._effects.refused(header, verdict)
         elif ACTIONS[verdict] is Action.HOLD:
             self._hold(message, verdict)
 
@@ -334,11 +335,11 @@ class Engine:
         wirings = (self.wiring, *self._prepared.values())
         is_neighbour = any(slot in wiring.below or slot in wiring.above for wiring in wirings)
         for refused in self._held.put(message, is_neighbour):
-            self._outlet.refused(refused.header, verdict)
+            self._effects.refused(refused.header, verdict)
             if refused is message:
                 return
         if verdict is Verdict.NEW_ROSTER and header.roster not in self._prepared:
-            self._outlet.lacks(header.roster)
+            self._effects.lacks(header.roster)
 
     def _release(self) -> None:
         """Judge again what was held, as the epoch, its half or the roster has changed."""
@@ -357,7 +358,7 @@ class Engine:
         """An epoch begins: the last one was committed."""
         if self._fresh:  # a process without a checkpoint has never taken part in an epoch: its start is the initial one
             self._fresh = False
-            self._outlet.save(epoch - 1, 0, self._encoded_now, self._encoded_now)
+            self._effects.save(epoch - 1, 0, self._encoded_now, self._encoded_now)
         self._joins = False
         self._heard_before, self._told_before = self._heard, self._told
         self._start = self._state
@@ -484,7 +485,7 @@ class Engine:
 
     def _hand_on(self, tasks: Elements, context: Elements) -> None:
         """What follows the prediction."""
-        epoch, attempt, time_s, state, outlet = self.epoch, self.attempt, self.time_s, self._state, self._outlet
+        epoch, attempt, time_s, state, effects = self.epoch, self.attempt, self.time_s, self._state, self._effects
         step = Step(
             epoch,
             attempt,
@@ -498,11 +499,11 @@ class Engine:
             state.belief,
         )
         completed = Completed(step, self._encoded_now, self.digest)
-        outlet.predicted(completed)
+        effects.predicted(completed)
         if self._vigilance:
             self._vigilance.keep("belief", state.belief)
         if self._world is None:
-            outlet.save(epoch, attempt, self._encoded_start, self._encoded_now)
+            effects.save(epoch, attempt, self._encoded_start, self._encoded_now)
         for lower, enrich in self.wiring.context:
             elements: Elements = ()
             if enrich is not None:
@@ -511,9 +512,9 @@ class Engine:
                     self._called(enrich, elements)
             self._send(CONTEXT, lower, elements, self.digest)
         if self._world is not None:
-            outlet.act(epoch, state.actions)
-            outlet.committed(Committed(epoch, attempt, self.digest))
-        outlet.completed(completed)
+            effects.act(epoch, state.actions)
+            effects.committed(Committed(epoch, attempt, self.digest))
+        effects.completed(completed)
         if self._held:
             self._release()
 
@@ -526,7 +527,7 @@ class Engine:
             header = header._replace(extensions=self._extensions(kind))
         message = Message(header, elements)
         self._sent[receiver, kind] = message
-        self._outlet.send(message)
+        self._effects.send(message)
 
     _extends = False
 
@@ -539,7 +540,7 @@ class Engine:
         if self._vigilance:
             self._vigilance.check(call, self.epoch)
         if self.events:
-            self._outlet.called(Called(self.epoch, self.attempt, call.subject, call.operator, result))
+            self._effects.called(Called(self.epoch, self.attempt, call.subject, call.operator, result))
 
     def _encoded(self, state: ActiveNode) -> bytes:
         """The bytes of the state that the operators have made."""

@@ -7,7 +7,7 @@ from sys import getsizeof
 
 import numpy as np
 
-from hierax.runtime.core.node import Value
+from hierax.runtime.core.elements import Value
 from hierax.runtime.engine.table import HELD_BYTES, HELD_MESSAGES, HELD_SLOTS
 from hierax.runtime.engine.wiring import Slot
 from hierax.schemas.messages import Message

@@ -7,8 +7,8 @@ from __future__ import annotations
 
 from hierax.runtime.core.binding import Call
 from hierax.runtime.core.difference import difference
+from hierax.runtime.core.elements import Value
 from hierax.runtime.core.errors import OperatorError
-from hierax.runtime.core.node import Value
 from hierax.schemas.errors import SchemaError
 from hierax.schemas.values import decode_value, encode_value
 

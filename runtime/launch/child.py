@@ -16,8 +16,8 @@ import anyio.abc
 
 from hierax.runtime.core.errors import HieraxError
 from hierax.runtime.deployment.deployment import RestartPolicy
-from hierax.runtime.interpreter import python_module
-from hierax.runtime.launch.pipe import CUT_OFF, DISMISSED, FAILED, REPORT, UP, NodeOrder, frame
+from hierax.runtime.host.interpreter import python_module
+from hierax.runtime.launch.frames import CUT_OFF, DISMISSED, FAILED, REPORT, UP, NodeOrder, frame
 from hierax.schemas.values import Value
 
 CLOSED = -1

@@ -16,13 +16,13 @@ import numpy as np
 from hierax.runtime.core.errors import HieraxError
 from hierax.runtime.core.process import ActiveNode
 from hierax.runtime.deployment import Deployment
+from hierax.runtime.execution.member import read_checkpoint
+from hierax.runtime.execution.world_member import read_record
 from hierax.runtime.launch.child import Child
-from hierax.runtime.launch.keeping import Keeping
-from hierax.runtime.launch.pipe import FINISH, NodeOrder, leave
-from hierax.runtime.member import read_checkpoint
+from hierax.runtime.launch.frames import FINISH, NodeOrder, leave
+from hierax.runtime.launch.process_supervisor import ProcessSupervisor
 from hierax.runtime.recovery.disk import MappedFile
 from hierax.runtime.recovery.slots import Slots
-from hierax.runtime.world_member import read_record
 from hierax.schemas.errors import SchemaError
 
 EPOCH_S = 0.7
@@ -51,7 +51,7 @@ class EarlyEnd:
         unreported: nodes whose state after it is not known, and why.
     """
 
-    def __init__(self, keeping: Keeping, deployment: Deployment, say: Callable[[str], None]) -> None:
+    def __init__(self, keeping: ProcessSupervisor, deployment: Deployment, say: Callable[[str], None]) -> None:
         self._keeping = keeping
         self._world = deployment.roster.world
         self._barrier = deployment.staleness.barrier

@@ -12,9 +12,9 @@ from collections.abc import Callable, Iterable
 from typing import Any, NamedTuple
 
 from hierax.runtime.core.errors import HieraxError
-from hierax.runtime.member import Member
-from hierax.runtime.nearest import did_you_mean
-from hierax.runtime.world_member import WorldMember
+from hierax.runtime.execution.member import Member
+from hierax.runtime.execution.world_member import WorldMember
+from hierax.runtime.loading.nearest import did_you_mean
 
 METHODS = {"save": "save", "send": "send", "act": "act", "commit": "committed"}
 """By place, the method of a member that is called there."""

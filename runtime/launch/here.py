@@ -12,9 +12,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from hierax.runtime.allowance import Allowance, module_of
 from hierax.runtime.core.errors import HieraxError
-from hierax.runtime.launch.pipe import NEWCOMER, NodeOrder
+from hierax.runtime.launch.frames import NEWCOMER, NodeOrder
+from hierax.runtime.loading.allowance import Allowance, module_of
 from hierax.schemas.errors import SchemaError, shown
 from hierax.schemas.keys import check_name
 from hierax.schemas.roster import Reference
@@ -22,7 +22,7 @@ from hierax.schemas.values import Value
 
 
 @dataclass(frozen=True)
-class Here:
+class AttachedHere:
     """What the user of this machine has named.
 
     Attributes:
@@ -44,7 +44,7 @@ class Here:
     settings: Value
 
 
-def read_orders(orders: Value, request: str, here: Here, folder: Path) -> list[NodeOrder]:
+def read_orders(orders: Value, request: str, here: AttachedHere, folder: Path) -> list[NodeOrder]:
     """The orders for this machine.
 
     Args:
@@ -66,7 +66,7 @@ def read_orders(orders: Value, request: str, here: Here, folder: Path) -> list[N
     return [_local(order, request, here, folder) for order in orders]
 
 
-def _local(order: Mapping[str, Any], request: str, here: Here, folder: Path) -> NodeOrder:
+def _local(order: Mapping[str, Any], request: str, here: AttachedHere, folder: Path) -> NodeOrder:
     name: str = order["name"]
     reference = here.nodes[name]
     allowance = here.allowance

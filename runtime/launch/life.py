@@ -14,12 +14,12 @@ from typing import get_args
 
 import numpy as np
 
-from hierax.runtime.core.binding import CALLS, Call, Setting, Waiter
+from hierax.runtime.core.binding import CALLS, Call, OperatorSetting, Waiter
 from hierax.runtime.core.errors import ContradictionError, HieraxError
+from hierax.runtime.execution.member import Member
+from hierax.runtime.execution.world_member import WorldMember
 from hierax.runtime.launch.backlog import Backlog
-from hierax.runtime.launch.building import build_member, preload
-from hierax.runtime.launch.desk import Desk
-from hierax.runtime.launch.pipe import (
+from hierax.runtime.launch.frames import (
     BEGIN,
     COME_BACK,
     CUT_OFF,
@@ -31,21 +31,21 @@ from hierax.runtime.launch.pipe import (
     UP,
     NodeOrder,
 )
+from hierax.runtime.launch.inspection_server import InspectionServer
+from hierax.runtime.launch.member_building import build_member, preload
 from hierax.runtime.launch.steady import SteadyClock
-from hierax.runtime.launch.voice import Voice
-from hierax.runtime.loading import LoadError, extend_import_path
-from hierax.runtime.member import Member
-from hierax.runtime.node_loader import NodeLoader
+from hierax.runtime.launch.supervisor_pipe import SupervisorPipe
+from hierax.runtime.loading.loader import LoadError, extend_import_path
+from hierax.runtime.loading.node_loader import NodeLoader
 from hierax.runtime.recording.witness import Witness
 from hierax.runtime.transport.control import OWNER, ControlLine
+from hierax.runtime.transport.inspection import InspectionEndpoint
 from hierax.runtime.transport.port import TransportError
-from hierax.runtime.transport.recording import StepTeller
-from hierax.runtime.transport.window import Window
+from hierax.runtime.transport.steps import StepPublisher
 from hierax.runtime.transport.zenoh_port import EpochPublisher, ZenohPort
 from hierax.runtime.transport.zenoh_session import LOOPBACK, LOW_LATENCY_BYTES, open_session
 from hierax.runtime.watch import telemetry
 from hierax.runtime.watch.logs import QUIET
-from hierax.runtime.world_member import WorldMember
 from hierax.schemas.control import AskStatus, Control, Dismiss, Offered, Order, Word, decode_control
 from hierax.schemas.errors import SchemaError
 from hierax.schemas.keys import Keys
@@ -83,11 +83,11 @@ class NodeLife:
         self._order = order
         self._wait = wait
         self._stopping = threading.Event()
-        self._voice = Voice(status, self._stopping.set)
+        self._pipe = SupervisorPipe(status, self._stopping.set)
         self._port: ZenohPort | None = None
         self._member: Member | None = None
-        self._desk: Desk | None = None
-        self._teller: StepTeller
+        self._inspection: InspectionServer | None = None
+        self._teller: StepPublisher
         self._witness: Witness | None = None
         self._recorded = False
         self._thread = 0
@@ -162,8 +162,8 @@ class NodeLife:
     def tick(self) -> None:
         """Time has passed."""
         member = self._member
-        if self._desk is not None:
-            self._desk.serve()
+        if self._inspection is not None:
+            self._inspection.serve()
         if member is None:
             return
         if self._teller.heard != self._recorded:
@@ -202,7 +202,7 @@ class NodeLife:
         if port is not None and not self._stopping.is_set():
             port.greet()
             for process in port.absent.due():
-                self._voice.say(MISSES, process=process)
+                self._pipe.say(MISSES, process=process)
 
     def close(self) -> None:
         """Close the port, when no other thread uses it any more."""
@@ -226,7 +226,7 @@ class NodeLife:
             if isinstance(error, (TransportError, SchemaError)):  # the others name the node themselves
                 message = f"{self._order.name}: {message.removeprefix(f'{self._order.name}: ')}"
             _log.error("%s", message, exc_info=True, extra=QUIET)
-            self._voice.say(
+            self._pipe.say(
                 FAILED,
                 message=message.encode(errors="backslashreplace").decode(),
                 where=place,
@@ -238,7 +238,7 @@ class NodeLife:
         order = self._order
         extend_import_path(order.import_paths)
         preload(order.preload, order.allowance)
-        loader = NodeLoader(order.name, Setting(order.seed, self._wait), order.allowance)
+        loader = NodeLoader(order.name, OperatorSetting(order.seed, self._wait), order.allowance)
         if order.roster is not None:
             loader.wiring(order.roster)  # what cannot be loaded is told before anybody is waited for
         listen = [f"tcp/{order.host}:0"] if order.host else [LOOPBACK]
@@ -249,15 +249,15 @@ class NodeLife:
         is_world = order.owner is not None
         offered = () if is_world else (*get_args(Offered), *((Dismiss,) if order.elsewhere else ()))
         self._line = ControlLine(session, keys, order.process, offered, self.hear, most_bytes)
-        member = build_member(order, loader, port, self._line, self._voice, EpochPublisher(session, keys))
+        member = build_member(order, loader, port, self._line, self._pipe, EpochPublisher(session, keys))
         if isinstance(member, WorldMember):
             self._owners_line = ControlLine(session, keys, OWNER, get_args(Word), self.hear, most_bytes)
-        self._teller = StepTeller(session, keys, order.name)
+        self._teller = StepPublisher(session, keys, order.name)
         if order.recorded and self._teller.wait(RECORDER_TIMEOUT_S):
             self._be_recorded(member, True)
         if telemetry.wanted():
             member.watch(telemetry.open_spans(order.deployment, order.run, order.name))
-        self._desk = Desk(member, Window(session, keys, order.name), self.busy)
+        self._inspection = InspectionServer(member, InspectionEndpoint(session, keys, order.name), self.busy)
         gc.collect()
         gc.freeze()  # what is loaded stays; the collector need not look at it again in the middle of an epoch
         try:
@@ -295,7 +295,7 @@ class NodeLife:
             while not port.connect():
                 if self._stopping.is_set():
                     return False
-            self._voice.say(UP)
+            self._pipe.say(UP)
             if isinstance(member, WorldMember):
                 processes = self._until_told(port)
                 if processes is None:
@@ -313,7 +313,7 @@ class NodeLife:
                 member.hear(decode_control(proposal))
         else:
             member.join(order.request)
-        self._voice.say(UP)
+        self._pipe.say(UP)
         return True
 
     def _until_told(self, port: ZenohPort) -> Mapping[str, str] | None:
@@ -415,18 +415,18 @@ class NodeLife:
         owner = world.owner
         if owner.roster.version != self._version:
             self._version = owner.roster.version
-            self._voice.beat(owner)
+            self._pipe.beat(owner)
         if world.pacemaker is None:
             return
         if world.pacemaker.asked:
             world.end_soon()
         if world.pacemaker.done:
-            self._voice.finish(owner)
+            self._pipe.finish(owner)
 
     def _part(self, member: Member) -> int:
         if member.dismissed:
             _log.info("%s", member.dismissed)
-            self._voice.say(CUT_OFF if member.again else DISMISSED, why=member.dismissed)
+            self._pipe.say(CUT_OFF if member.again else DISMISSED, why=member.dismissed)
             return int(member.again)
         if self.hurried:
             return 1  # the run is not over: the node is lost, and has nothing to report
@@ -446,7 +446,7 @@ class NodeLife:
         if pacemaker is not None:
             chain = pacemaker.chain
             fields["run"] = [chain.epoch, chain.digest, pacemaker.wall_s, np.array(pacemaker.epochs_s)]
-        self._voice.say(REPORT, **fields)
+        self._pipe.say(REPORT, **fields)
         return 0
 
     # --- helpers of both
@@ -455,7 +455,7 @@ class NodeLife:
         """The world's process says that it lives; and when it hangs in an operator, as nobody else watches that."""
         if now - self._beaten_s >= BEAT_S:
             self._beaten_s = now
-            self._voice.beat(world.owner)
+            self._pipe.beat(world.owner)
         state, steady_s = (world.owner.epoch, self.busy()), self._clock()
         if not state[1] or state != self._stuck:
             self._stuck, self._stuck_s = state, steady_s
@@ -464,7 +464,7 @@ class NodeLife:
         if deadline_s is not None and steady_s - self._stuck_s > deadline_s:
             self._stuck_s = steady_s
             why = f"it is in {state[1]} in epoch {state[0] + 1}, past the deadline"
-            self._voice.end(self._order.name, self._order.process, why)
+            self._pipe.end(self._order.name, self._order.process, why)
 
     def _wake(self) -> None:
         if self._port is not None:

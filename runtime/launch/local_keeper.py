@@ -16,8 +16,8 @@ import anyio.to_thread
 from hierax.runtime.core.errors import HieraxError
 from hierax.runtime.deployment.deployment import RestartPolicy
 from hierax.runtime.launch.child import END_TIMEOUT_S, Child, Restarts, start_child
-from hierax.runtime.launch.here import Here, read_orders
-from hierax.runtime.launch.pipe import COME_BACK, Frames, NodeOrder
+from hierax.runtime.launch.frames import COME_BACK, Frames, NodeOrder
+from hierax.runtime.launch.here import AttachedHere, read_orders
 from hierax.runtime.transport.hub import ask, is_gone
 from hierax.runtime.transport.port import TransportError
 from hierax.runtime.transport.zenoh_session import remove_orphaned_segments
@@ -34,7 +34,7 @@ SETTLE_S = 0.5
 def keep(
     orders: Value,
     request: str,
-    here: Here,
+    here: AttachedHere,
     policies: Mapping[str, RestartPolicy],
     told: Callable[[], None],
     say: Callable[[str], None],

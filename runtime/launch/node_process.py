@@ -20,9 +20,9 @@ import anyio
 import anyio.from_thread
 import anyio.to_thread
 
+from hierax.runtime.host.streams import own_output
+from hierax.runtime.launch.frames import FINISH, STOP, Frames, NodeOrder, epoch_of_leave
 from hierax.runtime.launch.life import NodeLife
-from hierax.runtime.launch.pipe import FINISH, STOP, Frames, NodeOrder, epoch_of_leave
-from hierax.runtime.streams import own_output
 from hierax.runtime.watch.logs import QUIET, log_console, log_node, tell_left_out
 from hierax.runtime.watch.prints import name_prints
 from hierax.schemas.control import Census, decode_control

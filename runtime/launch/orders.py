@@ -7,18 +7,18 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
-from hierax.runtime.allowance import module_of
 from hierax.runtime.core.errors import HieraxError
 from hierax.runtime.deployment import Deployment
 from hierax.runtime.deployment.deployment import RestartPolicy
 from hierax.runtime.deployment.secrets import public_settings
-from hierax.runtime.launch.pipe import COME_BACK, TO_REPORT, NodeOrder
+from hierax.runtime.execution.world_member import has_record, read_record
+from hierax.runtime.launch.frames import COME_BACK, TO_REPORT, NodeOrder
 from hierax.runtime.launch.run_file import Run, write_run
-from hierax.runtime.owner.outlet import OwnerSettings
+from hierax.runtime.loading.allowance import module_of
+from hierax.runtime.owner.effects import OwnerPolicy
 from hierax.runtime.recording.info import RunInfo
 from hierax.runtime.recovery.disk import MappedFile
 from hierax.runtime.recovery.slots import Slots
-from hierax.runtime.world_member import has_record, read_record
 from hierax.schemas.checkpoint import decode_processes, decode_roster
 from hierax.schemas.errors import SchemaError
 from hierax.schemas.roster import Reference, Roster
@@ -268,9 +268,9 @@ class Orders:
     def _is_recorded(self) -> bool:
         return any(not pid or Path(f"/proc/{pid}").exists() for pid in self.recorders)
 
-    def _settings(self) -> OwnerSettings:
+    def _settings(self) -> OwnerPolicy:
         deployment = self.deployment
-        return OwnerSettings(
+        return OwnerPolicy(
             modules=deployment.modules,
             on_loss={name: policy.on_loss for name, policy in self._policies.items()},
             rejoin_timeout_s={name: policy.rejoin_timeout_s for name, policy in self._policies.items()},

@@ -11,12 +11,12 @@ from typing import TYPE_CHECKING, Any, get_args, get_type_hints
 import anyio
 import anyio.from_thread
 
-from hierax.runtime.allowance import NotAllowedError, Refusals
 from hierax.runtime.core.errors import HieraxError
 from hierax.runtime.deployment.deployment import RestartPolicy
 from hierax.runtime.launch.child import Child
-from hierax.runtime.launch.pipe import NEWCOMER, NodeOrder
-from hierax.runtime.nearest import did_you_mean
+from hierax.runtime.launch.frames import NEWCOMER, NodeOrder
+from hierax.runtime.loading.allowance import NotAllowedError, Refusals
+from hierax.runtime.loading.nearest import did_you_mean
 from hierax.runtime.transport.hub import Hub
 from hierax.schemas.changes import Attach, Change, new_nodes, read_change
 from hierax.schemas.control import Propose, encode_control
@@ -24,7 +24,7 @@ from hierax.schemas.errors import SchemaError, shown
 from hierax.schemas.values import Value
 
 if TYPE_CHECKING:
-    from hierax.runtime.launch.keeping import Keeping
+    from hierax.runtime.launch.process_supervisor import ProcessSupervisor
 
 Reply = Callable[[Value], None]
 
@@ -80,7 +80,7 @@ class Requests:
     of a `RunInfo`.
     """
 
-    def __init__(self, keeping: Keeping) -> None:
+    def __init__(self, keeping: ProcessSupervisor) -> None:
         self._keeping = keeping
         self._asked: dict[str, Asked] = {}
         self._refusals = Refusals()

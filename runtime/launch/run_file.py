@@ -10,9 +10,9 @@ from pathlib import Path
 from typing import Any
 
 from hierax.runtime.core.errors import HieraxError
-from hierax.runtime.private_files import UnsafeFileError, private_folder, read_private, write_private
-from hierax.runtime.seal import NOT_OURS, STATE, is_sealed, seal_or_warn
-from hierax.runtime.watch.run_folder import runs_folder
+from hierax.runtime.host.private_files import UnsafeFileError, private_folder, read_private, write_private
+from hierax.runtime.host.run_folder import runs_folder
+from hierax.runtime.host.seal import NOT_OURS, STATE, is_sealed, seal_or_warn
 
 _RUN = "run.json"
 _KINDS: Mapping[type, Sequence[str]] = {

@@ -14,23 +14,23 @@ from secrets import token_hex
 import anyio
 import anyio.abc
 
-from hierax.runtime.breaker import ending_signals, leave_at_once
 from hierax.runtime.core.digest import NO_DIGEST
 from hierax.runtime.core.errors import HieraxError
 from hierax.runtime.deployment import Deployment
-from hierax.runtime.files import write_roster
+from hierax.runtime.execution.breaker import ending_signals, leave_at_once
+from hierax.runtime.execution.output_folder import write_roster
+from hierax.runtime.execution.report import Interrupted, NodeReport, Report, make_report
 from hierax.runtime.launch.child import END_TIMEOUT_S, Child, NodeFailedError
 from hierax.runtime.launch.early_end import CLOSE_S, EarlyEnd
-from hierax.runtime.launch.keeping import Keeping
-from hierax.runtime.launch.orders import Orders
-from hierax.runtime.launch.pipe import (
+from hierax.runtime.launch.frames import (
     BEGIN,
     COME_BACK,
     STOP,
 )
-from hierax.runtime.launch.recorder import RecorderChild, Wanted
+from hierax.runtime.launch.orders import Orders
+from hierax.runtime.launch.process_supervisor import ProcessSupervisor
+from hierax.runtime.launch.recorder_process import RecorderChild, Wanted
 from hierax.runtime.launch.run_file import Run, Running, make_state, register
-from hierax.runtime.report import Interrupted, NodeReport, Report, make_report
 from hierax.runtime.transport.hub import Hub
 from hierax.runtime.transport.zenoh_session import remove_orphaned_segments, shared_memory_fault
 from hierax.runtime.watch.logs import begin_log
@@ -142,7 +142,7 @@ class Supervisor:
         self.early: EarlyEnd | None = None
         self._hub: Hub | None = None
         self._recorder = None if record is None else RecorderChild(record, self._say)
-        self._keeping = Keeping(orders, self._say, self._break)
+        self._keeping = ProcessSupervisor(orders, self._say, self._break)
         self._log = begin_log(orders.run_id, deployment.name, deployment.path, tell, lambda: self._keeping.epoch)
 
     async def run(self, progress: Callable[[int], None] | None) -> Report:

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from collections import OrderedDict
 
+from hierax.runtime.owner.effects import OwnerEffects
 from hierax.runtime.owner.members import Members
-from hierax.runtime.owner.outlet import OwnerOutlet
 
 REMEMBERED = 1024
 """How many answers are remembered, so that a change which is asked for twice is answered twice, and made once."""
@@ -21,9 +21,9 @@ class Answers:
         outlet: of the owner.
     """
 
-    def __init__(self, members: Members, outlet: OwnerOutlet) -> None:
+    def __init__(self, members: Members, effects: OwnerEffects) -> None:
         self._members = members
-        self._outlet = outlet
+        self._effects = effects
         self._given: OrderedDict[str, tuple[int, str]] = OrderedDict()
         self._owed: list[tuple[str, int, tuple[str, ...]]] = []
 
@@ -39,7 +39,7 @@ class Answers:
         self._given[key] = (epoch, refusal)
         if len(self._given) > REMEMBERED:
             self._given.popitem(last=False)
-        self._outlet.answer(key, epoch, refusal)
+        self._effects.answer(key, epoch, refusal)
 
     def owes(self, key: str) -> bool:
         """Whether a change is in force, and nobody was told yet."""

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from hierax.runtime.owner.course import Course
-from hierax.runtime.owner.doubts import Doubts
+from hierax.runtime.owner.effects import OwnerEffects, OwnerPolicy
+from hierax.runtime.owner.epoch_progress import EpochProgress
 from hierax.runtime.owner.members import Members
-from hierax.runtime.owner.outlet import OwnerOutlet, OwnerSettings
 from hierax.runtime.owner.plan import Request
 from hierax.runtime.owner.planning import Planning
+from hierax.runtime.owner.suspicions import Suspicions
 from hierax.schemas.changes import Attach
 from hierax.schemas.control import NEVER, Dismiss, Join
 
@@ -27,17 +27,17 @@ class Arrivals:
     def __init__(
         self,
         members: Members,
-        course: Course,
+        progress: EpochProgress,
         planning: Planning,
-        doubts: Doubts,
-        outlet: OwnerOutlet,
-        settings: OwnerSettings,
+        doubts: Suspicions,
+        effects: OwnerEffects,
+        settings: OwnerPolicy,
     ) -> None:
         self._members = members
-        self._course = course
+        self._progress = progress
         self._planning = planning
         self._doubts = doubts
-        self._outlet = outlet
+        self._effects = effects
         self._overlaps = settings.overlaps
 
     def hear(self, word: Join) -> None:
@@ -48,7 +48,7 @@ class Arrivals:
             return  # somebody says it who is not that process: a dismissal would be of one that has a place
         if members.is_dead(process) and not word.active:
             back = name in members.lost and (not word.request or process == members.processes.get(name))
-            self._outlet.tell(process, Dismiss(f"{name}: it was cut off, and taken for lost", again=back))
+            self._effects.tell(process, Dismiss(f"{name}: it was cut off, and taken for lost", again=back))
             return  # where it is dead, nobody hears that
         if word.active:
             self._on_active(word)
@@ -62,7 +62,7 @@ class Arrivals:
         elif plan is not None and plan.request is not None and plan.request.key == word.request:
             return
         elif word.request or name not in members.roster.nodes:
-            self._outlet.tell(process, Dismiss(f"{name}: nobody asks for it (any more)"))
+            self._effects.tell(process, Dismiss(f"{name}: nobody asks for it (any more)"))
         elif name in members.lost:
             self._on_back(word)
 
@@ -85,7 +85,7 @@ class Arrivals:
         if members.comes_back(name):
             return
         if word.epoch != NEVER and word.version < members.born[name][0]:
-            self._outlet.tell(process, Dismiss(f"{name}: another node has taken its place"))
+            self._effects.tell(process, Dismiss(f"{name}: another node has taken its place"))
             return
         why = word.refusal or self._unsound(name, word.epoch, word.attempt)
         version = members.roster.version
@@ -99,7 +99,7 @@ class Arrivals:
 
     def _unsound(self, name: str, epoch: int, attempt: int) -> str:
         """Why a process with a checkpoint of this attempt of an epoch cannot go on."""
-        last, last_attempt = self._course.epoch, self._course.last_attempt
+        last, last_attempt = self._progress.epoch, self._progress.last_attempt
         if epoch == NEVER and last >= self._members.born[name][1]:
             return f"it has no checkpoint, and its node has taken part in epoch {last}"
         if self._overlaps and epoch <= last:
@@ -117,7 +117,7 @@ class Arrivals:
         if word.refusal:
             self._planning.withdraw(request, word.refusal)
         elif word.epoch != NEVER and isinstance(request.change, Attach):
-            self._outlet.tell(word.process, Dismiss("it has a checkpoint, and a node that is attached begins anew"))
+            self._effects.tell(word.process, Dismiss("it has a checkpoint, and a node that is attached begins anew"))
         elif (word.name, word.request) not in newcomers:
             newcomers[word.name, word.request] = word.process
             self._planning.reconsider()
@@ -129,13 +129,13 @@ class Arrivals:
         known = self._processes_of(name)
         in_force = members.processes.get(name)
         if name in members.lost and members.is_dead(process):  # it was cut off, and no keeper here can kill it
-            why = f"{name}: it was cut off, and taken for lost in epoch {self._course.epoch + 1}"
-            self._outlet.tell(process, Dismiss(why, again=True))
+            why = f"{name}: it was cut off, and taken for lost in epoch {self._progress.epoch + 1}"
+            self._effects.tell(process, Dismiss(why, again=True))
         elif name in members.lost and (process not in known or process == in_force):
             members.end(name, process, "it was taken for lost")  # its keeper starts it anew, from its checkpoint
         elif process not in known:
             instead = "it is no part of the hierarchy" if in_force is None else "another process runs it"
-            self._outlet.tell(process, Dismiss(f"{name}: {instead}"))
+            self._effects.tell(process, Dismiss(f"{name}: {instead}"))
         elif process == in_force and self._doubts.is_ahead(word):
             self._doubts.hear(word)
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 
-from hierax.runtime.owner.outlet import OwnerOutlet, OwnerSettings
+from hierax.runtime.owner.effects import OwnerEffects, OwnerPolicy
 from hierax.schemas.control import AskStatus, Resend, Status
 from hierax.schemas.roster import Roster
 
@@ -30,12 +30,12 @@ class Inquiry:
 
     def __init__(
         self,
-        outlet: OwnerOutlet,
+        effects: OwnerEffects,
         end: Callable[[str, str, str], None],
         clock: Callable[[], float],
-        settings: OwnerSettings,
+        settings: OwnerPolicy,
     ) -> None:
-        self._outlet = outlet
+        self._effects = effects
         self._end = end
         self._clock = clock
         self._deadline_s = settings.epoch_deadline_s
@@ -81,7 +81,7 @@ class Inquiry:
 
     def _tell(self, names: list[str], processes: Mapping[str, str]) -> None:
         for name in names:
-            self._outlet.tell(processes[name], AskStatus(self._number))
+            self._effects.tell(processes[name], AskStatus(self._number))
 
     def _judge(self, epoch: int, attempt: int, roster: Roster, processes: Mapping[str, str]) -> None:
         silent = sorted(roster.nodes.keys() - self._answers.keys())
@@ -98,7 +98,7 @@ class Inquiry:
         if ahead:  # the world's record was damaged, and what it falls back to is too old
             others = f"{', '.join(ahead)}: in epoch {self._answers[ahead[0]].epoch}"
             what = f"the world goes on with epoch {epoch}, and that was committed already ({others})"
-            self._outlet.stop(f"{what}, or somebody else has sent them observations")
+            self._effects.stop(f"{what}, or somebody else has sent them observations")
             return
         self._note(epoch, silent, busy, waiting)
         if silent or busy:
@@ -120,7 +120,7 @@ class Inquiry:
             for name, slots in waiting.items()
             if name not in busy
         ]
-        self._outlet.note(f"epoch {epoch} is past its deadline of {self._deadline_s:g} s: {'; '.join(parts)}")
+        self._effects.note(f"epoch {epoch} is past its deadline of {self._deadline_s:g} s: {'; '.join(parts)}")
 
     def _blame(self, epoch: int, silent: list[str], busy: list[str], processes: Mapping[str, str]) -> None:
         self._began_s = self._clock()
@@ -145,7 +145,7 @@ class Inquiry:
             if edge.upper in behind and edge.lower not in behind:
                 wanted.setdefault(edge.lower, set()).add(edge.upper)
         for sender, receivers in sorted(wanted.items()):
-            self._outlet.tell(processes[sender], Resend(epoch, attempt, tuple(sorted(receivers))))
+            self._effects.tell(processes[sender], Resend(epoch, attempt, tuple(sorted(receivers))))
 
     def _blame_link(
         self,

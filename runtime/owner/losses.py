@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from hierax.runtime.owner.course import Course
+from hierax.runtime.owner.effects import DETACH, OwnerEffects, OwnerPolicy
+from hierax.runtime.owner.epoch_progress import EpochProgress
 from hierax.runtime.owner.members import Members
-from hierax.runtime.owner.outlet import DETACH, OwnerOutlet, OwnerSettings
 from hierax.runtime.owner.plan import Request
 from hierax.runtime.owner.planning import Planning
 from hierax.schemas.changes import Detach
@@ -28,16 +28,16 @@ class Losses:
     def __init__(
         self,
         members: Members,
-        course: Course,
+        progress: EpochProgress,
         planning: Planning,
-        outlet: OwnerOutlet,
+        effects: OwnerEffects,
         clock: Callable[[], float],
-        settings: OwnerSettings,
+        settings: OwnerPolicy,
     ) -> None:
         self._members = members
-        self._course = course
+        self._progress = progress
         self._planning = planning
-        self._outlet = outlet
+        self._effects = effects
         self._clock = clock
         self._answer_timeout_s = settings.answer_timeout_s
 
@@ -72,7 +72,7 @@ class Losses:
             members.lose(name)
             if self._planning.plan is not None:
                 self._planning.redo(self._planning.plan)
-        self._outlet.note(f"{word.why}; {name} is detached (on_loss)")
+        self._effects.note(f"{word.why}; {name} is detached (on_loss)")
         self._planning.ask(Request("", Detach(name, cascade=True), self._clock()))
 
     def count(self, word: Census) -> None:
@@ -108,7 +108,7 @@ class Losses:
                 planning.go_on()
             return
         if name not in members.lost:
-            self._outlet.note(f"{name}: its process is lost in epoch {self._course.epoch + 1}")
+            self._effects.note(f"{name}: its process is lost in epoch {self._progress.epoch + 1}")
             members.lose(name)
             if planning.plan is not None:
                 planning.redo(planning.plan)
@@ -130,7 +130,7 @@ class Losses:
         if not self._members.give_up(name):
             return
         if self._members.policy(name) == DETACH and name != self._members.roster.world:
-            self._outlet.note(f"{name}: {why}; it is detached (on_loss)")
+            self._effects.note(f"{name}: {why}; it is detached (on_loss)")
             self._planning.ask(Request("", Detach(name, cascade=True), self._clock()))
         else:
-            self._outlet.stop(f"{name}: {why}")
+            self._effects.stop(f"{name}: {why}")

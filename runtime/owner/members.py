@@ -6,7 +6,7 @@ from collections import OrderedDict
 from collections.abc import Callable, Mapping
 from math import inf
 
-from hierax.runtime.owner.outlet import RESTART, OwnerOutlet, OwnerSettings
+from hierax.runtime.owner.effects import RESTART, OwnerEffects, OwnerPolicy
 from hierax.runtime.owner.plan import Plan
 from hierax.schemas.changes import Replace
 from hierax.schemas.control import Dismiss
@@ -47,9 +47,9 @@ class Members:
         roster: Roster,
         processes: Mapping[str, str],
         born: Mapping[str, Born] | None,
-        outlet: OwnerOutlet,
+        effects: OwnerEffects,
         clock: Callable[[], float],
-        settings: OwnerSettings,
+        settings: OwnerPolicy,
     ) -> None:
         self.roster = roster
         self.processes = dict(processes)
@@ -57,7 +57,7 @@ class Members:
         self.lost: dict[str, float] = {}
         self.newcomers: dict[tuple[str, str], str] = {}
         self.ended: dict[tuple[str, str], float] = {}
-        self._outlet = outlet
+        self._effects = effects
         self._clock = clock
         self.alone = frozenset(settings.alone)
         self.failures: dict[str, str] = {}
@@ -114,13 +114,13 @@ class Members:
     def end(self, name: str, process: str, why: str) -> None:
         """Have a process killed; it is lost when its keeper says so, or says nothing."""
         self.ended.setdefault((name, process), self._clock())
-        self._outlet.end(name, process, why)
+        self._effects.end(name, process, why)
 
     def send_away(self, name: str, process: str, why: str) -> None:
         """A process cannot run a node; when its keeper says that it is gone, the node is given up."""
-        self._outlet.note(f"{name}: {why}; it cannot come back")
+        self._effects.note(f"{name}: {why}; it cannot come back")
         self._refused[process] = why
-        self._outlet.tell(process, Dismiss(why))
+        self._effects.tell(process, Dismiss(why))
 
     # --- newcomers
 
@@ -136,7 +136,7 @@ class Members:
     def turn_away(self, key: str, why: str) -> None:
         """Send those away that are there for a request."""
         for name, of in [pair for pair in self.newcomers if pair[1] == key]:
-            self._outlet.tell(self.newcomers.pop((name, of)), Dismiss(why))
+            self._effects.tell(self.newcomers.pop((name, of)), Dismiss(why))
 
     def missing(self, names: tuple[str, ...], key: str) -> list[str]:
         """Those of a request's new nodes that have no process yet."""

@@ -5,19 +5,19 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from math import inf
 
-from hierax.runtime.allowance import Allowance, NotAllowedError, Refusals
 from hierax.runtime.core.errors import HieraxError
+from hierax.runtime.loading.allowance import Allowance, NotAllowedError, Refusals
 from hierax.runtime.owner.answers import OVER, Answers
 from hierax.runtime.owner.arrivals import Arrivals
-from hierax.runtime.owner.changes import apply
-from hierax.runtime.owner.course import Course
-from hierax.runtime.owner.doubts import Doubts
+from hierax.runtime.owner.effects import OwnerEffects, OwnerPolicy
+from hierax.runtime.owner.epoch_progress import EpochProgress
 from hierax.runtime.owner.inquiry import Inquiry
 from hierax.runtime.owner.losses import Losses
 from hierax.runtime.owner.members import Born, Members
-from hierax.runtime.owner.outlet import OwnerOutlet, OwnerSettings
 from hierax.runtime.owner.plan import Request, Stage
 from hierax.runtime.owner.planning import MAX_TRIES, Planning
+from hierax.runtime.owner.roster_changes import apply
+from hierax.runtime.owner.suspicions import Suspicions
 from hierax.schemas.changes import read_change
 from hierax.schemas.control import (
     NEVER,
@@ -65,9 +65,9 @@ class Owner:
         self,
         roster: Roster,
         processes: Mapping[str, str],
-        outlet: OwnerOutlet,
+        effects: OwnerEffects,
         clock: Callable[[], float],
-        settings: OwnerSettings,
+        settings: OwnerPolicy,
         *,
         epoch: int = 0,
         attempt: int = NEVER,
@@ -76,23 +76,23 @@ class Owner:
         settled: bool = False,
         last_attempt: int = 0,
     ) -> None:
-        self._outlet = outlet
+        self._effects = effects
         self._told_s: dict[str, float] = {}
         self._clock = clock
         self._settings = settings
         self._refusals = Refusals()
-        members = Members(roster, processes, born, outlet, clock, settings)
-        self._inquiry = Inquiry(outlet, members.end, clock, settings)
-        course = Course(
-            members, self._inquiry, outlet, epoch=epoch, attempt=attempt, settled=settled, last_attempt=last_attempt
+        members = Members(roster, processes, born, effects, clock, settings)
+        self._inquiry = Inquiry(effects, members.end, clock, settings)
+        progress = EpochProgress(
+            members, self._inquiry, effects, epoch=epoch, attempt=attempt, settled=settled, last_attempt=last_attempt
         )
         self._members = members
-        self._course = course
-        self._answers = Answers(members, outlet)
-        self._planning = Planning(members, course, self._answers, outlet, self.proceed, clock, settings, highest)
-        self._doubts = Doubts(members, course, outlet)
-        self._arrivals = Arrivals(members, course, self._planning, self._doubts, outlet, settings)
-        self._losses = Losses(members, course, self._planning, outlet, clock, settings)
+        self._progress = progress
+        self._answers = Answers(members, effects)
+        self._planning = Planning(members, progress, self._answers, effects, self.proceed, clock, settings, highest)
+        self._doubts = Suspicions(members, progress, effects)
+        self._arrivals = Arrivals(members, progress, self._planning, self._doubts, effects, settings)
+        self._losses = Losses(members, progress, self._planning, effects, clock, settings)
 
     @property
     def roster(self) -> Roster:
@@ -107,22 +107,22 @@ class Owner:
     @property
     def epoch(self) -> int:
         """The last one committed."""
-        return self._course.epoch
+        return self._progress.epoch
 
     @property
     def attempt(self) -> int:
         """Of the epoch after that, the last one begun; NEVER: none was."""
-        return self._course.attempt
+        return self._progress.attempt
 
     @property
     def last_attempt(self) -> int:
         """The one of the last epoch committed that was."""
-        return self._course.last_attempt
+        return self._progress.last_attempt
 
     @property
     def drains(self) -> bool:
         """Whether the epoch under way does not overlap with the next one."""
-        return self._course.drains
+        return self._progress.drains
 
     @property
     def highest(self) -> int:
@@ -150,24 +150,24 @@ class Owner:
 
     def proceed(self) -> None:
         """The world may begin the next epoch."""
-        course = self._course
-        if course.running:
+        progress = self._progress
+        if progress.running:
             return
         plan = self._planning.plan
         if not self._members.lost:
             ready = plan is not None and plan.stage is Stage.READY
-            if plan is not None and ready and (course.drained or not self._settings.overlaps):
+            if plan is not None and ready and (progress.drained or not self._settings.overlaps):
                 self._planning.take_effect(plan)
             elif plan is None or ready or plan.stage is Stage.PREPARE:
-                course.drains = ready
-                course.begin()
-        if not course.running:
-            self._outlet.keep()  # nobody hears of a commit that a crash could undo
-        self._answers.tell(course.epoch)
+                progress.drains = ready
+                progress.begin()
+        if not progress.running:
+            self._effects.keep()  # nobody hears of a commit that a crash could undo
+        self._answers.tell(progress.epoch)
 
     def committed(self, epoch: int) -> None:
         """An epoch is committed; `proceed` or `finish` follows."""
-        self._course.committed(epoch)
+        self._progress.committed(epoch)
         if self._members.lost:
             self._arrivals.judge_again()
         if self._planning.queue:
@@ -175,7 +175,7 @@ class Owner:
 
     def finish(self) -> None:
         """The last epoch is committed and recorded: what is still asked for comes too late."""
-        self._course.over = True
+        self._progress.over = True
         self._answers.tell(self.epoch)
         self._planning.finish(OVER)
 
@@ -183,7 +183,7 @@ class Owner:
         """Take in what a process, a keeper or a user says."""
         if isinstance(word, (Join, Ready, Fetch)):
             self._members.hear(word.process)
-        if self._course.over:
+        if self._progress.over:
             if isinstance(word, Propose) and not self._answers.repeat(word.request):
                 self._answers.give(word.request, 0, OVER)
         elif isinstance(word, (Ready, State, Taken)):
@@ -206,11 +206,11 @@ class Owner:
 
     def tick(self) -> None:
         """Time has passed."""
-        if self._course.over:
+        if self._progress.over:
             return
         self._losses.tick()
         self._planning.tick()
-        self._course.tick()
+        self._progress.tick()
 
     def _on_propose(self, word: Propose) -> None:
         key = word.request
@@ -227,7 +227,7 @@ class Owner:
             apply(self.roster, change, version, lambda _: version)
         except (HieraxError, SchemaError) as error:
             if isinstance(error, NotAllowedError) and self._refusals.is_new(str(error)):
-                self._outlet.note(f"a change is refused: {error}")
+                self._effects.note(f"a change is refused: {error}")
             self._answers.give(key, 0, str(error))
             return
         self._planning.ask(Request(key, change, self._clock(), word.on_loss, word.rejoin_timeout_s, word.alone))
@@ -239,4 +239,4 @@ class Owner:
         now = self._clock()
         if now - self._told_s.get(word.name, -inf) >= FETCH_S:  # who asks more often is not the process
             self._told_s[word.name] = now
-            self._outlet.tell(word.process, Prepare(self.roster.plain(), tuple(sorted(self._members.alone))))
+            self._effects.tell(word.process, Prepare(self.roster.plain(), tuple(sorted(self._members.alone))))

@@ -26,7 +26,7 @@ class Request:
         key: by which the answer is told apart; empty: the owner itself asks.
         change: what is wanted.
         since_s: when it was asked for.
-        on_loss, rejoin_timeout_s, alone: of its new nodes, as `OwnerSettings` has them.
+        on_loss, rejoin_timeout_s, alone: of its new nodes, as `OwnerPolicy` has them.
         tries: how often a plan with it had to be dropped.
     """
 

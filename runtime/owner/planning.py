@@ -8,13 +8,13 @@ from dataclasses import replace
 
 from hierax.runtime.core.errors import HieraxError
 from hierax.runtime.owner.answers import Answers
-from hierax.runtime.owner.changes import apply, removed, touched
-from hierax.runtime.owner.course import Course
+from hierax.runtime.owner.effects import OwnerEffects, OwnerPolicy
+from hierax.runtime.owner.epoch_progress import EpochProgress
 from hierax.runtime.owner.members import Members
-from hierax.runtime.owner.outlet import OwnerOutlet, OwnerSettings
 from hierax.runtime.owner.plan import Plan, Request, Stage
+from hierax.runtime.owner.roster_changes import apply, removed, touched
 from hierax.schemas.changes import Detach, Replace
-from hierax.schemas.control import Dismiss, HandOver, Prepare, Ready, Same, State, Taken, TakeOver
+from hierax.schemas.control import Dismiss, HandOver, Prepare, Ready, State, Taken, TakeOver, Unchanged
 from hierax.schemas.roster import Roster
 
 TELL_AGAIN_S = 0.1
@@ -46,21 +46,21 @@ class Planning:
     def __init__(
         self,
         members: Members,
-        course: Course,
+        progress: EpochProgress,
         answers: Answers,
-        outlet: OwnerOutlet,
+        effects: OwnerEffects,
         proceed: Callable[[], None],
         clock: Callable[[], float],
-        settings: OwnerSettings,
+        settings: OwnerPolicy,
         highest: int,
     ) -> None:
         self.highest = max(highest, members.roster.version)
         self.plan: Plan | None = None
         self.queue: deque[Request] = deque()
         self._members = members
-        self._course = course
+        self._progress = progress
         self._answers = answers
-        self._outlet = outlet
+        self._effects = effects
         self._proceed = proceed
         self._clock = clock
         self._settings = settings
@@ -96,7 +96,7 @@ class Planning:
             self._members.turn_away(request.key, why)
             self._answers.give(request.key, 0, why)
         else:
-            self._outlet.stop(why)
+            self._effects.stop(why)
 
     def finish(self, why: str) -> None:
         """Nothing is done any more."""
@@ -139,18 +139,18 @@ class Planning:
             self._proceed()
 
     def _can_be_tried(self, request: Request) -> bool:
-        if self._course.over or request not in self.queue:
+        if self._progress.over or request not in self.queue:
             return False
         change = request.change
         lost = self._members.lost
         if not request.key and isinstance(change, Detach) and change.name not in lost:
             self.queue.remove(request)  # it is back, or detached already
             return False
-        if request.key and self._course.settled:
+        if request.key and self._progress.settled:
             return False
         if isinstance(change, Replace) and change.name in lost:
             return False  # its state is handed over, so it has to come back first
-        if isinstance(change, Replace) and lost and self._course.running:
+        if isinstance(change, Replace) and lost and self._progress.running:
             return False  # the epoch under way may be committed after all, with another state than was handed over
         return not self._missing(request)
 
@@ -180,7 +180,7 @@ class Planning:
         for each in self.queue:
             change = each.change
             wanted = isinstance(change, Detach) and change.name in lost and change.name in roster.nodes
-            if each is request or not wanted or (each.key and self._course.settled):
+            if each is request or not wanted or (each.key and self._progress.settled):
                 continue
             try:
                 smaller = apply(roster, change, roster.version + 1, lambda _: 0)
@@ -194,7 +194,7 @@ class Planning:
         self, roster: Roster, request: Request | None, along: tuple[Request, ...], back: frozenset[str]
     ) -> None:
         self.highest = roster.version
-        self._outlet.keep()  # the number is used from now on, whatever becomes of it
+        self._effects.keep()  # the number is used from now on, whatever becomes of it
         now = self._clock()
         members = self._members
         gone = removed(members.roster, roster)
@@ -211,9 +211,9 @@ class Planning:
         waiting = set(touched(members.roster, roster)) | {roster.world}
         self.plan = Plan(roster, processes, request, along, back, waiting, bool(members.lost), now, now, replaced)
         self._tell_waiting(self.plan)
-        same = Same(roster.version, members.roster.version)
+        same = Unchanged(roster.version, members.roster.version)
         for name in sorted(roster.nodes.keys() - waiting):  # so that they need not ask when the first message comes
-            self._outlet.tell(processes[name], same)
+            self._effects.tell(processes[name], same)
 
     # --- from the plan to the roster in force
 
@@ -244,29 +244,29 @@ class Planning:
             return
         if any(name in plan.roster.nodes and name not in plan.back for name in self._members.lost):
             return
-        first = self._course.epoch + 1
+        first = self._progress.epoch + 1
         self.plan = None
         gone = self._members.take_effect(plan, first)
         for request in plan.requests:
             if request.key:
                 self._answers.owe(request.key, first, request.new_nodes)
-        self._course.begin()  # recorded first: a process that was told to go cannot be had back
+        self._progress.begin()  # recorded first: a process that was told to go cannot be had back
         for name, process in gone.items():
             instead = "another process runs it" if name in plan.processes else "it is detached"
-            self._outlet.tell(process, Dismiss(f"{name}: {instead} from epoch {first} on"))
+            self._effects.tell(process, Dismiss(f"{name}: {instead} from epoch {first} on"))
         self.reconsider()
 
     def _tell_waiting(self, plan: Plan) -> None:
         plan.told_s = self._clock()
         prepare = Prepare(plan.roster.plain(), self._members.alone_in(plan))
-        epoch, attempt = self._course.epoch, self._course.last_attempt
+        epoch, attempt = self._progress.epoch, self._progress.last_attempt
         for name in sorted(plan.waiting):
             if plan.stage is Stage.PREPARE:
-                self._outlet.tell(plan.processes[name], prepare)
+                self._effects.tell(plan.processes[name], prepare)
             elif name in plan.states:
-                self._outlet.tell(plan.processes[name], TakeOver(plan.version, epoch, attempt, plan.states[name]))
+                self._effects.tell(plan.processes[name], TakeOver(plan.version, epoch, attempt, plan.states[name]))
             else:
-                self._outlet.tell(plan.replaced[name], HandOver(plan.version, epoch))
+                self._effects.tell(plan.replaced[name], HandOver(plan.version, epoch))
 
     def _on_ready(self, plan: Plan, word: Ready) -> None:
         if plan.stage is not Stage.PREPARE or plan.processes.get(word.name) != word.process:
@@ -277,7 +277,7 @@ class Planning:
         plan.waiting.discard(word.name)
         if not plan.waiting:
             plan.stage = Stage.READY
-            if plan.urgent or not self._course.running:
+            if plan.urgent or not self._progress.running:
                 self.take_effect(plan)
 
     def _on_state(self, plan: Plan, word: State) -> None:
@@ -290,7 +290,7 @@ class Planning:
         """A state that is said again says the same, also when it was handed on long ago."""
         if word.version == self._states_of and self._states.get(word.name, word.state) != word.state:
             what = f"two states of {word.name} for version {word.version} of the roster differ"
-            self._outlet.stop(f"{what}: somebody else speaks in the name of {word.name}")
+            self._effects.stop(f"{what}: somebody else speaks in the name of {word.name}")
 
     def _on_taken(self, plan: Plan, word: Taken) -> None:
         if word.name not in plan.waiting or word.name not in plan.states:

@@ -32,9 +32,9 @@ from hierax.runtime.core.digest import epoch_digest, node_digest
 from hierax.runtime.core.errors import HierarchyError
 from hierax.runtime.core.graph import check_graph
 from hierax.runtime.core.hierarchy import neighbours_above, neighbours_below
-from hierax.runtime.engine.loose import BARRIER, Staleness
+from hierax.runtime.engine.stale import BARRIER, Staleness
 from hierax.runtime.recording.reading import Recording
-from hierax.runtime.recording.topics import MESSAGE, ROSTER, STEP, Glance, glance
+from hierax.runtime.recording.topics import MESSAGE, ROSTER, STEP, MessageSummary, glance
 from hierax.schemas.messages import CONTEXT, OBSERVATIONS, TASKS
 from hierax.schemas.roster import Roster
 from hierax.schemas.steps import NodeStep, Passage
@@ -124,7 +124,7 @@ class Checker:
         self._order: deque[Attempt] = deque()
         self._waiting: deque[NodeStep] = deque()
         self._bytes = 0
-        self._held: list[Glance] = []
+        self._held: list[MessageSummary] = []
         self._early: deque[NodeStep] = deque()
         self._committed: tuple[int, int, bytes] = (0, 0, b"")
         self._epochs = 0
@@ -218,7 +218,7 @@ class Checker:
 
     # --- the rules
 
-    def _check_edge(self, header: Glance) -> None:
+    def _check_edge(self, header: MessageSummary) -> None:
         roster = self._rosters.get(header.roster)
         if roster is None:
             if len(self._held) < SHOWN:

@@ -7,15 +7,15 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
-from hierax.runtime.allowance import ANYTHING, Allowance
 from hierax.runtime.deployment import Deployment
 from hierax.runtime.deployment.read import read_deployment
 from hierax.runtime.deployment.secrets import usable
-from hierax.runtime.nearest import did_you_mean
+from hierax.runtime.host.seal import NOT_OURS
+from hierax.runtime.loading.allowance import ANYTHING, Allowance
+from hierax.runtime.loading.nearest import did_you_mean
 from hierax.runtime.recording.info import RecordingError, RunInfo
 from hierax.runtime.recording.reading import Recording
 from hierax.runtime.recording.replay import Rewrite, rewriting
-from hierax.runtime.seal import NOT_OURS
 from hierax.schemas.roster import Reference, Roster
 
 

@@ -9,14 +9,14 @@ from pathlib import Path
 from secrets import token_hex
 
 from hierax.runtime.deployment import Deployment
+from hierax.runtime.execution.runner import NodeRunner
 from hierax.runtime.recording.check import Checker
 from hierax.runtime.recording.info import Ending, RunInfo
 from hierax.runtime.recording.recorder import Recorder
 from hierax.runtime.recording.selection import EVERYTHING, Selection
 from hierax.runtime.recording.witness import Witness
 from hierax.runtime.recording.writing import McapFile, Target
-from hierax.runtime.runner import NodeRunner
-from hierax.runtime.transport.recording import Heard
+from hierax.runtime.transport.steps import Sample
 from hierax.schemas.keys import Keys
 from hierax.schemas.messages import Header
 from hierax.schemas.roster import Roster
@@ -108,7 +108,7 @@ class InProcess:
         return self._keys.roster
 
     def _take(self, key: str, data: bytes) -> None:
-        self._recorder.take(Heard(time.time_ns(), key, data))
+        self._recorder.take(Sample(time.time_ns(), key, data))
 
 
 class _Told:

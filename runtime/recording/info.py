@@ -15,8 +15,8 @@ from typing import Any
 from hierax.runtime.core.errors import HieraxError
 from hierax.runtime.deployment import Deployment
 from hierax.runtime.deployment.secrets import public_settings, public_text
-from hierax.runtime.engine.loose import Staleness
-from hierax.runtime.seal import RECORDING, is_sealed, seal_or_warn
+from hierax.runtime.engine.stale import Staleness
+from hierax.runtime.host.seal import RECORDING, is_sealed, seal_or_warn
 from hierax.schemas.errors import SchemaError, shown
 from hierax.schemas.keys import check_name
 
@@ -51,7 +51,7 @@ class RunInfo:
         machine: what it was recorded on.
         versions: of hierax and what it uses.
         format: of the recording.
-        modules: from which code may be loaded, as `hierax.runtime.allowance.Allowance` has them.
+        modules: from which code may be loaded, as `hierax.runtime.loading.allowance.Allowance` has them.
         seal: of all that, by the user who has recorded it; empty: there is none.
     """
 

@@ -6,103 +6,20 @@ import struct
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 from hierax.runtime.core.errors import HierarchyError
+from hierax.runtime.recording.entries import Entry, Fault
 from hierax.runtime.recording.info import ENDING_TEXTS, INFO_TEXTS, Ending, RecordingError, RunInfo, from_metadata
 from hierax.runtime.recording.topics import EPOCH, MESSAGE, NOTE, ROSTER, STEP, TOKEN, Topic, topic_of
 from hierax.runtime.recording.trace import Assembly, EpochTrace, check_roster
 from hierax.runtime.recording.writing import CHUNK_BYTES, ENDING, INFO, MAGIC, PROFILE, require_mcap
-from hierax.schemas.errors import SchemaError, shown
-from hierax.schemas.messages import Message, decode_message
+from hierax.schemas.errors import SchemaError
+from hierax.schemas.messages import Message
 from hierax.schemas.roster import Roster
-from hierax.schemas.steps import NodeStep, decode_step
-from hierax.schemas.values import decode_value
+from hierax.schemas.steps import NodeStep
 
 _LARGEST_RECORD = 1 << 30
-
-
-class Entry(NamedTuple):
-    """Something that was recorded.
-
-    Attributes:
-        key: on which it came.
-        topic: the key, taken apart.
-        time_ns: when, since 1970.
-        epoch: of it, modulo 2³²; 0: of none.
-        data: its bytes.
-    """
-
-    key: str
-    topic: Topic
-    time_ns: int
-    epoch: int
-    data: bytes
-
-    def message(self) -> Message:
-        """The message that it is.
-
-        Raises:
-            SchemaError: it is none.
-        """
-        return decode_message(self.data)
-
-    def step(self) -> NodeStep:
-        """The step that it is.
-
-        Raises:
-            SchemaError: it is none.
-        """
-        return decode_step(self.data)
-
-    def roster(self) -> Roster:
-        """The roster that it is.
-
-        Raises:
-            SchemaError: it is none.
-        """
-        return Roster.read(decode_value(self.data, "roster"))
-
-    def commit(self) -> tuple[int, bytes]:
-        """The epoch and the run's digest that it tells.
-
-        Raises:
-            SchemaError: it tells none.
-        """
-        value = decode_value(self.data, "epoch")
-        if type(value) is not tuple or tuple(map(type, value)) != (int, bytes) or value[0] < 0:
-            raise SchemaError(f"expected an epoch's number and digest, got {shown(value)}", "epoch")
-        return value
-
-    def fault(self) -> Fault:
-        """What happened to a process.
-
-        Raises:
-            SchemaError: it tells nothing of the kind.
-        """
-        value = decode_value(self.data, self.topic.what)
-        if self.topic.what == NOTE:
-            if type(value) is not str:
-                raise SchemaError(f"expected a text, got {shown(value)}", "note")
-            return Fault(self.time_ns, value)
-        if type(value) is not tuple or tuple(map(type, value)) != (str, str, bool):
-            raise SchemaError(f"expected a node, its process and whether it is there, got {shown(value)}", "token")
-        name, process, up = value
-        return Fault(self.time_ns, f"process {process} {'is there' if up else 'is gone'}", name)
-
-
-class Fault(NamedTuple):
-    """Something that happened to a process.
-
-    Attributes:
-        time_ns: when, since 1970.
-        what: in words.
-        node: whose process; empty: the words say it.
-    """
-
-    time_ns: int
-    what: str
-    node: str = ""
 
 
 @dataclass(frozen=True)

@@ -13,7 +13,7 @@ from hierax.runtime.recording.ledger import Ledger
 from hierax.runtime.recording.selection import EVERYTHING, Selection
 from hierax.runtime.recording.topics import EPOCH, MESSAGE, ROSTER, STEP, TOKEN, Topic, glance, topic_of
 from hierax.runtime.recording.writing import McapFile
-from hierax.runtime.transport.recording import Heard
+from hierax.runtime.transport.steps import Sample
 from hierax.schemas.messages import HELLO
 from hierax.schemas.roster import Roster
 from hierax.schemas.steps import NodeStep, decode_step
@@ -77,7 +77,7 @@ class Recorder:
         self._versions: set[int] = set()
         self._messages = 0
 
-    def take(self, heard: Heard) -> None:
+    def take(self, heard: Sample) -> None:
         """Take in what came on a key.
 
         Raises:
@@ -188,7 +188,7 @@ class Recorder:
             file.flush(at_once=True)  # only then it is known what the compressed chunk takes
         return file.size + rest > most
 
-    def _account(self, topic: Topic, heard: Heard) -> tuple[int, bytes]:
+    def _account(self, topic: Topic, heard: Sample) -> tuple[int, bytes]:
         """Epoch and bytes of what is recorded; an epoch below 0: it is not."""
         data = heard.data
         if topic.what == MESSAGE:

@@ -10,17 +10,18 @@ from __future__ import annotations
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 
-from hierax.runtime.allowance import Allowance
-from hierax.runtime.core.binding import Setting, Waiter, epoch_time_s, is_finished
+from hierax.runtime.core.binding import OperatorSetting, Waiter, epoch_time_s, is_finished
 from hierax.runtime.core.digest import NO_DIGEST, encode_state, epoch_digest, node_digest
+from hierax.runtime.core.elements import Elements, Value
 from hierax.runtime.core.errors import HieraxError
-from hierax.runtime.core.node import Elements, Value, World
+from hierax.runtime.core.node import World
 from hierax.runtime.core.process import ActiveNode
 from hierax.runtime.core.travel import cannot_travel, elements_cannot_travel
 from hierax.runtime.engine.wiring import Wiring
-from hierax.runtime.loading import build_node
-from hierax.runtime.nearest import did_you_mean
-from hierax.runtime.node_loader import NodeLoader
+from hierax.runtime.loading.allowance import Allowance
+from hierax.runtime.loading.loader import build_node
+from hierax.runtime.loading.nearest import did_you_mean
+from hierax.runtime.loading.node_loader import NodeLoader
 from hierax.runtime.recording.info import RecordingError
 from hierax.runtime.recording.reading import Recording
 from hierax.runtime.recording.trace import EpochTrace, Line, order_of
@@ -137,7 +138,7 @@ class Replay:
         self._rewrite = rewrite
         self._first = first
         self._last = last
-        self._setting = Setting(recording.info.seed, wait)
+        self._setting = OperatorSetting(recording.info.seed, wait)
         self._barrier = recording.info.how_stale.barrier
         self._loaders: dict[str, NodeLoader] = {}
         self._wirings: dict[str, Wiring] = {}

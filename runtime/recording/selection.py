@@ -8,7 +8,7 @@ from dataclasses import asdict, dataclass
 from fnmatch import fnmatchcase
 from typing import Any
 
-from hierax.runtime.nearest import did_you_mean
+from hierax.runtime.loading.nearest import did_you_mean
 from hierax.runtime.recording.info import RecordingError
 
 KINDS = ("obs", "task", "ctx", "steps", "notes", "control", "alive")

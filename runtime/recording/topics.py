@@ -44,7 +44,7 @@ def topic_of(key: str) -> Topic | None:
     return None if what is None else Topic(what, "", tuple(names))
 
 
-class Glance(NamedTuple):
+class MessageSummary(NamedTuple):
     """A message's header, and where its payload begins."""
 
     kind: str
@@ -59,7 +59,7 @@ class Glance(NamedTuple):
     payload_at: int
 
 
-def glance(data: bytes) -> Glance:
+def glance(data: bytes) -> MessageSummary:
     """Read a message's header and nothing of its payload, however large.
 
     Raises:
@@ -72,7 +72,7 @@ def glance(data: bytes) -> Glance:
         _, code, *fields = (unpacker.unpack() for _ in range(10))
         unpacker.skip()  # the extensions
         if tuple(map(type, (code, *fields))) == _HEAD and min(code, *fields[2:6]) >= 0:
-            return Glance._make((KINDS[code], *fields, unpacker.tell()))
+            return MessageSummary._make((KINDS[code], *fields, unpacker.tell()))
     except (ValueError, TypeError, IndexError, RecursionError, msgpack.exceptions.UnpackException) as error:
         raise SchemaError(f"does not begin like a message: {data[:8].hex()}", "message") from error
     raise SchemaError(f"does not begin like a message: {data[:8].hex()}", "message")

@@ -5,13 +5,13 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import TYPE_CHECKING
 
 from hierax.runtime.core.digest import NO_DIGEST
+from hierax.runtime.core.elements import Elements, Value
 from hierax.runtime.core.graph import check_graph, topological_order
-from hierax.runtime.core.node import Elements, Value
 from hierax.runtime.core.process import ActiveNode
-from hierax.runtime.engine.loose import Staleness
+from hierax.runtime.engine.stale import Staleness
+from hierax.runtime.recording.entries import Entry
 from hierax.runtime.recording.topics import EPOCH, MESSAGE, ROSTER, glance
 from hierax.schemas.checkpoint import decode_state
 from hierax.schemas.errors import SchemaError
@@ -19,9 +19,6 @@ from hierax.schemas.messages import CONTEXT, OBSERVATIONS, TASKS, Message, decod
 from hierax.schemas.roster import Roster
 from hierax.schemas.steps import NodeStep
 from hierax.schemas.values import decode_value
-
-if TYPE_CHECKING:
-    from hierax.runtime.recording.reading import Entry
 
 PENDING_BYTES = 256 << 20
 PENDING_EPOCHS = 20_000

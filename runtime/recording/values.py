@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from hierax.runtime.core.node import Value
+from hierax.runtime.core.elements import Value
 from hierax.schemas.errors import SchemaError
 from hierax.schemas.values import encode_value
 

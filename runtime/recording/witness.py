@@ -8,9 +8,9 @@ from dataclasses import dataclass
 from secrets import token_hex
 from typing import Protocol
 
+from hierax.runtime.engine.effects import Called, Completed
 from hierax.runtime.engine.engine import Engine
-from hierax.runtime.engine.loose import LooseEngine
-from hierax.runtime.engine.outlet import Called, Completed
+from hierax.runtime.engine.stale import StaleEngine
 from hierax.runtime.watch.watcher import Watcher
 from hierax.schemas.errors import SchemaError
 from hierax.schemas.messages import Message
@@ -25,7 +25,7 @@ _KEPT = 64
 """Of how many epochs that were begun, and may still be completed, something is kept."""
 
 
-class Teller(Protocol):
+class StepSink(Protocol):
     """Where steps and rosters go."""
 
     def step(self, data: bytes) -> None:
@@ -56,7 +56,7 @@ class Witness(Watcher):
     """
 
     def __init__(
-        self, name: str, engine: Callable[[], Engine], teller: Teller, roster: Callable[[], Roster] | None = None
+        self, name: str, engine: Callable[[], Engine], teller: StepSink, roster: Callable[[], Roster] | None = None
     ) -> None:
         self._name = name
         self._engine = engine
@@ -96,7 +96,7 @@ class Witness(Watcher):
             return
         engine = self._engine()
         used: tuple[tuple[str, str, int, int], ...] = ()
-        if isinstance(engine, LooseEngine):
+        if isinstance(engine, StaleEngine):
             used = tuple((sender, kind, *when) for (sender, kind), when in sorted(engine.used.items()))
         wiring = engine.wiring
         start = engine.encoded_start if self._fresh else b""

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
 
-from hierax.runtime.private_files import HeldError, hold, open_result
+from hierax.runtime.host.private_files import HeldError, hold, open_result
 from hierax.runtime.recording.info import Ending, RecordingError, RunInfo, to_metadata
 from hierax.runtime.recording.topics import schema_of
 

@@ -12,7 +12,7 @@ from types import TracebackType
 from typing import Literal, get_args
 
 from hierax.runtime.core.errors import HieraxError
-from hierax.runtime.private_files import hold, open_private, private_folder
+from hierax.runtime.host.private_files import hold, open_private, private_folder
 
 Durability = Literal["process", "host"]
 """What a record outlives once it is written: the process, or the machine's power too."""

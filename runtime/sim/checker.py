@@ -7,12 +7,12 @@ from collections.abc import Callable, Mapping
 from types import MappingProxyType
 from typing import NamedTuple
 
-from hierax.runtime.allowance import Allowance
-from hierax.runtime.core.binding import Setting
+from hierax.runtime.core.binding import OperatorSetting
 from hierax.runtime.core.digest import NO_DIGEST, encode_state, formal_digest
 from hierax.runtime.core.hierarchy import Hierarchy
 from hierax.runtime.core.process import ActiveHierarchy, ActiveNode, update
-from hierax.runtime.loading import build_hierarchy
+from hierax.runtime.loading.allowance import Allowance
+from hierax.runtime.loading.loader import build_hierarchy
 from hierax.runtime.sim.inspection import Turn
 from hierax.runtime.sim.nodes import MODULE
 from hierax.runtime.sim.scenario import Scenario
@@ -67,7 +67,7 @@ class Checker:
     def __init__(self, scenario: Scenario, trace: Callable[[str], None]) -> None:
         self._scenario = scenario
         self._trace = trace
-        self._setting = Setting(scenario.seed)
+        self._setting = OperatorSetting(scenario.seed)
         self._hierarchies: dict[bytes, Hierarchy] = {}
         self._processes: dict[int, Mapping[str, str]] = {}
         self._rosters: dict[int, bytes] = {}

@@ -13,8 +13,8 @@ from collections.abc import Callable, Mapping
 from typing import Any, NamedTuple
 
 from hierax.runtime.core.binding import BoundNode, Call
+from hierax.runtime.core.elements import Elements, Value
 from hierax.runtime.core.hierarchy import BoundEdge
-from hierax.runtime.core.node import Elements, Value
 
 _MARK = "#"
 

@@ -5,16 +5,16 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 from hierax.runtime.core.digest import DigestChain
-from hierax.runtime.engine.outlet import Committed
-from hierax.runtime.member import Member
-from hierax.runtime.owner.outlet import OwnerSettings
+from hierax.runtime.engine.effects import Committed
+from hierax.runtime.execution.member import Member
+from hierax.runtime.execution.runner import Pacemaker
+from hierax.runtime.execution.world_member import Supervision, WorldMember
+from hierax.runtime.owner.effects import OwnerPolicy
 from hierax.runtime.recovery.slots import Slots
-from hierax.runtime.runner import Pacemaker
 from hierax.runtime.sim.inspection import Turn
 from hierax.runtime.sim.network import SimPort
 from hierax.runtime.sim.nodes import MODULE
 from hierax.runtime.sim.process import SimProcess
-from hierax.runtime.world_member import Keeper, WorldMember
 
 if TYPE_CHECKING:
     from hierax.runtime.sim.simulation import Simulation
@@ -43,7 +43,7 @@ def _world_member(simulation: Simulation, process: SimProcess, port: SimPort) ->
         lambda epoch, digest: simulation.publish(process, epoch, digest),
         simulation.clock,
     )
-    settings = OwnerSettings(
+    settings = OwnerPolicy(
         modules=(MODULE,),
         on_loss=scenario.on_loss,
         rejoin_timeout_s=scenario.rejoin_timeout_s,
@@ -102,7 +102,7 @@ class SimWorldMember(WorldMember):
         super().committed(committed)
 
 
-class SimKeeper(Keeper):
+class SimSupervision(Supervision):
     """Of all processes."""
 
     def __init__(self, simulation: Simulation) -> None:

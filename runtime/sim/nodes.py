@@ -10,7 +10,8 @@ from collections.abc import Callable, Mapping
 from functools import partial
 from hashlib import blake2b
 
-from hierax.runtime.core.node import Elements, Node, Value, World
+from hierax.runtime.core.elements import Elements, Value
+from hierax.runtime.core.node import Node, World
 from hierax.runtime.core.tick import NO_TICK, Tick
 from hierax.schemas.values import encode_value
 

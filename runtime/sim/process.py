@@ -7,7 +7,7 @@ from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
 from hierax.runtime.engine.wiring import Place, Wiring
-from hierax.runtime.member import Member
+from hierax.runtime.execution.member import Member
 from hierax.runtime.sim.inspection import Inspected, Inspector, Turn, inspected_edges
 from hierax.runtime.sim.network import Pair
 from hierax.runtime.sim.storage import Crash, SimStorage

@@ -7,17 +7,17 @@ from random import Random
 from typing import Any, NamedTuple
 
 from hierax.runtime.core.errors import HieraxError
+from hierax.runtime.execution.world_member import has_record, read_record
 from hierax.runtime.recovery.slots import Slots
 from hierax.runtime.sim.checker import Checker, ViolationError
 from hierax.runtime.sim.clock import Clock
 from hierax.runtime.sim.keepers import Keepers
-from hierax.runtime.sim.members import SimKeeper, SimWorldMember
+from hierax.runtime.sim.members import SimSupervision, SimWorldMember
 from hierax.runtime.sim.mishaps import Mishaps
 from hierax.runtime.sim.network import Network
 from hierax.runtime.sim.process import SimProcess
 from hierax.runtime.sim.scenario import BREAK, Proposal, Scenario
 from hierax.runtime.sim.storage import SimStorage
-from hierax.runtime.world_member import has_record, read_record
 from hierax.schemas.changes import Attach, Replace
 from hierax.schemas.control import Control, Lost, Order, Prepare, Propose
 from hierax.schemas.errors import SchemaError
@@ -108,7 +108,7 @@ class Simulation:
             self._unheard,
             self.checker.counted,
         )
-        self.keeper = SimKeeper(self)
+        self.keeper = SimSupervision(self)
 
     def trace(self, what: str) -> None:
         """Note an event."""

@@ -8,10 +8,11 @@ from typing import Any, NamedTuple
 
 import anyio
 
-from hierax.runtime.core.binding import BoundNode, Call, Setting, epoch_time_s, is_finished, metrics_of
+from hierax.runtime.core.binding import BoundNode, Call, OperatorSetting, epoch_time_s, is_finished, metrics_of
 from hierax.runtime.core.difference import difference
+from hierax.runtime.core.elements import Elements, Value
 from hierax.runtime.core.errors import HieraxError, OperatorError
-from hierax.runtime.core.node import Elements, Node, Value, World
+from hierax.runtime.core.node import Node, World
 from hierax.runtime.core.probe import Step
 from hierax.schemas.errors import SchemaError
 from hierax.schemas.values import decode_value, encode_value
@@ -116,7 +117,9 @@ class _Trial:
         self._node = node
         is_world = isinstance(node, World)
         try:
-            self._bound = BoundNode(name, node, () if is_world else tuple(below), tuple(above), Setting(seed, wait_for))
+            self._bound = BoundNode(
+                name, node, () if is_world else tuple(below), tuple(above), OperatorSetting(seed, wait_for)
+            )
         except HieraxError as error:
             raise AssertionError(str(error)) from error
         self._calls: list[_Called] = []

@@ -16,11 +16,12 @@ import pytest
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
+    from hierax.runtime.core.elements import Elements
     from hierax.runtime.core.hierarchy import Edge
-    from hierax.runtime.core.node import Elements, Node
+    from hierax.runtime.core.node import Node
     from hierax.runtime.core.probe import Step
     from hierax.runtime.testing.recorded import Recorded
-    from hierax.runtime.testing.running import Ran
+    from hierax.runtime.testing.runs import Ran
 
 
 class Runs:
@@ -56,7 +57,7 @@ class Runs:
         Raises:
             HieraxError: the file is wrong, the nodes form no hierarchy, or one failed.
         """
-        from hierax.runtime.testing.running import run_deployment, run_hierarchy
+        from hierax.runtime.testing.runs import run_deployment, run_hierarchy
 
         if (deployment is None) == (nodes is None):
             raise TypeError("hierax_run: expected a deployment or nodes, one of them")

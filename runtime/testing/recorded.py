@@ -7,16 +7,17 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TypeVar
 
-from hierax.runtime.allowance import Allowance
-from hierax.runtime.core.binding import BoundNode, Setting
+from hierax.runtime.core.binding import BoundNode, OperatorSetting
 from hierax.runtime.core.difference import difference
+from hierax.runtime.core.elements import Elements, Value
 from hierax.runtime.core.errors import HieraxError
 from hierax.runtime.core.hierarchy import neighbours_above, neighbours_below
-from hierax.runtime.core.node import Elements, Node, Value
+from hierax.runtime.core.node import Node
 from hierax.runtime.core.probe import Step
 from hierax.runtime.core.process import ActiveNode
-from hierax.runtime.loading import build_node, extend_import_path
-from hierax.runtime.nearest import did_you_mean
+from hierax.runtime.loading.allowance import Allowance
+from hierax.runtime.loading.loader import build_node, extend_import_path
+from hierax.runtime.loading.nearest import did_you_mean
 from hierax.runtime.recording.deployments import allowance_of
 from hierax.runtime.recording.reading import Recording
 from hierax.runtime.recording.trace import EpochTrace
@@ -68,7 +69,7 @@ class Recorded:
             HieraxError: it cannot be loaded, or failed.
         """
         made = build_node(self.reference, f"nodes.{self.name}", self.allowance) if node is None else node
-        bound = BoundNode(self.name, made, self.below, self.above, Setting(self.seed, wait_for))
+        bound = BoundNode(self.name, made, self.below, self.above, OperatorSetting(self.seed, wait_for))
         belief, policy = self.start.belief, self.start.policy
         steps: list[Step] = []
         for epoch, time_s, observations, tasks, context in self.inputs:

@@ -117,7 +117,7 @@ def check_shared_memory(folder: Path = Path("/dev/shm"), locked_bytes: int | Non
 def check_loopback() -> Iterator[Finding]:
     """Whether two processes of a launch would find each other; multicast is not needed."""
     from hierax.runtime.transport.hub import Hub
-    from hierax.runtime.transport.window import Glass
+    from hierax.runtime.transport.inspection import LaunchClient
     from hierax.schemas.keys import Keys
 
     settings = os.environ.get("ZENOH_CONFIG")
@@ -127,8 +127,8 @@ def check_loopback() -> Iterator[Finding]:
         hub = Hub(keys, None, None)
         try:
             hub.serve(lambda question, reply: reply(question))
-            with Glass(hub.endpoint, keys=keys) as glass:
-                glass.ask_keeper({"doctor": True}, LOOP_TIMEOUT_S)
+            with LaunchClient(hub.endpoint, keys=keys) as client:
+                client.ask_keeper({"doctor": True}, LOOP_TIMEOUT_S)
         finally:
             hub.close()
     except HieraxError as error:
@@ -145,8 +145,8 @@ def check_loopback() -> Iterator[Finding]:
 
 def check_folders() -> Iterator[Finding]:
     """Where launches are registered, and where their logs are."""
+    from hierax.runtime.host.run_folder import known_folders, runs_folder, unwritable
     from hierax.runtime.launch.run_file import known_runs
-    from hierax.runtime.watch.run_folder import known_folders, runs_folder, unwritable
 
     try:
         runs = known_runs()

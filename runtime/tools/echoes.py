@@ -10,7 +10,7 @@ from fnmatch import fnmatchcase
 from typing import NamedTuple
 
 from hierax.runtime.core.errors import HieraxError
-from hierax.runtime.nearest import did_you_mean
+from hierax.runtime.loading.nearest import did_you_mean
 from hierax.schemas.messages import CONTEXT, OBSERVATIONS, TASKS, Message
 
 Edge = tuple[str, str, str]

@@ -13,9 +13,9 @@ from pathlib import Path
 from typing import Any
 
 from hierax.runtime.core.errors import HieraxError
-from hierax.runtime.nearest import did_you_mean
+from hierax.runtime.host.run_folder import LOGS, about_run, is_alive, known_folders
+from hierax.runtime.loading.nearest import did_you_mean
 from hierax.runtime.watch.logs import LAUNCH, LAUNCH_FILE, SUFFIX
-from hierax.runtime.watch.run_folder import LOGS, about_run, is_alive, known_folders
 
 Entry = dict[str, Any]
 

@@ -7,7 +7,7 @@ import subprocess
 from collections.abc import Iterable, Iterator, Sequence
 from importlib.metadata import PackageNotFoundError, requires, version
 
-from hierax.runtime.interpreter import python_code
+from hierax.runtime.host.interpreter import python_code
 from hierax.runtime.tools.finding import FINE, NOTE, WRONG, Finding
 
 IMPORT_TIMEOUT_S = 60.0

@@ -8,8 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from hierax.runtime.plain import Json
-from hierax.runtime.tools.looking import Answer, Seen
+from hierax.runtime.execution.plain import Json
+from hierax.runtime.tools.inspecting import Answer, LaunchState
 
 NS_PER_US = 1e3
 NS_PER_S = 1e9
@@ -92,7 +92,7 @@ def doing(answer: Answer) -> str:
     return f"waits for {', '.join(waited)}" if waited else "between epochs"
 
 
-def overview(seen: Seen, before: Mapping[str, Answer], after: Mapping[str, Answer]) -> Json:
+def overview(seen: LaunchState, before: Mapping[str, Answer], after: Mapping[str, Answer]) -> Json:
     """All of a launch as plain JSON.
 
     Args:

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from hierax.runtime.plain import HEAD_BYTES, statistics
+from hierax.runtime.execution.plain import HEAD_BYTES, statistics
 from hierax.schemas.values import Value
 
 SMALL_ARRAY = 16

@@ -12,7 +12,7 @@ from typing import Any
 
 import zenoh
 
-from hierax.runtime.transport.absent import Absent
+from hierax.runtime.transport.absent_processes import AbsentProcesses
 from hierax.runtime.transport.port import Port, TransportError
 from hierax.runtime.transport.rendezvous import Handshake, Rendezvous
 from hierax.runtime.transport.zenoh_session import close_session
@@ -88,7 +88,7 @@ class ZenohPort(Port):
         self._lanes: Mapping[str, Lane] = {}
         self._publishers: dict[Lane, Any] = {}
         self._shaking = threading.Lock()
-        self.absent = Absent()
+        self.absent = AbsentProcesses()
         self._own_key = keys.edge(INTERRUPT, name, name)
         try:
             self._inbox = session.declare_subscriber(keys.inbox(name), zenoh.handlers.FifoChannel(QUEUE_SIZE))

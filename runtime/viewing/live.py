@@ -8,13 +8,13 @@ from collections.abc import Callable
 from math import ceil
 from threading import Condition
 
-from hierax.runtime.allowance import Allowance
 from hierax.runtime.core.probe import Step
-from hierax.runtime.tools.looking import Looking, Seen
+from hierax.runtime.loading.allowance import Allowance
+from hierax.runtime.tools.inspecting import LaunchInspector, LaunchState
+from hierax.runtime.transport.inspection import LaunchClient
 from hierax.runtime.transport.port import TransportError
-from hierax.runtime.transport.window import Glass
-from hierax.runtime.viewing.exhibit import Exhibit
 from hierax.runtime.viewing.nodes import ShownNodes
+from hierax.runtime.viewing.presenter import ViewPresenter
 from hierax.runtime.watch.stepper import read_step
 from hierax.schemas.keys import STEP
 from hierax.schemas.roster import Roster
@@ -29,7 +29,9 @@ STEPS_WAITING = 512
 """How many steps wait to be shown; of more than that, the oldest are forgotten."""
 
 
-def show_launch(glass: Glass, exhibit: Exhibit, allowance: Allowance, over: Callable[[], bool] = lambda: False) -> int:
+def show_launch(
+    client: LaunchClient, presenter: ViewPresenter, allowance: Allowance, over: Callable[[], bool] = lambda: False
+) -> int:
     """Show a launch until it ends.
 
     Args:
@@ -45,24 +47,24 @@ def show_launch(glass: Glass, exhibit: Exhibit, allowance: Allowance, over: Call
         TransportError: it does not answer from the beginning.
         HieraxError: a node cannot be loaded here, or what it shows cannot be shown.
     """
-    looking = Looking(glass)
-    seen = looking.look()
+    inspector = LaunchInspector(client)
+    seen = inspector.look()
     inbox = _Inbox()
-    glass.listen(seen.keys.seen(STEP, "*", "*"), inbox.put)
-    stage = _Stage(exhibit, inbox, allowance)
+    client.listen(seen.keys.seen(STEP, "*", "*"), inbox.put)
+    stage = _Stage(presenter, inbox, allowance)
     asked = _Asked(seen.epoch, time.monotonic())
-    stage.set_roster(_ask(looking, seen, 1))
+    stage.set_roster(_ask(inspector, seen, 1))
     while not over():
         if time.monotonic() - asked.at_s >= ASK_EVERY_S:
             try:
-                seen = looking.look()
+                seen = inspector.look()
                 every, asked = asked.next(seen.epoch)
-                stage.set_roster(_ask(looking, seen, every))
+                stage.set_roster(_ask(inspector, seen, every))
             except TransportError:
                 break  # it has ended
         stage.show(inbox.take(ASK_EVERY_S / 4))
     stage.show(inbox.take(0.0))
-    exhibit.close()
+    presenter.close()
     return stage.shown
 
 
@@ -80,9 +82,9 @@ class _Asked:
         return max(1, ceil(rate / MOST_EPOCHS_PER_S)), _Asked(epoch, now_s)
 
 
-def _ask(looking: Looking, seen: Seen, every: int) -> Roster | None:
+def _ask(inspector: LaunchInspector, seen: LaunchState, every: int) -> Roster | None:
     """Have all nodes tell their steps for a while; the roster, if the world answers."""
-    answers = looking.ask(seen, {"look": "steps", "every": every}, seen.nodes)
+    answers = inspector.ask(seen, {"look": "steps", "every": every}, seen.nodes)
     for answer in answers.values():
         if answer.get("roster") is not None:
             return Roster.read(answer["roster"])
@@ -115,8 +117,8 @@ class _Inbox:
 class _Stage:
     """Shows steps under the roster that is in force."""
 
-    def __init__(self, exhibit: Exhibit, inbox: _Inbox, allowance: Allowance) -> None:
-        self._exhibit = exhibit
+    def __init__(self, presenter: ViewPresenter, inbox: _Inbox, allowance: Allowance) -> None:
+        self._presenter = presenter
         self._inbox = inbox
         self._nodes = ShownNodes(allowance)
         self._roster: Roster | None = None
@@ -127,7 +129,7 @@ class _Stage:
         """The roster as the world tells it; None: it did not."""
         if roster is not None and (self._roster is None or roster.version != self._roster.version):
             self._roster = roster
-            self._exhibit.set_roster(roster)
+            self._presenter.set_roster(roster)
 
     def show(self, steps: list[tuple[str, bytes]]) -> None:
         """Show what nodes did."""
@@ -137,12 +139,12 @@ class _Stage:
             done_ns, step = read_step(data)
             if name == self._roster.world:
                 self._time(step, done_ns)
-            self._exhibit.step(name, self._nodes.node(self._roster, name), step)
+            self._presenter.step(name, self._nodes.node(self._roster, name), step)
             self.shown += 1
 
     def _time(self, step: Step, done_ns: int) -> None:
         """From one epoch of the world to the next; where some are left out, their mean."""
         if self._last is not None and step.epoch > self._last[0]:
             took_s = (done_ns - self._last[1]) / 1e9 / (step.epoch - self._last[0])
-            self._exhibit.epoch_took(step.epoch, step.time_s, took_s)
+            self._presenter.epoch_took(step.epoch, step.time_s, took_s)
         self._last = (step.epoch, done_ns)

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from hierax.runtime.allowance import Allowance
 from hierax.runtime.core.node import Node
-from hierax.runtime.loading import build_node
+from hierax.runtime.loading.allowance import Allowance
+from hierax.runtime.loading.loader import build_node
 from hierax.schemas.roster import Roster
 from hierax.schemas.values import encode_value
 

@@ -5,14 +5,14 @@ from __future__ import annotations
 from collections.abc import Callable
 from itertools import chain
 
-from hierax.runtime.allowance import Allowance
+from hierax.runtime.core.elements import Elements, Value
 from hierax.runtime.core.hierarchy import neighbours_above, neighbours_below
-from hierax.runtime.core.node import Elements, Value
 from hierax.runtime.core.probe import Step
+from hierax.runtime.loading.allowance import Allowance
 from hierax.runtime.recording.reading import Recording
 from hierax.runtime.recording.trace import EpochTrace, Line
-from hierax.runtime.viewing.exhibit import Exhibit
 from hierax.runtime.viewing.nodes import ShownNodes
+from hierax.runtime.viewing.presenter import ViewPresenter
 from hierax.schemas.messages import CONTEXT, OBSERVATIONS, TASKS
 from hierax.schemas.roster import Roster
 
@@ -22,7 +22,7 @@ MESSAGES_KEPT = 64
 
 def show_recording(
     recording: Recording,
-    exhibit: Exhibit,
+    presenter: ViewPresenter,
     allowance: Allowance,
     first: int = 1,
     last: int | None = None,
@@ -43,21 +43,21 @@ def show_recording(
     Raises:
         HieraxError: the file is damaged, a node cannot be loaded, or what it shows cannot be shown.
     """
-    playing = _Playing(exhibit, allowance)
+    playing = _Playing(presenter, allowance)
     shown = 0
     for trace in recording.epochs(first, last):
         playing.epoch(trace)
         progress(trace.epoch)
         shown += 1
-    exhibit.close()
+    presenter.close()
     return shown
 
 
 class _Playing:
     """Makes steps of a recording's epochs."""
 
-    def __init__(self, exhibit: Exhibit, allowance: Allowance) -> None:
-        self._exhibit = exhibit
+    def __init__(self, presenter: ViewPresenter, allowance: Allowance) -> None:
+        self._presenter = presenter
         self._nodes = ShownNodes(allowance)
         self._roster: Roster | None = None
         self._lines: dict[Line, dict[tuple[int, int], bytes]] = {}
@@ -69,12 +69,12 @@ class _Playing:
         roster = trace.roster
         if self._roster is None or roster.version != self._roster.version:
             self._roster = roster
-            self._exhibit.set_roster(roster)
+            self._presenter.set_roster(roster)
         self._remember(trace)
         epoch, heard_ns = self._committed
         self._committed = (trace.epoch, trace.heard_ns)
         if epoch == trace.epoch - 1 and heard_ns and trace.heard_ns and trace.time_s is not None:
-            self._exhibit.epoch_took(trace.epoch, trace.time_s, (trace.heard_ns - heard_ns) / 1e9)
+            self._presenter.epoch_took(trace.epoch, trace.time_s, (trace.heard_ns - heard_ns) / 1e9)
         for name in trace.order:
             self._node(trace, name)
 
@@ -104,7 +104,7 @@ class _Playing:
             state.actions,
             state.belief,
         )
-        self._exhibit.step(name, self._nodes.node(trace.roster, name), step, before)
+        self._presenter.step(name, self._nodes.node(trace.roster, name), step, before)
 
     def _belief_before(self, epoch: int, name: str) -> Value:
         known = self._beliefs.get(name)

@@ -28,8 +28,8 @@ from hierax.runtime.core.showing import (
     Thing,
     colour_of,
 )
-from hierax.runtime.viewing.exhibit import Canvas
 from hierax.runtime.viewing.layout import Column
+from hierax.runtime.viewing.presenter import Canvas
 from hierax.runtime.viewing.views import Kind, Placed, View
 
 TIMELINE, TIME = "epoch", "time"

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from hierax.runtime.core.node import Value
+from hierax.runtime.core.elements import Value
 
 MOST_LINES = 200
 """Of one value; what is longer is cut off, and says so."""

@@ -9,8 +9,9 @@ from typing import Any, get_args
 
 import numpy as np
 
+from hierax.runtime.core.elements import Value
 from hierax.runtime.core.errors import HieraxError
-from hierax.runtime.core.node import Node, Value
+from hierax.runtime.core.node import Node
 from hierax.runtime.core.probe import Step
 from hierax.runtime.core.showing import Curve, Graph, Picture, Scene, Thing
 

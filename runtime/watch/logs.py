@@ -24,8 +24,8 @@ from io import TextIOWrapper
 from pathlib import Path
 from typing import Any
 
-from hierax.runtime.private_files import UnsafeFileError, open_result, private_folder
-from hierax.runtime.watch.run_folder import ABOUT, LOGS, begin_run, run_folder
+from hierax.runtime.host.private_files import UnsafeFileError, open_result, private_folder
+from hierax.runtime.host.run_folder import ABOUT, LOGS, begin_run, run_folder
 from hierax.runtime.watch.throttle import OURS, Throttle
 
 MAX_BYTES = 4 << 20

@@ -6,7 +6,7 @@ import time
 from collections import deque
 from collections.abc import Callable
 
-from hierax.runtime.engine.outlet import Called, Completed
+from hierax.runtime.engine.effects import Called, Completed
 from hierax.runtime.watch.watcher import Watcher
 from hierax.schemas.messages import Message
 from hierax.schemas.values import Value

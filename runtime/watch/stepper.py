@@ -7,7 +7,7 @@ from collections import deque
 from collections.abc import Iterator
 
 from hierax.runtime.core.probe import Step
-from hierax.runtime.engine.outlet import Completed
+from hierax.runtime.engine.effects import Completed
 from hierax.runtime.watch.watcher import Watcher
 from hierax.schemas.errors import SchemaError
 from hierax.schemas.values import decode_value, encode_value

@@ -19,7 +19,7 @@ from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
 from hierax.runtime.core.errors import HieraxError
-from hierax.runtime.engine.outlet import Called, Completed
+from hierax.runtime.engine.effects import Called, Completed
 from hierax.runtime.watch.watcher import Watcher
 from hierax.schemas.messages import CONTEXT, OBSERVATIONS, Header, Message
 

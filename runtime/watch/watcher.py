@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from hierax.runtime.engine.outlet import Called, Completed
+from hierax.runtime.engine.effects import Called, Completed
 from hierax.runtime.engine.table import Verdict
 from hierax.schemas.messages import Header, Message
 

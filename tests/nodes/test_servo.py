@@ -13,10 +13,10 @@ import yaml
 
 from hierax.nodes.servo import CameraNode, MeasuredPosition, MotionNode, SlidingWorld
 from hierax.runtime import Tick
-from hierax.runtime.core.binding import Setting
+from hierax.runtime.core.binding import OperatorSetting
 from hierax.runtime.core.process import ActiveHierarchy, update
 from hierax.runtime.deployment.read import read_deployment
-from hierax.runtime.loading import build_hierarchy
+from hierax.runtime.loading.loader import build_hierarchy
 
 FILE = Path(__file__).parents[2] / "deploy" / "servo.yaml"
 K, DT = 8.49, 0.05
@@ -26,7 +26,7 @@ SEEDS = range(200)
 def run(context: bool, seed: int, epochs: int = 60, noise: float = 0.1) -> list[ActiveHierarchy]:
     overrides = [f"context={str(context).lower()}", f"noise={noise}"]
     deployment = read_deployment(FILE, overrides)
-    hierarchy = build_hierarchy(deployment.roster, Setting(seed=seed), deployment.allowance)
+    hierarchy = build_hierarchy(deployment.roster, OperatorSetting(seed=seed), deployment.allowance)
     states = [ActiveHierarchy.initial(hierarchy)]
     for _ in range(epochs):
         states.append(update(states[-1]))
@@ -42,7 +42,9 @@ def all_metrics(context: bool) -> dict[str, np.ndarray]:
     deployment = read_deployment(FILE, [f"context={str(context).lower()}"])
     found = []
     for seed in SEEDS:
-        active = ActiveHierarchy.initial(build_hierarchy(deployment.roster, Setting(seed=seed), deployment.allowance))
+        active = ActiveHierarchy.initial(
+            build_hierarchy(deployment.roster, OperatorSetting(seed=seed), deployment.allowance)
+        )
         for _ in range(60):
             active = update(active)
         found.append(metrics(active))

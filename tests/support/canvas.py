@@ -8,8 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from hierax.runtime.viewing.exhibit import Canvas
 from hierax.runtime.viewing.layout import Column
+from hierax.runtime.viewing.presenter import Canvas
 from hierax.runtime.viewing.views import Placed
 
 

@@ -14,8 +14,8 @@ from typing import NamedTuple
 from hierax.runtime.core.digest import NO_DIGEST, DigestChain, encode_state, formal_digest
 from hierax.runtime.core.hierarchy import Hierarchy
 from hierax.runtime.core.process import ActiveHierarchy, ActiveNode, update
+from hierax.runtime.engine.effects import Called, Committed, Completed, EngineEffects, Saved
 from hierax.runtime.engine.engine import Engine
-from hierax.runtime.engine.outlet import Called, Committed, Completed, Outlet, Saved
 from hierax.runtime.engine.table import Phase, Verdict
 from hierax.runtime.engine.wiring import Place, Wiring
 from hierax.schemas.messages import DIGEST_BYTES, Header, Message, decode_message, encode_message
@@ -80,7 +80,7 @@ class Version:
         return Wiring(self.hierarchy.bound[name], tuple(self.hierarchy.bound_edges.values()), self.place)
 
 
-class Site(Outlet):
+class Site(EngineEffects):
     """A process with its engine; what it has kept survives it."""
 
     def __init__(self, network: Network, wiring: Wiring, saved: Saved | None, joins: bool, events: bool) -> None:

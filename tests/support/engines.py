@@ -5,11 +5,11 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from hierax.runtime.core.binding import BoundNode, Setting
+from hierax.runtime.core.binding import BoundNode, OperatorSetting
 from hierax.runtime.core.hierarchy import BoundEdge, Edge
 from hierax.runtime.core.process import ActiveNode
+from hierax.runtime.engine.effects import Saved
 from hierax.runtime.engine.engine import Engine
-from hierax.runtime.engine.outlet import Saved
 from hierax.runtime.engine.wiring import Place, Wiring
 from hierax.schemas.messages import CONTEXT, OBSERVATIONS, TASKS, Header, Message
 from hierax.schemas.values import encode_value
@@ -42,7 +42,7 @@ def wiring(
         instances: by name.
         mixing: whether the edges have functions at the node's side.
     """
-    setting = Setting()
+    setting = OperatorSetting()
     node = MixingNode(name, POLICIES) if below else MixingWorld(name, POLICIES)
     pairs = [(lower, name) for lower in below] + [(name, upper) for upper in above]
     edges = [_edge(*pair, mixing) for pair in pairs]

@@ -16,7 +16,7 @@ from hashlib import blake2b
 import numpy as np
 
 from hierax.runtime import NO_TICK, Elements, Node, Tick, Value, World
-from hierax.runtime.core.binding import Setting
+from hierax.runtime.core.binding import OperatorSetting
 from hierax.runtime.core.errors import HierarchyError
 from hierax.runtime.core.hierarchy import Edge, Hierarchy
 from hierax.schemas.values import encode_value
@@ -26,7 +26,7 @@ MAX_NODES = 12
 LARGE_ELEMENTS = 2100
 """Float64 elements of a large array: just over `LARGE_ARRAY_BYTES`."""
 
-PLAIN = Setting()
+PLAIN = OperatorSetting()
 
 
 def mark(*parts: Value) -> str:
@@ -164,7 +164,7 @@ def elements(text: str) -> Elements:
     return kinds[seed % len(kinds)]
 
 
-def random_hierarchy(seed: int, nodes: int | None = None, setting: Setting = PLAIN) -> Hierarchy:
+def random_hierarchy(seed: int, nodes: int | None = None, setting: OperatorSetting = PLAIN) -> Hierarchy:
     """A valid hierarchy of mixing nodes.
 
     Args:

@@ -14,11 +14,11 @@ from unittest.mock import patch
 from hierax.runtime.core.binding import Call
 from hierax.runtime.core.tick import Tick
 from hierax.runtime.engine.engine import Engine
-from hierax.runtime.member import Member
+from hierax.runtime.execution.member import Member
+from hierax.runtime.execution.world_member import WorldMember
 from hierax.runtime.owner.owner import Owner
 from hierax.runtime.owner.planning import Planning
 from hierax.runtime.sim.process import SimProcess
-from hierax.runtime.world_member import WorldMember
 from hierax.schemas.control import Fetch, Prepare
 from hierax.schemas.messages import Message
 
@@ -51,7 +51,7 @@ def latest_roster_fetched() -> Iterator[None]:
         plan = self._planning.plan
         latest = plan.roster if plan is not None else self.roster
         if word.name in latest.nodes:
-            self._outlet.tell(word.process, Prepare(latest.plain()))
+            self._effects.tell(word.process, Prepare(latest.plain()))
 
     def receive(self: Engine, message: Message) -> None:
         header = message.header
@@ -86,15 +86,15 @@ def act_before_commit() -> Iterator[None]:
     hand_on = Engine._hand_on
 
     def early(self: Engine, world: Any) -> None:
-        self._outlet.act(self.epoch, self._state.actions)
+        self._effects.act(self.epoch, self._state.actions)
         begin(self, world)
 
     def later(self: Engine, *arguments: Any) -> None:
-        act, self._outlet.act = self._outlet.act, lambda epoch, actions: None  # type: ignore[method-assign]
+        act, self._effects.act = self._effects.act, lambda epoch, actions: None  # type: ignore[method-assign]
         try:
             hand_on(self, *arguments)
         finally:
-            self._outlet.act = act  # type: ignore[method-assign]
+            self._effects.act = act  # type: ignore[method-assign]
 
     with patch.object(Engine, "_begin", early), patch.object(Engine, "_hand_on", later):
         yield
@@ -122,7 +122,7 @@ def instance_ignored() -> Iterator[None]:
 
     def on_fetch(self: Owner, word: Fetch) -> None:
         if word.version == self.roster.version and word.name in self.roster.nodes:
-            self._outlet.tell(word.process, Prepare(self.roster.plain()))
+            self._effects.tell(word.process, Prepare(self.roster.plain()))
 
     def mutant(self: Member, order: Prepare) -> None:
         if self.wired:
@@ -210,14 +210,14 @@ def checkpoint_after_context() -> Iterator[None]:
 
     def mutant(self: Engine, *arguments: Any) -> None:
         saved: list[tuple[Any, ...]] = []
-        outlet: Any = self._outlet
-        outlet.save = lambda *parts: saved.append(parts)
+        effects: Any = self._effects
+        effects.save = lambda *parts: saved.append(parts)
         try:
             hand_on(self, *arguments)
         finally:
-            del outlet.save
+            del effects.save
         for parts in saved:
-            outlet.save(*parts)
+            effects.save(*parts)
 
     with patch.object(Engine, "_hand_on", mutant):
         yield
@@ -271,19 +271,19 @@ def commit_not_recorded() -> Iterator[None]:
     proceed = Owner.proceed
 
     def mutant(self: Owner) -> None:
-        outlet: Any = self._outlet
-        keep, outlet.keep = outlet.keep, lambda: None
-        begin = outlet.begin
+        effects: Any = self._effects
+        keep, effects.keep = effects.keep, lambda: None
+        begin = effects.begin
 
         def begins(*arguments: Any) -> None:
-            outlet.keep = keep
+            effects.keep = keep
             begin(*arguments)
 
-        outlet.begin = begins
+        effects.begin = begins
         try:
             proceed(self)
         finally:
-            del outlet.begin, outlet.keep
+            del effects.begin, effects.keep
 
     with patch.object(Owner, "proceed", mutant):
         yield
@@ -309,7 +309,7 @@ def last_message_said_again() -> Iterator[None]:
     def mutant(self: Engine, neighbour: str) -> None:
         for receiver, kind in sorted(self._sent)[-1:]:
             if receiver == neighbour:
-                self._outlet.send(self._sent[receiver, kind])
+                self._effects.send(self._sent[receiver, kind])
 
     with patch.object(Engine, "say_again", mutant):
         yield

@@ -11,10 +11,10 @@ import yaml
 
 from hierax.nodes.causal_tree import Part, as_deployment
 from hierax.runtime import Probe, Step
-from hierax.runtime.core.binding import Setting
+from hierax.runtime.core.binding import OperatorSetting
 from hierax.runtime.core.process import ActiveHierarchy, update
 from hierax.runtime.deployment.read import read_deployment
-from hierax.runtime.loading import build_hierarchy
+from hierax.runtime.loading.loader import build_hierarchy
 
 
 def write_deployment(
@@ -34,7 +34,7 @@ def write_deployment(
 def active(path: Path) -> ActiveHierarchy:
     """A deployment, before its first epoch."""
     deployment = read_deployment(path)
-    return ActiveHierarchy.initial(build_hierarchy(deployment.roster, Setting(), deployment.allowance))
+    return ActiveHierarchy.initial(build_hierarchy(deployment.roster, OperatorSetting(), deployment.allowance))
 
 
 def advanced(hierarchy: ActiveHierarchy, epochs: int) -> ActiveHierarchy:

@@ -6,20 +6,20 @@ from typing import Any, NamedTuple, TypeVar
 
 from hierax.runtime import Elements
 from hierax.runtime.core.probe import Step
-from hierax.runtime.engine.outlet import Called, Committed, Completed, Outlet
+from hierax.runtime.engine.effects import Called, Committed, Completed, EngineEffects
 from hierax.runtime.engine.table import Verdict
 from hierax.schemas.messages import Header, Message, encode_message
 from hierax.schemas.values import encode_value
 
 
 class Sent(NamedTuple):
-    """`Outlet.send`."""
+    """`EngineEffects.send`."""
 
     message: Message
 
 
 class Kept(NamedTuple):
-    """`Outlet.save`."""
+    """`EngineEffects.save`."""
 
     epoch: int
     attempt: int
@@ -28,27 +28,27 @@ class Kept(NamedTuple):
 
 
 class Acted(NamedTuple):
-    """`Outlet.act`."""
+    """`EngineEffects.act`."""
 
     epoch: int
     actions: Elements
 
 
 class Refused(NamedTuple):
-    """`Outlet.refused`."""
+    """`EngineEffects.refused`."""
 
     header: Header
     verdict: Verdict
 
 
 class Lacked(NamedTuple):
-    """`Outlet.lacks`."""
+    """`EngineEffects.lacks`."""
 
     version: int
 
 
 class Rewired(NamedTuple):
-    """`Outlet.rewired`."""
+    """`EngineEffects.rewired`."""
 
     version: int
 
@@ -57,7 +57,7 @@ Output = Sent | Kept | Acted | Refused | Lacked | Rewired | Called | Committed |
 Kind = TypeVar("Kind", bound=Output)
 
 
-class Recorder(Outlet):
+class Recorder(EngineEffects):
     """Keeps every call of an engine.
 
     Attributes:

@@ -16,10 +16,10 @@ from support.launched import Command, Launched, hierax
 from support.parts import KEPT, active, advanced, believed, largest_error, write_deployment
 
 from hierax.nodes.causal_tree import Part, epochs_needed, network_from, posteriors, random_tree
-from hierax.runtime.deployment.files import shipped
+from hierax.runtime.deployment.locating import shipped
 from hierax.runtime.deployment.read import read_deployment
 from hierax.runtime.deployment.schedule import read_schedule
-from hierax.runtime.single import run
+from hierax.runtime.execution.single import run
 
 CLOSE = 1e-12
 TREE, ALARM = shipped()["causal-tree"], shipped()["alarm"]

@@ -14,11 +14,11 @@ import yaml
 from hierax.nodes.letters.glyphs import DRAWN, draw_glyph, draw_picture
 from hierax.nodes.letters.pixels import GlyphCamera, PictureWorld, PixelLetterNode, SignPicture
 from hierax.runtime import Step, Tick
-from hierax.runtime.core.binding import Setting
+from hierax.runtime.core.binding import OperatorSetting
 from hierax.runtime.core.errors import OperatorError
 from hierax.runtime.core.process import ActiveHierarchy, update
 from hierax.runtime.deployment.read import read_deployment
-from hierax.runtime.loading import build_hierarchy
+from hierax.runtime.loading.loader import build_hierarchy
 from hierax.schemas.values import encode_value
 
 FILE = Path(__file__).parents[3] / "deploy" / "letters-image.yaml"
@@ -27,7 +27,7 @@ WORDS = ("THE", "CAT")
 
 def posteriors(*overrides: str, seed: int = 0, epochs: int = 1) -> dict:
     deployment = read_deployment(FILE, overrides)
-    hierarchy = build_hierarchy(deployment.roster, Setting(seed=seed), deployment.allowance)
+    hierarchy = build_hierarchy(deployment.roster, OperatorSetting(seed=seed), deployment.allowance)
     active = ActiveHierarchy.initial(hierarchy)
     for _ in range(epochs):
         active = update(active)

@@ -13,11 +13,11 @@ import pytest
 import yaml
 
 from hierax.nodes.letters import LetterNode, SymbolWorld, WordNode
-from hierax.runtime.core.binding import Setting
+from hierax.runtime.core.binding import OperatorSetting
 from hierax.runtime.core.errors import OperatorError
 from hierax.runtime.core.process import ActiveHierarchy, update
 from hierax.runtime.deployment.read import read_deployment
-from hierax.runtime.loading import build_hierarchy
+from hierax.runtime.loading.loader import build_hierarchy
 from hierax.schemas.values import encode_value
 
 FILE = Path(__file__).parents[3] / "deploy" / "letters.yaml"
@@ -27,7 +27,7 @@ NODES = ("letter1", "letter2", "letter3")
 
 def run(*overrides: str, epochs: int = 1) -> ActiveHierarchy:
     deployment = read_deployment(FILE, overrides)
-    hierarchy = build_hierarchy(deployment.roster, Setting(), deployment.allowance)
+    hierarchy = build_hierarchy(deployment.roster, OperatorSetting(), deployment.allowance)
     active = ActiveHierarchy.initial(hierarchy)
     for _ in range(epochs):
         active = update(active)

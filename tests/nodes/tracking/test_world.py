@@ -20,7 +20,7 @@ from hierax.nodes.tracking.render import SegmentedDepth
 from hierax.nodes.tracking.simworld.world import SCENE, SimWorld
 from hierax.nodes.tracking.world import arm, seen, spatial, world
 from hierax.runtime import Tick
-from hierax.runtime.core.binding import Setting
+from hierax.runtime.core.binding import OperatorSetting
 from hierax.runtime.core.hierarchy import Edge, Hierarchy
 from hierax.runtime.core.process import ActiveHierarchy, prediction_update, sensing_update, update
 from hierax.schemas.values import encode_value
@@ -34,7 +34,7 @@ def hierarchy(context: bool = True, scene: str | None = None, **options: Any) ->
         Edge("arm", "spatial", sense=poses_seen, context=SegmentedDepth() if context else None),
     ]
     nodes = {"world": world(scene, **options), "arm": arm(scene), "spatial": spatial(scene)}
-    return Hierarchy(nodes, "world", edges, Setting(seed=SEED))
+    return Hierarchy(nodes, "world", edges, OperatorSetting(seed=SEED))
 
 
 def run(of: Hierarchy, epochs: int) -> tuple[list[Any], list[Any]]:

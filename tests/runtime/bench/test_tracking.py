@@ -65,8 +65,8 @@ def test_what_is_wrong_is_one_line(arguments: list[str], said: str, capsys: pyte
 
 
 def test_a_scene_without_truth_says_so(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    from hierax.runtime.allowance import Allowance
-    from hierax.runtime.loading import load
+    from hierax.runtime.loading.allowance import Allowance
+    from hierax.runtime.loading.loader import load
 
     ours = Allowance(("hierax.nodes.tracking.generator.scenes",))
     scene = load("hierax.nodes.tracking.generator.scenes:write_scene", "test", ours)(tmp_path, "tower", 0, 2)

@@ -9,8 +9,8 @@ from support.deployments import write
 from support.live import Live, Program, environment
 
 from hierax.runtime.commands.main import main
+from hierax.runtime.host.run_folder import begin_run
 from hierax.runtime.watch.logs import LAUNCH_FILE, LaunchLog, open_log
-from hierax.runtime.watch.run_folder import begin_run
 
 
 @pytest.fixture

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from hierax.runtime.commands.show import brief, print_json, print_report
-from hierax.runtime.report import NodeReport, make_report
+from hierax.runtime.execution.report import NodeReport, make_report
 
 
 @pytest.mark.parametrize(

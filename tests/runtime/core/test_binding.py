@@ -12,10 +12,10 @@ import numpy as np
 import pytest
 
 from hierax.runtime import NO_TICK, Elements, Node, Tick, Value, World
-from hierax.runtime.core.binding import BoundNode, Call, Setting, bind_edge, epoch_time_s, require_world
+from hierax.runtime.core.binding import BoundNode, Call, OperatorSetting, bind_edge, epoch_time_s, require_world
 from hierax.runtime.core.errors import HierarchyError, OperatorError
 
-SETTING = Setting(seed=7)
+SETTING = OperatorSetting(seed=7)
 
 
 class Still(Node):
@@ -25,7 +25,7 @@ class Still(Node):
         return 0
 
 
-def bound(node: Any, setting: Setting = SETTING) -> BoundNode:
+def bound(node: Any, setting: OperatorSetting = SETTING) -> BoundNode:
     return BoundNode("arm", node, ("world",), ("spatial", "task"), setting)
 
 
@@ -213,7 +213,7 @@ class AsyncEdge:
 
 
 def test_an_async_operator_is_waited_for() -> None:
-    setting = Setting(wait=asyncio.run)
+    setting = OperatorSetting(wait=asyncio.run)
     node = bound(Asks(), setting)
     assert node.observe(4, 0.0, ("seen",), 0) == ("seen", 4)
     assert node.policies["default"].elements(4, 0.0, 0) == ("gain",)

@@ -12,7 +12,7 @@ from support.hierarchies import Mix, MixingNode, MixingWorld, random_hierarchy, 
 from support.strategies import hierarchies, randoms
 
 from hierax.runtime import Elements, Value
-from hierax.runtime.core.binding import Setting
+from hierax.runtime.core.binding import OperatorSetting
 from hierax.runtime.core.hierarchy import Edge, Hierarchy
 from hierax.runtime.core.process import ActiveHierarchy, update
 from hierax.schemas.values import encode_value
@@ -67,9 +67,9 @@ def test_an_order_that_swaps_an_edge_is_refused(hierarchy: Hierarchy, rng: rando
 @patient
 @given(st.integers(0, 1 << 32))
 def test_another_seed_of_the_run_gives_another_run(seed: int) -> None:
-    first = run(random_hierarchy(seed, setting=Setting(seed=1)))
-    assert run(random_hierarchy(seed, setting=Setting(seed=1))) == first
-    assert run(random_hierarchy(seed, setting=Setting(seed=2))) != first
+    first = run(random_hierarchy(seed, setting=OperatorSetting(seed=1)))
+    assert run(random_hierarchy(seed, setting=OperatorSetting(seed=1))) == first
+    assert run(random_hierarchy(seed, setting=OperatorSetting(seed=2))) != first
 
 
 def pair(**functions: Callable[[Value], Elements]) -> Hierarchy:

@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 
 from hierax.runtime import NO_TICK, Elements, Node, Tick, Value, World
-from hierax.runtime.core.binding import Setting
+from hierax.runtime.core.binding import OperatorSetting
 from hierax.runtime.core.errors import HierarchyError, OperatorError
 from hierax.runtime.core.hierarchy import BoundEdge, Edge, Hierarchy
 from hierax.runtime.core.process import ActiveHierarchy, sensing_update, update
@@ -179,7 +179,7 @@ def test_ticks_tell_epoch_time_names_and_neighbours() -> None:
 
     nodes = {"w": World0("w"), "b": Teller("b"), "a": Tells("a")}
     edges = [Edge("w", "a", sense, None, context), Edge("a", "b")]
-    active = ActiveHierarchy.initial(Hierarchy(nodes, "w", edges, Setting(seed=11)))
+    active = ActiveHierarchy.initial(Hierarchy(nodes, "w", edges, OperatorSetting(seed=11)))
     update(update(active))
     assert ticks[:3] == [
         (11, "w->a", "sense", 1, 0.5, ("w",), ("a",)),
@@ -286,7 +286,7 @@ class Swapped(Teller):
 
 def test_an_edge_is_bound_on_its_side_only() -> None:
     edge = Edge("w", "n", once("o"), once("t"), once("c"))
-    lower, upper = (BoundEdge.of(edge, Setting(), side) for side in ("lower", "upper"))
+    lower, upper = (BoundEdge.of(edge, OperatorSetting(), side) for side in ("lower", "upper"))
     assert [call is None for call in (lower.sense, lower.task, lower.context)] == [False, True, True]
     assert [call is None for call in (upper.sense, upper.task, upper.context)] == [True, False, False]
 

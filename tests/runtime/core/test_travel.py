@@ -8,11 +8,11 @@ from typing import Any
 import pytest
 
 from hierax.runtime import Elements, Node, Value, World
-from hierax.runtime.core.binding import Setting
+from hierax.runtime.core.binding import OperatorSetting
 from hierax.runtime.core.errors import OperatorError
 from hierax.runtime.core.hierarchy import Edge, Hierarchy
 from hierax.runtime.core.process import ActiveHierarchy, update
-from hierax.runtime.testing.running import run_hierarchy
+from hierax.runtime.testing.runs import run_hierarchy
 
 
 class Clock(World):
@@ -90,7 +90,7 @@ def test_none_where_the_initial_belief_is_something(where: str, operator: str) -
     with pytest.raises(OperatorError, match=message):
         run(Giver(where, None))
     hierarchy = Hierarchy(
-        {"world": Clock(), "low": Giver(where, None)}, "world", [Edge("world", "low", sense=seen)], Setting()
+        {"world": Clock(), "low": Giver(where, None)}, "world", [Edge("world", "low", sense=seen)], OperatorSetting()
     )
     with pytest.raises(OperatorError, match=message):
         update(ActiveHierarchy.initial(hierarchy))

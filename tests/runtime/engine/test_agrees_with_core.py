@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from support.disturbed import Faults, Network, formal_run
 from support.hierarchies import random_hierarchy
 
-from hierax.runtime.core.binding import Setting
+from hierax.runtime.core.binding import OperatorSetting
 
 EPOCHS = 3
 
@@ -25,7 +25,7 @@ def patient(examples: int) -> settings:
 
 def check(hierarchy_seed: int, seed: int, faults: Faults, epochs: int = EPOCHS, nodes: int | None = None) -> Network:
     """Run, and compare every epoch with the formal core's."""
-    network = Network(random_hierarchy(hierarchy_seed, nodes, Setting(seed=seed)), seed, faults)
+    network = Network(random_hierarchy(hierarchy_seed, nodes, OperatorSetting(seed=seed)), seed, faults)
     try:
         network.run(epochs)
     finally:

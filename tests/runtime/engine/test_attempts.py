@@ -8,7 +8,7 @@ from support.hierarchies import mark
 from support.recording import Completed, Kept, Sent, of, plain, sent, steps
 
 from hierax.runtime.core.process import ActiveNode
-from hierax.runtime.engine.outlet import Saved
+from hierax.runtime.engine.effects import Saved
 from hierax.runtime.engine.table import Phase, Verdict
 from hierax.schemas.messages import CONTEXT, OBSERVATIONS, TASKS
 

@@ -9,8 +9,8 @@ from support.engines import EPOCH, Solo, encoded, message, other, wiring
 from support.recording import Acted, Completed, Kept, Recorder, Sent, of, sent, steps
 
 from hierax.runtime.core.process import ActiveNode
+from hierax.runtime.engine.effects import Called, Committed
 from hierax.runtime.engine.engine import Engine
-from hierax.runtime.engine.outlet import Called, Committed
 from hierax.runtime.engine.table import Phase
 from hierax.schemas.messages import CONTEXT, OBSERVATIONS, TASKS, encode_message
 from hierax.schemas.values import decode_value, encode_value

@@ -16,16 +16,16 @@ from support.engines import EPOCH, ROSTER, Solo, message, other, wiring
 from support.hierarchies import random_hierarchy
 from support.recording import Recorder, sent, steps, verdicts
 
-from hierax.runtime.core.binding import Setting, epoch_time_s
+from hierax.runtime.core.binding import OperatorSetting, epoch_time_s
 from hierax.runtime.core.digest import NO_DIGEST, DigestChain, encode_state, epoch_digest, node_digest
+from hierax.runtime.core.elements import Elements
 from hierax.runtime.core.hierarchy import Hierarchy
-from hierax.runtime.core.node import Elements
 from hierax.runtime.core.process import ActiveNode
-from hierax.runtime.engine.loose import DRAIN, LooseEngine, Staleness
-from hierax.runtime.engine.outlet import Saved
+from hierax.runtime.engine.effects import Saved
+from hierax.runtime.engine.stale import DRAIN, StaleEngine, Staleness
 from hierax.runtime.engine.table import Phase, Verdict
 from hierax.runtime.engine.wiring import Place, Wiring
-from hierax.runtime.runner import NodeRunner, Pacemaker
+from hierax.runtime.execution.runner import NodeRunner, Pacemaker
 from hierax.runtime.transport.memory import MemoryNetwork
 from hierax.schemas.messages import CONTEXT, OBSERVATIONS, TASKS, Message
 
@@ -96,7 +96,7 @@ def run(
     seed: int,
     make: type[NodeRunner] = NodeRunner,
     disturb: Callable[[MemoryNetwork], None] = lambda network: None,
-) -> tuple[list[bytes], list[LooseEngine]]:
+) -> tuple[list[bytes], list[StaleEngine]]:
     network = MemoryNetwork(seed)
     tasking = frozenset(pair for pair, edge in hierarchy.bound_edges.items() if edge.task)
     place = Place(roster_hash=ROSTER_HASH, tasking=tasking)
@@ -119,7 +119,7 @@ def run(
             runners[name].step(received)
             disturb(network)
     engines = [runner.engine for runner in runners.values()]
-    return digests, [engine for engine in engines if isinstance(engine, LooseEngine)]
+    return digests, [engine for engine in engines if isinstance(engine, StaleEngine)]
 
 
 @pytest.mark.parametrize("staleness", [Staleness(1, exact=True), Staleness(3, exact=True)])
@@ -156,7 +156,7 @@ def take_turns(runners: Mapping[str, NodeRunner], pacemaker: Pacemaker, rng: ran
 def test_an_exact_staleness_is_the_formal_core_with_inputs_so_old_in_any_order(
     seed: int, order: int, staleness: int
 ) -> None:
-    hierarchy = random_hierarchy(seed, setting=Setting(seed=order))
+    hierarchy = random_hierarchy(seed, setting=OperatorSetting(seed=order))
     epochs = staleness + 6
     digests, _ = run(hierarchy, epochs, Staleness(staleness, exact=True), order)
     assert digests == formal_digests(hierarchy, epochs, staleness)
@@ -169,7 +169,7 @@ def test_an_exact_staleness_is_the_formal_core_with_inputs_so_old_in_any_order(
     staleness=st.sampled_from((Staleness(None), Staleness(1), Staleness(8, exact=True))),
 )
 def test_drained_epochs_are_those_of_the_barrier_in_any_order(seed: int, order: int, staleness: Staleness) -> None:
-    hierarchy = random_hierarchy(seed, nodes=5, setting=Setting(seed=order))
+    hierarchy = random_hierarchy(seed, nodes=5, setting=OperatorSetting(seed=order))
     digests, engines = run(hierarchy, 6, staleness, order, DrainingRunner)
     assert digests == formal_digests(hierarchy, 6, 0)
     assert all(engine.ages.largest == engine.ages.left_out == 0 for engine in engines)
@@ -177,7 +177,7 @@ def test_drained_epochs_are_those_of_the_barrier_in_any_order(seed: int, order: 
 
 @pytest.mark.parametrize("seed", range(20))
 def test_in_free_running_all_nodes_have_a_part_in_the_first_epoch_and_the_last(seed: int) -> None:
-    hierarchy = random_hierarchy(seed, setting=Setting(seed=seed))
+    hierarchy = random_hierarchy(seed, setting=OperatorSetting(seed=seed))
     digests, engines = run(hierarchy, 30, Staleness(None), seed)
     assert digests[0] == formal_digests(hierarchy, 1, 0)[0]
     assert len(digests) == 30
@@ -189,7 +189,7 @@ def test_in_free_running_all_nodes_have_a_part_in_the_first_epoch_and_the_last(s
 
 @pytest.mark.parametrize("seed", range(20))
 def test_inputs_are_never_older_than_allowed_and_some_are_as_old(seed: int) -> None:
-    hierarchy = random_hierarchy(seed, setting=Setting(seed=seed))
+    hierarchy = random_hierarchy(seed, setting=OperatorSetting(seed=seed))
     staleness = 1 + random.Random(seed).randrange(3)
     digests, engines = run(hierarchy, 30, Staleness(staleness), seed)
     assert len(digests) == 30
@@ -202,7 +202,7 @@ def test_inputs_are_never_older_than_allowed_and_some_are_as_old(seed: int) -> N
 def test_a_staleness_that_is_not_exact_takes_the_newest_in_hand() -> None:
     means = []
     for seed in range(30):
-        _, engines = run(random_hierarchy(seed, setting=Setting(seed=seed)), 20, Staleness(2), seed)
+        _, engines = run(random_hierarchy(seed, setting=OperatorSetting(seed=seed)), 20, Staleness(2), seed)
         means += [engine.ages.metrics()["staleness_mean"] for engine in engines if engine.ages.inputs]
     assert min(means) < 1.5 < max(means)
 
@@ -221,7 +221,7 @@ class LooseSolo(Solo):
     ) -> None:
         self.recorder = Recorder()
         wired = wiring(mixing=True) if wired is None else wired
-        self.loose = LooseEngine(wired, self.recorder, saved=saved, joins=joins, staleness=staleness)
+        self.loose = StaleEngine(wired, self.recorder, saved=saved, joins=joins, staleness=staleness)
         self.engine = self.loose
 
     def turn(self, *messages: Message) -> list[Any]:

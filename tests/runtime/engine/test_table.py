@@ -12,7 +12,7 @@ from support.recording import Acted, Completed, Lacked, Output, Refused, Sent, o
 
 from hierax.runtime.core.digest import DigestChain
 from hierax.runtime.core.errors import ContradictionError
-from hierax.runtime.engine.outlet import Committed
+from hierax.runtime.engine.effects import Committed
 from hierax.runtime.engine.table import (
     ACTIONS,
     ATTEMPTS_AHEAD,

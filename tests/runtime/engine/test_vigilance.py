@@ -12,7 +12,7 @@ from hierax.runtime import Elements, Node, Value, World
 from hierax.runtime.core.errors import OperatorError
 from hierax.runtime.core.hierarchy import Edge
 from hierax.runtime.engine.vigilance import EVERY, is_due
-from hierax.runtime.testing.running import run_hierarchy
+from hierax.runtime.testing.runs import run_hierarchy
 
 
 class Clock(World):

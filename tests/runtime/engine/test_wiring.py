@@ -8,7 +8,7 @@ import pytest
 from support.engines import DIGEST, EPOCH, INSTANCES, ROSTER, Solo, message, wiring
 from support.recording import Lacked, Output, Refused, Rewired, Sent, of, sent, steps, verdicts
 
-from hierax.runtime.core.binding import BoundNode, Setting
+from hierax.runtime.core.binding import BoundNode, OperatorSetting
 from hierax.runtime.core.hierarchy import BoundEdge, Edge
 from hierax.runtime.engine.table import HELD_MESSAGES, Phase, Verdict
 from hierax.runtime.engine.wiring import Place, Wiring
@@ -50,8 +50,8 @@ def version(solo: Solo) -> int:
 def test_a_wiring_says_from_which_instance_what_is_awaited() -> None:
     functions = {"sense": tuple, "task": tuple, "context": tuple}
     pairs = {("a", "m"): functions, ("b", "m"): {}, ("m", "y"): functions, ("m", "z"): {}}
-    edges = [BoundEdge.of(Edge(*pair, **kinds), Setting()) for pair, kinds in pairs.items()]
-    node = BoundNode("m", wiring().node.node, ("a", "b"), ("y", "z"), Setting())
+    edges = [BoundEdge.of(Edge(*pair, **kinds), OperatorSetting()) for pair, kinds in pairs.items()]
+    node = BoundNode("m", wiring().node.node, ("a", "b"), ("y", "z"), OperatorSetting())
     place = Place(3, DIGEST, {"a": 5, "m": 6, "y": 8}, frozenset({("m", "y"), ("a", "m")}))
     wired = Wiring(node, edges, place)
     assert (wired.roster, wired.instance) == (3, 6)

@@ -13,7 +13,7 @@ from support.launched import Command, Launched, until
 
 from hierax.runtime.commands.main import main
 from hierax.runtime.deployment.read import read_deployment
-from hierax.runtime.single import run as run_here
+from hierax.runtime.execution.single import run as run_here
 
 ENDLESS = ("--epochs", "10000000")
 SIGNALS = [signal.SIGINT, signal.SIGTERM, signal.SIGHUP]

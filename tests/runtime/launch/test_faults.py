@@ -7,10 +7,10 @@ from typing import Any
 import pytest
 
 from hierax.runtime.core.errors import HieraxError
+from hierax.runtime.execution.member import Member
+from hierax.runtime.execution.world_member import WorldMember
 from hierax.runtime.launch import faults
 from hierax.runtime.launch.faults import INSTANTS, Fault, plant, read_faults
-from hierax.runtime.member import Member
-from hierax.runtime.world_member import WorldMember
 
 
 def test_all_instants_can_be_named() -> None:

@@ -10,16 +10,16 @@ from typing import Any
 import pytest
 from support.live import hierax as said_by
 
-from hierax.runtime.allowance import Allowance, NotAllowedError
 from hierax.runtime.core.errors import HieraxError
-from hierax.runtime.launch.here import Here, read_orders
+from hierax.runtime.launch.here import AttachedHere, read_orders
+from hierax.runtime.loading.allowance import Allowance, NotAllowedError
 from hierax.runtime.transport.hub import Hub
 from hierax.schemas.keys import Keys
 from hierax.schemas.roster import Reference
 
 MIXING = "hierax.runtime.sim.nodes"
 MIXER = Reference(f"{MIXING}:Mixer", {"name": "top"})
-HERE = Here({"top": MIXER}, Allowance((MIXING,)), False, ("/mine",), "tcp/10.0.0.1:7000", "10.0.0.2", None)
+HERE = AttachedHere({"top": MIXER}, Allowance((MIXING,)), False, ("/mine",), "tcp/10.0.0.1:7000", "10.0.0.2", None)
 ORDER: dict[str, Any] = {
     "name": "top",
     "process": "5f",

@@ -15,7 +15,7 @@ import yaml
 from support.device_nodes import DEVICE, MOVES_S, acts
 from support.launched import Command, Launched, hierax
 
-from hierax.runtime.deployment.files import shipped
+from hierax.runtime.deployment.locating import shipped
 
 PACE = """\
 import time

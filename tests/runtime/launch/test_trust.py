@@ -17,16 +17,16 @@ from support import stranger
 from support.deployments import replaced, write
 from support.live import Live, environment, until
 
-from hierax.runtime.allowance import NotAllowedError
 from hierax.runtime.commands.main import main
 from hierax.runtime.core.errors import HieraxError
 from hierax.runtime.deployment.read import read_deployment
+from hierax.runtime.host.run_folder import run_folder
+from hierax.runtime.host.seal import NOT_OURS
 from hierax.runtime.launch.orders import Orders
 from hierax.runtime.launch.run_file import read_run
+from hierax.runtime.loading.allowance import NotAllowedError
 from hierax.runtime.recovery.disk import MappedFile
 from hierax.runtime.recovery.slots import Slots
-from hierax.runtime.seal import NOT_OURS
-from hierax.runtime.watch.run_folder import run_folder
 from hierax.schemas.checkpoint import WorldRecord, encode_world
 from hierax.schemas.roster import Reference
 from hierax.schemas.values import encode_value

@@ -6,10 +6,10 @@ from typing import Any
 
 import pytest
 
-from hierax.runtime.owner.doubts import MAX_REPEATS
+from hierax.runtime.owner.effects import OwnerEffects, OwnerPolicy
 from hierax.runtime.owner.members import REMEMBERED
-from hierax.runtime.owner.outlet import OwnerOutlet, OwnerSettings
 from hierax.runtime.owner.owner import FETCH_S, MAX_TRIES, Owner
+from hierax.runtime.owner.suspicions import MAX_REPEATS
 from hierax.schemas.changes import Attach, Change, Detach, Replace
 from hierax.schemas.control import (
     NEVER,
@@ -26,11 +26,11 @@ from hierax.schemas.control import (
     Propose,
     Ready,
     Resend,
-    Same,
     State,
     Status,
     Taken,
     TakeOver,
+    Unchanged,
 )
 from hierax.schemas.roster import Reference, Roster, RosterEdge
 
@@ -39,10 +39,10 @@ OTHER = Reference("toys:Other", {})
 CHAIN = Roster(
     "world", {"world": NODE, "low": NODE, "high": NODE}, (RosterEdge("world", "low"), RosterEdge("low", "high"))
 )
-SETTINGS = OwnerSettings(modules=("toys",), epoch_deadline_s=1.0, start_timeout_s=3.0, answer_timeout_s=2.0)
+SETTINGS = OwnerPolicy(modules=("toys",), epoch_deadline_s=1.0, start_timeout_s=3.0, answer_timeout_s=2.0)
 
 
-class Owned(OwnerOutlet):
+class Owned(OwnerEffects):
     """An owner and all that it calls, in order.
 
     Args:
@@ -50,7 +50,7 @@ class Owned(OwnerOutlet):
         options: of the owner.
     """
 
-    def __init__(self, settings: OwnerSettings = SETTINGS, **options: Any) -> None:
+    def __init__(self, settings: OwnerPolicy = SETTINGS, **options: Any) -> None:
         self.now = 0.0
         self.calls: list[tuple[Any, ...]] = []
         processes = options.pop("processes", {name: f"{name}.1" for name in CHAIN.nodes})
@@ -139,7 +139,7 @@ def test_an_attach_takes_both_phases() -> None:
     calls = owned.hear(join("top.1", request="c1"))
     assert calls[0] == ("keep", 1), "nobody hears of a version before its number is recorded"
     assert sorted(prepares(calls)) == ["high.1", "top.1", "world.1"]
-    assert ("low.1", Same(1, 0)) in calls, "it has nothing to load, and no answer to give"
+    assert ("low.1", Unchanged(1, 0)) in calls, "it has nothing to load, and no answer to give"
     assert owned.ready(1, "high.1", "world.1") == []
     assert owned.commit() == [("begin", 2, 0, 0)], "it waits for the newcomer, and the epochs do not"
     assert owned.ready(1, "top.1") == [], "it takes effect between two epochs"
@@ -210,7 +210,7 @@ def test_who_says_nothing_is_named() -> None:
     assert ("answer", "c1", 0, "no answer from top within 2 s") in owned.wait(1.0)
 
 
-SETTINGS_PATIENT = OwnerSettings(modules=("toys",), answer_timeout_s=2.0)
+SETTINGS_PATIENT = OwnerPolicy(modules=("toys",), answer_timeout_s=2.0)
 
 
 def test_a_dropped_version_is_not_used_again() -> None:
@@ -362,7 +362,7 @@ def test_a_commit_may_leave_one_that_is_back_behind() -> None:
 
 
 def test_on_loss() -> None:
-    settings = OwnerSettings(on_loss={"high": "detach", "low": "stop"}, rejoin_timeout_s={"high": 1.0, "low": 1.0})
+    settings = OwnerPolicy(on_loss={"high": "detach", "low": "stop"}, rejoin_timeout_s={"high": 1.0, "low": 1.0})
     owned = begun(settings=settings)
     owned.hear(Lost("high", "high.1", True))
     assert owned.wait(0.9) == []
@@ -433,7 +433,7 @@ def test_several_lost_nodes_are_detached_at_once() -> None:
     roster = Roster(
         "world", {"world": NODE, "a": NODE, "b": NODE}, (RosterEdge("world", "a"), RosterEdge("world", "b"))
     )
-    settings = OwnerSettings(on_loss={"a": "detach", "b": "detach"})
+    settings = OwnerPolicy(on_loss={"a": "detach", "b": "detach"})
     owned = begun(settings=settings, roster=roster, processes={name: f"{name}.1" for name in roster.nodes})
     owned.hear(Lost("a", "a.1", False), Lost("b", "b.1", False))
     assert owned.ready(owned.owner.highest, "world.1")[0][:3] == ("begin", 1, 1)
@@ -631,7 +631,7 @@ def test_what_was_lost_is_sent_again_and_then_the_link_is_blamed() -> None:
 
 
 def test_a_keeper_that_is_cut_off_as_well() -> None:
-    settings = OwnerSettings(epoch_deadline_s=1.0, answer_timeout_s=2.0, on_loss={"high": "detach"})
+    settings = OwnerPolicy(epoch_deadline_s=1.0, answer_timeout_s=2.0, on_loss={"high": "detach"})
     owned = begun(settings=settings)
     owned.wait(1.1)
     owned.hear(Status("world", 1, 1, 0, (("low", "ctx"),), ""), Status("low", 1, 1, 0, (("high", "ctx"),), ""))

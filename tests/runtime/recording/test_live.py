@@ -140,5 +140,5 @@ def _recorder_of(supervisor: int) -> int:
     out = subprocess.run(
         ["ps", "-ww", "-o", "pid=,args=", "--ppid", str(supervisor)], capture_output=True, text=True, check=True
     )
-    (line,) = [line for line in out.stdout.splitlines() if "hierax.runtime.recording.process" in line]
+    (line,) = [line for line in out.stdout.splitlines() if "hierax.runtime.recording.live_recording" in line]
     return int(line.split()[0])

@@ -9,7 +9,7 @@ from support.recorded import record_file
 from hierax.runtime.recording.reading import Entry, Recording
 from hierax.runtime.recording.recorder import Recorder
 from hierax.runtime.recording.topics import MESSAGE, STEP
-from hierax.runtime.transport.recording import Heard
+from hierax.runtime.transport.steps import Sample
 
 
 @pytest.fixture(scope="module")
@@ -20,8 +20,8 @@ def recording(tmp_path_factory: pytest.TempPathFactory) -> Recording:
     return record_file(folder / "run.mcap", path)[0]
 
 
-def heard(entry: Entry) -> Heard:
-    return Heard(entry.time_ns, entry.key, entry.data)
+def heard(entry: Entry) -> Sample:
+    return Sample(entry.time_ns, entry.key, entry.data)
 
 
 def test_what_there_is_no_room_for_is_named(recording: Recording) -> None:
@@ -69,7 +69,7 @@ def test_a_run_that_went_on_without_its_recorder_is_known(recording: Recording) 
 def test_bytes_of_another_kind_are_named(recording: Recording, caplog: pytest.LogCaptureFixture) -> None:
     recorder = Recorder(None)
     for key, data in (("obs/a/b", b"\x01"), ("steps/a", b"\x90"), ("epochs", b"\x05"), ("roster", b"\x80")):
-        recorder.take(Heard(0, f"hierax/flawed/r/{key}", data))
+        recorder.take(Sample(0, f"hierax/flawed/r/{key}", data))
     assert recorder.finish().lost == 4
     assert caplog.text.count("not recorded, as it is not of this kind") == 4
 

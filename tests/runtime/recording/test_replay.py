@@ -9,7 +9,7 @@ from support.flawed import DEPLOYMENT
 from support.recorded import record_file
 
 from hierax.runtime.core.errors import HieraxError
-from hierax.runtime.deployment.files import shipped
+from hierax.runtime.deployment.locating import shipped
 from hierax.runtime.recording.deployments import allowance_of, other_settings
 from hierax.runtime.recording.diff import compare
 from hierax.runtime.recording.info import RecordingError

@@ -12,8 +12,8 @@ import pytest
 from support.flawed import DEPLOYMENT
 from support.recorded import record_file
 
-from hierax.runtime.allowance import NotAllowedError
 from hierax.runtime.commands.main import main
+from hierax.runtime.loading.allowance import NotAllowedError
 from hierax.runtime.recording.deployments import allowance_of
 from hierax.runtime.recording.info import Ending, RecordingError, RunInfo
 from hierax.runtime.recording.reading import Recording

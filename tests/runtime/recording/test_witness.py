@@ -6,11 +6,11 @@ from pathlib import Path
 
 from support.flawed import DEPLOYMENT
 
-from hierax.runtime import single
 from hierax.runtime.deployment.read import read_deployment
+from hierax.runtime.execution import single
+from hierax.runtime.execution.runner import NodeRunner
 from hierax.runtime.recording.ledger import Ledger
 from hierax.runtime.recording.witness import Witness
-from hierax.runtime.runner import NodeRunner
 from hierax.schemas.steps import NodeStep, decode_step
 
 

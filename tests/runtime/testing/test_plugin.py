@@ -12,7 +12,7 @@ from support.deployments import write
 from support.hierarchies import random_hierarchy
 
 from hierax.runtime import Elements, Node, Value, World
-from hierax.runtime.core.binding import Setting
+from hierax.runtime.core.binding import OperatorSetting
 from hierax.runtime.core.errors import HieraxError
 from hierax.runtime.core.hierarchy import Edge
 from hierax.runtime.core.process import ActiveHierarchy, update
@@ -90,7 +90,7 @@ def test_nodes_that_the_test_has_made(hierax_run: Runs) -> None:
 
 @pytest.mark.parametrize("seed", [0, 1, 2])
 def test_a_run_is_what_the_formal_core_says(hierax_run: Runs, seed: int) -> None:
-    hierarchy = random_hierarchy(seed, nodes=5, setting=Setting(seed))
+    hierarchy = random_hierarchy(seed, nodes=5, setting=OperatorSetting(seed))
     ran = hierax_run(nodes=hierarchy.nodes, edges=hierarchy.edges, world=hierarchy.world, epochs=3, seed=seed)
     active = ActiveHierarchy.initial(hierarchy)
     for epoch in range(3):

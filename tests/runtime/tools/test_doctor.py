@@ -7,13 +7,13 @@ from pathlib import Path
 
 import pytest
 
+from hierax.runtime.host.run_folder import begin_run
 from hierax.runtime.recovery.disk import MappedFile
 from hierax.runtime.tools import doctor, leftovers
 from hierax.runtime.tools.doctor import as_json, check_folders, check_limits, check_machine, check_python, examine
 from hierax.runtime.tools.finding import FINE, NOTE, WRONG, Finding
 from hierax.runtime.tools.leftovers import Orphan
 from hierax.runtime.transport import zenoh_session
-from hierax.runtime.watch.run_folder import begin_run
 
 
 @pytest.fixture(autouse=True)

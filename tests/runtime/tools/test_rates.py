@@ -4,7 +4,7 @@ from typing import Any
 
 import pytest
 
-from hierax.runtime.tools.looking import Seen
+from hierax.runtime.tools.inspecting import LaunchState
 from hierax.runtime.tools.rates import NodeRates, doing, overview
 
 
@@ -31,7 +31,7 @@ def answer(seconds: float, epochs: int, process: str = "a", **change: Any) -> di
     }
 
 
-SEEN = Seen(
+SEEN = LaunchState(
     "toys",
     "5163af85",
     9,

@@ -8,9 +8,9 @@ from typing import Any
 
 import pytest
 
+from hierax.runtime.host.run_folder import ABOUT, run_folder
 from hierax.runtime.watch import logs
 from hierax.runtime.watch.logs import QUIET, JsonLine, begin_log, log_console, log_node, open_log
-from hierax.runtime.watch.run_folder import ABOUT, run_folder
 
 
 @pytest.fixture(autouse=True)

@@ -3,7 +3,7 @@ from __future__ import annotations
 import pytest
 
 from hierax.runtime.core.probe import Step
-from hierax.runtime.engine.outlet import Called, Completed
+from hierax.runtime.engine.effects import Called, Completed
 from hierax.runtime.watch.meter import Meter, kind_of
 from hierax.schemas.messages import CONTEXT, OBSERVATIONS, Header, Message
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from hierax.runtime.core.probe import Step
-from hierax.runtime.engine.outlet import Completed
+from hierax.runtime.engine.effects import Completed
 from hierax.runtime.watch.stepper import STEPS_KEPT, Stepper, read_step
 from hierax.schemas.errors import SchemaError
 from hierax.schemas.values import encode_value

@@ -14,8 +14,8 @@ from support.deployments import write
 from hierax.runtime.core.errors import HieraxError
 from hierax.runtime.core.probe import Step
 from hierax.runtime.deployment.read import read_deployment
-from hierax.runtime.engine.outlet import Called, Completed
-from hierax.runtime.single import run
+from hierax.runtime.engine.effects import Called, Completed
+from hierax.runtime.execution.single import run
 from hierax.runtime.watch import telemetry
 from hierax.runtime.watch.telemetry import Spans
 from hierax.schemas.messages import OBSERVATIONS, Header, Message

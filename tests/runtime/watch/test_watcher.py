@@ -6,9 +6,9 @@ import pytest
 from support.deployments import write
 
 from hierax.runtime.deployment.read import read_deployment
-from hierax.runtime.engine.outlet import Called, Completed
-from hierax.runtime.runner import NodeRunner
-from hierax.runtime.single import run
+from hierax.runtime.engine.effects import Called, Completed
+from hierax.runtime.execution.runner import NodeRunner
+from hierax.runtime.execution.single import run
 from hierax.runtime.watch.watcher import Watcher
 from hierax.schemas.messages import Message
 

@@ -1,0 +1,302 @@
+"""``hierax attach``, ``detach``, ``replace`` and ``ps``: against a launch that runs."""
+
+from __future__ import annotations
+
+import re
+import sys
+import time
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from hierax.runtime.commands.errors import CommandError
+from hierax.runtime.commands.options import Format, OutputFormat, Trust
+from hierax.runtime.commands.which import Connect, Run, endpoint_of, keys_of, nodes_here
+
+if TYPE_CHECKING:
+    from hierax.runtime.deployment import Deployment
+    from hierax.runtime.deployment.deployment import RestartPolicy
+    from hierax.runtime.launch.here import AttachedHere
+    from hierax.runtime.launch.run_file import Running
+    from hierax.schemas.changes import Attach, Change
+
+_LOOPBACK = re.compile(r"[a-z]+/(127\.|localhost|\[::1\])")
+
+TIMEOUT_S = 120.0
+"""How long a change may take: new processes import what they need, and the epoch under way must end."""
+
+WAIT_S = 60.0
+"""How long `ps --wait` waits."""
+
+LOOK_S = 0.1
+
+DeploymentFile = Annotated[
+    str | None,
+    typer.Option(
+        "--deployment",
+        metavar="FILE",
+        help="The launch's deployment file, where it has another path on this machine.",
+        show_default=False,
+    ),
+]
+Source = Annotated[
+    str, typer.Argument(metavar="SOURCE", help="A YAML snippet with nodes and edges.", show_default=False)
+]
+NodeArgument = Annotated[
+    str, typer.Argument(metavar="NODE", help="A node's name.", show_default=False, autocompletion=nodes_here)
+]
+
+
+def attach(
+    source: Annotated[
+        str,
+        typer.Argument(
+            metavar="SOURCE",
+            help="A YAML snippet with nodes and edges, or the name of a node of the deployment file.",
+            show_default=False,
+        ),
+    ],
+    run: Run = None,
+    connect: Connect = None,
+    deployment: DeploymentFile = None,
+    here: Annotated[
+        bool, typer.Option("--here", help="Keep the new nodes' processes on this machine, until Ctrl-C.")
+    ] = False,
+    host: Annotated[
+        str | None,
+        typer.Option(
+            "--host", metavar="ADDRESS", help="With --here: this machine's address for the others.", show_default=False
+        ),
+    ] = None,
+    trust: Trust = False,
+    output_format: OutputFormat = Format.text,
+) -> int:
+    """Attach nodes to a hierarchy that runs, and print the epoch at which they took effect."""
+    from hierax.runtime.deployment.snippet import read_attach, read_restarts
+
+    if host is not None and not here:
+        raise CommandError("--host: only with --here; the new processes come up where the launch runs")
+    if here and host is None and connect is not None and not _LOOPBACK.match(connect):
+        raise CommandError("--here: the others have to reach the new processes: give this machine's address by --host")
+    if trust and not here:
+        raise CommandError("--trust: only with --here; without it nothing is loaded on this machine")
+    endpoint = endpoint_of(run, connect)
+    own = _own_deployment(endpoint, deployment) if here else None
+    if here and own is None and not trust:
+        raise CommandError(
+            "--here: give the launch's deployment file by --deployment, as no launch of yours answers there: what runs "
+            "here is what that file and SOURCE name; or --trust, to run whatever the launch names"
+        )
+    file = _deployment(endpoint, deployment)
+    change = read_attach(source, file)
+    restarts = read_restarts(source, file, attached=True)
+    what = f"attached {', '.join(change.nodes)}"
+    if here:
+        return _keep_here(change, restarts, what, _here(source, change, own, trust, endpoint, host), output_format)
+    return _tell(_change(endpoint, change, restarts), what, output_format)
+
+
+def detach(
+    node: NodeArgument,
+    cascade: Annotated[bool, typer.Option("--cascade", help="Also what only this node joins to the world.")] = False,
+    run: Run = None,
+    connect: Connect = None,
+    output_format: OutputFormat = Format.text,
+) -> int:
+    """Detach a node from a hierarchy that runs, and print the epoch at which it took effect."""
+    from hierax.schemas.changes import Detach
+
+    return _tell(_change(endpoint_of(run, connect), Detach(node, cascade), {}), f"detached {node}", output_format)
+
+
+def replace(
+    node: NodeArgument,
+    source: Source,
+    run: Run = None,
+    connect: Connect = None,
+    deployment: DeploymentFile = None,
+    output_format: OutputFormat = Format.text,
+) -> int:
+    """Let another class or other parameters take a node's place and belief, and print the epoch."""
+    from hierax.runtime.deployment.snippet import read_replace, read_restarts
+
+    endpoint = endpoint_of(run, connect)
+    file = _deployment(endpoint, deployment)
+    change = read_replace(source, node, file)
+    answer = _change(endpoint, change, read_restarts(source, file))
+    return _tell(answer, f"replaced {node}", output_format)
+
+
+def ps(
+    run: Run = None,
+    connect: Connect = None,
+    wait: Annotated[
+        int,
+        typer.Option(
+            "--wait",
+            min=0,
+            metavar="EPOCH",
+            help="First wait until a launch has committed this epoch; not for ever, but for a minute.",
+            show_default=False,
+        ),
+    ] = 0,
+    output_format: OutputFormat = Format.text,
+) -> int:
+    """List the launches on this machine, and the processes of their nodes."""
+    from hierax.runtime.commands.show import print_json
+
+    found, silent = _awaited(run, connect, wait) if wait else _runs(run, connect)
+    if output_format is Format.json:
+        print_json({"runs": found})
+    elif not found and not silent:
+        print("no launch runs on this machine")
+    else:
+        _print_runs(found)
+    if silent:
+        raise CommandError(f"no answer from {', '.join(silent)}")
+    return 0
+
+
+def _awaited(run: str | None, connect: str | None, epoch: int) -> tuple[list[dict[str, Any]], list[str]]:
+    """What runs, when one of it has come so far."""
+    from hierax.runtime.core.errors import HieraxError
+
+    patience_s = time.monotonic() + WAIT_S
+    while True:
+        why = f"no launch has committed epoch {epoch} within {WAIT_S:g} s"
+        try:
+            found, silent = _runs(run, connect)
+            if any(each["epoch"] >= epoch for each in found):
+                return found, silent
+        except HieraxError as error:  # it may come yet
+            why = f"{why}: {error}"
+        if time.monotonic() > patience_s:
+            raise CommandError(why)
+        time.sleep(LOOK_S)
+
+
+def _runs(run: str | None, connect: str | None) -> tuple[list[dict[str, Any]], list[str]]:
+    """What runs, and the launches that do not answer."""
+    from hierax.runtime.launch.run_file import known_runs
+    from hierax.runtime.transport.port import TransportError
+
+    if run is not None or connect is not None:
+        return [_ask(endpoint_of(run, connect), {"ask": "ps"})], []
+    found: list[dict[str, Any]] = []
+    silent: list[str] = []
+
+    def look(running: Running) -> None:
+        try:
+            found.append(_ask(running.endpoint, {"ask": "ps"}))
+        except TransportError:
+            if running.alive:  # else it is over since it was listed
+                silent.append(f"{running.run} ({running.hierarchy}, process {running.pid})")
+
+    for each in known_runs():
+        look(each)
+    return found, silent
+
+
+def _print_runs(runs: Sequence[Mapping[str, Any]]) -> None:
+    from hierax.runtime.commands.show import print_table
+
+    right = {"justify": "right"}
+    for number, each in enumerate(runs):
+        space = "\n" if number else ""
+        print(f"{space}{each['hierarchy']}, run {each['run']}: epoch {each['epoch']}, roster version {each['roster']}")
+        rows = [
+            (name, node["state"], str(node["pid"] or ""), str(node["instance"]), str(node["restarts"]))
+            for name, node in each["nodes"].items()
+        ]
+        print_table({"node": {}, "state": {}, "pid": right, "instance": right, "restarts": right}, rows)
+
+
+def _deployment(endpoint: str, file: str | None) -> Deployment:
+    from hierax.runtime.deployment.read import read_deployment
+
+    said = _ask(endpoint, {"ask": "ps"})
+    return read_deployment(file or said["file"], said["settings"])
+
+
+def _own_deployment(endpoint: str, file: str | None) -> Deployment | None:
+    """The deployment of a launch as its user on this machine knows it; None: no more is known than the launch says."""
+    from hierax.runtime.deployment.read import read_deployment
+    from hierax.runtime.launch.run_file import known_runs
+
+    running = next((each for each in known_runs() if each.endpoint == endpoint), None)
+    if running is not None:
+        return read_deployment(file or running.deployment, running.settings)
+    return None if file is None else read_deployment(file)  # with the launch's settings it could name anything
+
+
+def _here(
+    source: str, change: Attach, own: Deployment | None, trust: bool, endpoint: str, host: str | None
+) -> AttachedHere:
+    """What is decided on this machine about nodes that are kept here.
+
+    Raises:
+        HieraxError: the source names code that may not be loaded here.
+    """
+    from pathlib import Path
+
+    from hierax.runtime.deployment.snippet import read_attach
+    from hierax.runtime.launch.here import AttachedHere
+    from hierax.runtime.loading.allowance import Allowance, module_of, references
+
+    named = change if own is None else read_attach(source, own)
+    modules = [module_of(reference.target) for _, reference in references(named)]
+    allowance = Allowance(() if own is None else own.modules).with_modules(modules)
+    allowance.check_all(change)
+    import_paths = (str(Path.cwd()),) if own is None else own.import_paths
+    settings = None if own is None else own.zenoh
+    return AttachedHere(change.nodes, allowance, trust, import_paths, endpoint, host or "", settings)
+
+
+def _ask(endpoint: str, question: Mapping[str, Any]) -> dict[str, Any]:
+    from hierax.runtime.transport.hub import ask
+
+    answer = ask(endpoint, dict(question), timeout_s=TIMEOUT_S, keys=keys_of(endpoint))
+    if not isinstance(answer, dict):
+        raise CommandError(f"the launch at {endpoint} gave an answer that is no map")
+    if "refusal" in answer:
+        raise CommandError(str(answer["refusal"]))
+    return answer
+
+
+def _change(
+    endpoint: str, change: Change, restarts: Mapping[str, RestartPolicy], here: bool = False, host: str = ""
+) -> dict[str, Any]:
+    policies = {name: vars(policy) for name, policy in restarts.items()}
+    question = {"ask": "change", "change": change.plain(), "restarts": policies, "here": here, "host": host}
+    return _ask(endpoint, question)
+
+
+def _tell(answer: Mapping[str, Any], what: str, output_format: Format) -> int:
+    from hierax.runtime.commands.show import print_json
+
+    if output_format is Format.json:
+        print_json({"epoch": answer["epoch"]})
+    else:
+        print(f"{what} at epoch {answer['epoch']}", flush=True)
+    return 0
+
+
+def _keep_here(
+    change: Attach, restarts: Mapping[str, RestartPolicy], what: str, here: AttachedHere, output_format: Format
+) -> int:
+    from hierax.runtime.launch.local_keeper import keep
+
+    endpoint = here.endpoint
+    offer = _change(endpoint, change, restarts, here=True, host=here.host)
+    request = offer.get("request")
+    if not isinstance(request, str):
+        raise CommandError(f"the launch at {endpoint} gave no order, and no reason")
+
+    def told() -> None:
+        _tell(_ask(endpoint, {"ask": "await", "request": request}), what, output_format)
+
+    def say(line: str) -> None:
+        print(f"hierax: {line}", file=sys.stderr, flush=True)
+
+    return keep(offer.get("orders"), request, here, restarts, told, say)

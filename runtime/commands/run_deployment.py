@@ -1,0 +1,114 @@
+"""What ``run`` and ``launch`` have in common: options to a report, printed and kept."""
+
+from __future__ import annotations
+
+import json
+import sys
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager, nullcontext, redirect_stdout
+from pathlib import Path
+from typing import Any
+
+from hierax.runtime.commands.entry import INTERRUPTED
+from hierax.runtime.commands.errors import OK, CommandError, interrupted
+from hierax.runtime.commands.options import Format
+from hierax.runtime.commands.show import print_json, print_report
+from hierax.runtime.core.errors import HieraxError
+from hierax.runtime.deployment.read import read_deployment
+from hierax.runtime.execution.breaker import called
+from hierax.runtime.execution.output_folder import SUMMARY, claimed_output
+from hierax.runtime.execution.report import Interrupted, Report
+from hierax.runtime.host.private_files import write_result
+from hierax.runtime.loading.loader import extend_import_path
+from hierax.runtime.watch.prints import named_lines
+
+Runner = Callable[..., Report]
+"""`hierax.runtime.execution.single.run` or `hierax.runtime.launch.supervisor.launch`."""
+
+
+def run_deployment(
+    runner: Runner,
+    file: str,
+    settings: Sequence[str],
+    *,
+    epochs: int | None,
+    seed: int,
+    output: Path | None,
+    output_format: Format,
+    overwrite: bool = False,
+    goes_on: bool = False,
+) -> int:
+    """Read a deployment, run it, print its report.
+
+    Args:
+        runner: does it.
+        file, settings, epochs, seed, output, output_format: as the command line has them.
+        overwrite: whether what another run has left in the output folder is replaced.
+        goes_on: whether the run that is there is resumed.
+
+    Returns:
+        The exit code: 0, or 130 where a signal has broken the run off; its report is printed and kept all the same.
+
+    Raises:
+        HieraxError: the file is wrong, the output folder cannot be made, or the run failed.
+    """
+    deployment = read_deployment(file, settings)
+    extend_import_path(deployment.import_paths)
+    limit = deployment.epochs if epochs is None else epochs
+    code = OK
+    with nullcontext() if output is None else claimed_output(output, overwrite, goes_on):
+        try:
+            # what a node prints must not mix with the report
+            with _progress(deployment.name, limit) as progress, redirect_stdout(named_lines(sys.stderr, _who)):
+                report = runner(deployment, epochs=limit, seed=seed, output=output, progress=progress)
+        except Interrupted as broken:
+            report, code = broken.report, INTERRUPTED
+        except HieraxError as error:
+            explained = deployment.explain(error)
+            if explained is error:
+                raise
+            raise explained from error
+        if output is not None:
+            _write_summary(output / SUMMARY, report)
+    if output_format is Format.json:
+        print_json(report.plain())
+    else:
+        print_report(report)
+    if code == INTERRUPTED:
+        for name, why in report.unreported.items():
+            print(f"hierax: {name}: its state after epoch {report.epochs} is not told: {why}", file=sys.stderr)
+        return interrupted()
+    return code
+
+
+def _who() -> str:
+    """The node that prints."""
+    return called(sys._getframe())
+
+
+def _write_summary(path: Path, report: Report) -> None:
+    start: dict[str, Any] = {} if report.start_s is None else {"start_s": report.start_s}
+    try:
+        text = json.dumps({**report.plain(), **start}, indent=2, allow_nan=False)
+        write_result(path, text.encode() + b"\n")
+    except OSError as error:
+        raise CommandError(f"{path}: cannot be written: {error.strerror or error}") from error
+
+
+@contextmanager
+def _progress(name: str, limit: int | None) -> Iterator[Callable[[int], None] | None]:
+    """A progress bar on standard error, where that is a terminal."""
+    if not sys.stderr.isatty():
+        yield None
+        return
+    from rich.console import Console
+    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+
+    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
+    with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
+        task = bar.add_task(name, total=limit)
+
+        def show(epoch: int) -> None:
+            bar.update(task, completed=epoch)
+
+        yield show

@@ -1,0 +1,123 @@
+"""What an engine calls: messages to send, states to keep, and events."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from hashlib import blake2b
+from typing import NamedTuple
+
+from hierax.runtime.core.elements import Elements, Value
+from hierax.runtime.core.probe import Step
+from hierax.runtime.core.process import ActiveNode
+from hierax.runtime.engine.table import Verdict
+from hierax.schemas.messages import DIGEST_BYTES, Header, Message
+from hierax.schemas.values import encode_value
+
+
+class Called(NamedTuple):
+    """An operator or edge function was called.
+
+    Attributes:
+        epoch, attempt: when.
+        subject: the node, or the edge as ``lower->upper``.
+        operator: which one.
+        result: what it returned.
+    """
+
+    epoch: int
+    attempt: int
+    subject: str
+    operator: str
+    result: Value
+
+    @property
+    def hash(self) -> bytes:
+        """BLAKE2b-256 over the result's encoding; taken when asked for, as it costs more than the event."""
+        return blake2b(encode_value(self.result), digest_size=DIGEST_BYTES).digest()
+
+
+class Completed(NamedTuple):
+    """The node is done with an epoch.
+
+    Attributes:
+        step: what went in and came out.
+        state: the encoding of (belief, policy, actions).
+        digest: the node's digest of the epoch.
+    """
+
+    step: Step
+    state: bytes
+    digest: bytes
+
+
+class Committed(NamedTuple):
+    """The world has acted: the epoch is over for all nodes, and this is its digest."""
+
+    epoch: int
+    attempt: int
+    digest: bytes
+
+
+class Saved(NamedTuple):
+    """What a node needs in order to go on after a crash.
+
+    Attributes:
+        epoch, attempt: the last ones that it has finished.
+        start: its state at the epoch's start.
+        now: its state after it.
+    """
+
+    epoch: int
+    attempt: int
+    start: ActiveNode
+    now: ActiveNode
+
+
+class EngineEffects(ABC):
+    """The other side of an engine: it is called as soon as something is known, in this order.
+
+    What an outlet raises comes out of `Engine.receive`; the engine is of no use after that.
+    """
+
+    @abstractmethod
+    def send(self, message: Message) -> None:
+        """A message for the neighbour that its header names."""
+
+    @abstractmethod
+    def completed(self, completed: Completed) -> None:
+        """The node is done with an epoch, and all its messages are sent."""
+
+    def predicted(self, completed: Completed) -> None:
+        """The node is done with an epoch but for what follows: neither its checkpoint nor its context is out yet."""
+        return
+
+    def save(self, epoch: int, attempt: int, start: bytes, now: bytes) -> None:
+        """Keep the states (encoded) at an epoch's start and after it, before anything else goes out.
+
+        Called in every epoch that a node but the world finishes, and before its first one.
+        """
+        return
+
+    def act(self, epoch: int, actions: Elements) -> None:
+        """Move the actuators, before the epoch is committed. Only the world's engine calls it."""
+        return
+
+    def committed(self, committed: Committed) -> None:
+        """The epoch is over. Only the world's engine calls it, just before `completed`."""
+        return
+
+    def refused(self, header: Header, verdict: Verdict) -> None:
+        """A message was refused; it changed nothing."""
+        return
+
+    def lacks(self, version: int) -> None:
+        """A message of a roster's version came that the node does not have; it is held until `Engine.prepare`."""
+        return
+
+    def rewired(self, version: int) -> None:
+        """A version of the roster is taken up."""
+        return
+
+    def called(self, called: Called) -> None:
+        """An operator or edge function was called; told only where the engine was made with ``events``."""
+        return

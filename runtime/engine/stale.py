@@ -1,0 +1,313 @@
+"""The engine without the barrier: inputs from above may be of an earlier epoch.
+
+With a staleness of n, observations are always of the node's own epoch k, and inputs from
+above of epoch k − n or later: the newest in hand or, ``exact``, those of k − n whatever
+has come since. Free running is without bound: a node takes the newest of everything, and
+leaves out epochs that were overtaken.
+
+A *drained* epoch is done with a staleness of 0: at its end every node is done with it.
+The world says so with its observations, and who gets them passes it on. The roster
+changes after a drained epoch, and the first epoch under a roster is one: so in free
+running, too, there is something in hand of everybody above.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from math import inf
+
+from hierax.runtime.core.elements import Value
+from hierax.runtime.engine.effects import EngineEffects, Saved
+from hierax.runtime.engine.engine import SLOT_FIELDS, Engine
+from hierax.runtime.engine.table import ACTIONS, Action, Phase, Verdict
+from hierax.runtime.engine.wiring import Slot, Wiring
+from hierax.schemas.messages import OBSERVATIONS, Header, Message
+
+DRAIN = "drain"
+"""Key of the header's extension that makes an epoch a drained one."""
+
+_UNTIMELY = (Verdict.LATE, Verdict.EARLY, Verdict.DOUBLE, Verdict.CURRENT)
+
+
+@dataclass(frozen=True)
+class Staleness:
+    """How old inputs from above may be.
+
+    Attributes:
+        epochs: n; 0 is the barrier; None: free running.
+        exact: exactly so old, which makes runs repeatable.
+    """
+
+    epochs: int | None = 0
+    exact: bool = False
+
+    @property
+    def barrier(self) -> bool:
+        """Whether every input is of the epoch itself."""
+        return self.epochs == 0
+
+    @property
+    def free(self) -> bool:
+        """Whether nodes run freely."""
+        return self.epochs is None
+
+
+BARRIER = Staleness()
+
+
+@dataclass
+class Ages:
+    """How old the inputs from above were that a node has used, in epochs.
+
+    Attributes:
+        inputs: how many there were.
+        total, largest: of their ages.
+        left_out: epochs that the node has not done, or not to their end.
+    """
+
+    inputs: int = 0
+    total: int = 0
+    largest: int = 0
+    left_out: int = 0
+
+    def add(self, age: int) -> None:
+        """One more."""
+        self.inputs += 1
+        self.total += age
+        self.largest = max(self.largest, age)
+
+    def metrics(self) -> dict[str, float]:
+        """As figures for the report."""
+        return {
+            "staleness_mean": self.total / self.inputs if self.inputs else 0.0,
+            "staleness_max": float(self.largest),
+            "epochs_left_out": float(self.left_out),
+        }
+
+
+class StaleEngine(Engine):
+    """One node's part in epochs that overlap.
+
+    Args:
+        wiring, outlet, saved, joins, events: as `Engine` has them.
+        staleness: of the deployment.
+
+    In free running it takes part in an epoch only when `poll` is called.
+
+    Attributes:
+        used: for each slot, of which epoch and attempt the input is that was used last.
+    """
+
+    def __init__(
+        self,
+        wiring: Wiring,
+        effects: EngineEffects,
+        *,
+        saved: Saved | None = None,
+        joins: bool = False,
+        events: bool = False,
+        staleness: Staleness,
+    ) -> None:
+        self._staleness = staleness
+        self._above: dict[Slot, dict[int, Message]] = {}
+        self._below: dict[Slot, Message] = {}
+        self._first = 1
+        self._is_rewired = True
+        self.drains = False
+        self.ages = Ages()
+        self.used: dict[Slot, tuple[int, int]] = {}
+        self._sent_in: dict[int, dict[Slot, Message]] = {}
+        if staleness.free:
+            self._epochs_ahead = inf  # nobody waits for a node that is slow
+        super().__init__(wiring, effects, saved=saved, joins=joins, events=events)
+
+    @property
+    def waits_for(self) -> tuple[Slot, ...]:
+        if self.phase is Phase.PREDICT:
+            return tuple(sorted(slot for slot in self.wiring.above if self._choose(slot) is None))
+        return super().waits_for
+
+    def receive(self, message: Message) -> None:
+        header = message.header
+        if header.roster != self._roster or (header.kind == OBSERVATIONS and not self._staleness.free):
+            super().receive(message)
+            return
+        verdict = self.judge(header)
+        if verdict not in (*_UNTIMELY, Verdict.NEXT, Verdict.AGAIN):
+            if ACTIONS[verdict] is Action.REFUSE:
+                self._effects.refused(header, verdict)
+        elif header.kind == OBSERVATIONS:
+            self._keep_newest(message)
+        else:
+            self._keep(message)
+
+    def poll(self) -> bool:
+        """In free running: take part in the newest epoch, if there is one that was not; whether there was."""
+        messages = self._below
+        waits = self.phase is Phase.PREDICT and not self._is_rewired  # for what a drained epoch wants
+        if self._world is not None or waits or len(messages) < len(self.wiring.below):
+            return False
+        headers = [message.header for message in messages.values()]
+        newest = max((header.epoch, header.attempt) for header in headers)
+        if newest <= (self.epoch, self.attempt):
+            return False
+        late = [header for header in headers if (header.epoch, header.attempt) < newest]
+        if late and any(DRAIN in header.extensions for header in headers if header not in late):
+            return False  # a drained epoch has all its observations
+        epoch, attempt = newest
+        if epoch > self.epoch:
+            self._turn(epoch, attempt)
+        else:
+            self._undo(attempt)
+        self._inbox = dict(messages)
+        self._sense()
+        return True
+
+    def rewire(self, version: int) -> None:
+        super().rewire(version)
+        self._is_rewired = True
+        self._above.clear()
+        self._below.clear()
+        self._sent_in.clear()
+        self._sent.clear()
+
+    def say_again(self, neighbour: str) -> None:
+        """Also of earlier epochs, in their order: a neighbour above may be as many behind as inputs may be old."""
+        for epoch in sorted(self._sent_in):
+            for receiver, kind in sorted(self._sent_in[epoch]):
+                if receiver == neighbour:
+                    self._effects.send(self._sent_in[epoch][receiver, kind])
+        super().say_again(neighbour)
+
+    def _keep(self, message: Message) -> None:
+        """An input from above: kept as long as it may be wanted."""
+        header = message.header
+        kept = self._above.setdefault((header.sender, header.kind), {})
+        known = kept.get(header.epoch)
+        if known is not None and known.header.attempt >= header.attempt:
+            if known.header[:SLOT_FIELDS] == header[:SLOT_FIELDS]:
+                self._check_same(known, message)
+            return
+        kept[header.epoch] = message
+        self._forget()
+        if self.phase is Phase.PREDICT and self._is_satisfied():
+            self._predict()
+
+    def _keep_newest(self, message: Message) -> None:
+        header = message.header
+        slot = (header.sender, header.kind)
+        known = self._below.get(slot)
+        if known is None or (known.header.epoch, known.header.attempt) < (header.epoch, header.attempt):
+            self._below[slot] = message
+        elif known.header[:SLOT_FIELDS] == header[:SLOT_FIELDS]:
+            self._check_same(known, message)
+
+    def _forget(self) -> None:
+        oldest = self._oldest()  # a drained epoch may be followed by one that is none
+        for slot, kept in self._above.items():
+            if self._staleness.free:
+                newest = max(kept)
+                self._above[slot] = {newest: kept[newest]}
+            else:
+                self._above[slot] = {epoch: message for epoch, message in kept.items() if epoch >= oldest}
+
+    def _oldest(self) -> int:
+        """The oldest epoch whose inputs may be used in one that is not drained."""
+        if self._staleness.epochs is None:
+            return self._first
+        return max(self.epoch - self._staleness.epochs, self._first)
+
+    def _choose(self, slot: Slot) -> Message | None:
+        """The input from above that is used in this epoch; None: it has not come."""
+        kept = self._above.get(slot, {})
+        oldest = self.epoch if self.drains else self._oldest()
+        if self._staleness.exact or self.drains:
+            return kept.get(oldest)
+        newest = max(kept, default=-1)
+        return kept[newest] if newest >= oldest else None
+
+    def _is_satisfied(self) -> bool:
+        return all(self._choose(slot) is not None for slot in self.wiring.above)
+
+    def _moves_on(self, epoch: int) -> bool:
+        # where a process was lost, epochs may have gone on without this node
+        if self._is_rewired:
+            return epoch > self.epoch
+        return super()._moves_on(epoch)
+
+    def _takes_up(self, header: Header) -> bool:
+        # in the middle of an epoch, too: what it waits for may have been lost with a process
+        wiring = self._prepared.get(header.roster)
+        if wiring is None or header.receiver != self.name:
+            return False
+        if wiring.below.get((header.sender, header.kind)) != header.instance:
+            return False
+        return (header.epoch, header.attempt) > (self.epoch, self.attempt)
+
+    def _turn(self, epoch: int, attempt: int) -> None:
+        if not self._joins:
+            is_unfinished = self.phase is not Phase.DONE
+            self.ages.left_out += epoch - self.epoch - 1 + is_unfinished
+        self._remember()
+        self._settle(epoch)
+        super()._turn(epoch, attempt)
+
+    def _remember(self) -> None:
+        """Keep what was said in the epoch that is left behind for as long as somebody may lack it.
+
+        A neighbour below may be in that epoch still, and lack what is as old as it may be there.
+        """
+        if self._staleness.epochs:
+            self._sent_in[self.epoch] = dict(self._sent)
+            self._sent_in = {
+                epoch: sent for epoch, sent in self._sent_in.items() if epoch >= self.epoch - self._staleness.epochs
+            }
+
+    def _undo(self, attempt: int) -> None:
+        self._settle(self.epoch)
+        super()._undo(attempt)
+
+    def _settle(self, epoch: int) -> None:
+        """The first epoch under a roster is a drained one, and nothing older is used after it."""
+        if self._world is None:
+            self.drains = False  # until its observations say so
+        elif self._is_rewired:
+            self.drains = True
+        if self._is_rewired:
+            self._first = epoch
+            self._is_rewired = False
+
+    def _sense(self) -> None:
+        headers = [message.header for message in self._inbox.values()]
+        self.used = {(header.sender, header.kind): (header.epoch, header.attempt) for header in headers}
+        self.drains = any(DRAIN in header.extensions for header in headers if header.epoch == self.epoch)
+        super()._sense()
+
+    def _send_up(self) -> None:
+        super()._send_up()
+        if self.phase is Phase.PREDICT and self._is_satisfied():
+            self._predict()
+
+    def _predict(self) -> None:
+        if self.wiring.above:
+            self._inbox = self._chosen()
+        super()._predict()
+
+    def _chosen(self) -> dict[Slot, Message]:
+        chosen: dict[Slot, Message] = {}
+        for slot in self.wiring.above:
+            message = self._choose(slot)
+            if message is not None:
+                chosen[slot] = message
+                self.used[slot] = (message.header.epoch, message.header.attempt)
+                self.ages.add(self.epoch - message.header.epoch)
+        return chosen
+
+    _extends = True
+
+    def _said(self, message: Message) -> bytes:
+        return super()._said(message) + bytes([DRAIN in message.header.extensions])
+
+    def _extensions(self, kind: str) -> Mapping[str, Value]:
+        return {DRAIN: True} if self.drains and kind == OBSERVATIONS else {}

@@ -1,0 +1,62 @@
+"""A dry epoch: every operator and edge function is called once, and nothing comes of it."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+from hierax.runtime.core.travel import travels
+from hierax.runtime.deployment import Deployment
+from hierax.runtime.engine.effects import Called
+from hierax.runtime.execution import single
+from hierax.runtime.execution.runner import NodeRunner
+from hierax.runtime.watch.watcher import Watcher
+
+MAX_POLICIES = 64
+"""Of how many policies of a node every one is called."""
+
+
+def run_dry(deployment: Deployment) -> int:
+    """Do the first epoch in this process, from the initial beliefs: sense up, then predict down.
+
+    No actuator is moved, no probe is told, and nothing is written. Policies that were not
+    chosen are called, too, as are the metrics.
+
+    Args:
+        deployment: its modules can be found.
+
+    Returns:
+        How many calls of operators and edge functions that were; without an epoch, as the world has
+        finished before the first one, only those of initial beliefs.
+
+    Raises:
+        HieraxError: something cannot be loaded, or called, or gives what it must not; says which operator.
+    """
+    counter = _Counter()
+    runners: dict[str, NodeRunner] = {}
+
+    def watch(name: str, runner: NodeRunner) -> None:
+        runners[name] = runner
+        runner.watch(counter)
+
+    single.run(replace(deployment, probes=()), epochs=1, seed=0, watch=watch, acts=False)
+    return len(runners) + counter.calls + sum(_call_other_policies(runner) for runner in runners.values())
+
+
+def _call_other_policies(runner: NodeRunner) -> int:
+    if runner.last is None:
+        return 0
+    step, node = runner.last.step, runner.engine.node
+    others = [policy for policy in sorted(node.policies) if policy != step.policy][:MAX_POLICIES]
+    for policy in others:
+        call = node.policies[policy]
+        travels(call, step.epoch, "its actions", call.elements(step.epoch, step.time_s, step.sensed))
+    return len(others)
+
+
+class _Counter(Watcher):
+    """Counts calls."""
+
+    calls = 0
+
+    def called(self, called: Called) -> None:
+        self.calls += 1

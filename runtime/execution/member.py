@@ -1,0 +1,438 @@
+"""A node of a run that may change: its runner, with checkpoints, and ears for the roster's owner."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Callable, Sequence
+
+from hierax.runtime.core.binding import BoundNode
+from hierax.runtime.core.errors import ContradictionError, HieraxError, OperatorError
+from hierax.runtime.core.probe import Probe
+from hierax.runtime.core.process import ActiveNode
+from hierax.runtime.engine.effects import Saved
+from hierax.runtime.engine.table import ROSTERS_AHEAD, Phase, Verdict
+from hierax.runtime.engine.wiring import Wiring
+from hierax.runtime.execution.runner import Log, NodeRunner, Pacemaker
+from hierax.runtime.loading.allowance import Refusals
+from hierax.runtime.recovery.disk import SLOTS
+from hierax.runtime.recovery.slots import Read, Slots
+from hierax.runtime.transport.port import Port
+from hierax.schemas.checkpoint import Checkpoint, decode_checkpoint, decode_state, encode_checkpoint
+from hierax.schemas.control import (
+    NEVER,
+    AskStatus,
+    Control,
+    Failed,
+    Fetch,
+    HandOver,
+    Join,
+    Order,
+    Prepare,
+    Ready,
+    Resend,
+    State,
+    Status,
+    Taken,
+    TakeOver,
+    Unchanged,
+)
+from hierax.schemas.errors import SchemaError
+from hierax.schemas.messages import Header
+from hierax.schemas.roster import Roster
+from hierax.schemas.values import encode_value
+
+FIRST_SLOT = 1
+"""Where the first record goes."""
+
+REFUSED_TOLD = 32
+"""Under one version of the roster, of how many senders and reasons refused messages are logged."""
+MAX_RESENDS = 64
+"""How often what was sent in an attempt is sent again: the owner asks for it a few times, then blames a link."""
+
+MAX_PREPARED = 64
+"""How many versions of the roster are at hand that are not taken up; and how many are asked for."""
+
+_log = logging.getLogger("hierax")
+
+
+class Member(NodeRunner):
+    """A node's process, as far as it is no matter of processes.
+
+    Args:
+        name: of the node.
+        process: the process's token.
+        wire: makes the wiring of a roster's version; loads what it names.
+        port: of the node.
+        say: tells the roster's owner something; it may be lost, then it is said again.
+        slots: of its checkpoints; None: it keeps none, and cannot come back.
+        probes, states, pacemaker: as `NodeRunner` has them.
+
+    Attributes:
+        alone: the nodes that fail alone.
+        dismissed: why the process is to end; empty: it is not.
+        again: whether another one is to come in its place then.
+    """
+
+    def __init__(
+        self,
+        name: str,
+        process: str,
+        wire: Callable[[Roster], Wiring],
+        port: Port,
+        say: Callable[[Control], None],
+        slots: Slots | None,
+        probes: Sequence[Probe] = (),
+        states: Log | None = None,
+        pacemaker: Pacemaker | None = None,
+    ) -> None:
+        super().__init__(None, port, probes, states, pacemaker)
+        self.name = name
+        self.process = process
+        self.dismissed = ""
+        self.again = False
+        self.alone: frozenset[str] = frozenset()
+        self._alone_in: dict[int, frozenset[str]] = {}
+        self._failure: Failed | None = None
+        self._wire_roster = wire
+        self._say = say
+        self._slots = slots
+        self._saved: Saved | None = None
+        self._join: Join | None = None
+        self._took = 0
+        self._refused: set[tuple[str, str]] = set()
+        self._linking: set[int] = set()
+        self._linked: set[int] = set()
+        self._fetched: set[int] = set()
+        self._refusals = Refusals()
+        port.mended = self.mended
+        self._resent: tuple[tuple[int, int], int] = ((0, 0), 0)
+        self._rosters: dict[int, Roster] = {}
+        self._taken = b""
+
+    @property
+    def wired(self) -> bool:
+        """Whether it has an engine yet."""
+        return hasattr(self, "engine")
+
+    @property
+    def active(self) -> bool:
+        """Whether this process has taken part in an epoch."""
+        return self.wired and self.engine.begun
+
+    def join(self, request: str = "") -> None:
+        """Offer this process to the owner, or ask whether it is still part of the hierarchy.
+
+        To be called again and again while nothing comes.
+
+        Args:
+            request: the change that it was started for; empty: it comes in the place of a process that
+                had a place in the roster.
+        """
+        if self._failure is not None:
+            self._say(self._failure)
+            return
+        if self.active:
+            engine = self.engine
+            place = (engine.wiring.roster, engine.attempt)
+            self._say(Join(self.name, self.process, "", engine.epoch, True, "", *place))
+            return
+        if self._join is None:
+            self._join = self._offer(request)
+        self._say(self._join)
+
+    def recall(self, wiring: Wiring) -> None:
+        """Have the state of the last epoch, after a run.
+
+        Raises:
+            HieraxError: there is no whole checkpoint.
+        """
+        found = read_checkpoint(self._slots)
+        self.wire(wiring, None if found is None else found[1])
+
+    def obey(self, order: Order) -> None:
+        """Do what the owner says.
+
+        Raises:
+            OperatorError: an operator failed.
+            ContradictionError: it was told something else before.
+        """
+        try:
+            self._do(order)
+        except OperatorError as error:
+            self.failed(error)
+        self._finish()
+
+    def failed(self, error: OperatorError) -> None:
+        if not self.alone.intersection(error.subject.split("->")):
+            raise error
+        _log.info("%s", error, exc_info=error)
+        version = self.engine.wiring.roster
+        self._failure = Failed(self.name, self.process, version, error.subject, str(error))
+        self._say(self._failure)
+
+    def _do(self, order: Order) -> None:
+        if isinstance(order, Prepare):
+            self._prepare(order)
+        elif isinstance(order, Unchanged):
+            self._go_on_as(order)
+        elif isinstance(order, HandOver):
+            self._hand_over(order)
+        elif isinstance(order, TakeOver):
+            self._take_over(order)
+        elif isinstance(order, AskStatus):
+            self._say(self.status(order.inquiry))
+        elif isinstance(order, Resend):
+            self._resend(order)
+        else:
+            self.dismissed = order.why
+            self.again = order.again
+
+    def _resend(self, order: Resend) -> None:
+        if not self.wired or (self.engine.epoch, self.engine.attempt) != (order.epoch, order.attempt):
+            return
+        turn, count = self._resent
+        count = count + 1 if turn == (order.epoch, order.attempt) else 1
+        self._resent = ((order.epoch, order.attempt), count)
+        if count <= MAX_RESENDS:
+            self.engine.resend(order.receivers)
+
+    def status(self, inquiry: int, busy: str = "") -> Status:
+        """What the node waits for. Any thread may ask."""
+        if not self.wired:
+            return Status(self.name, inquiry, 0, 0, (), busy)
+        engine = self.engine
+        waits = () if engine.phase is Phase.DONE else engine.waits_for
+        return Status(self.name, inquiry, engine.epoch, engine.attempt, waits, busy, engine.wiring.roster)
+
+    def linked(self, version: int) -> None:
+        """The port's links of a version are open, in both directions."""
+        self._note_link(version)
+        self._say_ready(version)
+
+    def mended(self, neighbour: str) -> None:
+        """The link to a neighbour broke and is there again: what it may lack is said again; it drops what is double."""
+        _log.info("%s: the link to %s broke, and is there again", self.name, neighbour)
+        if self.wired:
+            self.engine.say_again(neighbour)
+
+    def _note_link(self, version: int) -> None:
+        self._linking.discard(version)
+        self._linked.add(version)
+
+    def _say_ready(self, version: int) -> None:
+        engine_has_it = self.wired and (version == self.engine.wiring.roster or version in self.engine.prepared)
+        if version in self._linked and engine_has_it:
+            self._say(Ready(self.name, self.process, version, ""))
+
+    def save(self, epoch: int, attempt: int, start: bytes, now: bytes) -> None:
+        if self._slots is not None:
+            wiring = self.engine.wiring
+            checkpoint = Checkpoint(epoch, attempt, wiring.instance, wiring.roster, True, start, now)
+            self._slots.write(encode_checkpoint(checkpoint))
+
+    def lacks(self, version: int) -> None:
+        if version not in self._fetched and len(self._fetched) < MAX_PREPARED:
+            self._fetched.add(version)
+            self._say(Fetch(self.name, self.process, version))
+
+    def fetch_again(self) -> None:
+        """Ask once more for the versions of which messages are held."""
+        for version in sorted(self._fetched):
+            self._say(Fetch(self.name, self.process, version))
+
+    def rewired(self, version: int) -> None:
+        super().rewired(version)
+        self._refused.clear()
+        self._failure = None
+        self.alone = self._alone_in.get(version, self.alone)
+        self._alone_in = {later: alone for later, alone in self._alone_in.items() if later > version}
+        self.port.unlink(version)
+        self._linked = {later for later in self._linked if later >= version}
+        self._fetched = {later for later in self._fetched if later > version}
+        self._rosters = {later: roster for later, roster in self._rosters.items() if later >= version}
+
+    def _gravity(self, header: Header, verdict: Verdict) -> int:
+        if verdict not in (Verdict.OLD_ROSTER, Verdict.OTHER_INSTANCE, Verdict.FOREIGN):
+            return logging.WARNING
+        like_it = (verdict.value, header.sender)  # to be expected when nodes come and go: one is told
+        if like_it in self._refused or len(self._refused) >= REFUSED_TOLD:
+            return logging.DEBUG
+        self._refused.add(like_it)
+        return logging.INFO
+
+    def _offer(self, request: str) -> Join:
+        try:
+            read = read_checkpoint(self._slots)
+        except (HieraxError, SchemaError) as error:
+            return Join(self.name, self.process, request, NEVER, False, str(error))
+        if read is None:
+            return Join(self.name, self.process, request, NEVER, False, "")
+        checkpoint, self._saved = read
+        return Join(
+            self.name, self.process, request, checkpoint.epoch, False, "", checkpoint.roster, checkpoint.attempt
+        )
+
+    def _prepare(self, order: Prepare) -> None:
+        try:
+            roster = Roster.read(order.roster)
+        except SchemaError as error:
+            _log.warning("%s: dropped what is no roster: %s", self.name, error)
+            return
+        version = roster.version
+        if self.name not in roster.nodes or not all(end in roster.nodes for edge in roster.edges for end in edge.pair):
+            _log.warning("%s: refused version %d of the roster: it has no place there", self.name, version)
+            return
+        newer = self.wired and version > self.engine.wiring.roster
+        if newer and self.active and roster.instance(self.name) != self.engine.wiring.instance:
+            self.join()  # another process runs it, if that is so: the owner says it, by way of the keeper
+            return
+        if self._is_far(version):
+            _log.warning("%s: refused version %d of the roster: further ahead than can be", self.name, version)
+            return
+        self._check_same(roster)
+        self._fetched.discard(version)
+        self._alone_in[version] = frozenset(order.alone)
+        self._say_ready(version)
+        if version in self._linked or version in self._linking:
+            return
+        if self.wired and version <= self.engine.wiring.roster:
+            return
+        try:
+            wiring = self._wire_roster(roster)
+        except HieraxError as error:
+            self._refuse(version, error)
+            return
+        if not self.wired:
+            try:
+                self.wire(wiring, self._saved, joins=self._saved is None)
+            except OperatorError as error:  # s⁰
+                why = str(error).removeprefix(f"{self.name}: ")
+                self._say(Ready(self.name, self.process, version, why))
+                return
+            self.alone = self._alone_in[version]
+        self._rosters[version] = roster
+        self._link(wiring, self.linked)
+        self.engine.prepare(wiring)
+        self._say_ready(version)
+
+    def _refuse(self, version: int, error: HieraxError) -> None:
+        """Say why a roster cannot be run here; in the log once, as whoever asks for it asks again."""
+        why = str(error)
+        if self._refusals.is_new(why):
+            _log.warning("%s: roster version %d is refused: %s", self.name, version, why)
+        self._say(Ready(self.name, self.process, version, why))
+
+    def _is_far(self, version: int) -> bool:
+        if not self.wired:
+            return False
+        engine = self.engine
+        full = version not in engine.prepared and len(engine.prepared) >= MAX_PREPARED
+        return full or version - engine.wiring.roster > ROSTERS_AHEAD
+
+    def _check_same(self, roster: Roster) -> None:
+        """Whether a version is what it was when it came before.
+
+        Raises:
+            ContradictionError: it is another roster: one of the two was forged.
+        """
+        known = self._rosters.get(roster.version)
+        if known is not None and encode_value(known.plain()) != encode_value(roster.plain()):
+            what = f"two rosters of version {roster.version} were sent to it that differ"
+            raise ContradictionError(f"{self.name}: {what}: somebody else speaks in the name of the roster's owner")
+
+    def _go_on_as(self, order: Unchanged) -> None:
+        """A version that changes nothing here: there is nothing to load, and nobody waits for an answer.
+
+        Where the earlier one lacks, the version is fetched when its first message comes.
+        """
+        version = order.version
+        self._fetched.discard(version)
+        if version in self._linked or version in self._linking or not self.wired:
+            return
+        wiring = self.engine.wiring_of(order.earlier)
+        if wiring is not None and version > self.engine.wiring.roster and not self._is_far(version):
+            again = wiring.under(version)
+            self._link(again, self._note_link)
+            self.engine.prepare(again)
+
+    def _link(self, wiring: Wiring, opened: Callable[[int], None]) -> None:
+        """First the links: what is held for the version may be taken, and answered, at once."""
+        self._linking.add(wiring.roster)
+        self.port.link(wiring.node.below, wiring.node.above, wiring.roster, wiring.place.instances, opened)
+
+    def _hand_over(self, order: HandOver) -> None:
+        engine = self.engine
+        if engine.epoch == order.epoch and engine.phase is Phase.DONE:
+            self._say(State(self.name, order.version, engine.encoded))
+        elif engine.epoch == order.epoch + 1:
+            self._say(State(self.name, order.version, engine.encoded_start))
+
+    def _take_over(self, order: TakeOver) -> None:
+        engine = self.engine
+        if order.version == self._took and order.state != self._taken:
+            what = f"two states to take over under version {order.version} of the roster were sent to it that differ"
+            raise ContradictionError(f"{self.name}: {what}: somebody else speaks in the name of the roster's owner")
+        if engine.begun or order.version < self._took:
+            return  # late: it has taken over, and gone on
+        try:
+            state = taken_over(engine.node, order.state)
+        except (HieraxError, SchemaError) as error:
+            self._say(Taken(self.name, order.version, f"cannot take over the belief: {error}"))
+            return
+        self._took, self._taken = order.version, order.state
+        engine.restore(Saved(order.epoch, order.attempt, state, state))
+        if self._slots is not None:
+            instance = order.version  # as of all nodes that are new in a version
+            now = engine.encoded
+            checkpoint = Checkpoint(order.epoch, order.attempt, instance, order.version, True, now, now)
+            for _ in range(SLOTS):  # in both, as one that is damaged beside an empty one was never whole
+                self._slots.write(encode_checkpoint(checkpoint))
+        self._say(Taken(self.name, order.version, ""))
+
+
+def read_checkpoint(slots: Slots | None) -> tuple[Checkpoint, Saved] | None:
+    """What a process that comes in the place of a lost one goes on with; None: at the beginning.
+
+    Raises:
+        HieraxError: what there is is damaged, and nothing older is whole.
+        SchemaError: what there is is whole, and no checkpoint that this version reads.
+    """
+    if slots is None:
+        raise HieraxError("it keeps no checkpoints")
+    reads = slots.read()
+    faults = [f"slot {read.slot} {read.fault}" for read in reads if read.fault]
+    for read in reads:
+        if read.data is None:
+            continue
+        checkpoint = decode_checkpoint(read.data)
+        if faults:
+            _log.warning("checkpoint: %s; using that of epoch %d", "; ".join(faults), checkpoint.epoch)
+        start, now = (ActiveNode(*decode_state(data)) for data in (checkpoint.start, checkpoint.now))
+        return checkpoint, Saved(checkpoint.epoch, checkpoint.attempt, start, now)
+    if never_whole(reads):
+        if faults:
+            _log.warning("checkpoint: %s; no other was ever written, so the node begins anew", "; ".join(faults))
+        return None
+    raise HieraxError(f"its checkpoint cannot be used: {'; '.join(faults)}")
+
+
+def never_whole(reads: Sequence[Read]) -> bool:
+    """Whether no record was ever written to its end: at most the first one, and that was torn."""
+    return all(read.empty or (read.fault and read.slot == FIRST_SLOT) for read in reads)
+
+
+def taken_over(node: BoundNode, state: bytes) -> ActiveNode:
+    """The state with which a node goes on in the place of another.
+
+    Raises:
+        HieraxError: it refuses.
+        SchemaError: that is no state.
+    """
+    belief, policy, actions = decode_state(state)
+    try:
+        belief = node.node.take_over(belief)
+    except Exception as error:
+        raise HieraxError(str(error)) from error
+    if policy not in node.policies:
+        raise HieraxError(f"it has no policy {policy!r}")
+    return ActiveNode(belief, policy, actions)

@@ -1,0 +1,132 @@
+"""What a run has come to."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+import numpy as np
+
+from hierax.runtime.core.elements import Elements, Value
+from hierax.runtime.execution.plain import Json, plain
+
+
+@dataclass(frozen=True)
+class NodeReport:
+    """A node after the last epoch.
+
+    Attributes:
+        belief, policy, actions: its state.
+        metrics: figures that it reports of its belief, by name.
+    """
+
+    belief: Value
+    policy: str
+    actions: Elements
+    metrics: Mapping[str, float]
+
+    def plain(self) -> Json:
+        """As plain JSON."""
+        return {
+            "belief": plain(self.belief),
+            "policy": self.policy,
+            "actions": plain(self.actions),
+            "metrics": plain(dict(self.metrics)),
+        }
+
+
+@dataclass(frozen=True)
+class Report:
+    """A run after its last epoch.
+
+    Attributes:
+        hierarchy: its name.
+        mode: ``run`` or ``launch``.
+        epochs: how many were committed.
+        seed: of all random numbers.
+        digest: of the last epoch, hexadecimal.
+        wall_s: from the beginning of the first epoch to the commit of the last, in seconds.
+        p50_us, p99_us: median and 99th percentile of an epoch's time, in microseconds;
+            None where there was no epoch.
+        nodes: by name.
+        output: the folder that states and results were written to, or None.
+        epochs_us: how long each epoch took, in microseconds.
+        start_s: from the start of the processes to the first epoch, in seconds; None in
+            a single process.
+        interrupted: whether the run was broken off by a signal; then all is of the last epoch committed.
+        unreported: of a run that was broken off, the nodes whose state is not told, and why.
+    """
+
+    hierarchy: str
+    mode: str
+    epochs: int
+    seed: int
+    digest: str
+    wall_s: float
+    p50_us: float | None
+    p99_us: float | None
+    nodes: Mapping[str, NodeReport]
+    output: Path | None = None
+    start_s: float | None = None
+    epochs_us: Sequence[float] = field(default=(), repr=False)
+    interrupted: bool = False
+    unreported: Mapping[str, str] = field(default_factory=dict)
+
+    @property
+    def epochs_per_s(self) -> float | None:
+        """The mean rate; None where there was no epoch."""
+        return self.epochs / self.wall_s if self.wall_s > 0 else None
+
+    def plain(self) -> Json:
+        """As plain JSON; what only a run that was broken off has to say stands in no other."""
+        broken: Json = {"interrupted": True, "unreported": sorted(self.unreported)} if self.interrupted else {}
+        return {
+            "hierarchy": self.hierarchy,
+            "mode": self.mode,
+            "epochs": self.epochs,
+            "seed": self.seed,
+            "digest": self.digest,
+            "wall_s": self.wall_s,
+            "epoch_us": {"p50": self.p50_us, "p99": self.p99_us},
+            "nodes": {name: self.nodes[name].plain() for name in sorted(self.nodes)},
+            **broken,
+        }
+
+
+class Interrupted(KeyboardInterrupt):
+    """A run was broken off by a signal.
+
+    Attributes:
+        report: what was committed until then; its `interrupted` is true.
+    """
+
+    def __init__(self, report: Report, unreported: Mapping[str, str]) -> None:
+        self.report = replace(report, interrupted=True, unreported=unreported)
+        super().__init__("the run was broken off by a signal")
+
+
+def make_report(
+    hierarchy: str,
+    mode: str,
+    seed: int,
+    epochs: int,
+    digest: bytes,
+    wall_s: float,
+    epochs_s: Sequence[float],
+    nodes: Mapping[str, NodeReport],
+    output: Path | None = None,
+    start_s: float | None = None,
+) -> Report:
+    """A report of what was measured.
+
+    Args:
+        hierarchy, mode, seed, epochs, wall_s, nodes, output, start_s: see `Report`.
+        digest: of the last epoch.
+        epochs_s: how long each epoch took, in seconds.
+    """
+    epochs_us = [1e6 * epoch_s for epoch_s in epochs_s]
+    p50_us, p99_us = (float(q) for q in np.percentile(epochs_us, (50, 99))) if epochs_us else (None, None)
+    return Report(
+        hierarchy, mode, epochs, seed, digest.hex(), wall_s, p50_us, p99_us, nodes, output, start_s, epochs_us
+    )

@@ -1,0 +1,353 @@
+"""All nodes in one process: the deterministic mode, in virtual time, without event loop or threads."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Awaitable, Callable, Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any, Protocol
+
+import anyio
+
+from hierax.runtime.core.binding import OperatorSetting
+from hierax.runtime.core.digest import DigestChain
+from hierax.runtime.core.elements import Elements
+from hierax.runtime.core.errors import HieraxError, OperatorError
+from hierax.runtime.deployment import Deployment
+from hierax.runtime.deployment.schedule import Scheduled
+from hierax.runtime.engine.effects import Saved
+from hierax.runtime.engine.engine import Engine
+from hierax.runtime.engine.table import Phase, Verdict
+from hierax.runtime.execution.breaker import Breaker
+from hierax.runtime.execution.free import run_freely
+from hierax.runtime.execution.member import taken_over
+from hierax.runtime.execution.output_folder import DIGESTS, open_probes, state_log, write_roster
+from hierax.runtime.execution.report import Interrupted, NodeReport, Report, make_report
+from hierax.runtime.execution.runner import Log, NodeRunner, Pacemaker
+from hierax.runtime.loading.loader import build_hierarchy
+from hierax.runtime.loading.node_loader import NodeLoader
+from hierax.runtime.owner.roster_changes import ChangeError, apply
+from hierax.runtime.transport.memory import MemoryNetwork
+from hierax.schemas.changes import Change, Detach, Replace, new_nodes
+from hierax.schemas.messages import Header
+from hierax.schemas.roster import Roster
+
+_log = logging.getLogger("hierax")
+
+Schedule = Sequence[Scheduled]
+"""Changes of the roster, by the first epoch under each."""
+
+
+class RunRecord(Protocol):
+    """Takes in what is said in a run, such as `hierax.runtime.recording.in_process.InProcess`."""
+
+    def message(self, header: Header, data: bytes) -> None:
+        """A message is on its way."""
+
+    def committed(self, epoch: int, digest: bytes) -> None:
+        """An epoch is committed."""
+
+    def watch(self, name: str, runner: NodeRunner, roster: Callable[[], Roster] | None) -> None:
+        """Have a node tell its steps; `roster` is the world's, and gives the one in force."""
+
+
+Watch = Callable[[str, NodeRunner], None]
+"""Told a node's name and its runner, which has no engine yet: may have it watched."""
+
+
+def run(
+    deployment: Deployment,
+    *,
+    epochs: int | None,
+    seed: int,
+    output: Path | None = None,
+    progress: Callable[[int], None] | None = None,
+    schedule: Schedule = (),
+    watch: Watch | None = None,
+    record: RunRecord | None = None,
+    breaker: Breaker | None = None,
+    acts: bool = True,
+) -> Report:
+    """Run a deployment in this process.
+
+    Args:
+        deployment: what to run.
+        epochs: how many; None: the deployment's number, or until the world has finished.
+        seed: of all random numbers, and of the order in which messages are delivered.
+        output: folder for the states, digests and what probes write; None: nothing is written.
+        progress: told the number of each epoch that is committed.
+        schedule: what changes when, in order.
+        watch: called for each node as its runner is made.
+        record: takes in what is said; None: nobody does.
+        breaker: ends the run when a signal comes; None: nothing does.
+        acts: whether the world moves its actuators.
+
+    Raises:
+        HieraxError: a node cannot be loaded or failed, or a change is refused.
+        Interrupted: the breaker has ended it.
+    """
+    if output is not None:
+        write_roster(output, deployment.roster)
+    digests = None if output is None else Log(output / DIGESTS)
+
+    def on_commit(epoch: int, digest: bytes) -> None:
+        if digests is not None:
+            digests.write(epoch, digest)
+        if record is not None:
+            record.committed(epoch, digest)
+        if progress is not None:
+            progress(epoch)
+
+    chain = DigestChain(deployment.roster.content_hash())
+    pacemaker = Pacemaker(chain, deployment.epochs if epochs is None else epochs, on_commit)
+    nodes = _Nodes(deployment, seed, pacemaker, output, schedule, watch, record, acts)
+    try:
+        if breaker is None:
+            nodes.run(seed)
+        else:
+            with breaker.guarding(pacemaker):
+                nodes.run(seed)
+    finally:
+        nodes.close()
+        if digests is not None:
+            digests.close()
+    broken = breaker is not None and breaker.came
+    reports, unreported = nodes.reports(chain.epoch if broken else None)
+    times = (pacemaker.wall_s, pacemaker.epochs_s)
+    report = make_report(deployment.name, "run", seed, chain.epoch, chain.digest, *times, reports, output)
+    if broken:
+        raise Interrupted(report, unreported)
+    return report
+
+
+class _Runner(NodeRunner):
+    """A node's runner.
+
+    Attributes:
+        on_failure: does without the node that has failed, or raises.
+    """
+
+    on_failure: Callable[[OperatorError], None]
+
+    def failed(self, error: OperatorError) -> None:
+        self.on_failure(error)
+
+    def _gravity(self, header: Header, verdict: Verdict) -> int:
+        return logging.INFO if verdict is Verdict.OLD_ROSTER else super()._gravity(header, verdict)
+
+
+class _WorldRunner(_Runner):
+    """The world's runner: before an epoch begins, the roster may change.
+
+    Attributes:
+        due: the epochs before which it does.
+        change: makes it do so.
+        acts: whether it moves its actuators.
+    """
+
+    due: Sequence[int] = ()
+    acts: bool = True
+    change: Callable[[int], None]
+
+    def _begin_next(self, pacemaker: Pacemaker) -> None:
+        epoch = self.engine.epoch + 1
+        if epoch in self.due:
+            self.change(epoch)
+        try:
+            super()._begin_next(pacemaker)
+        except OperatorError as error:
+            self.failed(error)
+
+    def act(self, epoch: int, actions: Elements) -> None:
+        if self.acts:
+            super().act(epoch, actions)
+
+    def drain(self, drains: bool) -> None:
+        super().drain(drains or self.engine.epoch + 2 in self.due)
+
+
+class _Nodes:
+    """The runners of all nodes, and the network between them."""
+
+    def __init__(
+        self,
+        deployment: Deployment,
+        seed: int,
+        pacemaker: Pacemaker,
+        output: Path | None,
+        schedule: Schedule,
+        watch: Watch | None,
+        record: RunRecord | None,
+        acts: bool,
+    ) -> None:
+        self._acts = acts
+        self._deployment = deployment
+        self._watch = watch
+        self._setting = OperatorSetting(seed, _wait)
+        self._pacemaker = pacemaker
+        self._output = output
+        self._schedule = list(schedule)
+        self._alone = {name for name, policy in deployment.restarts.items() if policy.fails_alone}
+        self._failed: set[str] = set()
+        self._roster = deployment.roster
+        self._world = deployment.roster.world
+        self._record = record
+        self._network = MemoryNetwork(seed)
+        if record is not None:
+            self._network.tap = record.message
+        allowance = self._allowance = deployment.allowance
+        # that it is one, and what is wrong with the first node that is
+        build_hierarchy(self._roster, self._setting, allowance)
+        self._loaders = {name: NodeLoader(name, self._setting, allowance) for name in self._roster.nodes}
+        self.runners: dict[str, NodeRunner] = {}
+        for name in sorted(self._roster.nodes):
+            self.runners[name] = self._runner(name)
+            self.runners[name].wire(self._loaders[name].wiring(self._roster))
+
+    def run(self, seed: int) -> None:
+        """Run until the world is done."""
+        if self._deployment.staleness.free:
+            run_freely(self.runners, self._deployment, seed, self._pacemaker)
+        else:
+            self._deliver_all()
+
+    def reports(self, committed: int | None) -> tuple[dict[str, NodeReport], dict[str, str]]:
+        """What the nodes have come to; of a run that was broken off, also who cannot tell, and why.
+
+        Args:
+            committed: the last epoch of a run that was broken off; None: it was not.
+        """
+        reports: dict[str, NodeReport] = {}
+        unreported: dict[str, str] = {}
+        for name, runner in sorted(self.runners.items()):
+            with _kept(name, unreported if committed is not None else None):
+                reports[name] = runner.report(committed)
+        return reports, unreported
+
+    def _deliver_all(self) -> None:
+        runners, network = self.runners, self._network
+        runners[self._world].start()
+        while (name := network.next_receiver()) is not None:
+            message = runners[name].port.receive()
+            if message is not None:
+                runners[name].step(message)
+        if not self._pacemaker.done:
+            waiting = {name: runner.engine.waits_for for name, runner in runners.items()}
+            raise HieraxError(f"nothing is under way any more, but nodes wait: {waiting}")
+
+    def close(self) -> None:
+        """Close all probes and logs."""
+        for runner in self.runners.values():
+            runner.close()
+
+    def _runner(self, name: str, append: bool = False) -> NodeRunner:
+        port = self._network.open_port(name)
+        probes = open_probes(self._deployment.probes, name, self._allowance, self._output, append)
+        states = state_log(self._output, name, append)
+        runner = _Runner(None, port, probes, states)
+        if name == self._world:
+            runner = world = _WorldRunner(None, port, probes, states, self._pacemaker)
+            world.due = [scheduled.epoch for scheduled in self._schedule]
+            world.acts = self._acts
+            world.change = self._change
+        runner.on_failure = self._on_failure
+        runner.staleness = self._deployment.staleness
+        if self._watch is not None:
+            self._watch(name, runner)
+        if self._record is not None:
+            self._record.watch(name, runner, (lambda: self._roster) if name == self._world else None)
+        return runner
+
+    def _change(self, epoch: int) -> None:
+        """Every node is done with the last epoch, so that nothing is under way."""
+        while self._schedule and self._schedule[0].epoch <= epoch:
+            _, change, alone = self._schedule.pop(0)
+            if isinstance(change, Detach) and change.name in self._failed and change.name not in self._roster.nodes:
+                continue
+            self._alone = (self._alone - new_nodes(change).keys()) | alone
+            self._apply(epoch, change)
+
+    def _on_failure(self, error: OperatorError) -> None:
+        """What fails alone is detached, and the epoch begun again without it; as in a launch."""
+        world = self.runners[self._world].engine
+        again: OperatorError | None = error
+        while again is not None:
+            name = self._culprit(again)
+            _log.warning("%s; %s is detached (on_loss)", again, name)
+            self._failed.add(name)
+            self._apply(world.epoch, Detach(name, cascade=True))
+            self._network.drop_all()
+            again = self._begin_again(world)
+
+    def _culprit(self, error: OperatorError) -> str:
+        """The node that an error is blamed on.
+
+        Raises:
+            OperatorError: the error, if that node does not fail alone.
+        """
+        ends = [name for name in error.subject.split("->") if name in self._alone and name in self._roster.nodes]
+        if not ends:
+            raise error
+        return max(ends, key=self._roster.instance)  # of two, what came last has brought the edge
+
+    def _begin_again(self, world: Engine) -> OperatorError | None:
+        if world.phase is Phase.DONE:  # epochs overlap: the next one is the first without it
+            return None
+        try:
+            world.begin_again(world.attempt + 1)
+        except OperatorError as error:
+            return error
+        return None
+
+    def _apply(self, epoch: int, change: Change) -> None:
+        old, version = self._roster, self._roster.version + 1
+        roster = self._roster = apply(old, change, version, lambda _: version)
+        for name in sorted(old.nodes.keys() - roster.nodes.keys()):
+            self._close(name)
+        for name in sorted(roster.nodes):
+            if roster.instance(name) == version:
+                self._come(name, epoch, isinstance(change, Replace))
+            else:
+                self.runners[name].engine.prepare(self._loaders[name].wiring(roster))
+        self.runners[self._world].engine.rewire(version)
+        self._pacemaker.chain.roster_hash = roster.content_hash()
+
+    def _come(self, name: str, epoch: int, replaces: bool) -> None:
+        """A node is attached, or takes the place of another."""
+        loader = self._loaders[name] = NodeLoader(name, self._setting, self._allowance)
+        wiring = loader.wiring(self._roster)
+        saved: Saved | None = None
+        if replaces:
+            try:
+                state = taken_over(wiring.node, self.runners[name].engine.encoded)
+            except HieraxError as error:
+                raise ChangeError(f"cannot replace {name!r}: {error}") from error
+            saved = Saved(epoch - 1, 0, state, state)
+            self._close(name)
+        self.runners[name] = self._runner(name, append=replaces)
+        self.runners[name].wire(wiring, saved, joins=saved is None)
+
+    def _close(self, name: str) -> None:
+        runner = self.runners.pop(name)
+        runner.close()
+        runner.watchers = ()
+        runner.port.close()
+
+
+@contextmanager
+def _kept(name: str, failures: dict[str, str] | None) -> Iterator[None]:
+    """Keep why a node fails, where that is wanted."""
+    try:
+        yield
+    except HieraxError as error:
+        if failures is None:
+            raise
+        failures[name] = str(error)
+
+
+def _wait(awaitable: Awaitable[Any]) -> Any:
+    async def wait() -> Any:
+        return await awaitable
+
+    return anyio.run(wait)

@@ -1,0 +1,97 @@
+"""The folder of each launch on this machine, which stays when the launch is over: its log."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from hierax.runtime.host.private_files import UnsafeFileError, private_folder, read_private, write_private
+
+KEPT_RUNS = 20
+"""Of how many launches, the last ones that have ended, the folders stay."""
+
+LOGS = "logs"
+ABOUT = "about.json"
+
+
+def runs_folder() -> Path:
+    """Where the folders of this user's launches are."""
+    base = os.environ.get("XDG_STATE_HOME", "")
+    return (Path(base) if os.path.isabs(base) else Path.home() / ".local" / "state") / "hierax" / "runs"
+
+
+def run_folder(run: str) -> Path:
+    """The folder of a launch."""
+    return runs_folder() / run
+
+
+def begin_run(run: str, about: Mapping[str, Any]) -> Path:
+    """Make the folder of a launch that begins, and remove those of old ones.
+
+    Args:
+        run: its identification.
+        about: what is told of it, as JSON; ``pid`` is that of the supervisor.
+
+    Raises:
+        OSError: it cannot be made.
+        UnsafeFileError: others may write there.
+    """
+    folder = run_folder(run)
+    with private_folder(folder / LOGS, make=True):
+        write_private(folder / ABOUT, json.dumps(about, indent=2).encode() + b"\n")
+    for old in known_folders()[KEPT_RUNS:]:
+        if not is_alive(old):
+            shutil.rmtree(old, ignore_errors=True)  # another launch may be doing the same
+    return folder
+
+
+def unwritable(folder: Path) -> str:
+    """Why nothing can be put into a private folder, which is made where it lacks; empty: it can."""
+    probe = folder / f".{os.getpid()}.probe"
+    try:
+        write_private(probe, b"")
+        probe.unlink()
+    except UnsafeFileError as error:
+        return str(error)
+    except OSError as error:
+        return f"{folder} cannot be written: {error.strerror or error}"
+    return ""
+
+
+def known_folders() -> list[Path]:
+    """The folders of launches, the youngest first."""
+    folders = [about.parent for about in runs_folder().glob(f"*/{ABOUT}")]
+    return sorted(folders, key=_made_ns, reverse=True)
+
+
+def _made_ns(folder: Path) -> int:
+    try:
+        return (folder / ABOUT).stat().st_mtime_ns
+    except OSError:
+        return 0  # removed just now
+
+
+def about_run(folder: Path) -> dict[str, Any]:
+    """What is told of a launch; empty where that cannot be read."""
+    try:
+        return dict(json.loads(read_private(folder / ABOUT)))
+    except (OSError, ValueError, TypeError, RecursionError, UnsafeFileError):
+        return {}
+
+
+def is_alive(folder: Path) -> bool:
+    """Whether the launch may still run: there is a process with its supervisor's number."""
+    pid = about_run(folder).get("pid")
+    if not isinstance(pid, int) or pid <= 0:
+        return False
+    try:
+        os.kill(pid, 0)
+    except ProcessLookupError:
+        return False
+    except OSError:  # another user's by now
+        return False
+    return True

@@ -1,0 +1,204 @@
+"""What a supervisor and its children say to each other, over the child's standard input and output.
+
+Each frame is 4 bytes of length (little-endian) and an encoded value. The child's first
+frame in is its order (`NodeOrder`), the next ones are commands; end of file means that the
+supervisor is gone. What a child says is a map with ``"status"``.
+"""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+from hierax.runtime.execution.world_member import OnUncertainAct
+from hierax.runtime.loading.allowance import Allowance
+from hierax.runtime.owner.effects import OwnerPolicy
+from hierax.runtime.recovery.disk import Durability
+from hierax.schemas.errors import SchemaError
+from hierax.schemas.limits import MAX_MESSAGE_BYTES
+from hierax.schemas.roster import ProbeSpec, Reference, Roster
+from hierax.schemas.values import Value, decode_value, encode_value
+
+_LENGTH = struct.Struct("<I")
+
+STOP = "stop"
+"""Command: finish, report, exit. What is no command is a control message for the roster's owner, as bytes."""
+FINISH = "finish"
+"""Command to the world: the epoch under way is the last one."""
+_LEAVE = "leave"
+
+UP = "up"
+"""Status: every neighbour hears this node and is heard."""
+FINISHED = "finished"
+"""Status of the world: the last epoch is committed; the roster, and its processes."""
+REPORT = "report"
+"""Status: the node's final state; the last one before its process exits."""
+FAILED = "failed"
+"""Status: the node cannot go on."""
+DISMISSED = "dismissed"
+"""Status: the owner has told the process to exit, and why; the last one."""
+CUT_OFF = "cut off"
+"""Status: the process was taken for lost, and exits so that another one comes in its place; the last one."""
+ANSWER = "answer"
+"""Status of the world: what became of a change that somebody asked for."""
+END = "end"
+"""Status of the world: a process hangs, and is to be killed."""
+DISMISS = "dismiss"
+"""Status of the world: a process has no place any more, and is to be told so."""
+HALT = "halt"
+"""Status of the world: the run cannot go on, and why."""
+BEAT = "beat"
+"""Status of the world, again and again and when its roster changes: the epoch, and the roster's processes."""
+MISSES = "misses"
+"""Status: the link to a process broke, and it has not come back."""
+NOTE = "note"
+"""Status of the world: people should know."""
+
+BEGIN, COME_BACK, NEWCOMER, TO_REPORT = "begin", "come back", "newcomer", "to report"
+"""How a process comes into a run: with it, in the place of a lost one, for a change of the roster, or after its end."""
+
+
+@dataclass(frozen=True)
+class NodeOrder:
+    """All that a node's process has to know.
+
+    Attributes:
+        name: of the node.
+        process: the process's token.
+        life: `BEGIN`, `COME_BACK`, `NEWCOMER` or `TO_REPORT`.
+        request: of a newcomer, the change that it is started for.
+        deployment, run: what the keys begin with.
+        roster: of a process that begins with the run, who else there is.
+        modules: from which code may be loaded, as `hierax.runtime.loading.allowance.Allowance` has them.
+        preload: those that are imported before anything else.
+        seed: of the run.
+        epochs: how many; None: until the world has finished.
+        staleness: how old inputs from above may be, in epochs; None: free running.
+        exact: whether they are exactly so old.
+        rate_hz: in free running, how often at most the node takes part in an epoch; None: as it can.
+        hub: endpoint of the supervisor, through which the processes find one another.
+        host: address of the process's machine at which others may link; empty: this machine's processes only.
+        settings: Zenoh's own.
+        low_latency: whether the processes' links are low-latency ones.
+        output: folder for states and probes; empty: none.
+        probes: of this node.
+        import_paths: where modules of the deployment's own are looked for.
+        checkpoint: path of the node's checkpoint, without the slot's ending.
+        durability: of the checkpoint.
+        owner: of the world's process: what the deployment says on recovery.
+        on_uncertain_act: of the world's process.
+        processes: of the world's process: those of the other nodes that live.
+        proposals: of the world's process that comes back: control messages for the owner.
+        alone: the nodes of `roster` that fail alone.
+        fault: where the process kills itself, as `hierax.runtime.launch.faults` has it; empty: nowhere.
+        recorded: whether somebody records the run, who has to hear the process from its first message on.
+        elsewhere: whether another than the launch's own keeper keeps the process: its dismissal comes over Zenoh.
+    """
+
+    name: str
+    process: str
+    life: str
+    request: str
+    deployment: str
+    run: str
+    roster: Roster | None
+    modules: tuple[str, ...]
+    preload: tuple[str, ...]
+    seed: int
+    epochs: int | None
+    staleness: int | None
+    exact: bool
+    rate_hz: float | None
+    hub: str
+    host: str
+    settings: Value
+    low_latency: bool
+    output: str
+    probes: tuple[ProbeSpec, ...]
+    import_paths: tuple[str, ...]
+    checkpoint: str
+    durability: Durability
+    owner: OwnerPolicy | None
+    on_uncertain_act: OnUncertainAct
+    processes: Mapping[str, str]
+    proposals: tuple[bytes, ...]
+    alone: tuple[str, ...] = ()
+    fault: str = ""
+    recorded: bool = False
+    elsewhere: bool = False
+
+    @property
+    def allowance(self) -> Allowance:
+        """Which code may be loaded."""
+        return Allowance(self.modules)
+
+    @property
+    def output_path(self) -> Path | None:
+        """The output folder."""
+        return Path(self.output) if self.output else None
+
+    def plain(self) -> Value:
+        """As a value."""
+        return {
+            **self.__dict__,
+            "roster": None if self.roster is None else self.roster.plain(),
+            "probes": [[probe.node, probe.reference.plain()] for probe in self.probes],
+            "owner": None if self.owner is None else self.owner.__dict__,
+        }
+
+    @staticmethod
+    def read(value: Value) -> NodeOrder:
+        """From a value; it comes from our own supervisor, so only the roster is checked in full."""
+        probes = tuple(ProbeSpec(node, Reference.read(ref, f"probes.{node}")) for node, ref in value["probes"])
+        roster = None if value["roster"] is None else Roster.read(value["roster"])
+        owner = None if value["owner"] is None else OwnerPolicy(**value["owner"])
+        return NodeOrder(**{**value, "roster": roster, "probes": probes, "owner": owner})
+
+
+def leave(epoch: int | None) -> Value:
+    """The command to report at once, and exit, whatever is under way.
+
+    Args:
+        epoch: of which the report is, the last one committed; None: the world knows.
+    """
+    return {_LEAVE: epoch}
+
+
+def epoch_of_leave(command: Value) -> int | None:
+    """The epoch in such a command."""
+    epoch: int | None = command[_LEAVE]
+    return epoch
+
+
+def frame(value: Value) -> bytes:
+    """A value as a frame."""
+    data = encode_value(value)
+    return _LENGTH.pack(len(data)) + data
+
+
+class Frames:
+    """Takes frames out of bytes as they come."""
+
+    def __init__(self) -> None:
+        self._buffer = bytearray()
+
+    def feed(self, data: bytes) -> list[Value]:
+        """The values whose last byte is here now.
+
+        Raises:
+            SchemaError: what came are no frames.
+        """
+        self._buffer += data
+        values = []
+        while len(self._buffer) >= _LENGTH.size:
+            length = _LENGTH.unpack_from(self._buffer)[0]
+            if length > MAX_MESSAGE_BYTES:
+                raise SchemaError(f"a frame of {length} bytes; at most {MAX_MESSAGE_BYTES} are allowed", "pipe")
+            end = _LENGTH.size + length
+            if len(self._buffer) < end:
+                break
+            values.append(decode_value(bytes(self._buffer[_LENGTH.size : end]), "pipe"))
+            del self._buffer[:end]
+        return values

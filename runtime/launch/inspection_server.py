@@ -1,0 +1,207 @@
+"""A node's answers to those who look at it; given by the event loop's thread, never by the node's.
+
+A question is a map with ``"look"``, as is the answer:
+
+    meter       where the node's time goes; measured from the first such question until nobody
+                has asked for `LEASE_S`, so that it costs nothing while nobody looks
+    state       what the node believes, has chosen and was given in the last epoch that it has completed
+    neighbours  the names of the nodes below and above
+    echo        copies of the messages in ``"edges"``, each kind, sender and receiver, for `LEASE_S`
+    steps       what the node does in epochs that ``"every"`` divides, for `LEASE_S`; of the world's also the roster
+"""
+
+from __future__ import annotations
+
+import os
+import time
+from collections.abc import Callable, Mapping
+from typing import Any
+
+from hierax.runtime.execution.member import Member
+from hierax.runtime.transport.inspection import InspectionEndpoint
+from hierax.runtime.watch.copier import Copier, Edge
+from hierax.runtime.watch.meter import Meter
+from hierax.runtime.watch.stepper import Stepper
+from hierax.schemas.errors import SchemaError, shown
+from hierax.schemas.keys import STEP, check_name
+from hierax.schemas.messages import CONTEXT, OBSERVATIONS, TASKS
+from hierax.schemas.values import Value
+
+LEASE_S = 5.0
+"""How long a watcher stays after the last question that needs it."""
+
+MAX_EDGES = 4096
+"""How many edges are echoed at most."""
+
+_KINDS = (OBSERVATIONS, TASKS, CONTEXT)
+
+_PAGE_BYTES = os.sysconf("SC_PAGE_SIZE")
+
+
+class InspectionServer:
+    """Answers the questions at a node's window.
+
+    Args:
+        member: the node.
+        window: of the node.
+        busy: the operator that the node's thread is in, as ``OPERATOR of SUBJECT``; empty: in none.
+    """
+
+    def __init__(self, member: Member, window: InspectionEndpoint, busy: Callable[[], str]) -> None:
+        self._member = member
+        self._window = window
+        self._busy = busy
+        self._meter: Meter | None = None
+        self._copier: Copier | None = None
+        self._wanted: dict[Edge, float] = {}
+        self._metered_s = 0.0
+        self._stepper: Stepper | None = None
+        self._stepped_s = 0.0
+        self._looks: Mapping[str, Callable[[Mapping[str, Any]], dict[str, Value]]] = {
+            "meter": self._tell_times,
+            "state": self._tell_state,
+            "neighbours": self._tell_neighbours,
+            "echo": self._echo,
+            "steps": self._tell_steps,
+        }
+
+    def serve(self) -> None:
+        """Answer what was asked, and give up what nobody asks for any more."""
+        for question, reply in self._window.questions():
+            reply(self._answer(question))
+        if self._stepper is not None:
+            name = self._member.name
+            for data in self._stepper.take():
+                self._window.show(STEP, name, name, data)
+        self._expire(time.monotonic())
+
+    def _answer(self, question: Value) -> Value:
+        name = question.get("look") if isinstance(question, dict) else None
+        look = self._looks.get(name) if isinstance(name, str) else None
+        if look is None:
+            return {"refusal": f"expected a map with 'look' as one of {', '.join(self._looks)}"}
+        try:
+            return {"process": self._member.process, **look(question)}
+        except SchemaError as error:
+            return {"refusal": str(error)}
+
+    def _tell_times(self, question: Mapping[str, Any]) -> dict[str, Value]:
+        member = self._member
+        self._metered_s = time.monotonic()
+        if self._meter is None:
+            self._meter = Meter()
+            member.watch(self._meter)
+        busy = self._busy()
+        status = member.status(0, busy)
+        waits = status.waits_for or (member.engine.waits_for if member.wired else ())
+        return {
+            "pid": os.getpid(),
+            "epoch": status.epoch,
+            "attempt": status.attempt,
+            "busy": busy,
+            "waits_for": [list(slot) for slot in status.waits_for],
+            "rss_bytes": _rss_bytes(),
+            "cpu_s": time.process_time(),
+            "meter": self._meter.read(busy.partition(" of ")[0], waits[0][0] if waits else ""),
+        }
+
+    def _tell_state(self, question: Mapping[str, Any]) -> dict[str, Value]:
+        member = self._member
+        if not member.wired:
+            return {"epoch": 0, "refusal": "the node's process is still coming into the run"}
+        engine, last = member.engine, member.last
+        node = engine.node
+        told: dict[str, Value] = {
+            "class": f"{type(node.node).__module__}:{type(node.node).__qualname__}",
+            "below": list(node.below),
+            "above": list(node.above),
+            "policies": sorted(node.policies),
+            "roster": engine.wiring.roster,
+            "instance": engine.wiring.instance,
+        }
+        if last is None:  # nothing was done by this process yet
+            state = engine.state
+            return {
+                **told,
+                "epoch": engine.epoch,
+                "attempt": engine.attempt,
+                "committed": True,
+                "belief": state.belief,
+                "policy": state.policy,
+                "actions": state.actions,
+            }
+        step = last.step
+        return {
+            **told,
+            **step._asdict(),
+            "committed": engine.epoch > step.epoch or engine.is_world if member.staleness.barrier else None,
+            "digest": last.digest,
+        }
+
+    def _tell_neighbours(self, question: Mapping[str, Any]) -> dict[str, Value]:
+        node = self._member.engine.node if self._member.wired else None
+        return {"below": [], "above": []} if node is None else {"below": list(node.below), "above": list(node.above)}
+
+    def _echo(self, question: Mapping[str, Any]) -> dict[str, Value]:
+        until_s = time.monotonic() + LEASE_S
+        for kind, sender, receiver in _edges_of(question):
+            known = (kind, sender, receiver) in self._wanted or len(self._wanted) < MAX_EDGES
+            if sender == self._member.name and known:
+                self._wanted[kind, sender, receiver] = until_s
+        if self._wanted and self._copier is None:
+            self._copier = Copier(self._window.show)
+            self._member.watch(self._copier)
+        if self._copier is not None:
+            self._copier.wanted = frozenset(self._wanted)
+        return {"lease_s": LEASE_S}
+
+    def _tell_steps(self, question: Mapping[str, Any]) -> dict[str, Value]:
+        every = question.get("every")
+        if type(every) is not int or every < 1:
+            raise SchemaError(f"expected a whole number from 1, got {shown(every)}", "every")
+        self._stepped_s = time.monotonic()
+        if self._stepper is None:
+            self._stepper = Stepper()
+            self._member.watch(self._stepper)
+        self._stepper.every = every
+        owner = getattr(self._member, "owner", None)  # the world's, from the beginning of the run on
+        return {"lease_s": LEASE_S, "roster": None if owner is None else owner.roster.plain()}
+
+    def _expire(self, now: float) -> None:
+        if self._stepper is not None and now - self._stepped_s > LEASE_S:
+            self._member.unwatch(self._stepper)
+            self._stepper = None
+        if self._meter is not None and now - self._metered_s > LEASE_S:
+            self._member.unwatch(self._meter)
+            self._meter = None
+        if self._copier is None:
+            return
+        self._wanted = {edge: until_s for edge, until_s in self._wanted.items() if until_s > now}
+        self._copier.wanted = frozenset(self._wanted)
+        if not self._wanted:
+            self._member.unwatch(self._copier)
+            self._copier = None
+
+
+def _edges_of(question: Mapping[str, Any]) -> list[Edge]:
+    edges = question.get("edges")
+    if not isinstance(edges, (tuple, list)) or len(edges) > MAX_EDGES:
+        raise SchemaError(f"expected at most {MAX_EDGES} edges", "edges")
+    found: list[Edge] = []
+    for edge in edges:
+        if not isinstance(edge, (tuple, list)) or len(edge) != 3 or not all(isinstance(part, str) for part in edge):
+            raise SchemaError(f"expected [kind, sender, receiver], got {shown(edge)}", "edges")
+        kind, sender, receiver = edge
+        if kind not in _KINDS:
+            raise SchemaError(f"expected one of {', '.join(_KINDS)}, got {shown(kind)}", "edges")
+        found.append((kind, check_name(sender), check_name(receiver)))
+    return found
+
+
+def _rss_bytes() -> int:
+    """The memory that this process has in hand; 0 where the system does not tell."""
+    try:
+        with open("/proc/self/statm", "rb") as statm:
+            return int(statm.read().split()[1]) * _PAGE_BYTES
+    except (OSError, IndexError, ValueError):
+        return 0

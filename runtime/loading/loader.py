@@ -1,0 +1,395 @@
+"""Code by name: from a roster to nodes, edge functions and probes.
+
+Node processes use this; it imports nothing heavy.
+"""
+
+from __future__ import annotations
+
+import functools
+import importlib
+import inspect
+import pkgutil
+import re
+import sys
+import traceback
+from collections.abc import Callable, Iterable, Sequence
+from types import ModuleType, UnionType
+from typing import Any, Union, get_args, get_origin, get_type_hints
+
+from hierax.runtime.core.binding import BoundNode, OperatorSetting, check_signature, require_no_world
+from hierax.runtime.core.errors import HieraxError
+from hierax.runtime.core.graph import Pair
+from hierax.runtime.core.hierarchy import BoundEdge, Edge, Hierarchy, neighbours_above, neighbours_below
+from hierax.runtime.core.node import Node, World
+from hierax.runtime.core.probe import Probe
+from hierax.runtime.loading.allowance import Allowance
+from hierax.runtime.loading.arguments import wrong_argument
+from hierax.runtime.loading.nearest import did_you_mean
+from hierax.schemas.errors import SchemaError
+from hierax.schemas.roster import Reference, Roster, RosterEdge
+from hierax.schemas.values import encode_value
+
+
+class LoadError(HieraxError):
+    """What a roster names cannot be loaded.
+
+    Attributes:
+        what: what is wrong, what was expected, and the nearest valid name.
+        where: the path in the roster, which is also that in the deployment file:
+            ``nodes.world.parameters.noise``, ``edges.world -> arm.sense.function``.
+    """
+
+    def __init__(self, what: str, where: str) -> None:
+        self.what = what
+        self.where = where
+        super().__init__(f"{where}: {what}")
+
+
+def extend_import_path(paths: Iterable[str]) -> None:
+    """Let modules be found in further folders, behind all that is there already."""
+    for path in paths:
+        if path not in sys.path:
+            sys.path.append(path)
+    importlib.invalidate_caches()
+
+
+def load(target: str, where: str, allowance: Allowance) -> Any:
+    """The object that ``package.module:name`` names.
+
+    Args:
+        target: one name in a module.
+        where: the field that names it.
+        allowance: which code may be loaded; asked before anything is imported.
+
+    Raises:
+        NotAllowedError: it may not be loaded.
+        LoadError: there is no such module or name (with the nearest one), the module only
+            imports it from one that is not allowed, or the module's import raised.
+    """
+    allowance.check(target, where)
+    module_name, _, name = target.partition(":")
+    module = _import(module_name, where)
+    if not hasattr(module, name):
+        public = [known for known in dir(module) if not known.startswith("_")]
+        raise LoadError(f"there is no {name!r} in module {module_name!r}{did_you_mean(name, public)}", where)
+    found = getattr(module, name)
+    if isinstance(found, ModuleType):
+        raise LoadError(f"{name!r} in module {module_name!r} is a module itself; name it before the colon", where)
+    _check_home(found, module_name, name, where, allowance)
+    return found
+
+
+def _check_home(found: Any, module_name: str, name: str, where: str, allowance: Allowance) -> None:
+    """What a module has only imported is allowed by the module that defines it; a package offers what is inside it."""
+    home = found.__module__ if inspect.isclass(found) or inspect.isroutine(found) else None
+    if not isinstance(home, str) or home == module_name or home.startswith(f"{module_name}."):
+        return
+    if not allowance.covers(home):
+        instead = f"{home}:{found.__qualname__}"
+        raise LoadError(f"module {module_name!r} only imports {name!r}; name it as {instead!r}", where)
+
+
+def build_node(reference: Reference, where: str, allowance: Allowance, is_world: bool = False) -> Node:
+    """Build a node.
+
+    Args:
+        reference: its class and parameters.
+        where: its path in the deployment file, ``nodes.NAME``.
+        allowance: which code may be loaded.
+        is_world: whether it has to be a `World`.
+
+    Raises:
+        NotAllowedError, LoadError: see `load`; or it is no class of nodes, which is
+            found out before that is called; or a parameter is unknown, lacks or is refused by it.
+    """
+    node: Node = _build(reference, where, allowance, World if is_world else Node)
+    return node
+
+
+def build_probe(reference: Reference, where: str, allowance: Allowance) -> Probe:
+    """Build a probe.
+
+    Args:
+        reference: its class and parameters.
+        where: its path in the deployment file, ``probes[i]``.
+        allowance: which code may be loaded.
+
+    Raises:
+        NotAllowedError, LoadError: as `build_node`.
+    """
+    probe: Probe = _build(reference, where, allowance, Probe)
+    return probe
+
+
+def build_edge(edge: RosterEdge, allowance: Allowance, side: str = "both") -> Edge:
+    """Build an edge's functions.
+
+    Args:
+        edge: by names.
+        allowance: which code may be loaded.
+        side: ``lower`` builds φ only, ``upper`` ψ and ϱ, ``both`` all three.
+
+    Raises:
+        NotAllowedError, LoadError: see `load`; or what is named is no function of the
+            edge's kind, and no class whose objects are, which is found out before it is called.
+    """
+    where = f"edges.{edge.lower} -> {edge.upper}"
+    wanted = {"lower": ("sense",), "upper": ("task", "context"), "both": ("sense", "task", "context")}[side]
+    functions: dict[str, Callable[..., Any]] = {}
+    for kind in wanted:
+        reference = getattr(edge, kind)
+        if reference is not None:
+            functions[kind] = _edge_function(reference, where, kind, allowance)
+    return Edge(edge.lower, edge.upper, **functions)
+
+
+def build_hierarchy(roster: Roster, setting: OperatorSetting, allowance: Allowance) -> Hierarchy:
+    """Build all nodes and edges in this process.
+
+    Raises:
+        NotAllowedError: something may not be loaded; then nothing is.
+        LoadError: something cannot be loaded, or an operator cannot be called.
+        HierarchyError: they form no hierarchy.
+    """
+    allowance.check_all(roster)
+    nodes = {
+        name: build_node(reference, f"nodes.{name}", allowance, is_world=name == roster.world)
+        for name, reference in roster.nodes.items()
+    }
+    edges = [build_edge(edge, allowance) for edge in roster.edges]
+    pairs = [edge.pair for edge in edges]
+    for name, node in nodes.items():  # each by itself first: these errors know their place
+        bind_node(name, node, roster.world, pairs, setting)
+    for edge in edges:
+        bind_edge(edge, setting)
+    return Hierarchy(nodes, roster.world, edges, setting)
+
+
+def load_function(target: str, where: str, allowance: Allowance) -> Callable[..., Any]:
+    """A function by name.
+
+    Raises:
+        NotAllowedError, LoadError: see `load`; or it is no function.
+    """
+    found = load(target, where, allowance)
+    if not inspect.isfunction(found):
+        raise LoadError(f"expected a function, but {target} is {_shown(found)}", where)
+    return found
+
+
+def bind_node(name: str, node: Node, world: str, pairs: Sequence[Pair], setting: OperatorSetting) -> BoundNode:
+    """A node with its neighbours, ready to be called.
+
+    Raises:
+        LoadError: an operator cannot be called, λ(∅) is not π⁰, N₀ is no world, or another node is one.
+    """
+    where = f"nodes.{name}"
+    if name == world and not isinstance(node, World):
+        raise LoadError(f"the world's class must derive from World, {type(node).__name__} does not", f"{where}.class")
+    try:
+        if name != world:
+            require_no_world(name, node)
+        return BoundNode(name, node, neighbours_below(name, pairs), neighbours_above(name, pairs), setting)
+    except HieraxError as error:
+        raise LoadError(str(error).removeprefix(f"{name}: "), where) from error
+
+
+def bind_edge(edge: Edge, setting: OperatorSetting, side: str = "both") -> BoundEdge:
+    """An edge's functions on one side or both, ready to be called.
+
+    Raises:
+        LoadError: one of them cannot be called.
+    """
+    name = f"{edge.lower}->{edge.upper}"
+    try:
+        return BoundEdge.of(edge, setting, side)
+    except HieraxError as error:
+        raise LoadError(str(error).removeprefix(f"{name}: "), f"edges.{edge.lower} -> {edge.upper}") from error
+
+
+def check_initial_belief(name: str, node: Node) -> None:
+    """Whether s⁰ can be had and travel.
+
+    Raises:
+        LoadError: it raised, or gave no value.
+    """
+    where = f"nodes.{name}"
+    try:
+        encode_value(node.initial_belief())
+    except SchemaError as error:
+        raise LoadError(f"the initial belief is no value: {error}", where) from error
+    except Exception as error:
+        raise LoadError(f"initial_belief raised {_told(error)}", where) from error
+
+
+def _edge_function(reference: Reference, edge: str, kind: str, allowance: Allowance) -> Callable[..., Any]:
+    """An edge's function, or an object of a class in its place; looked at before the class is called."""
+    where = f"{edge}.{kind}"
+    target = load(reference.target, f"{where}.function", allowance)
+    if inspect.isclass(target):
+        _check_signature(functools.partial(_call_of(target, reference, where), None), edge, kind)
+        made: Callable[..., Any] = _call(target, reference, where)
+        return made
+    if not inspect.isfunction(target):
+        raise LoadError(_no_edge_function(target, reference), f"{where}.function")
+    _check_names(target, reference, where)
+    _check_types(target, reference, where)
+    function = functools.partial(target, **reference.parameters) if reference.parameters else target
+    _check_signature(function, edge, kind)
+    return function
+
+
+def _call_of(target: type, reference: Reference, where: str) -> Callable[..., Any]:
+    """What is called when an object of a class is."""
+    call = next((vars(base)["__call__"] for base in target.__mro__ if "__call__" in vars(base)), None)
+    if not inspect.isfunction(call) or issubclass(target, (Node, Probe)):
+        raise LoadError(_no_edge_function(target, reference), f"{where}.function")
+    return call
+
+
+def _no_edge_function(found: Any, reference: Reference) -> str:
+    return f"expected a function, or a class whose objects can be called, but {reference.target} is {_shown(found)}"
+
+
+def _check_signature(function: Callable[..., Any], edge: str, kind: str) -> None:
+    try:
+        check_signature(function, kind)
+    except HieraxError as error:
+        raise LoadError(str(error), edge) from error
+
+
+def _build(reference: Reference, where: str, allowance: Allowance, kind: type) -> Any:
+    """A node or probe; what is named is called once it is known to be a class of that kind, or to give one."""
+    field = f"{where}.class"
+    target = load(reference.target, field, allowance)
+    makes = issubclass(target, kind) if inspect.isclass(target) else _gives(target, kind)
+    if not makes:
+        raise LoadError(_no_class(target, reference, kind), field)
+    made = _call(target, reference, where, "class")
+    if not isinstance(made, kind):
+        raise LoadError(f"{reference.target} gives a {type(made).__name__}, no {kind.__name__}", field)
+    return made
+
+
+def _gives(target: Any, kind: type) -> bool:
+    """Whether a function says by its annotation that it gives an object of a kind, or of some such kinds."""
+    if not inspect.isfunction(target):
+        return False
+    try:
+        said = get_type_hints(target).get("return")
+    except Exception:  # whatever an annotation's evaluation raises
+        return False
+    given = get_args(said) if isinstance(said, UnionType) or get_origin(said) is Union else (said,)
+    return all(inspect.isclass(each) and issubclass(each, kind) for each in given)
+
+
+def _no_class(found: Any, reference: Reference, kind: type) -> str:
+    if kind is World and inspect.isclass(found) and issubclass(found, Node):
+        return f"the world's class must derive from World, {found.__name__} does not"
+    what = f"expected a class derived from {kind.__name__}, but {reference.target} is {_shown(found)}"
+    return f"{what}; one that makes nodes says so: '-> {kind.__name__}'" if inspect.isfunction(found) else what
+
+
+def _call(target: Callable[..., Any], reference: Reference, where: str, field: str = "function") -> Any:
+    """Call a class with its parameters, errors mapped."""
+    if inspect.isabstract(target):
+        lacking = ", ".join(sorted(vars(target)["__abstractmethods__"]))
+        raise LoadError(f"{reference.target} lacks {lacking}, which every subclass must define", f"{where}.{field}")
+    _check_names(target, reference, where)
+    _check_types(target, reference, where)
+    _check_complete(target, reference, where)
+    try:
+        return target(**reference.parameters)
+    except (HieraxError, ValueError, OSError) as error:
+        raise _refused(error, reference, f"{where}.parameters") from error
+    except Exception as error:
+        raise LoadError(f"{reference.target} raised {_told(error)}", f"{where}.parameters") from error
+
+
+def _refused(error: Exception, reference: Reference, where: str) -> LoadError:
+    """What a class says of its parameters, at the one that it names first."""
+    text = str(error) or type(error).__name__
+    first = re.match(r"\w*", text)
+    name = first[0] if first else ""
+    if name in reference.parameters:
+        return LoadError(text.removeprefix(f"{name}: "), f"{where}.{name}")
+    return LoadError(text, where)
+
+
+def _check_names(target: Callable[..., Any], reference: Reference, where: str) -> None:
+    known = _parameters(target)
+    if any(parameter.kind is parameter.VAR_KEYWORD for parameter in known):
+        return
+    names = [parameter.name for parameter in known if parameter.kind is not parameter.POSITIONAL_ONLY]
+    for name in reference.parameters:
+        if name not in names:
+            nearest = did_you_mean(name, names, "it takes") or "; it takes none"
+            raise LoadError(f"{reference.target} has no such parameter{nearest}", f"{where}.parameters.{name}")
+
+
+def _check_types(target: Callable[..., Any], reference: Reference, where: str) -> None:
+    wrong = wrong_argument(target, reference.parameters)
+    if wrong is not None:
+        name, what = wrong
+        raise LoadError(what, f"{where}.parameters.{name}")
+
+
+def _check_complete(target: Callable[..., Any], reference: Reference, where: str) -> None:
+    for parameter in _parameters(target):
+        needed = parameter.default is parameter.empty and parameter.kind in (
+            parameter.POSITIONAL_OR_KEYWORD,
+            parameter.KEYWORD_ONLY,
+        )
+        if needed and parameter.name not in reference.parameters:
+            raise LoadError(f"missing; {reference.target} needs it", f"{where}.parameters.{parameter.name}")
+
+
+def _parameters(target: Callable[..., Any]) -> list[inspect.Parameter]:
+    try:
+        return list(inspect.signature(target).parameters.values())
+    except (TypeError, ValueError):  # some callables written in C tell nothing
+        return [inspect.Parameter("parameters", inspect.Parameter.VAR_KEYWORD)]
+
+
+def _import(name: str, where: str) -> ModuleType:
+    try:
+        return importlib.import_module(name)
+    except ModuleNotFoundError as error:
+        lacking = error.name or name
+        if lacking != name and not name.startswith(f"{lacking}."):
+            raise LoadError(f"module {name!r} needs module {lacking!r}, which is not installed", where) from error
+        raise LoadError(f"there is no module {lacking!r}{_nearest_module(lacking)}", where) from error
+    except (Exception, SystemExit) as error:
+        raise LoadError(f"importing {name!r} raised {_told(error)}", where) from error
+
+
+def _nearest_module(name: str) -> str:
+    """A module with a similar name in the same package."""
+    package, _, last = name.rpartition(".")
+    folders = getattr(sys.modules.get(package), "__path__", None) if package else None
+    if package and folders is None:
+        return f"; {package!r} is no package"
+    names = {found.name for found in pkgutil.iter_modules(None if folders is None else list(folders))}
+    names |= {known.rpartition(".")[2] for known in list(sys.modules) if known.rpartition(".")[0] == package}
+    nearest = did_you_mean(last, names)
+    if "did you mean" in nearest or package:
+        return nearest.replace("did you mean '", f"did you mean '{package}." if package else "did you mean '")
+    return "; it is looked for among the installed ones, beside the deployment file and in the current folder"
+
+
+def _told(error: BaseException) -> str:
+    """An error's type, text, and the place that raised it."""
+    text = " ".join(str(error).split())
+    frames = traceback.extract_tb(error.__traceback__)
+    if isinstance(error, SyntaxError):
+        return f"{type(error).__name__}: {text}"
+    place = f" ({frames[-1].filename}:{frames[-1].lineno})" if frames else ""
+    return f"{type(error).__name__}: {text}{place}" if text else f"{type(error).__name__}{place}"
+
+
+def _shown(found: Any) -> str:
+    """What something is that is not what was expected."""
+    if inspect.isclass(found):
+        known = next((kind.__name__ for kind in (World, Node, Probe) if issubclass(found, kind)), "")
+        return f"a {known}" if known else "another class"
+    return "a function" if inspect.isfunction(found) else f"a {type(found).__name__}"

@@ -1,0 +1,69 @@
+"""What the roster's owner calls."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+from hierax.schemas.control import Order
+
+RESTART, DETACH, STOP = "restart", "detach", "stop"
+"""What follows when a node does not come back."""
+
+
+@dataclass(frozen=True)
+class OwnerPolicy:
+    """What the deployment says.
+
+    Attributes:
+        modules: from which code may be loaded.
+        on_loss: by node, `RESTART`, `DETACH` or `STOP`; `RESTART` where it says nothing.
+        rejoin_timeout_s: by node, how long a lost one may take to come back.
+        alone: the nodes that are detached when an operator or edge function of theirs raises.
+        epoch_deadline_s: how long an epoch may take before it is asked who waits for whom; None: for ever.
+        start_timeout_s: how long a new node's process may take to come up.
+        answer_timeout_s: how long a process may take to answer the owner.
+        overlaps: whether epochs overlap (a staleness): the roster changes after a drained epoch.
+    """
+
+    modules: tuple[str, ...] = ()
+    on_loss: Mapping[str, str] = field(default_factory=dict)
+    rejoin_timeout_s: Mapping[str, float] = field(default_factory=dict)
+    alone: tuple[str, ...] = ()
+    epoch_deadline_s: float | None = None
+    start_timeout_s: float = 30.0
+    answer_timeout_s: float = 5.0
+    overlaps: bool = False
+
+
+class OwnerEffects(ABC):
+    """The other side of an owner. What it is asked to send may be lost: the owner asks again."""
+
+    @abstractmethod
+    def tell(self, process: str, order: Order) -> None:
+        """Send an order to a process; the owner's own is one of them."""
+
+    @abstractmethod
+    def keep(self) -> None:
+        """Write the world's record, with the owner's highest version, before anything else goes out."""
+
+    @abstractmethod
+    def begin(self, epoch: int, attempt: int, version: int) -> None:
+        """Have the world begin an epoch, or begin it again, under a version of the roster; its record first."""
+
+    @abstractmethod
+    def answer(self, request: str, epoch: int, refusal: str) -> None:
+        """Tell whoever asked for a change the first epoch under it, committed by now; or why there is none."""
+
+    @abstractmethod
+    def end(self, name: str, process: str, why: str) -> None:
+        """Have its keeper kill a process that hangs, and treat it as lost."""
+
+    @abstractmethod
+    def stop(self, why: str) -> None:
+        """The run cannot go on."""
+
+    @abstractmethod
+    def note(self, what: str) -> None:
+        """Tell people what happens."""

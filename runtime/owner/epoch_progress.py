@@ -1,0 +1,74 @@
+"""How far a run is: its epochs, and their attempts."""
+
+from __future__ import annotations
+
+from hierax.runtime.owner.effects import OwnerEffects
+from hierax.runtime.owner.inquiry import Inquiry
+from hierax.runtime.owner.members import Members
+from hierax.schemas.control import NEVER
+
+
+class EpochProgress:
+    """The epochs of a run.
+
+    Args:
+        members: who takes part.
+        inquiry: of attempts that do not end.
+        outlet: of the owner.
+        epoch, attempt, settled, last_attempt: as `Owner` has them.
+
+    Attributes:
+        epoch: the last one committed.
+        attempt: of the epoch after that, the last one begun; NEVER: none was.
+        last_attempt: the one of the last epoch committed that was.
+        running: whether an epoch is under way.
+        settled: it may have been acted upon, so it is done again with the same nodes.
+        drains: whether the epoch under way does not overlap with the next one.
+        drained: whether the last one committed did not.
+        over: whether it was the last one of the run.
+    """
+
+    def __init__(
+        self,
+        members: Members,
+        inquiry: Inquiry,
+        effects: OwnerEffects,
+        *,
+        epoch: int,
+        attempt: int,
+        settled: bool,
+        last_attempt: int,
+    ) -> None:
+        self.epoch = epoch
+        self.attempt = attempt
+        self.last_attempt = last_attempt
+        self.running = False
+        self.settled = settled
+        self.drains = False
+        self.drained = False
+        self.over = False
+        self._skips = attempt != NEVER  # of the next epoch the first attempt may have been begun and forgotten
+        self._members = members
+        self._inquiry = inquiry
+        self._effects = effects
+
+    def begin(self) -> None:
+        """Begin the next epoch, or begin it again."""
+        self.running = True
+        self.attempt += 1
+        self._inquiry.start()
+        self._effects.begin(self.epoch + 1, self.attempt, self._members.roster.version)
+
+    def committed(self, epoch: int) -> None:
+        """An epoch is committed."""
+        self.epoch = epoch
+        self.last_attempt, self.attempt = self.attempt, NEVER + self._skips
+        self._skips = False
+        self.running = False
+        self.drained, self.drains = self.drains, False
+        self.settled = False
+
+    def tick(self) -> None:
+        """Time has passed."""
+        if self.running and not self._members.lost:
+            self._inquiry.tick(self.epoch + 1, self.attempt, self._members.roster, self._members.processes)

@@ -1,0 +1,199 @@
+"""What a change makes of a roster, and whom that touches: pure functions.
+
+Every roster that comes out of here is valid as a deployment file's is, if the one that
+went in was; a change that would break it is refused in one line.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from typing import Any
+
+from hierax.runtime.core.errors import HierarchyError, HieraxError
+from hierax.runtime.core.graph import Pair, check_graph, topological_order
+from hierax.runtime.loading.nearest import did_you_mean
+from hierax.schemas.changes import Attach, Change, Detach, Replace
+from hierax.schemas.roster import Reference, Roster, RosterEdge
+from hierax.schemas.values import encode_value
+
+
+class ChangeError(HieraxError):
+    """A change of the roster is refused: which one, and why."""
+
+
+def apply(roster: Roster, change: Change, version: int, instances: Callable[[str], int]) -> Roster:
+    """The roster after a change.
+
+    Args:
+        roster: a valid one.
+        change: what is wanted.
+        version: of the new roster; higher than the old one's.
+        instances: a new instance number for the process of a node of that name; asked once
+            for each node that is attached or replaced, in name order. Numbers that any
+            process of that name has had must not come again, also after a detach.
+
+    Returns:
+        A valid roster. Nodes that are neither new nor replaced keep their instances.
+
+    Raises:
+        ChangeError: it cannot be done, or the result would be no hierarchy; the reason,
+            and the nearest valid name.
+    """
+    if isinstance(change, Attach):
+        return _attach(roster, change, version, instances)
+    if isinstance(change, Detach):
+        return _detach(roster, change, version)
+    return _replace(roster, change, version, instances)
+
+
+def restarted(roster: Roster, instances: Mapping[str, int], version: int) -> Roster:
+    """The roster with new processes for some of its nodes; its content stays.
+
+    Args:
+        roster: a valid one.
+        instances: their numbers, by node.
+        version: of the new roster; higher than the old one's.
+
+    Raises:
+        ChangeError: there is no node of that name, with the nearest one.
+    """
+    for name in sorted(instances):
+        _check_known(name, roster, f"cannot restart {name!r}")
+    return _successor(roster, version, roster.nodes, roster.edges, instances)
+
+
+def touched(old: Roster, new: Roster) -> frozenset[str]:
+    """The nodes that must be ready for a roster before it takes effect.
+
+    A node of `new` is touched if it is new itself, or if of what its engine is made of
+    anything is another: its class and parameters, its instance, its neighbours, their
+    instances, or one of its edges.
+    """
+    before, after = _joints(old), _joints(new)
+    return frozenset(name for name, joint in after.items() if before.get(name) != joint)
+
+
+def removed(old: Roster, new: Roster) -> frozenset[str]:
+    """The nodes that a roster has no more."""
+    return frozenset(old.nodes.keys() - new.nodes.keys())
+
+
+def _attach(roster: Roster, change: Attach, version: int, instances: Callable[[str], int]) -> Roster:
+    what = f"cannot attach {_list(change.nodes)}" if change.nodes else "cannot attach"
+    if not change.nodes:
+        raise ChangeError(f"{what}: no node is given")
+    for name in sorted(change.nodes):
+        if name == roster.world:
+            raise ChangeError(f"{what}: {name!r} is the world's name")
+        if name in roster.nodes:
+            raise ChangeError(f"{what}: there is a node {name!r} already; replace it, or detach it first")
+    nodes = {**roster.nodes, **change.nodes}
+    _check_ends(change.edges, nodes, what)
+    for edge in change.edges:
+        if edge.lower not in change.nodes and edge.upper not in change.nodes:
+            raise ChangeError(f"{what}: edge {edge.name} joins two other nodes; it must join one that is attached")
+    edges = (*roster.edges, *change.edges)
+    _check_hierarchy(roster.world, nodes, edges, what)
+    return _successor(roster, version, nodes, edges, {name: instances(name) for name in sorted(change.nodes)})
+
+
+def _detach(roster: Roster, change: Detach, version: int) -> Roster:
+    what = f"cannot detach {change.name!r}"
+    _check_known(change.name, roster, what)
+    if change.name == roster.world:
+        raise ChangeError(f"{what}: it is the world; stop the run instead")
+    staying = roster.nodes.keys() - {change.name}
+    pairs = [edge.pair for edge in roster.edges if change.name not in edge.pair]
+    lost = _cut_off(roster.world, staying, pairs)
+    if lost and not change.cascade:
+        raise ChangeError(
+            f"{what}: only it joins {_list(lost)} to the world; detach {'it' if len(lost) == 1 else 'them'} first, "
+            "or cascade (--cascade)"
+        )
+    nodes = {name: node for name, node in roster.nodes.items() if name in staying - lost}
+    edges = [edge for edge in roster.edges if edge.lower in nodes and edge.upper in nodes]
+    _check_hierarchy(roster.world, nodes, edges, what)
+    return _successor(roster, version, nodes, edges, {})
+
+
+def _replace(roster: Roster, change: Replace, version: int, instances: Callable[[str], int]) -> Roster:
+    name = change.name
+    what = f"cannot replace {name!r}"
+    _check_known(name, roster, what)
+    if name == roster.world:
+        raise ChangeError(
+            f"{what}: it is the world, whose process owns the roster and the run's history; start another run"
+        )
+    edges = roster.edges
+    if change.edges is not None:
+        _check_ends(change.edges, roster.nodes, what)
+        for edge in change.edges:
+            if name not in edge.pair:
+                raise ChangeError(f"{what}: edge {edge.name} does not join it")
+        edges = (*(edge for edge in edges if name not in edge.pair), *change.edges)
+    nodes = {**roster.nodes, name: change.reference}
+    _check_hierarchy(roster.world, nodes, edges, what)
+    return _successor(roster, version, nodes, edges, {name: instances(name)})
+
+
+def _successor(
+    roster: Roster,
+    version: int,
+    nodes: Mapping[str, Reference],
+    edges: Iterable[RosterEdge],
+    instances: Mapping[str, int],
+) -> Roster:
+    if version <= roster.version:
+        raise ValueError(f"roster version {version} does not follow {roster.version}")
+    for name, instance in instances.items():
+        if name in roster.nodes and instance <= roster.instance(name):
+            raise ValueError(f"{name}: instance {instance} does not follow {roster.instance(name)}")
+    kept = {name: number for name, number in roster.instances.items() if name in nodes}
+    ordered = tuple(sorted(edges, key=lambda edge: edge.pair))
+    return Roster(roster.world, nodes, ordered, version, {**kept, **instances})
+
+
+def _check_known(name: str, roster: Roster, what: str) -> None:
+    if name not in roster.nodes:
+        raise ChangeError(f"{what}: there is no such node{did_you_mean(name, roster.nodes, 'the nodes are')}")
+
+
+def _check_ends(edges: Iterable[RosterEdge], nodes: Iterable[str], what: str) -> None:
+    for edge in edges:
+        for end in edge.pair:
+            if end not in nodes:
+                nearest = did_you_mean(end, nodes, "the nodes are")
+                raise ChangeError(f"{what}: edge {edge.name} names {end!r}, and there is no such node{nearest}")
+
+
+def _check_hierarchy(world: str, nodes: Iterable[str], edges: Iterable[RosterEdge], what: str) -> None:
+    try:
+        check_graph(world, nodes, [edge.pair for edge in edges])
+    except HierarchyError as error:
+        raise ChangeError(f"{what}: {error}") from error
+
+
+def _cut_off(world: str, names: Iterable[str], pairs: Sequence[Pair]) -> frozenset[str]:
+    """The names that cannot be reached from the world."""
+    reached = {world}
+    for name in topological_order(names, pairs):
+        if any(lower in reached for lower, upper in pairs if upper == name):
+            reached.add(name)
+    return frozenset(names) - reached
+
+
+def _joints(roster: Roster) -> Mapping[str, bytes]:
+    """What each node's engine is made of; encoded, as parameters may hold arrays, and as 1, 1.0 and true differ."""
+    content: Any = roster.content()
+    joints: dict[str, list[Any]] = {
+        name: [node, name == roster.world, roster.instance(name)] for name, node in content["nodes"].items()
+    }
+    for edge in content["edges"]:
+        instances = (roster.instance(edge["lower"]), roster.instance(edge["upper"]))
+        joints[edge["lower"]].append((edge, instances))
+        joints[edge["upper"]].append((edge, instances))
+    return {name: encode_value(joint) for name, joint in joints.items()}
+
+
+def _list(names: Iterable[str]) -> str:
+    return ", ".join(repr(name) for name in sorted(names))

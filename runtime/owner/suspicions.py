@@ -1,0 +1,86 @@
+"""Nodes that are further than the world: somebody else has sent them observations in the name of a node below.
+
+Only the world begins epochs and attempts, so no node can be ahead of it. One that says that it is, is asked
+whether that is so, as anybody may have said it in its name.
+"""
+
+from __future__ import annotations
+
+from hierax.runtime.owner.effects import OwnerEffects
+from hierax.runtime.owner.epoch_progress import EpochProgress
+from hierax.runtime.owner.members import Members
+from hierax.schemas.control import AskStatus, Join, Status
+
+FIRST_INQUIRY = 1 << 40
+"""The numbers of these inquiries are no others' numbers."""
+
+MAX_REPEATS = 100
+"""How often an epoch is begun again because a node was moved on; then the run ends."""
+
+
+class Suspicions:
+    """Has an epoch begun again whose attempt a node has left; ends the run where that does not help.
+
+    Args:
+        members: who takes part.
+        course: of the epochs.
+        outlet: of the owner.
+    """
+
+    def __init__(self, members: Members, progress: EpochProgress, effects: OwnerEffects) -> None:
+        self._members = members
+        self._progress = progress
+        self._effects = effects
+        self._number = FIRST_INQUIRY
+        self._asked: dict[str, int] = {}
+        self._lies: dict[str, int] = {}
+        self._epoch = 0
+        self._repeats = 0
+
+    def is_ahead(self, said: Join | Status) -> bool:
+        """Whether a node that has a place says that it is further than the world has begun."""
+        members, progress = self._members, self._progress
+        if said.version != members.roster.version:
+            return said.version > members.roster.version
+        return (said.epoch, said.attempt) > (progress.epoch + 1, progress.attempt)
+
+    def hear(self, word: Join) -> None:
+        """A node says that it is ahead: ask it."""
+        self._number += 1
+        self._asked[word.name] = self._number
+        self._effects.tell(word.process, AskStatus(self._number))
+
+    def answer(self, status: Status) -> None:
+        """What it says when it is asked."""
+        if status.inquiry < FIRST_INQUIRY or self._asked.get(status.name) != status.inquiry:
+            return
+        del self._asked[status.name]
+        if not self.is_ahead(status):
+            self._tell_of_lie(status.name)
+            return
+        progress = self._progress
+        where = f"epoch {status.epoch}, attempt {status.attempt}, roster version {status.version}"
+        lowers = sorted(edge.lower for edge in self._members.roster.edges if edge.upper == status.name)
+        who = f"somebody else has sent it observations in the name of {' or '.join(lowers)}"
+        what = f"{status.name} is in {where}, which the world has not begun: {who}"
+        if status.version != self._members.roster.version or status.epoch != progress.epoch + 1:
+            self._effects.stop(f"{what}, or the world's record was damaged; the world is in epoch {progress.epoch + 1}")
+            return
+        self._repeats = self._repeats + 1 if self._epoch == status.epoch else 1
+        self._epoch = status.epoch
+        if self._repeats > MAX_REPEATS:
+            self._effects.stop(f"{what}, and {MAX_REPEATS} times before")
+            return
+        progress.attempt = max(progress.attempt, status.attempt)  # the next one is after it
+        if progress.running and not self._members.lost:
+            self._effects.note(f"{what}; the epoch is begun again")
+            progress.begin()
+
+    def _tell_of_lie(self, name: str) -> None:
+        """The first time, the second, the fourth, the eighth, …: it may be said any number of times."""
+        count = self._lies[name] = self._lies.get(name, 0) + 1
+        if count & (count - 1) == 0:
+            times = "" if count == 1 else f" ({count} times)"
+            self._effects.note(
+                f"{name}: somebody has said in its name that it is further than the world; it is not{times}"
+            )

@@ -1,0 +1,232 @@
+"""A recorder in a process of its own, beside a launch; also as `hierax record` runs it.
+
+Started by a supervisor with its order, a JSON object, as the first line of standard input.
+End of file there means that the run is over; a second line, if there was one, is the number
+of its last epoch. What it has to say goes to standard output as JSON objects, one a line.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import sys
+import threading
+import time
+from collections.abc import Mapping
+from contextlib import suppress
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+from hierax.runtime.core.errors import HieraxError
+from hierax.runtime.host.streams import own_streams
+from hierax.runtime.recording.check import Checker
+from hierax.runtime.recording.info import Ending, RunInfo
+from hierax.runtime.recording.recorder import Recorder
+from hierax.runtime.recording.selection import EVERYTHING, Selection
+from hierax.runtime.recording.writing import Compression, McapFile, Target
+from hierax.runtime.transport.hub import ask
+from hierax.runtime.transport.port import TransportError
+from hierax.runtime.transport.steps import BusTap
+from hierax.runtime.watch.logs import log_console
+from hierax.schemas.keys import Keys
+
+BATCH_S = 0.05
+"""How long what is heard may wait to be written."""
+
+LINGER_S = 2.0
+"""How long what was said, by the words of others, may still be on its way at the end."""
+
+QUIET_S = 0.3
+"""How long nothing may come at the end before it is the end."""
+
+LOOK_S = 1.0
+CUT_OFF_LOOKS = 5
+"""How often the keeper is asked; how often in a row it has to be further, and nothing come, for a recorder to end."""
+
+LISTENING, DONE, FAILED = "listening", "done", "failed"
+"""What it says: it hears all from now on; how the recording ended; why there is none."""
+
+
+class LiveRecording:
+    """A recorder at work: hears a run, until it is told to stop.
+
+    Args:
+        info: of the run.
+        endpoint: of the run's hub.
+        file: to be written; None: none.
+        check: whether the formal order is checked.
+        settings: Zenoh's own.
+        host: of this machine, for processes on others.
+        epochs: how many; None: until it is told to stop.
+        compression: of the file.
+        watches: whether nobody else tells when the launch is over, and how far it came.
+        selection: what is written of what is heard.
+
+    Raises:
+        HieraxError: the file cannot be written, or the run cannot be reached.
+    """
+
+    def __init__(
+        self,
+        info: RunInfo,
+        endpoint: str,
+        file: Path | Target | None,
+        check: bool,
+        settings: Any = None,
+        host: str | None = None,
+        epochs: int | None = None,
+        compression: Compression = "zstd",
+        watches: bool = False,
+        selection: Selection = EVERYTHING,
+    ) -> None:
+        info = replace(info, left_out=tuple(selection.exclude))
+        self.checker = Checker(info.how_stale) if check else None
+        written = None if file is None else McapFile(file, info, compression)
+        auditors = () if self.checker is None else (self.checker,)
+        self._recorder = Recorder(written, auditors, info.from_start, epochs, info.how_stale.barrier, selection)
+        self._keys = Keys(info.hierarchy, info.run)
+        self._ear = BusTap(endpoint, self._keys, settings, host)
+        self._endpoint = endpoint
+        self._settings = settings
+        self._stopping = False
+        self._last: int | None = None
+        self._watches = watches
+        self._silent = 0
+        self._before = 0
+
+    def stop(self, last: int | None = None) -> None:
+        """Come to the end; any thread may call it, and a signal's handler.
+
+        Args:
+            last: the last epoch of the run; None: it goes on, or nobody knows.
+        """
+        if last is not None:
+            self._last = last
+        self._stopping = True
+
+    def record(self) -> Ending:
+        """Hear and write until `stop`, the last epoch that is wanted, or the end of the launch.
+
+        Raises:
+            RecordingError: the file cannot be written.
+        """
+        recorder, ledger = self._recorder, self._recorder.ledger
+        looked_s = time.monotonic()
+        try:
+            while not (self._stopping or (ledger.ended and not self._checks_on)):
+                self._take(BATCH_S)
+                recorder.flush()
+                if self._watches and time.monotonic() - looked_s > LOOK_S:
+                    self._look()
+                    looked_s = time.monotonic()
+            if self._watches and not ledger.ended:
+                self._look()
+            self._linger()
+        finally:
+            self._ear.close()
+        self._take(0.0)
+        return recorder.finish(self._last if ledger.cut is None or not ledger.ended else ledger.cut)
+
+    @property
+    def _checks_on(self) -> bool:
+        """Whether the order is checked further, although nothing more is written."""
+        return self.checker is not None and bool(self._recorder.cut)
+
+    def _look(self) -> None:
+        """How far the launch is, by its keeper's words: a recorder that is cut off hears nothing, and not that."""
+        said = _epoch_of(self._ear.ask({"ask": "ps"}))
+        if said is None:
+            self._stopping = True
+            with suppress(TransportError):  # it is over; else this session is cut off, and another one is told
+                self._last = _epoch_of(ask(self._endpoint, {"ask": "ps"}, self._settings, keys=self._keys))
+            return
+        heard = self._recorder.ledger.last
+        behind = heard < (self._last or 0)
+        self._silent = self._silent + 1 if behind and heard == self._before else 0
+        self._before = heard
+        self._last = said
+        if self._silent >= CUT_OFF_LOOKS:
+            self._stopping = True
+
+    def _take(self, wait_s: float) -> bool:
+        heard = self._ear.wait(wait_s)
+        for each in heard:
+            self._recorder.take(each)
+        for key, data in self._ear.dropped():
+            self._recorder.drop(key, data)
+        return bool(heard)
+
+    def _linger(self) -> None:
+        """What was told by the last steps may still be on its way along other links."""
+        ledger = self._recorder.ledger
+        self._take(0.0)
+        if ledger.cut is None:
+            ledger.cut = max(ledger.last, self._last or 0)
+        begun_s = quiet_s = time.monotonic()
+        while not ledger.complete and time.monotonic() - begun_s < LINGER_S:
+            if self._take(BATCH_S):
+                quiet_s = time.monotonic()
+            # where epochs overlap, or a node was detached, not everybody tells of the last epoch
+            if ledger.settled and ledger.last >= ledger.cut and time.monotonic() - quiet_s > QUIET_S:
+                return
+
+
+def _epoch_of(said: Any) -> int | None:
+    """The last epoch by a keeper's words; None: it says none."""
+    epoch = said.get("epoch") if isinstance(said, dict) else None
+    return epoch if isinstance(epoch, int) else None
+
+
+def main() -> int:
+    """Read the order, record, say how it ended."""
+    own_streams()
+    log_console()
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is the supervisor's to handle
+    order = json.loads(sys.stdin.readline() or "{}")
+    if not order:
+        return 0
+    try:
+        recording = start(order)
+        _say({"status": LISTENING})
+        threading.Thread(target=_obey, args=(recording,), daemon=True).start()
+        ending = recording.record()
+    except HieraxError as error:
+        _say({"status": FAILED, "why": str(error)})
+        return 1
+    _say({"status": DONE, "ending": ending.plain(), "violations": violations(recording)})
+    return 0
+
+
+def start(order: Mapping[str, Any]) -> LiveRecording:
+    """A recorder at work, by its order."""
+    return LiveRecording(
+        RunInfo.read(order["info"]),
+        order["endpoint"],
+        Target(Path(order["file"]), order["descriptor"]) if order["file"] else None,
+        order["check"],
+        order["settings"],
+        order["host"],
+        selection=Selection(**order["selection"]),
+    )
+
+
+def violations(recording: LiveRecording) -> list[str]:
+    """What the checker has found."""
+    return [] if recording.checker is None else [str(each) for each in recording.checker.close()]
+
+
+def _obey(recording: LiveRecording) -> None:
+    line = sys.stdin.readline()
+    recording.stop(int(line) if line.strip() else None)
+
+
+def _say(value: Mapping[str, Any]) -> None:
+    sys.stdout.write(json.dumps(value) + "\n")
+    sys.stdout.flush()
+
+
+if __name__ == "__main__":
+    sys.stdout.flush()
+    os._exit(main())  # Zenoh's threads may hold the interpreter up

@@ -1,0 +1,206 @@
+"""Both ends of a recording: where a node tells its steps, and where a recorder hears all that is said."""
+
+from __future__ import annotations
+
+import logging
+import threading
+import time
+from collections import deque
+from typing import Any, NamedTuple
+
+import zenoh
+
+from hierax.runtime.transport.hub import KEEPER
+from hierax.runtime.transport.port import TransportError
+from hierax.runtime.transport.zenoh_session import Settings, close_session, open_session
+from hierax.schemas.errors import SchemaError
+from hierax.schemas.keys import Keys
+from hierax.schemas.values import Value, decode_value, encode_value
+
+CHANNEL_SIZE = 4096
+"""How many samples wait for the thread that takes them in; when it is full, their senders wait."""
+
+QUEUE_BYTES = 512 << 20
+"""How much may wait for the disk; what is more is dropped, counted and named."""
+
+ANSWER_TIMEOUT_S = 2.0
+
+BATCH_BYTES = 16 << 20
+"""With so much there is nothing to wait for."""
+
+_log = logging.getLogger("hierax")
+
+
+class StepPublisher:
+    """A node's end: tells steps and rosters while somebody listens, and nothing else.
+
+    Args:
+        session: an open session.
+        keys: of the run.
+        name: of the node.
+
+    Attributes:
+        heard: whether somebody listens.
+    """
+
+    def __init__(self, session: zenoh.Session, keys: Keys, name: str) -> None:
+        self._changed = threading.Event()
+
+        def publisher(key: str) -> Any:
+            return session.declare_publisher(
+                key, congestion_control=zenoh.CongestionControl.BLOCK, priority=zenoh.Priority.DATA
+            )
+
+        self._steps = publisher(keys.steps(name))
+        self._roster = publisher(keys.roster)
+        self._listener = self._steps.declare_matching_listener(self._on_matching)
+        self.heard = bool(self._steps.matching_status.matching)
+
+    def wait(self, timeout_s: float) -> bool:
+        """Wait until somebody listens; whether somebody does."""
+        if not self.heard:
+            self._changed.wait(timeout_s)
+        return self.heard
+
+    def _on_matching(self, status: zenoh.MatchingStatus) -> None:
+        self.heard = bool(status.matching)
+        self._changed.set()
+
+    def step(self, data: bytes) -> None:
+        """Tell an encoded step."""
+        self._put(self._steps, data)
+
+    def roster(self, data: bytes) -> None:
+        """Tell an encoded roster."""
+        self._put(self._roster, data)
+
+    def _put(self, publisher: Any, data: bytes) -> None:
+        try:
+            publisher.put(data)
+        except zenoh.ZError as error:
+            _log.info("a step is not told: %s", error)  # closing: the recorder finds that it lacks
+
+
+class Sample(NamedTuple):
+    """What came on a key.
+
+    Attributes:
+        time_ns: when, since 1970.
+        key: on which one.
+        data: the bytes; of a liveliness token empty.
+        is_token: whether it is about a process's liveliness token.
+        is_up: of a token, whether it appeared; else it is gone.
+    """
+
+    time_ns: int
+    key: str
+    data: bytes
+    is_token: bool = False
+    is_up: bool = False
+
+
+class BusTap:
+    """A recorder's end: takes in all that is said in a run as it comes, and keeps it until it is asked for.
+
+    A thread of its own takes samples in, so that nobody waits for the disk; shared memory is copied
+    at once. What the queue cannot hold is dropped, and told by `dropped`.
+
+    Args:
+        endpoint: of the run's hub.
+        keys: of the run.
+        settings: Zenoh's own.
+        host: address of this machine at which processes on others may link; None: this machine's only.
+        queue_bytes: how much the queue holds.
+
+    Raises:
+        TransportError: the hub cannot be reached.
+    """
+
+    def __init__(
+        self,
+        endpoint: str,
+        keys: Keys,
+        settings: Settings = None,
+        host: str | None = None,
+        queue_bytes: int = QUEUE_BYTES,
+    ) -> None:
+        listen = (f"tcp/{host}:0",) if host else ("tcp/127.0.0.1:0",)
+        self._session = open_session(listen, (endpoint,), settings)
+        self._keys = keys
+        self._queue_bytes = queue_bytes
+        self._queue: deque[Sample] = deque()
+        self._waiting = 0
+        self._dropped: deque[tuple[str, bytes]] = deque()
+        self._changed = threading.Condition()
+        self._closed = False
+        try:
+            self._channel = self._session.declare_subscriber(keys.everything, zenoh.handlers.FifoChannel(CHANNEL_SIZE))
+            self._tokens = self._session.liveliness().declare_subscriber(keys.alive("*"), self._on_token, history=True)
+        except zenoh.ZError as error:
+            close_session(self._session)
+            raise TransportError(f"cannot listen to the run: Zenoh: {error}") from error
+        self._taker = threading.Thread(target=self._take_in, name="hierax-ear", daemon=True)
+        self._taker.start()
+
+    def wait(self, timeout_s: float) -> list[Sample]:
+        """What has come since the last time, after a while: a batch costs those who take it in less than one each."""
+        with self._changed:
+            if self._waiting < BATCH_BYTES and not self._closed:
+                self._changed.wait(timeout_s)
+            heard, self._queue = self._queue, deque()
+            self._waiting = 0
+        return list(heard)
+
+    def dropped(self) -> list[tuple[str, bytes]]:
+        """Keys, and beginnings of the data, of what was dropped since the last time."""
+        with self._changed:
+            dropped, self._dropped = self._dropped, deque()
+        return list(dropped)
+
+    def ask(self, question: Value, timeout_s: float = ANSWER_TIMEOUT_S) -> Value:
+        """Ask the launch's keeper something; None: it does not answer."""
+        key = self._keys.control(KEEPER)
+        try:
+            for reply in self._session.get(key, payload=encode_value(question), timeout=timeout_s):
+                if reply.ok is not None:
+                    return decode_value(reply.ok.payload.to_bytes(), "answer")
+        except (zenoh.ZError, SchemaError):
+            return None
+        return None
+
+    def wake(self) -> None:
+        """Make `wait` return."""
+        with self._changed:
+            self._changed.notify()
+
+    def close(self) -> None:
+        """Hear nothing more; what was heard can still be asked for."""
+        close_session(self._session)
+        self._taker.join(1.0)
+
+    def _take_in(self) -> None:
+        while True:
+            try:
+                sample = self._channel.recv()
+            except zenoh.ZError:
+                break  # the session is closed
+            if sample is not None:
+                self._keep(Sample(time.time_ns(), str(sample.key_expr), sample.payload.to_bytes()))
+        with self._changed:
+            self._closed = True
+            self._changed.notify()
+
+    def _on_token(self, sample: zenoh.Sample) -> None:
+        is_up = sample.kind == zenoh.SampleKind.PUT
+        self._keep(Sample(time.time_ns(), str(sample.key_expr), b"", True, is_up))
+
+    def _keep(self, heard: Sample) -> None:
+        size = len(heard.data)
+        with self._changed:
+            if self._waiting + size > self._queue_bytes and self._queue:
+                self._dropped.append((heard.key, heard.data[:256]))
+                return
+            self._waiting += size
+            self._queue.append(heard)
+            if self._waiting >= BATCH_BYTES:
+                self._changed.notify()

@@ -1,0 +1,253 @@
+"""From the nodes' steps to what is on the canvas: the same for a run, a launch and a recording."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections import deque
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass, field
+
+from hierax.runtime.core.binding import metrics_of
+from hierax.runtime.core.elements import Value
+from hierax.runtime.core.graph import topological_order
+from hierax.runtime.core.node import Node
+from hierax.runtime.core.probe import Step
+from hierax.runtime.core.showing import Graph, Things, colour_of
+from hierax.runtime.loading.nearest import did_you_mean
+from hierax.runtime.viewing.layout import Column, Layout, arranged, unknown_names
+from hierax.runtime.viewing.texts import belief_text, figures_text
+from hierax.runtime.viewing.views import (
+    BELIEF,
+    EPOCHS,
+    HIERARCHY,
+    TOGETHER,
+    Kind,
+    Placed,
+    ShowError,
+    View,
+    placed,
+    shown_by,
+)
+from hierax.schemas.roster import Roster
+
+Together = Callable[[Mapping[str, Step]], Things]
+"""Shows what needs the steps of several nodes: of an epoch that all nodes have done, by name."""
+
+EPOCHS_OPEN = 16
+"""How many epochs the nodes of a hierarchy may be apart until those that are late are not waited for."""
+
+TELL_AFTER_EPOCHS = 20
+"""After so many a view that nothing is shown in is taken for a slip of the layout."""
+
+BELIEFS_KEPT = 4
+"""Of each node: an epoch may be done again."""
+
+_APART = (170.0, 110.0)
+"""Between nodes in the picture of the hierarchy: across and up."""
+
+
+class Canvas(ABC):
+    """Where things are drawn."""
+
+    @abstractmethod
+    def draw(self, epoch: int, time_s: float, things: Iterable[Placed]) -> None:
+        """Show things from an epoch on, in place of what was at their paths."""
+
+    @abstractmethod
+    def clear(self, epoch: int, time_s: float, paths: Iterable[str]) -> None:
+        """Show nothing at some paths from an epoch on."""
+
+    @abstractmethod
+    def arrange(self, columns: tuple[Column, ...]) -> None:
+        """Lay out the views."""
+
+
+@dataclass
+class _Epoch:
+    time_s: float
+    steps: dict[str, Step] = field(default_factory=dict)
+    figures: dict[str, str] = field(default_factory=dict)
+
+
+class ViewPresenter:
+    """Puts what nodes show on a canvas.
+
+    Args:
+        canvas: where it is drawn.
+        layout: of the views; None: one by what they hold.
+        together: shows what needs several nodes; None: nothing.
+        tell: told what the user should know, a line each.
+    """
+
+    def __init__(
+        self,
+        canvas: Canvas,
+        layout: Layout | None = None,
+        together: Together | None = None,
+        tell: Callable[[str], None] = lambda _: None,
+    ) -> None:
+        self._canvas = canvas
+        self._layout = layout
+        self._together = together
+        self._tell = tell
+        self._roster: Roster | None = None
+        self._views: dict[str, View] = {}
+        self._arranged: tuple[View, ...] = ()
+        self._told = False
+        self._shown: dict[str, frozenset[str]] = {}
+        self._beliefs: dict[str, deque[tuple[int, Value]]] = {}
+        self._figures: dict[str, str] = {}
+        self._epochs: dict[int, _Epoch] = {}
+        self._closed = self._whole = 0
+
+    def set_roster(self, roster: Roster) -> None:
+        """The nodes and edges from now on."""
+        self._roster = roster
+        for name in set(self._figures) - set(roster.nodes):
+            del self._figures[name]
+
+    def step(self, name: str, node: Node, step: Step, start: Value = None) -> None:
+        """Show what a node did.
+
+        Args:
+            name: of the node.
+            node: as it is built; its `show` and `metrics` are called.
+            step: what it did.
+            start: the belief that the epoch began in, where that is known and no step before it was shown.
+
+        Raises:
+            ShowError: what it shows cannot be shown.
+            OperatorError: its `metrics` failed.
+        """
+        assert self._roster is not None, "the roster comes before its nodes' steps"
+        if name not in self._roster.nodes:
+            return  # it has gone meanwhile
+        things = list(shown_by(name, node, step, self._before(name, step, start)))
+        text = "```\n" + belief_text(step.belief) + "\n```"
+        things.append(Placed(View(f"{name}/{BELIEF}", Kind.TEXT), f"{name}/{BELIEF}", name, text))
+        self._show(name, step.epoch, step.time_s, things)
+        self._gather(name, step, figures_text(metrics_of(name, node, step.belief, step.epoch)))
+
+    def epoch_took(self, epoch: int, time_s: float, wall_s: float) -> None:
+        """Show how long an epoch took, from its beginning to its commit.
+
+        Args:
+            epoch: which one.
+            time_s: the epoch's time.
+            wall_s: how long, in seconds.
+        """
+        view = View(EPOCHS, Kind.PLOT)
+        self._show(EPOCHS, epoch, time_s, [Placed(view, f"{EPOCHS}/took_ms", "epoch, ms", 1000.0 * wall_s)])
+
+    def close(self) -> None:
+        """Show what is still open."""
+        for number in sorted(self._epochs):
+            self._close(number)
+        self._arrange()
+        self._tell_unknown()
+
+    def _before(self, name: str, step: Step, start: Value) -> Value:
+        """The belief that the epoch began in: that of the last one that the node has done."""
+        kept = self._beliefs.setdefault(name, deque(maxlen=BELIEFS_KEPT))
+        while kept and kept[-1][0] >= step.epoch:
+            kept.pop()
+        before = kept[-1][1] if kept else start
+        kept.append((step.epoch, step.belief))
+        return before
+
+    def _show(self, source: str, epoch: int, time_s: float, things: Iterable[Placed]) -> None:
+        """Draw what a source shows of an epoch, and nothing where it showed something and does no more."""
+        things = list(things)
+        for thing in things:
+            self._know(thing.view, source)
+        paths = frozenset(thing.path for thing in things)
+        gone = self._shown.get(source, frozenset()) - paths
+        if gone:
+            self._canvas.clear(epoch, time_s, sorted(gone))
+        self._shown[source] = paths
+        self._canvas.draw(epoch, time_s, things)
+
+    def _know(self, view: View, source: str) -> None:
+        known = self._views.setdefault(view.name, view)
+        if known.kind is not view.kind:
+            raise ShowError(
+                f"{source}: the view {view.name!r} cannot hold a {view.kind.value} as it holds a {known.kind.value}"
+            )
+
+    def _gather(self, name: str, step: Step, figures: str) -> None:
+        """An epoch is closed when all nodes have done it, or are far behind."""
+        assert self._roster is not None
+        self._figures[name] = figures
+        number = step.epoch
+        if number <= self._closed:
+            return  # done again, or late
+        epoch = self._epochs.setdefault(number, _Epoch(step.time_s))
+        epoch.steps[name] = step
+        epoch.figures[name] = figures
+        for other in [other for other in self._epochs if other <= number - EPOCHS_OPEN]:
+            self._close(other)
+        if epoch.steps.keys() >= self._roster.nodes.keys():
+            self._close(number)
+            self._arrange()
+            self._whole += 1
+            if self._whole >= TELL_AFTER_EPOCHS:
+                self._tell_unknown()
+
+    def _close(self, number: int) -> None:
+        assert self._roster is not None
+        epoch = self._epochs.pop(number)
+        self._closed = max(self._closed, number)
+        for gone in [name for name in self._beliefs if name not in self._roster.nodes]:
+            del self._beliefs[gone]
+            self._show(gone, number, epoch.time_s, ())
+        if self._together is not None and epoch.steps.keys() >= self._roster.nodes.keys():
+            self._show(TOGETHER, number, epoch.time_s, self._shown_together(self._together, number, epoch.steps))
+        graph = hierarchy_graph(self._roster, {**self._figures, **epoch.figures})
+        self._show(HIERARCHY, number, epoch.time_s, [Placed(View(HIERARCHY, Kind.GRAPH), HIERARCHY, HIERARCHY, graph)])
+
+    def _shown_together(self, together: Together, number: int, steps: Mapping[str, Step]) -> tuple[Placed, ...]:
+        where = f"view.show in epoch {number}"
+        try:
+            things = together(dict(steps))
+        except Exception as error:
+            raise ShowError(f"{where}: {type(error).__name__}: {error}", "view.show") from error
+        return placed(TOGETHER, things, where)
+
+    def _tell_unknown(self) -> None:
+        """Say once which views of the layout nothing is shown in."""
+        if not self._told:
+            self._told = True
+            for name in unknown_names(self._views, self._layout):
+                self._tell(f"view.layout: nothing is shown in {name!r}{did_you_mean(name, self._views)}")
+
+    def _arrange(self) -> None:
+        """Lay out the views, where there are others than before: what the user has moved stays otherwise."""
+        views = tuple(self._views.values())
+        if views == self._arranged:
+            return
+        self._arranged = views
+        self._canvas.arrange(arranged(self._views, self._layout))
+
+
+def hierarchy_graph(roster: Roster, figures: Mapping[str, str]) -> Graph:
+    """The hierarchy, the world at the bottom, each node with some figures of its belief.
+
+    Args:
+        roster: nodes and edges.
+        figures: a text for each node, or none.
+    """
+    pairs = [(edge.lower, edge.upper) for edge in roster.edges]
+    depths: dict[str, int] = {}
+    for name in topological_order(roster.nodes, pairs):
+        depths[name] = max((depths[lower] + 1 for lower, upper in pairs if upper == name), default=0)
+    rows: dict[int, list[str]] = {}
+    for name, depth in depths.items():
+        rows.setdefault(depth, []).append(name)
+    across, up = _APART
+    places = {
+        name: ((at - (len(row) - 1) / 2) * across, -depth * up)
+        for depth, row in rows.items()
+        for at, name in enumerate(row)
+    }
+    texts = {name: "\n".join(filter(None, (name, figures.get(name, "")))) for name in depths}
+    return Graph(texts, pairs, places, {roster.world: colour_of(7)})

@@ -1,0 +1,84 @@
+"""Seeing a run in this process."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+
+from hierax.runtime.deployment import Deployment
+from hierax.runtime.engine.effects import Completed
+from hierax.runtime.execution import single
+from hierax.runtime.execution.report import Report
+from hierax.runtime.execution.runner import NodeRunner
+from hierax.runtime.viewing.presenter import ViewPresenter
+from hierax.runtime.watch.watcher import Watcher
+
+
+def run_seen(
+    deployment: Deployment,
+    presenter: ViewPresenter,
+    *,
+    epochs: int | None,
+    seed: int,
+    progress: Callable[[int], None] | None = None,
+) -> Report:
+    """Run a deployment in this process, and show it.
+
+    Args:
+        deployment, epochs, seed, progress: see `hierax.runtime.execution.single.run`.
+        exhibit: shows it.
+
+    Raises:
+        HieraxError: as `hierax.runtime.execution.single.run`; or what a node shows cannot be shown.
+    """
+    presenter.set_roster(deployment.roster)
+    clock = _Clock()
+
+    def watch(name: str, runner: NodeRunner) -> None:
+        runner.watch(_Seen(name, runner, presenter, clock))
+
+    try:
+        return single.run(deployment, epochs=epochs, seed=seed, progress=progress, watch=watch)
+    finally:
+        presenter.close()
+
+
+class _Clock:
+    """Time that stands still while things are drawn, as they are in the run's only thread."""
+
+    def __init__(self) -> None:
+        self._stood_s = 0.0
+        self._since_s = 0.0
+
+    def read_s(self) -> float:
+        return time.perf_counter() - self._stood_s
+
+    def __enter__(self) -> None:
+        self._since_s = time.perf_counter()
+
+    def __exit__(self, *error: object) -> None:
+        self._stood_s += time.perf_counter() - self._since_s
+
+
+class _Seen(Watcher):
+    """Shows one node."""
+
+    def __init__(self, name: str, runner: NodeRunner, presenter: ViewPresenter, clock: _Clock) -> None:
+        self._name = name
+        self._runner = runner
+        self._presenter = presenter
+        self._clock = clock
+        self._begun_s = clock.read_s()
+        self._took_s: tuple[int, float] | None = None
+
+    def committed(self, epoch: int, digest: bytes) -> None:
+        now_s = self._clock.read_s()
+        self._took_s = (epoch, now_s - self._begun_s)
+        self._begun_s = now_s
+
+    def completed(self, completed: Completed) -> None:
+        step = completed.step
+        with self._clock:
+            if self._took_s is not None and self._took_s[0] == step.epoch:
+                self._presenter.epoch_took(step.epoch, step.time_s, self._took_s[1])
+            self._presenter.step(self._name, self._runner.engine.node.node, step)

@@ -1,0 +1,51 @@
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+import pytest
+
+from hierax.runtime.host.run_folder import KEPT_RUNS, begin_run, is_alive, known_folders, run_folder, runs_folder
+
+NO_PROCESS = 2**22 - 1
+
+
+@pytest.fixture(autouse=True)
+def state(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path))
+
+
+def begin(number: int, pid: int = NO_PROCESS) -> Path:
+    folder = begin_run(f"{number:08x}", {"pid": pid})
+    os.utime(folder / "about.json", (number, number))
+    return folder
+
+
+def test_folders_are_where_logs_belong(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    assert runs_folder() == tmp_path / "hierax" / "runs"
+    for nowhere in ("", "relative"):
+        monkeypatch.setenv("XDG_STATE_HOME", nowhere)
+        assert runs_folder() == Path.home() / ".local" / "state" / "hierax" / "runs"
+
+
+def test_the_youngest_is_the_first() -> None:
+    made = [begin(number) for number in (1, 3, 2)]
+    assert known_folders() == [made[1], made[2], made[0]]
+
+
+def test_old_ones_go_but_not_those_that_run() -> None:
+    alive = begin(1, os.getpid())
+    for number in range(2, KEPT_RUNS + 4):
+        begin(number)
+    begin_run("last", {"pid": os.getpid()})
+    left = known_folders()
+    assert len(left) == KEPT_RUNS + 1
+    assert left[0] == run_folder("last")
+    assert left[-1] == alive
+
+
+@pytest.mark.parametrize(("about", "alive"), [('{"pid": -1}', False), ("torn {", False), ('{"pid": "x"}', False)])
+def test_what_cannot_be_read_is_over(about: str, alive: bool) -> None:
+    folder = begin(1)
+    (folder / "about.json").write_text(about)
+    assert is_alive(folder) is alive

@@ -1,0 +1,82 @@
+"""Processes that are missed, and the hub that has them link again."""
+
+from __future__ import annotations
+
+import threading
+from secrets import token_hex
+
+import pytest
+from support.launched import until
+from support.sockets import break_link
+
+from hierax.runtime.transport.absent_processes import TRIES_S, AbsentProcesses
+from hierax.runtime.transport.hub import Hub
+from hierax.runtime.transport.zenoh_port import ZenohPort
+from hierax.runtime.transport.zenoh_session import open_session
+from hierax.schemas.keys import Keys
+from hierax.schemas.messages import OBSERVATIONS, Header, Message
+
+
+def test_who_is_gone_is_asked_for_a_few_times() -> None:
+    now = 0.0
+    absent = AbsentProcesses(lambda: now)
+    absent.gone("a")
+    absent.gone("b")
+    absent.came("b")
+    asked = []
+    for tenth in range(400):
+        now = tenth / 10
+        asked += [(process, now) for process in absent.due()]
+    assert [process for process, _ in asked] == ["a"] * len(TRIES_S)
+    assert [when for _, when in asked] == pytest.approx(TRIES_S, abs=0.11)
+
+
+def test_a_link_that_breaks_alone_is_made_again_and_both_ends_are_told() -> None:
+    keys = Keys("absent", token_hex(4))
+    hub = Hub(keys, None, None)
+    hub.watch(lambda name, token: None)
+    sessions = {name: open_session(connect=[hub.endpoint]) for name in ("low", "up")}
+    ports = {name: ZenohPort(session, keys, name, f"process of {name}") for name, session in sessions.items()}
+    ports["low"].link([], ["up"], 0, {}, lambda _: None)
+    ports["up"].link(["low"], [], 0, {}, lambda _: None)
+    mended: list[tuple[str, str]] = []
+    came: list[int] = []
+    ending = threading.Event()
+
+    def receive(name: str) -> None:
+        ports[name].mended = lambda neighbour: mended.append((name, neighbour))
+        while not ending.is_set():
+            message = ports[name].receive()
+            if message is not None:
+                came.append(message.header.epoch)
+
+    def greet() -> bool:
+        for port in ports.values():
+            port.greet()
+        return all(port.ready for port in ports.values())
+
+    threads = [threading.Thread(target=receive, args=[name], daemon=True) for name in ports]
+    for thread in threads:
+        thread.start()
+    try:
+        until(greet, "the handshake")
+        until(lambda: all(hub.hears_of(f"process of {name}") for name in ports), "the tokens at the hub")
+        assert not mended
+        assert break_link(sessions["low"], sessions["up"]) == 1
+        until(lambda: not any(port.ready for port in ports.values()), "both ends to notice")
+        ports["low"].send(Message(Header(OBSERVATIONS, "low", "up", 1), ()))  # lost in silence
+        missed: list[str] = []
+        until(lambda: bool(missed.extend(ports["low"].absent.due()) or missed), "the process to be missed")
+        assert missed == ["process of up"]
+        hub.introduce("nobody that is known")
+        assert not greet()
+        hub.introduce(missed[0])
+        until(greet, "the handshake anew")
+        until(lambda: sorted(mended) == [("low", "up"), ("up", "low")], "both ends to be told")
+        ports["low"].send(Message(Header(OBSERVATIONS, "low", "up", 2), ()))
+        until(lambda: came == [2], "what is sent then")
+    finally:
+        ending.set()
+        for port in ports.values():
+            port.close()
+        hub.close()
