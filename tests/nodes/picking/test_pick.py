@@ -16,7 +16,7 @@ from hierax.nodes.picking.tracker import arm, poses_and_hand_seen, scene_known, 
 from hierax.nodes.picking.world import PickWorld, picture_and_hand_seen
 from hierax.nodes.tracking.math.geometry import invert, pose_error
 from hierax.nodes.tracking.render import SegmentedDepth
-from hierax.runtime.core.binding import Setting
+from hierax.runtime.core.binding import OperatorSetting
 from hierax.runtime.core.hierarchy import Edge, Hierarchy
 from hierax.runtime.core.process import ActiveHierarchy, update
 from hierax.schemas.values import encode_value
@@ -39,7 +39,7 @@ def hierarchy() -> Hierarchy:
         "spatial": spatial(SCENE, CUBES),
         "grasp": GraspNode(),
     }
-    return Hierarchy(nodes, "world", edges, Setting(seed=SEED))
+    return Hierarchy(nodes, "world", edges, OperatorSetting(seed=SEED))
 
 
 def test_a_cube_is_picked_up() -> None:

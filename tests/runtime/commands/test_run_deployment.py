@@ -11,7 +11,7 @@ from typing import Any
 import pytest
 from support.deployments import write
 
-from hierax.runtime.commands import running
+from hierax.runtime.commands import run_deployment as running
 from hierax.runtime.commands.main import main
 from hierax.runtime.core.errors import HieraxError
 from hierax.runtime.deployment import Deployment, DeploymentError
