@@ -21,8 +21,8 @@ COLOURS = ((196, 52, 44), (45, 96, 190), (58, 150, 72), (235, 190, 40), (120, 70
 GUESS_M = 0.003
 GUESS_RAD = np.radians(1.2)
 
-_NEAREST_M = np.array([0.40, -0.17])
-_FARTHEST_M = np.array([0.60, 0.17])
+_CORNER_M = np.array([0.40, -0.17])
+_FAR_CORNER_M = np.array([0.60, 0.17])
 _GAP_M = 0.030
 _BESIDE_M = (0.008, 0.018)
 _TRIES = 10_000
@@ -86,7 +86,7 @@ def _free_spot(rng: np.random.Generator, places: list[Place], number: int, side:
     """Where a cube has room however the cubes are turned; the third close to the first."""
     standing = [place for place in places if not place.below]
     for _ in range(_TRIES):
-        spot = rng.uniform(_NEAREST_M, _FARTHEST_M)
+        spot = rng.uniform(_CORNER_M, _FAR_CORNER_M)
         if number == 3:
             angle = rng.uniform(-np.pi, np.pi)
             distance = _radius(places[0].side_m) + _radius(side) + rng.uniform(*_BESIDE_M)
@@ -95,7 +95,7 @@ def _free_spot(rng: np.random.Generator, places: list[Place], number: int, side:
         gaps = [
             float(np.linalg.norm(spot - place.pose[:2, 3])) - _radius(place.side_m) - _radius(side) for place in others
         ]
-        inside = bool(np.all(spot >= _NEAREST_M) and np.all(spot <= _FARTHEST_M))
+        inside = bool(np.all(spot >= _CORNER_M) and np.all(spot <= _FAR_CORNER_M))
         if inside and min(gaps, default=np.inf) >= _GAP_M:
             return spot
     raise ValueError(f"there is no room for cube {number}")

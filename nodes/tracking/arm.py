@@ -14,14 +14,13 @@ import numpy as np
 from hierax.nodes.tracking.estimation.profiles import smoothed
 from hierax.nodes.tracking.estimation.tracked import (
     NO_CONTROLS,
-    NO_POSES,
     check_ids,
     diagonal_covariance,
     first_belief,
     imagined,
     tracked_metrics,
 )
-from hierax.nodes.tracking.math.geometry import Floats, exp_se3, invert, log_se3
+from hierax.nodes.tracking.math.geometry import NO_POSES, Floats, exp_se3, invert, log_se3
 from hierax.nodes.tracking.schema import (
     EXPECTED,
     LOST,

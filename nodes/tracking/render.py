@@ -10,10 +10,12 @@ from typing import NamedTuple
 
 import numpy as np
 
-from hierax.nodes.tracking.imagery.controls import Controls, controls_of
+from hierax.nodes.tracking.imagery.controls import controls_of
 from hierax.nodes.tracking.imagery.layers import Layer, LayerRenderer, Window, surrounding
 from hierax.nodes.tracking.imagery.occlusion import Placed, chances_seen
+from hierax.nodes.tracking.math.batched import only
 from hierax.nodes.tracking.math.geometry import Array, Floats, invert
+from hierax.nodes.tracking.model.controls import Controls
 from hierax.nodes.tracking.model.shapes import shape_of
 from hierax.nodes.tracking.schema import Alternative, Body, ControlPoints, ExpectedObject, Imagery, SpatialBelief
 
@@ -245,15 +247,7 @@ class SegmentedDepth:
 
 def _likely(controls: Controls, seen: Array) -> ControlPoints:
     kept = seen >= LEAST_CHANCE
-    return {
-        "points": controls.points[kept],
-        "tangents": controls.tangents[kept],
-        "inwards": controls.inwards[kept],
-        "kinds": controls.kinds[kept],
-        "edges": controls.edges[kept],
-        "faces": controls.faces[kept],
-        "visible": seen[kept],
-    }
+    return only(controls, kept).sent(seen[kept])
 
 
 def _expected(body: Body, controls: ControlPoints, others: tuple[Alternative, ...]) -> ExpectedObject:

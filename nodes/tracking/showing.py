@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from hierax.nodes.tracking.evaluation.pictures import CORRECTED, EXPECTED
-from hierax.nodes.tracking.math.geometry import Array, Floats, invert, pose_error, project, transform
+from hierax.nodes.tracking.math.geometry import NEAREST_M, Array, Floats, invert, pose_error, project, transform
 from hierax.nodes.tracking.render import DepthRenderer, Item
 from hierax.runtime import Step, Value
 from hierax.runtime.core.showing import (
@@ -32,7 +32,6 @@ from hierax.runtime.core.showing import (
     colour_of,
 )
 
-_NEAREST_M = 0.02
 _FRUSTUM_M = 0.12
 _COARSER = 4  # the image is drawn in the scene, too: small, so with every so manieth pixel
 _TRUE_M = 0.06
@@ -130,7 +129,7 @@ def _edges(objects: Any, moved: Floats, intrinsics: Array) -> Floats:
     if not lines:
         return np.zeros((0, 2, 2))
     points = np.concatenate(lines)
-    ahead = points[points[..., 2].min(axis=1) > _NEAREST_M]
+    ahead = points[points[..., 2].min(axis=1) > NEAREST_M]
     return project(ahead, intrinsics)
 
 
@@ -139,7 +138,7 @@ def _names(objects: Any, intrinsics: Array) -> dict[str, Thing]:
     things: dict[str, Thing] = {}
     for item in objects:
         origin = np.asarray(item["pose"])[:3, 3]
-        if item["status"] != "tracked" and origin[2] > _NEAREST_M:
+        if item["status"] != "tracked" and origin[2] > NEAREST_M:
             name = f"{item['id']} {item['status']}"
             things[f"/camera/names/{item['id']}"] = Points2D(project(origin[None], intrinsics), WHITE, 3.0, (name,))
     return things

@@ -11,7 +11,17 @@ import numpy as np
 from hierax.nodes.tracking.imagery.alternatives import elsewhere
 from hierax.nodes.tracking.imagery.physics import GRAVITY_M_S2, Motion, Simulator, Solid
 from hierax.nodes.tracking.imagery.resting import resting
-from hierax.nodes.tracking.math.geometry import Array, Floats, exp_se3, exp_so3, invert, log_se3, log_so3, make_pose
+from hierax.nodes.tracking.math.geometry import (
+    NO_POSES,
+    Array,
+    Floats,
+    exp_se3,
+    exp_so3,
+    invert,
+    log_se3,
+    log_so3,
+    make_pose,
+)
 from hierax.nodes.tracking.schema import Body, FirstBody, Model, SeenCamera, SeenObject, SpatialBelief
 from hierax.nodes.tracking.showing import spatial_things
 from hierax.runtime import NO_TICK, Elements, Node, Step, Tick, Value
@@ -29,7 +39,6 @@ _MOVES_SIGMAS, _STOPPED_SIGMAS = 4.0, 1.0
 
 _FALLS = 0.6  # what sinks by this part of a free fall is not carried
 _UNSURE = 0.2  # standard deviation of how far one goes that is not seen, for every metre that it was on its way to go
-_NO_POSES = np.zeros((0, 4, 4))
 
 # How much farther a body may be that was found again just now (m², rad²).
 _ASTRAY = np.diag([0.02**2] * 3 + [0.5**2] * 3)
@@ -231,8 +240,8 @@ def _body(item: FirstBody) -> Body:
         "known": False,
         "sought": False,
         "turn": 0,
-        "guesses": _NO_POSES,
-        "others": _NO_POSES,
+        "guesses": NO_POSES,
+        "others": NO_POSES,
         "kept": 0,
         "model": model,
         "mass": DENSITY_KG_M3 * float(np.prod(np.ptp(vertices, axis=0))),
@@ -261,7 +270,7 @@ def _with_others(body: Body, guesses: Floats) -> Body:
         guesses: (n, 4, 4) where it may be by then by what the arm saw.
     """
     if not body["sought"] or not body["known"]:
-        return {**body, "others": _NO_POSES, "kept": 0}
+        return {**body, "others": NO_POSES, "kept": 0}
     covariance = body["covariance"] if body["status"] != "tracked" else body["covariance"] + _ASTRAY
     others = elsewhere(body["pose"], covariance, body["support"] * body["stands"], body["turn"])
     return {

@@ -38,7 +38,7 @@ def expected(box: Box, predicted: np.ndarray[Any, Any]) -> dict[str, Any]:
         "status": "tracked",
         "vain": 0,
         "slots": NOTHING,
-        "controls": controls._asdict(),
+        "controls": controls.sent(controls.visible.astype(np.float32)),
     }
 
 

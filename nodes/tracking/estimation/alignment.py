@@ -15,20 +15,22 @@ from numpy.typing import NDArray
 
 from hierax.nodes.tracking.estimation.appearance import Memory
 from hierax.nodes.tracking.estimation.gamma_bias import Tone, told_by
-from hierax.nodes.tracking.estimation.profiles import Controls, Image, Indices, Lines, Profiles
+from hierax.nodes.tracking.estimation.profiles import Image
 from hierax.nodes.tracking.estimation.stages import (
-    NEAREST_M,
     STRANGE_WEIGHT,
+    Matches,
     Search,
     Stage,
     chosen_near,
     normal_equations,
     read_stage,
     seen_from,
+    views_of,
     weights_of,
 )
-from hierax.nodes.tracking.math.batched import exp_many, log_many, solved
+from hierax.nodes.tracking.math.batched import exp_many, log_many, solved, summed, tukey
 from hierax.nodes.tracking.math.geometry import Array, Floats
+from hierax.nodes.tracking.model.controls import Controls
 
 # Where edges are so dense that more than the rest of the places are near one, to be near one proves little.
 _LEAST_RARITY = 0.4
@@ -46,16 +48,6 @@ class Start(NamedTuple):
     camera: Floats | None = None
 
 
-class Matches(NamedTuple):
-    """Of each line: the column of its hypothesis, its residual (inf where none), how strange it looks,
-    whether it supports the pose."""
-
-    columns: Indices
-    pixels: Floats
-    strange: Floats
-    supported: NDArray[np.bool_]
-
-
 class Aligned(NamedTuple):
     """What the image says of the poses."""
 
@@ -71,9 +63,9 @@ class Aligned(NamedTuple):
     # tone, told: how far edges seem to be moved by the encoding of light, beyond what was known; see `encoding`
     tone: Tone
     told: Floats
-    lines: Lines  # lines, profiles, matches: of the last stage
-    profiles: Profiles
-    matches: Matches
+    stage: Stage  # the last one
+    matches: Matches  # there
+    supported: NDArray[np.bool_]  # (n,) of each line, whether its hypothesis supports the pose
 
 
 class _State(NamedTuple):
@@ -107,49 +99,43 @@ def align(
         if stage is None:
             return None
         for scale in np.linspace(*scales, search.iterations):
-            state = _step(state, start, stage, np.full(len(stage.owners), scale), intrinsics, search)
+            state = _step(state, start, stage, scale, intrinsics, search)
     assert stage is not None
-    scale = _fine_scale(state, stage, intrinsics, search)
+    ends = _fine_scale(state, stage, intrinsics, search)
     for _ in range(search.fine_iterations):
-        state = _step(state, start, stage, scale, intrinsics, search)
-    return _judged(state, start, stage, scale, intrinsics, search)
+        state = _step(state, start, stage, ends, intrinsics, search)
+    return _judged(state, start, stage, ends, intrinsics, search)
 
 
 def _fine_scale(state: _State, stage: Stage, intrinsics: Array, search: Search) -> Floats:
     """(n,) where Tukey's weight ends for each control point in the end, by how far its object's residuals spread."""
-    seen = seen_from(state.poses, stage, intrinsics)
-    _, residuals, _ = chosen_near(seen, stage, np.full(len(stage.owners), search.support_px))
-    sizes = np.abs(residuals)
+    seen = seen_from(state.poses, stage.controls, stage.lines, intrinsics)
+    sizes = np.abs(chosen_near(seen, stage, search.support_px).pixels)
     scales = np.full(len(state.poses), search.fine_px[1])
-    ends = np.searchsorted(stage.owners, np.arange(len(scales) + 1))
-    for at in range(len(scales)):
-        near = sizes[ends[at] : ends[at + 1]]
-        near = near[near < search.support_px]
+    for at, view in enumerate(views_of(stage.controls.owners, len(scales))):
+        near = sizes[view][sizes[view] < search.support_px]
         if len(near):
             scales[at] = np.clip(_SPREADS * float(np.median(near)), *search.fine_px)
-    found: Floats = scales[stage.owners]
+    found: Floats = scales[stage.controls.owners]
     return found
 
 
-def offsets_at(aligned: Aligned, controls: Controls, poses: Floats, intrinsics: Array) -> Floats:
+def offsets_at(aligned: Aligned, poses: Floats, intrinsics: Array) -> Floats:
     """(n,) of each line the pixels along the normal from where other poses, near by, put it to its hypothesis."""
-    rows = aligned.lines.rows
-    turned = poses[controls.owners[rows]]
-    points = (turned[:, :3, :3] @ controls.points[rows][:, :, None])[..., 0] + turned[:, :3, 3]
-    pixels = points[:, :2] / np.maximum(points[:, 2:], NEAREST_M) * intrinsics[:2] + intrinsics[2:]
-    moved = np.einsum("nk,nk->n", pixels - aligned.lines.pixels, aligned.lines.normals)
-    places = aligned.profiles.places[np.arange(len(rows)), aligned.matches.columns]
-    offsets: Floats = places.astype(np.float64) - moved
+    stage = aligned.stage
+    places = stage.profiles.places[np.arange(len(stage.numbers)), aligned.matches.columns]
+    offsets: Floats = places.astype(np.float64) - seen_from(poses, stage.controls, stage.lines, intrinsics).moved
     return offsets
 
 
-def _step(state: _State, start: Start, stage: Stage, scale: Floats, intrinsics: Array, search: Search) -> _State:
+def _step(
+    state: _State, start: Start, stage: Stage, scale: Floats | float, intrinsics: Array, search: Search
+) -> _State:
     """One Gauss-Newton step of all objects and the camera."""
-    seen = seen_from(state.poses, stage, intrinsics)
-    columns, residuals, strange = chosen_near(seen, stage, scale)
-    weights = weights_of(stage, columns, residuals, strange, scale, search)
-    used = weights > 0
-    blocks, gradients = normal_equations(state.poses, stage, seen, residuals, weights, used, intrinsics)
+    seen = seen_from(state.poses, stage.controls, stage.lines, intrinsics)
+    matches = chosen_near(seen, stage, scale)
+    weights = weights_of(stage, matches, scale, search)
+    blocks, gradients = normal_equations(state.poses, stage, seen, matches.pixels, weights, intrinsics)
     twists = log_many(np.concatenate((state.shift[None], state.own)))
     shift, own = twists[0], twists[1:]
     count = len(start.poses)
@@ -176,33 +162,35 @@ def _step(state: _State, start: Start, stage: Stage, scale: Floats, intrinsics: 
 
 def _judged(state: _State, start: Start, stage: Stage, scale: Floats, intrinsics: Array, search: Search) -> Aligned:
     """The poses with their information and scores."""
-    seen = seen_from(state.poses, stage, intrinsics)
-    columns, residuals, strange = chosen_near(seen, stage, np.full(len(stage.owners), search.support_px))
-    supported = (np.abs(residuals) < search.support_px) & (strange < _STRANGE)
-    weights = weights_of(stage, columns, residuals, strange, scale, search)
-    moved = -stage.contrasts[np.arange(len(columns)), columns].astype(np.float64)
-    blocks, slopes = normal_equations(state.poses, stage, seen, residuals, weights, weights > 0, intrinsics, moved)
+    seen = seen_from(state.poses, stage.controls, stage.lines, intrinsics)
+    matches = chosen_near(seen, stage, search.support_px)
+    supported = (np.abs(matches.pixels) < search.support_px) & (matches.strange < _STRANGE)
+    weights = weights_of(stage, matches, scale, search)
+    moved = -stage.contrasts[np.arange(len(weights)), matches.columns].astype(np.float64)
+    blocks, slopes = normal_equations(state.poses, stage, seen, matches.pixels, weights, intrinsics, moved)
     tone = Tone(blocks[:, 12, :12], blocks[:, 12, 12], slopes[:, 12])
     blocks, slopes = blocks[:, :12, :12], slopes[:, :12]
-    told = told_by(tone, blocks, slopes)
-    count = len(start.poses)
-
-    def summed(values: Floats) -> Floats:
-        return np.asarray(np.bincount(stage.owners, weights=values, minlength=count), dtype=np.float64)
-
+    owners, count = stage.controls.owners, len(start.poses)
     # Where edges crowd, they may claim the same one in the image; it counts for neither.
-    counted = stage.visible * stage.apart
-    shown = summed(counted)
-    share = summed(np.where(supported, counted, 0.0)) / np.maximum(shown, 1e-6)
-    chance = summed(counted * _chance(stage, search)) / np.maximum(shown, 1e-6)
-    scores = np.maximum(0.0, (share - chance) / np.maximum(1.0 - chance, _LEAST_RARITY))
-    part = np.minimum(np.abs(residuals) / (2.0 * search.support_px), 1.0)
-    gains = summed(counted * (1.0 - part * part) ** 2 * np.exp(-STRANGE_WEIGHT * strange))
-    matches = Matches(columns, residuals, strange, supported)
-    own = log_many(state.own)
-    lines, profiles = stage.lines, stage.profiles
+    counted = stage.controls.visible * stage.memory.apart
+    shown = summed(owners, counted, count)
+    share = summed(owners, np.where(supported, counted, 0.0), count) / np.maximum(shown, 1e-6)
+    chance = summed(owners, counted * _chance(stage, search), count) / np.maximum(shown, 1e-6)
+    familiar = np.exp(-STRANGE_WEIGHT * matches.strange)
     return Aligned(
-        state.poses, state.shift, own, blocks, slopes, scores, shown, gains, tone, told, lines, profiles, matches
+        state.poses,
+        state.shift,
+        log_many(state.own),
+        blocks,
+        slopes,
+        np.maximum(0.0, (share - chance) / np.maximum(1.0 - chance, _LEAST_RARITY)),
+        shown,
+        summed(owners, counted * tukey(matches.pixels, 2.0 * search.support_px) * familiar, count),
+        tone,
+        told_by(tone, blocks, slopes),
+        stage,
+        matches,
+        supported,
     )
 
 

@@ -12,8 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hierax.nodes.tracking.estimation.gamma_bias import UNTOLD
-from hierax.nodes.tracking.estimation.profiles import EDGE_SLOTS, Controls, Indices, Profiles, Singles
+from hierax.nodes.tracking.estimation.profiles import Profiles, Singles
 from hierax.nodes.tracking.math.geometry import Floats
+from hierax.nodes.tracking.model.controls import EDGE_SLOTS, Controls, Indices
 from hierax.nodes.tracking.schema import Looks
 
 NOTHING: Looks = {
@@ -58,44 +59,50 @@ def recalled(objects: list[Looks], controls: Controls, channels: int) -> Memory:
     precision = np.zeros((count, 2), dtype=np.float32)
     trust = np.ones(count, dtype=np.float32)
     ends = np.searchsorted(controls.owners, np.arange(len(objects) + 1))
+    places, creases = controls.slots, controls.creases
     for at, slots in enumerate(objects):
-        keys = slots["keys"]
-        view = slice(ends[at], ends[at + 1])
-        wanted = controls.slots[view]
-        trust[view] = _trust(slots, wanted[:, 0] // EDGE_SLOTS) * _share_found(slots, wanted[:, 0]) ** _DOUBT
+        keys, view = slots["keys"], slice(ends[at], ends[at + 1])
+        wanted = places[view]
+        trust[view] = _trust(slots, wanted[:, 0])
         if not len(keys) or slots["colours"].shape[1] != channels:
             continue
         place = np.minimum(np.searchsorted(keys, wanted), len(keys) - 1)
         known = (keys[place] == wanted) & (slots["weights"][place] >= _FIRST_WEIGHT)
-        known[:, 1] &= controls.creases[view]
+        known[:, 1] &= creases[view]
         colours[view] = slots["colours"][place]
         precision[view] = np.where(known, 1.0 / (_LEAST_SPREAD + slots["spread"][place]), 0.0)
     return Memory(colours, precision, trust, np.ones(count, dtype=np.float32), np.zeros(count, dtype=np.float32))
 
 
-def _trust(slots: Looks, edges: NDArray[np.int64]) -> Singles:
-    known = slots["edges"]
-    if not len(known):
-        return np.ones(len(edges), dtype=np.float32)
-    place = np.minimum(np.searchsorted(known, edges), len(known) - 1)
-    offset, frames = slots["offsets"][place].T
+def _trust(slots: Looks, parts: NDArray[np.int64]) -> Singles:
+    """(n,) of parts of edges, by how far their edges are off, and in what share of images, as if in one more, they were
+    found: where an object has no contrast of its own, what is found in the end belongs to something else."""
+    offset, frames = _kept(slots["edges"], slots["offsets"], parts // EDGE_SLOTS)
     part = offset * np.minimum(frames / np.float32(_FRAMES), np.float32(1.0)) / np.float32(_TRUSTED_PX)
-    trust: Singles = np.where(known[place] == edges, 1.0 / (1.0 + part * part), np.float32(1.0)).astype(np.float32)
+    found, sought = _kept(slots["parts"], slots["hits"], parts)
+    trust: Singles = 1.0 / (1.0 + part * part) * ((found + 1.0) / (sought + 1.0)) ** _DOUBT
     return trust
 
 
-def _share_found(slots: Looks, parts: NDArray[np.int64]) -> Singles:
-    """(n,) in what share of images parts of edges were found, as if in one more.
-
-    Where an object has no contrast of its own, what is found in the end belongs to something else.
-    """
-    known = slots["parts"]
+def _kept(known: NDArray[np.int64], values: Singles, wanted: NDArray[np.int64]) -> Singles:
+    """(2, n) what is kept under the wanted numbers; zeros of those that are not known."""
     if not len(known):
-        return np.ones(len(parts), dtype=np.float32)
-    place = np.minimum(np.searchsorted(known, parts), len(known) - 1)
-    found, sought = slots["hits"][place].T
-    share: Singles = np.where(known[place] == parts, (found + 1.0) / (sought + 1.0), 1.0).astype(np.float32)
-    return share
+        return np.zeros((2, len(wanted)), dtype=np.float32)
+    place = np.minimum(np.searchsorted(known, wanted), len(known) - 1)
+    found: Singles = np.where(known[place] == wanted, values[place].T, np.float32(0.0))
+    return found
+
+
+def _laid_out(
+    known: NDArray[np.int64], found: NDArray[np.int64], *kept: Singles
+) -> tuple[NDArray[np.int64], NDArray[np.intp], list[Floats]]:
+    """All numbers, ascending; where the found ones are among them; and at each what was kept, zeros of new ones."""
+    every = np.union1d(known, found)
+    before = np.searchsorted(every, known)
+    laid = [np.zeros((len(every), *values.shape[1:])) for values in kept]
+    for new, values in zip(laid, kept, strict=True):
+        new[before] = values
+    return every, np.searchsorted(every, found), laid
 
 
 def sought(slots: Looks, parts: NDArray[np.int64], found: NDArray[np.bool_]) -> Looks:
@@ -110,10 +117,7 @@ def sought(slots: Looks, parts: NDArray[np.int64], found: NDArray[np.bool_]) -> 
         return slots
     now, place = np.unique(parts, return_inverse=True)
     share = np.bincount(place, weights=found) / np.bincount(place)
-    every = np.union1d(slots["parts"], now)
-    hits = np.zeros((len(every), 2))
-    hits[np.searchsorted(every, slots["parts"])] = slots["hits"]
-    at = np.searchsorted(every, now)
+    every, at, (hits,) = _laid_out(slots["parts"], now, slots["hits"])
     hits[at] = (1.0 - 1.0 / _FRAMES) * hits[at] + np.stack((share, np.ones(len(now))), axis=1)
     return {**slots, "parts": every, "hits": hits.astype(np.float32)}
 
@@ -135,23 +139,20 @@ def measured(slots: Looks, edges: NDArray[np.int64], offsets: Floats) -> Looks:
         return slots
     found, place = np.unique(edges, return_inverse=True)
     mean = np.bincount(place, weights=offsets) / np.bincount(place)
-    every = np.union1d(slots["edges"], found)
-    kept = np.zeros((len(every), 2))
-    kept[np.searchsorted(every, slots["edges"])] = slots["offsets"]
-    now = np.searchsorted(every, found)
+    every, now, (kept,) = _laid_out(slots["edges"], found, slots["offsets"])
     kept[now, 1] = np.minimum(kept[now, 1] + 1.0, _OFFSET_FRAMES)
     kept[now, 0] += (mean - kept[now, 0]) / kept[now, 1]
     return {**slots, "edges": every, "offsets": kept.astype(np.float32)}
 
 
-def strangeness(memory: Memory, controls: Controls, rows: Indices, profiles: Profiles) -> Singles:
+def strangeness(memory: Memory, profiles: Profiles) -> Singles:
     """(n, k): how far each peak's surroundings are from what is remembered, in variances of a channel, bounded."""
-    precision = memory.precision[rows]
+    precision = memory.precision
     total = np.zeros(profiles.places.shape, dtype=np.float32)
     for side, colours in ((0, profiles.inside), (1, profiles.outside)):
         known = np.nonzero(precision[:, side] > 0)[0]
         if len(known):
-            off = colours[known] - memory.colours[rows[known], side][:, None, :]
+            off = colours[known] - memory.colours[known, side][:, None, :]
             square = np.einsum("pkc,pkc->pk", off, off) / np.float32(off.shape[2])
             total[known] += np.minimum(square * precision[known, side][:, None], np.float32(_MOST_STRANGE))
     # Where all look strange, the light has changed: then that says little.
@@ -188,14 +189,7 @@ def remembered(slots: Looks, controls: Controls, rows: Indices, colours: Singles
     old = slots
     if slots["colours"].shape[1] != channels:
         old = {**NOTHING, "colours": np.zeros((0, channels), dtype=np.float32)}
-    every = np.union1d(old["keys"], found)
-    before, now = np.searchsorted(every, old["keys"]), np.searchsorted(every, found)
-    weights = np.zeros(len(every))
-    weights[before] = old["weights"]
-    kept = np.zeros((len(every), channels))
-    kept[before] = old["colours"]
-    spread = np.zeros(len(every))
-    spread[before] = old["spread"]
+    every, now, (weights, kept, spread) = _laid_out(old["keys"], found, old["weights"], old["colours"], old["spread"])
     gain = 1.0 / np.minimum(weights[now] + 1.0, _FRAMES)
     off: Floats = mean - kept[now]
     off[weights[now] == 0] = 0.0

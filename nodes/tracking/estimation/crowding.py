@@ -9,8 +9,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from hierax.nodes.tracking.estimation.profiles import Controls
-from hierax.nodes.tracking.math.geometry import Array, Floats
+from hierax.nodes.tracking.math.batched import pixels_of, placed
+from hierax.nodes.tracking.math.geometry import NEAREST_M, Array, Floats
+from hierax.nodes.tracking.model.controls import Controls
 
 # Parallel edges that far apart have peaks of their own: three standard deviations of the lens's blur and ours.
 _APART_PX = 3.0
@@ -21,8 +22,6 @@ _BEYOND_PX = 4.0  # how far beyond its last control points an edge goes on
 # Edges that are as near as this, and in depth by this share of it, are one that is listed twice.
 _SAME_PX = 0.7
 _SAME_DEPTH = 0.005
-
-_NEAREST_M = 0.02
 
 
 def apartness(controls: Controls, poses: Floats, intrinsics: Array) -> Floats:
@@ -35,11 +34,9 @@ def apartness(controls: Controls, poses: Floats, intrinsics: Array) -> Floats:
     """
     if not len(controls.owners):
         return np.zeros(0)
-    turned = poses[controls.owners]
-    seen = (turned[:, :3, :3] @ controls.points[:, :, None])[..., 0] + turned[:, :3, 3]
-    depth = np.maximum(seen[:, 2], _NEAREST_M)
-    pixels = seen[:, :2] / depth[:, None] * intrinsics[:2] + intrinsics[2:]
-    first = np.nonzero(np.diff(controls.edges, prepend=-1))[0]
+    seen = placed(poses, controls.owners, controls.points)
+    depth, pixels = np.maximum(seen[:, 2], NEAREST_M), pixels_of(seen, intrinsics)
+    first = np.nonzero(np.diff(controls.numbers, prepend=-1))[0]
     last = np.append(first[1:], len(pixels)) - 1
     # Each edge as the line from its first control point to its last.
     length = np.hypot(*(pixels[last] - pixels[first]).T)

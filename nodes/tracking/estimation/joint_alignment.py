@@ -12,12 +12,13 @@ from hierax.nodes.tracking.estimation.alignment import Aligned, Start, align
 from hierax.nodes.tracking.estimation.appearance import Memory, only_found, recalled
 from hierax.nodes.tracking.estimation.crowding import apartness
 from hierax.nodes.tracking.estimation.fusion import Fused, Prior, fuse
-from hierax.nodes.tracking.estimation.profiles import Controls, Image, gathered
-from hierax.nodes.tracking.estimation.stages import NEAREST_M, Search
+from hierax.nodes.tracking.estimation.profiles import Image
+from hierax.nodes.tracking.estimation.stages import Search
 from hierax.nodes.tracking.estimation.tracked import motion_of
 from hierax.nodes.tracking.math.batched import exp_many, inverse
-from hierax.nodes.tracking.math.geometry import Array, Floats
-from hierax.nodes.tracking.schema import Looks, TrackedObject
+from hierax.nodes.tracking.math.geometry import NEAREST_M, Array, Floats
+from hierax.nodes.tracking.model.controls import Controls, gathered
+from hierax.nodes.tracking.schema import TrackedObject
 
 FAMILIAR_UNREST = 0.3  # an object with less unrest is lit as it was
 LEARNED_SCORE = 0.6  # with a lower score an object tells nothing of its looks, nor of light's encoding
@@ -56,29 +57,18 @@ class Explained(NamedTuple):
     fused: Fused
 
 
-def task_of(
-    image: Image,
-    objects: Sequence[TrackedObject],
-    slots: Sequence[Looks],
-    prior: Prior,
-    intrinsics: Array,
-    error_px: float,
-) -> Task:
+def task_of(image: Image, objects: Sequence[TrackedObject], prior: Prior, intrinsics: Array, error_px: float) -> Task:
     """What is to be aligned.
 
     Args:
         image, objects, intrinsics: as for `hierax.nodes.tracking.search.association.associate`.
-        slots: what is remembered of each object.
         prior: of `prior_of`.
         error_px: standard deviation of a control point, as if they erred independently.
     """
     controls = gathered([item["controls"] for item in objects])
     # The light on what moves changes.
-    known = [
-        part if item["unrest"] < FAMILIAR_UNREST else only_found(part)
-        for part, item in zip(slots, objects, strict=True)
-    ]
-    factor = encoding.believed([part["encoding"] for part in slots])
+    known = [item["slots"] if item["unrest"] < FAMILIAR_UNREST else only_found(item["slots"]) for item in objects]
+    factor = encoding.believed([item["slots"]["encoding"] for item in objects])
     predicted = np.stack([item["pose"] for item in objects])
     memory = recalled(known, controls, image.shape[2])
     memory = memory._replace(

@@ -2,66 +2,26 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import NamedTuple
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from hierax.nodes.tracking.math.geometry import Array, Floats
-from hierax.nodes.tracking.schema import ControlPoints
+from hierax.nodes.tracking.math.batched import placed
+from hierax.nodes.tracking.math.geometry import NEAREST_M, Array, Floats
+from hierax.nodes.tracking.model.controls import Controls, Indices
 
 cv2.setNumThreads(1)
 
 Image = NDArray[np.float32]
 Singles = NDArray[np.float32]
-Indices = NDArray[np.intp]
 
-_NEAREST_M = 0.02
 _MOST_ROWS = 30_000
 _MARGIN_PX = 3.0
 _ALONG_M = 1e-3
-_PART_M = 0.008
-_PARTS = 4096
-_FACES = 65536
-EDGE_SLOTS = _PARTS * _FACES  # a slot's number over this is its edge's
 _FLANK_PX = 4  # how far beyond the searched places a profile is read: what lies beside a peak tells whose edge it is
 _BESIDE_PX = (2, 3, 4)  # where beside a peak the colour of a side is read
-
-
-class Controls(NamedTuple):
-    """Control points of several objects, each object's together."""
-
-    owners: Indices  # (n,) index of the object (of its pose in the stack of poses), ascending
-    points: Floats  # (n, 3) object's frame, metres
-    tangents: Floats  # (n, 3) unit vectors along the edge, object's frame
-    inwards: Floats  # (n, 3) unit vectors into a face that is seen, square to the edge, object's frame
-    creases: NDArray[np.bool_]  # (n,) whether the object is on both sides
-    edges: Indices  # (n,) number of the edge, different for different objects, ascending
-    slots: NDArray[np.int64]  # (n, 2) where the colours inside and outside are remembered, see `appearance`
-    visible: Floats  # (n,) the chance that nothing hides it
-
-    def rows_of(self, chosen: Sequence[int], most: int) -> list[Indices]:
-        """Of each of some objects the rows of its controls, evenly thinned out to at most so many."""
-        rows = {number: np.nonzero(self.owners == number)[0] for number in set(chosen)}
-        return [rows[number][:: max(1, -(-len(rows[number]) // most))] for number in chosen]
-
-    def of(self, places: Sequence[Indices]) -> Controls:
-        """The controls in some rows, as if each group of rows were an object of its own."""
-        owners = np.repeat(np.arange(len(places)), [len(rows) for rows in places])
-        rows = np.concatenate(places) if places else np.zeros(0, dtype=np.intp)
-        count = int(self.edges[-1]) + 1 if len(self.edges) else 1
-        return Controls(
-            owners,
-            self.points[rows],
-            self.tangents[rows],
-            self.inwards[rows],
-            self.creases[rows],
-            self.edges[rows] + owners * count,
-            self.slots[rows],
-            self.visible[rows],
-        )
 
 
 class Lines(NamedTuple):
@@ -76,11 +36,9 @@ class Profiles(NamedTuple):
     """Profiles along the normals."""
 
     places: Singles  # (n, k) pixels along the normal of each peak of the gradient, inf where there is none
-    sizes: Singles  # (n, k) its gradient, grey levels per pixel
     sharpness: Singles  # (n, k) curvature over height, 1/px²: what a blurred step has more of than a shadow
     inside: Singles  # inside, outside: (n, k, channels) colours beside each place
     outside: Singles
-    reach: int  # places lie within so many pixels
 
 
 def smoothed(image: Array) -> Image:
@@ -93,44 +51,13 @@ def smoothed(image: Array) -> Image:
     return soft[:, :, None] if soft.ndim == 2 else soft
 
 
-def gathered(objects: Sequence[ControlPoints]) -> Controls:
-    """The controls of objects as the context gives them."""
-    counts = [len(item["points"]) for item in objects]
-    owners = np.repeat(np.arange(len(objects)), counts)
-    edges, begin = [], 0
-    for item in objects:
-        edges.append(np.asarray(item["edges"], dtype=np.intp) + begin)
-        begin += 1 + int(item["edges"].max(initial=-1))
-    slots = [_slots(item) for item in objects]
-
-    return Controls(
-        owners,
-        np.concatenate([item["points"] for item in objects]),
-        np.concatenate([item["tangents"] for item in objects]),
-        np.concatenate([item["inwards"] for item in objects]),
-        np.concatenate([np.asarray(item["kinds"]) == 1 for item in objects]),
-        np.concatenate(edges),
-        np.concatenate(slots),
-        np.concatenate([item["visible"] for item in objects]).astype(np.float64),
-    )
-
-
-def _slots(item: ControlPoints) -> NDArray[np.int64]:
-    """(n, 2): numbers for an object's edge, the part of it that a point is on, and the face on either side."""
-    points, tangents = np.asarray(item["points"]), np.asarray(item["tangents"])
-    part = np.floor(np.einsum("nk,nk->n", points, tangents) / _PART_M).astype(np.int64)
-    place = np.asarray(item["edges"], dtype=np.int64) * _PARTS + (part + _PARTS // 2) % _PARTS
-    slots: NDArray[np.int64] = place[:, None] * _FACES + (np.asarray(item["faces"], dtype=np.int64) + 1)
-    return slots
-
-
 def lines_of(controls: Controls, poses: Floats, intrinsics: Array, shape: tuple[int, ...]) -> Lines:
     """Where the poses (m, 4, 4) put the controls, those that are in an image of this shape."""
     rotations = poses[controls.owners, :3, :3]
-    middle = (rotations @ controls.points[:, :, None])[..., 0] + poses[controls.owners, :3, 3]
+    middle = placed(poses, controls.owners, controls.points)
     along = (rotations @ controls.tangents[:, :, None])[..., 0]
     inward = (rotations @ controls.inwards[:, :, None])[..., 0]
-    depth = np.maximum(middle[:, 2], _NEAREST_M)
+    depth = np.maximum(middle[:, 2], NEAREST_M)
     focal = np.asarray(intrinsics[:2], dtype=np.float64)
     flat = middle[:, :2] / depth[:, None]
     pixels = focal * flat + intrinsics[2:]
@@ -143,7 +70,7 @@ def lines_of(controls: Controls, poses: Floats, intrinsics: Array, shape: tuple[
     high, wide = shape[:2]
     inside = (pixels > _MARGIN_PX).all(axis=1) & (pixels < (wide - _MARGIN_PX, high - _MARGIN_PX)).all(axis=1)
     # Seen along their length, edges have no direction across.
-    inside &= (middle[:, 2] > _NEAREST_M) & (length * _ALONG_M > 0.02)
+    inside &= (middle[:, 2] > NEAREST_M) & (length * _ALONG_M > 0.02)
     rows = np.nonzero(inside)[0]
     return Lines(rows, pixels[rows], normals[rows])
 
@@ -183,7 +110,7 @@ def read_profiles(image: Image, lines: Lines, edges: Indices, reach: int, contra
     places: Singles = np.where(top, near + shift, np.float32(np.inf))
     sharpness = np.where(top, bend / np.maximum(middle, contrast), np.float32(0.0))
     inside, outside = (_beside(values, half, reach, side) for side in (1, -1))
-    return Profiles(places, np.where(top, middle, np.float32(0.0)), sharpness, inside, outside, reach)
+    return Profiles(places, sharpness, inside, outside)
 
 
 def _sampled(image: Image, across: Singles, down: Singles) -> Singles:

@@ -2,27 +2,18 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hierax.nodes.tracking.estimation.appearance import Memory, strangeness
 from hierax.nodes.tracking.estimation.gamma_bias import contrasts
-from hierax.nodes.tracking.estimation.profiles import (
-    Controls,
-    Image,
-    Indices,
-    Lines,
-    Profiles,
-    Singles,
-    lines_of,
-    read_profiles,
-)
-from hierax.nodes.tracking.math.batched import cross_rows
-from hierax.nodes.tracking.math.geometry import Array, Floats
+from hierax.nodes.tracking.estimation.profiles import Image, Lines, Profiles, Singles, lines_of, read_profiles
+from hierax.nodes.tracking.math.batched import only, pixels_of, placed, tukey
+from hierax.nodes.tracking.math.geometry import NEAREST_M, Array, Floats, cross
+from hierax.nodes.tracking.model.controls import CREASE, Controls, Indices
 
-NEAREST_M = 0.02
 STRANGE_WEIGHT = 0.5
 _USUAL_SHARPNESS = 0.7  # quantile of the control points' sharpness that counts as an edge in focus
 
@@ -51,19 +42,15 @@ class Search(NamedTuple):
 
 
 class Stage(NamedTuple):
-    """One reading of the image, and where the poses stood."""
+    """One reading of the image, and what is known of the control points that it shows."""
 
     lines: Lines
     profiles: Profiles
-    strange: Singles
-    owners: Indices
-    points: Floats
-    edges: Indices
-    visible: Floats
-    trust: Singles
-    apart: Singles
-    contrasts: Singles
-    outlines: NDArray[np.bool_]
+    strange: Singles  # (n, k) how strange each peak looks
+    contrasts: Singles  # (n, k) of `gamma_bias.contrasts`
+    numbers: Indices  # (n,) of the edges, different for different objects
+    controls: Controls  # of the lines
+    memory: Memory  # beside them
 
 
 class Seen(NamedTuple):
@@ -73,79 +60,72 @@ class Seen(NamedTuple):
     moved: Floats
 
 
+class Matches(NamedTuple):
+    """Of each line: the column of its hypothesis, its residual (inf where none), and how strange it looks."""
+
+    columns: Indices
+    pixels: Floats
+    strange: Floats
+
+
 def read_stage(
     image: Image, controls: Controls, poses: Floats, intrinsics: Array, memory: Memory, reach: int, search: Search
 ) -> Stage | None:
     lines = lines_of(controls, poses, intrinsics, image.shape)
     if not len(lines.rows):
         return None
-    edges = controls.edges[lines.rows]
-    profiles = read_profiles(image, lines, edges, reach, search.contrast)
-    strange = strangeness(memory, controls, lines.rows, profiles)
-    contrast = contrasts(profiles)
-    profiles = profiles._replace(places=profiles.places + memory.factor[lines.rows, None] * contrast)
-    owners = controls.owners[lines.rows]
-    return Stage(
-        lines,
-        profiles,
-        strange,
-        owners,
-        controls.points[lines.rows],
-        edges,
-        controls.visible[lines.rows],
-        memory.trust[lines.rows],
-        memory.apart[lines.rows],
-        contrast,
-        ~controls.creases[lines.rows],
-    )
+    numbers, memory = controls.numbers[lines.rows], only(memory, lines.rows)
+    profiles = read_profiles(image, lines, numbers, reach, search.contrast)
+    strange, contrast = strangeness(memory, profiles), contrasts(profiles)
+    profiles = profiles._replace(places=profiles.places + memory.factor[:, None] * contrast)
+    return Stage(lines, profiles, strange, contrast, numbers, only(controls, lines.rows), memory)
 
 
-def seen_from(poses: Floats, stage: Stage, intrinsics: Array) -> Seen:
-    rotations = poses[stage.owners, :3, :3]
-    points = (rotations @ stage.points[:, :, None])[..., 0] + poses[stage.owners, :3, 3]
-    flat = points[:, :2] / np.maximum(points[:, 2:], NEAREST_M)
-    pixels = flat * intrinsics[:2] + intrinsics[2:]
-    return Seen(points, np.einsum("nk,nk->n", pixels - stage.lines.pixels, stage.lines.normals))
+def seen_from(poses: Floats, controls: Controls, lines: Lines, intrinsics: Array) -> Seen:
+    points = placed(poses, controls.owners, controls.points)
+    return Seen(points, np.einsum("nk,nk->n", pixels_of(points, intrinsics) - lines.pixels, lines.normals))
 
 
-def chosen_near(seen: Seen, stage: Stage, scale: Floats) -> tuple[Indices, Floats, Floats]:
-    """Of each line the hypothesis that is near and not strange: column, residual, strangeness."""
+def chosen_near(seen: Seen, stage: Stage, scale: Floats | float) -> Matches:
+    """Of each line the hypothesis that is near, as `scale` (pixels) has it, and not strange."""
     off = stage.profiles.places - seen.moved.astype(np.float32)[:, None]
-    cost = off * off * (1.0 / (scale * scale)).astype(np.float32)[:, None] + np.float32(STRANGE_WEIGHT) * stage.strange
-    columns = cost.argmin(axis=1)
+    scales = np.broadcast_to(scale, seen.moved.shape)
+    cost = off * off * (1.0 / (scales * scales)).astype(np.float32)[:, None]
+    columns = (cost + np.float32(STRANGE_WEIGHT) * stage.strange).argmin(axis=1)
     rows = np.arange(len(columns))
-    return columns, -off[rows, columns].astype(np.float64), stage.strange[rows, columns].astype(np.float64)
+    return Matches(columns, -off[rows, columns].astype(np.float64), stage.strange[rows, columns].astype(np.float64))
 
 
-def weights_of(
-    stage: Stage, columns: Indices, residuals: Floats, strange: Floats, scale: Floats, search: Search
-) -> Floats:
+def weights_of(stage: Stage, matches: Matches, scale: Floats | float, search: Search) -> Floats:
     """1/px² of each control point: Tukey's function of the distance, less where it may be hidden, where its
     hypothesis looks strange, and on edges blurred beside the others of its object.
 
     The blur of a shadow beside the foot of an object draws the peak away from the edge, all along it.
     """
-    part = np.minimum(np.abs(residuals) / scale, 1.0)
-    weights = (1.0 - part * part) ** 2 * stage.visible * np.exp(-STRANGE_WEIGHT * strange)
-    weights *= stage.trust * stage.apart / search.noise_px**2
+    weights = tukey(matches.pixels, scale) * stage.controls.visible * np.exp(-STRANGE_WEIGHT * matches.strange)
+    weights *= stage.memory.trust * stage.memory.apart / search.noise_px**2
     near = weights > 1e-6
     if not near.any():
         return np.zeros_like(weights)
-    sharp = stage.profiles.sharpness[np.arange(len(columns)), columns].astype(np.float64)
-    count = np.bincount(stage.edges, weights=near)
-    total = np.bincount(stage.edges, weights=np.where(near, sharp, 0.0))
-    mean = (total / np.maximum(count, 1.0))[stage.edges]
-    count_owners = int(stage.owners[-1]) + 1
-    ends = np.searchsorted(stage.owners, np.arange(count_owners + 1))
-    usual = np.ones(count_owners)
-    for at in range(count_owners):
-        view = slice(ends[at], ends[at + 1])
+    owners = stage.controls.owners
+    sharp = stage.profiles.sharpness[np.arange(len(near)), matches.columns].astype(np.float64)
+    count = np.bincount(stage.numbers, weights=near)
+    total = np.bincount(stage.numbers, weights=np.where(near, sharp, 0.0))
+    mean = (total / np.maximum(count, 1.0))[stage.numbers]
+    usual = np.ones(int(owners[-1]) + 1)
+    for at, view in enumerate(views_of(owners, len(usual))):
         values = np.sort(mean[view][near[view]])
         if len(values):
             usual[at] = values[int(_USUAL_SHARPNESS * (len(values) - 1))]
-    relative = np.minimum(mean / np.maximum(usual[stage.owners], 1e-9), 1.0)
+    relative = np.minimum(mean / np.maximum(usual[owners], 1e-9), 1.0)
     blurred: Floats = np.where(near, weights * relative**search.blur_power, 0.0)
     return blurred
+
+
+def views_of(owners: Indices, count: int) -> list[slice]:
+    """Where each of so many owners' part is in what is sorted by owner."""
+    ends = np.searchsorted(owners, np.arange(count + 1)).tolist()
+    return [slice(*pair) for pair in pairwise(ends)]
 
 
 def normal_equations(
@@ -154,7 +134,6 @@ def normal_equations(
     seen: Seen,
     residuals: Floats,
     weights: Floats,
-    used: NDArray[np.bool_],
     intrinsics: Array,
     further: Floats | None = None,
 ) -> tuple[Floats, Floats]:
@@ -162,31 +141,25 @@ def normal_equations(
 
     With `further`, (n,) how one more unknown, common to all, moves residuals, (13, 13) and (13,).
     """
-    owners = stage.owners[used]
-    jacobian = _jacobian(poses, stage.points[used], owners, stage.lines.normals[used], seen.points[used], intrinsics)
+    used, count = weights > 0, len(poses)
+    points, owners = stage.controls.points[used], stage.controls.owners[used]
+    jacobian = _jacobian(poses, points, owners, stage.lines.normals[used], seen.points[used], intrinsics)
     if further is not None:
         jacobian = np.concatenate((jacobian, further[used, None]), axis=1)
-    unknowns = jacobian.shape[1]
     weighted = jacobian * weights[used, None]
-    ends = np.searchsorted(owners, np.arange(len(poses) + 1))
-    blocks = np.zeros((len(poses), unknowns, unknowns))
-    gradients = np.zeros((len(poses), unknowns))
-    count = len(poses)
-    for at in range(count):
-        view = slice(ends[at], ends[at + 1])
+    blocks, gradients = np.zeros((count, *jacobian.shape[1:] * 2)), np.zeros((count, jacobian.shape[1]))
+    for at, view in enumerate(views_of(owners, count)):
         blocks[at] = jacobian[view].T @ weighted[view]
         gradients[at] = weighted[view].T @ residuals[used][view]
     if len(owners):
         # How far an edge is off as a whole is one more unknown of each edge, solved for at once.
-        starts = np.nonzero(np.diff(stage.edges[used], prepend=-1))[0]
+        starts = np.nonzero(np.diff(stage.numbers[used], prepend=-1))[0]
         shared = np.add.reduceat(weighted, starts)
         own = np.add.reduceat(weights[used] * residuals[used], starts)
-        spread = np.where(stage.outlines[used][starts], _OUTLINE_PX, _CREASE_PX)
+        spread = np.where(stage.controls.kinds[used][starts] == CREASE, _CREASE_PX, _OUTLINE_PX)
         whole = np.add.reduceat(weights[used], starts) + 1.0 / spread**2
-        edge_ends = np.searchsorted(owners[starts], np.arange(count + 1))
         scaled = shared / whole[:, None]
-        for at in range(count):
-            view = slice(edge_ends[at], edge_ends[at + 1])
+        for at, view in enumerate(views_of(owners[starts], count)):
             blocks[at] -= shared[view].T @ scaled[view]
             gradients[at] -= scaled[view].T @ own[view]
     return blocks, gradients
@@ -201,4 +174,4 @@ def _jacobian(
     ahead = -(across * seen[:, 0] + down * seen[:, 1]) * inverse
     towards = np.stack((across, down, ahead), axis=1)
     turned = (towards[:, None, :] @ poses[owners, :3, :3])[:, 0]
-    return np.concatenate((towards, cross_rows(seen, towards), turned, cross_rows(points, turned)), axis=1)
+    return np.concatenate((towards, cross(seen, towards), turned, cross(points, turned)), axis=1)

@@ -8,7 +8,7 @@ import numpy as np
 
 from hierax.nodes.tracking.estimation.appearance import NOTHING
 from hierax.nodes.tracking.math.batched import invert_many, log_many
-from hierax.nodes.tracking.math.geometry import Floats, invert
+from hierax.nodes.tracking.math.geometry import NO_POSES, Floats, invert
 from hierax.nodes.tracking.schema import (
     EXPECTED,
     LOST,
@@ -32,8 +32,6 @@ NO_CONTROLS: ControlPoints = {
     "faces": np.zeros((0, 2), dtype=np.int32),
     "visible": np.zeros(0, dtype=np.float32),
 }
-
-NO_POSES = np.zeros((0, 4, 4))
 
 
 def first_belief(item: FirstPose, covariance: Floats) -> TrackedObject:

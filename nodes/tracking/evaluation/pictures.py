@@ -13,7 +13,7 @@ import numpy as np
 
 from hierax.nodes.tracking.datasets.bop import read_image
 from hierax.nodes.tracking.errors import DataError
-from hierax.nodes.tracking.math.geometry import Array, Floats, invert, project, transform
+from hierax.nodes.tracking.math.geometry import NEAREST_M, Array, Floats, invert, project, transform
 from hierax.runtime import Probe, Step, Value
 
 cv2.setNumThreads(1)
@@ -28,7 +28,6 @@ CORRECTED = (60, 235, 80)
 
 _EXPECTED_PX, _CORRECTED_PX = 2, 1  # widths: where both are at one place, both are seen
 _STATUSES = ("tracked", "expected", "lost")
-_NEAREST_M = 0.02
 _WHITE = (255, 255, 255)
 _STRIP_PX = 24
 _SHIFT = 4
@@ -221,7 +220,7 @@ def _draw_edges(
     picture: Array, edges: Floats, pose: Floats, intrinsics: Array, colour: tuple[int, int, int], width_px: int
 ) -> None:
     points = transform(pose, np.asarray(edges))
-    ahead = points[points[..., 2].min(axis=1) > _NEAREST_M] if len(points) else points
+    ahead = points[points[..., 2].min(axis=1) > NEAREST_M] if len(points) else points
     pixels = np.rint(np.clip(project(ahead, intrinsics), -4096, 8192) * (1 << _SHIFT)).astype(np.int32)
     cv2.polylines(picture, list(pixels), False, colour, width_px, cv2.LINE_AA, _SHIFT)
 

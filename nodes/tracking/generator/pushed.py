@@ -33,7 +33,7 @@ _DENSITY_KG_M3 = 500.0
 _ROD_M = (0.007, 0.36)
 _ROD_FORCE_N = 60.0
 _GONE = 0.1
-_NEAREST_M, _FARTHEST_M = 0.62, 1.05
+_RADII_M = (0.62, 1.05)  # the camera's least and greatest distance
 
 
 class Pushed(NamedTuple):
@@ -76,7 +76,7 @@ def pushed(rng: np.random.Generator, frames: int, intrinsics: Array, size: tuple
 
     trial_m = 0.8
     fastest = _fastest_px(poses, camera(trial_m), intrinsics)
-    eye = camera(float(np.clip(trial_m * fastest / MOST_PX, _NEAREST_M, _FARTHEST_M)))
+    eye = camera(float(np.clip(trial_m * fastest / MOST_PX, *_RADII_M)))
     screen = _fitting_screen(plan.things, poses, eye, intrinsics, size)
     things = [screen, *plan.things[1:]]
     return Pushed(things, poses, np.repeat(eye[None], frames, axis=0), [plan.rod], rods[:, None])

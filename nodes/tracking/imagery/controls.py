@@ -8,18 +8,17 @@ that is believed too firmly hides true edges.
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from hierax.nodes.tracking.imagery.layers import NEAREST_M, Layer
+from hierax.nodes.tracking.imagery.layers import NEAREST_DRAWN_M, Layer
+from hierax.nodes.tracking.math.batched import joined, only
 from hierax.nodes.tracking.math.geometry import Array, Floats, cross, invert, project, transform
+from hierax.nodes.tracking.model.controls import CREASE, OUTLINE, Controls
 from hierax.nodes.tracking.model.outlines import outline_of
 from hierax.nodes.tracking.model.shapes import Ints, Shape
-
-OUTLINE = 0
-CREASE = 1
 
 SPACING_PX = 4.0
 POINTS_MAX = 300
@@ -31,23 +30,6 @@ _BESIDE_PX = 1.0  # how far beside an edge an object's own depth is looked up
 
 # Of the object's size: a point that is deeper by more than this under its own surface is hidden by it.
 _OWN_SHARE = 0.01
-
-
-class Controls(NamedTuple):
-    """Control points on one object, in the object's frame, sorted by edge."""
-
-    points: Floats  # (n, 3) float64, metres
-    tangents: Floats  # (n, 3) unit vectors along the edge
-    # (n, 3) unit vectors across the edge in the first face that is seen beside it, away from the edge; on the outline
-    # of a smooth surface, into the body
-    inwards: Floats
-    kinds: NDArray[np.uint8]  # (n,) uint8, `OUTLINE` or `CREASE`
-    # (n,) int32, number of the edge, the same whatever is seen of it; edges are about straight, rims in arcs. An
-    # outline of a smooth surface is numbered by the direction to which it bounds the surface.
-    edges: Ints
-    # (n, 2) int32, numbers of the patches of the surface seen beside it, the one of `inwards` first; -1: none
-    faces: Ints
-    visible: NDArray[np.float32]  # (n,) float32, the chance that no other object hides it
 
 
 class _Lines(NamedTuple):
@@ -86,30 +68,29 @@ def controls_of(
         ``visible`` 1.
     """
     viewpoint = invert(pose)[:3, 3]
-    lines = _joined(_sharp_lines(shape, viewpoint), _smooth_lines(shape, viewpoint))
+    lines = joined((_sharp_lines(shape, viewpoint), _smooth_lines(shape, viewpoint)))
     seen = transform(pose, lines.ends)
-    ahead = seen[..., 2].min(axis=1, initial=np.inf) > NEAREST_M
-    chosen: list[Any] = [part[ahead] for part in lines]
-    lines = _Lines(*chosen)
+    ahead = seen[..., 2].min(axis=1, initial=np.inf) > NEAREST_DRAWN_M
+    lines = only(lines, ahead)
     pixels = project(seen[ahead], intrinsics)
     outside = (pixels.max(axis=1, initial=-np.inf) < 0.0) | (pixels.min(axis=1, initial=np.inf) > np.array(size))
     owners, shares = _spread(np.where(outside.any(axis=1), 0.0, _lengths(pixels)), lines.edges)
     step = (lines.ends[:, 1] - lines.ends[:, 0])[owners]
     points = lines.ends[owners, 0] + shares[:, None] * step
     controls = Controls(
+        np.zeros(len(points), dtype=np.intp),
         points,
         step / np.linalg.norm(step, axis=1, keepdims=True),
         lines.inwards[owners],
         lines.kinds[owners],
         lines.edges[owners],
         lines.faces[owners],
-        np.ones(len(points), dtype=np.float32),
+        np.ones(len(points)),
     )
     kept = _in_image(project(transform(pose, points), intrinsics), size)
     if layer is not None and not shape.convex:
         kept &= ~_hidden_by_itself(controls, pose, intrinsics, layer, _OWN_SHARE * float(np.ptp(shape.vertices)))
-    listed: list[Any] = [part[kept] for part in controls]
-    return _numbered(shape, pose, Controls(*listed))
+    return _numbered(shape, pose, only(controls, kept))
 
 
 def _sharp_lines(shape: Shape, viewpoint: Floats) -> _Lines:
@@ -172,14 +153,7 @@ def _numbered(shape: Shape, pose: Floats, controls: Controls) -> Controls:
         if len(changes) and sector[points[0]] == sector[points[-1]]:
             places[points] = points[0] + (np.arange(len(points)) - changes[0] - 1) % len(points)
     order = np.lexsort((places, numbers))
-    sorted_parts: list[Any] = [part[order] for part in controls._replace(edges=numbers)]
-    return Controls(*sorted_parts)
-
-
-def _joined(first: _Lines, second: _Lines) -> _Lines:
-    pairs: list[tuple[Any, Any]] = list(zip(first, second, strict=True))
-    both: list[Any] = [np.concatenate(pair) for pair in pairs]
-    return _Lines(*both)
+    return only(controls._replace(edges=numbers), order)
 
 
 def _lengths(pixels: Floats) -> Floats:

@@ -19,7 +19,7 @@ from hierax.nodes.tracking.imagery.bullet import load_pybullet
 from hierax.nodes.tracking.math.geometry import Array, Floats, cross, project, quaternion_of, transform
 from hierax.nodes.tracking.model.shapes import Shape
 
-NEAREST_M = 0.01
+NEAREST_DRAWN_M = 0.01  # what is nearer to the camera is not drawn; farther than where it stops to be looked at
 
 _FACES_PER_SHAPE = 15_000  # a pybullet visual shape refuses much larger meshes; larger ones are drawn in parts
 _CAST_MAX = 300  # triangles up to which casting rays is quicker than TinyRenderer
@@ -167,9 +167,9 @@ def window_of(corners: Floats, intrinsics: Array, size: tuple[int, int]) -> Wind
     """The part of the image that corners (n, 3), camera's frame, span; None where that is nothing."""
     width, height = size
     nearest, farthest = float(corners[:, 2].min()), float(corners[:, 2].max())
-    if farthest <= NEAREST_M:
+    if farthest <= NEAREST_DRAWN_M:
         return None
-    if nearest <= NEAREST_M:
+    if nearest <= NEAREST_DRAWN_M:
         return Window(0, 0, width, height)
     pixels = project(corners, intrinsics)
     low = np.floor(pixels.min(axis=0)).astype(int) - _MARGIN_PX
@@ -221,7 +221,7 @@ def _cast(corners: Floats, closed: Array, intrinsics: Array, window: Window) -> 
         inside = alpha >= -_SEAM
         inside &= met > part
         np.copyto(part, met, where=inside)
-    inverse[inverse >= 1.0 / NEAREST_M] = 0.0
+    inverse[inverse >= 1.0 / NEAREST_DRAWN_M] = 0.0
     return inverse
 
 
@@ -229,7 +229,7 @@ def _boxes(corners: Floats, intrinsics: Array, window: Window) -> NDArray[np.int
     """Of triangles (n, 3, 3): left, top, right, bottom (n, 4) in the window of the pixels that they can touch."""
     whole = np.array([0, 0, *window.size], dtype=np.intp)
     boxes = np.tile(whole, (len(corners), 1))
-    ahead = corners[..., 2].min(axis=1, initial=np.inf) > NEAREST_M
+    ahead = corners[..., 2].min(axis=1, initial=np.inf) > NEAREST_DRAWN_M
     pixels = project(corners[ahead], intrinsics) - window.corner
     boxes[ahead, :2] = np.floor(pixels.min(axis=1))
     boxes[ahead, 2:] = np.ceil(pixels.max(axis=1)) + 1.0
@@ -272,7 +272,7 @@ def _corners(low: Floats, high: Floats) -> Floats:
 
 def _z_range(corners: Floats) -> tuple[float, float]:
     """Near and far plane, close around the object: that is what a float32 depth buffer is precise with."""
-    near = max(0.95 * float(corners[:, 2].min()), NEAREST_M)
+    near = max(0.95 * float(corners[:, 2].min()), NEAREST_DRAWN_M)
     return near, max(1.05 * float(corners[:, 2].max()), 2.0 * near)
 
 

@@ -9,13 +9,14 @@ ray, lies before it, and touches it at most.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from hierax.nodes.tracking.imagery.layers import Layer
+from hierax.nodes.tracking.math.batched import only
 from hierax.nodes.tracking.math.geometry import Array, Floats, invert, project, rays, transform
 
 cv2.setNumThreads(1)
@@ -47,10 +48,6 @@ class _Points(NamedTuple):
     errors: Floats
     owners: NDArray[np.intp]
 
-    def only(self, chosen: Array) -> _Points:
-        parts: list[Any] = [part[chosen] for part in self]
-        return _Points(*parts)
-
 
 def chances_seen(points: Sequence[Floats], placed: Sequence[Placed], intrinsics: Array) -> list[NDArray[np.float32]]:
     """The chance of each point on each object that no other object hides it.
@@ -73,7 +70,7 @@ def chances_seen(points: Sequence[Floats], placed: Sequence[Placed], intrinsics:
             continue
         near = np.nonzero((owners != number) & _may_be_hidden(together, item, item.layer))[0]
         if len(near):
-            chances[near] *= 1.0 - _hidden(together.only(near), item, item.layer, intrinsics)
+            chances[near] *= 1.0 - _hidden(only(together, near), item, item.layer, intrinsics)
     return np.split(chances.astype(np.float32), np.cumsum(counts)[:-1])
 
 

@@ -2,9 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from typing import NamedTuple, TypeVar
+
 import numpy as np
 
-from hierax.nodes.tracking.math.geometry import Floats
+from hierax.nodes.tracking.math.geometry import NEAREST_M, Array, Floats, cross
+
+Table = TypeVar("Table", bound=NamedTuple)
 
 _SMALL = 1e-8
 _SMALL_SQUARE = 1e-6
@@ -15,11 +20,11 @@ def exp_many(twists: Floats) -> Floats:
     rotation = twists[:, 3:]
     square = np.einsum("mk,mk->m", rotation, rotation)
     first, second, third = _series(square)
-    cross = hat_many(rotation)
-    twice = cross @ cross
+    once = hat_many(rotation)
+    twice = once @ once
     poses = np.zeros((len(twists), 4, 4))
-    poses[:, :3, :3] = np.eye(3) + first * cross + second * twice
-    poses[:, :3, 3] = ((np.eye(3) + second * cross + third * twice) @ twists[:, :3, None])[..., 0]
+    poses[:, :3, :3] = np.eye(3) + first * once + second * twice
+    poses[:, :3, 3] = ((np.eye(3) + second * once + third * twice) @ twists[:, :3, None])[..., 0]
     poses[:, 3, 3] = 1.0
     return poses
 
@@ -39,8 +44,8 @@ def log_many(poses: Floats) -> Floats:
         square < _SMALL_SQUARE, 1.0 / 12.0, (1.0 - 0.5 * (first / second)[..., 0]) / np.maximum(square, _SMALL)
     )
     moved = poses[:, :3, 3]
-    once = cross_rows(rotation, moved)
-    return np.concatenate((moved - 0.5 * once + last * cross_rows(rotation, once), rotation), axis=1)
+    once = cross(rotation, moved)
+    return np.concatenate((moved - 0.5 * once + last * cross(rotation, once), rotation), axis=1)
 
 
 def invert_many(poses: Floats) -> Floats:
@@ -62,9 +67,9 @@ def adjoints(poses: Floats) -> Floats:
 
 def hat_many(vectors: Floats) -> Floats:
     """The skew-symmetric matrices (m, 3, 3) of cross products with vectors (m, 3)."""
-    cross = np.zeros((len(vectors), 3, 3))
-    cross[:, 2, 1], cross[:, 0, 2], cross[:, 1, 0] = vectors.T
-    skew: Floats = cross - cross.transpose(0, 2, 1)
+    half = np.zeros((len(vectors), 3, 3))
+    half[:, 2, 1], half[:, 0, 2], half[:, 1, 0] = vectors.T
+    skew: Floats = half - half.transpose(0, 2, 1)
     return skew
 
 
@@ -80,11 +85,38 @@ def inverse(matrices: Floats) -> Floats:
     return result
 
 
-def cross_rows(first: Floats, second: Floats) -> Floats:
-    """Cross products of rows (n, 3): `numpy.cross` without what it does for other shapes."""
-    a, b, c = first.T
-    x, y, z = second.T
-    return np.stack((b * z - c * y, c * x - a * z, a * y - b * x), axis=1)
+def only(table: Table, chosen: Array) -> Table:
+    """The chosen rows of all arrays of a named tuple."""
+    return table._make(part[chosen] for part in table)
+
+
+def joined(tables: Sequence[Table]) -> Table:
+    """Named tuples of arrays, one behind the other."""
+    return tables[0]._make(np.concatenate(parts) for parts in zip(*tables, strict=True))
+
+
+def placed(poses: Floats, owners: Array, points: Floats) -> Floats:
+    """Points (n, 3) in the camera's frame, by the poses (m, 4, 4) of the objects (n,) that they are on."""
+    moved: Floats = (poses[owners, :3, :3] @ points[:, :, None])[..., 0] + poses[owners, :3, 3]
+    return moved
+
+
+def pixels_of(seen: Floats, intrinsics: Array) -> Floats:
+    """Pixels (n, 2) of points (n, 3) in the camera's frame; what is nearer than `NEAREST_M` counts as that far away."""
+    pixels: Floats = seen[:, :2] / np.maximum(seen[:, 2:], NEAREST_M) * intrinsics[:2] + intrinsics[2:]
+    return pixels
+
+
+def tukey(residuals: Floats, end: Floats | float) -> Floats:
+    """Tukey's weight of residuals (n,), 0 to 1: 0 from `end` on."""
+    part = np.minimum(np.abs(residuals) / end, 1.0)
+    weights: Floats = (1.0 - part * part) ** 2
+    return weights
+
+
+def summed(owners: Array, values: Floats, count: int) -> Floats:
+    """(count,) the sums of what values (n,) each owner has."""
+    return np.asarray(np.bincount(owners, weights=values, minlength=count), dtype=np.float64)
 
 
 def _series(square: Floats) -> tuple[Floats, Floats, Floats]:

@@ -16,6 +16,11 @@ from numpy.typing import NDArray
 Floats = NDArray[np.float64]
 Array = NDArray[Any]
 
+NEAREST_M = 0.02
+"""What is nearer to a camera than this, along its z, is not looked at: its pixels would be anywhere."""
+
+NO_POSES: Floats = np.zeros((0, 4, 4))
+
 _SMALL_ANGLE = 1e-5
 
 
@@ -49,6 +54,26 @@ def cross(first: Floats, second: Floats) -> Floats:
     """Cross products (n, 3) of the rows; numpy's own spends more time on axes than on numbers."""
     a, b = first.T, second.T
     return np.stack((a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]), axis=1)
+
+
+def unit(vectors: Floats) -> Floats:
+    """Vectors (..., 3) made as long as 1; zeros stay."""
+    made: Floats = vectors / np.maximum(np.linalg.norm(vectors, axis=-1, keepdims=True), 1e-300)
+    return made
+
+
+def lens_matrix(intrinsics: Array) -> Floats:
+    """The pinhole camera's 3 × 3 matrix of fx, fy, cx, cy in pixels."""
+    fx, fy, cx, cy = intrinsics
+    return np.array([[fx, 0.0, cx], [0.0, fy, cy], [0.0, 0.0, 1.0]])
+
+
+def looking_down(azimuth_rad: float, elevation_rad: float, radius_m: float, target_m: Array) -> Floats:
+    """world_from_camera of a camera that looks at a target from a direction, so far away, upright."""
+    flat = np.cos(elevation_rad)
+    away = np.array([np.cos(azimuth_rad) * flat, np.sin(azimuth_rad) * flat, np.sin(elevation_rad)])
+    right = np.array([-np.sin(azimuth_rad), np.cos(azimuth_rad), 0.0])
+    return make_pose(np.stack((right, np.cross(-away, right), -away), axis=1), target_m + radius_m * away)
 
 
 def exp_so3(rotation: Array) -> Floats:
@@ -86,16 +111,6 @@ def log_se3(pose: Floats) -> Floats:
     cross = hat(rotation)
     left = np.eye(3) + second * cross + third * cross @ cross
     return np.concatenate((np.linalg.solve(left, pose[:3, 3]), rotation))
-
-
-def adjoint(pose: Floats) -> Floats:
-    """The 6 × 6 matrix that takes a twist of frame b to frame a: ``a_from_b exp(ξ) = exp(Ad ξ) a_from_b``."""
-    rotation = pose[:3, :3]
-    result = np.zeros((6, 6))
-    result[:3, :3] = rotation
-    result[3:, 3:] = rotation
-    result[:3, 3:] = hat(pose[:3, 3]) @ rotation
-    return result
 
 
 def orthonormal(pose: Floats) -> Floats:

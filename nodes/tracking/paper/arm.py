@@ -8,13 +8,12 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from hierax.nodes.tracking.estimation.tracked import (
-    NO_POSES,
     check_ids,
     diagonal_covariance,
     first_pose,
     tracked_metrics,
 )
-from hierax.nodes.tracking.math.geometry import Array, Floats, invert, transform
+from hierax.nodes.tracking.math.geometry import NO_POSES, Array, Floats, invert, transform
 from hierax.nodes.tracking.paper.lines import expected_lines, image_lines, match_lines
 from hierax.nodes.tracking.schema import (
     EXPECTED,

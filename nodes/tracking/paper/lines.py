@@ -14,7 +14,18 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from hierax.nodes.tracking.math.geometry import Array, Floats, exp_so3, log_so3, make_pose, project, rays, transform
+from hierax.nodes.tracking.math.geometry import (
+    NEAREST_M,
+    Array,
+    Floats,
+    exp_so3,
+    lens_matrix,
+    log_so3,
+    make_pose,
+    project,
+    rays,
+    transform,
+)
 
 cv2.setNumThreads(1)
 
@@ -30,7 +41,6 @@ _DEPTH_PX = 3  # how far around an end point the surface that it lies on is look
 _GATES_PX = (16.0, 10.0, 6.0, 4.0, 3.0)
 _ALIKE_COSINE = 0.97
 _LEAST_LINES = 3
-_NEAREST_M = 0.02
 
 
 class LineMatch(NamedTuple):
@@ -114,7 +124,7 @@ def match_lines(lines: Floats, expected: Floats, predicted: Floats, intrinsics: 
     pose = predicted
     matched = np.zeros(0, dtype=np.intp)
     for gate_px in _GATES_PX:
-        edges = expected[transform(pose, expected)[..., 2].min(axis=1, initial=np.inf) > _NEAREST_M]
+        edges = expected[transform(pose, expected)[..., 2].min(axis=1, initial=np.inf) > NEAREST_M]
         pixels = project(transform(pose, edges), intrinsics)
         matched = _matched(lines, pixels, gate_px)
         chosen = matched >= 0
@@ -199,9 +209,8 @@ def _feet(pixels: Floats, lines: Floats) -> Floats:
 
 
 def _solved(points: Floats, pixels: Floats, pose: Floats, intrinsics: Array) -> Floats | None:
-    fx, fy, cx, cy = (float(part) for part in intrinsics)
-    lens = np.array([[fx, 0.0, cx], [0.0, fy, cy], [0.0, 0.0, 1.0]])
     start = log_so3(pose[:3, :3]), pose[:3, 3].copy()
+    lens = lens_matrix(intrinsics)
     found, turn, shift = cv2.solvePnP(points, pixels, lens, None, *start, True, cv2.SOLVEPNP_ITERATIVE)
     solved = make_pose(exp_so3(np.ravel(turn)), np.ravel(shift))
     return solved if found and np.all(np.isfinite(solved)) else None

@@ -26,10 +26,11 @@ from hierax.nodes.tracking.estimation.joint_alignment import (
     prior_of,
     task_of,
 )
-from hierax.nodes.tracking.estimation.profiles import EDGE_SLOTS, Image
+from hierax.nodes.tracking.estimation.profiles import Image
 from hierax.nodes.tracking.estimation.tracked import motion_of
 from hierax.nodes.tracking.math.batched import exp_many, inverse, invert_many, log_many, solved
-from hierax.nodes.tracking.math.geometry import Array, Floats
+from hierax.nodes.tracking.math.geometry import NO_POSES, Array, Floats
+from hierax.nodes.tracking.model.controls import EDGE_SLOTS
 from hierax.nodes.tracking.schema import Looks, TrackedObject
 from hierax.nodes.tracking.search.multistart import Found, Looking, in_turn
 from hierax.nodes.tracking.search.reacquisition import look_elsewhere
@@ -90,9 +91,8 @@ def associate(
         What the camera's error does to all poses (4, 4), and each object's estimate; None
         where nothing is expected in the image.
     """
-    slots = [item["slots"] for item in objects]
     prior = prior_of(objects, options.motion, camera)
-    task = task_of(image, objects, slots, prior, intrinsics, options.error_px)
+    task = task_of(image, objects, prior, intrinsics, options.error_px)
     best = explained(task)
     if best is None:
         return None
@@ -107,11 +107,9 @@ def associate(
     searched = sorted(searched[:_SEARCHED_AT_ONCE])
     if searched:
         falling = np.broadcast_to(options.motion if options.falling is None else options.falling, (len(objects), 6, 6))
-        looking = Looking(image, task.controls, task.memory, intrinsics, options.error_px, falling)
-        elsewhere = look_elsewhere(looking, objects, shift, found, searched, prior)
+        elsewhere = look_elsewhere(Looking(task, objects, shift, falling), found, searched)
         found = _if_expected(elsewhere, found, prior, shift @ task.start.poses)
-    still = [_is_still(item, found.unrest[at]) for at, item in enumerate(objects)]
-    learned = _learned(best.aligned, found, task, slots, doubtful, still)
+    learned = _learned(best.aligned, found, task, objects, doubtful)
     vain = [item["vain"] + 1 if at in doubtful else max(0, item["vain"] - 1) for at, item in enumerate(objects)]
     vain = [0 if found.elsewhere[at] else count for at, count in enumerate(vain)]
     return shift, _estimates(found, learned, vain)
@@ -131,7 +129,7 @@ def _found(explained: Explained, predicted: Floats) -> Found:
         fused.trend,
         np.zeros(count, dtype=bool),
         np.ones(count, dtype=bool),
-        [np.zeros((0, 4, 4))] * count,
+        [NO_POSES] * count,
     )
 
 
@@ -176,32 +174,31 @@ def _is_still(item: TrackedObject, unrest: float) -> bool:
 
 
 def _learned(
-    aligned: Aligned, found: Found, task: Task, slots: list[Looks], doubtful: list[int], still: list[bool]
+    aligned: Aligned, found: Found, task: Task, objects: Sequence[TrackedObject], doubtful: list[int]
 ) -> list[Looks]:
     """What is remembered of the looks of those objects that are surely where they were expected."""
-    controls, lines, profiles, matches = task.controls, aligned.lines, aligned.profiles, aligned.matches
-    seen = controls.visible[lines.rows] > _SURE_SEEN
-    sure = matches.supported & seen
-    offsets = offsets_at(aligned, controls, found.poses, task.intrinsics)
+    controls, profiles = aligned.stage.controls, aligned.stage.profiles
+    seen = controls.visible > _SURE_SEEN
+    sure = aligned.supported & seen
+    offsets = offsets_at(aligned, found.poses, task.intrinsics)
+    places = controls.slots[:, 0]
     learned = []
-    for at, known in enumerate(slots):
+    for at, item in enumerate(objects):
+        known = item["slots"]
         if at in doubtful or found.scores[at] < LEARNED_SCORE:
             learned.append(known)
             continue
-        chosen = np.nonzero(sure & (controls.owners[lines.rows] == at))[0]
-        every = np.nonzero(seen & (controls.owners[lines.rows] == at))[0]
+        chosen = np.nonzero(sure & (controls.owners == at))[0]
+        every = np.nonzero(seen & (controls.owners == at))[0]
         near = sure[every] & (np.abs(offsets[every]) < _FOUND_PX)
-        known = sought(known, controls.slots[lines.rows[every], 0], near)
-        columns = matches.columns[chosen]
+        known = sought(known, places[every], near)
+        columns = aligned.matches.columns[chosen]
         colours = np.stack((profiles.inside[chosen, columns], profiles.outside[chosen, columns]), axis=1)
-        known = remembered(known, controls, lines.rows[chosen], colours)
-        if still[at]:
-            known = measured(known, controls.slots[lines.rows[chosen], 0] // EDGE_SLOTS, offsets[chosen])
-        else:
-            known = moved(known)
-        learned.append(
-            {**known, "encoding": encoding.remembered(known["encoding"], aligned.told[at], task.encoding[0])}
-        )
+        known = remembered(known, controls, chosen, colours)
+        still = _is_still(item, found.unrest[at])
+        known = measured(known, places[chosen] // EDGE_SLOTS, offsets[chosen]) if still else moved(known)
+        told = encoding.remembered(known["encoding"], aligned.told[at], task.encoding[0])
+        learned.append({**known, "encoding": told})
     return learned
 
 

@@ -8,20 +8,19 @@ the place of the expected explanation; the more unlikely it was before the image
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from hierax.nodes.tracking.estimation.alignment import Aligned, Start, align
-from hierax.nodes.tracking.estimation.appearance import Memory
-from hierax.nodes.tracking.estimation.fusion import Prior
-from hierax.nodes.tracking.estimation.profiles import Controls, Image
+from hierax.nodes.tracking.estimation.joint_alignment import Task
 from hierax.nodes.tracking.estimation.stages import Search
 from hierax.nodes.tracking.estimation.tracked import motion_of
 from hierax.nodes.tracking.imagery.controls import POINTS_MAX
-from hierax.nodes.tracking.math.batched import exp_many, inverse, invert_many, log_many
+from hierax.nodes.tracking.math.batched import exp_many, inverse, invert_many, log_many, only
 from hierax.nodes.tracking.math.geometry import Array, Floats
+from hierax.nodes.tracking.model.controls import Indices
 from hierax.nodes.tracking.schema import TRACKED, TrackedObject
 
 ROUGH = Search(
@@ -33,11 +32,11 @@ _KEPT = 4
 ROUGH_POINTS = 40
 
 _BETTER = 0.03  # by so much of its control points another explanation must be better than the expected one
-_LEAST_FOUND = 18.0  # where fewer of its control points should be seen, an object is not found
+LEAST_FOUND = 18.0  # where fewer of its control points should be seen, an object is not found
 
-# So large a share of the control points that support the expected explanation must speak for another one beyond that,
-# however unlikely it was before.
-_UNLIKELIEST = 0.25
+# So large a share of the control points (that support the expected explanation, or that should be seen) must speak for
+# another one beyond that, however unlikely it was before.
+UNLIKELIEST = 0.25
 
 # Such a share speaks against one that lies within a push, or a fall, of the expected one, besides its distance; the
 # second where an image of a still camera supports the expected one suddenly less.
@@ -103,41 +102,32 @@ class Found(NamedTuple):
 
     def copied(self) -> Found:
         """The same, to be changed."""
-        parts: list[Any] = [part.copy() for part in self]
-        return Found(*parts)
+        return Found._make(part.copy() for part in self)
+
+    def put(self, at: int, pose: Floats, covariance: Floats) -> None:
+        """Change where an object is found: elsewhere than expected."""
+        self.poses[at], self.covariance[at] = pose, covariance
+        self.unrest[at], self.trend[at], self.elsewhere[at] = 1.0, 0.0, True
 
 
 class Looking(NamedTuple):
-    """What the search works on: the smoothed image, all objects' controls and memory, the camera's fx, fy, cx, cy,
-    what a control point's residual is worth in pixels, and (m, 6, 6) how far each object may leave its prediction
-    within a frame, falling over included."""
+    """What the search works on."""
 
-    image: Image
-    controls: Controls
-    memory: Memory
-    intrinsics: Array
-    noise_px: float
-    falling: Floats
+    task: Task  # the image, and what is known of the objects' edges and poses
+    objects: Sequence[TrackedObject]  # as for `hierax.nodes.tracking.search.association.associate`
+    shift: Floats  # (4, 4) what the camera's error does to all poses
+    falling: Floats  # (m, 6, 6) how far each object may leave its prediction within a frame, falling over included
 
 
-def search_elsewhere(
-    looking: Looking,
-    objects: Sequence[TrackedObject],
-    shift: Floats,
-    found: Found,
-    doubtful: Sequence[int],
-    prior: Prior,
-) -> Found:
+def search_elsewhere(looking: Looking, found: Found, doubtful: Sequence[int]) -> Found:
     """The same as found, but for doubtful objects that are better explained elsewhere.
 
     Args:
-        looking: the image, and what is known of the objects' edges.
-        objects: as for `hierax.nodes.tracking.search.association.associate`.
-        shift: (4, 4) what the camera's error does to all poses.
+        looking: what the search works on.
         found: where the objects were expected and found.
         doubtful: which of them to look for.
-        prior: what was known before the image.
     """
+    objects, prior = looking.objects, looking.task.prior
     free = prior._replace(motion=looking.falling)
     spread = free._replace(unrest=np.ones(len(objects))).spread()
     startled = inverse(spread)
@@ -149,71 +139,79 @@ def search_elsewhere(
     tries: list[int] = []
     starts: list[Floats] = []
     for at in doubtful:
-        own = _starts(objects[at], shift, spread[at])
+        own = _starts(objects[at], looking.shift, spread[at])
         starts += own
         tries += [at] * len(own)
     information = inverse(spread)
-    rough = aligned_each(looking, tries, Start(np.stack(starts), information[tries]), ROUGH, ROUGH_POINTS)
+    rough = aligned_each(looking.task, tries, Start(np.stack(starts), information[tries]), ROUGH, ROUGH_POINTS)
     if rough is None:
         return found
-    kept = np.sort(np.concatenate([_best(rough, tries, at) for at in doubtful]))
+    kept = best_of(rough.gains, np.array(tries), doubtful)
     tries = [tries[number] for number in kept]
     start = Start(rough.poses[kept], information[tries])
-    fine = aligned_each(looking, tries, start, FINE, POINTS_MAX)
+    fine = aligned_each(looking.task, tries, start, FINE, POINTS_MAX)
     if fine is None:
         return found
-    predicted = np.stack([shift @ objects[at]["pose"] for at in tries])
-    away = log_many(invert_many(predicted) @ fine.poses)
-    squares = np.einsum("mi,mij,mj->m", away, inverse(prior.spread())[tries], away)
-    loose = np.einsum("mi,mij,mj->m", away, startled[tries], away)
+    away = away_by(looking, tries, fine.poses)
+    squares = squared(away, inverse(prior.spread())[tries])
+    loose = squared(away, startled[tries])
     still = prior.camera is None
     worse = np.array([still and _is_worse(found.scores[at], item) for at, item in enumerate(objects)])
     # Where something happens to an object the light on it changes, too: then its looks say little.
     found = found._replace(gains=np.where(worse, found.scores * found.shown, found.gains))
     support = (found.scores * found.shown)[tries]
     event = np.where(worse[tries], _EVENT_SEEN, _EVENT) * support
-    unlikely = np.minimum(0.5 * squares, np.minimum(0.5 * loose + event, _UNLIKELIEST * support))
+    unlikely = np.minimum(0.5 * squares, np.minimum(0.5 * loose + event, UNLIKELIEST * support))
     worth = np.where(worse[tries], fine.scores * found.shown[tries], fine.gains) - unlikely
-    within_reach = np.einsum("mi,mij,mj->m", away, pushed[tries], away) <= _REACH
+    within_reach = squared(away, pushed[tries]) <= _REACH
     much_better = seen[tries] & (fine.gains > found.gains[tries] + _MUCH * found.shown[tries])
     worth[(found.scores[tries] >= _SUPPORTED) & ~within_reach & ~much_better] = -np.inf
     return _chosen(found, tries, start, fine, worth)
 
 
-def aligned_each(looking: Looking, tries: Sequence[int], start: Start, search: Search, most: int) -> Aligned | None:
+def aligned_each(task: Task, tries: Sequence[int], start: Start, search: Search, most: int) -> Aligned | None:
     """Several starts of the same objects, each aligned as if it were an object of its own.
 
     Args:
-        looking: the image, and what is known of the objects' edges.
+        task: the image, and what is known of the objects' edges.
         tries: (n,) which object's control points each start has.
         start: of each.
         search: how.
         most: how many control points each has at most.
     """
-    places = looking.controls.rows_of(tries, most)
-    rows = np.concatenate(places)
-    several = looking.controls.of(places)
-    memory = Memory(*(part[rows] for part in looking.memory))
-    search = search._replace(noise_px=looking.noise_px)
-    return align(looking.image, several, start, looking.intrinsics, memory, search)
+    places = task.controls.rows_of(tries, most)
+    memory = only(task.memory, np.concatenate(places))
+    search = search._replace(noise_px=task.search.noise_px)
+    return align(task.image, task.controls.of(places), start, task.intrinsics, memory, search)
 
 
-def _best(rough: Aligned, tries: Sequence[int], at: int) -> NDArray[np.intp]:
-    """The numbers of an object's best starts."""
-    own = np.nonzero(np.array(tries) == at)[0]
-    best: NDArray[np.intp] = own[np.argsort(-rough.gains[own], kind="stable")[:_KEPT]]
-    return best
+def best_of(worth: Floats, owners: Array, wanted: Sequence[int]) -> Indices:
+    """The numbers of each wanted object's best few candidates, ascending."""
+    best = []
+    for at in wanted:
+        own = np.nonzero(owners == at)[0]
+        best.append(own[np.argsort(-worth[own], kind="stable")[:_KEPT]])
+    return np.sort(np.concatenate(best))
+
+
+def away_by(looking: Looking, owners: Sequence[int], poses: Floats) -> Floats:
+    """Twists (n, 6) by which poses of objects are away from where these are predicted, in the objects' frames."""
+    predicted = np.stack([looking.shift @ looking.objects[at]["pose"] for at in owners])
+    return log_many(invert_many(predicted) @ poses)
+
+
+def squared(away: Floats, information: Floats) -> Floats:
+    """(n,) the squares of twists, in variances."""
+    return np.asarray(np.einsum("mi,mij,mj->m", away, information, away), dtype=np.float64)
 
 
 def _chosen(found: Found, tries: Sequence[int], start: Start, fine: Aligned, worth: Floats) -> Found:
     after = found.copied()
     for number, at in enumerate(tries):
-        if fine.shown[number] < _LEAST_FOUND or worth[number] <= after.gains[at] + _BETTER * found.shown[at]:
+        if fine.shown[number] < LEAST_FOUND or worth[number] <= after.gains[at] + _BETTER * found.shown[at]:
             continue
-        after.poses[at] = fine.poses[number]
-        after.covariance[at] = inverse(start.information[number] + fine.blocks[number, 6:, 6:])
+        after.put(at, fine.poses[number], inverse(start.information[number] + fine.blocks[number, 6:, 6:]))
         after.scores[at], after.gains[at] = fine.scores[number], worth[number]
-        after.unrest[at], after.trend[at], after.elsewhere[at] = 1.0, 0.0, True
     return after
 
 

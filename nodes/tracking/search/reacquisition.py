@@ -8,46 +8,46 @@ imagined again for the next image, where they have moved to by then.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
 from hierax.nodes.tracking.estimation.alignment import Aligned, Start
-from hierax.nodes.tracking.estimation.appearance import Memory, recalled
-from hierax.nodes.tracking.estimation.fusion import Prior
-from hierax.nodes.tracking.estimation.profiles import Controls, Indices, gathered, lines_of
+from hierax.nodes.tracking.estimation.appearance import recalled
+from hierax.nodes.tracking.estimation.joint_alignment import Task
+from hierax.nodes.tracking.estimation.profiles import lines_of
 from hierax.nodes.tracking.estimation.stages import Search
 from hierax.nodes.tracking.imagery.controls import POINTS_MAX
-from hierax.nodes.tracking.math.batched import inverse, invert_many, log_many
-from hierax.nodes.tracking.math.geometry import Array, Floats
-from hierax.nodes.tracking.schema import TRACKED, ControlPoints, TrackedObject
+from hierax.nodes.tracking.math.batched import inverse, invert_many, joined, log_many, only, summed, tukey
+from hierax.nodes.tracking.math.geometry import NO_POSES, Array, Floats
+from hierax.nodes.tracking.model.controls import Indices, gathered
+from hierax.nodes.tracking.schema import TRACKED, ControlPoints
 from hierax.nodes.tracking.search.multistart import (
     FINE,
+    LEAST_FOUND,
     ROUGH,
     ROUGH_POINTS,
+    UNLIKELIEST,
     Found,
     Looking,
     aligned_each,
+    away_by,
+    best_of,
     search_elsewhere,
+    squared,
 )
 
 GUESSES = 3  # so many candidates of an object are kept from one image to the next
-_KEPT = 4
 # What a control point speaks for a pose by chance: what is seen where it should be speaks for a pose, what is not,
 # against it.
 _CHANCE = 0.5
 
 _FAMILIAR = 0.3  # what one that looks as it is remembered speaks for it besides
 
-# So large a share of the control points that should be seen must speak for a pose beyond that, however unlikely it was
-# before.
-_UNLIKELIEST = 0.25
-
 _CLEARLY = 1.5  # by so many control points a candidate must be better than any that differs from it
 
-# A candidate with this score, and so many control points that are no other object's edges, may be the object.
+# A candidate with this score, and `LEAST_FOUND` control points that are no other object's edges, may be the object.
 _FOUND_SCORE = 0.7
-_LEAST_FOUND = 18.0
 
 # What is surely seen of an object with this score claims what the image shows so near to it, in that direction.
 _SEEN = 0.5
@@ -72,75 +72,52 @@ class _Candidates(NamedTuple):
     settled: Array  # (n,) whether it was found in an earlier image, or is the expected one
     expected: Array  # (n,) whether it is that
 
-    def only(self, chosen: Array) -> _Candidates:
-        parts: list[Any] = [part[chosen] for part in self]
-        return _Candidates(*parts)
 
-
-def look_elsewhere(
-    looking: Looking,
-    objects: Sequence[TrackedObject],
-    shift: Floats,
-    found: Found,
-    doubtful: Sequence[int],
-    prior: Prior,
-) -> Found:
+def look_elsewhere(looking: Looking, found: Found, doubtful: Sequence[int]) -> Found:
     """The same as found, but for doubtful objects that are better explained elsewhere; arguments: see `find_again`."""
-    near = [at for at in doubtful if not objects[at]["others"]]
-    gone = [at for at in doubtful if objects[at]["others"]]
+    near = [at for at in doubtful if not looking.objects[at]["others"]]
+    gone = [at for at in doubtful if looking.objects[at]["others"]]
     if near:
-        found = search_elsewhere(looking, objects, shift, found, near, prior)
-    return find_again(looking, objects, shift, found, gone, prior) if gone else found
+        found = search_elsewhere(looking, found, near)
+    return find_again(looking, found, gone) if gone else found
 
 
-def find_again(
-    looking: Looking, objects: Sequence[TrackedObject], shift: Floats, found: Found, sought: Sequence[int], prior: Prior
-) -> Found:
+def find_again(looking: Looking, found: Found, sought: Sequence[int]) -> Found:
     """The same as found, but for objects of which a pose that was imagined besides explains the image clearly best.
 
     Args:
-        looking: the image, and what is known of the objects' edges.
-        objects: as for `hierax.nodes.tracking.search.association.associate`.
-        shift: (4, 4) what the camera's error does to all poses.
+        looking: what the search works on.
         found: where the objects were expected and found.
         sought: which of them to look for; they have "others".
-        prior: what was known before the image.
     """
-    candidates, controls, memory = _candidates(looking, objects, shift, found, sought)
-    imagined = looking._replace(controls=controls, memory=memory)
-    covariance = prior._replace(unrest=np.ones(len(objects))).spread()
-    information = inverse(covariance)
+    objects, prior = looking.objects, looking.task.prior
+    candidates, imagined = _candidates(looking, found, sought)
+    information = inverse(prior._replace(unrest=np.ones(len(objects))).spread())
 
     def aligned(which: _Candidates, search: Search, most: int) -> Aligned | None:
         start = Start(which.starts, information[which.owners])
-        return aligned_each(imagined, [int(view) for view in which.views], start, search, most)
+        return aligned_each(imagined, which.views.tolist(), start, search, most)
 
-    fresh = candidates.only(~candidates.settled)
+    fresh = only(candidates, ~candidates.settled)
     rough = aligned(fresh, ROUGH, ROUGH_POINTS) if len(fresh.owners) else None
     if rough is not None:
-        worth = rough.gains - _CHANCE * rough.shown
-        best = np.sort(np.concatenate([_best(worth, fresh.owners == at) for at in sought]))
-        fresh = fresh._replace(starts=rough.poses).only(best)
-    both = (candidates.only(candidates.settled), fresh)
-    joined: list[Any] = [np.concatenate(parts) for parts in zip(*both, strict=True)]
-    candidates = _Candidates(*joined)
+        best = best_of(rough.gains - _CHANCE * rough.shown, fresh.owners, sought)
+        fresh = only(fresh._replace(starts=rough.poses), best)
+    candidates = joined((only(candidates, candidates.settled), fresh))
     fine = aligned(candidates, FINE, POINTS_MAX)
     if fine is None:
         return found
-    predicted = np.stack([shift @ objects[at]["pose"] for at in candidates.owners])
-    away = log_many(invert_many(predicted) @ fine.poses)
-    squares = np.einsum("mi,mij,mj->m", away, information[candidates.owners], away)
-    evidence, shown = _evidence(looking, found, fine, controls, memory, candidates)
-    worth = evidence - np.minimum(0.5 * squares, _UNLIKELIEST * shown)
-    eligible = (fine.scores >= _FOUND_SCORE) & (shown >= _LEAST_FOUND)
+    away = away_by(looking, candidates.owners.tolist(), fine.poses)
+    evidence, shown = _evidence(looking, found, fine, candidates)
+    worth = evidence - np.minimum(0.5 * squared(away, information[candidates.owners]), UNLIKELIEST * shown)
+    eligible = (fine.scores >= _FOUND_SCORE) & (shown >= LEAST_FOUND)
     tracked = np.array([item["status"] == TRACKED for item in objects])
     return _chosen(found, candidates, fine, worth, eligible, information, sought, tracked)
 
 
-def _candidates(
-    looking: Looking, objects: Sequence[TrackedObject], shift: Floats, found: Found, sought: Sequence[int]
-) -> tuple[_Candidates, Controls, Memory]:
-    """What may be, with all their controls, and what is remembered beside those."""
+def _candidates(looking: Looking, found: Found, sought: Sequence[int]) -> tuple[_Candidates, Task]:
+    """What may be, and the task with all their controls and what is remembered beside those."""
+    task, objects, shift = looking.task, looking.objects, looking.shift
     rows: list[tuple[int, int, Floats, bool, bool]] = []
     seen: list[ControlPoints] = []
     owners: list[int] = []
@@ -154,52 +131,36 @@ def _candidates(
                 rows.append((at, len(seen), shift @ other["pose"], other["kept"], False))
                 seen.append(other["controls"])
         owners += [at] * (len(seen) - len(owners))
-    columns: list[Any] = [np.array(column) for column in zip(*rows, strict=True)]
+    candidates = _Candidates._make(np.array(column) for column in zip(*rows, strict=True))
     controls = gathered(seen)
-    memory = recalled([objects[at]["slots"] for at in owners], controls, looking.image.shape[2])
-    memory = memory._replace(factor=np.full(len(controls.owners), looking.memory.factor[0], dtype=np.float32))
-    return _Candidates(*columns), controls, memory
+    memory = recalled([objects[at]["slots"] for at in owners], controls, task.image.shape[2])
+    memory = memory._replace(factor=np.full(len(controls.owners), task.memory.factor[0], dtype=np.float32))
+    return candidates, task._replace(controls=controls, memory=memory)
 
 
-def _best(worth: Floats, own: Array) -> Indices:
-    numbers = np.nonzero(own)[0]
-    best: Indices = numbers[np.argsort(-worth[numbers], kind="stable")[:_KEPT]]
-    return best
-
-
-def _evidence(
-    looking: Looking, found: Found, fine: Aligned, controls: Controls, memory: Memory, candidates: _Candidates
-) -> tuple[Floats, Floats]:
+def _evidence(looking: Looking, found: Found, fine: Aligned, candidates: _Candidates) -> tuple[Floats, Floats]:
     """(n,) how much the image speaks for each candidate, in control points, and how many of those are its own."""
-    places = controls.rows_of([int(view) for view in candidates.views], POINTS_MAX)
-    rows = np.concatenate(places)[fine.lines.rows]
-    numbers = np.repeat(np.arange(len(places)), [len(own) for own in places])[fine.lines.rows]
-    matches = fine.matches
-    part = np.minimum(np.abs(matches.pixels) / _NEAR_PX, 1.0)
-    gain = (1.0 - part * part) ** 2 * np.exp(-_STRANGE * matches.strange) - _CHANCE
-    known = (memory.precision[rows] > 0).any(axis=1) & matches.supported & (matches.strange < 1.0)
-    own = controls.visible[rows] * ~_claimed(looking, found, fine, candidates.owners[numbers])
-    count = len(candidates.owners)
-
-    def summed(values: Floats) -> Floats:
-        return np.asarray(np.bincount(numbers, weights=values, minlength=count), dtype=np.float64)
-
-    return summed(own * (gain + _FAMILIAR * known)), summed(own)
+    stage, matches, count = fine.stage, fine.matches, len(candidates.owners)
+    numbers = stage.controls.owners
+    gain = tukey(matches.pixels, _NEAR_PX) * np.exp(-_STRANGE * matches.strange) - _CHANCE
+    known = (stage.memory.precision > 0).any(axis=1) & fine.supported & (matches.strange < 1.0)
+    own = stage.controls.visible * ~_claimed(looking, found, fine, candidates.owners[numbers])
+    return summed(numbers, own * (gain + _FAMILIAR * known), count), summed(numbers, own, count)
 
 
 def _claimed(looking: Looking, found: Found, fine: Aligned, owners: Indices) -> Array:
     """(n,) of each line whether what it found in the image is rather an edge of another object that is seen there."""
-    controls = looking.controls
-    chosen = (controls.visible > _SEEN) & (found.scores >= _SUPPORTED)[controls.owners]
-    lines = lines_of(controls, found.poses, looking.intrinsics, looking.image.shape)
+    task, mine = looking.task, fine.stage.lines
+    chosen = (task.controls.visible > _SEEN) & (found.scores >= _SUPPORTED)[task.controls.owners]
+    lines = lines_of(task.controls, found.poses, task.intrinsics, task.image.shape)
     kept = chosen[lines.rows]
-    claims, normals, whose = lines.pixels[kept], lines.normals[kept], controls.owners[lines.rows[kept]]
-    places = fine.profiles.places[np.arange(len(owners)), fine.matches.columns]
-    middle = fine.lines.pixels + np.where(np.isfinite(places), places, 0.0)[:, None] * fine.lines.normals
+    claims, normals, whose = lines.pixels[kept], lines.normals[kept], task.controls.owners[lines.rows[kept]]
+    places = fine.stage.profiles.places[np.arange(len(owners)), fine.matches.columns]
+    middle = mine.pixels + np.where(np.isfinite(places), places, 0.0)[:, None] * mine.normals
     away = middle[:, None, :] - claims[None]
     across = np.abs(np.einsum("nmk,mk->nm", away, normals)) < _CLAIM_PX
     along = np.abs(away[..., 0] * normals[None, :, 1] - away[..., 1] * normals[None, :, 0]) < _CLAIM_ALONG_PX
-    parallel = np.abs(fine.lines.normals @ normals.T) > _PARALLEL
+    parallel = np.abs(mine.normals @ normals.T) > _PARALLEL
     claimed: Array = (across & along & parallel & (owners[:, None] != whose[None])).any(axis=1)
     return claimed
 
@@ -226,16 +187,11 @@ def _chosen(
         kept = own[candidates.expected[own]][0]
         known = tracked[at] and worth[first] > worth[kept] + _CLEARLY
         if not candidates.expected[first] and eligible[first] and (known or (not tracked[at] and after.sure[at])):
-            after.poses[at] = fine.poses[first]
-            after.covariance[at] = inverse(information[at] + fine.blocks[first, 6:, 6:])
-            after.scores[at], after.gains[at], after.shown[at] = (
-                fine.scores[first],
-                fine.gains[first],
-                fine.shown[first],
-            )
-            after.unrest[at], after.trend[at], after.elsewhere[at] = 1.0, 0.0, True
+            after.put(at, fine.poses[first], inverse(information[at] + fine.blocks[first, 6:, 6:]))
+            after.scores[at], after.gains[at] = fine.scores[first], fine.gains[first]
+            after.shown[at] = fine.shown[first]
         guesses = [fine.poses[number] for number in rivals[int(after.sure[at]) :][:GUESSES]]
-        after.guesses[at] = np.stack(guesses) if guesses else np.zeros((0, 4, 4))
+        after.guesses[at] = np.stack(guesses) if guesses else NO_POSES
     return after
 
 

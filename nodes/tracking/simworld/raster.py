@@ -11,10 +11,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from hierax.nodes.tracking.math.geometry import Array, Floats, invert, transform
+from hierax.nodes.tracking.math.geometry import Array, Floats, invert, lens_matrix, transform
 from hierax.nodes.tracking.simworld.shapes import Body, Face
 
-_NEAREST_M = 1e-3
+_NEAREST_SAMPLED_M = 1e-3  # a face with a corner nearer to the camera is not drawn
 
 Window = tuple[int, int, int, int]  # pixels of a picture: left, top, right, bottom, the ends excluded
 
@@ -36,18 +36,16 @@ def homography(face: Face, camera: Floats, intrinsics: Array) -> Floats:
         camera: world_from_camera.
         intrinsics: fx, fy, cx, cy in pixels.
     """
-    fx, fy, cx, cy = intrinsics
-    lens = np.array([[fx, 0.0, cx], [0.0, fy, cy], [0.0, 0.0, 1.0]])
     from_world = invert(camera)
     rotation = from_world[:3, :3]
     columns = (rotation @ face.right, rotation @ face.up, transform(from_world, face.corner))
-    return lens @ np.stack(columns, axis=1)
+    return lens_matrix(intrinsics) @ np.stack(columns, axis=1)
 
 
 def window_of(to_pixels: Floats, width: int, height: int) -> Window | None:
     """The pixels that a face may touch; None where it is out of the picture."""
     corners = to_pixels @ np.array([[0.0, 1.0, 0.0, 1.0], [0.0, 0.0, 1.0, 1.0], [1.0, 1.0, 1.0, 1.0]])
-    if corners[2].min() < _NEAREST_M:
+    if corners[2].min() < _NEAREST_SAMPLED_M:
         return None
     pixels = corners[:2] / corners[2]
     left, top = (int(x) for x in np.maximum(np.floor(pixels.min(axis=1)), 0))

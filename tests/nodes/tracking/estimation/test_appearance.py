@@ -18,7 +18,9 @@ from hierax.nodes.tracking.estimation.appearance import (
     sought,
     strangeness,
 )
-from hierax.nodes.tracking.estimation.profiles import Controls, Profiles, gathered, lines_of, read_profiles, smoothed
+from hierax.nodes.tracking.estimation.profiles import Profiles, lines_of, read_profiles, smoothed
+from hierax.nodes.tracking.math.batched import only
+from hierax.nodes.tracking.model.controls import EDGE_SLOTS, Controls, gathered
 from hierax.schemas.values import decode_value, encode_value
 
 
@@ -44,23 +46,23 @@ def test_the_own_edges_look_familiar_and_others_strange() -> None:
     controls, rows, profiles = read(image)
     nearest = np.abs(profiles.places).argmin(axis=1)
     memory = recalled([slots], controls, 1)
-    own = strangeness(memory, controls, rows, profiles)[np.arange(len(rows)), nearest]
+    own = strangeness(only(memory, rows), profiles)[np.arange(len(rows)), nearest]
     assert np.quantile(own, 0.9) < 0.5
     # The same edges with everything much brighter beside one of them are not the same.
     shifted = profiles._replace(inside=profiles.inside + np.float32(60.0) * (np.arange(13) > 6)[None, :, None])
-    other = strangeness(memory, controls, rows, shifted)[:, 8]
+    other = strangeness(only(memory, rows), shifted)[:, 8]
     assert np.median(other) > 1.0
 
 
 def test_nothing_is_strange_before_anything_was_learnt() -> None:
     controls, rows, profiles = read(photograph([FIRST], 2.0, np.random.default_rng(1)))
-    assert not strangeness(recalled([NOTHING], controls, 1), controls, rows, profiles).any()
-    assert not strangeness(recalled([learnt(3)], controls, 3), controls, rows, profiles).any()
+    assert not strangeness(only(recalled([NOTHING], controls, 1), rows), profiles).any()
+    assert not strangeness(only(recalled([learnt(3)], controls, 3), rows), profiles).any()
 
 
 def test_edges_that_are_off_again_and_again_are_trusted_less_until_the_object_moves() -> None:
     controls, _, _ = read(photograph([FIRST], 2.0, np.random.default_rng(1)))
-    numbers = controls.slots[:, 0] // (4096 * 65536)
+    numbers = controls.slots[:, 0] // EDGE_SLOTS
     first = numbers == numbers[0]
     slots = NOTHING
     for _ in range(30):

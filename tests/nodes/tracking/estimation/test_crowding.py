@@ -6,7 +6,7 @@ import numpy as np
 from support.boxes import INTRINSICS
 
 from hierax.nodes.tracking.estimation.crowding import apartness
-from hierax.nodes.tracking.estimation.profiles import Controls
+from hierax.nodes.tracking.model.controls import Controls
 
 POSE = np.eye(4)[None].repeat(2, axis=0)
 
@@ -19,13 +19,11 @@ def ruled(*lines: tuple[int, float, float, float]) -> Controls:
         points.append(np.stack((np.full(20, right / INTRINSICS[0] * away), down, np.full(20, away)), axis=1))
     count = 20 * len(lines)
     owners = np.repeat([owner for owner, *_ in lines], 20)
-    edges = np.repeat(np.arange(len(lines)), 20)
+    edges = np.repeat(np.arange(len(lines)), 20).astype(np.int32)
     tangents, inwards = np.tile([0.0, 1.0, 0.0], (count, 1)), np.tile([1.0, 0.0, 0.0], (count, 1))
     visible = np.repeat([chance for *_, chance in lines], 20)
-    slots = np.zeros((count, 2), dtype=np.int64)
-    return Controls(
-        owners, np.concatenate(points), tangents, inwards, np.zeros(count, dtype=bool), edges, slots, visible
-    )
+    kinds, faces = np.zeros(count, dtype=np.uint8), np.zeros((count, 2), dtype=np.int32)
+    return Controls(owners, np.concatenate(points), tangents, inwards, kinds, edges, faces, visible)
 
 
 def each(controls: Controls) -> np.ndarray:

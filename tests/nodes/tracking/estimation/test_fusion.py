@@ -9,10 +9,11 @@ from support.drawn import BOXES, FIRST, all_expected, expected
 from hierax.nodes.tracking.estimation.alignment import Aligned, Start, align
 from hierax.nodes.tracking.estimation.appearance import NOTHING, recalled
 from hierax.nodes.tracking.estimation.fusion import LEAST_UNREST, Prior, fuse
-from hierax.nodes.tracking.estimation.profiles import gathered, smoothed
+from hierax.nodes.tracking.estimation.profiles import smoothed
 from hierax.nodes.tracking.estimation.stages import Search
 from hierax.nodes.tracking.math.batched import inverse
 from hierax.nodes.tracking.math.geometry import exp_se3
+from hierax.nodes.tracking.model.controls import gathered
 
 MOTION = np.diag([0.01**2] * 3 + [0.06**2] * 3)
 KNOWN = 1e-3**2 * np.diag([1.0] * 3 + [50.0] * 3)

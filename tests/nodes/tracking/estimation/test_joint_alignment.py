@@ -59,9 +59,8 @@ def one_off(shift: np.ndarray) -> tuple[Explained, Explained | None]:
     for item in items:
         item["covariance"] = np.diag([0.0004**2] * 3 + [0.004**2] * 3)
     prior = prior_of(items, MOTION, CAMERA)
-    slots = [item["slots"] for item in items]
     image = smoothed(photograph(BOXES, 2.0, np.random.default_rng(4)))
-    task = task_of(image, items, slots, prior, INTRINSICS, 0.7)
+    task = task_of(image, items, prior, INTRINSICS, 0.7)
     assert task.search.reach_px == (8,)
     first = explained(task)
     assert first is not None

@@ -7,9 +7,10 @@ import pytest
 from support.boxes import INTRINSICS, SIZE, Box, cast
 from support.meshes import ELL_BOXES, cylinder, divided, ell, sphere
 
-from hierax.nodes.tracking.imagery.controls import CREASE, OUTLINE, POINTS_MAX, SPACING_PX, Controls, controls_of
+from hierax.nodes.tracking.imagery.controls import POINTS_MAX, SPACING_PX, controls_of
 from hierax.nodes.tracking.imagery.layers import LayerRenderer
 from hierax.nodes.tracking.math.geometry import exp_so3, invert, make_pose, project, transform
+from hierax.nodes.tracking.model.controls import CREASE, OUTLINE, Controls
 from hierax.nodes.tracking.model.mesh import box_mesh
 from hierax.nodes.tracking.model.shapes import shape_of
 

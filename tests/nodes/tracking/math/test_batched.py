@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from hierax.nodes.tracking.math.batched import adjoints, cross_rows, exp_many, inverse, invert_many, log_many
-from hierax.nodes.tracking.math.geometry import exp_se3, invert, log_se3
+from hierax.nodes.tracking.math.batched import adjoints, exp_many, inverse, invert_many, log_many
+from hierax.nodes.tracking.math.geometry import cross, exp_se3, invert, log_se3
 
 
 def twists() -> np.ndarray:
@@ -34,7 +34,7 @@ def test_adjoints_carry_twists_from_frame_to_frame() -> None:
 def test_cross_products_and_inverses() -> None:
     rng = np.random.default_rng(4)
     first, second = rng.normal(size=(2, 5, 3))
-    np.testing.assert_allclose(cross_rows(first, second), np.cross(first, second))
+    np.testing.assert_allclose(cross(first, second), np.cross(first, second))
     roots = rng.normal(size=(3, 6, 6))
     matrices = roots @ roots.transpose(0, 2, 1) + np.eye(6)
     found = inverse(matrices)

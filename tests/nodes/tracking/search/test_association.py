@@ -117,7 +117,7 @@ def test_equal_to_the_bit_when_done_again() -> None:
 def test_what_is_found_elsewhere_no_farther_away_than_predictions_err_did_not_move(
     away_m: float, rests: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    def found_there(_looking: Any, _objects: Any, _shift: Any, found: Found, *_: Any) -> Found:
+    def found_there(_looking: Any, found: Found, *_: Any) -> Found:
         there = found.poses @ exp_se3(np.array([away_m, 0.0, 0.0, 0.0, 0.0, 0.0]))
         seen = np.diag([0.0003**2] * 3 + [0.003**2] * 3)[None]
         return found._replace(poses=there, covariance=seen, unrest=np.ones(1), elsewhere=np.ones(1, dtype=bool))
