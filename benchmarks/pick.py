@@ -24,7 +24,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from hierax.nodes.tracking.evaluation.report import read_errors
-from hierax.nodes.tracking.evaluation.scoring import Course
+from hierax.nodes.tracking.evaluation.scoring import ObjectErrors
 
 HIERAX = [sys.executable, "-m", "hierax.runtime.commands.main"]
 TIMEOUT_S = 600.0
@@ -93,7 +93,7 @@ def episode(scene: int, command: str, settings: Sequence[str] = ()) -> Episode:
         return measured(scene, json.loads(done.stdout), read_errors(Path(folder)))
 
 
-def measured(scene: int, report: dict[str, Any], errors: Sequence[Course]) -> Episode:
+def measured(scene: int, report: dict[str, Any], errors: Sequence[ObjectErrors]) -> Episode:
     """The figures of a report, and of the tracker's errors of all cubes."""
     world, grasp = (report["nodes"][name]["metrics"] for name in ("world", "grasp"))
     cube = int(grasp["target"])
@@ -112,7 +112,7 @@ def measured(scene: int, report: dict[str, Any], errors: Sequence[Course]) -> Ep
     )
 
 
-def errors_of(item: Course) -> Errors:
+def errors_of(item: ObjectErrors) -> Errors:
     """A cube's errors in short, over the frames in which it has a pose."""
     later = np.arange(len(item.frames)) >= SETTLED_FRAMES
     later &= ~np.isnan(item.distance_mm)

@@ -13,7 +13,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from hierax.nodes.causal_tree.careful import Product
+from hierax.nodes.causal_tree.extended_floats import ExtendedFloats, Floats, Places, extended, multiply, ones, products
+from hierax.nodes.causal_tree.extended_sweep import Product
 from hierax.nodes.causal_tree.messages import (
     Arrow,
     Evidence,
@@ -27,7 +28,6 @@ from hierax.nodes.causal_tree.messages import (
 from hierax.nodes.causal_tree.network import Network
 from hierax.nodes.causal_tree.plan import Family, make_plan
 from hierax.nodes.causal_tree.sweep import Inputs, NothingLeftError, Sweep
-from hierax.nodes.causal_tree.wide import Floats, Places, Wide, multiply, ones, products, widen
 
 
 class Upward(NamedTuple):
@@ -168,7 +168,7 @@ class Fragment:
         for parent, arrows in by_parent.items():
             outside = self._without_slots(evidence, parent)
             rest = _each_without(_stacked([unpacked(slots[arrow]) for arrow in arrows]))
-            sent = packed(multiply(Wide(outside.fraction[:, None], outside.exponent[:, None]), rest))
+            sent = packed(multiply(outside.at(None), rest))
             causal.update({arrow: np.ascontiguousarray(sent[..., place]) for place, arrow in enumerate(arrows)})
         return Whole(causal, self._posterior(), None)
 
@@ -190,12 +190,12 @@ class Fragment:
             found = multiply(found, each)
         return packed(found)
 
-    def _without_slots(self, evidence: Sequence[Evidence], name: str) -> Wide:
+    def _without_slots(self, evidence: Sequence[Evidence], name: str) -> ExtendedFloats:
         """All that is known of a node but by its slots, after a sweep."""
         found = self._sweep.inner(self._numbers[name])
         for each in evidence:
             if name in each:
-                found = multiply(found, widen(self._vector(name, each[name])))
+                found = multiply(found, extended(self._vector(name, each[name])))
         return found
 
     def _swept(
@@ -209,9 +209,9 @@ class Fragment:
         impossible = self._up(evidence, slots)
         if impossible is not None:
             return impossible
-        was_careful = self._sweep.is_careful
+        was_extended = self._sweep.is_extended
         contradicts = self._try(None, self._columns(told))
-        if self._sweep.is_careful != was_careful:  # another sweep down should go the same way as this one
+        if self._sweep.is_extended != was_extended:  # another sweep down should go the same way as this one
             self._known = None
         return contradicts
 
@@ -233,7 +233,9 @@ class Fragment:
             return self._shown[error.variable]
         return None
 
-    def _inputs(self, evidence: Sequence[Evidence], slots: Mapping[Arrow, Floats], told: Mapping[int, Wide]) -> Inputs:
+    def _inputs(
+        self, evidence: Sequence[Evidence], slots: Mapping[Arrow, Floats], told: Mapping[int, ExtendedFloats]
+    ) -> Inputs:
         """By variable, the product of all that comes to it from elsewhere."""
         factors = dict(told)
         for (_, parent), message in slots.items():
@@ -243,25 +245,25 @@ class Fragment:
             for name, seen in each.items():
                 variable, vector = self._numbers[name], self._vector(name, seen)
                 if variable in alone:
-                    _take_in(factors, variable, widen(alone.pop(variable)))
+                    _take_in(factors, variable, extended(alone.pop(variable)))
                 if variable in factors:
-                    _take_in(factors, variable, widen(vector))
+                    _take_in(factors, variable, extended(vector))
                 else:
                     alone[variable] = vector
         inputs = self._columns(factors)
         for size, variables in self._by_size(alone).items():
             columns = self._plan.columns[variables]
-            values = widen(np.array([alone[variable] for variable in variables]).T)
+            values = extended(np.array([alone[variable] for variable in variables]).T)
             if size in inputs:
                 others, theirs = inputs[size]
                 columns = np.concatenate([others, columns])
-                values = Wide(
+                values = ExtendedFloats(
                     np.hstack([theirs.fraction, values.fraction]), np.hstack([theirs.exponent, values.exponent])
                 )
             inputs[size] = (columns, values)
         return inputs
 
-    def _columns(self, factors: Mapping[int, Wide]) -> dict[int, tuple[Places, Wide]]:
+    def _columns(self, factors: Mapping[int, ExtendedFloats]) -> dict[int, tuple[Places, ExtendedFloats]]:
         return {
             size: (self._plan.columns[variables], _stacked([factors[variable] for variable in variables]))
             for size, variables in self._by_size(factors).items()
@@ -301,16 +303,18 @@ def _same(one: Sequence[Evidence], other: Sequence[Evidence]) -> bool:
     return len(one) == len(other) and all(map(operator.is_, one, other))
 
 
-def _take_in(factors: dict[int, Wide], variable: int, factor: Wide) -> None:
+def _take_in(factors: dict[int, ExtendedFloats], variable: int, factor: ExtendedFloats) -> None:
     known = factors.get(variable)
     factors[variable] = factor if known is None else multiply(known, factor)
 
 
-def _stacked(columns: Sequence[Wide]) -> Wide:
-    return Wide(np.stack([c.fraction for c in columns], axis=1), np.stack([c.exponent for c in columns], axis=1))
+def _stacked(columns: Sequence[ExtendedFloats]) -> ExtendedFloats:
+    return ExtendedFloats(
+        np.stack([c.fraction for c in columns], axis=1), np.stack([c.exponent for c in columns], axis=1)
+    )
 
 
-def _each_without(factors: Wide) -> Wide:
+def _each_without(factors: ExtendedFloats) -> ExtendedFloats:
     """For each column, the product of the others."""
     apart = Product.of(factors)
     joined = products(apart.rest, np.zeros(1, np.intp))

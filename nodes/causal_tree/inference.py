@@ -8,10 +8,10 @@ from typing import Any
 import numpy as np
 
 from hierax.nodes.causal_tree.errors import EvidenceError, ImpossibleEvidence, Name
+from hierax.nodes.causal_tree.extended_floats import Floats, extended
 from hierax.nodes.causal_tree.network import Description, Network, parse
 from hierax.nodes.causal_tree.plan import Family, Plan, make_plan
 from hierax.nodes.causal_tree.sweep import Inputs, NothingLeftError, Sweep
-from hierax.nodes.causal_tree.wide import Floats, widen
 
 Evidence = Mapping[Name, Any]
 """Likelihood vectors by node: P(what was seen | state) for each state, at any scale; a 1 among zeros says which
@@ -118,14 +118,14 @@ class Inference:
         flat = _flat(evidence, vectors, self._sizes[numbers])
         if len(self._plan.members) == 1:
             size = self._plan.sizes[0]
-            return {size: (self._plan.columns[numbers], widen(flat.reshape(-1, size).T))}
+            return {size: (self._plan.columns[numbers], extended(flat.reshape(-1, size).T))}
         sizes = self._sizes[numbers]
         ends = np.cumsum(sizes)
         inputs = {}
         for size in np.unique(sizes).tolist():
             which = np.flatnonzero(sizes == size)
             values = flat[(ends[which] - size) + np.arange(size)[:, None]]
-            inputs[size] = (self._plan.columns[numbers[which]], widen(values))
+            inputs[size] = (self._plan.columns[numbers[which]], extended(values))
         return inputs
 
 

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from hierax.nodes.causal_tree.wide import Floats, Wide, shifted
+from hierax.nodes.causal_tree.extended_floats import ExtendedFloats, Floats, shifted
 
 Arrow = tuple[str, str]  # a child and its parent
 Messages = Mapping[str, Mapping[str, Floats]]  # by child, then by parent
@@ -17,15 +17,15 @@ Evidence = Mapping[str, int | tuple[float, ...]]
 NOTHING: Messages = {}
 
 
-def packed(message: Wide) -> Floats:
+def packed(message: ExtendedFloats) -> Floats:
     """A message as an array: fractions, then exponents."""
     scaled = shifted(message, 0)
     return np.stack([scaled.fraction, scaled.exponent.astype(np.float64)])
 
 
-def unpacked(message: Floats) -> Wide:
+def unpacked(message: Floats) -> ExtendedFloats:
     """What `packed` wrote."""
-    return Wide(message[0], message[1].astype(np.int64))
+    return ExtendedFloats(message[0], message[1].astype(np.int64))
 
 
 def checked(message: Floats, size: int, parent: str) -> Floats:

@@ -8,9 +8,9 @@ from typing import Any
 import numpy as np
 
 from hierax.nodes.causal_tree.errors import EvidenceError, Name, NetworkError
-from hierax.nodes.causal_tree.files import read_network
+from hierax.nodes.causal_tree.extended_floats import Floats
 from hierax.nodes.causal_tree.network import MAX_NODES, MAX_STATES, Network, Variable, check_tables, parse
-from hierax.nodes.causal_tree.wide import Floats
+from hierax.nodes.causal_tree.network_files import read_network
 
 # A network; a description; the path of a file; or ``{nodes, states, seed}``: a random tree.
 Source = Network | Sequence[Mapping[str, Any]] | Mapping[str, Any] | str

@@ -22,12 +22,12 @@ from typing import Any
 import numpy as np
 
 from hierax.nodes.causal_tree.errors import ImpossibleEvidence
+from hierax.nodes.causal_tree.extended_floats import Floats
 from hierax.nodes.causal_tree.fragment import Fragment
 from hierax.nodes.causal_tree.messages import NOTHING, Arrow, Messages
 from hierax.nodes.causal_tree.network import Network
+from hierax.nodes.causal_tree.network_graph import part_things
 from hierax.nodes.causal_tree.networks import Source, network_from
-from hierax.nodes.causal_tree.showing import part_things
-from hierax.nodes.causal_tree.wide import Floats
 from hierax.runtime import NO_TICK, Elements, Node, Step, Tick, Value
 from hierax.runtime.core.showing import Things
 

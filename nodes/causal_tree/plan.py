@@ -18,7 +18,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from hierax.nodes.causal_tree.wide import Floats, Places, Wide, widen
+from hierax.nodes.causal_tree.extended_floats import ExtendedFloats, Floats, Places, extended
 
 
 class Family(NamedTuple):
@@ -49,9 +49,9 @@ class Group:
     nodes: tuple[int, ...]  # the child of each family, as the number of a variable
 
     @cached_property
-    def wide_table(self) -> Wide:
+    def extended_table(self) -> ExtendedFloats:
         """The table for where exponents have to be kept apart."""
-        return widen(self.table)
+        return extended(self.table)
 
 
 @dataclass(frozen=True)
@@ -68,9 +68,9 @@ class Plan:
     others: int  # the most others that a family has
 
     @cached_property
-    def wide_base(self) -> Mapping[int, Wide]:
+    def extended_base(self) -> Mapping[int, ExtendedFloats]:
         """The priors for where exponents have to be kept apart."""
-        return {size: widen(base) for size, base in self.base.items()}
+        return {size: extended(base) for size, base in self.base.items()}
 
     @cached_property
     def below(self) -> Mapping[int, Sequence[tuple[int, int]]]:

@@ -75,7 +75,7 @@ def product(names: Sequence[str], factors: Iterable[Weights], what: str) -> dict
         ImpossibleEvidenceError: the product is 0 everywhere.
     """
     factors = tuple(factors)
-    parts = {name: _wide_product(factor[name] for factor in factors) for name in names}
+    parts = {name: _extended_product(factor[name] for factor in factors) for name in names}
     top = max((exponent for fraction, exponent in parts.values() if fraction > 0), default=0)
     message = {
         name: max(math.ldexp(fraction, exponent - top), TINY) if fraction > 0 else 0.0
@@ -84,7 +84,7 @@ def product(names: Sequence[str], factors: Iterable[Weights], what: str) -> dict
     return normalised(message, what)
 
 
-def _wide_product(values: Iterable[float]) -> tuple[float, int]:
+def _extended_product(values: Iterable[float]) -> tuple[float, int]:
     """The product as (fraction, exponent of 2), which cannot underflow."""
     fraction, exponent = 1.0, 0
     for value in values:

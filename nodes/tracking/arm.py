@@ -11,6 +11,7 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
+from hierax.nodes.tracking.display import arm_things
 from hierax.nodes.tracking.estimation.profiles import smoothed
 from hierax.nodes.tracking.estimation.tracked import (
     NO_CONTROLS,
@@ -35,7 +36,6 @@ from hierax.nodes.tracking.schema import (
 )
 from hierax.nodes.tracking.search.association import Estimate, Options, associate
 from hierax.nodes.tracking.search.multistart import FALLING, held, in_turn
-from hierax.nodes.tracking.showing import arm_things
 from hierax.runtime import Elements, Node, Step, Value
 from hierax.runtime.core.showing import Things
 

@@ -8,6 +8,7 @@ from math import sqrt
 
 import numpy as np
 
+from hierax.nodes.tracking.display import spatial_things
 from hierax.nodes.tracking.imagery.alternatives import elsewhere
 from hierax.nodes.tracking.imagery.physics import GRAVITY_M_S2, Motion, Simulator, Solid
 from hierax.nodes.tracking.imagery.resting import resting
@@ -23,7 +24,6 @@ from hierax.nodes.tracking.math.geometry import (
     make_pose,
 )
 from hierax.nodes.tracking.schema import Body, FirstBody, Model, SeenCamera, SeenObject, SpatialBelief
-from hierax.nodes.tracking.showing import spatial_things
 from hierax.runtime import NO_TICK, Elements, Node, Step, Tick, Value
 from hierax.runtime.core.showing import Things
 

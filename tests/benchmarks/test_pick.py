@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from hierax.nodes.tracking.evaluation.scoring import Course
+from hierax.nodes.tracking.evaluation.scoring import ObjectErrors
 
 PATH = Path(__file__).parents[2] / "benchmarks" / "pick.py"
 
@@ -35,8 +35,10 @@ def report(grasped: float) -> dict[str, Any]:
 
 
 ERRORS = [
-    Course(4, np.arange(40), np.r_[6.0, np.full(29, 0.2), np.full(10, 0.6)], np.r_[3.0, np.full(39, 0.1)], np.ones(40)),
-    Course(5, np.arange(40), np.full(40, 99.0), np.full(40, 99.0), np.ones(40)),
+    ObjectErrors(
+        4, np.arange(40), np.r_[6.0, np.full(29, 0.2), np.full(10, 0.6)], np.r_[3.0, np.full(39, 0.1)], np.ones(40)
+    ),
+    ObjectErrors(5, np.arange(40), np.full(40, 99.0), np.full(40, 99.0), np.ones(40)),
 ]
 
 

@@ -21,7 +21,7 @@ import numpy as np
 from hierax.nodes.tracking.datasets.bop_json import MAX_NUMBER, read_json, read_numbers, read_obj_id, read_pose
 from hierax.nodes.tracking.errors import DataError
 from hierax.nodes.tracking.math.geometry import Array, Floats, invert, make_pose
-from hierax.nodes.tracking.model.files import MAX_PIXELS, image_size, read_file
+from hierax.nodes.tracking.model.bounded_files import MAX_PIXELS, image_size, read_file
 from hierax.nodes.tracking.model.mesh import Mesh
 from hierax.nodes.tracking.model.ply import BOP_UNIT_M, read_ply
 

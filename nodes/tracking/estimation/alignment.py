@@ -60,7 +60,7 @@ class Aligned(NamedTuple):
     scores: Floats  # (m,) 0 to 1: the share of control points that the image supports, beyond chance
     shown: Floats  # (m,) how many control points should be seen
     gains: Floats  # (m,) how many of them speak for the pose, each by how near and how familiar its hypothesis is
-    # tone, told: how far edges seem to be moved by the encoding of light, beyond what was known; see `encoding`
+    # tone, told: how far edges seem to be moved by the encoding of light, beyond what was known; see `gamma_bias`
     tone: Tone
     told: Floats
     stage: Stage  # the last one

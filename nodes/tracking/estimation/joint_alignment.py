@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from hierax.nodes.tracking.estimation import gamma_bias as encoding
+from hierax.nodes.tracking.estimation import gamma_bias
 from hierax.nodes.tracking.estimation.alignment import Aligned, Start, align
 from hierax.nodes.tracking.estimation.appearance import Memory, only_found, recalled
 from hierax.nodes.tracking.estimation.crowding import apartness
@@ -47,7 +47,7 @@ class Task(NamedTuple):
     start: Start  # where the objects are expected, with room for motion
     search: Search  # how the image is searched
     prior: Prior  # what is known before it
-    encoding: tuple[float, float]  # of light's encoding, the factor and its information
+    gamma: tuple[float, float]  # of light's encoding, the factor and its information
 
 
 class Explained(NamedTuple):
@@ -68,7 +68,7 @@ def task_of(image: Image, objects: Sequence[TrackedObject], prior: Prior, intrin
     controls = gathered([item["controls"] for item in objects])
     # The light on what moves changes.
     known = [item["slots"] if item["unrest"] < FAMILIAR_UNREST else only_found(item["slots"]) for item in objects]
-    factor = encoding.believed([item["slots"]["encoding"] for item in objects])
+    factor = gamma_bias.believed([item["slots"]["encoding"] for item in objects])
     predicted = np.stack([item["pose"] for item in objects])
     memory = recalled(known, controls, image.shape[2])
     memory = memory._replace(
@@ -153,7 +153,7 @@ def _aligned(task: Task, information: Floats, shift: Floats) -> Aligned | None:
     if found is None:
         return None
     told = np.where(found.scores[:, None] < LEARNED_SCORE, 0.0, found.told)
-    blocks, slopes = encoding.allowed_for(found.tone, told, *task.encoding)
+    blocks, slopes = gamma_bias.allowed_for(found.tone, told, *task.gamma)
     return found._replace(shift=found.shift @ shift, blocks=found.blocks + blocks, slopes=found.slopes + slopes)
 
 

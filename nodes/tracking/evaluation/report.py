@@ -21,7 +21,7 @@ from hierax.nodes.tracking.datasets.truth import TruePose, read_truth
 from hierax.nodes.tracking.errors import DataError
 from hierax.nodes.tracking.evaluation.pictures import write_picture
 from hierax.nodes.tracking.evaluation.probes import POSES_FILE, TRUTH_FILE
-from hierax.nodes.tracking.evaluation.scoring import Course, courses
+from hierax.nodes.tracking.evaluation.scoring import ObjectErrors, courses
 from hierax.nodes.tracking.math.geometry import Array, Floats
 from hierax.runtime import Probe, Step
 
@@ -74,7 +74,7 @@ class ErrorPlot(Probe):
             write_picture(self._output / PLOT_FILE, plot(courses(read_results(self._output / POSES_FILE), true)))
 
 
-def read_errors(output: Path, truth: Path | None = None) -> list[Course]:
+def read_errors(output: Path, truth: Path | None = None) -> list[ObjectErrors]:
     """Compare a run's poses with the truth.
 
     Args:
@@ -107,7 +107,7 @@ def _simulated_truth(output: Path) -> dict[int, list[TruePose]]:
     return true
 
 
-def table(errors: Sequence[Course]) -> str:
+def table(errors: Sequence[ObjectErrors]) -> str:
     """The errors as text, one line an object."""
     lines = ["object  frames  without pose    median       max    median       max"]
     for item in errors:
@@ -121,7 +121,7 @@ def table(errors: Sequence[Course]) -> str:
     return "\n".join(lines)
 
 
-def plot(errors: Sequence[Course]) -> Array:
+def plot(errors: Sequence[ObjectErrors]) -> Array:
     """The errors over the frames, as an RGB picture: distances above, angles below."""
     picture = np.full((2 * _PANEL, _WIDTH, 3), _PAPER, np.uint8)
     distances = [item.distance_mm for item in errors]
@@ -157,7 +157,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     return 0
 
 
-def _draw_panel(panel: Array, title: str, errors: Sequence[Course], series: Sequence[Floats]) -> None:
+def _draw_panel(panel: Array, title: str, errors: Sequence[ObjectErrors], series: Sequence[Floats]) -> None:
     values = np.concatenate(series)
     highest = float(np.nanmax(values)) if np.isfinite(values).any() else 1.0
     step = _tick_step(max(highest, 1e-3) / 4)

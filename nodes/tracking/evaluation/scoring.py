@@ -37,7 +37,7 @@ _NEAR = (10.0, 5.0)
 _ASTRAY = (20.0, 10.0)
 
 
-class Course(NamedTuple):
+class ObjectErrors(NamedTuple):
     """One object through all frames."""
 
     obj_id: int  # the object
@@ -109,7 +109,7 @@ class Score(NamedTuple):
         return plain
 
 
-def courses(results: Iterable[Result], truth: Mapping[int, Sequence[TruePose]]) -> list[Course]:
+def courses(results: Iterable[Result], truth: Mapping[int, Sequence[TruePose]]) -> list[ObjectErrors]:
     """Each true object's errors, by its number.
 
     Args:
@@ -129,11 +129,11 @@ def courses(results: Iterable[Result], truth: Mapping[int, Sequence[TruePose]]) 
                 errors[at] = pose_error(given[obj_id, frame], pose.pose)
         frames = np.array([frame for frame, _ in true[obj_id]])
         visible = np.array([pose.visible for _, pose in true[obj_id]])
-        found.append(Course(obj_id, frames, errors[:, 0] * 1000.0, np.degrees(errors[:, 1]), visible))
+        found.append(ObjectErrors(obj_id, frames, errors[:, 0] * 1000.0, np.degrees(errors[:, 1]), visible))
     return found
 
 
-def score(all_courses: Sequence[Course]) -> Score:
+def score(all_courses: Sequence[ObjectErrors]) -> Score:
     """The figures of some objects, of one run or of several."""
     counted = [course.counted for course in all_courses]
     visible = _joined(course.visible[kept] for course, kept in zip(all_courses, counted, strict=True))
@@ -217,12 +217,12 @@ def _shares(right: Array, which: Array) -> tuple[float, ...]:
     return tuple(_of(np.mean, row[which]) for row in right)
 
 
-def _is_lost(course: Course) -> bool:
+def _is_lost(course: ObjectErrors) -> bool:
     last = np.nonzero(course.counted)[0][-_LAST_FRAMES:]
     return len(last) > 0 and not course.within(_NEAR)[last].any()
 
 
-def _again(course: Course) -> list[int | None]:
+def _again(course: ObjectErrors) -> list[int | None]:
     """After how many frames an object that was gone, and came back, was right."""
     counted, right = course.counted, course.within(_RIGHT_AGAIN)
     found: list[int | None] = []

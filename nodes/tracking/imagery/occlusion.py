@@ -63,14 +63,14 @@ def chances_seen(points: Sequence[Floats], placed: Sequence[Placed], intrinsics:
     seen = np.concatenate([transform(item.pose, own) for own, item in zip(points, placed, strict=True)])
     errors = [_errors(own, item) for own, item in zip(points, placed, strict=True)]
     owners = np.repeat(np.arange(len(counts)), counts)
-    together = _Points(seen, project(seen, intrinsics), np.concatenate(errors), owners)
+    every = _Points(seen, project(seen, intrinsics), np.concatenate(errors), owners)
     chances = np.ones(len(seen))
     for number, item in enumerate(placed):
         if item.layer is None or not item.layer.inverse.any():
             continue
-        near = np.nonzero((owners != number) & _may_be_hidden(together, item, item.layer))[0]
+        near = np.nonzero((owners != number) & _may_be_hidden(every, item, item.layer))[0]
         if len(near):
-            chances[near] *= 1.0 - _hidden(only(together, near), item, item.layer, intrinsics)
+            chances[near] *= 1.0 - _hidden(only(every, near), item, item.layer, intrinsics)
     return np.split(chances.astype(np.float32), np.cumsum(counts)[:-1])
 
 

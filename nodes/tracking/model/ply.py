@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from hierax.nodes.tracking.errors import DataError
 from hierax.nodes.tracking.math.geometry import Floats
-from hierax.nodes.tracking.model.files import read_file
+from hierax.nodes.tracking.model.bounded_files import read_file
 from hierax.nodes.tracking.model.mesh import Mesh, triangulated
 
 BOP_UNIT_M = 0.001  # BOP models are in millimetres

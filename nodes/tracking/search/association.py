@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from hierax.nodes.tracking.estimation import gamma_bias as encoding
+from hierax.nodes.tracking.estimation import gamma_bias
 from hierax.nodes.tracking.estimation.alignment import Aligned, offsets_at
 from hierax.nodes.tracking.estimation.appearance import measured, moved, remembered, sought
 from hierax.nodes.tracking.estimation.fusion import SURPRISED, Prior
@@ -197,7 +197,7 @@ def _learned(
         known = remembered(known, controls, chosen, colours)
         still = _is_still(item, found.unrest[at])
         known = measured(known, places[chosen] // EDGE_SLOTS, offsets[chosen]) if still else moved(known)
-        told = encoding.remembered(known["encoding"], aligned.told[at], task.encoding[0])
+        told = gamma_bias.remembered(known["encoding"], aligned.told[at], task.gamma[0])
         learned.append({**known, "encoding": told})
     return learned
 

@@ -58,7 +58,8 @@ _VAGUE_M = 0.015
 _LEVER_M = 0.05
 _GRID = np.stack(np.meshgrid(np.linspace(-1.5, 1.5, 7), np.linspace(-1.5, 1.5, 7)), axis=-1).reshape(-1, 2)
 
-# An object that was looked for in vain so often in a row is looked for only in every so manyeth image.
+# An object that was looked for elsewhere without success in `_VAIN_AT_ONCE` images in a row is from then on looked for
+# in one image of every `_VAIN_EVERY`.
 _VAIN_AT_ONCE = 5
 _VAIN_EVERY = 8
 

@@ -7,10 +7,10 @@ from typing import NamedTuple
 import numpy as np
 
 from hierax.nodes.tracking import schema
+from hierax.nodes.tracking.display import world_things
 from hierax.nodes.tracking.imagery.physics import Motion, Simulator, Solid
 from hierax.nodes.tracking.math.geometry import Floats, exp_so3, make_pose
 from hierax.nodes.tracking.schema import Picture, SimBelief
-from hierax.nodes.tracking.showing import world_things
 from hierax.nodes.tracking.simworld.scene import develop, draw
 from hierax.nodes.tracking.simworld.shapes import Cube, cube_corners
 from hierax.runtime import NO_TICK, Elements, Step, Tick, Value, World

@@ -55,7 +55,7 @@ def test_random_networks_with_traps(polytree: bool) -> None:
 
 
 @pytest.mark.parametrize("polytree", [False, True])
-def test_the_careful_sweep_agrees_with_the_quick_one(polytree: bool) -> None:
+def test_the_extended_sweep_agrees_with_the_one_in_float64(polytree: bool) -> None:
     rng = np.random.default_rng(5)
     ways = {True: 0, False: 0}
     for seed in range(30):
@@ -63,11 +63,11 @@ def test_the_careful_sweep_agrees_with_the_quick_one(polytree: bool) -> None:
         inference = Inference(network)
         evidence = {entry["id"]: rng.random(entry["states"]) + 1e-3 for entry in network if rng.random() < 0.5}
         found = inference.update(evidence)
-        ways[inference._sweep.is_careful] += 1
+        ways[inference._sweep.is_extended] += 1
         log = inference.log_evidence
-        inference._sweep._quick._least_log2 = -math.inf
+        inference._sweep._float64._least_log2 = -math.inf
         again = inference.update(evidence)
-        assert inference._sweep.is_careful, seed
+        assert inference._sweep.is_extended, seed
         assert inference.log_evidence == pytest.approx(log, rel=1e-12, abs=1e-12)
         assert max(float(np.abs(found[name] - again[name]).max()) for name in found) < CLOSE, seed
     assert min(ways.values()) > 3
@@ -77,7 +77,7 @@ def test_ordinary_networks_go_the_quick_way() -> None:
     network = random_tree(300, 3, seed=2)
     inference = Inference(network)
     inference.update({f"n{number}": [0, 1, 0] for number in range(150, 300, 3)})
-    assert not inference._sweep.is_careful
+    assert not inference._sweep.is_extended
 
 
 def star(tables: Any, prior: list[float]) -> list[dict[str, Any]]:
@@ -279,7 +279,7 @@ def test_against_pyagrum() -> None:
     with warnings.catch_warnings():  # where they are errors, those of its import end the process
         warnings.simplefilter("ignore")
         gum = pytest.importorskip("pyagrum")
-    from hierax.nodes.causal_tree.files import description_of
+    from hierax.nodes.causal_tree.network_files import description_of
 
     for seed in range(25):
         gum.initRandom(seed + 1)

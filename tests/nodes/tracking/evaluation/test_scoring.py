@@ -11,16 +11,16 @@ import pytest
 
 from hierax.nodes.tracking.datasets.bop import Result, ResultsFile
 from hierax.nodes.tracking.datasets.truth import TruePose
-from hierax.nodes.tracking.evaluation.scoring import Course, courses, main, score, table
+from hierax.nodes.tracking.evaluation.scoring import ObjectErrors, courses, main, score, table
 from hierax.nodes.tracking.math.geometry import exp_so3, make_pose
 
 
 def course(
     distance_mm: list[float], angle_deg: float | list[float] = 0.0, visible: float | list[float] = 1.0, obj_id: int = 1
-) -> Course:
+) -> ObjectErrors:
     distances = np.array(distance_mm, dtype=float)
     angles = np.where(np.isnan(distances), np.nan, np.broadcast_to(angle_deg, distances.shape))
-    return Course(
+    return ObjectErrors(
         obj_id, np.arange(len(distances)), distances, angles, np.array(np.broadcast_to(visible, distances.shape))
     )
 

@@ -9,8 +9,8 @@ from typing import NamedTuple, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
+from hierax.nodes.causal_tree.extended_floats import Floats, Places
 from hierax.nodes.causal_tree.plan import Group, Plan
-from hierax.nodes.causal_tree.wide import Floats, Places
 
 N = TypeVar("N", np.float64, np.int64)
 
@@ -30,7 +30,7 @@ class _Step(NamedTuple):
     at_tops: Floats
 
 
-class Quick:
+class Float64Sweep:
     """One sweep up and one down, all levels' arrays kept and used again.
 
     Every message is scaled so that its greatest number is 1, so all factors of all products are at most 1, and no
@@ -159,12 +159,12 @@ class Quick:
             np.multiply(group.table, at_tops[:, None, :], out=step.work)
             np.add.reduce(step.work, axis=0, out=step.supports[0])
         else:
-            self._spread_wide(step)
+            self._spread_to_several(step)
         for likelihood, support, belief in zip(step.likelihoods, step.supports, step.beliefs, strict=True):
             np.divide(support, np.maximum.reduce(support, axis=0), out=support)
             np.multiply(likelihood, support, out=belief)
 
-    def _spread_wide(self, step: _Step) -> None:
+    def _spread_to_several(self, step: _Step) -> None:
         """Where a family has several others: to each, summed over the states of the rest."""
         table = step.group.table
         from_top = np.add.reduce(table * along(step.at_tops, 0, table.ndim), axis=0)

@@ -7,35 +7,35 @@ from fractions import Fraction
 import numpy as np
 import pytest
 
-from hierax.nodes.causal_tree.wide import (
+from hierax.nodes.causal_tree.extended_floats import (
     CHUNK,
-    Wide,
+    ExtendedFloats,
+    as_float64,
     divide,
+    extended,
     greatest,
     multiply,
-    narrow,
     ones,
     products,
     shifted,
     total,
-    widen,
 )
 
 
-def drawn(seed: int, *shape: int) -> Wide:
+def drawn(seed: int, *shape: int) -> ExtendedFloats:
     rng = np.random.default_rng(seed)
     fraction = rng.uniform(0.5, 1.0, shape) * (rng.random(shape) > 0.2)
-    return Wide(fraction, np.where(fraction > 0, rng.integers(-5000, 5000, shape), 0))
+    return ExtendedFloats(fraction, np.where(fraction > 0, rng.integers(-5000, 5000, shape), 0))
 
 
-def exact(values: Wide) -> np.ndarray:
+def exact(values: ExtendedFloats) -> np.ndarray:
     pairs = zip(values.fraction.ravel(), values.exponent.ravel(), strict=True)
     return np.array([Fraction(float(f)) * Fraction(2) ** int(e) for f, e in pairs], object).reshape(
         values.fraction.shape
     )
 
 
-def assert_equal(found: Wide, wanted: np.ndarray, relative: float = 1e-15) -> None:
+def assert_equal(found: ExtendedFloats, wanted: np.ndarray, relative: float = 1e-15) -> None:
     assert ((found.fraction == 0) | ((found.fraction >= 0.5) & (found.fraction < 1))).all()
     for value, right in zip(exact(found).ravel(), np.asarray(wanted, object).ravel(), strict=True):
         assert value == right if right == 0 else abs(value / right - 1) < relative, (value, right)
@@ -45,20 +45,20 @@ def assert_equal(found: Wide, wanted: np.ndarray, relative: float = 1e-15) -> No
 def test_arithmetic(seed: int) -> None:
     one, other = drawn(seed, 3, 7), drawn(seed + 100, 3, 7)
     assert_equal(multiply(one, other), exact(one) * exact(other))
-    nonzero = Wide(np.where(other.fraction > 0, other.fraction, 0.5), other.exponent)
+    nonzero = ExtendedFloats(np.where(other.fraction > 0, other.fraction, 0.5), other.exponent)
     assert_equal(divide(one, nonzero), exact(one) / exact(nonzero))
     assert_equal(total(one, 0), exact(one).sum(axis=0))
     assert_equal(total(one, 1), exact(one).sum(axis=1))
 
 
-def test_what_is_widened_is_the_same() -> None:
+def test_what_is_extended_is_the_same() -> None:
     values = np.array([0.0, 1.0, 0.1, 5e-324, 1.7e308])
-    assert exact(widen(values)).tolist() == [Fraction(float(value)) for value in values]
+    assert exact(extended(values)).tolist() == [Fraction(float(value)) for value in values]
     assert exact(ones(2)).tolist() == [1, 1]
 
 
 def test_a_sum_is_0_only_of_zeros() -> None:
-    values = Wide(np.array([[0.0, 0.5], [0.0, 0.0]]), np.array([[0, -100000], [0, 0]]))
+    values = ExtendedFloats(np.array([[0.0, 0.5], [0.0, 0.0]]), np.array([[0, -100000], [0, 0]]))
     found = total(values, 0)
     assert found.fraction.tolist() == [0.0, 0.5]
     assert found.exponent.tolist() == [0, -100000]
@@ -67,7 +67,7 @@ def test_a_sum_is_0_only_of_zeros() -> None:
 @pytest.mark.parametrize("lengths", [[1, 1, 1], [3, 1, 2], [CHUNK, CHUNK + 1, 1], [3 * CHUNK + 7], [1, CHUNK**2 + 5]])
 def test_products_of_neighbours(lengths: list[int]) -> None:
     rng = np.random.default_rng(len(lengths))
-    values = widen(rng.uniform(0.4, 1.1, (2, sum(lengths))))
+    values = extended(rng.uniform(0.4, 1.1, (2, sum(lengths))))
     starts = np.cumsum([0, *lengths[:-1]])
     found = products(values, starts)
     logs = np.add.reduceat(np.log(values.fraction) + values.exponent * np.log(2.0), starts, axis=1)
@@ -75,7 +75,7 @@ def test_products_of_neighbours(lengths: list[int]) -> None:
 
 
 def test_narrow_keeps_what_counts() -> None:
-    values = Wide(np.array([0.5, 0.75, 0.5, 0.0]), np.array([-9000, -8999, -99000, 0]))
+    values = ExtendedFloats(np.array([0.5, 0.75, 0.5, 0.0]), np.array([-9000, -8999, -99000, 0]))
     assert greatest(values, 0) == -8999
-    assert narrow(values, 0).tolist() == [0.25, 0.75, 0.0, 0.0]
+    assert as_float64(values, 0).tolist() == [0.25, 0.75, 0.0, 0.0]
     assert shifted(values, 0).exponent.tolist() == [-1, 0, -90001, 0]

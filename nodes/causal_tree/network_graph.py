@@ -6,7 +6,7 @@ from collections.abc import Collection, Mapping, Sequence
 
 import numpy as np
 
-from hierax.nodes.causal_tree.wide import Floats
+from hierax.nodes.causal_tree.extended_floats import Floats
 from hierax.runtime.core.graph import topological_order
 from hierax.runtime.core.showing import GREY, Colour, Graph, Things, colour_of
 

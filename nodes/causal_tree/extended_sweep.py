@@ -8,12 +8,12 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from hierax.nodes.causal_tree.extended_floats import ExtendedFloats, Places, divide, multiply, ones, products, total
+from hierax.nodes.causal_tree.float64_sweep import along
 from hierax.nodes.causal_tree.plan import Group, Plan
-from hierax.nodes.causal_tree.quick import along
-from hierax.nodes.causal_tree.wide import Places, Wide, divide, multiply, ones, products, total
 
 # By number of states: columns, once each, and the likelihoods there; shape (size, columns).
-Inputs = Mapping[int, tuple[Places, Wide]]
+Inputs = Mapping[int, tuple[Places, ExtendedFloats]]
 
 Columns = slice | Places
 
@@ -33,24 +33,26 @@ class NothingLeftError(Exception):
 class Product(NamedTuple):
     """Products from which factors can be taken out again, whatever is 0."""
 
-    rest: Wide  # of all factors that are not 0
+    rest: ExtendedFloats  # of all factors that are not 0
     zeros: NDArray[np.int64]  # how many are
 
     @staticmethod
-    def of(values: Wide) -> Product:
+    def of(values: ExtendedFloats) -> Product:
         """One factor each."""
         zero = values.fraction == 0
-        return Product(Wide(np.where(zero, 0.5, values.fraction), np.where(zero, 1, values.exponent)), zero * 1)
+        return Product(
+            ExtendedFloats(np.where(zero, 0.5, values.fraction), np.where(zero, 1, values.exponent)), zero * 1
+        )
 
     @property
-    def value(self) -> Wide:
+    def value(self) -> ExtendedFloats:
         """What the product is."""
         gone = self.zeros > 0
-        return Wide(np.where(gone, 0.0, self.rest.fraction), np.where(gone, 0, self.rest.exponent))
+        return ExtendedFloats(np.where(gone, 0.0, self.rest.fraction), np.where(gone, 0, self.rest.exponent))
 
     def at(self, columns: Columns) -> Product:
         """Some columns."""
-        return Product(Wide(self.rest.fraction[:, columns], self.rest.exponent[:, columns]), self.zeros[:, columns])
+        return Product(self.rest.at(columns), self.zeros[:, columns])
 
     def take_in(self, columns: Columns, factors: Product) -> None:
         """Multiply some columns, in place."""
@@ -59,25 +61,25 @@ class Product(NamedTuple):
         self.rest.exponent[:, columns] = rest.exponent
         self.zeros[:, columns] += factors.zeros
 
-    def without(self, factors: Product) -> Wide:
+    def without(self, factors: Product) -> ExtendedFloats:
         """What the products are without one of their factors each."""
         return Product(divide(self.rest, factors.rest), self.zeros - factors.zeros).value
 
     def copied(self) -> Product:
         """The same, to be changed."""
-        return Product(Wide(self.rest.fraction.copy(), self.rest.exponent.copy()), self.zeros.copy())
+        return Product(ExtendedFloats(self.rest.fraction.copy(), self.rest.exponent.copy()), self.zeros.copy())
 
 
-class Careful:
-    """One sweep up and one down; messages are as in `hierax.nodes.causal_tree.quick`, but never scaled."""
+class ExtendedSweep:
+    """One sweep up and one down; messages are as in `hierax.nodes.causal_tree.float64_sweep`, but never scaled."""
 
     def __init__(self, plan: Plan) -> None:
         self._plan = plan
-        self._base = {size: Product.of(base) for size, base in plan.wide_base.items()}
+        self._base = {size: Product.of(base) for size, base in plan.extended_base.items()}
         self._likelihoods: dict[int, Product] = {}
         self._beliefs: dict[int, Product] = {}
         self._messages: list[Product] = []
-        self._supports: dict[int, Wide] = {}
+        self._supports: dict[int, ExtendedFloats] = {}
 
     def up(self, inputs: Inputs) -> None:
         """From the leaves to the roots.
@@ -92,7 +94,7 @@ class Careful:
             self._check(self._likelihoods, size, slice(None))
         self._messages = []
         for group in reversed(self._plan.groups):
-            found = group.wide_table
+            found = group.extended_table
             for size, columns in reversed(group.others):
                 found = total(multiply(found, self._likelihoods[size].at(columns).value), axis=-2)
             nothing = ~found.fraction.any(axis=0)
@@ -121,26 +123,24 @@ class Careful:
         for group, messages in zip(self._plan.groups, self._messages, strict=True):
             self._spread(group, self._beliefs[group.top_size].at(group.tops).without(messages))
 
-    def likelihood(self, size: int, columns: Columns) -> Wide:
+    def likelihood(self, size: int, columns: Columns) -> ExtendedFloats:
         """L: from what lies further from the root, the prior and the evidence included."""
         return self._likelihoods[size].at(columns).value
 
-    def belief(self, size: int) -> Wide:
+    def belief(self, size: int) -> ExtendedFloats:
         """L and what comes from the root's side, of all columns."""
         return self._beliefs[size].value
 
-    def support(self, size: int, columns: Columns) -> Wide:
+    def support(self, size: int, columns: Columns) -> ExtendedFloats:
         """What comes from the root's side; ones at a root."""
-        support = self._supports[size]
-        return Wide(support.fraction[:, columns], support.exponent[:, columns])
+        return self._supports[size].at(columns)
 
-    def message_up(self, group: int, family: int) -> Wide:
+    def message_up(self, group: int, family: int) -> ExtendedFloats:
         """What a family told its top; shape (top's states,)."""
-        found = self._messages[group].at(slice(family, family + 1)).value
-        return Wide(found.fraction[:, 0], found.exponent[:, 0])
+        return self._messages[group].at(slice(family, family + 1)).value.at(0)
 
-    def _spread(self, group: Group, at_tops: Wide) -> None:
-        table = group.wide_table
+    def _spread(self, group: Group, at_tops: ExtendedFloats) -> None:
+        table = group.extended_table
         ndim = table.fraction.ndim
         from_top = total(multiply(table, _along(at_tops, 0, ndim)), axis=0)
         likelihoods = [self.likelihood(size, columns) for size, columns in group.others]
@@ -167,5 +167,5 @@ def _joined(group: Group, messages: Product) -> Product:
     return Product(products(ordered.rest, group.starts), np.add.reduceat(ordered.zeros, group.starts, axis=-1))
 
 
-def _along(values: Wide, axis: int, ndim: int) -> Wide:
-    return Wide(along(values.fraction, axis, ndim), along(values.exponent, axis, ndim))
+def _along(values: ExtendedFloats, axis: int, ndim: int) -> ExtendedFloats:
+    return ExtendedFloats(along(values.fraction, axis, ndim), along(values.exponent, axis, ndim))

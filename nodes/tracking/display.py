@@ -33,7 +33,7 @@ from hierax.runtime.core.showing import (
 )
 
 _FRUSTUM_M = 0.12
-_COARSER = 4  # the image is drawn in the scene, too: small, so with every so manieth pixel
+_COARSER = 4  # the image is drawn in the scene, too, and small there: of `_COARSER` pixels one, in each direction
 _TRUE_M = 0.06
 _EXPECTED_PX, _CORRECTED_PX = 3.5, 1.5  # widths: where both are at one place, both are seen
 _GRID_M, _GRID_STEP_M = 0.4, 0.1

@@ -23,48 +23,52 @@ VANISHING = -1100  # below this exponent, 2^exponent is nothing beside 1
 CHUNK = 512  # so many fractions can be multiplied before their product underflows
 
 
-class Wide(NamedTuple):
+class ExtendedFloats(NamedTuple):
     """fraction · 2^exponent, element by element."""
 
     fraction: Floats
     exponent: Exponents
 
+    def at(self, columns: int | slice | Places | None) -> ExtendedFloats:
+        """Some columns; None: the one that there is, as a column."""
+        return ExtendedFloats(self.fraction[:, columns], self.exponent[:, columns])
 
-def widen(values: Floats) -> Wide:
+
+def extended(values: Floats) -> ExtendedFloats:
     """Ordinary numbers, exactly."""
     fraction, exponent = np.frexp(values)
-    return Wide(fraction, exponent.astype(np.int64))
+    return ExtendedFloats(fraction, exponent.astype(np.int64))
 
 
-def ones(*shape: int) -> Wide:
+def ones(*shape: int) -> ExtendedFloats:
     """All 1."""
-    return Wide(np.full(shape, 0.5), np.ones(shape, np.int64))
+    return ExtendedFloats(np.full(shape, 0.5), np.ones(shape, np.int64))
 
 
-def multiply(one: Wide, other: Wide) -> Wide:
+def multiply(one: ExtendedFloats, other: ExtendedFloats) -> ExtendedFloats:
     """The element-wise product."""
     return _settled(one.fraction * other.fraction, one.exponent + other.exponent)
 
 
-def divide(one: Wide, other: Wide) -> Wide:
+def divide(one: ExtendedFloats, other: ExtendedFloats) -> ExtendedFloats:
     """The element-wise quotient; the divisor has no 0."""
     return _settled(one.fraction / other.fraction, one.exponent - other.exponent)
 
 
-def total(values: Wide, axis: int) -> Wide:
+def total(values: ExtendedFloats, axis: int) -> ExtendedFloats:
     """The sum along an axis."""
     top = greatest(values, axis)
     shift = np.maximum(values.exponent - np.expand_dims(top, axis), VANISHING)
     return _settled(np.add.reduce(np.ldexp(values.fraction, shift), axis=axis), top)
 
 
-def greatest(values: Wide, axis: int) -> Exponents:
+def greatest(values: ExtendedFloats, axis: int) -> Exponents:
     """The greatest exponent along an axis; 0 where all is 0."""
     top: Exponents = np.maximum.reduce(np.where(values.fraction > 0, values.exponent, NONE), axis=axis)
     return np.where(top == NONE, 0, top)
 
 
-def narrow(values: Wide, axis: int) -> Floats:
+def as_float64(values: ExtendedFloats, axis: int) -> Floats:
     """As float64, scaled by a power of 2 so that the greatest along the axis is from 0.5 to below 1.
 
     What is smaller by more than float64 can hold becomes 0.
@@ -73,13 +77,13 @@ def narrow(values: Wide, axis: int) -> Floats:
     return np.ldexp(values.fraction, shift)
 
 
-def shifted(values: Wide, axis: int) -> Wide:
+def shifted(values: ExtendedFloats, axis: int) -> ExtendedFloats:
     """The same up to a factor: the greatest along the axis from 0.5 to below 1."""
     exponent = values.exponent - np.expand_dims(greatest(values, axis), axis)
-    return Wide(values.fraction, np.where(values.fraction > 0, exponent, 0))
+    return ExtendedFloats(values.fraction, np.where(values.fraction > 0, exponent, 0))
 
 
-def products(values: Wide, starts: Places) -> Wide:
+def products(values: ExtendedFloats, starts: Places) -> ExtendedFloats:
     """The products of neighbours along the last axis.
 
     Args:
@@ -103,7 +107,7 @@ def products(values: Wide, starts: Places) -> Wide:
     return values
 
 
-def _settled(fraction: Floats, exponent: Exponents) -> Wide:
+def _settled(fraction: Floats, exponent: Exponents) -> ExtendedFloats:
     """With the fractions brought back to where they belong."""
     settled, shift = np.frexp(fraction)
-    return Wide(settled, exponent + shift)
+    return ExtendedFloats(settled, exponent + shift)
