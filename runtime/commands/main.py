@@ -4,20 +4,19 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Callable, Sequence
+from importlib.metadata import EntryPoint, entry_points
 from typing import Annotated
 
 import typer
 
-from hierax.runtime.commands.bench import epoch, tracking
-from hierax.runtime.commands.bench_bayes import bayes
+from hierax.runtime.commands.bench import epoch
 from hierax.runtime.commands.check import check
 from hierax.runtime.commands.diff import diff
 from hierax.runtime.commands.doctor import doctor
 from hierax.runtime.commands.echo import echo
 from hierax.runtime.commands.entry import CTRL_C, INTERRUPTED, entry
-from hierax.runtime.commands.errors import OK, exit_code
+from hierax.runtime.commands.errors import OK, CommandError, exit_code
 from hierax.runtime.commands.graph import graph
-from hierax.runtime.commands.infer import infer
 from hierax.runtime.commands.inspect import inspect
 from hierax.runtime.commands.launch import launch
 from hierax.runtime.commands.logs import logs
@@ -35,7 +34,7 @@ COMMANDS: tuple[Callable[..., int], ...] = (
     *(run, launch, attach, detach, replace),
     *(ps, top, inspect, echo, logs, view),
     *(record, replay, diff, check),
-    *(new, validate, graph, infer, sim, doctor),
+    *(new, validate, graph, sim, doctor),
 )
 
 app = typer.Typer(
@@ -89,22 +88,38 @@ def _options(
     """Run cognitive hierarchies with perceptual context."""
 
 
-def _register(command: Callable[..., int], group: typer.Typer) -> None:
+def _register(command: Callable[..., int], group: typer.Typer, name: str = "") -> None:
     @functools.wraps(command)
     def guarded(*arguments: object, **options: object) -> None:
         raise typer.Exit(exit_code(lambda: command(*arguments, **options)))
 
-    group.command(command.__name__)(guarded)
+    group.command(name or command.__name__)(guarded)
+
+
+def _load(found: EntryPoint) -> Callable[..., int]:
+    """What comes with nodes; where it cannot be loaded it answers why, and the others are not touched."""
+    try:
+        command: Callable[..., int] = found.load()
+    except Exception as error:
+        why = f"{found.value} cannot be loaded: {type(error).__name__}: {error}"
+
+        def command() -> int:
+            """Comes with a package of nodes that is broken."""
+            raise CommandError(why)
+
+    return command
 
 
 for _command in COMMANDS:
     _register(_command, app)
+for _found in sorted(entry_points(group="hierax.commands"), key=lambda found: found.name):
+    _register(_load(_found), app, _found.name)
 
 bench = typer.Typer(name="bench", help="hierax beside a rival, or with less, in the same run.", no_args_is_help=True)
 app.add_typer(bench)
 _register(epoch, bench)
-_register(bayes, bench)
-_register(tracking, bench)
+for _found in sorted(entry_points(group="hierax.benchmarks"), key=lambda found: found.name):
+    _register(_load(_found), bench, _found.name)
 
 
 if __name__ == "__main__":

@@ -30,6 +30,12 @@ def print_json(value: Json) -> None:
     sys.stdout.flush()
 
 
+def show_progress(what: str) -> None:
+    """What is going on, on standard error; only a terminal gets it."""
+    if sys.stderr.isatty():
+        print(what, file=sys.stderr)
+
+
 def console() -> Console:
     """Standard output, for tables."""
     from rich.console import Console

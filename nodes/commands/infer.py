@@ -4,14 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from hierax.runtime.commands.options import Format, OutputFormat
 
-MODULE = "hierax.nodes.causal_tree"
-"""Loaded by name, as a deployment's nodes are: the runtime knows none."""
+if TYPE_CHECKING:
+    from hierax.nodes.causal_tree import Network
 
 
 def infer(
@@ -37,14 +37,12 @@ def infer(
     output_format: OutputFormat = Format.text,
 ) -> int:
     """Print the posterior of every node of a Bayesian network, exactly."""
+    from hierax.nodes.causal_tree import Inference, read_network
     from hierax.runtime.commands.show import print_json, print_table
-    from hierax.runtime.loading.allowance import Allowance
-    from hierax.runtime.loading.loader import load
 
-    ours = Allowance((MODULE,))
-    read = load(f"{MODULE}:read_network", MODULE, ours)(network)
-    inference = load(f"{MODULE}:Inference", MODULE, ours)(read)
-    found = inference.update(_evidence(read, evidence or (), load(f"{MODULE}:likelihoods", MODULE, ours)))
+    read = read_network(network)
+    inference = Inference(read)
+    found = inference.update(_evidence(read, evidence or ()))
     states = {name: variable.states for name, variable in read.variables.items()}
     shares = {name: dict(zip(states[name], row.tolist(), strict=True)) for name, row in found.items()}
     if output_format is Format.json:
@@ -61,12 +59,13 @@ def infer(
     return 0
 
 
-def _evidence(network: Any, given: Sequence[str], likelihoods: Any) -> dict[Any, Any]:
+def _evidence(network: Network, given: Sequence[str]) -> dict[Any, Any]:
     """Evidence by node, as likelihoods.
 
     Raises:
         HieraxError: an option is no evidence; says which one.
     """
+    from hierax.nodes.causal_tree import likelihoods
     from hierax.runtime.commands.errors import CommandError
     from hierax.runtime.core.errors import HieraxError
     from hierax.runtime.loading.nearest import did_you_mean

@@ -1,8 +1,4 @@
-"""`hierax bench tracking`: what context, physics and prior do for tracking, and how fast it is.
-
-The nodes, the scenes and the scoring are `hierax.nodes.tracking`'s, loaded by name as a
-deployment's are.
-"""
+"""`hierax bench tracking`: what context, physics and prior do for tracking, and how fast it is."""
 
 from __future__ import annotations
 
@@ -11,10 +7,14 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
+from hierax.nodes.tracking.datasets.bop import read_results
+from hierax.nodes.tracking.datasets.truth import read_truth
+from hierax.nodes.tracking.evaluation.scoring import Course, Score, courses, score
+from hierax.nodes.tracking.generator.kinds import KINDS
+from hierax.nodes.tracking.generator.scenes import write_scene
 from hierax.runtime.core.errors import HieraxError
 from hierax.runtime.deployment import Deployment
 from hierax.runtime.deployment.read import read_deployment
@@ -22,12 +22,9 @@ from hierax.runtime.execution.plain import Json
 from hierax.runtime.execution.runner import NodeRunner
 from hierax.runtime.execution.single import run
 from hierax.runtime.launch.supervisor import launch
-from hierax.runtime.loading.allowance import Allowance
-from hierax.runtime.loading.loader import load
 from hierax.runtime.watch.meter import EDGES, OBSERVE, PREDICT, Meter
 
 DEPLOYMENT = "tracking"
-ALLOWED = Allowance(("hierax.nodes.tracking.*",))
 WAYS = {
     "own model": ("occlusion=false",),
     "context, no physics": ("physics=false",),
@@ -78,7 +75,7 @@ class Tracked:
 
     scene: Scene
     way: str
-    courses: Sequence[Any]
+    courses: Sequence[Course]
     stage_ms: dict[str, float]
 
 
@@ -96,7 +93,7 @@ class Row:
 
     name: str
     way: str
-    score: Any
+    score: Score
     stage_ms: dict[str, float]
     hidden_shares: Sequence[float]
 
@@ -164,7 +161,7 @@ class Speed:
 
 def kinds() -> list[str]:
     """The kinds of scenes that can be generated."""
-    return list(_nodes("generator.kinds", "KINDS"))
+    return list(KINDS)
 
 
 def generated(names: Sequence[str], seeds: int, frames: int, exact: bool, folder: Path, told: Tell) -> list[Scene]:
@@ -181,13 +178,12 @@ def generated(names: Sequence[str], seeds: int, frames: int, exact: bool, folder
     Raises:
         HieraxError: something cannot be written.
     """
-    write = _nodes("generator.scenes", "write_scene")
     scenes = []
     for name in names:
         for seed in range(seeds):
             told(f"{name}, seed {seed}: drawing {frames} frames")
             out = folder / f"{name}-{seed}{'-exact' if exact else ''}-{frames}"
-            scene: Path = write(out, name, seed, frames, exact)
+            scene = write_scene(out, name, seed, frames, exact)
             scenes.append(Scene(name, seed, scene, out / "truth" / scene.name, True))
     return scenes
 
@@ -246,11 +242,10 @@ def bench_speed(frames: int, rounds: int, settings: Sequence[str], folder: Path,
     Raises:
         HieraxError: a process failed.
     """
-    write = _nodes("generator.scenes", "write_scene")
     deployments = {}
     for objects in SPEED_OBJECTS:
         told(f"drawing {frames} frames with {objects} objects")
-        scene = write(folder / f"speed-{objects}", SPEED_KIND, 0, frames, False, objects)
+        scene = write_scene(folder / f"speed-{objects}", SPEED_KIND, 0, frames, False, objects)
         deployments[objects] = read_deployment(DEPLOYMENT, [f"scene={scene}", "table=true", *settings])
     rates: dict[int, list[float]] = {objects: [] for objects in SPEED_OBJECTS}
     for number in range(rounds):
@@ -265,9 +260,7 @@ def _track(scene: Scene, way: str, settings: Sequence[str], folder: Path) -> Tra
     poses = folder / f"{scene.name}-{scene.seed}-{way.replace(' ', '-').replace(',', '')}.{_POSES}"
     changes = [f"scene={scene.folder}", f"table={str(scene.table).lower()}", f"output={poses}", *WAYS[way], *settings]
     stage_ms = _stages_ms(read_deployment(DEPLOYMENT, changes))
-    truth = _nodes("datasets.truth", "read_truth")(scene.truth)
-    results = _nodes("datasets.bop", "read_results")(poses)
-    return Tracked(scene, way, _nodes("evaluation.scoring", "courses")(results, truth), stage_ms)
+    return Tracked(scene, way, courses(read_results(poses), read_truth(scene.truth)), stage_ms)
 
 
 def _stages_ms(deployment: Deployment) -> dict[str, float]:
@@ -290,14 +283,9 @@ def _stage_ms(meter: Meter) -> float:
 
 
 def _row(name: str, way: str, done: Sequence[Tracked]) -> Row:
-    score = _nodes("evaluation.scoring", "score")
     stages = {stage: float(np.median([each.stage_ms[stage] for each in done])) for stage in done[0].stage_ms}
     hidden = [score(each.courses).hidden.shares[1] for each in done]
     return Row(name, way, score([course for each in done for course in each.courses]), stages, hidden)
-
-
-def _nodes(module: str, name: str) -> Any:
-    return load(f"hierax.nodes.tracking.{module}:{name}", "bench tracking", ALLOWED)
 
 
 def known_ways(wanted: Sequence[str]) -> list[str]:

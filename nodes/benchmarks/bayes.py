@@ -17,14 +17,11 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from hierax.runtime.bench.bayes_limit import Limit, reference
+from hierax.nodes.benchmarks.bayes_limit import Limit, reference
+from hierax.nodes.causal_tree import Inference, random_tree
 from hierax.runtime.core.errors import HieraxError
 from hierax.runtime.execution.plain import Json
-from hierax.runtime.loading.allowance import Allowance
-from hierax.runtime.loading.loader import load
 
-MODULE = "hierax.nodes.causal_tree"
-ALLOWED = Allowance((MODULE,))
 STATES = 4
 SHARE = 0.3
 """Of the leaves, that are observed."""
@@ -37,7 +34,7 @@ Description = Sequence[Mapping[str, Any]]
 Evidence = Mapping[str, int]
 """By node, the number of its state."""
 
-Posteriors = Mapping[str, NDArray[np.float64]]
+Posteriors = Mapping[Any, NDArray[np.float64]]
 Update = Callable[[Evidence], Posteriors]
 
 
@@ -88,11 +85,7 @@ def bench_bayes(sizes: Sequence[int], rounds: int, seed: int, told: Callable[[st
         rounds: of all ways in turn.
         seed: of networks and evidence.
         told: told what is going on.
-
-    Raises:
-        HieraxError: the module with the nodes cannot be loaded.
     """
-    random_tree = load(f"{MODULE}:random_tree", MODULE, ALLOWED)
     cells = []
     for nodes in sizes:
         network = random_tree(nodes, STATES, seed)
@@ -165,7 +158,7 @@ def _evidence_sets(network: Description, random: np.random.Generator) -> list[Ev
 
 
 def _ours(network: Description) -> Update:
-    inference = load(f"{MODULE}:Inference", MODULE, ALLOWED)(network)
+    inference = Inference(network)
     vectors = np.eye(STATES)
 
     def update(evidence: Evidence) -> Posteriors:

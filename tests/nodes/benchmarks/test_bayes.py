@@ -9,9 +9,9 @@ import warnings
 import numpy as np
 import pytest
 
+from hierax.nodes.benchmarks import bayes
+from hierax.nodes.benchmarks.bayes_limit import Limit, reference
 from hierax.nodes.causal_tree import posteriors, random_tree
-from hierax.runtime.bench import bayes
-from hierax.runtime.bench.bayes_limit import Limit, reference
 from hierax.runtime.commands.main import main
 
 

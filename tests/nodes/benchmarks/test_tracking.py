@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from hierax.runtime.bench.tracking import CONTEXT, OWN, WAYS, Gain, Row, gains, kinds
+from hierax.nodes.benchmarks.tracking import CONTEXT, OWN, WAYS, Gain, Row, gains, kinds
 from hierax.runtime.commands.main import main
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Annotated
 
@@ -11,7 +10,7 @@ import typer
 from hierax.runtime.commands.options import Format, OutputFormat
 
 if TYPE_CHECKING:
-    from hierax.runtime.bench.bayes import Cell
+    from hierax.nodes.benchmarks.bayes import Cell
 
 SIZES = "10,100,1000,10000"
 
@@ -23,10 +22,10 @@ def bayes(
     output_format: OutputFormat = Format.text,
 ) -> int:
     """Time exact posteriors in causal trees beside pyAgrum and pgmpy (pip install 'hierax[bench]')."""
-    from hierax.runtime.bench.bayes import bench_bayes
-    from hierax.runtime.commands.show import print_json
+    from hierax.nodes.benchmarks.bayes import bench_bayes
+    from hierax.runtime.commands.show import print_json, show_progress
 
-    cells = bench_bayes(_sizes(nodes), rounds, seed, _tell)
+    cells = bench_bayes(_sizes(nodes), rounds, seed, show_progress)
     if output_format is Format.json:
         print_json({"cells": [cell.plain() for cell in cells]})
     else:
@@ -65,8 +64,3 @@ def _shown(cell: Cell) -> str:
     if cell.update_ms is None or cell.error is None:
         return "–"
     return f"{cell.update_ms:.3g} ({cell.error:.0e})"
-
-
-def _tell(what: str) -> None:
-    if sys.stderr.isatty():
-        print(what, file=sys.stderr)

@@ -1,0 +1,160 @@
+"""``hierax bench tracking``: tracking with and without context, physics and prior."""
+
+from __future__ import annotations
+
+import tempfile
+from collections.abc import Sequence
+from contextlib import ExitStack
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from hierax.runtime.commands.options import Format, OutputFormat, Settings
+from hierax.runtime.core.errors import HieraxError
+
+if TYPE_CHECKING:
+    from hierax.nodes.benchmarks.tracking import Gain, Row, Scene, Speed
+
+_RIGHT = {"justify": "right"}
+
+
+def tracking(
+    kinds: Annotated[
+        str, typer.Option(metavar="NAMES", help="Kinds of generated scenes, separated by commas; by default all.")
+    ] = "",
+    seeds: Annotated[int, typer.Option(min=1, help="How many scenes of each kind.")] = 1,
+    frames: Annotated[int, typer.Option(min=2, help="Of each generated scene.")] = 150,
+    exact: Annotated[bool, typer.Option("--exact", help="Generated scenes tell start and camera as they are.")] = False,
+    scene: Annotated[
+        Path | None,
+        typer.Option(metavar="DIR", help="A scene in the BOP format, in place of generated ones.", show_default=False),
+    ] = None,
+    truth: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="DIR",
+            help="Folder of its scene_gt.json of all frames; by default DATASET/truth/000001, or else the scene.",
+            show_default=False,
+        ),
+    ] = None,
+    table: Annotated[bool, typer.Option("--table", help="The scene's plane z = 0 carries the objects.")] = False,
+    ways: Annotated[
+        str, typer.Option(metavar="NAMES", help="Ways of tracking, separated by semicolons; by default all.")
+    ] = "",
+    speed: Annotated[bool, typer.Option("--speed", help="Time launches over Zenoh instead.")] = False,
+    rounds: Annotated[int, typer.Option(min=1, help="How often each is launched, with --speed.")] = 3,
+    keep: Annotated[
+        Path | None,
+        typer.Option(metavar="DIR", help="Folder for scenes and poses; by default one that goes.", show_default=False),
+    ] = None,
+    settings: Settings = None,
+    output_format: OutputFormat = Format.text,
+) -> int:
+    """Track scenes with and without context, physics and prior, beside the truth."""
+    from hierax.nodes.benchmarks import tracking as bench
+    from hierax.runtime.commands.show import print_json, show_progress
+
+    with ExitStack() as stack:
+        folder = keep or Path(stack.enter_context(tempfile.TemporaryDirectory()))
+        folder.mkdir(parents=True, exist_ok=True)
+        if speed:
+            speeds = bench.bench_speed(frames, rounds, settings or (), folder, show_progress)
+            if output_format is Format.json:
+                print_json({"speeds": [each.plain() for each in speeds]})
+            else:
+                _print_speeds(speeds)
+            return 0
+        chosen = bench.known_ways(_names(ways, ";"))
+        if scene is None:
+            scenes = bench.generated(bench.known_kinds(_names(kinds, ",")), seeds, frames, exact, folder, show_progress)
+        else:
+            scenes = [_given(scene, truth, table)]
+        rows = bench.bench_tracking(scenes, chosen, settings or (), folder, show_progress)
+    gains = bench.gains(rows)
+    if output_format is Format.json:
+        print_json({"rows": [row.plain() for row in rows], "gains": [gain.plain() for gain in gains]})
+    else:
+        _print_rows(rows)
+        _print_gains(gains)
+    return 0
+
+
+def _names(text: str, separator: str) -> list[str]:
+    return [name.strip() for name in text.split(separator) if name.strip()]
+
+
+def _given(scene: Path, truth: Path | None, table: bool) -> Scene:
+    from hierax.nodes.benchmarks.tracking import Scene
+
+    if not scene.is_dir():
+        raise HieraxError(f"{scene}: no such folder; expected a BOP scene, DATASET/SPLIT/000001")
+    apart = scene.parent.parent / "truth" / scene.name
+    return Scene(scene.name, 0, scene, truth or (apart if apart.is_dir() else scene), table)
+
+
+def _print_rows(rows: Sequence[Row]) -> None:
+    from hierax.runtime.commands.show import print_table
+
+    heads = ["2/2", "5/5", "10/5", "5/5: 0.1–0.5", "0.5–0.9", "0.9–1", "mm (worst)", "° (worst)"]
+    heads += ["no pose", "astray", "lost", "back", "ms world", "arm", "spatial"]
+    columns = {"scene": {}, "way": {}, **dict.fromkeys(heads, _RIGHT)}
+    print_table(columns, [_cells(row) for row in rows])
+    print(
+        "Shares in % of frames within mm/°; 5/5 also by the visible share of an object (below 0.1 it is not counted).\n"
+        "Errors are means; astray: off by more than 20 mm or 10°; back: frames until right again (never)."
+    )
+
+
+def _cells(row: Row) -> tuple[str, ...]:
+    score = row.score
+    bands = (score.hidden, score.band(0.5, 0.9), score.band(0.9, 1.0))
+    back = [frames for frames in score.again_frames if frames is not None]
+    never = len(score.again_frames) - len(back)
+    return (
+        row.name,
+        row.way,
+        *(_percent(share) for share in (*score.shares, *(band.shares[1] for band in bands))),
+        f"{score.mean_mm:.2f} ({score.worst_mm:.1f})",
+        f"{score.mean_deg:.2f} ({score.worst_deg:.1f})",
+        _percent(score.missing),
+        _percent(score.astray),
+        str(score.lost),
+        f"{sum(back) / len(back):.1f} ({never})" if back else ("–" if not never else f"– ({never})"),
+        *(f"{row.stage_ms.get(stage, float('nan')):.1f}" for stage in ("world", "arm", "spatial")),
+    )
+
+
+def _percent(share: float) -> str:
+    return f"{100.0 * share:.1f}" if share == share else "–"
+
+
+def _print_gains(gains: Sequence[Gain]) -> None:
+    from hierax.runtime.commands.show import print_table
+
+    if not gains:
+        return
+    print("\nContext against own models: difference of the share within 5 mm/5° where more than half is hidden")
+    rows = []
+    for gain in gains:
+        plain = gain.plain()
+        figures = [
+            f"{100.0 * plain[name]:+.1f}" if plain[name] is not None else "–" for name in ("mean", "least", "most")
+        ]
+        spread = "–" if plain["spread"] is None else f"{100.0 * plain['spread']:.1f}"
+        rows.append((gain.name, str(plain["seeds"]), figures[0], spread, figures[1], figures[2]))
+    columns = {"scene": {}, "seeds": _RIGHT, "mean, points": _RIGHT, "spread": _RIGHT, "least": _RIGHT, "most": _RIGHT}
+    print_table(columns, rows)
+
+
+def _print_speeds(speeds: Sequence[Speed]) -> None:
+    from hierax.nodes.benchmarks.tracking import STAGES
+    from hierax.runtime.commands.show import print_table
+
+    rows = []
+    for each in speeds:
+        stages = [f"{each.stage_ms[stage]:.1f}" for stage in STAGES]
+        rounds = ", ".join(f"{rate:.1f}" for rate in each.epochs_hz)
+        rows.append((str(each.objects), f"{each.plain()['epochs_hz']:.1f}", rounds, *stages))
+    heads = {"objects": _RIGHT, "epochs/s": _RIGHT, "rounds": {}}
+    print_table({**heads, **{f"ms {stage}": _RIGHT for stage in STAGES}}, rows)
