@@ -8,8 +8,8 @@ from pathlib import Path
 from typing import Literal
 
 from hierax.runtime.core.errors import HieraxError
+from hierax.runtime.core.staleness import Staleness
 from hierax.runtime.deployment.document import Document
-from hierax.runtime.engine.stale import Staleness
 from hierax.runtime.loading.allowance import Allowance
 from hierax.schemas.roster import ProbeSpec, Roster
 from hierax.schemas.values import Value

@@ -10,6 +10,7 @@ from pydantic import ValidationError
 
 from hierax.runtime.core.errors import HierarchyError
 from hierax.runtime.core.graph import check_graph
+from hierax.runtime.core.staleness import Staleness
 from hierax.runtime.deployment.deployment import Deployment, RestartPolicy, ViewSpec
 from hierax.runtime.deployment.document import Document
 from hierax.runtime.deployment.errors import DeploymentError
@@ -21,7 +22,6 @@ from hierax.runtime.deployment.parameters import substitute
 from hierax.runtime.deployment.parts import KINDS, check_known, reference, restart_policy, roster_edges, roster_nodes
 from hierax.runtime.deployment.paths import Keys
 from hierax.runtime.deployment.tree import read_tree
-from hierax.runtime.engine.stale import Staleness
 from hierax.runtime.loading.allowance import module_of
 from hierax.schemas.roster import ProbeSpec, Roster
 

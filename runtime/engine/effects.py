@@ -76,7 +76,7 @@ class Saved(NamedTuple):
 class EngineEffects(ABC):
     """The other side of an engine: it is called as soon as something is known, in this order.
 
-    What an outlet raises comes out of `Engine.receive`; the engine is of no use after that.
+    What an implementation raises comes out of `Engine.receive`; the engine is of no use after that.
     """
 
     @abstractmethod

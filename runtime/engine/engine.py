@@ -42,7 +42,7 @@ class Engine:
 
     Args:
         wiring: the node, bound to its name and neighbours, and its edges.
-        outlet: called with all that is to be done, as soon as it is known: a task message
+        effects: called with all that is to be done, as soon as it is known: a task message
             before the belief is predicted, one node's context before the next one's.
         saved: where a crashed process of the node goes on; None: at the beginning.
         joins: whether it comes into a run that may have begun: then it begins with the

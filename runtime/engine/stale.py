@@ -18,6 +18,7 @@ from dataclasses import dataclass
 from math import inf
 
 from hierax.runtime.core.elements import Value
+from hierax.runtime.core.staleness import Staleness
 from hierax.runtime.engine.effects import EngineEffects, Saved
 from hierax.runtime.engine.engine import SLOT_FIELDS, Engine
 from hierax.runtime.engine.table import ACTIONS, Action, Phase, Verdict
@@ -28,32 +29,6 @@ DRAIN = "drain"
 """Key of the header's extension that makes an epoch a drained one."""
 
 _UNTIMELY = (Verdict.LATE, Verdict.EARLY, Verdict.DOUBLE, Verdict.CURRENT)
-
-
-@dataclass(frozen=True)
-class Staleness:
-    """How old inputs from above may be.
-
-    Attributes:
-        epochs: n; 0 is the barrier; None: free running.
-        exact: exactly so old, which makes runs repeatable.
-    """
-
-    epochs: int | None = 0
-    exact: bool = False
-
-    @property
-    def barrier(self) -> bool:
-        """Whether every input is of the epoch itself."""
-        return self.epochs == 0
-
-    @property
-    def free(self) -> bool:
-        """Whether nodes run freely."""
-        return self.epochs is None
-
-
-BARRIER = Staleness()
 
 
 @dataclass
@@ -90,7 +65,7 @@ class StaleEngine(Engine):
     """One node's part in epochs that overlap.
 
     Args:
-        wiring, outlet, saved, joins, events: as `Engine` has them.
+        wiring, effects, saved, joins, events: as `Engine` has them.
         staleness: of the deployment.
 
     In free running it takes part in an epoch only when `poll` is called.

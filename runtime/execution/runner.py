@@ -23,10 +23,11 @@ from hierax.runtime.core.digest import DigestChain
 from hierax.runtime.core.elements import Elements
 from hierax.runtime.core.errors import HieraxError, OperatorError, ProbeError
 from hierax.runtime.core.probe import Probe
+from hierax.runtime.core.staleness import BARRIER, Staleness
 from hierax.runtime.core.travel import elements_cannot_travel
 from hierax.runtime.engine.effects import Called, Committed, Completed, EngineEffects, Saved
 from hierax.runtime.engine.engine import Engine
-from hierax.runtime.engine.stale import BARRIER, StaleEngine, Staleness
+from hierax.runtime.engine.stale import StaleEngine
 from hierax.runtime.engine.table import Phase, Verdict
 from hierax.runtime.engine.wiring import Wiring
 from hierax.runtime.execution.report import NodeReport

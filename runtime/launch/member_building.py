@@ -7,7 +7,7 @@ import logging
 from pathlib import Path
 
 from hierax.runtime.core.digest import DigestChain
-from hierax.runtime.engine.stale import Staleness
+from hierax.runtime.core.staleness import Staleness
 from hierax.runtime.execution.member import Member
 from hierax.runtime.execution.output_folder import DIGESTS, open_probes, state_log
 from hierax.runtime.execution.runner import Log, Pacemaker

@@ -18,7 +18,7 @@ class Answers:
 
     Args:
         members: who takes part.
-        outlet: of the owner.
+        effects: of the owner.
     """
 
     def __init__(self, members: Members, effects: OwnerEffects) -> None:

@@ -17,10 +17,10 @@ class Arrivals:
 
     Args:
         members: who takes part.
-        course: of the epochs.
+        progress: of the epochs.
         planning: what is done about those who may.
         doubts: of what those who take part say.
-        outlet: of the owner.
+        effects: of the owner.
         settings: of the deployment.
     """
 

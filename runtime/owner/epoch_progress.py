@@ -14,7 +14,7 @@ class EpochProgress:
     Args:
         members: who takes part.
         inquiry: of attempts that do not end.
-        outlet: of the owner.
+        effects: of the owner.
         epoch, attempt, settled, last_attempt: as `Owner` has them.
 
     Attributes:

@@ -22,7 +22,7 @@ class Inquiry:
     """Watches the deadline of each attempt; asks, has messages sent again, and names the culprit.
 
     Args:
-        outlet: of the owner.
+        effects: of the owner.
         end: has a process killed: its node's name, its token, and why.
         clock: seconds.
         settings: of the deployment.

@@ -18,9 +18,9 @@ class Losses:
 
     Args:
         members: who takes part.
-        course: of the epochs.
+        progress: of the epochs.
         planning: what is done about it.
-        outlet: of the owner.
+        effects: of the owner.
         clock: seconds.
         settings: of the deployment.
     """

@@ -26,7 +26,7 @@ class Members:
         roster: in force.
         processes: of its nodes; one without is lost.
         born: by node; None: all were there at the beginning.
-        outlet: of the owner.
+        effects: of the owner.
         clock: seconds.
         settings: of the deployment.
 

@@ -49,7 +49,7 @@ class Owner:
     Args:
         roster: in force.
         processes: of its nodes; one without is lost.
-        outlet: called with all that is to be done.
+        effects: called with all that is to be done.
         clock: seconds, never going back.
         settings: of the deployment.
         epoch: the last one committed.

@@ -29,9 +29,9 @@ class Planning:
 
     Args:
         members: who takes part.
-        course: of the epochs.
+        progress: of the epochs.
         answers: for those who ask for changes.
-        outlet: of the owner.
+        effects: of the owner.
         proceed: to be called when nothing is planned any more, as an epoch may wait for that.
         clock: seconds.
         settings: of the deployment.

@@ -23,8 +23,8 @@ class Suspicions:
 
     Args:
         members: who takes part.
-        course: of the epochs.
-        outlet: of the owner.
+        progress: of the epochs.
+        effects: of the owner.
     """
 
     def __init__(self, members: Members, progress: EpochProgress, effects: OwnerEffects) -> None:

@@ -32,7 +32,7 @@ from hierax.runtime.core.digest import epoch_digest, node_digest
 from hierax.runtime.core.errors import HierarchyError
 from hierax.runtime.core.graph import check_graph
 from hierax.runtime.core.hierarchy import neighbours_above, neighbours_below
-from hierax.runtime.engine.stale import BARRIER, Staleness
+from hierax.runtime.core.staleness import BARRIER, Staleness
 from hierax.runtime.recording.reading import Recording
 from hierax.runtime.recording.topics import MESSAGE, ROSTER, STEP, MessageSummary, glance
 from hierax.schemas.messages import CONTEXT, OBSERVATIONS, TASKS

@@ -13,9 +13,9 @@ from importlib.metadata import PackageNotFoundError, version
 from typing import Any
 
 from hierax.runtime.core.errors import HieraxError
+from hierax.runtime.core.staleness import Staleness
 from hierax.runtime.deployment import Deployment
 from hierax.runtime.deployment.secrets import public_settings, public_text
-from hierax.runtime.engine.stale import Staleness
 from hierax.runtime.host.seal import RECORDING, is_sealed, seal_or_warn
 from hierax.schemas.errors import SchemaError, shown
 from hierax.schemas.keys import check_name

@@ -10,7 +10,7 @@ from hierax.runtime.core.digest import NO_DIGEST
 from hierax.runtime.core.elements import Elements, Value
 from hierax.runtime.core.graph import check_graph, topological_order
 from hierax.runtime.core.process import ActiveNode
-from hierax.runtime.engine.stale import Staleness
+from hierax.runtime.core.staleness import Staleness
 from hierax.runtime.recording.entries import Entry
 from hierax.runtime.recording.topics import EPOCH, MESSAGE, ROSTER, glance
 from hierax.schemas.checkpoint import decode_state

@@ -44,7 +44,7 @@ class LaunchInspector:
     """Looks at one launch.
 
     Args:
-        glass: held to it.
+        client: asks the launch.
     """
 
     def __init__(self, client: LaunchClient) -> None:

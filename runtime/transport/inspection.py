@@ -1,4 +1,4 @@
-"""How tools see a launch that runs: a node's window, and the glass that is held to it.
+"""How tools see a launch that runs: the endpoint of a node, and the client that asks it.
 
 Nothing of the run goes through here, and nothing waits for it. Tools do not subscribe to
 the keys of edges: what is put there waits for slow receivers, and a tool that its user

@@ -35,8 +35,8 @@ def show_launch(
     """Show a launch until it ends.
 
     Args:
-        glass: held to it.
-        exhibit: shows it.
+        client: asks the launch.
+        presenter: shows it.
         allowance: which code may be loaded.
         over: whether it has been looked at long enough; asked often.
 

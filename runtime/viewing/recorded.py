@@ -32,7 +32,7 @@ def show_recording(
 
     Args:
         recording: open.
-        exhibit: shows it.
+        presenter: shows it.
         allowance: which code may be loaded.
         first, last: epochs; None: all.
         progress: told the number of each epoch that is shown.

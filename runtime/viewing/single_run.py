@@ -26,7 +26,7 @@ def run_seen(
 
     Args:
         deployment, epochs, seed, progress: see `hierax.runtime.execution.single.run`.
-        exhibit: shows it.
+        presenter: shows it.
 
     Raises:
         HieraxError: as `hierax.runtime.execution.single.run`; or what a node shows cannot be shown.

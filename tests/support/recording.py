@@ -1,4 +1,4 @@
-"""An outlet that keeps what its engine calls, in order."""
+"""Effects that keep what their engine calls, in order."""
 
 from __future__ import annotations
 

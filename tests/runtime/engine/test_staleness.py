@@ -21,8 +21,9 @@ from hierax.runtime.core.digest import NO_DIGEST, DigestChain, encode_state, epo
 from hierax.runtime.core.elements import Elements
 from hierax.runtime.core.hierarchy import Hierarchy
 from hierax.runtime.core.process import ActiveNode
+from hierax.runtime.core.staleness import Staleness
 from hierax.runtime.engine.effects import Saved
-from hierax.runtime.engine.stale import DRAIN, StaleEngine, Staleness
+from hierax.runtime.engine.stale import DRAIN, StaleEngine
 from hierax.runtime.engine.table import Phase, Verdict
 from hierax.runtime.engine.wiring import Place, Wiring
 from hierax.runtime.execution.runner import NodeRunner, Pacemaker

@@ -1,0 +1,31 @@
+"""How old the inputs from above may be."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True)
+class Staleness:
+    """How old inputs from above may be.
+
+    Attributes:
+        epochs: n; 0 is the barrier; None: free running.
+        exact: exactly so old, which makes runs repeatable.
+    """
+
+    epochs: int | None = 0
+    exact: bool = False
+
+    @property
+    def barrier(self) -> bool:
+        """Whether every input is of the epoch itself."""
+        return self.epochs == 0
+
+    @property
+    def free(self) -> bool:
+        """Whether nodes run freely."""
+        return self.epochs is None
+
+
+BARRIER = Staleness()
