@@ -12,7 +12,7 @@ import numpy as np
 
 from hierax.nodes.tracking.datasets.bop import read_results
 from hierax.nodes.tracking.datasets.truth import read_truth
-from hierax.nodes.tracking.evaluation.scoring import Course, Score, courses, score
+from hierax.nodes.tracking.evaluation.scoring import ObjectErrors, Score, courses, score
 from hierax.nodes.tracking.generator.kinds import KINDS
 from hierax.nodes.tracking.generator.scenes import write_scene
 from hierax.runtime.core.errors import HieraxError
@@ -75,7 +75,7 @@ class Tracked:
 
     scene: Scene
     way: str
-    courses: Sequence[Course]
+    courses: Sequence[ObjectErrors]
     stage_ms: dict[str, float]
 
 
