@@ -230,12 +230,12 @@ class ArmNode(Node):
             **item,
             "pose": estimate.pose,
             "covariance": estimate.covariance,
-            "unrest": estimate.unrest,
+            "motion_scale": estimate.motion_scale,
             "trend": estimate.trend,
             "score": estimate.score,
             "probation": _PROBATION if gone else max(0, item["probation"] - 1),
             "slots": estimate.slots,
-            "vain": _vain(item, estimate),
+            "failed_searches": _failed_searches(item, estimate),
             "guesses": estimate.guesses,
             "status": TRACKED,
             "misses": 0,
@@ -250,17 +250,17 @@ class ArmNode(Node):
         misses = item["misses"] + (not hidden)
         lost = item["status"] == LOST or misses >= self._patience
         score = 0.0 if lost or estimate is None else estimate.score
-        unrest = item["unrest"] if hidden or _is_vague(item) else 1.0
+        motion_scale = item["motion_scale"] if hidden or _is_vague(item) else 1.0
         return {
             **item,
             "pose": expected,
             "score": score,
             "status": LOST if lost else EXPECTED,
             "misses": misses,
-            "unrest": unrest,
-            "vain": item["vain"] if estimate is None else _vain(item, estimate),
+            "motion_scale": motion_scale,
+            "failed_searches": item["failed_searches"] if estimate is None else _failed_searches(item, estimate),
             "guesses": NO_POSES if estimate is None else estimate.guesses,
-            "covariance": item["covariance"] + unrest**2 * self._motion(item),
+            "covariance": item["covariance"] + motion_scale**2 * self._motion(item),
         }
 
 
@@ -275,11 +275,11 @@ def _sought(item: TrackedObject) -> TrackedObject:
     return {**item, "sought": missing and in_turn(item), "others": ()}
 
 
-def _vain(item: TrackedObject, estimate: Estimate) -> int:
-    """For how many images it was looked for elsewhere in vain; that counts anew when something happens to it."""
-    startled = estimate.unrest == 1.0 and item["unrest"] < 1.0
+def _failed_searches(item: TrackedObject, estimate: Estimate) -> int:
+    """For how many images it was not found elsewhere; that counts anew when something happens to it."""
+    startled = estimate.motion_scale == 1.0 and item["motion_scale"] < 1.0
     startled |= len(estimate.guesses) > 0
-    return 0 if startled or estimate.score < _LESS * item["score"] else estimate.vain
+    return 0 if startled or estimate.score < _LESS * item["score"] else estimate.failed_searches
 
 
 def _is_vague(item: TrackedObject) -> bool:
@@ -314,7 +314,7 @@ def _seen_in_world(item: TrackedObject, camera: Floats) -> SeenObject:
         "covariance": item["covariance"],
         "score": item["score"],
         "status": item["status"],
-        "unrest": item["unrest"],
+        "motion_scale": item["motion_scale"],
         "sought": item["sought"],
         "pose": camera @ item["pose"],
         "guesses": camera @ item["guesses"],

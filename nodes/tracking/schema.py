@@ -140,10 +140,10 @@ class TrackedObject(TypedDict):
     probation: int  # for how many more images it may turn out to be elsewhere
     status: str  # `TRACKED`, `EXPECTED` or `LOST`
     misses: int  # images in a row without support
-    unrest: float  # 0 to 1, how much of a push its latest motion asks for
+    motion_scale: float  # 0 to 1, how much of a push its latest motion asks for
     # running mean of how far images had it from its predictions
     trend: Annotated[Floats, Is((6,), "float64", "standard deviations")]
-    vain: int  # for how many images in a row it was looked for elsewhere and not found
+    failed_searches: int  # for how many images in a row it was looked for elsewhere and not found
     support: Upwards  # upwards, where something carries it
     stands: bool  # whether it lies on a face there
     others: tuple[Alternative, ...]  # what came of that
@@ -178,7 +178,7 @@ class PaperObject(TypedDict):
     score: float
     status: str
     misses: int
-    unrest: float
+    motion_scale: float
     sought: bool
     guesses: Annotated[Floats, Is(("n", 4, 4), "float64", "camera_from_object, m")]
     edges: Annotated[Floats, Is(("n", 2, 3), "float64", "m, object's frame")]
@@ -204,7 +204,7 @@ class SeenObject(TypedDict):
     covariance: Covariance
     score: float
     status: str
-    unrest: float
+    motion_scale: float
     sought: bool
     guesses: Annotated[Floats, Is(("n", 4, 4), "float64", "world_from_object, m")]
 

@@ -15,7 +15,7 @@ from hierax.nodes.tracking.estimation.alignment import Aligned
 from hierax.nodes.tracking.math.batched import adjoints, inverse, invert_many, log_many, solved
 from hierax.nodes.tracking.math.geometry import Floats
 
-LEAST_UNREST = 0.02
+LEAST_MOTION_SCALE = 0.02
 SURPRISED = 1.5
 _CALMING = 0.85
 _TREND_GAIN = 0.3
@@ -27,14 +27,14 @@ class Prior(NamedTuple):
 
     covariance: Floats  # (m, 6, 6) of the objects where they were seen last
     motion: Floats  # (6, 6) of an object's deviation from its prediction within a frame, when it is pushed
-    unrest: Floats  # (m,) how much of that each object's latest motion asks for
+    motion_scale: Floats  # (m,) how much of that each object's latest motion asks for
     trend: Floats  # (m, 6) running mean of how far images had objects from their predictions, in standard deviations
     # (6, 6) inverse covariance of the camera's error, twist in its frame; None where its pose is exact
     camera: Floats | None
 
     def spread(self) -> Floats:
         """(m, 6, 6) covariance of the predicted poses."""
-        predicted: Floats = self.covariance + self.unrest[:, None, None] ** 2 * self.motion
+        predicted: Floats = self.covariance + self.motion_scale[:, None, None] ** 2 * self.motion
         return predicted
 
 
@@ -44,7 +44,7 @@ class Fused(NamedTuple):
     shift: Floats  # (6,) twist of the camera's frame: what its error does to all poses
     own: Floats  # (m, 6) twist of each object in its frame
     covariance: Floats  # (m, 6, 6) of the corrected poses
-    unrest: Floats  # (m,)
+    motion_scale: Floats  # (m,)
     trend: Floats  # (m, 6)
 
 
@@ -66,13 +66,13 @@ def fuse(aligned: Aligned, prior: Prior, resting: NDArray[np.bool_] | None = Non
     if resting is not None:
         surprised &= ~resting
     if surprised.any():
-        prior = prior._replace(unrest=np.where(surprised, 1.0, prior.unrest))
+        prior = prior._replace(motion_scale=np.where(surprised, 1.0, prior.motion_scale))
         shift, own, _ = _solved(aligned, prior)
     covariance = inverse(inverse(prior.spread()) + aligned.blocks[:, 6:, 6:])
-    calmer = np.clip(prior.unrest * np.maximum(_CALMING, surprise), LEAST_UNREST, 1.0)
-    unrest = np.where(surprised, 1.0, calmer)
+    calmer = np.clip(prior.motion_scale * np.maximum(_CALMING, surprise), LEAST_MOTION_SCALE, 1.0)
+    motion_scale = np.where(surprised, 1.0, calmer)
     trend = np.where(surprised[:, None], 0.0, trend)
-    return Fused(shift, own, covariance, unrest, trend)
+    return Fused(shift, own, covariance, motion_scale, trend)
 
 
 def _solved(aligned: Aligned, prior: Prior) -> tuple[Floats, Floats, Floats]:

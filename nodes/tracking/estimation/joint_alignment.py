@@ -20,14 +20,14 @@ from hierax.nodes.tracking.math.geometry import NEAREST_M, Array, Floats
 from hierax.nodes.tracking.model.controls import Controls, gathered
 from hierax.nodes.tracking.schema import TrackedObject
 
-FAMILIAR_UNREST = 0.3  # an object with less unrest is lit as it was
+FAMILIAR_MOTION_SCALE = 0.3  # an object with a smaller motion scale is lit as it was
 LEARNED_SCORE = 0.6  # with a lower score an object tells nothing of its looks, nor of light's encoding
 _NEAR = Search()
 _CALM = Search(reach_px=(8,), scale_px=((8.0, 1.0),), iterations=7)
 _SETTLED_M = 0.004  # where no object moves, and all are known better than this, the image is searched near by
 _LEAST_FREEDOM = 0.3  # share of a push's motion that the search leaves open for an object at rest
 
-# An object with that little unrest rests; by so much of its control points another explanation is clearly better.
+# An object with a smaller motion scale rests; by so much of its control points another explanation is clearly better.
 _AT_REST = 0.1
 _CLEARLY = 0.1
 
@@ -67,7 +67,9 @@ def task_of(image: Image, objects: Sequence[TrackedObject], prior: Prior, intrin
     """
     controls = gathered([item["controls"] for item in objects])
     # The light on what moves changes.
-    known = [item["slots"] if item["unrest"] < FAMILIAR_UNREST else only_found(item["slots"]) for item in objects]
+    known = [
+        item["slots"] if item["motion_scale"] < FAMILIAR_MOTION_SCALE else only_found(item["slots"]) for item in objects
+    ]
     factor = gamma_bias.believed([item["slots"]["encoding"] for item in objects])
     predicted = np.stack([item["pose"] for item in objects])
     memory = recalled(known, controls, image.shape[2])
@@ -75,8 +77,8 @@ def task_of(image: Image, objects: Sequence[TrackedObject], prior: Prior, intrin
         factor=np.full(len(controls.owners), factor[0], dtype=np.float32),
         apart=apartness(controls, predicted, intrinsics).astype(np.float32),
     )
-    free = prior._replace(unrest=np.maximum(prior.unrest, _LEAST_FREEDOM))
-    calm = float(free.unrest.max()) <= _LEAST_FREEDOM and float(prior.covariance[:, :3, :3].max()) < _SETTLED_M**2
+    free = prior._replace(motion_scale=np.maximum(prior.motion_scale, _LEAST_FREEDOM))
+    calm = float(free.motion_scale.max()) <= _LEAST_FREEDOM and float(prior.covariance[:, :3, :3].max()) < _SETTLED_M**2
     near = (_CALM if calm else _NEAR)._replace(noise_px=error_px)
     start = Start(predicted, inverse(free.spread()), prior.camera)
     return Task(image, controls, memory, intrinsics, start, near, prior, factor)
@@ -91,9 +93,9 @@ def prior_of(objects: Sequence[TrackedObject], motion: Floats, camera: Floats | 
         camera: (6, 6) inverse covariance of the camera's error; None where its pose is exact.
     """
     covariance = np.stack([item["covariance"] for item in objects])
-    unrest = np.array([_with_motion(item) for item in objects])
+    motion_scale = np.array([_with_motion(item) for item in objects])
     trend = np.array([item["trend"] for item in objects])
-    return Prior(covariance, motion, unrest, trend, camera)
+    return Prior(covariance, motion, motion_scale, trend, camera)
 
 
 def explained(task: Task) -> Explained | None:
@@ -126,7 +128,7 @@ def _from(task: Task, shift: Floats) -> Explained | None:
     if free is None:
         return None
     fused = fuse(free, prior)
-    held = (fused.unrest == 1.0) & (prior.unrest < _AT_REST)
+    held = (fused.motion_scale == 1.0) & (prior.motion_scale < _AT_REST)
     calm = inverse(prior.spread())
     for _ in range(2):  # all of them, then those alone of which resting explains enough
         information = np.where(held[:, None, None], calm, task.start.information)
@@ -166,4 +168,4 @@ def _with_motion(item: TrackedObject) -> float:
     """How much an object that moves may change its motion: the faster it is, the more."""
     motion = motion_of(item)
     least = _CHANGE_PER_M * float(np.linalg.norm(motion[:3])) + _CHANGE_PER_RAD * float(np.linalg.norm(motion[3:]))
-    return max(float(item["unrest"]), min(least, _MOST_CHANGE))
+    return max(float(item["motion_scale"]), min(least, _MOST_CHANGE))

@@ -20,7 +20,7 @@ from hierax.nodes.tracking.schema import (
     TrackedObject,
 )
 
-_FIRST_UNREST = 0.2
+_FIRST_MOTION_SCALE = 0.2
 _DASH_M = 0.002
 
 NO_CONTROLS: ControlPoints = {
@@ -55,9 +55,9 @@ def first_belief(item: FirstPose, covariance: Floats) -> TrackedObject:
         "probation": 0,
         "status": EXPECTED,
         "misses": 0,
-        "unrest": _FIRST_UNREST,
+        "motion_scale": _FIRST_MOTION_SCALE,
         "trend": np.zeros(6),
-        "vain": 0,
+        "failed_searches": 0,
         "support": np.zeros(3),
         "stands": False,
         "others": (),

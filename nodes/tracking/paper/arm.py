@@ -132,7 +132,7 @@ class PaperArmNode(Node):
             "score": 1.0,
             "status": EXPECTED,
             "misses": 0,
-            "unrest": 1.0,
+            "motion_scale": 1.0,
             "sought": False,
             "guesses": NO_POSES,
             "edges": _NO_EDGES,

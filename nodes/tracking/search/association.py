@@ -17,7 +17,7 @@ from hierax.nodes.tracking.estimation.alignment import Aligned, offsets_at
 from hierax.nodes.tracking.estimation.appearance import measured, moved, remembered, sought
 from hierax.nodes.tracking.estimation.fusion import SURPRISED, Prior
 from hierax.nodes.tracking.estimation.joint_alignment import (
-    FAMILIAR_UNREST,
+    FAMILIAR_MOTION_SCALE,
     LEARNED_SCORE,
     Explained,
     Task,
@@ -40,7 +40,7 @@ _LEAST_SHOWN = 10.0  # an object of which fewer control points should be seen is
 _SURE_SEEN = 0.9
 # What is predicted to move less than this from one image to the next, and is as calm, tells where its edges are off: by
 # its shadows. Of what moves, the prediction is, and an edge that comes into view would soon not be trusted.
-_LEARNED_UNREST = 0.1
+_LEARNED_MOTION_SCALE = 0.1
 _STILL_M, _STILL_RAD = 0.0005, 0.002
 
 _FOUND_PX = 1.0
@@ -63,12 +63,12 @@ class Estimate(NamedTuple):
 
     pose: Floats  # camera_from_object
     covariance: Floats  # (6, 6) twist in the object's frame
-    unrest: float  # how much of `Options.motion` its latest motion asks for
+    motion_scale: float  # how much of `Options.motion` its latest motion asks for
     trend: Floats  # see `hierax.nodes.tracking.estimation.fusion.Prior`
     score: float  # 0 to 1
     shown: float  # how many control points should have been seen
     slots: Looks  # what is remembered of its looks
-    vain: int  # for how many images in a row it was looked for elsewhere and not found there
+    failed_searches: int  # for how many images in a row it was looked for elsewhere and not found there
     elsewhere: bool  # whether it was found there now
     sure: bool  # false where another pose explains the image nearly as well
     guesses: Floats  # (n, 4, 4) the poses that explain the image best besides
@@ -82,7 +82,7 @@ def associate(
     Args:
         image: of `hierax.nodes.tracking.estimation.profiles.smoothed`.
         objects: each with "pose" (predicted camera_from_object), "before" (where it would be if it
-            had not moved), "covariance", "unrest", "probation", "controls", "slots", "vain" and "id".
+            had not moved), "covariance", "motion_scale", "probation", "controls", "slots", "failed_searches" and "id".
         camera: (6, 6) inverse covariance of the camera's error; None where its pose is exact.
         intrinsics: (4,) fx, fy, cx, cy in pixels.
         options: how far things go.
@@ -103,16 +103,19 @@ def associate(
         best, found = again, _found(again, task.start.poses)
         doubtful = _doubtful(found, objects, options)
     shift = exp_many(best.fused.shift[None])[0]
-    searched = sorted((at for at in doubtful if in_turn(objects[at])), key=lambda at: objects[at]["vain"])
+    searched = sorted((at for at in doubtful if in_turn(objects[at])), key=lambda at: objects[at]["failed_searches"])
     searched = sorted(searched[:_SEARCHED_AT_ONCE])
     if searched:
         falling = np.broadcast_to(options.motion if options.falling is None else options.falling, (len(objects), 6, 6))
         elsewhere = look_elsewhere(Looking(task, objects, shift, falling), found, searched)
         found = _if_expected(elsewhere, found, prior, shift @ task.start.poses)
     learned = _learned(best.aligned, found, task, objects, doubtful)
-    vain = [item["vain"] + 1 if at in doubtful else max(0, item["vain"] - 1) for at, item in enumerate(objects)]
-    vain = [0 if found.elsewhere[at] else count for at, count in enumerate(vain)]
-    return shift, _estimates(found, learned, vain)
+    failed_searches = [
+        item["failed_searches"] + 1 if at in doubtful else max(0, item["failed_searches"] - 1)
+        for at, item in enumerate(objects)
+    ]
+    failed_searches = [0 if found.elsewhere[at] else count for at, count in enumerate(failed_searches)]
+    return shift, _estimates(found, learned, failed_searches)
 
 
 def _found(explained: Explained, predicted: Floats) -> Found:
@@ -125,7 +128,7 @@ def _found(explained: Explained, predicted: Floats) -> Found:
         aligned.scores,
         aligned.shown,
         aligned.gains,
-        fused.unrest,
+        fused.motion_scale,
         fused.trend,
         np.zeros(count, dtype=bool),
         np.ones(count, dtype=bool),
@@ -139,7 +142,7 @@ def _if_expected(after: Found, before: Found, prior: Prior, expected: Floats) ->
     away = log_many(invert_many(expected) @ after.poses)
     both = spread + after.covariance
     squares = np.einsum("mi,mi->m", away, solved(both, away[..., None])[..., 0])
-    same = after.elsewhere & (squares < 6.0 * SURPRISED**2) & (prior.unrest < FAMILIAR_UNREST)
+    same = after.elsewhere & (squares < 6.0 * SURPRISED**2) & (prior.motion_scale < FAMILIAR_MOTION_SCALE)
     if not same.any():
         return after
     known, seen = inverse(spread), inverse(after.covariance)
@@ -148,7 +151,7 @@ def _if_expected(after: Found, before: Found, prior: Prior, expected: Floats) ->
     return after._replace(
         poses=np.where(same[:, None, None], expected @ exp_many(own), after.poses),
         covariance=np.where(same[:, None, None], covariance, after.covariance),
-        unrest=np.where(same, prior.unrest, after.unrest),
+        motion_scale=np.where(same, prior.motion_scale, after.motion_scale),
         trend=np.where(same[:, None], before.trend, after.trend),
         elsewhere=after.elsewhere & ~same,
     )
@@ -164,13 +167,13 @@ def _is_doubtful(found: Found, at: int, item: TrackedObject, options: Options) -
     if found.shown[at] < _LEAST_SHOWN:
         return False
     enough = options.certain_score if item["probation"] else options.sure_score
-    return bool(found.scores[at] < enough or (found.unrest[at] == 1.0 and item["unrest"] < 1.0))
+    return bool(found.scores[at] < enough or (found.motion_scale[at] == 1.0 and item["motion_scale"] < 1.0))
 
 
-def _is_still(item: TrackedObject, unrest: float) -> bool:
+def _is_still(item: TrackedObject, motion_scale: float) -> bool:
     motion = motion_of(item)
     slow = np.linalg.norm(motion[:3]) < _STILL_M and np.linalg.norm(motion[3:]) < _STILL_RAD
-    return bool(slow and unrest < _LEARNED_UNREST)
+    return bool(slow and motion_scale < _LEARNED_MOTION_SCALE)
 
 
 def _learned(
@@ -195,24 +198,24 @@ def _learned(
         columns = aligned.matches.columns[chosen]
         colours = np.stack((profiles.inside[chosen, columns], profiles.outside[chosen, columns]), axis=1)
         known = remembered(known, controls, chosen, colours)
-        still = _is_still(item, found.unrest[at])
+        still = _is_still(item, found.motion_scale[at])
         known = measured(known, places[chosen] // EDGE_SLOTS, offsets[chosen]) if still else moved(known)
         told = gamma_bias.remembered(known["encoding"], aligned.told[at], task.gamma[0])
         learned.append({**known, "encoding": told})
     return learned
 
 
-def _estimates(found: Found, learned: list[Looks], vain: list[int]) -> list[Estimate]:
+def _estimates(found: Found, learned: list[Looks], failed_searches: list[int]) -> list[Estimate]:
     return [
         Estimate(
             found.poses[at],
             found.covariance[at],
-            float(found.unrest[at]),
+            float(found.motion_scale[at]),
             found.trend[at],
             float(found.scores[at]),
             float(found.shown[at]),
             slots,
-            vain[at],
+            failed_searches[at],
             bool(found.elsewhere[at]),
             bool(found.sure[at]),
             found.guesses[at],

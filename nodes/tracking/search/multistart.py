@@ -58,13 +58,13 @@ _VAGUE_M = 0.015
 _LEVER_M = 0.05
 _GRID = np.stack(np.meshgrid(np.linspace(-1.5, 1.5, 7), np.linspace(-1.5, 1.5, 7)), axis=-1).reshape(-1, 2)
 
-# An object that was looked for elsewhere without success in `_VAIN_AT_ONCE` images in a row is from then on looked for
-# in one image of every `_VAIN_EVERY`.
-_VAIN_AT_ONCE = 5
-_VAIN_EVERY = 8
+# An object that was not found elsewhere in `_FAILED_AT_ONCE` images in a row is from then on looked for in one image of
+# every `_FAILED_EVERY`.
+_FAILED_AT_ONCE = 5
+_FAILED_EVERY = 8
 
 
-# How much farther an object may be that was looked for in vain, or that was found again just now (m², rad²).
+# How much farther an object may be that was looked for without success, or that was found again just now (m², rad²).
 _ASTRAY = np.diag([0.01**2] * 3 + [0.3**2] * 3)
 
 
@@ -95,7 +95,7 @@ class Found(NamedTuple):
     scores: Floats  # (m,) 0 to 1
     shown: Floats  # (m,) how many control points should be seen
     gains: Floats  # (m,) how many of them speak for the pose
-    unrest: Floats  # (m,) how much of a push the latest motion asks for
+    motion_scale: Floats  # (m,) how much of a push the latest motion asks for
     trend: Floats  # (m, 6) see `hierax.nodes.tracking.estimation.fusion.Prior`
     elsewhere: NDArray[np.bool_]  # (m,) whether it was found elsewhere than expected
     sure: NDArray[np.bool_]  # (m,) false where another pose explains the image nearly as well
@@ -108,7 +108,7 @@ class Found(NamedTuple):
     def put(self, at: int, pose: Floats, covariance: Floats) -> None:
         """Change where an object is found: elsewhere than expected."""
         self.poses[at], self.covariance[at] = pose, covariance
-        self.unrest[at], self.trend[at], self.elsewhere[at] = 1.0, 0.0, True
+        self.motion_scale[at], self.trend[at], self.elsewhere[at] = 1.0, 0.0, True
 
 
 class Looking(NamedTuple):
@@ -130,10 +130,10 @@ def search_elsewhere(looking: Looking, found: Found, doubtful: Sequence[int]) ->
     """
     objects, prior = looking.objects, looking.task.prior
     free = prior._replace(motion=looking.falling)
-    spread = free._replace(unrest=np.ones(len(objects))).spread()
+    spread = free._replace(motion_scale=np.ones(len(objects))).spread()
     startled = inverse(spread)
     seen = np.array([len(item["slots"]["keys"]) > 0 for item in objects])
-    pushed = inverse(free._replace(unrest=np.where(seen, 1.0, prior.unrest)).spread())
+    pushed = inverse(free._replace(motion_scale=np.where(seen, 1.0, prior.motion_scale)).spread())
     for at in doubtful:
         if _is_astray(objects[at]):
             spread[at] += held(_ASTRAY, objects[at]["support"], FALLING, 1.0)
@@ -217,9 +217,9 @@ def _chosen(found: Found, tries: Sequence[int], start: Start, fine: Aligned, wor
 
 
 def in_turn(item: TrackedObject) -> bool:
-    """Whether an object is looked for in this image: at once, but when that was in vain, only now and then."""
-    vain = int(item["vain"])
-    return vain < _VAIN_AT_ONCE or (vain + int(item["id"])) % _VAIN_EVERY == 0
+    """Whether an object is looked for in this image: at once, but when that was without success, only now and then."""
+    failed_searches = int(item["failed_searches"])
+    return failed_searches < _FAILED_AT_ONCE or (failed_searches + int(item["id"])) % _FAILED_EVERY == 0
 
 
 def _is_worse(score: float, item: TrackedObject) -> bool:
@@ -227,7 +227,7 @@ def _is_worse(score: float, item: TrackedObject) -> bool:
 
 
 def _is_astray(item: TrackedObject) -> bool:
-    return bool(item["vain"] >= _VAIN_AT_ONCE or item["probation"] > 0)
+    return bool(item["failed_searches"] >= _FAILED_AT_ONCE or item["probation"] > 0)
 
 
 def _starts(item: TrackedObject, shift: Floats, spread: Floats) -> list[Floats]:
@@ -235,7 +235,7 @@ def _starts(item: TrackedObject, shift: Floats, spread: Floats) -> list[Floats]:
     motion = motion_of(item)
     moves = np.array([1.0] if np.linalg.norm(motion) < 1e-4 else _FARTHER)
     ways = [shift @ item["before"] @ way for way in exp_many(moves[:, None] * motion)]
-    turn = (int(item["vain"]) + int(item["id"])) // _VAIN_EVERY
+    turn = (int(item["failed_searches"]) + int(item["id"])) // _FAILED_EVERY
     around = _AROUND[turn % len(_AROUND)] @ np.linalg.cholesky(spread).T
     if float(np.trace(spread[:3, :3])) > _VAGUE_M**2:
         around = np.concatenate((around, _across(spread)))

@@ -92,7 +92,7 @@ def find_again(looking: Looking, found: Found, sought: Sequence[int]) -> Found:
     """
     objects, prior = looking.objects, looking.task.prior
     candidates, imagined = _candidates(looking, found, sought)
-    information = inverse(prior._replace(unrest=np.ones(len(objects))).spread())
+    information = inverse(prior._replace(motion_scale=np.ones(len(objects))).spread())
 
     def aligned(which: _Candidates, search: Search, most: int) -> Aligned | None:
         start = Start(which.starts, information[which.owners])

@@ -8,7 +8,7 @@ from support.drawn import BOXES, FIRST, all_expected, expected
 
 from hierax.nodes.tracking.estimation.alignment import Aligned, Start, align
 from hierax.nodes.tracking.estimation.appearance import NOTHING, recalled
-from hierax.nodes.tracking.estimation.fusion import LEAST_UNREST, Prior, fuse
+from hierax.nodes.tracking.estimation.fusion import LEAST_MOTION_SCALE, Prior, fuse
 from hierax.nodes.tracking.estimation.profiles import smoothed
 from hierax.nodes.tracking.estimation.stages import Search
 from hierax.nodes.tracking.math.batched import inverse
@@ -34,7 +34,7 @@ def test_what_moved_is_believed_at_once() -> None:
     twist = np.array([0.006, 0.0, 0.0, 0.0, 0.02, 0.0])
     found, prior = aligned(twist)
     fused = fuse(found, prior)
-    assert np.array_equal(fused.unrest, [1.0, 1.0])
+    assert np.array_equal(fused.motion_scale, [1.0, 1.0])
     np.testing.assert_allclose(fused.own, [twist, twist], atol=0.002)
     assert np.array_equal(fused.shift, np.zeros(6))
 
@@ -43,16 +43,16 @@ def test_what_is_known_to_rest_is_not_believed_to_have_moved() -> None:
     twist = np.array([0.006, 0.0, 0.0, 0.0, 0.02, 0.0])
     found, prior = aligned(twist)
     fused = fuse(found, prior, np.array([True, False]))
-    assert fused.unrest[0] < 1.0 == fused.unrest[1]
+    assert fused.motion_scale[0] < 1.0 == fused.motion_scale[1]
     assert np.linalg.norm(fused.own[0]) < 0.9 * np.linalg.norm(fused.own[1])
 
 
 def test_what_rests_calms_down_and_grows_certain() -> None:
     found, prior = aligned(np.zeros(6))
-    restless = prior._replace(unrest=np.full(2, 0.5))
+    restless = prior._replace(motion_scale=np.full(2, 0.5))
     fused = fuse(found, restless)
-    assert (fused.unrest < 0.5).all()
-    assert (fuse(found, prior).unrest >= LEAST_UNREST).all()
+    assert (fused.motion_scale < 0.5).all()
+    assert (fuse(found, prior).motion_scale >= LEAST_MOTION_SCALE).all()
     for after, before in zip(fused.covariance, restless.spread(), strict=True):
         assert np.linalg.eigvalsh(before - after).min() > 0
 
@@ -62,10 +62,10 @@ def test_small_deviations_the_same_way_surprise_in_the_end() -> None:
     surprised = []
     for _ in range(12):
         fused = fuse(found, prior)
-        surprised.append(bool((fused.unrest == 1.0).any()))
+        surprised.append(bool((fused.motion_scale == 1.0).any()))
         if surprised[-1]:
             break
-        prior = prior._replace(trend=fused.trend, unrest=np.full(2, 0.02))
+        prior = prior._replace(trend=fused.trend, motion_scale=np.full(2, 0.02))
     assert not surprised[0]
     assert surprised[-1]
 

@@ -55,7 +55,7 @@ def test_an_open_box_stays_while_a_side_turns_away_and_the_pictures_edge_cuts_it
 def one_off(shift: np.ndarray) -> tuple[Explained, Explained | None]:
     """Two boxes that are known well, seen by a camera that is elsewhere than reported; and what a second look changes,
     were the second box in doubt."""
-    items = [{**item, "unrest": 0.02} for item in all_expected(BOXES, [shift @ box.pose for box in BOXES])]
+    items = [{**item, "motion_scale": 0.02} for item in all_expected(BOXES, [shift @ box.pose for box in BOXES])]
     for item in items:
         item["covariance"] = np.diag([0.0004**2] * 3 + [0.004**2] * 3)
     prior = prior_of(items, MOTION, CAMERA)

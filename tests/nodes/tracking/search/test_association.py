@@ -57,7 +57,7 @@ def test_what_all_objects_do_together_is_the_cameras_error() -> None:
 
 def test_an_object_that_was_pushed_far_is_found() -> None:
     away = FIRST.pose @ exp_se3(np.array([0.016, -0.012, 0.004, 0.02, 0.1, -0.05]))
-    item = {**expected(FIRST, away), "unrest": 1.0}
+    item = {**expected(FIRST, away), "motion_scale": 1.0}
     found = associate(smoothed(photograph([FIRST], 2.0, np.random.default_rng(7))), [item], None, INTRINSICS, OPTIONS)
     assert found is not None
     distance, angle = pose_error(found[1][0].pose, FIRST.pose)
@@ -82,7 +82,7 @@ def test_images_without_the_object_score_low() -> None:
 def test_where_its_edges_are_off_is_told_by_what_is_still(away: float) -> None:
     """Of what moves it is rather the prediction that is off."""
     item = expected(FIRST, FIRST.pose)
-    item = {**item, "unrest": 0.02, "before": FIRST.pose @ exp_se3(np.array([away, 0.0, 0.0, 0.0, 0.0, 0.0]))}
+    item = {**item, "motion_scale": 0.02, "before": FIRST.pose @ exp_se3(np.array([away, 0.0, 0.0, 0.0, 0.0, 0.0]))}
     item = {**item, "covariance": 0.01 * item["covariance"]}
     image = smoothed(photograph([FIRST], 1.0, np.random.default_rng(12)))
     for _ in range(3):
@@ -120,17 +120,17 @@ def test_what_is_found_elsewhere_no_farther_away_than_predictions_err_did_not_mo
     def found_there(_looking: Any, found: Found, *_: Any) -> Found:
         there = found.poses @ exp_se3(np.array([away_m, 0.0, 0.0, 0.0, 0.0, 0.0]))
         seen = np.diag([0.0003**2] * 3 + [0.003**2] * 3)[None]
-        return found._replace(poses=there, covariance=seen, unrest=np.ones(1), elsewhere=np.ones(1, dtype=bool))
+        return found._replace(poses=there, covariance=seen, motion_scale=np.ones(1), elsewhere=np.ones(1, dtype=bool))
 
     monkeypatch.setattr(association, "look_elsewhere", found_there)
     known = np.diag([0.0004**2] * 3 + [0.004**2] * 3)
-    item = {**expected(FIRST, FIRST.pose), "unrest": 0.02, "covariance": known, "probation": 1}
+    item = {**expected(FIRST, FIRST.pose), "motion_scale": 0.02, "covariance": known, "probation": 1}
     blank = smoothed(np.full((480, 640), 120, dtype=np.uint8))
     found = associate(blank, [item], None, INTRINSICS, OPTIONS)
     assert found is not None
     estimate = found[1][0]
     assert estimate.elsewhere != rests
-    assert (estimate.unrest == 1.0) != rests
+    assert (estimate.motion_scale == 1.0) != rests
     moved = pose_error(estimate.pose, FIRST.pose)[0]
     # Prediction and image are averaged, or the image alone is believed.
     assert 0.2 * away_m < moved < 0.8 * away_m if rests else moved == pytest.approx(away_m)
