@@ -17,6 +17,9 @@ if TYPE_CHECKING:
 SHOWN = 10
 """How many violations are shown as text."""
 
+ENOUGH = 1000
+"""Of so many seeds, with all faults, each kind of order, word, message, verdict, change and fault has to be reached."""
+
 TRACE_LINES = 80
 """How many of a failing simulation's last events are shown."""
 
@@ -45,6 +48,7 @@ def sim(
     """Simulate runs with crashes, losses, hangs and partitions; shows what does not hold, made small."""
     from hierax.runtime.commands.show import print_json
     from hierax.runtime.sim.campaign import cores, simulate_many
+    from hierax.runtime.sim.scenario import FAULTS
 
     wanted = _seeds(seeds)
     kinds = _kinds(faults)
@@ -69,7 +73,11 @@ def sim(
         _print(summary, time.monotonic() - began)
         if summary.violations:
             _print_smallest(min(summary.violations)[0], kinds, epochs)
-    return FAILED if summary.violations else OK
+    if summary.violations:
+        return FAILED
+    if len(wanted) >= ENOUGH and kinds == FAULTS and epochs is None and summary.unreached:
+        raise CommandError(f"no seed has reached {', '.join(summary.unreached)}: the scenarios are too tame")
+    return OK
 
 
 def _seeds(text: str) -> range:
@@ -113,7 +121,10 @@ def _trace(seeds: range, kinds: tuple[str, ...], epochs: int | None) -> int:
 
 def _print(summary: Summary, wall_s: float) -> None:
     print(f"{summary.seeds} seeds in {wall_s:.1f} s, {summary.epochs} epochs")
-    print("faults: " + (", ".join(f"{kind} {count}" for kind, count in sorted(summary.faults.items())) or "none"))
+    width = max(len(kind) for kinds in summary.kinds.values() for kind in kinds)
+    for group, kinds in summary.kinds.items():
+        for kind, count in kinds.items():
+            print(f"  {group:<8} {kind:<{width}} {count:>10}")
     changes = ", ".join(f"{count} {what}" for what, count in sorted(summary.answers.items()))
     print(f"changes: {changes or 'none'}; runs that gave up, as they may: {summary.stopped}")
     print(f"violations: {len(summary.violations)}")

@@ -149,6 +149,16 @@ class Member(NodeRunner):
         found = read_checkpoint(self._slots)
         self.wire(wiring, None if found is None else found[1])
 
+    def take_word(self, word: Control) -> None:
+        """Do what the owner says; what others say is nothing to this process.
+
+        Raises:
+            OperatorError: an operator failed.
+            ContradictionError: it was told something else before.
+        """
+        if isinstance(word, Order):
+            self.obey(word)
+
     def obey(self, order: Order) -> None:
         """Do what the owner says.
 

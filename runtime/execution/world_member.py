@@ -149,6 +149,12 @@ class WorldMember(Member, OwnerEffects):
             self.owner.finish()
         return record.epoch - 1, record.last_digest
 
+    def take_word(self, word: Control) -> None:
+        if isinstance(word, Order):
+            self.obey(word)
+        else:
+            self.hear(word)
+
     def hear(self, word: Control) -> None:
         """Take in what anybody says to the owner.
 

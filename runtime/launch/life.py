@@ -46,7 +46,7 @@ from hierax.runtime.transport.zenoh_port import EpochPublisher, ZenohPort
 from hierax.runtime.transport.zenoh_session import LOOPBACK, LOW_LATENCY_BYTES, open_session
 from hierax.runtime.watch import telemetry
 from hierax.runtime.watch.logs import QUIET
-from hierax.schemas.control import AskStatus, Control, Dismiss, Offered, Order, Word, decode_control
+from hierax.schemas.control import AskStatus, Control, Dismiss, Offered, Word, decode_control
 from hierax.schemas.errors import SchemaError
 from hierax.schemas.keys import Keys
 from hierax.schemas.messages import Message
@@ -390,12 +390,12 @@ class NodeLife:
         """What has come beside the messages of epochs; of what anybody may say, not more than so much at once."""
         self._woken = False
         while self._inputs:
-            self._take_word(member, self._inputs.popleft())
+            member.take_word(self._inputs.popleft())
         for _ in range(WORDS_AT_ONCE):
             word = self._words.take()
             if word is None:
                 break
-            self._take_word(member, word)
+            member.take_word(word)
         if not self._ticks:
             return
         self._ticks = False
@@ -404,12 +404,6 @@ class NodeLife:
         else:
             member.join(self._order.request)
             member.fetch_again()
-
-    def _take_word(self, member: Member, word: Control) -> None:
-        if isinstance(word, get_args(Order)):
-            member.obey(word)
-        elif isinstance(member, WorldMember):
-            member.hear(word)
 
     def _serve_keeper(self, world: WorldMember) -> None:
         owner = world.owner

@@ -136,7 +136,7 @@ class Arrivals:
         elif process not in known:
             instead = "it is no part of the hierarchy" if in_force is None else "another process runs it"
             self._effects.tell(process, Dismiss(f"{name}: {instead}"))
-        elif process == in_force and self._doubts.is_ahead(word):
+        elif process == in_force and (self._doubts.is_ahead(word) or self._doubts.is_astray(word)):
             self._doubts.hear(word)
 
     def _runs_another(self, name: str, process: str) -> bool:

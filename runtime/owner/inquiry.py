@@ -86,13 +86,14 @@ class Inquiry:
     def _judge(self, epoch: int, attempt: int, roster: Roster, processes: Mapping[str, str]) -> None:
         silent = sorted(roster.nodes.keys() - self._answers.keys())
         busy = sorted(name for name, status in self._answers.items() if status.busy)
+        place = (epoch, attempt, roster.version)
         waiting = {
             name: status.waits_for
             for name, status in sorted(self._answers.items())
-            if (status.epoch, status.attempt) == (epoch, attempt) and status.waits_for
+            if (status.epoch, status.attempt, status.version) == place and status.waits_for
         }
         behind = sorted(
-            name for name, status in self._answers.items() if (status.epoch, status.attempt) < (epoch, attempt)
+            name for name, status in self._answers.items() if (status.epoch, status.attempt, status.version) < place
         )
         ahead = sorted(name for name, status in self._answers.items() if status.epoch > epoch)
         if ahead:  # the world's record was damaged, and what it falls back to is too old

@@ -44,8 +44,15 @@ class Suspicions:
             return said.version > members.roster.version
         return (said.epoch, said.attempt) > (progress.epoch + 1, progress.attempt)
 
+    def is_astray(self, said: Join | Status) -> bool:
+        """Whether a node that has a place says that it is in an attempt of the last epoch after the committed one.
+
+        Nobody else will ever be in that attempt.
+        """
+        return said.epoch == self._progress.epoch and said.attempt > self._course.last_attempt
+
     def hear(self, word: Join) -> None:
-        """A node says that it is ahead: ask it."""
+        """A node says that it is where nobody else is: ask it."""
         self._number += 1
         self._asked[word.name] = self._number
         self._effects.tell(word.process, AskStatus(self._number))
@@ -55,6 +62,9 @@ class Suspicions:
         if status.inquiry < FIRST_INQUIRY or self._asked.get(status.name) != status.inquiry:
             return
         del self._asked[status.name]
+        if self.is_astray(status):
+            self._bring_back(status)
+            return
         if not self.is_ahead(status):
             self._tell_of_lie(status.name)
             return
@@ -75,6 +85,13 @@ class Suspicions:
         if progress.running and not self._members.lost:
             self._effects.note(f"{what}; the epoch is begun again")
             progress.begin()
+
+    def _bring_back(self, status: Status) -> None:
+        """A node waits in vain; its checkpoint is of the committed attempt, or the epoch would not have ended."""
+        if status.waits_for and not status.busy:
+            where = f"attempt {status.attempt} of epoch {status.epoch}"
+            why = f"it waits in {where}, and attempt {self._progress.last_attempt} counts"
+            self._members.end(status.name, self._members.processes[status.name], why)
 
     def _tell_of_lie(self, name: str) -> None:
         """The first time, the second, the fourth, the eighth, …: it may be said any number of times."""

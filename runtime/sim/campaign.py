@@ -13,6 +13,7 @@ from typing import TypeVar
 from hierax.runtime.core.errors import HierarchyError
 from hierax.runtime.core.graph import check_graph
 from hierax.runtime.execution.plain import Json
+from hierax.runtime.sim.journal import KINDS, Tally
 from hierax.runtime.sim.scenario import FAULTS, Scenario, draw_scenario
 from hierax.runtime.sim.simulation import Result, simulate
 from hierax.runtime.sim.workers import done_by_workers
@@ -34,15 +35,15 @@ class Summary:
     Attributes:
         seeds: how many were done.
         violations: what did not hold, and the seed.
-        faults: how often each kind befell something.
+        tally: how often each kind of thing occurred.
         epochs: how many were committed.
         answers: how many changes were made, and how many refused.
-        stopped: how many runs gave up, as they may where a checkpoint is damaged.
+        stopped: how many runs gave up, as they may where a checkpoint is damaged or a message forged.
     """
 
     seeds: int = 0
     violations: list[tuple[int, str]] = field(default_factory=list)
-    faults: Counter[str] = field(default_factory=Counter)
+    tally: Tally = field(default_factory=Counter)
     epochs: int = 0
     answers: Counter[str] = field(default_factory=Counter)
     stopped: int = 0
@@ -50,19 +51,29 @@ class Summary:
     def add(self, result: Result) -> None:
         """Count one more."""
         self.seeds += 1
-        self.faults.update(result.faults)
+        self.tally.update(result.tally)
         self.epochs += result.epochs
         self.stopped += bool(result.stopped)
         self.answers.update("made" if answer.startswith("epoch") else "refused" for answer in result.answers.values())
         if result.violation:
             self.violations.append((result.seed, result.violation))
 
+    @property
+    def kinds(self) -> dict[str, dict[str, int]]:
+        """How often each kind occurred, by what it is a kind of; all that there are."""
+        return {group: {kind: self.tally[group, kind] for kind in kinds} for group, kinds in KINDS.items()}
+
+    @property
+    def unreached(self) -> list[str]:
+        """The kinds that no seed has reached."""
+        return [f"{group} {kind}" for group, kinds in self.kinds.items() for kind, count in kinds.items() if not count]
+
     def plain(self) -> dict[str, Json]:
         """As JSON."""
         return {
             "seeds": self.seeds,
             "violations": [{"seed": seed, "what": what} for seed, what in sorted(self.violations)],
-            "faults": dict(sorted(self.faults.items())),
+            "kinds": {group: dict(kinds) for group, kinds in self.kinds.items()},
             "epochs": self.epochs,
             "changes": dict(sorted(self.answers.items())),
             "stopped": self.stopped,

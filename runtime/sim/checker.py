@@ -60,7 +60,8 @@ class Checker:
 
     Attributes:
         told: the last epoch that was told to anybody outside.
-        faults: how often each kind befell something.
+        excused: whether a run may give up: a slot was damaged, or somebody else spoke in a node's name.
+        foretold: whether a node was told of an attempt that nobody has begun, so it may have left the committed one.
         uncertain: epochs in whose act, or record of it, the world's process died.
     """
 
@@ -78,9 +79,16 @@ class Checker:
         self._beginnings = 0
         self._candidates: dict[int, End] = {}
         self.acts: Counter[int] = Counter()
-        self.faults: Counter[str] = Counter()
+        self.excused = False
+        self.foretold = False
         self.uncertain: set[int] = set()
         self.version = -1
+        self._in_force = {scenario.roster.version: scenario.roster}
+        self._came: dict[str, int] = {}
+        self._may_go = {each.change.name for each in scenario.proposals if isinstance(each.change, Detach)}
+        self._missable = {*scenario.on_loss, *(name for each in scenario.proposals for name in each.on_loss)}
+        if not scenario.together:
+            self._may_go |= self._missable  # they may come too late
         hierarchy = self.hierarchy_of(scenario.roster)
         states = ActiveHierarchy.initial(hierarchy).states
         self._ends.append(End(0, scenario.roster, states, NO_DIGEST))
@@ -97,10 +105,6 @@ class Checker:
             ViolationError: always.
         """
         raise ViolationError(what)
-
-    def counted(self, kind: str) -> None:
-        """A fault befell something."""
-        self.faults[kind] += 1
 
     def hierarchy_of(self, roster: Roster) -> Hierarchy:
         """The hierarchy of a roster's content."""
@@ -136,12 +140,20 @@ class Checker:
         if turn.epoch != self.told + 1 and turn.epoch - 1 not in self._candidates:
             self.violate(f"epoch {turn.epoch} begins, {self.told} was the last that was committed")
         self._processes[turn.version] = dict(processes)
+        if base != turn.version:
+            before = self._in_force[base]
+            self._check_detached(before, roster)
+            for name, reference in roster.nodes.items():
+                if before.nodes.get(name) != reference:
+                    self._came[name] = turn.version
+        self._in_force[turn.version] = roster
         key = (turn.epoch, turn.version)
         if key not in self._starts:
             self._starts[key] = self._start(turn, base, roster)
 
-    def sends(self, header: Header, is_world: bool) -> None:
+    def sends(self, header: Header) -> None:
         """A message goes out: no attempt's number is used for two of them."""
+        is_world = header.sender == self._scenario.roster.world
         if is_world and self._begun.setdefault((header.epoch, header.attempt), self._beginnings) != self._beginnings:
             self.violate(f"attempt {header.attempt} of epoch {header.epoch} is begun twice")
 
@@ -154,6 +166,15 @@ class Checker:
             self.violate(f"{token} begins {turn}, which it has no part in")
         elif encode_state(*state) != start.encoded[name]:
             self.violate(f"{token} begins {turn} with {state}, expected {start.states[name]}")
+
+    def lost(self, name: str) -> None:
+        """A process of a node is dead, or taken for that: where it is not missed, it may be detached."""
+        if name in self._missable:
+            self._may_go.add(name)
+
+    def raised(self, ends: list[str]) -> None:
+        """An operator or edge function has raised: of these, which fail alone, what came last is to blame."""
+        self._may_go.add(max(ends, key=lambda name: self._came.get(name, 0)))
 
     def acted(self, epoch: int) -> None:
         """The device outside has moved."""
@@ -188,11 +209,11 @@ class Checker:
         self._starts = {key: start for key, start in self._starts.items() if key[0] > epoch}
         self._trace(f"epoch {epoch} is committed: {digest.hex()[:8]}")
 
-    def resumes(self, epoch: int, digest: bytes, damaged: bool) -> None:
+    def resumes(self, epoch: int, digest: bytes) -> None:
         """The world's new process goes on with an epoch, after this digest of the last one."""
         if self.told + 1 == epoch - 1 and epoch - 1 in self._candidates:  # it was recorded, and nobody was told
             self.tells(epoch - 1, digest)
-        if epoch != self.told + 1 and not damaged:
+        if epoch != self.told + 1 and not self.excused:
             self.violate(f"the world goes on with epoch {epoch}, {self.told} was the last that was told")
         self._candidates = {}
         self._undone.update(key for key in self._starts if key[0] > epoch)
@@ -228,6 +249,15 @@ class Checker:
                 self.violate(f"epoch {epoch} was never acted, and acts are repeated")
             if self._scenario.on_uncertain_act == "skip" and acts > 1:
                 self.violate(f"epoch {epoch} was acted {acts} times, and uncertain ones are skipped")
+
+    def _check_detached(self, before: Roster, roster: Roster) -> None:
+        """Nobody goes but who is to, and what only those join to the world."""
+        staying = {before.world}
+        for edge in (edge for _ in before.nodes for edge in before.edges):
+            if edge.lower in staying and edge.upper not in self._may_go:
+                staying.add(edge.upper)
+        if not staying <= roster.nodes.keys():
+            self.violate(f"{sorted(staying - roster.nodes.keys())} went, and nobody asked for that")
 
     def _after(self, epoch: int) -> End:
         """How an epoch ended that is committed, be it told already or not."""

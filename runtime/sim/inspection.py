@@ -39,6 +39,7 @@ class Inspector:
         violated: told what is wrong.
         process_of: the process that runs a node under a version.
         starts: called when a node begins a turn, before its first operator.
+        calls: called before each operator and edge function, with the epoch; what it raises, that one raises.
     """
 
     def __init__(
@@ -48,6 +49,7 @@ class Inspector:
         violated: Callable[[str], None],
         process_of: Callable[[int, str], str | None],
         starts: Callable[[Turn], None],
+        calls: Callable[[Call, int], None],
     ) -> None:
         self.name = name
         self.process = process
@@ -56,6 +58,7 @@ class Inspector:
         self._violated = violated
         self._process_of = process_of
         self._starts = starts
+        self.calls = calls
 
     def begin(self, turn: Turn) -> None:
         """The world is told to begin."""
@@ -74,7 +77,7 @@ class Inspector:
             self._violated(f"{self.name}: its {what} are of {sorted(turns)}")
         else:
             (turn,) = turns
-            if turn.version != version or turn.epoch != epoch or turn[1:] <= self.turn[1:]:
+            if turn.version < version or turn.epoch != epoch or turn[1:] <= self.turn[1:]:
                 self._violated(f"{self.name}: its {what} are of {turn}; the last were of {self.turn}")
             self.turn = turn
         self._check(tags, senders, what)
@@ -104,6 +107,12 @@ class Inspector:
             right = self._process_of(self.turn.version, sender)
             if process != right:
                 self._violated(f"{self.name}: {what} from {sender} are of process {process}, expected {right}")
+
+
+def tagged_as_of(elements: Elements, epoch: int, attempt: int) -> Elements:
+    """The same with a tag of another epoch or attempt."""
+    tags, bare = _split(elements)
+    return (*((*tag[:4], epoch, attempt) for tag in tags), *bare)
 
 
 def _split(elements: Elements) -> tuple[list[Any], Elements]:
@@ -151,22 +160,25 @@ class Inspected(BoundNode):
             bare = inspector.given(context, bound.above, "context")
             return bound.predict(epoch, time_s, bare, actions, belief)
 
-        self.observe = Through(bound.observe, observe)
-        self.select_policy = Through(bound.select_policy, select_policy)
-        self.predict = Through(bound.predict, predict)
-        self.act = None if bound.act is None else Through(bound.act, lambda epoch, _, actions: act(epoch, actions))
+        self.observe = Through(bound.observe, observe, inspector)
+        self.select_policy = Through(bound.select_policy, select_policy, inspector)
+        self.predict = Through(bound.predict, predict, inspector)
+        acts = lambda epoch, _, actions: act(epoch, actions)  # noqa: E731
+        self.act = None if bound.act is None else Through(bound.act, acts, inspector)
 
 
 class Through(Call):
     """A call that goes through something else."""
 
-    __slots__ = ("_through",)
+    __slots__ = ("_inspector", "_through")
 
-    def __init__(self, call: Call, through: Callable[..., Any]) -> None:
+    def __init__(self, call: Call, through: Callable[..., Any], inspector: Inspector) -> None:
         self.subject, self.operator = call.subject, call.operator
         self._through = through
+        self._inspector = inspector
 
     def __call__(self, epoch: int, time_s: float, *arguments: Value) -> Any:
+        self._inspector.calls(self, epoch)
         return self._through(epoch, time_s, *arguments)
 
 
@@ -183,6 +195,7 @@ class Tagged(Call):
 
     def elements(self, epoch: int, time_s: float, argument: Value) -> Elements:
         self._before()
+        self._inspector.calls(self, epoch)
         bare = () if self._call is None else self._call.elements(epoch, time_s, argument)
         return self._inspector.tag(bare)
 

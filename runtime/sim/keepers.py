@@ -4,110 +4,167 @@ from __future__ import annotations
 
 from collections import Counter
 from random import Random
-from typing import TYPE_CHECKING
 
+from hierax.runtime.core.errors import HieraxError
+from hierax.runtime.execution.world_member import Supervision
 from hierax.runtime.sim.members import SimWorldMember, make_member
-from hierax.runtime.sim.process import TICK_S, SimProcess
+from hierax.runtime.sim.process import TICK_S, SimProcess, Surroundings
 from hierax.runtime.sim.storage import SimStorage
-from hierax.schemas.control import Control, Lost
-
-if TYPE_CHECKING:
-    from hierax.runtime.sim.simulation import Simulation
+from hierax.schemas.control import Census, Control, Lost
 
 NOTICE_S, RESTART_S = 0.02, 0.05
 """At most, until a death is noticed, and until another process is there."""
 
+END_S = 0.01
+"""Until a process that is to be ended is."""
 
-class Keepers:
+UNREACHED_S = 0.1
+"""After which time it is tried again where a process is cut off."""
+
+
+class Keepers(Supervision):
     """Of all processes.
 
     Args:
-        simulation: of which they are.
-        rng: of all that takes its time.
+        around: what the processes stand in.
 
     Attributes:
-        processes: that live, by token.
-        final: nodes of which a process has gone, and none comes in its place.
+        stopped: why the owner gave the run up; empty: it did not.
+        answers: what became of the changes that were asked for.
     """
 
-    def __init__(self, simulation: Simulation, rng: Random) -> None:
-        self.processes: dict[str, SimProcess] = {}
-        self.final: set[str] = set()
-        self._simulation = simulation
-        self._rng = rng
+    def __init__(self, around: Surroundings) -> None:
+        seed = around.scenario.seed
+        self.stopped = ""
+        self.answers: dict[str, str] = {}
+        self._around = around
+        self._rng = Random(f"{seed}/simulation")
+        self._disk_rng = Random(f"{seed}/disk")
         self._started: Counter[str] = Counter()
+        self._final: set[str] = set()
 
-    def start(self, name: str, request: str, storage: SimStorage) -> SimProcess:
-        """A process of a node comes up; for a request, or in the place of another one, with the storage of that."""
+    # --- what processes need
+
+    def start(self, name: str, request: str = "", storage: SimStorage | None = None) -> SimProcess:
+        """A process of a node comes up.
+
+        Args:
+            name: of the node.
+            request: the change that it is for; empty: it comes in the place of another.
+            storage: of that other one; None: an empty one.
+        """
+        around = self._around
         self._started[name] += 1
         token = f"{name}.{self._started[name]}"
-        process = SimProcess(self._simulation, name, token, request, storage)
-        self.processes[token] = process
-        process.member = make_member(self._simulation, process)
-        self._simulation.clock.schedule(self._rng.uniform(0.0, TICK_S), self._tick, process)
-        self._simulation.trace(f"{token} starts" + (f" for {request}" if request else ""))
+        process = SimProcess(around, self, name, token, request, storage or SimStorage(self._disk_rng))
+        around.processes[token] = process
+        process.member = make_member(around, process, self)
+        around.clock.schedule(self._rng.uniform(0.0, TICK_S), self._tick, process)
+        around.journal.trace(f"{token} starts" + (f" for {request}" if request else ""))
         return process
 
-    def _tick(self, process: SimProcess) -> None:
-        if process.alive:
-            process.take("tick", None)
-            self._simulation.clock.schedule(TICK_S, self._tick, process)
+    def begin(self, process: SimProcess) -> None:
+        """The world's process begins the run, or goes on with it."""
+        try:
+            process.take("word", Census({token: token for token in self._around.processes if token != process.token}))
+        except HieraxError as error:
+            self.stop(str(error))
+        for name in sorted(self._final - {each.name for each in self._around.processes.values()}):
+            self.tell_owner(Lost(name, "", restarts=False))  # this one has not heard it
 
     def died(self, process: SimProcess) -> None:
         """A process is dead; its keeper finds out and starts another one."""
-        self.final.discard(process.name)
-        self._simulation.trace(f"{process.token} dies at {process.at!r}")
+        around = self._around
+        self._final.discard(process.name)
+        around.journal.trace(f"{process.token} dies at {process.at!r}")
         if not self._gone(process):
             return
-        if process.is_world and isinstance(process.member, SimWorldMember) and process.member.acting:
-            self._simulation.checker.uncertain.add(process.member.acting)
-        self._simulation.clock.schedule(self._rng.uniform(0.0, NOTICE_S), self._notice, process)
+        if isinstance(process.member, SimWorldMember) and process.member.acting:
+            around.checker.uncertain.add(process.member.acting)
+        around.clock.schedule(self._rng.uniform(0.0, NOTICE_S), self._notice, process)
 
     def exited(self, process: SimProcess) -> None:
         """A process was dismissed: it is not started again."""
         self._gone(process)
         self.tell_owner(Lost(process.name, process.token, restarts=False))
-        if not process.request or self._simulation.checker.had_place(process.token):
-            self.final.add(process.name)
+        if not process.request or self._around.checker.had_place(process.token):
+            self._final.add(process.name)
 
-    def _gone(self, process: SimProcess) -> bool:
-        was = process.alive
-        process.alive = False
-        self.processes.pop(process.token, None)
-        return was
-
-    def _notice(self, process: SimProcess) -> None:
-        self._simulation.trace(f"keeper: {process.token} is dead")
-        restarts = process.name not in self._simulation.scenario.left_dead
-        self.tell_owner(Lost(process.name, process.token, restarts))
-        if not restarts:
-            self.final.add(process.name)
-            return
-        self._simulation.clock.schedule(self._rng.uniform(0.0, RESTART_S), self._restart, process)
+    def miss(self, process: SimProcess) -> None:
+        """A process is not heard of, and its keeper neither."""
+        if process.alive and not process.is_world:
+            self._around.checker.lost(process.name)
+            self.tell_owner(Lost(process.name, process.token, restarts=True))
 
     def tell_owner(self, word: Control) -> None:
         """What keepers say is not lost while the world's process lives, and is on their list when it doesn't."""
-        world = self._simulation.world
+        world = self._around.world
         if world is not None:
-            self._simulation.clock.schedule(0.0, world.take, "word", word)
+            self._around.clock.schedule(0.0, world.take, "word", word)
+
+    def _gone(self, process: SimProcess) -> bool:
+        self._around.checker.lost(process.name)
+        was, process.alive = process.alive, False
+        self._around.processes.pop(process.token, None)
+        return was
+
+    def _tick(self, process: SimProcess) -> None:
+        if process.alive:
+            process.take("tick", None)
+            self._around.clock.schedule(TICK_S, self._tick, process)
+
+    def _notice(self, process: SimProcess) -> None:
+        self._around.journal.trace(f"keeper: {process.token} is dead")
+        restarts = self._restarts(process.name)
+        self.tell_owner(Lost(process.name, process.token, restarts))
+        if restarts:
+            self._around.clock.schedule(self._rng.uniform(0.0, RESTART_S), self._restart, process)
+        else:
+            self._final.add(process.name)
+
+    def _restarts(self, name: str) -> bool:
+        return name not in self._around.scenario.left_dead
 
     def _restart(self, process: SimProcess) -> None:
         """Start another process, unless that one never had a place in the roster: then who asked for it knows."""
-        if process.request and not self._simulation.checker.had_place(process.token):
+        if process.request and not self._around.checker.had_place(process.token):
             return
-        again = self.start(process.name, "", process.storage)
+        again = self.start(process.name, storage=process.storage)
         if again.is_world:
-            self._simulation.begin(again)
+            self.begin(again)
 
-    def kill(self, token: str, why: str) -> None:
-        """A keeper ends a process, when it can reach it."""
-        process = self.processes.get(token)
+    # --- what the owner needs
+
+    def end(self, name: str, process: str, why: str) -> None:
+        self._around.journal.trace(f"owner ends {process}: {why}")
+        self._around.checker.lost(name)
+        self._around.clock.schedule(END_S, self._kill, name, process, why)
+
+    def stop(self, why: str) -> None:
+        self._around.journal.trace(f"owner stops the run: {why}")
+        self.stopped = why
+
+    def note(self, what: str) -> None:
+        self._around.journal.trace(f"owner notes: {what}")
+
+    def answer(self, request: str, epoch: int, refusal: str) -> None:
+        """A user hears what became of a change."""
+        world = self._around.world
+        if world is not None:
+            world.point("answer")
+        told = self._around.checker.told
+        if epoch > told + 1:
+            self._around.checker.violate(f"{request} is said to hold from epoch {epoch} on, {told} is the last")
+        self._around.journal.trace(f"{request}: {refusal or f'from epoch {epoch} on'}")
+        self.answers.setdefault(request, refusal or f"epoch {epoch}")
+
+    def _kill(self, name: str, token: str, why: str) -> None:
+        """Its keeper ends a process, when it can reach it."""
+        process = self._around.processes.get(token)
         if process is None:  # it was told before, but that may have been to another owner
-            name = token.rpartition(".")[0]
-            self.tell_owner(Lost(name, token, name not in self._simulation.scenario.left_dead))
-            return
-        if token in self._simulation.network.cut:
-            self._simulation.clock.schedule(0.1, self.kill, token, why)
-            return
-        process.at = f"killed: {why}"
-        self.died(process)
+            self.tell_owner(Lost(name, token, self._restarts(name)))
+        elif token in self._around.network.cut:
+            self._around.clock.schedule(UNREACHED_S, self._kill, name, token, why)
+        else:
+            process.at = f"killed: {why}"
+            self.died(process)

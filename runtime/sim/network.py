@@ -2,19 +2,19 @@
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from random import Random
-from typing import TYPE_CHECKING
+from typing import Any
 
+from hierax.runtime.sim.checker import Checker
 from hierax.runtime.sim.clock import Clock
+from hierax.runtime.sim.journal import FAULT, Journal
 from hierax.runtime.sim.scenario import DELAY, DOUBLE, LOSS, REORDER, Fault
 from hierax.runtime.transport.port import Port
 from hierax.schemas.control import Control, encode_control
 from hierax.schemas.messages import Header, Message, encode_message
-
-if TYPE_CHECKING:
-    from hierax.runtime.sim.process import SimProcess
 
 Pair = tuple[int, str, int]
 """One end of a link: its own instance, the other's name and instance."""
@@ -23,10 +23,42 @@ SHORTEST_S, LONGEST_S = 0.0003, 0.003
 """How long a message takes."""
 
 
+class Host(ABC):
+    """What the network knows of a process.
+
+    Attributes:
+        name, token: of the node, and of the process alone.
+        is_world: whether it runs the world; all processes have a link to that.
+        links: ends of links, by version of the roster.
+        opening: what is to be called when a version's links are open.
+    """
+
+    is_world: bool
+
+    def __init__(self, name: str, token: str) -> None:
+        self.name = name
+        self.token = token
+        self.links: dict[int, frozenset[Pair]] = {}
+        self.opening: dict[int, Callable[[int], None]] = {}
+
+    @property
+    def neighbours(self) -> set[str]:
+        """The names at the other ends of its links."""
+        return {other for pairs in self.links.values() for _, other, _ in pairs}
+
+    @abstractmethod
+    def point(self, what: str) -> None:
+        """It makes a call to the outside, or that returns."""
+
+    @abstractmethod
+    def take(self, kind: str, data: Any) -> None:
+        """Something comes in."""
+
+
 class SimPort(Port):
     """A process's end of its edges."""
 
-    def __init__(self, network: Network, process: SimProcess) -> None:
+    def __init__(self, network: Network, process: Host) -> None:
         self._network = network
         self._process = process
 
@@ -71,40 +103,34 @@ class Network:
     Args:
         clock: virtual.
         rng: of delays and faults.
-        processes: all that live, by token.
-        sends: told of each message.
-        lost: told of a message whose link is not open at both ends.
-        count: told a fault's kind, each time that one befalls a message.
+        journal: told what befalls messages.
+        checker: told of each message, and where one is lost that must not be.
+
+    Attributes:
+        hosts: the processes that live, by token; to be filled by whoever starts them.
+        faults: that last, of messages.
+        cut: tokens of processes that are cut off.
+        at_once: whether links open as soon as both ends are there.
     """
 
-    def __init__(
-        self,
-        clock: Clock,
-        rng: Random,
-        processes: dict[str, SimProcess],
-        sends: Callable[[Header, SimProcess], None],
-        lost: Callable[[SimProcess, Header], None],
-        count: Callable[[str], None],
-    ) -> None:
-        self._clock = clock
-        self._rng = rng
-        self._processes = processes
-        self._sends = sends
-        self._lost = lost
-        self._count = count
-        self._lanes: dict[tuple[str, str, str], float] = {}
+    def __init__(self, clock: Clock, rng: Random, journal: Journal, checker: Checker) -> None:
+        self.hosts: Mapping[str, Host] = {}
         self.faults: list[Fault] = []
         self.cut: set[str] = set()
+        self.at_once = False
+        self._clock = clock
+        self._rng = rng
+        self._journal = journal
+        self._checker = checker
+        self._lanes: dict[tuple[str, str, str], float] = {}
         self._broken: Counter[frozenset[str]] = Counter()
         self._breaks: Counter[frozenset[str]] = Counter()
-        self.held: list[tuple[str, str, str, bytes]] = []
-        self.at_once = False
 
     def parted(self, one: str, other: str) -> bool:
         """Whether a partition lies between two processes, or their link is broken."""
         return (one in self.cut) != (other in self.cut) or self._broken[frozenset((one, other))] > 0
 
-    def break_link(self, process: SimProcess, number: int, for_s: float) -> None:
+    def break_link(self, process: Host, number: int, for_s: float) -> None:
         """Break the link of a process to a neighbour, or to the roster's owner, and mend it after a while.
 
         Args:
@@ -112,8 +138,8 @@ class Network:
             number: chooses the other process.
             for_s: how long it stays broken.
         """
-        near = {pair[1] for pairs in process.links.values() for pair in pairs}
-        others = [each for each in self._processes.values() if each.name in near or each.is_world]
+        near = process.neighbours
+        others = [each for each in self.hosts.values() if each.name in near or each.is_world]
         others = [each for each in others if each is not process]
         if not others:
             return
@@ -123,7 +149,7 @@ class Network:
         self._breaks[link] += 1
         self._clock.schedule(for_s, self._mend, process, other)
 
-    def _mend(self, one: SimProcess, other: SimProcess) -> None:
+    def _mend(self, one: Host, other: Host) -> None:
         """The link is there again; both ends find that out, if they are neighbours."""
         link = frozenset((one.token, other.token))
         self._broken[link] -= 1
@@ -131,13 +157,13 @@ class Network:
             return
         self.open_links()
         for process, neighbour in ((one, other), (other, one)):
-            if any(pair[1] == neighbour.name for pairs in process.links.values() for pair in pairs):
+            if neighbour.name in process.neighbours:
                 self._clock.schedule(self._delay(), process.take, "mended", neighbour.name)
 
-    def send(self, sender: SimProcess, message: Message) -> None:
+    def send(self, sender: Host, message: Message) -> None:
         """Put a message on its way to all processes that listen to this sender's name."""
         header = message.header
-        self._sends(header, sender)
+        self._checker.sends(header)
         data = encode_message(message)
         pair = (header.sender, header.instance)
         open_to = [pair[1:] for pairs in sender.links.values() for pair in pairs if pair[0] == header.instance]
@@ -150,14 +176,24 @@ class Network:
             reached |= any((header.receiver, own) in open_to for own in right)
             self._put(sender.token, process.token, header.kind, data)
         if not reached:
-            self._lost(sender, header)
+            self._check_lost(sender, header)
+
+    def _check_lost(self, sender: Host, header: Header) -> None:
+        """A message is lost, as its link is not open; that must have a reason."""
+        checker = self._checker
+        self._journal.trace(f"{sender.token}: nobody hears its {header.kind} for {header.receiver}, {header.epoch}")
+        if header.roster != checker.version or sender.token != checker.process_of(header.roster, sender.name):
+            return
+        token = checker.process_of(header.roster, header.receiver)
+        if token in self.hosts and not self.parted(sender.token, str(token)):
+            checker.violate(f"{sender.token}: its {header.kind} for {token} is lost: the link is not open")
 
     def say(self, sender: str, receiver: str, control: Control) -> None:
         """Put a control message on its way."""
-        if receiver in self._processes and not self.parted(sender, receiver):
+        if receiver in self.hosts and not self.parted(sender, receiver):
             self._put(sender, receiver, "control", encode_control(control))
 
-    def declare(self, process: SimProcess) -> None:
+    def declare(self, process: Host) -> None:
         """A process has opened its ends of a version's links; others find out."""
         if self.at_once:
             self.open_links()
@@ -166,7 +202,7 @@ class Network:
 
     def open_links(self) -> None:
         """Tell those whose links are open at both ends by now."""
-        for process in list(self._processes.values()):
+        for process in list(self.hosts.values()):
             for version, opened in list(process.opening.items()):
                 if all(self._is_open(process, pair) for pair in process.links[version]):
                     del process.opening[version]
@@ -175,7 +211,7 @@ class Network:
                     else:
                         self._clock.schedule(self._delay(), process.take, "opened", (opened, version))
 
-    def _is_open(self, process: SimProcess, pair: Pair) -> bool:
+    def _is_open(self, process: Host, pair: Pair) -> bool:
         own, other, instance = pair
         mirrored = (instance, process.name, own)
         return any(
@@ -184,8 +220,8 @@ class Network:
             for pairs in neighbour.links.values()
         )
 
-    def _named(self, name: str) -> list[SimProcess]:
-        return [process for process in self._processes.values() if process.name == name]
+    def _named(self, name: str) -> list[Host]:
+        return [process for process in self.hosts.values() if process.name == name]
 
     def _put(self, sender: str, receiver: str, kind: str, data: bytes) -> None:
         now = self._clock.now
@@ -195,7 +231,7 @@ class Network:
         for fault in self.faults:
             if self._rng.random() >= fault.share:
                 continue
-            self._count(fault.kind)
+            self._journal.count(FAULT, fault.kind)
             if fault.kind == LOSS:
                 return
             if fault.kind == DOUBLE:
@@ -213,7 +249,7 @@ class Network:
             self._clock.schedule(at - now, self._deliver, sender, receiver, kind, data, breaks)
 
     def _deliver(self, sender: str, receiver: str, kind: str, data: bytes, breaks: int) -> None:
-        process = self._processes.get(receiver)
+        process = self.hosts.get(receiver)
         is_lost = self.parted(sender, receiver) or self._breaks[frozenset((sender, receiver))] != breaks
         if process is not None and not is_lost:
             process.take("control" if kind == "control" else "message", data)

@@ -3,22 +3,28 @@
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Callable
-from typing import TYPE_CHECKING, Any
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from random import Random
+from typing import Any, Protocol
 
+from hierax.runtime.core.binding import Call
+from hierax.runtime.core.errors import ContradictionError, OperatorError
+from hierax.runtime.engine.table import ACTIONS, Action
 from hierax.runtime.engine.wiring import Place, Wiring
 from hierax.runtime.execution.member import Member
+from hierax.runtime.execution.world_member import WorldMember
+from hierax.runtime.sim.checker import Checker
+from hierax.runtime.sim.clock import Clock
+from hierax.runtime.sim.forgery import forged
 from hierax.runtime.sim.inspection import Inspected, Inspector, Turn, inspected_edges
-from hierax.runtime.sim.network import Pair
+from hierax.runtime.sim.journal import FAULT, MESSAGE, VERDICT, Journal, control_kind
+from hierax.runtime.sim.network import Host, Network
+from hierax.runtime.sim.scenario import CONTRADICT, FORETELL, RAISE, TORN, Scenario
 from hierax.runtime.sim.storage import Crash, SimStorage
-from hierax.schemas.control import AskStatus, Dismiss, HandOver, Order, Prepare, Resend, TakeOver, decode_control
-from hierax.schemas.messages import decode_message
+from hierax.schemas.control import AskStatus, Control, Order, Prepare, decode_control
+from hierax.schemas.messages import Message, decode_message
 from hierax.schemas.roster import Roster
-
-if TYPE_CHECKING:
-    from hierax.runtime.sim.simulation import Simulation
-
-_ORDERS = (Prepare, HandOver, TakeOver, AskStatus, Resend, Dismiss)
 
 TICK_S = 0.05
 """How often a process looks after itself."""
@@ -26,48 +32,102 @@ TICK_S = 0.05
 CHECK_TICKS = 4
 """Every how many ticks it asks whether it is still wanted."""
 
+FORGED_S = 0.02
+"""At most, how long after a message one comes that was made of it."""
 
-class SimProcess:
-    """One process of a node.
+
+@dataclass
+class Surroundings:
+    """What all simulated processes stand in.
 
     Attributes:
+        processes: those that live, by token.
+    """
+
+    scenario: Scenario
+    clock: Clock
+    journal: Journal
+    checker: Checker
+    network: Network
+    processes: dict[str, SimProcess] = field(default_factory=dict)
+
+    @property
+    def world(self) -> SimProcess | None:
+        """The world's living process."""
+        return next((process for process in self.processes.values() if process.is_world), None)
+
+    def states(self, turn: Turn) -> Mapping[str, bytes]:
+        """The states that the processes in force have now; where an attempt was foretold, of those in this one."""
+        engines = {
+            process.name: process.member.engine
+            for process in self.processes.values()
+            if self.checker.process_of(turn.version, process.name) == process.token
+        }
+        return {
+            name: engine.encoded
+            for name, engine in engines.items()
+            if not self.checker.foretold or (engine.epoch, engine.attempt) == turn[1:]
+        }
+
+
+class Attendant(Protocol):
+    """Who notices how a process ends."""
+
+    def died(self, process: SimProcess) -> None:
+        """It is dead, and another one may come in its place."""
+
+    def exited(self, process: SimProcess) -> None:
+        """It was dismissed: it is not started again."""
+
+    def stop(self, why: str) -> None:
+        """The run cannot go on."""
+
+
+class SimProcess(Host):
+    """One process of a node.
+
+    Args:
+        around: what it stands in.
+        attendant: told how it ends.
         name, token: of the node, and of the process alone.
         request: the change that the first process of its line was started for.
         storage: of its checkpoints; its line's.
-        links: ends of links, by version of the roster.
-        opening: what is to be called when a version's links are open.
+
+    Attributes:
         calls_left: at which call it dies; 0: it doesn't.
         torn: whether it dies in its next write.
+        raises: whether the next operator or edge function raises of a node that fails alone.
+        forges: what is made of the next message that it takes in, and comes after it; empty: nothing.
         at: the last call that it made.
     """
 
     member: Member
 
-    def __init__(self, simulation: Simulation, name: str, token: str, request: str, storage: SimStorage) -> None:
-        self.name = name
-        self.token = token
+    def __init__(
+        self, around: Surroundings, attendant: Attendant, name: str, token: str, request: str, storage: SimStorage
+    ) -> None:
+        super().__init__(name, token)
         self.request = request
         self.storage = storage
         self.alive = True
-        self.links: dict[int, frozenset[Pair]] = {}
-        self.opening: dict[int, Callable[[int], None]] = {}
         self.calls_left = 0
         self.torn = False
+        self.raises = False
+        self.forges = ""
         self.at = ""
         self.frozen = 0
         self.busy = False
         self.slowness_s = 0.0
-        self._simulation = simulation
+        self._around = around
+        self._attendant = attendant
         self._backlog: deque[tuple[str, Any]] = deque()
         self._ticks = 0
-        checker = simulation.checker
-        self.inspector = Inspector(name, token, checker.violate, checker.process_of, self._starts)
+        self._place = self._finished = (0, 0)
+        self._rng = Random(f"{around.scenario.seed}/{token}")
+        self.is_world = name == around.scenario.roster.world
+        checker = around.checker
+        self.inspector = Inspector(name, token, checker.violate, checker.process_of, self._starts, self._calls)
         storage.tears = self._tears
-
-    @property
-    def is_world(self) -> bool:
-        """Whether it runs the world."""
-        return self.name == self._simulation.scenario.roster.world
 
     def point(self, what: str) -> None:
         """A call to the outside, or the return of one: the process may die here."""
@@ -82,15 +142,18 @@ class SimProcess:
         try:
             what()
         except Crash:
-            self._simulation.keepers.died(self)
+            self._attendant.died(self)
+            return
+        except ContradictionError as error:
+            self._attendant.stop(str(error))
             return
         if self.alive and self.member.dismissed:
-            self._simulation.trace(f"{self.token} is dismissed: {self.member.dismissed}")
+            self._around.journal.trace(f"{self.token} is dismissed: {self.member.dismissed}")
             if self.member.again:
                 self.at = "dismissed"
-                self._simulation.keepers.died(self)
+                self._attendant.died(self)
             else:
-                self._simulation.keepers.exited(self)
+                self._attendant.exited(self)
 
     def take(self, kind: str, data: Any) -> None:
         """Something comes in; handled now, or later where the process cannot."""
@@ -101,14 +164,14 @@ class SimProcess:
                 word = decode_control(data)
                 if isinstance(word, AskStatus):
                     status = self.member.status(word.inquiry, busy="observe")
-                    self.run(lambda: self._simulation.say(self, status))
+                    self.run(lambda: self.say(status))
                     return
             self._backlog.append((kind, data))
             return
         self.run(lambda: self._handle(kind, data))
         if self.slowness_s and kind == "message":
             self.freeze()
-            self._simulation.clock.schedule(self.slowness_s, self.thaw)
+            self._around.clock.schedule(self.slowness_s, self.thaw)
 
     def freeze(self) -> None:
         """It handles nothing until it is thawed as often."""
@@ -122,10 +185,46 @@ class SimProcess:
         while self._backlog and not self.frozen and self.alive:
             self.take(*self._backlog.popleft())
 
+    # --- what it says
+
+    def say(self, word: Control) -> None:
+        """It says something to the owner."""
+        self.point(f"say {type(word).__name__}")
+        world = self._around.world
+        if world is not None:
+            self._around.network.say(self.token, world.token, word)
+        self.point("said")
+
+    def tell(self, token: str, order: Order) -> None:
+        """The owner, which is in this process, says something to another one."""
+        self.point(f"tell {type(order).__name__}")
+        self._around.journal.trace(f"owner tells {token} {_short(order)}")
+        if isinstance(order, Prepare):
+            self._around.checker.prepared(Roster.read(order.roster))
+        self._around.network.say(self.token, token, order)
+        self.point("told")
+
+    def publish(self, epoch: int, digest: bytes) -> None:
+        """The world's process tells everybody of an epoch."""
+        self.point("publish")
+        self._around.checker.tells(epoch, digest)
+
+    # --- what it is told
+
     def _handle(self, kind: str, data: Any) -> None:
+        self._take(kind, data)
+        if self.member.wired:
+            epoch, _ = place = (self.member.engine.epoch, self.member.engine.attempt)
+            if epoch != self._place[0]:
+                self._finished = self._place
+            self._place = place
+
+    def _take(self, kind: str, data: Any) -> None:
         if kind == "message":
             if self.member.wired:
-                self.member.step(decode_message(data))
+                self._step(decode_message(data))
+        elif kind == "forged":
+            self._step_forged(*data)
         elif kind == "control":
             self._hear(decode_control(data))
         elif kind == "opened":
@@ -138,25 +237,50 @@ class SimProcess:
         else:
             self._tick()
 
-    def _hear(self, word: Any) -> None:
-        if isinstance(word, _ORDERS):
-            order: Order = word
-            self.member.obey(order)
-        else:
-            self._simulation.hear(self, word)
+    def _hear(self, word: Control) -> None:
+        self._around.journal.count(*control_kind(word))
+        if self.is_world:
+            self._around.journal.trace(f"owner hears {_short(word)}")
+        self.member.take_word(word)
 
     def _tick(self) -> None:
         self._ticks += 1
-        if self.is_world:
-            self._simulation.tick_world(self)
-            return
-        if not self.member.active or self._ticks % CHECK_TICKS == 0:
+        if isinstance(self.member, WorldMember):
+            self.member.tick()
+        elif not self.member.active or self._ticks % CHECK_TICKS == 0:
             self.member.join(self.request)
             self.member.fetch_again()
 
+    def _step(self, message: Message) -> None:
+        header, engine, journal = message.header, self.member.engine, self._around.journal
+        verdict = engine.judge(header)
+        journal.count(MESSAGE, header.kind)
+        journal.count(VERDICT, verdict.name)
+        self.member.step(message)
+        if not self.forges or ACTIONS[verdict] is not Action.TAKE:
+            return
+        other = forged(self.forges, message, self._rng)
+        if other is not None:
+            self._around.clock.schedule(self._rng.uniform(0.0, FORGED_S), self.take, "forged", (self.forges, other))
+            self.forges = ""
+
+    def _step_forged(self, kind: str, message: Message) -> None:
+        """A message comes that somebody else has made of one that was taken in; a contradiction has to be noticed."""
+        header, engine = message.header, self.member.engine
+        self._around.journal.count(FAULT, kind)
+        self._around.journal.trace(f"{self.token}: forged: {header}")
+        known = ((engine.epoch, engine.attempt), self._finished)
+        self._around.checker.excused |= kind == CONTRADICT
+        self._around.checker.foretold |= kind == FORETELL
+        self._step(message)
+        if kind == CONTRADICT and (header.epoch, header.attempt) in known:
+            self._around.checker.violate(f"{self.token}: nobody notices that another message said something else")
+
+    # --- its node
+
     def wire(self, roster: Roster) -> Wiring:
         """What loads the node in production."""
-        hierarchy = self._simulation.checker.hierarchy_of(roster)
+        hierarchy = self._around.checker.hierarchy_of(roster)
         place = Place.of(roster)
         bound = hierarchy.bound[self.name]
         tasking = tuple(upper for upper in bound.above if (self.name, upper) in place.tasking)
@@ -170,17 +294,32 @@ class SimProcess:
             self._starts(self.inspector.turn)
 
     def _starts(self, turn: Turn) -> None:
-        self._simulation.checker.starts(self.name, self.token, self.member.engine.state, turn)
+        self._around.checker.starts(self.name, self.token, self.member.engine.state, turn)
+
+    def _calls(self, call: Call, epoch: int) -> None:
+        ends = [name for name in call.subject.split("->") if name in self.member.alone] if self.raises else []
+        if ends:
+            self.raises = False
+            self._around.journal.count(FAULT, RAISE)
+            self._around.checker.raised(ends)
+            raise OperatorError(call.subject, call.operator, epoch, "it raises, as the scenario says")
 
     def _act(self, epoch: int, actions: Any) -> None:
         self.inspector.acts()
         self.point("act")
-        self._simulation.checker.acted(epoch)
+        self._around.checker.acted(epoch)
         self.point("acted")
 
     def _tears(self) -> bool:
         self.point("write")
         torn, self.torn = self.torn, False
         if torn:
-            self._simulation.checker.counted("torn")
+            self._around.journal.count(FAULT, TORN)
         return torn
+
+
+def _short(word: Any) -> str:
+    if isinstance(word, Prepare):
+        roster = word.roster
+        return f"Prepare(version {roster['version']}, {sorted(roster['nodes'])}, {roster['instances']})"
+    return f"{word!r:.160}"

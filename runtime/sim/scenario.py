@@ -9,13 +9,17 @@ from random import Random
 from hierax.runtime.core.graph import Pair
 from hierax.runtime.sim.nodes import MODULE
 from hierax.schemas.changes import Attach, Change, Detach, Replace
+from hierax.schemas.control import Propose
 from hierax.schemas.roster import Reference, Roster, RosterEdge
 
 CRASH, WORLD, TORN, DAMAGE = "crash", "world", "torn", "damage"
 LOSS, DOUBLE, REORDER, DELAY, PARTITION = "loss", "double", "reorder", "delay", "partition"
 HANG, PAUSE, SLOW = "hang", "pause", "slow"
-BREAK = "break"
-FAULTS = (CRASH, WORLD, TORN, DAMAGE, LOSS, DOUBLE, REORDER, DELAY, PARTITION, HANG, PAUSE, SLOW, BREAK)
+BREAK, RAISE = "break", "raise"
+STRAY, FORETELL, CONTRADICT = "stray", "foretell", "contradict"
+OF_MESSAGES = (LOSS, DOUBLE, REORDER, DELAY)
+FORGED = (STRAY, FORETELL, CONTRADICT)
+FAULTS = (CRASH, WORLD, TORN, DAMAGE, *OF_MESSAGES, PARTITION, HANG, PAUSE, SLOW, RAISE, *FORGED, BREAK)
 """All kinds of faults.
 
 crash: a node's process dies at one of its calls. world: so does the world's. torn: a
@@ -24,14 +28,19 @@ loss, double, reorder, delay: messages are lost, come twice, overtake one anothe
 long, for a while. partition: processes are cut off and joined again. hang: a process sits
 in an operator; pause: it does not run at all; slow: it takes its time for a while. break:
 the link between two processes breaks, what is under way on it is lost, and after a while
-it is mended, which both are told.
+it is mended, which both are told. raise: an operator or edge function raises, of a node
+that fails alone. stray, foretell, contradict: somebody else makes another message of one
+that a process has taken in: one that has no place there; one of an attempt that nobody
+has begun; one that says something else, which ends the run.
 """
 
-_NEED_DEADLINE = frozenset({DAMAGE, LOSS, PARTITION, HANG})
+_NEED_DEADLINE = frozenset({DAMAGE, LOSS, PARTITION, HANG, FORETELL})
 """Faults after which a run may need the epoch's deadline to go on."""
 
 WORLD_NAME = "world"
 NAMES = tuple(f"n{index}" for index in range(8))
+REJOIN_S = 0.5
+"""How long an attached node may take to come back."""
 EPOCH_S = 0.012
 """About how long an epoch takes, faults apart."""
 
@@ -63,11 +72,33 @@ class Fault:
 
 @dataclass(frozen=True)
 class Proposal:
-    """A change that is asked for at a time."""
+    """A change that is asked for at a time.
+
+    Attributes:
+        alone: whether the nodes that are new in it fail alone, and are detached where they are lost.
+    """
 
     key: str
     at_s: float
     change: Change
+    alone: bool = False
+
+    @property
+    def new_nodes(self) -> list[str]:
+        """Those for which it needs processes."""
+        if isinstance(self.change, Attach):
+            return sorted(self.change.nodes)
+        return [self.change.name] if isinstance(self.change, Replace) else []
+
+    @property
+    def on_loss(self) -> Mapping[str, str]:
+        """By node that is new, what follows when it does not come back."""
+        return dict.fromkeys(self.new_nodes, "detach") if self.alone else {}
+
+    def word(self) -> Propose:
+        """As it is said to the owner."""
+        rejoin_s = dict.fromkeys(self.on_loss, REJOIN_S)
+        return Propose(self.key, self.change.plain(), dict(self.on_loss), rejoin_s, tuple(self.on_loss))
 
 
 @dataclass(frozen=True)
@@ -99,6 +130,17 @@ class Scenario:
     left_dead: frozenset[str] = frozenset()
     epoch_deadline_s: float | None = 0.3
 
+    @property
+    def alone(self) -> tuple[str, ...]:
+        """The nodes that fail alone: those that may be detached."""
+        return tuple(sorted(self.on_loss.keys() & self.roster.nodes.keys()))
+
+    @property
+    def last_s(self) -> float:
+        """When all faults are over, and all changes asked for."""
+        ends = [fault.at_s + fault.for_s for fault in self.faults] + [each.at_s for each in self.proposals]
+        return max(ends, default=0.0)
+
 
 def draw_scenario(seed: int, faults: Collection[str] = FAULTS, epochs: int | None = None) -> Scenario:
     """The scenario of a seed.
@@ -114,10 +156,13 @@ def draw_scenario(seed: int, faults: Collection[str] = FAULTS, epochs: int | Non
     span_s = count * EPOCH_S
     proposals = _proposals(rng, roster, span_s)
     names = sorted(set(roster.nodes) - {WORLD_NAME}) + [p for p in NAMES[:3] if p not in roster.nodes]
-    detached = frozenset(name for name in names if rng.random() < 0.1)
-    befalls = _faults(rng, tuple(kind for kind in FAULTS if kind in faults and kind != BREAK), names, span_s)
+    detached = frozenset(name for name in names if rng.random() < 0.2)
+    rare = (BREAK, CONTRADICT)
+    befalls = _faults(rng, tuple(kind for kind in FAULTS if kind in faults and kind not in rare), names, span_s)
     if BREAK in faults:
         befalls += _breaks(Random(f"{seed}/breaks"), [*names, WORLD_NAME], span_s, only=len(faults) == 1)
+    if CONTRADICT in faults:
+        befalls += _contradictions(Random(f"{seed}/contradict"), [*names, WORLD_NAME], span_s)
     return Scenario(
         seed,
         roster,
@@ -128,7 +173,7 @@ def draw_scenario(seed: int, faults: Collection[str] = FAULTS, epochs: int | Non
         on_uncertain_act=rng.choice(("repeat", "skip")),
         on_loss=dict.fromkeys(sorted(detached), "detach"),
         rejoin_timeout_s={name: rng.choice((0.05, 0.5, 5.0)) for name in names},
-        left_dead=frozenset(name for name in sorted(detached) if rng.random() < 0.5),
+        left_dead=frozenset(name for name in sorted(detached) if rng.random() < 0.3),
         epoch_deadline_s=0.3 if not befalls or _NEED_DEADLINE & {fault.kind for fault in befalls} else None,
     )
 
@@ -169,7 +214,8 @@ def _proposals(rng: Random, roster: Roster, span_s: float) -> tuple[Proposal, ..
         change = _change(rng, there, number + 1)
         if isinstance(change, Attach):
             there = sorted({*there, *change.nodes})
-        proposals.append(Proposal(f"c{number + 1}", rng.uniform(0.0, 0.6 * span_s), change))
+        alone = isinstance(change, Attach) and rng.random() < 0.7
+        proposals.append(Proposal(f"c{number + 1}", rng.uniform(0.0, 0.6 * span_s), change, alone))
     return tuple(proposals)
 
 
@@ -205,13 +251,17 @@ def _breaks(rng: Random, names: list[str], span_s: float, only: bool) -> tuple[F
     )
 
 
+def _contradictions(rng: Random, names: list[str], span_s: float) -> tuple[Fault, ...]:
+    return (Fault(CONTRADICT, rng.uniform(0.0, span_s), rng.choice(names)),) if rng.random() < 0.08 else ()
+
+
 def _fault(rng: Random, kind: str, names: list[str], span_s: float) -> Fault:
     at_s = rng.uniform(0.0, span_s)
-    share = {WORLD: 1.0, TORN: 0.3, DAMAGE: 0.3, PAUSE: 0.2, SLOW: 0.2, PARTITION: 0.1}.get(kind, 0.0)
+    share = {WORLD: 1.0, TORN: 0.3, DAMAGE: 0.3, PAUSE: 0.2, SLOW: 0.2, PARTITION: 0.1, STRAY: 0.3}.get(kind, 0.0)
     name = WORLD_NAME if rng.random() < share else rng.choice(names)
-    if kind in (CRASH, WORLD, TORN, DAMAGE):
+    if kind in (CRASH, WORLD, TORN, DAMAGE, RAISE, *FORGED):
         return Fault(kind, at_s, name, rng.randint(1, 25))
-    if kind in (LOSS, DOUBLE, REORDER, DELAY):
+    if kind in OF_MESSAGES:
         return Fault(kind, at_s, for_s=rng.uniform(0.01, 0.3), share=rng.choice((0.05, 0.3, 0.8)))
     if kind == PARTITION:
         return Fault(kind, at_s, name, rng.randrange(2), rng.choice((0.05, 0.5, 3.0)))

@@ -541,6 +541,28 @@ def test_an_attempt_that_nobody_has_begun_is_overtaken() -> None:
     assert "low is in epoch 1" in calls[0][1]
 
 
+def test_who_waits_in_an_attempt_that_nobody_counts_is_brought_back() -> None:
+    owned = begun()
+    owned.commit()
+    question = asked(owned.hear(join("low.1", 1, active=True, attempt=1)))
+    waiting = Status("low", question.inquiry, 1, 1, (("high", "ctx"),), "")
+    why = "it waits in attempt 1 of epoch 1, and attempt 0 counts"
+    assert owned.hear(waiting) == [("end", "low.1", why)]
+    question = asked(owned.hear(join("low.1", 1, active=True, attempt=1)))
+    assert owned.hear(Status("low", question.inquiry, 1, 1, (), "")) == [], "the next epoch moves it on"
+
+
+def test_a_node_that_is_asked_may_be_in_a_roster_before() -> None:
+    owned = begun()
+    owned.hear(propose(Detach("high")))
+    owned.ready(1, "low.1", "world.1")
+    owned.commit()
+    assert owned.wait(1.1) == [("world.1", AskStatus(1)), ("low.1", AskStatus(1))][::-1]
+    owned.hear(Status("world", 1, 2, 0, (("low", "ctx"),), "", 1), Status("low", 1, 2, 0, (("high", "ctx"),), "", 0))
+    calls = owned.wait(0.1)
+    assert ("world.1", Resend(2, 0, ("low",))) in calls, "what it waits for nobody is to send it"
+
+
 def test_processes_that_nobody_knows_are_not_all_remembered() -> None:
     owned = begun()
     for number in range(2 * REMEMBERED):

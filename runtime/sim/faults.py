@@ -1,0 +1,92 @@
+"""The faults of a scenario, as they befall processes and the network."""
+
+from __future__ import annotations
+
+from hierax.runtime.sim.journal import FAULT
+from hierax.runtime.sim.keepers import Keepers
+from hierax.runtime.sim.process import SimProcess, Surroundings
+from hierax.runtime.sim.scenario import (
+    BREAK,
+    CRASH,
+    DAMAGE,
+    FORGED,
+    HANG,
+    OF_MESSAGES,
+    PARTITION,
+    PAUSE,
+    RAISE,
+    SLOW,
+    TORN,
+    WORLD,
+    Fault,
+)
+
+UNHEARD_S = 0.1
+"""How long until a process that is cut off is missed."""
+
+_WAITING = (TORN, RAISE, *FORGED)
+"""Those that befall a process at its next write, call or message, and count then."""
+
+
+class FaultInjector:
+    """Makes faults happen.
+
+    Args:
+        around: what the processes stand in.
+        keepers: of the processes.
+    """
+
+    def __init__(self, around: Surroundings, keepers: Keepers) -> None:
+        self._around = around
+        self._keepers = keepers
+
+    def befall(self, fault: Fault) -> None:
+        """A fault happens."""
+        around = self._around
+        around.journal.trace(f"fault: {fault}")
+        if fault.kind in OF_MESSAGES:
+            around.network.faults.append(fault)
+            around.clock.schedule(fault.for_s, around.network.faults.remove, fault)
+            return
+        candidates = [each for each in around.processes.values() if each.name == fault.name]
+        if candidates:
+            self._befall_process(fault, candidates[fault.number % len(candidates)])
+
+    def _befall_process(self, fault: Fault, process: SimProcess) -> None:
+        kind, around = fault.kind, self._around
+        if kind not in _WAITING:
+            around.journal.count(FAULT, kind)
+        if kind in (CRASH, WORLD):
+            process.calls_left = fault.number
+        elif kind == TORN:
+            process.torn = True
+        elif kind == RAISE:
+            process.raises = True
+        elif kind in FORGED:
+            process.forges = kind
+        elif kind == DAMAGE:
+            around.checker.excused |= process.storage.damage()
+            self._keepers.died(process)
+        elif kind in (HANG, PAUSE):
+            process.freeze()
+            process.busy = kind == HANG
+            around.clock.schedule(fault.for_s, process.thaw)
+        elif kind == SLOW:
+            process.slowness_s = fault.share
+            around.clock.schedule(fault.for_s, setattr, process, "slowness_s", 0.0)
+        elif kind == BREAK:
+            around.network.break_link(process, fault.number, fault.for_s)
+        elif kind == PARTITION:
+            around.network.cut.add(process.token)
+            around.clock.schedule(fault.for_s, self._heal, process.token)
+            if fault.number:  # its keeper is cut off as well: that it is not heard of is all there is
+                around.clock.schedule(UNHEARD_S, self._miss, process)
+
+    def _miss(self, process: SimProcess) -> None:
+        if process.token in self._around.network.cut:
+            self._keepers.miss(process)
+
+    def _heal(self, token: str) -> None:
+        self._around.journal.trace(f"{token} is joined again")
+        self._around.network.cut.discard(token)
+        self._around.network.open_links()
