@@ -49,7 +49,7 @@ class Suspicions:
 
         Nobody else will ever be in that attempt.
         """
-        return said.epoch == self._progress.epoch and said.attempt > self._course.last_attempt
+        return said.epoch == self._progress.epoch and said.attempt > self._progress.last_attempt
 
     def hear(self, word: Join) -> None:
         """A node says that it is where nobody else is: ask it."""
