@@ -6,7 +6,7 @@ INSTALLED := $(VENV)/.installed
 RUNS := $(VENV)/.runs
 CHECKED := .build/checked
 
-.PHONY: demo test check docs model sim kills changes fuzz rival clean
+.PHONY: demo test check docs model sim kills changes fuzz rival tutorial interrupts clean
 
 # what runs, recordings included, and what tests need besides: the viewer alone is some hundreds of megabytes
 $(RUNS): pyproject.toml
@@ -53,6 +53,14 @@ fuzz: $(INSTALLED)
 # docs/recording.md: recordings with junk in every field, and all commands that read them; some twenty minutes
 junk: $(INSTALLED)
 	$(BIN)/python benchmarks/junk.py
+
+# docs/tutorial.md word by word, from both of its beginnings, with a fresh clone and what pip fetches; some ten minutes
+tutorial: $(INSTALLED)
+	$(BIN)/python benchmarks/tutorial.py
+
+# docs/tools.md: Ctrl-C at random instants of commands; some minutes
+interrupts: $(INSTALLED)
+	$(BIN)/python benchmarks/interrupts.py
 
 # ViSP's model-based tracker, for benchmarks/visp_rival/compare.py; installed where it is missing, if root may
 rival: $(INSTALLED)

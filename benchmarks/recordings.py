@@ -3,7 +3,7 @@
     python benchmarks/recordings.py                      # everything, some ten minutes
     python benchmarks/recordings.py deployments servo    # one deployment
     python benchmarks/recordings.py kills --times 20 --seed 1
-    python benchmarks/recordings.py overhead --epochs 300 --rounds 5 tracking
+    python benchmarks/recordings.py overhead tracking --epochs 300 --rounds 5
 
 deployments  each shipped deployment is launched and recorded; every kind of process is killed, the top node is
              detached and attached again; then `replay --verify` with the world done again, and `check`

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
-from importlib import import_module
-from typing import TYPE_CHECKING, Any
+TYPE_CHECKING = False
+"""As `typing` has it, which takes its time: nothing is to stand before the console script."""
 
 if TYPE_CHECKING:
+    from typing import Any
+
     from hierax.runtime.core.elements import Elements, Value
     from hierax.runtime.core.node import Node, World
     from hierax.runtime.core.probe import Probe, Step
@@ -25,6 +27,8 @@ def __getattr__(name: str) -> Any:
     """Imported when first asked for: numpy takes a tenth of a second, and every pytest loads the plugin below."""
     if name not in _HOMES:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    from importlib import import_module
+
     value = getattr(import_module(_HOMES[name]), name)
     globals()[name] = value
     return value

@@ -1,55 +1,10 @@
-"""The console script: what stands before the commands are even imported."""
+"""The console script. Until there is somebody to answer Ctrl-C in a line, it ends the process without a word."""
 
-from __future__ import annotations
+import _signal  # type: ignore[import-not-found]  # `signal` imports others, into which Ctrl-C may come
 
-import os
-import signal
-import sys
-from collections.abc import Callable, Sequence
-from types import FrameType
+if _signal.getsignal(_signal.SIGINT) is _signal.default_int_handler:
+    _signal.signal(_signal.SIGINT, _signal.SIG_DFL)
 
-INTERRUPTED = 130
+from hierax.runtime.commands.ctrl_c import entry
 
-
-class _CtrlC:
-    """The first Ctrl-C ends what is being done, the second one the process."""
-
-    came = False
-
-    def __call__(self, number: int, frame: FrameType | None) -> None:
-        if self.came:
-            os._exit(INTERRUPTED)
-        self.came = True
-        raise KeyboardInterrupt
-
-
-CTRL_C = _CtrlC()
-
-
-def entry(main: Callable[[Sequence[str]], int] | None = None) -> None:
-    """Do what the command line says, and end the process. Ctrl-C is never answered by a traceback.
-
-    Args:
-        main: does it; None: `hierax.runtime.commands.main.main`, which is yet to be imported.
-    """
-    if signal.getsignal(signal.SIGINT) is signal.default_int_handler:  # else who has started it wants it ignored
-        signal.signal(signal.SIGINT, CTRL_C)
-    try:
-        from hierax.runtime.host.streams import own_streams
-
-        own_streams()
-        code = (main or _imported())(sys.argv[1:])
-    except BaseException:
-        if not CTRL_C.came:  # else it is what a library has made of it
-            raise
-        code = INTERRUPTED
-        print("interrupted", file=sys.stderr)
-    if signal.getsignal(signal.SIGINT) is not signal.SIG_IGN:
-        signal.signal(signal.SIGINT, signal.SIG_DFL)  # nothing is left to be done in good order
-    sys.exit(code)
-
-
-def _imported() -> Callable[[Sequence[str]], int]:
-    from hierax.runtime.commands.main import main
-
-    return main
+__all__ = ["entry"]

@@ -7,7 +7,7 @@ import sys
 import traceback
 from collections.abc import Callable
 
-from hierax.runtime.commands.entry import CTRL_C, INTERRUPTED
+from hierax.runtime.commands.ctrl_c import CTRL_C, INTERRUPTED
 from hierax.runtime.core.errors import HieraxError
 from hierax.runtime.host.streams import StandardOutputError, drop_output
 from hierax.schemas.errors import SchemaError

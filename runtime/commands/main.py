@@ -11,10 +11,10 @@ import typer
 
 from hierax.runtime.commands.bench import epoch
 from hierax.runtime.commands.check import check
+from hierax.runtime.commands.ctrl_c import CTRL_C, INTERRUPTED, entry
 from hierax.runtime.commands.diff import diff
 from hierax.runtime.commands.doctor import doctor
 from hierax.runtime.commands.echo import echo
-from hierax.runtime.commands.entry import CTRL_C, INTERRUPTED, entry
 from hierax.runtime.commands.errors import OK, CommandError, exit_code
 from hierax.runtime.commands.graph import graph
 from hierax.runtime.commands.inspect import inspect

@@ -132,21 +132,21 @@ def ps(
     run: Run = None,
     connect: Connect = None,
     wait: Annotated[
-        int,
+        str | None,
         typer.Option(
             "--wait",
-            min=0,
-            metavar="EPOCH",
-            help="First wait until a launch has committed this epoch; not for ever, but for a minute.",
+            metavar="EPOCH|NODE",
+            help="First wait until a launch has committed this epoch, or has this node: a minute at most, and not for "
+            "one that is over.",
             show_default=False,
         ),
-    ] = 0,
+    ] = None,
     output_format: OutputFormat = Format.text,
 ) -> int:
     """List the launches on this machine, and the processes of their nodes."""
     from hierax.runtime.commands.show import print_json
 
-    found, silent = _awaited(run, connect, wait) if wait else _runs(run, connect)
+    found, silent = _awaited(run, connect, wait) if wait is not None else _runs(run, connect)
     if output_format is Format.json:
         print_json({"runs": found})
     elif not found and not silent:
@@ -158,19 +158,29 @@ def ps(
     return 0
 
 
-def _awaited(run: str | None, connect: str | None, epoch: int) -> tuple[list[dict[str, Any]], list[str]]:
-    """What runs, when one of it has come so far."""
+def _awaited(run: str | None, connect: str | None, what: str) -> tuple[list[dict[str, Any]], list[str]]:
+    """What runs, when one of it has come to an epoch, or has a node."""
     from hierax.runtime.core.errors import HieraxError
+    from hierax.runtime.transport.hub import is_gone
+    from hierax.runtime.transport.port import TransportError
 
+    wanted = f"committed epoch {what}" if what.isdigit() else f"a node {what!r}"
     patience_s = time.monotonic() + WAIT_S
+    seen: set[str] = set()
     while True:
-        why = f"no launch has committed epoch {epoch} within {WAIT_S:g} s"
+        why = f"no launch has {wanted} within {WAIT_S:g} s"
+        is_over = False
         try:
             found, silent = _runs(run, connect)
-            if any(each["epoch"] >= epoch for each in found):
+            if any(each["epoch"] >= int(what) if what.isdigit() else what in each["nodes"] for each in found):
                 return found, silent
+            seen.update(f"{each['hierarchy']}, run {each['run']}," for each in found)
+            is_over = not found and not silent
         except HieraxError as error:  # it may come yet
             why = f"{why}: {error}"
+            is_over = is_gone(connect) if connect is not None else not isinstance(error, TransportError)
+        if seen and is_over:
+            raise CommandError(f"{' '.join(sorted(seen))} is over; no launch has {wanted}")
         if time.monotonic() > patience_s:
             raise CommandError(why)
         time.sleep(LOOK_S)

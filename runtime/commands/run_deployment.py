@@ -9,7 +9,7 @@ from contextlib import contextmanager, nullcontext, redirect_stdout
 from pathlib import Path
 from typing import Any
 
-from hierax.runtime.commands.entry import INTERRUPTED
+from hierax.runtime.commands.ctrl_c import INTERRUPTED
 from hierax.runtime.commands.errors import OK, CommandError, interrupted
 from hierax.runtime.commands.options import Format
 from hierax.runtime.commands.show import print_json, print_report

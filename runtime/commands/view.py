@@ -133,7 +133,8 @@ def _of_recording(file: Path, first: int, last: int | None, trust: bool) -> Sour
 
     def show(presenter: ViewPresenter) -> None:
         if not show_recording(recording, presenter, allowance, first, last):
-            raise CommandError(f"{file}: there is no committed epoch in it from {first} to {last or 'its end'}")
+            why = f": {recording.loss}" if recording.loss else ""
+            raise CommandError(f"{file}: there is no committed epoch in it from {first} to {last or 'its end'}{why}")
         if recording.loss:
             _say(f"{file}: {recording.loss}")
 

@@ -18,6 +18,7 @@ from hierax.runtime.core.errors import HieraxError
 from hierax.runtime.deployment.deployment import RestartPolicy
 from hierax.runtime.host.interpreter import python_module
 from hierax.runtime.launch.frames import CUT_OFF, DISMISSED, FAILED, REPORT, UP, NodeOrder, frame
+from hierax.runtime.launch.overheard import Overheard, Overhearing
 from hierax.schemas.values import Value
 
 CLOSED = -1
@@ -48,6 +49,7 @@ class Child:
         process: its process.
         handle: a file descriptor that stands for it; signals go through it, as it never means
             another process, and as asyncio's own way competes with its wait for the exit code.
+        overheard: what it prints, and programs that it has started.
         up: set when it and its neighbours hear each other, or it has offered itself to the owner.
         heard: set when all that it had to say is taken in and it has ended.
         report: its last word.
@@ -60,6 +62,7 @@ class Child:
     order: NodeOrder
     process: anyio.abc.Process
     handle: int
+    overheard: Overheard
     up: anyio.Event = field(default_factory=anyio.Event)
     heard: anyio.Event = field(default_factory=anyio.Event)
     report: dict[str, Value] | None = None
@@ -134,6 +137,7 @@ class Child:
 
     async def close(self) -> None:
         """Give up what belongs to a process that has ended."""
+        self.overheard.close()
         for stream in (self.process.stdin, self.process.stdout):
             if stream is not None:
                 await stream.aclose()
@@ -161,16 +165,21 @@ class Child:
         return self.failure or NodeFailedError(f"{self.name}: its process ended {_describe(self.process.returncode)}")
 
 
-async def start_child(order: NodeOrder) -> Child:
+async def start_child(order: NodeOrder, overhearing: Overhearing) -> Child:
     """Start a node's process and give it its order."""
-    process = await anyio.open_process(
-        python_module("hierax.runtime.launch.node_process"),
-        stdin=subprocess.PIPE,
-        stdout=subprocess.PIPE,
-        stderr=None,
-        start_new_session=True,
-    )
-    child = Child(order, process, _handle_of(process.pid))
+    overheard = overhearing.of(order.name)
+    try:
+        process = await anyio.open_process(
+            python_module("hierax.runtime.launch.node_process", str(overhearing.console)),
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            stderr=overheard.writing,
+            start_new_session=True,
+            pass_fds=(overhearing.console,),
+        )
+    finally:
+        os.close(overheard.writing)
+    child = Child(order, process, _handle_of(process.pid), overheard)
     await child.tell(order.plain())
     return child
 

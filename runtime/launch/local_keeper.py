@@ -18,6 +18,7 @@ from hierax.runtime.deployment.deployment import RestartPolicy
 from hierax.runtime.launch.child import END_TIMEOUT_S, Child, Restarts, start_child
 from hierax.runtime.launch.frames import COME_BACK, Frames, NodeOrder
 from hierax.runtime.launch.here import AttachedHere, read_orders
+from hierax.runtime.launch.overheard import Overhearing
 from hierax.runtime.transport.hub import ask, is_gone
 from hierax.runtime.transport.port import TransportError
 from hierax.runtime.transport.zenoh_session import remove_orphaned_segments
@@ -55,11 +56,11 @@ def keep(
     Raises:
         HieraxError: a process cannot go on, the change was refused, or the orders are not what was asked for.
     """
-    keeper = _LocalKeeper(policies, say)
     try:
         # nobody else knows the folder's name before it is there
         with tempfile.TemporaryDirectory(prefix="hierax-", ignore_cleanup_errors=True) as folder:
-            return anyio.run(keeper.run, read_orders(orders, request, here, Path(folder)), told)
+            read = read_orders(orders, request, here, Path(folder))
+            return anyio.run(_LocalKeeper(read[0].run, policies, say).run, read, told)
     finally:
         remove_orphaned_segments()
 
@@ -67,10 +68,11 @@ def keep(
 class _LocalKeeper:
     """Processes of nodes, started again when they die."""
 
-    def __init__(self, policies: Mapping[str, RestartPolicy], say: Callable[[str], None]) -> None:
+    def __init__(self, run: str, policies: Mapping[str, RestartPolicy], say: Callable[[str], None]) -> None:
         self._restarts = {name: Restarts(policy) for name, policy in policies.items()}
         self._say = say
         self._children: list[Child] = []
+        self._overhearing = Overhearing(run, lambda: 0)  # how far the run is, is not known here
         self._failure: Exception | None = None
         self._ending = False
         self._kept = 0
@@ -103,7 +105,7 @@ class _LocalKeeper:
 
     async def _keep(self, order: NodeOrder, scope: anyio.CancelScope) -> None:
         while True:
-            child = await start_child(order)
+            child = await start_child(order, self._overhearing)
             self._children.append(child)
             await self._listen(child)
             if self._ending:
@@ -134,10 +136,13 @@ class _LocalKeeper:
     async def _listen(self, child: Child) -> None:
         assert child.process.stdout is not None
         frames = Frames()
-        async for data in child.process.stdout:
-            for value in frames.feed(data):
-                child.take(value)
-        await child.process.wait()
+        async with anyio.create_task_group() as tasks:
+            tasks.start_soon(child.overheard.listen)
+            async for data in child.process.stdout:
+                for value in frames.feed(data):
+                    child.take(value)
+            await child.process.wait()
+            tasks.cancel_scope.cancel()
 
     async def _watch_hub(self, endpoint: str, scope: anyio.CancelScope) -> None:
         """A launch that cannot be reached may be reached again; one that is gone says so to whoever knocks."""
@@ -168,6 +173,7 @@ class _LocalKeeper:
             child.kill()
             await child.process.wait()
             await child.close()
+        self._overhearing.close()
 
 
 def _is_counted_on(order: NodeOrder) -> bool:

@@ -24,7 +24,7 @@ from hierax.runtime.host.streams import own_output
 from hierax.runtime.launch.frames import FINISH, STOP, Frames, NodeOrder, epoch_of_leave
 from hierax.runtime.launch.life import NodeLife
 from hierax.runtime.watch.logs import QUIET, log_console, log_node, tell_left_out
-from hierax.runtime.watch.prints import name_prints
+from hierax.runtime.watch.prints import Console, console_stream, name_prints
 from hierax.schemas.control import Census, decode_control
 from hierax.schemas.values import Value
 
@@ -40,8 +40,12 @@ _log = logging.getLogger("hierax")
 
 def main() -> None:
     """Read the order, live, exit."""
-    log_console()
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is the supervisor's to handle
+    descriptor = int(sys.argv.pop())
+    os.set_inheritable(descriptor, False)
+    console = Console(descriptor)
+    plain = sys.stderr = console_stream(console)
+    log_console()
     status = own_output()  # what a node prints must not mix with the frames
     if isinstance(sys.stdout, io.TextIOWrapper):  # nor may a character that cannot be printed end it
         sys.stdout.reconfigure(errors="backslashreplace")
@@ -50,9 +54,9 @@ def main() -> None:
         os.dup2(nothing.fileno(), sys.stdin.fileno())
     code = BUG
     try:
-        code = anyio.run(_main, orders, status)
+        code = anyio.run(_main, orders, status, console)
     except BaseException:
-        traceback.print_exc(file=sys.__stderr__)
+        traceback.print_exc(file=plain)
         _log.critical("this is a bug, in hierax or in a node", exc_info=True, extra=QUIET)
     finally:
         _exit(code)
@@ -72,7 +76,7 @@ def _exit(code: int) -> NoReturn:
         os._exit(code)
 
 
-async def _main(orders: int, status: int) -> int:
+async def _main(orders: int, status: int, console: Console) -> int:
     frames = Frames()
     commands = await _next_frames(orders, frames)
     if not commands:
@@ -80,7 +84,7 @@ async def _main(orders: int, status: int) -> int:
     order = NodeOrder.read(commands.pop(0))
     life = NodeLife(order, status, _wait_in_event_loop)
     log_node(order.run, order.name, life.when)
-    name_prints(order.name)
+    name_prints(order.name, console)
     _log.info("process %d of %s: %s", os.getpid(), order.name, order.life)
     code = 0
     async with anyio.create_task_group() as tasks:

@@ -28,6 +28,7 @@ from hierax.runtime.launch.frames import (
     NodeOrder,
 )
 from hierax.runtime.launch.orders import Orders
+from hierax.runtime.launch.overheard import Overhearing
 from hierax.runtime.launch.requests import Requests
 from hierax.runtime.launch.steady import SteadyClock
 from hierax.runtime.owner.effects import DETACH
@@ -67,6 +68,7 @@ class ProcessSupervisor:
         members: the processes of the roster in force, by node, as the world said last.
         epoch, version, instances: the last committed epoch and the roster's numbers, likewise.
         requests: what others ask for.
+        overhearing: of what the processes print.
     """
 
     tasks: anyio.abc.TaskGroup
@@ -97,6 +99,7 @@ class ProcessSupervisor:
         self.version = 0
         self.instances: Mapping[str, int] = {}
         self.requests = Requests(self)
+        self.overhearing = Overhearing(orders.run_id, lambda: self.epoch)
 
     @property
     def children(self) -> list[Child]:
@@ -110,7 +113,7 @@ class ProcessSupervisor:
 
     async def start(self, order: NodeOrder) -> Child:
         """Start a node's process."""
-        child = await start_child(order)
+        child = await start_child(order, self.overhearing)
         self._children[child.token] = child
         if order.life != NEWCOMER:
             self._current[child.name] = child
@@ -166,6 +169,7 @@ class ProcessSupervisor:
         frames = Frames()
         async with anyio.create_task_group() as tasks:
             tasks.start_soon(child.cut_off, tasks.cancel_scope)
+            tasks.start_soon(child.overheard.listen)
             async for data in child.process.stdout:
                 for value in frames.feed(data):
                     self._take(child, value)

@@ -285,6 +285,7 @@ class Supervisor:
             early.recall()
         for child in children:
             await child.close()
+        self._keeping.overhearing.close()
 
     @asynccontextmanager
     async def _unless_broken(self) -> AsyncIterator[None]:

@@ -15,7 +15,7 @@ from typing import Any
 from hierax.runtime.core.errors import HieraxError
 from hierax.runtime.host.run_folder import LOGS, about_run, is_alive, known_folders
 from hierax.runtime.loading.nearest import did_you_mean
-from hierax.runtime.watch.logs import LAUNCH, LAUNCH_FILE, SUFFIX
+from hierax.runtime.watch.logs import LAUNCH, LAUNCH_FILE, OUTPUT, SUFFIX
 
 Entry = dict[str, Any]
 
@@ -122,7 +122,7 @@ class Reader:
     def names(self) -> list[str]:
         """Who has a log: nodes, and ``launch``."""
         files = {path.name.removesuffix(SUFFIX) for path in self._logs.glob(f"*{SUFFIX}")}
-        return sorted({LAUNCH if name == LAUNCH_FILE else name for name in files})
+        return sorted({LAUNCH if name == LAUNCH_FILE else name for name in files if not name.startswith(OUTPUT)})
 
     def read(self) -> list[Entry]:
         """What was written since the last time, in order of time."""

@@ -18,6 +18,7 @@ _TEMPLATES = {
     "@NAME@.yaml": "deployment.yaml.txt",
     "@MODULE@.py": "module.py.txt",
     "test_@MODULE@.py": "test_module.py.txt",
+    "pytest.ini": "pytest.ini.txt",
 }
 
 

@@ -38,6 +38,9 @@ LAUNCH = "launch"
 LAUNCH_FILE = f"_{LAUNCH}"
 """Its file's name, which no node's can have."""
 
+OUTPUT = "_output-"
+"""How the name of a file begins in which a keeper writes what libraries and programs of its nodes print."""
+
 LEVEL_VARIABLE = "HIERAX_LOG"
 """From which level on records go to the console; below INFO also to the files."""
 
@@ -190,19 +193,26 @@ class LaunchLog:
         self._run = run
         self._epoch = epoch
 
-    def tell(self, message: str) -> None:
+    def tell(self, message: str, node: str = LAUNCH, logger: str = "hierax.launch") -> None:
         """Write a line."""
         if self._handler is None:
             return
-        fields = {"name": "hierax.launch", "levelno": logging.INFO, "levelname": "INFO", "msg": message}
-        where = {"run": self._run, "node": LAUNCH, "epoch": self._epoch(), "attempt": 0}
+        fields = {"name": logger, "levelno": logging.INFO, "levelname": "INFO", "msg": message}
+        where = {"run": self._run, "node": node, "epoch": self._epoch(), "attempt": 0}
         self._handler.handle(logging.makeLogRecord({**fields, **where}))
 
-    def close(self, message: str) -> None:
-        """Write a last line."""
-        self.tell(message)
+    def close(self, message: str = "") -> None:
+        """Write a last line, if there is one to be written."""
+        if message:
+            self.tell(message)
         if self._handler is not None:
             self._handler.close()
+
+
+def log_of_run(run: str, name: str, epoch: Callable[[], int]) -> LaunchLog:
+    """A further file of a launch's; nothing is written where its folder is not there."""
+    folder = run_folder(run) / LOGS
+    return LaunchLog(open_log(folder, name) if folder.is_dir() else None, run, epoch)
 
 
 def begin_log(

@@ -1,15 +1,23 @@
-"""What a node prints: on the console with the node's name, and in its log.
+"""What nodes print, and libraries and programs that they use: on the console with the node's name, and in the logs.
 
-arm: what was printed
+    arm: what was printed
+
+Python's own prints are named in the node's process, which knows the epoch. Whatever else is written to descriptors
+1 and 2 there goes through a pipe to the process's keeper: that one is there when the process was killed, and reads
+while a library prints and holds the interpreter's lock.
 """
 
 from __future__ import annotations
 
+import ctypes
 import io
 import logging
 import os
+import select
+import stat
 import sys
 from collections.abc import Callable
+from contextlib import suppress
 from typing import Any, TextIO
 
 from hierax.runtime.watch.logs import QUIET
@@ -17,18 +25,118 @@ from hierax.runtime.watch.logs import QUIET
 LINE_BYTES = 1 << 16
 """A longer line is shown, and logged, in pieces."""
 
+PATIENCE_S = 0.2
+"""How long a line waits for somebody who reads the console; then lines are left out until somebody does."""
+
 _ERRORS = "backslashreplace"
+_BY_LINES = 1
+"""The C library's `_IOLBF`."""
 
 
-def name_prints(name: str) -> None:
+class Console:
+    """Where people read. Somebody who does not read holds nobody up for longer than `PATIENCE_S`.
+
+    Args:
+        descriptor: of the terminal, file or pipe; it has to stay open.
+    """
+
+    def __init__(self, descriptor: int) -> None:
+        self._given = descriptor
+        self._descriptor = _unblocking(descriptor)
+        self._waiting = b""
+        self._left_out = 0
+
+    def tell(self, line: bytes) -> None:
+        """Write a line, with its end."""
+        if self._waiting:
+            if not self._is_read(0.0):
+                self._left_out += 1
+                return
+            if self._left_out:
+                line = b"%d lines were left out here, as nobody read them\n%b" % (self._left_out, line)
+        self._left_out = 0
+        self._waiting += line
+        with suppress(OSError):  # nobody can read it any more; the log has it
+            while self._waiting and self._is_read(PATIENCE_S):
+                self._write()
+            return
+        self._waiting = b""
+
+    def _write(self) -> None:
+        with suppress(BlockingIOError):  # others have filled it meanwhile
+            self._waiting = self._waiting[os.write(self._descriptor, self._waiting) :]
+
+    def close(self) -> None:
+        """Nothing more is told; the descriptor that was given stays open."""
+        if self._descriptor != self._given:
+            os.close(self._descriptor)
+
+    def _is_read(self, within_s: float) -> bool:
+        look = select.poll()
+        look.register(self._descriptor, select.POLLOUT)
+        return bool(look.poll(1000 * within_s))
+
+
+def _unblocking(descriptor: int) -> int:
+    """A pipe or terminal opened once more: whether writing waits stays as it is for others."""
+    if stat.S_ISFIFO(os.fstat(descriptor).st_mode) or os.isatty(descriptor):
+        with suppress(OSError):  # it is another user's
+            return os.open(f"/proc/self/fd/{descriptor}", os.O_WRONLY | os.O_NONBLOCK | os.O_NOCTTY | os.O_CLOEXEC)
+    return descriptor
+
+
+class Lines(io.RawIOBase):
+    """Takes bytes, gives lines.
+
+    Args:
+        name: stands before each on the console; empty: nothing does.
+        console: where they go.
+        log: takes each, too.
+    """
+
+    def __init__(self, name: str, console: Console, log: Callable[[str], None]) -> None:
+        super().__init__()
+        self._prefix = f"{name}: ".encode() if name else b""
+        self._console = console
+        self._log = log
+        self._begun = bytearray()
+
+    def writable(self) -> bool:
+        return True
+
+    def fileno(self) -> int:
+        """For programs that the node starts."""
+        return 1
+
+    def write(self, data: Any) -> int:
+        self._begun += data
+        *lines, rest = bytes(self._begun).split(b"\n")
+        if len(rest) > LINE_BYTES:
+            lines, rest = [*lines, rest], b""
+        self._begun[:] = rest
+        for line in lines:
+            self._console.tell(self._prefix + line + b"\n")
+            self._log(line.decode(errors=_ERRORS))
+        return len(data)
+
+    def end(self) -> None:
+        """Nothing more comes: what was begun is a line."""
+        if self._begun:
+            self.write(b"\n")
+
+
+def name_prints(name: str, console: Console) -> None:
     """Have what this process writes to `sys.stdout` and `sys.stderr` carry a name, and go to its log, too.
 
     Args:
         name: of the node.
+        console: where it goes.
     """
-    console = os.dup(sys.__stderr__.fileno() if sys.__stderr__ is not None else 2)
     sys.stdout = _stream(name, console, "stdout")
     sys.stderr = _stream(name, console, "stderr")
+    with suppress(AttributeError, OSError, ValueError):  # a C library that calls it otherwise
+        library = ctypes.CDLL(None)
+        library.setvbuf(ctypes.c_void_p.in_dll(library, "stdout"), None, _BY_LINES, 0)
 
 
 def named_lines(stream: TextIO, name: Callable[[], str]) -> io.TextIOBase:
@@ -41,46 +149,18 @@ def named_lines(stream: TextIO, name: Callable[[], str]) -> io.TextIOBase:
     return _Named(stream, name)
 
 
-def _stream(name: str, console: int, channel: str) -> TextIO:
-    buffer = io.BufferedWriter(_Lines(name, console, logging.getLogger(channel)))
-    return io.TextIOWrapper(buffer, "utf-8", _ERRORS, line_buffering=True, write_through=True)
+def console_stream(console: Console) -> TextIO:
+    """A stream whose lines go to the console as they are."""
+    return _text(Lines("", console, lambda line: None))
 
 
-class _Lines(io.RawIOBase):
-    """Takes bytes, gives lines."""
+def _stream(name: str, console: Console, channel: str) -> TextIO:
+    log = logging.getLogger(channel)
+    return _text(Lines(name, console, lambda line: log.info("%s", line, extra=QUIET)))
 
-    def __init__(self, name: str, console: int, log: logging.Logger) -> None:
-        super().__init__()
-        self._prefix = f"{name}: ".encode()
-        self._console = console
-        self._log = log
-        self._begun = bytearray()
 
-    def writable(self) -> bool:
-        return True
-
-    def fileno(self) -> int:
-        """For programs that the node starts: what they say has no name."""
-        return self._console
-
-    def write(self, data: Any) -> int:
-        self._begun += data
-        *lines, rest = bytes(self._begun).split(b"\n")
-        if len(rest) > LINE_BYTES:
-            lines, rest = [*lines, rest], b""
-        self._begun[:] = rest
-        for line in lines:
-            self._tell(line)
-        return len(data)
-
-    def _tell(self, line: bytes) -> None:
-        told = memoryview(self._prefix + line + b"\n")
-        try:
-            while told:
-                told = told[os.write(self._console, told) :]
-        except OSError:
-            pass  # nobody reads it any more; the log has it
-        self._log.info("%s", line.decode(errors=_ERRORS), extra=QUIET)
+def _text(lines: Lines) -> TextIO:
+    return io.TextIOWrapper(io.BufferedWriter(lines), "utf-8", _ERRORS, line_buffering=True, write_through=True)
 
 
 class _Named(io.TextIOBase):

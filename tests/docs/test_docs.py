@@ -1,9 +1,4 @@
-"""What the pages show works as shown: their commands are run, page by page, in the order in which they stand.
-
-In a page, a block `console` holds commands behind `$ `; what else stands in it is output. A block with a title is
-a file: ``title="NAME"`` makes it, ``title="at the end of NAME"`` adds to it. A page is run by one shell in an empty
-folder.
-"""
+"""What the pages show works as shown: their commands are run, page by page, in the order in which they stand."""
 
 from __future__ import annotations
 
@@ -15,6 +10,7 @@ import sys
 from pathlib import Path
 
 import pytest
+from support.pages import FENCE, beginnings, script
 from support.reader import environment_of
 
 ROOT = Path(__file__).parents[2]
@@ -23,24 +19,10 @@ PAGES = {
     path.relative_to(ROOT).as_posix(): path.read_text(encoding="utf-8")
     for path in (ROOT / "README.md", *sorted(DOCS.glob("*.md")))
 }
-FENCE = re.compile(r'^```(\w*)(?: title="([^"]+)")?\n(.*?)^```', re.DOTALL | re.MULTILINE)
-ADDED = "at the end of "
 TIMEOUT_S = 600
 
 LONG = ("make ", "apt-get ", ".venv/bin/", "spin ", "python benchmarks/")
 """Set-up, and what takes minutes; each `make` target and script has tests of its own."""
-
-
-def script(text: str) -> str:
-    """All commands and files of a page, for bash."""
-    lines = ["set -e"]
-    for language, title, body in FENCE.findall(text):
-        if language == "console":
-            lines += [line[2:] for line in body.splitlines() if line.startswith("$ ")]
-        elif title:
-            name = title.removeprefix(ADDED)
-            lines.append(f"cat {'>>' if title.startswith(ADDED) else '>'} {name} << 'END_OF_FILE'\n{body}END_OF_FILE")
-    return "\n".join(lines) + "\n"
 
 
 RUN = [page for page, text in PAGES.items() if "```console" in text]
@@ -57,28 +39,27 @@ def test_the_commands_of_a_page_work(page: str, tmp_path: Path) -> None:
     run_page(page, tmp_path, Path(sys.executable).parent)
 
 
-def beginnings() -> dict[str, list[str]]:
+def installed() -> list[list[str]]:
     """What the tutorial's readers have, by how they begin: what `make demo` installs, or pip, and what they add."""
     makefile = (ROOT / "Makefile").read_text(encoding="utf-8")
     recipe = re.search(r"^\$\(RUNS\):.*?\n((?:\t.*\n)+)", makefile, re.MULTILINE)
     assert recipe is not None
     demo = ["hierax" + extras for extras in re.findall(r'--editable "?\.(\[[a-z,]+\])?"?$', recipe[1], re.MULTILINE)]
-    found = {}
-    for language, _, body in FENCE.findall(PAGES[TUTORIAL]):
-        words = [shlex.split(line) for line in body.splitlines()] if not language else []
+    found = []
+    for lines in beginnings(PAGES[TUTORIAL]):
+        words = [shlex.split(line) for line in lines]
         added = [word for line in words if line[:2] == ["pip", "install"] for word in line[2:]]
-        if added:
-            found[body.splitlines()[0]] = (demo if ["make", "demo"] in words else []) + added
+        found.append((demo if ["make", "demo"] in words else []) + added)
     return found
 
 
 def test_the_tutorial_has_two_beginnings_that_install_the_same() -> None:
-    demo, pip = beginnings().values()
+    demo, pip = installed()
     assert sorted(demo) == sorted(pip) == ["hierax[record]", "pytest"]
 
 
 def test_the_tutorial_works_with_what_its_reader_has(tmp_path: Path) -> None:
-    has = environment_of(next(iter(beginnings().values())), tmp_path / "reader")
+    has = environment_of(installed()[0], tmp_path / "reader")
     found = subprocess.run([has / "python", "-c", "import rerun"], capture_output=True, check=False)
     assert found.returncode, "the reader has more than was asked for"
     run_page(TUTORIAL, tmp_path, has)
@@ -138,6 +119,11 @@ def test_no_command_stands_where_it_is_not_run(page: str) -> None:
         for line in body.splitlines():
             command = line.removeprefix("$ ")
             assert not re.match(r"(\w+=\S+ )*(hierax|pytest|python) ", command) or command.startswith(LONG), line
+
+
+def test_no_page_waits_in_a_loop() -> None:
+    for page, text in PAGES.items():
+        assert not re.search(r"\b(until|while) .*; do\b", script(text)), f"{page}: what is waited for may never come"
 
 
 def test_every_make_target_that_is_named_exists() -> None:

@@ -39,6 +39,18 @@ def main(arguments):
         press()
 entry(main)
 """
+BEFORE = """
+import os, signal
+import importlib.abc, sys
+
+class Finder(importlib.abc.MetaPathFinder):
+    def find_spec(self, name, path=None, target=None):
+        if name == "hierax.runtime.commands.ctrl_c":
+            os.kill(os.getpid(), signal.SIGINT)
+
+sys.meta_path.insert(0, Finder())
+import hierax.runtime.commands.entry
+"""
 AT_THE_END = """
 import atexit
 atexit.register(press)
@@ -49,6 +61,7 @@ entry(lambda arguments: 0)
 @pytest.mark.parametrize(
     ("when", "code", "said"),
     [
+        (BEFORE, -2, ""),
         (WHILE_IMPORTING, 130, "interrupted\n"),
         (MADE_AN_ERROR, 130, "interrupted\n"),
         (TWICE, 130, ""),
@@ -56,6 +69,6 @@ entry(lambda arguments: 0)
     ],
 )
 def test_no_traceback_answers_it(when: str, code: int, said: str) -> None:
-    command = [sys.executable, "-c", BEGIN + when]
+    command = [sys.executable, "-c", when if when is BEFORE else BEGIN + when]
     done = subprocess.run(command, capture_output=True, text=True, timeout=120, check=False)
     assert (done.returncode, done.stderr) == (code, said)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -34,6 +35,7 @@ class FakeLaunches:
         self.asked: list[tuple[str, dict[str, Any]]] = []
         self.answers: dict[str, Any] = {"change": {"epoch": 42}}
         self.silent: set[str] = set()
+        self.after: Callable[[str, dict[str, Any]], None] = lambda endpoint, question: None
 
     def runs(self, run: str, endpoint: str, hierarchy: str = "toys") -> None:
         """A launch that this machine knows of."""
@@ -53,6 +55,7 @@ class FakeLaunches:
         self.asked.append((endpoint, question))
         if endpoint in self.silent:
             raise TransportError(f"the launch at {endpoint} does not answer")
+        self.after(endpoint, question)
         return self.answers[endpoint if question["ask"] == "ps" else question["ask"]]
 
 
@@ -97,6 +100,29 @@ def test_waiting_for_a_launch_has_an_end(
     assert error(capsys, "ps", "--wait", "1") == "no launch has committed epoch 1 within 0 s"
     assert "no launch 'toys' runs" in error(capsys, "ps", "--wait", "1", "--run", "toys")
     assert launches.asked == []
+
+
+@pytest.mark.parametrize("which", [(), ("--run", "toys"), ("--connect", "tcp/127.0.0.1:1")])
+@pytest.mark.parametrize(("wanted", "lacks"), [("99", "committed epoch 99"), ("top", "a node 'top'")])
+def test_nobody_waits_for_a_launch_that_is_over(
+    launches: FakeLaunches,
+    capsys: pytest.CaptureFixture[str],
+    tmp_path: Path,
+    which: tuple[str, ...],
+    wanted: str,
+    lacks: str,
+) -> None:
+    launches.runs("aaaa1111", "tcp/127.0.0.1:1")
+    assert main(["ps", *which, "--wait", "left"]) == main(["ps", *which, "--wait", "12"]) == 0
+    capsys.readouterr()
+
+    def ends(endpoint: str, question: dict[str, Any]) -> None:
+        for file in (tmp_path / "hierax").glob("*.json"):
+            file.unlink()
+        launches.silent.add(endpoint)
+
+    launches.after = ends
+    assert error(capsys, "ps", *which, "--wait", wanted) == f"toys, run aaaa1111, is over; no launch has {lacks}"
 
 
 def test_of_several_launches_one_has_to_be_named(launches: FakeLaunches, capsys: pytest.CaptureFixture[str]) -> None:

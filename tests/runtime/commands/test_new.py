@@ -31,6 +31,7 @@ def test_as_json(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
         "cold-house.yaml",
         "cold_house.py",
         "test_cold_house.py",
+        "pytest.ini",
     ]
 
 

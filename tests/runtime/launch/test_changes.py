@@ -38,6 +38,18 @@ def test_attach_replace_and_detach_are_repeated_to_the_bit(live: Live) -> None:
     assert "top: its process exits: top: it is detached from epoch " in said
 
 
+def test_what_comes_too_early_for_a_replacement_is_a_line_in_its_log_and_none_on_the_console(live: Live) -> None:
+    run, other = live.run["run"], live.snippet("high", generation=1)
+    for _ in range(3):
+        live.change("replace", "high", other)
+        live.goes_on()
+    told = live.hierax("logs", "--run", run, "--node", "high", "--format", "json").stdout.splitlines()
+    assert any("newcomer" in line for line in told), told
+    assert len([line for line in told if "refused" in line]) <= 3
+    live.ends()
+    assert not [line for line in live.launch.err if "refused" in line]
+
+
 def test_low_latency_links_hand_over_short_beliefs_and_say_what_is_too_long(tmp_path: Path) -> None:
     live = Live(tmp_path, "--set", "low_latency=true")
     try:

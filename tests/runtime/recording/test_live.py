@@ -107,6 +107,50 @@ def test_a_launch_is_recorded_from_the_middle_on(start: Start, tmp_path: Path) -
     live.ends()
 
 
+def test_what_is_left_out_of_a_launch_is_said_and_the_rest_is_whole(start: Start, tmp_path: Path) -> None:
+    file = tmp_path / "run.mcap"
+    live = start("--record", str(file), "--check", "--exclude", "obs/world/*", "--exclude", "steps/high")
+    second = tmp_path / "part.mcap"
+    done = live.hierax("record", "live", "-o", str(second), "--epochs", "20", "--exclude", "ctx/**", "--format", "json")
+    assert done.returncode == 0, done.stderr
+    kill(live, "low")
+    report = live.ends()
+    recording = Recording.open(file)
+    assert recording.ending is not None
+    assert recording.ending.last == report["epochs"] == len(recording.digests())
+    left_out = dict(recording.ending.left_out)
+    assert min(left_out["obs/world/*"], left_out["steps/high"]) >= report["epochs"]
+    assert not list(recording.messages(node="world", kind="obs"))
+    assert len(list(recording.messages(node="low", kind="obs"))) >= report["epochs"]
+    assert "obs/world/*, steps/high was left out (--exclude)" in recording.loss
+    part = Recording.open(second)
+    assert part.ending is not None
+    assert dict(part.ending.left_out)["ctx/**"] >= 40
+    assert not list(part.messages(kind="ctx"))
+    assert check_recording(part).violations == ()
+
+
+@pytest.mark.parametrize("most", [("--max-size", "60kB"), ("--max-duration", "0.3s")])
+def test_a_recording_of_a_launch_ends_where_it_is_told_to(start: Start, tmp_path: Path, most: tuple[str, str]) -> None:
+    file, second = tmp_path / "run.mcap", tmp_path / "part.mcap"
+    live = start("--record", str(file), *most)
+    done = live.hierax("record", "live", "-o", str(second), *most, "--format", "json")  # ends by itself
+    assert done.returncode == 0, done.stderr
+    live.goes_on()
+    kill(live, "low")
+    report = live.ends()
+    assert any(f"({' '.join(most)[:12]}" in line for line in live.launch.err), live.launch.err
+    for recording in (Recording.open(file), Recording.open(second)):
+        ending = recording.ending
+        assert ending is not None
+        assert ending.first <= ending.last < report["epochs"]
+        assert most[0] in recording.loss
+        assert is_repeated(recording) == ending.last
+        assert all(not epoch.lacking for epoch in recording.epochs())
+        if most[0] == "--max-size":
+            assert recording.path.stat().st_size <= 60_000
+
+
 def test_the_run_survives_its_recorder_and_says_so(start: Start, tmp_path: Path) -> None:
     file = tmp_path / "run.mcap"
     live = start("--record", str(file))

@@ -15,15 +15,22 @@ from hierax.runtime.tools.project import make_project
 
 def test_all_files_are_there_and_filled_in(tmp_path: Path) -> None:
     made = make_project(tmp_path / "my-house")
-    assert [path.name for path in made] == ["README.md", "my-house.yaml", "my_house.py", "test_my_house.py"]
+    assert [path.name for path in made] == [
+        "README.md",
+        "my-house.yaml",
+        "my_house.py",
+        "test_my_house.py",
+        "pytest.ini",
+    ]
     for path in made:
         text = path.read_text(encoding="utf-8")
         assert "@" not in text.replace("@pytest", "")
     assert read_deployment(made[1]).name == "my-house"
 
 
-def test_its_tests_pass_with_warnings_as_errors(tmp_path: Path) -> None:
+def test_its_tests_pass_with_warnings_as_errors_also_within_a_project_of_other_habits(tmp_path: Path) -> None:
     make_project(tmp_path / "house")
+    (tmp_path / "pyproject.toml").write_text('[tool.pytest.ini_options]\naddopts = ["--import-mode=importlib"]\n')
     command = [sys.executable, "-m", "pytest", "-q", "-W", "error", "-p", "no:cacheprovider"]
     done = subprocess.run(command, cwd=tmp_path / "house", capture_output=True, text=True, timeout=120, check=False)
     assert done.returncode == 0, done.stdout + done.stderr

@@ -54,3 +54,45 @@ def test_a_part_of_a_recording(tmp_path: Path) -> None:
     assert sorted(canvas.drawn) == told
     assert "epochs/took_ms" not in canvas.drawn[5]
     assert canvas.drawn[6]["epochs/took_ms"].thing > 0.0  # type: ignore[operator]
+
+
+def test_of_a_recording_that_was_cut_is_shown_what_there_is(tmp_path: Path) -> None:
+    path = tmp_path / "cut.mcap"
+    options = ["--epochs", "600", "--record", str(path)]
+    assert main(["run", "servo", *options, "--max-size", "100kB"]) == 0
+    cut = Recording.open(path)
+    assert cut.ending is not None
+    for size, least in ((None, cut.ending.last), (-40, 10), (path.stat().st_size // 2, 1)):
+        if size is not None:
+            path.write_bytes(path.read_bytes()[:size])
+        recording = Recording.open(path)
+        canvas, told = KeptCanvas(), list[int]()
+        shown = show_recording(recording, ViewPresenter(canvas), allowance_of(recording, True), 1, None, told.append)
+        assert told == list(range(1, shown + 1))
+        assert least <= shown <= cut.ending.last
+        assert recording.loss
+
+
+@pytest.mark.parametrize("pattern", ["obs/world/*", "steps/camera"])
+def test_what_was_left_out_is_not_shown_and_the_rest_is(tmp_path: Path, pattern: str) -> None:
+    path = tmp_path / "part.mcap"
+    assert main(["run", "servo", "--epochs", "5", "--record", str(path), "--exclude", pattern]) == 0
+    whole, part = KeptCanvas(), KeptCanvas()
+    for canvas, recording in ((whole, recorded(tmp_path, "servo", 5)), (part, Recording.open(path))):
+        assert show_recording(recording, ViewPresenter(canvas), allowance_of(recording)) == 5
+    lacks = whole.drawn[5].keys() - part.drawn[5].keys()
+    assert lacks
+    assert all("camera" in path.split("/") for path in lacks), lacks
+
+
+def test_a_recording_without_steps_has_nothing_to_show_and_says_why(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    pytest.importorskip("rerun", reason="the extra [view] is not installed")
+    path = tmp_path / "part.mcap"
+    assert main(["run", "servo", "--epochs", "5", "--record", str(path), "--exclude", "steps/**"]) == 0
+    capsys.readouterr()
+    assert main(["view", str(path), "--save", str(tmp_path / "part.rrd")]) == 1
+    assert capsys.readouterr().err.splitlines()[-1] == (
+        f"error: {path}: there is no committed epoch in it from 1 to its end: steps/** was left out (--exclude)"
+    )

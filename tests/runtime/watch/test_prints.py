@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import io
 import json
+import os
 import subprocess
 import sys
 from pathlib import Path
@@ -10,7 +11,7 @@ import pytest
 from support.launched import environment
 
 from hierax.runtime.commands.main import main
-from hierax.runtime.watch.prints import named_lines
+from hierax.runtime.watch.prints import Console, Lines, named_lines
 
 TALKING = """
 import logging
@@ -43,17 +44,34 @@ edges: {clock -> talker: {}}
 """
 
 
-def said(folder: Path, mode: str) -> list[str]:
+def command(mode: str, folder: Path) -> list[str]:
+    """Runs what stands in a folder."""
+    return [
+        sys.executable,
+        "-m",
+        "hierax.runtime.commands.main",
+        mode,
+        str(folder / "talking.yaml"),
+        "--format",
+        "json",
+    ]
+
+
+def surroundings(folder: Path) -> dict[str, str]:
+    """In which launches and their logs are those of the folder."""
+    return {**environment(folder), "XDG_STATE_HOME": str(folder)}
+
+
+def said(folder: Path, mode: str, talking: str = TALKING) -> list[str]:
     """What a run of two epochs writes to standard error."""
-    (folder / "talking.py").write_text(TALKING)
+    (folder / "talking.py").write_text(talking)
     (folder / "talking.yaml").write_text(FILE)
-    command = [sys.executable, "-m", "hierax.runtime.commands.main", mode, str(folder / "talking.yaml")]
     done = subprocess.run(
-        [*command, "--epochs", "2", "--format", "json"],
+        [*command(mode, folder), "--epochs", "2"],
         capture_output=True,
         text=True,
         timeout=120,
-        env={**environment(folder), "XDG_STATE_HOME": str(folder)},
+        env=surroundings(folder),
         check=False,
     )
     assert json.loads(done.stdout)["epochs"] == 2, done.stderr
@@ -75,6 +93,78 @@ def test_what_a_node_prints_has_its_name_and_is_in_its_log(
         (1, "mine", "logged"),
     ]
     assert len(entries) == 6
+
+
+def test_what_libraries_and_programs_print_is_named_and_logged(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    in_c = """
+        import ctypes, os, subprocess
+        ctypes.CDLL(None).puts(b"by C")
+        os.write(2, b"by nobody's stream\\n")
+        subprocess.run(["echo", "by a program"], check=True)
+        subprocess.run(["echo", "by another"], stdout=sys.stdout, check=True)
+        if tick.epoch == 2 and not os.path.exists(MARK):
+            open(MARK, "w").close()
+            os.write(1, b"last words")
+            os.kill(os.getpid(), 9)
+        return belief"""
+    talking = TALKING.replace("        return belief", in_c).replace(
+        "class Clock", f"MARK = {str(tmp_path / 'm')!r}\nclass Clock"
+    )
+    lines = said(tmp_path, "launch", talking)
+    for told in ("by C", "by nobody's stream", "by a program", "by another"):
+        assert lines.count(f"talker: {told}") == 3, lines
+    assert not [line for line in lines if not line.startswith(("talker: ", "hierax: "))], lines
+    killed = next(number for number, line in enumerate(lines) if "SIGKILL" in line)
+    assert lines[killed - 1] == "talker: last words"
+    monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path))
+    assert main(["logs", "--node", "talker", "--grep", "^(by|last) ", "--format", "json"]) == 0
+    entries = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
+    assert {each["logger"] for each in entries} == {"output"}
+    assert len(entries) == 13
+
+
+def test_a_console_that_nobody_reads_holds_nobody_up(tmp_path: Path) -> None:
+    reading, writing = os.pipe()
+    logged: list[str] = []
+    lines = Lines("arm", Console(writing), logged.append)
+    for number in range(20_000):
+        lines.write(b"%d\n" % number)
+    assert len(logged) == 20_000
+    told = os.read(reading, 1 << 20)
+    lines.write(b"read again\n")
+    last = (told + os.read(reading, 1 << 20)).decode().splitlines()
+    assert last[-1] == "arm: read again"
+    shown = len(last) - 2
+    assert last[:shown] == [f"arm: {number}" for number in range(shown)]
+    assert last[-2] == f"{20_000 - shown} lines were left out here, as nobody read them"
+    for descriptor in (reading, writing):
+        os.close(descriptor)
+
+
+def test_a_launch_whose_console_nobody_reads_goes_on(tmp_path: Path) -> None:
+    much = """
+        import os
+        for _ in range(3000):
+            print("by Python, and more of it, as there is a pipe to be filled, that has room for 64 KiB")
+            os.write(1, b"by nobody's stream, and as much of it, at the same time, in the same place\\n")
+        return belief"""
+    (tmp_path / "talking.py").write_text(TALKING.replace("        return belief", much))
+    (tmp_path / "talking.yaml").write_text(FILE)
+    launch = subprocess.Popen(
+        [*command("launch", tmp_path), "--epochs", "3"],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        env=surroundings(tmp_path),
+    )
+    try:
+        assert launch.stdout is not None
+        assert json.loads(launch.stdout.read())["epochs"] == 3
+        assert launch.wait(120) == 0
+    finally:
+        launch.kill()
+        launch.communicate()
 
 
 def test_in_one_process_it_has_the_name_of_the_node_whose_turn_it_is(tmp_path: Path) -> None:

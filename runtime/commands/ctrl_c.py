@@ -1,0 +1,55 @@
+"""Ctrl-C, from the first import of a command to the process's end."""
+
+from __future__ import annotations
+
+import os
+import signal
+import sys
+from collections.abc import Callable, Sequence
+from types import FrameType
+
+INTERRUPTED = 130
+
+
+class _CtrlC:
+    """The first Ctrl-C ends what is being done, the second one the process."""
+
+    came = False
+
+    def __call__(self, number: int, frame: FrameType | None) -> None:
+        if self.came:
+            os._exit(INTERRUPTED)
+        self.came = True
+        raise KeyboardInterrupt
+
+
+CTRL_C = _CtrlC()
+
+
+def entry(main: Callable[[Sequence[str]], int] | None = None) -> None:
+    """Do what the command line says, and end the process. Ctrl-C is never answered by a traceback.
+
+    Args:
+        main: does it; None: `hierax.runtime.commands.main.main`, which is yet to be imported.
+    """
+    if signal.getsignal(signal.SIGINT) is not signal.SIG_IGN:  # else who has started it wants it so
+        signal.signal(signal.SIGINT, CTRL_C)
+    try:
+        from hierax.runtime.host.streams import own_streams
+
+        own_streams()
+        code = (main or _imported())(sys.argv[1:])
+    except BaseException:
+        if not CTRL_C.came:  # else it is what a library has made of it
+            raise
+        code = INTERRUPTED
+        print("interrupted", file=sys.stderr)
+    if signal.getsignal(signal.SIGINT) is not signal.SIG_IGN:
+        signal.signal(signal.SIGINT, signal.SIG_DFL)  # nothing is left to be done in good order
+    sys.exit(code)
+
+
+def _imported() -> Callable[[Sequence[str]], int]:
+    from hierax.runtime.commands.main import main
+
+    return main
