@@ -7,6 +7,7 @@ import signal
 import sys
 from collections.abc import Callable, Sequence
 from types import FrameType
+from typing import NoReturn
 
 INTERRUPTED = 130
 
@@ -26,11 +27,11 @@ class _CtrlC:
 CTRL_C = _CtrlC()
 
 
-def entry(main: Callable[[Sequence[str]], int] | None = None) -> None:
+def guarded(main: Callable[[Sequence[str]], int]) -> NoReturn:
     """Do what the command line says, and end the process. Ctrl-C is never answered by a traceback.
 
     Args:
-        main: does it; None: `hierax.runtime.commands.main.main`, which is yet to be imported.
+        main: does it; it may import first what it takes.
     """
     if signal.getsignal(signal.SIGINT) is not signal.SIG_IGN:  # else who has started it wants it so
         signal.signal(signal.SIGINT, CTRL_C)
@@ -38,7 +39,7 @@ def entry(main: Callable[[Sequence[str]], int] | None = None) -> None:
         from hierax.runtime.host.streams import own_streams
 
         own_streams()
-        code = (main or _imported())(sys.argv[1:])
+        code = main(sys.argv[1:])
     except BaseException:
         if not CTRL_C.came:  # else it is what a library has made of it
             raise
@@ -47,9 +48,3 @@ def entry(main: Callable[[Sequence[str]], int] | None = None) -> None:
     if signal.getsignal(signal.SIGINT) is not signal.SIG_IGN:
         signal.signal(signal.SIGINT, signal.SIG_DFL)  # nothing is left to be done in good order
     sys.exit(code)
-
-
-def _imported() -> Callable[[Sequence[str]], int]:
-    from hierax.runtime.commands.main import main
-
-    return main

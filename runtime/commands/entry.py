@@ -5,6 +5,17 @@ import _signal  # type: ignore[import-not-found]  # `signal` imports others, int
 if _signal.getsignal(_signal.SIGINT) is _signal.default_int_handler:
     _signal.signal(_signal.SIGINT, _signal.SIG_DFL)
 
-from hierax.runtime.commands.ctrl_c import entry
+from collections.abc import Sequence
 
-__all__ = ["entry"]
+from hierax.runtime.commands.ctrl_c import guarded
+
+
+def entry() -> None:
+    """Do what the command line says, and end the process."""
+    guarded(_main)
+
+
+def _main(arguments: Sequence[str]) -> int:
+    from hierax.runtime.commands.main import main
+
+    return main(arguments)

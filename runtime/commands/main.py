@@ -11,7 +11,7 @@ import typer
 
 from hierax.runtime.commands.bench import epoch
 from hierax.runtime.commands.check import check
-from hierax.runtime.commands.ctrl_c import CTRL_C, INTERRUPTED, entry
+from hierax.runtime.commands.ctrl_c import CTRL_C, INTERRUPTED, guarded
 from hierax.runtime.commands.diff import diff
 from hierax.runtime.commands.doctor import doctor
 from hierax.runtime.commands.echo import echo
@@ -123,4 +123,4 @@ for _found in sorted(entry_points(group="hierax.benchmarks"), key=lambda found: 
 
 
 if __name__ == "__main__":
-    entry(main)
+    guarded(main)

@@ -9,6 +9,7 @@ import pytest
 
 BEGIN = """
 import builtins, os, signal, sys
+from hierax.runtime.commands.ctrl_c import guarded
 from hierax.runtime.commands.entry import entry
 
 def press():
@@ -29,7 +30,7 @@ def main(arguments):
         press()
     except KeyboardInterrupt:
         raise ImportError("a library says") from None
-entry(main)
+guarded(main)
 """
 TWICE = """
 def main(arguments):
@@ -37,7 +38,7 @@ def main(arguments):
         press()
     finally:
         press()
-entry(main)
+guarded(main)
 """
 BEFORE = """
 import os, signal
@@ -54,7 +55,7 @@ import hierax.runtime.commands.entry
 AT_THE_END = """
 import atexit
 atexit.register(press)
-entry(lambda arguments: 0)
+guarded(lambda arguments: 0)
 """
 
 
