@@ -6,7 +6,7 @@ INSTALLED := $(VENV)/.installed
 RUNS := $(VENV)/.runs
 CHECKED := .build/checked
 
-.PHONY: demo test check docs model sim kills changes fuzz rival tutorial interrupts clean
+.PHONY: demo test check docs model sim kills changes fuzz rival tutorial interrupts clean test-quick format junk
 
 # what runs, recordings included, and what tests need besides: the viewer alone is some hundreds of megabytes
 $(RUNS): pyproject.toml
@@ -26,6 +26,14 @@ demo: $(RUNS)
 # two workers; one of them has all tests that start processes (tests/conftest.py)
 test: $(INSTALLED)
 	$(BIN)/python -m pytest --numprocesses 2
+
+# those that start no process and take no while: for the loop of who works on it
+test-quick: $(INSTALLED)
+	$(BIN)/python -m pytest --numprocesses 2 --quiet -m "not slow and not processes"
+
+format: $(INSTALLED)
+	$(BIN)/ruff check --fix .
+	$(BIN)/ruff format .
 
 # docs/model.md; Debian's spin is installed where it is missing, if root may
 model: $(INSTALLED)

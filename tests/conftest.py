@@ -17,7 +17,8 @@ STARTING = (
     "tests/docs/",
     "tests/nodes/causal_tree/",
     "tests/nodes/picking/",
-    "tests/runtime/bench/",
+    "tests/nodes/benchmarks/",
+    "tests/nodes/commands/",
     "tests/runtime/commands/",
     "tests/runtime/core/test_digest.py",
     "tests/runtime/launch/",
@@ -47,6 +48,13 @@ def pytest_xdist_make_scheduler(config: pytest.Config, log: object) -> object:
             return "starting" if nodeid.startswith(STARTING) else nodeid.partition("::")[0]
 
     return ByFile(config, log)
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """`make test-quick` leaves out what starts processes."""
+    for item in items:
+        if item.nodeid.startswith(STARTING):
+            item.add_marker("processes")
 
 
 @pytest.fixture(scope="session", autouse=True)
