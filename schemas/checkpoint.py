@@ -5,7 +5,7 @@ front::
 
     [format, epoch, attempt, instance, roster, finished, start, now]
     [format, epoch, attempt, instance, roster, highest_version, last_digest, state,
-     intended, acted, processes, last_attempt]
+     intended, acted, processes, last_attempt, trial, alone]
 
 Roster and states are in them as bytes, each one encoded value: as they are at hand
 encoded, a record takes about a microsecond.
@@ -19,7 +19,16 @@ from typing import Any, NamedTuple
 from hierax.schemas.errors import SchemaError, shown
 from hierax.schemas.messages import DIGEST_BYTES
 from hierax.schemas.roster import Roster
-from hierax.schemas.values import Packers, Value, array_in_place, decode_value, pack, read_extension, unpack
+from hierax.schemas.values import (
+    Packers,
+    Value,
+    array_in_place,
+    decode_value,
+    encode_value,
+    pack,
+    read_extension,
+    unpack,
+)
 
 FORMAT = 1
 
@@ -66,6 +75,10 @@ class WorldRecord(NamedTuple):
         processes: the encoded map of the nodes' names to their processes: the token, the version with which
             the node came in, the first epoch that it took part in, and the request of it; empty: unknown.
         last_attempt: which attempt of the last epoch was committed.
+        trial: of a node that has replaced another one with the roster in force, and whose first epoch is under way,
+            the encoded array of its name, the whole roster before it, as `processes` has them the fields of
+            the process that it replaces, and whether that node fails alone; empty: there is none.
+        alone: the encoded array of the names of all nodes that fail alone; empty: unknown.
     """
 
     epoch: int
@@ -79,6 +92,8 @@ class WorldRecord(NamedTuple):
     acted: int = 0
     processes: bytes = b""
     last_attempt: int = 0
+    trial: bytes = b""
+    alone: bytes = b""
 
 
 _CHECKPOINT = (
@@ -104,6 +119,8 @@ _WORLD = (
     ("acted", int),
     ("processes", bytes),
     ("last_attempt", int),
+    ("trial", bytes),
+    ("alone", bytes),
 )
 _CHECKPOINT_NAMES = tuple(name for name, _ in _CHECKPOINT)
 _WORLD_NAMES = tuple(name for name, _ in _WORLD)
@@ -169,21 +186,68 @@ def decode_world(data: bytes | memoryview) -> WorldRecord:
         raise SchemaError(what, "record.highest_version")
     decode_state(record.state, "record.state")
     decode_processes(record.processes, "record.processes")
+    decode_trial(record.trial, "record.trial")
+    decode_alone(record.alone, "record.alone")
     return record
 
 
-def decode_processes(data: bytes, where: str = "processes") -> dict[str, tuple[str, int, int, str]]:
+Place = tuple[str, int, int, str]
+"""A process's token, the version with which its node came in, the node's first epoch, and the request of it."""
+
+
+def decode_processes(data: bytes, where: str = "processes") -> dict[str, Place]:
     """The processes of a record.
 
     Raises:
         SchemaError: the bytes are no encoded map of names to tokens, versions, epochs and requests.
     """
     processes = decode_value(data, where) if data else {}
-    if type(processes) is not dict or not all(
-        type(each) is tuple and [type(part) for part in each] == [str, int, int, str] for each in processes.values()
-    ):
+    if type(processes) is not dict or not all(map(_is_place, processes.values())):
         raise SchemaError("expected a map of names to tokens, versions, epochs and requests", where)
     return processes
+
+
+def decode_alone(data: bytes, where: str = "alone") -> tuple[str, ...] | None:
+    """The nodes of a record that fail alone; None: it does not say.
+
+    Raises:
+        SchemaError: the bytes are no such array.
+    """
+    names = decode_value(data, where) if data else None
+    if names is not None and (type(names) is not tuple or not all(type(name) is str for name in names)):
+        raise SchemaError("expected an array of names", where)
+    return names
+
+
+def encode_trial(name: str, before: Roster, place: Place, alone: bool) -> bytes:
+    """The bytes of `WorldRecord.trial`."""
+    return encode_value((name, before.plain(), place, alone))
+
+
+def decode_trial(data: bytes, where: str = "trial") -> tuple[str, Roster, Place, bool] | None:
+    """The node of a record that is tried, the roster before it, what runs there, and whether that fails alone.
+
+    None: there is none.
+
+    Raises:
+        SchemaError: the bytes are no such array.
+    """
+    if not data:
+        return None
+    trial = decode_value(data, where)
+    if type(trial) is not tuple or [type(part) for part in trial] != [str, dict, tuple, bool]:
+        raise SchemaError("expected a name, a roster, a process, and true or false", where)
+    name, roster, place, alone = trial
+    if not _is_place(place):
+        raise SchemaError("expected a token, a version, an epoch and a request", where)
+    before = Roster.read(roster)
+    if name not in before.nodes:
+        raise SchemaError(f"{name} is no node of its roster", where)
+    return name, before, place, alone
+
+
+def _is_place(value: Value) -> bool:
+    return type(value) is tuple and [type(part) for part in value] == [str, int, int, str]
 
 
 def decode_roster(data: bytes, where: str = "roster") -> Roster:

@@ -29,10 +29,12 @@ class Prepare(NamedTuple):
 
     Attributes:
         alone: the nodes in it that fail alone: what they or their edges raise is told, and ends no process.
+        tried: likewise, in the first epoch under it: what they replace waits until that is committed.
     """
 
     roster: dict[str, Value]
     alone: tuple[str, ...] = ()
+    tried: tuple[str, ...] = ()
 
 
 class Unchanged(NamedTuple):

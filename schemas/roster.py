@@ -51,10 +51,15 @@ class Reference:
 
 @dataclass(frozen=True)
 class ProbeSpec:
-    """A probe of a node: no part of the roster, as the run does not depend on it."""
+    """A probe of a node: no part of the roster, as the run does not depend on it.
+
+    Attributes:
+        overwrite: whether it may write over the files of another run.
+    """
 
     node: str
     reference: Reference
+    overwrite: bool = False
 
 
 @dataclass(frozen=True)

@@ -6,6 +6,7 @@ import json
 import sys
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, nullcontext, redirect_stdout
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -43,7 +44,7 @@ def run_deployment(
     Args:
         runner: does it.
         file, settings, epochs, seed, output, output_format: as the command line has them.
-        overwrite: whether what another run has left in the output folder is replaced.
+        overwrite: whether what another run has left in the output folder, or where probes write, is replaced.
         goes_on: whether the run that is there is resumed.
 
     Returns:
@@ -53,6 +54,7 @@ def run_deployment(
         HieraxError: the file is wrong, the output folder cannot be made, or the run failed.
     """
     deployment = read_deployment(file, settings)
+    deployment = replace(deployment, probes=tuple(replace(each, overwrite=overwrite) for each in deployment.probes))
     extend_import_path(deployment.import_paths)
     limit = deployment.epochs if epochs is None else epochs
     code = OK

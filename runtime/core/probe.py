@@ -41,9 +41,11 @@ class Probe(ABC):
     Attributes:
         prompt: whether it is told of an epoch before the node's checkpoint is written and its context sent. What it
             writes lacks no epoch then, wherever the process dies; but the other nodes wait for it.
+        overwrite: whether `open` may write over what another run has left (`--overwrite`); set before it is called.
     """
 
     prompt: bool = False
+    overwrite: bool = False
 
     def open(self, output: Path | None) -> None:
         """Called once before the first epoch.

@@ -9,7 +9,7 @@ from hierax.runtime.core.binding import BoundNode
 from hierax.runtime.core.errors import ContradictionError, HieraxError, OperatorError
 from hierax.runtime.core.probe import Probe
 from hierax.runtime.core.process import ActiveNode
-from hierax.runtime.engine.effects import Saved
+from hierax.runtime.engine.effects import Completed, Saved
 from hierax.runtime.engine.table import ROSTERS_AHEAD, Phase, Verdict
 from hierax.runtime.engine.wiring import Wiring
 from hierax.runtime.execution.runner import Log, NodeRunner, Pacemaker
@@ -69,6 +69,7 @@ class Member(NodeRunner):
 
     Attributes:
         alone: the nodes that fail alone.
+        tried: likewise, until the end of the first epoch under the roster.
         dismissed: why the process is to end; empty: it is not.
         again: whether another one is to come in its place then.
     """
@@ -90,8 +91,9 @@ class Member(NodeRunner):
         self.process = process
         self.dismissed = ""
         self.again = False
-        self.alone: frozenset[str] = frozenset()
-        self._alone_in: dict[int, frozenset[str]] = {}
+        self.alone = self.tried = frozenset[str]()
+        self._alone_in: dict[int, tuple[frozenset[str], frozenset[str]]] = {}
+        self._tried_in: int | None = None
         self._failure: Failed | None = None
         self._wire_roster = wire
         self._say = say
@@ -173,12 +175,23 @@ class Member(NodeRunner):
         self._finish()
 
     def failed(self, error: OperatorError) -> None:
-        if not self.alone.intersection(error.subject.split("->")):
+        if not (self.alone | self.tried_now).intersection(error.subject.split("->")):
             raise error
         _log.info("%s", error, exc_info=error)
         version = self.engine.wiring.roster
         self._failure = Failed(self.name, self.process, version, error.subject, str(error))
         self._say(self._failure)
+
+    @property
+    def tried_now(self) -> frozenset[str]:
+        """The nodes that are tried in the epoch under way."""
+        over = self._tried_in is not None and self.engine.epoch > self._tried_in
+        return frozenset() if over or not self.tried else self.tried
+
+    def completed(self, completed: Completed) -> None:
+        super().completed(completed)
+        if self._tried_in is None:
+            self._tried_in = completed.step.epoch
 
     def _do(self, order: Order) -> None:
         if isinstance(order, Prepare):
@@ -254,12 +267,18 @@ class Member(NodeRunner):
         super().rewired(version)
         self._refused.clear()
         self._failure = None
-        self.alone = self._alone_in.get(version, self.alone)
+        self._take_up(version)
         self._alone_in = {later: alone for later, alone in self._alone_in.items() if later > version}
         self.port.unlink(version)
         self._linked = {later for later in self._linked if later >= version}
         self._fetched = {later for later in self._fetched if later > version}
         self._rosters = {later: roster for later, roster in self._rosters.items() if later >= version}
+
+    def _take_up(self, version: int) -> None:
+        """Who fails alone from now on; nobody has said so of a version that changes nothing here."""
+        if version in self._alone_in:
+            self.alone, self.tried = self._alone_in[version]
+            self._tried_in = None
 
     def _gravity(self, header: Header, verdict: Verdict) -> int:
         if verdict not in (Verdict.OLD_ROSTER, Verdict.OTHER_INSTANCE, Verdict.FOREIGN):
@@ -301,7 +320,7 @@ class Member(NodeRunner):
             return
         self._check_same(roster)
         self._fetched.discard(version)
-        self._alone_in[version] = frozenset(order.alone)
+        self._alone_in[version] = (frozenset(order.alone), frozenset(order.tried))
         self._say_ready(version)
         if version in self._linked or version in self._linking:
             return
@@ -319,7 +338,7 @@ class Member(NodeRunner):
                 why = str(error).removeprefix(f"{self.name}: ")
                 self._say(Ready(self.name, self.process, version, why))
                 return
-            self.alone = self._alone_in[version]
+            self._take_up(version)
         self._rosters[version] = roster
         self._link(wiring, self.linked)
         self.engine.prepare(wiring)

@@ -109,9 +109,10 @@ def open_probes(
         NotAllowedError, LoadError: one may not be loaded, or cannot be built.
         ProbeError: one cannot be opened.
     """
-    own = [(i, spec.reference) for i, spec in enumerate(specs) if spec.node == name]
-    probes = tuple(build_probe(reference, f"probes[{i}]", allowance) for i, reference in own)
-    for probe in probes:
+    own = [(i, spec) for i, spec in enumerate(specs) if spec.node == name]
+    probes = tuple(build_probe(spec.reference, f"probes[{i}]", allowance) for i, spec in own)
+    for probe, (_, spec) in zip(probes, own, strict=True):
+        probe.overwrite = spec.overwrite
         _open(probe, name, output, again)
     return probes
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import logging
 from collections.abc import Awaitable, Callable, Iterator, Sequence
 from contextlib import contextmanager
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -14,6 +15,7 @@ from hierax.runtime.core.binding import OperatorSetting
 from hierax.runtime.core.digest import DigestChain
 from hierax.runtime.core.elements import Elements
 from hierax.runtime.core.errors import HieraxError, OperatorError
+from hierax.runtime.core.process import ActiveNode
 from hierax.runtime.deployment import Deployment
 from hierax.runtime.deployment.schedule import Scheduled
 from hierax.runtime.engine.effects import Saved
@@ -27,7 +29,7 @@ from hierax.runtime.execution.report import Interrupted, NodeReport, Report, mak
 from hierax.runtime.execution.runner import Log, NodeRunner, Pacemaker
 from hierax.runtime.loading.loader import build_hierarchy
 from hierax.runtime.loading.node_loader import NodeLoader
-from hierax.runtime.owner.roster_changes import ChangeError, apply
+from hierax.runtime.owner.roster_changes import ChangeError, Undo, apply
 from hierax.runtime.transport.memory import MemoryNetwork
 from hierax.schemas.changes import Change, Detach, Replace, new_nodes
 from hierax.schemas.messages import Header
@@ -167,6 +169,25 @@ class _WorldRunner(_Runner):
         super().drain(drains or self.engine.epoch + 2 in self.due)
 
 
+@dataclass(frozen=True)
+class _Trial:
+    """A node that has replaced another one: what that was, for as long as the first epoch is not committed.
+
+    Attributes:
+        epoch: the first one.
+        before: the roster before it.
+        loader: of what was replaced.
+        start: the state that it had.
+        alone: whether it fails alone.
+    """
+
+    epoch: int
+    before: Roster
+    loader: NodeLoader
+    start: ActiveNode
+    alone: bool
+
+
 class _Nodes:
     """The runners of all nodes, and the network between them."""
 
@@ -190,6 +211,7 @@ class _Nodes:
         self._schedule = list(schedule)
         self._alone = {name for name, policy in deployment.restarts.items() if policy.fails_alone}
         self._failed: set[str] = set()
+        self._trials: dict[str, _Trial] = {}
         self._roster = deployment.roster
         self._world = deployment.roster.world
         self._record = record
@@ -265,18 +287,25 @@ class _Nodes:
             _, change, alone = self._schedule.pop(0)
             if isinstance(change, Detach) and change.name in self._failed and change.name not in self._roster.nodes:
                 continue
+            if isinstance(change, Replace) and change.name in self.runners:
+                name, start = change.name, self.runners[change.name].engine.state
+                self._trials[name] = _Trial(epoch, self._roster, self._loaders[name], start, name in self._alone)
             self._alone = (self._alone - new_nodes(change).keys()) | alone
             self._apply(epoch, change)
 
     def _on_failure(self, error: OperatorError) -> None:
-        """What fails alone is detached, and the epoch begun again without it; as in a launch."""
+        """What fails alone is detached, or undone, and the epoch begun again without it; as in a launch."""
         world = self.runners[self._world].engine
         again: OperatorError | None = error
         while again is not None:
             name = self._culprit(again)
-            _log.warning("%s; %s is detached (on_loss)", again, name)
-            self._failed.add(name)
-            self._apply(world.epoch, Detach(name, cascade=True))
+            if self._is_tried(name):
+                _log.warning("%s; what %s has replaced goes on", again, name)
+                self._apply(world.epoch, Undo(name, self._trials[name].before))
+            else:
+                _log.warning("%s; %s is detached (on_loss)", again, name)
+                self._failed.add(name)
+                self._apply(world.epoch, Detach(name, cascade=True))
             self._network.drop_all()
             again = self._begin_again(world)
 
@@ -286,10 +315,15 @@ class _Nodes:
         Raises:
             OperatorError: the error, if that node does not fail alone.
         """
-        ends = [name for name in error.subject.split("->") if name in self._alone and name in self._roster.nodes]
+        nodes = [name for name in error.subject.split("->") if name in self._roster.nodes]
+        ends = [name for name in nodes if name in self._alone or self._is_tried(name)]
         if not ends:
             raise error
         return max(ends, key=self._roster.instance)  # of two, what came last has brought the edge
+
+    def _is_tried(self, name: str) -> bool:
+        """Whether a node has replaced another one with the epoch under way."""
+        return name in self._trials and self._trials[name].epoch == self.runners[self._world].engine.epoch
 
     def _begin_again(self, world: Engine) -> OperatorError | None:
         if world.phase is Phase.DONE:  # epochs overlap: the next one is the first without it
@@ -300,13 +334,15 @@ class _Nodes:
             return error
         return None
 
-    def _apply(self, epoch: int, change: Change) -> None:
+    def _apply(self, epoch: int, change: Change | Undo) -> None:
         old, version = self._roster, self._roster.version + 1
         roster = self._roster = apply(old, change, version, lambda _: version)
         for name in sorted(old.nodes.keys() - roster.nodes.keys()):
             self._close(name)
         for name in sorted(roster.nodes):
-            if roster.instance(name) == version:
+            if isinstance(change, Undo) and name == change.name:
+                self._come_back(name)
+            elif roster.instance(name) == version:
                 self._come(name, epoch, isinstance(change, Replace))
             else:
                 self.runners[name].engine.prepare(self._loaders[name].wiring(roster))
@@ -327,6 +363,15 @@ class _Nodes:
             self._close(name)
         self.runners[name] = self._runner(name, append=replaces)
         self.runners[name].wire(wiring, saved, joins=saved is None)
+
+    def _come_back(self, name: str) -> None:
+        """What was replaced goes on, as if it never had been."""
+        trial = self._trials.pop(name)
+        self._alone = self._alone - {name} | ({name} if trial.alone else set())
+        self._close(name)
+        self._loaders[name] = trial.loader
+        self.runners[name] = self._runner(name, append=True)
+        self.runners[name].wire(trial.loader.wiring(self._roster), Saved(trial.epoch - 1, 0, trial.start, trial.start))
 
     def _close(self, name: str) -> None:
         runner = self.runners.pop(name)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Container, Mapping, Sequence
 from typing import Literal
 
 from hierax.runtime.core.digest import DigestChain
@@ -17,15 +17,20 @@ from hierax.runtime.engine.wiring import Wiring
 from hierax.runtime.execution.member import Member, never_whole
 from hierax.runtime.execution.runner import Log, Pacemaker
 from hierax.runtime.owner.effects import OwnerEffects, OwnerPolicy
+from hierax.runtime.owner.members import Tried
 from hierax.runtime.owner.owner import Owner
 from hierax.runtime.recovery.slots import Slots
 from hierax.runtime.transport.port import Port
 from hierax.schemas.checkpoint import (
+    Place,
     WorldRecord,
+    decode_alone,
     decode_processes,
     decode_roster,
     decode_state,
+    decode_trial,
     decode_world,
+    encode_trial,
     encode_world,
 )
 from hierax.schemas.control import Control, Failed, Order
@@ -67,6 +72,11 @@ class WorldMember(Member, OwnerEffects):
         settings: of the owner.
         clock: seconds, for the owner.
         on_uncertain_act: what is done about an act of which nobody knows whether it was done.
+
+    Attributes:
+        pauses: whether a world without neighbours, which waits for nobody, waits for `go_on` between two epochs, so
+            that what is said to it is heard.
+        paused: whether it does.
     """
 
     def __init__(
@@ -97,8 +107,11 @@ class WorldMember(Member, OwnerEffects):
         self._acted = 0
         self._roster_bytes = b""
         self._process_bytes = b""
+        self._alone_bytes = b""
         self._own_orders: list[Order] = []
         self._own_failures: list[Failed] = []
+        self.pauses = False
+        self.paused = False
         self.owner: Owner
 
     def begin_run(self, roster: Roster, processes: Mapping[str, str]) -> None:
@@ -141,6 +154,8 @@ class WorldMember(Member, OwnerEffects):
             born={name: each[1:] for name, each in recorded.items()},
             settled=self._intended == record.epoch,
             last_attempt=record.last_attempt,
+            tried=_living_trial(decode_trial(record.trial), living),
+            alone=decode_alone(record.alone),
         )
         if self._pacemaker.may_begin(self.engine):
             self.owner.take_back(self.process)
@@ -162,6 +177,16 @@ class WorldMember(Member, OwnerEffects):
             OperatorError: an operator failed.
         """
         self.owner.hear(word)
+        self._finish()
+
+    def go_on(self) -> None:
+        """Begin the next epoch after a pause.
+
+        Raises:
+            OperatorError: an operator failed.
+        """
+        self.paused = False
+        self._proceed()
         self._finish()
 
     def end_soon(self) -> None:
@@ -258,8 +283,10 @@ class WorldMember(Member, OwnerEffects):
     def _record(self) -> WorldRecord:
         owner, engine = self.owner, self.engine
         begun = engine.epoch > owner.epoch  # and not committed
+        trial = owner.trial
         if not self._roster_bytes:
             self._roster_bytes = encode_value(owner.roster.plain())
+            self._alone_bytes = encode_value(tuple(sorted(owner.alone)))
             self._process_bytes = encode_value(
                 {name: (token, *owner.born(name)) for name, token in sorted(owner.processes.items())}
             )
@@ -275,6 +302,10 @@ class WorldMember(Member, OwnerEffects):
             acted=self._acted,
             processes=self._process_bytes,
             last_attempt=owner.last_attempt,
+            trial=b""
+            if trial is None
+            else encode_trial(trial.name, trial.before, (trial.process, *trial.born), trial.alone),
+            alone=self._alone_bytes,
         )
 
     def _finish(self) -> None:
@@ -295,7 +326,11 @@ class WorldMember(Member, OwnerEffects):
         if committed is None:
             return
         self.owner.committed(committed.epoch)
-        self._proceed()
+        if self.pauses and not self.engine.node.above:
+            self.paused = True
+            self.keep()  # nobody hears of a commit that a crash could undo
+        else:
+            self._proceed()
 
     def _begin_next(self, pacemaker: Pacemaker) -> None:
         self._proceed(its_turn=True)
@@ -309,6 +344,14 @@ class WorldMember(Member, OwnerEffects):
         elif pacemaker.done:
             self.keep()
             self.owner.finish()
+
+
+def _living_trial(recorded: tuple[str, Roster, Place, bool] | None, living: Container[str]) -> Tried | None:
+    """What is tried, by the record; what it has replaced may have died meanwhile."""
+    if recorded is None:
+        return None
+    name, before, (token, version, epoch, request), alone = recorded
+    return name, before, token if token in living else "", (version, epoch, request), alone
 
 
 def has_record(slots: Slots) -> bool:

@@ -144,14 +144,16 @@ class NodeOrder:
         return {
             **self.__dict__,
             "roster": None if self.roster is None else self.roster.plain(),
-            "probes": [[probe.node, probe.reference.plain()] for probe in self.probes],
+            "probes": [[probe.node, probe.reference.plain(), probe.overwrite] for probe in self.probes],
             "owner": None if self.owner is None else self.owner.__dict__,
         }
 
     @staticmethod
     def read(value: Value) -> NodeOrder:
         """From a value; it comes from our own supervisor, so only the roster is checked in full."""
-        probes = tuple(ProbeSpec(node, Reference.read(ref, f"probes.{node}")) for node, ref in value["probes"])
+        probes = tuple(
+            ProbeSpec(node, Reference.read(ref, f"probes.{node}"), may) for node, ref, may in value["probes"]
+        )
         roster = None if value["roster"] is None else Roster.read(value["roster"])
         owner = None if value["owner"] is None else OwnerPolicy(**value["owner"])
         return NodeOrder(**{**value, "roster": roster, "probes": probes, "owner": owner})

@@ -251,6 +251,7 @@ class NodeLife:
         self._line = ControlLine(session, keys, order.process, offered, self.hear, most_bytes)
         member = build_member(order, loader, port, self._line, self._pipe, EpochPublisher(session, keys))
         if isinstance(member, WorldMember):
+            member.pauses = order.staleness is not None  # in free running it has turns
             self._owners_line = ControlLine(session, keys, OWNER, get_args(Word), self.hear, most_bytes)
         self._teller = StepPublisher(session, keys, order.name)
         if order.recorded and self._teller.wait(RECORDER_TIMEOUT_S):
@@ -332,6 +333,7 @@ class NodeLife:
 
     def _run(self, member: Member, port: ZenohPort) -> None:
         world = member if isinstance(member, WorldMember) else None
+        paused = False
         while not self._stopping.is_set():
             if self._inputs or self._words or self._ticks:
                 self._serve(member)
@@ -339,7 +341,10 @@ class NodeLife:
                 return
             if world is not None:
                 self._serve_keeper(world)
-            self._take_next(member, port.poll if self._words else port.receive)
+                if world.paused:
+                    world.go_on()
+                paused = world.paused
+            self._take_next(member, port.poll if self._words or paused else port.receive)
         self._compare_rest(member, port)
 
     def _run_freely(self, member: Member, port: ZenohPort) -> None:

@@ -197,7 +197,7 @@ class ProcessSupervisor:
             self.epoch = value["epoch"]
             self.version = value["version"]
             self.instances = value["instances"]
-            self._on_members(value["processes"])
+            self._on_members({**self._elsewhere(), **value["processes"]})
             self._beat.set()
             self._beat = anyio.Event()
         elif status == FINISHED:
@@ -215,6 +215,11 @@ class ProcessSupervisor:
         elif status == HALT:
             child = self._current.get(value["why"].partition(":")[0])
             self._fail((child and child.failure) or NodeFailedError(value["why"]))
+
+    def _elsewhere(self) -> dict[str, str]:
+        """The processes kept elsewhere of nodes in force: a new process of the world's names none that is lost."""
+        members = self.members.items()
+        return {name: token for name, token in members if name in self.instances and token not in self._children}
 
     def _on_members(self, members: Mapping[str, str]) -> None:
         self.members = members
@@ -376,6 +381,8 @@ class ProcessSupervisor:
         if token in self._children or token in self._gone:
             return
         await anyio.sleep(COMES_BACK_S)
+        if self.members.get(name) != token:
+            await self.hear_members()  # what is known here may be older than its place in the roster
         if not self.hears_of(token) and token not in self._gone and self.members.get(name) == token:
             self._gone.add(token)
             self._say(f"{name}: its process, kept elsewhere, is gone or cannot be reached")

@@ -181,11 +181,9 @@ class Supervisor:
             registered.unlink(missing_ok=True)
             end = "the run is over" if self._why is None else f"the run is broken off: {self._why}"
             self._log.close(f"{end}by a signal" if isinstance(self._why, _BrokenOff) else end)
-            for name, token in self._keeping.members.items():
-                if self._keeping.child(token) is None:  # nobody else tells who is kept elsewhere
-                    hub.dismiss(
-                        token, f"{name}: the run is over" if self._why is None else f"{name}: the run is broken off"
-                    )
+            over = "the run is over" if self._why is None else "the run is broken off"
+            members = self._keeping.members.items()  # nobody else tells who is kept elsewhere
+            hub.dismiss_all({token: f"{name}: {over}" for name, token in members if self._keeping.child(token) is None})
             hub.close()
         if self._why is not None and not (isinstance(self._why, _BrokenOff) and self.early is not None):
             raise self._why

@@ -25,6 +25,7 @@ class SupervisorPipe(Supervision):
         self._status = status
         self._on_gone = on_gone
         self._saying = threading.Lock()
+        self._beating = threading.Lock()
         self._finished = False
 
     def say(self, status: str, **fields: Value) -> None:
@@ -55,14 +56,15 @@ class SupervisorPipe(Supervision):
 
     def beat(self, owner: Owner) -> None:
         """The world's process lives; and the roster."""
-        roster = owner.roster
-        self.say(
-            BEAT,
-            epoch=owner.epoch,
-            version=roster.version,
-            instances={name: roster.instance(name) for name in roster.nodes},
-            processes=dict(owner.processes),
-        )
+        with self._beating:  # two threads do: what is said last is to be what holds
+            roster = owner.roster
+            self.say(
+                BEAT,
+                epoch=owner.epoch,
+                version=roster.version,
+                instances={name: roster.instance(name) for name in roster.nodes},
+                processes=dict(owner.processes),
+            )
 
     def finish(self, owner: Owner) -> None:
         """The last epoch is committed."""

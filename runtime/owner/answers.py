@@ -55,6 +55,12 @@ class Answers:
         """
         self._owed.append((key, epoch, names))
 
+    def undo(self, key: str, why: str) -> None:
+        """A change was in force, and is undone before its first epoch is committed."""
+        self._owed = [each for each in self._owed if each[0] != key]
+        if key:
+            self.give(key, 0, why)
+
     def owe_what_was_made(self, key: str) -> bool:
         """Whether a change took effect before the world's process died, which had not said so yet."""
         born = self._members.born

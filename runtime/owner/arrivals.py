@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from hierax.runtime.owner.effects import OwnerEffects, OwnerPolicy
 from hierax.runtime.owner.epoch_progress import EpochProgress
-from hierax.runtime.owner.members import Members
+from hierax.runtime.owner.members import UNDONE, Members
 from hierax.runtime.owner.plan import Request
 from hierax.runtime.owner.planning import Planning
 from hierax.runtime.owner.suspicions import Suspicions
@@ -55,6 +55,9 @@ class Arrivals:
             return
         if process in self._processes_of(name):
             return  # said twice
+        if word.epoch != NEVER and members.was_undone(name, word.version):
+            self._effects.tell(process, Dismiss(f"{name}: {UNDONE}"))
+            return
         request = self._planning.queued(word.request)
         plan = self._planning.plan
         if request is not None:
@@ -152,7 +155,9 @@ class Arrivals:
         """All processes of a node that are counted on."""
         plan = self._planning.plan
         held = [self._members.processes, {} if plan is None else plan.processes]
+        trial = self._members.trial
         return [
+            *([trial.process] if trial is not None and trial.name == name else []),
             *(process for (other, _), process in self._members.newcomers.items() if other == name),
             *(processes[name] for processes in held if name in processes),
         ]

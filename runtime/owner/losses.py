@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 
 from hierax.runtime.owner.effects import DETACH, OwnerEffects, OwnerPolicy
 from hierax.runtime.owner.epoch_progress import EpochProgress
 from hierax.runtime.owner.members import Members
 from hierax.runtime.owner.plan import Request
 from hierax.runtime.owner.planning import Planning
+from hierax.runtime.owner.roster_changes import Undo
 from hierax.schemas.changes import Detach
 from hierax.schemas.control import Census, Failed, Lost
+from hierax.schemas.roster import Roster
 
 
 class Losses:
@@ -61,11 +64,16 @@ class Losses:
         told = tuple(word.subject.split("->"))
         if word.name not in told or (len(told) > 1 and told not in {edge.pair for edge in members.roster.edges}):
             return
-        ends = [name for name in told if name in members.alone and name in members.roster.nodes]
+        trial = members.trial
+        alone = members.alone if trial is None else members.alone | {trial.name}
+        ends = [name for name in told if name in alone and name in members.roster.nodes]
         if not ends:
             return  # under one version, processes are told the same of who fails alone: this is not from one of them
         name = max(ends, key=lambda end: members.born[end][0])  # of two, what came last has brought the edge
         if name in members.failures:
+            return
+        if trial is not None and trial.name == name:
+            self._undo(name, trial.before, word.why)
             return
         members.failures[name] = word.why
         if name not in members.lost:
@@ -74,6 +82,14 @@ class Losses:
                 self._planning.redo(self._planning.plan)
         self._effects.note(f"{word.why}; {name} is detached (on_loss)")
         self._planning.ask(Request("", Detach(name, cascade=True), self._clock()))
+
+    def _undo(self, name: str, before: Roster, why: str) -> None:
+        """What replaces another node has failed in its first epoch."""
+        self._members.failures[name] = why
+        self._effects.note(f"{why}; what {name} has replaced goes on")
+        if self._planning.plan is not None:
+            self._planning.redo(self._planning.plan)
+        self._planning.ask(Request("", Undo(name, before), self._clock()))
 
     def count(self, word: Census) -> None:
         """The keeper's processes, for an owner that is new: what of them is missing is lost."""
@@ -97,6 +113,8 @@ class Losses:
 
     def _on_lost(self, name: str, process: str, restarts: bool) -> None:
         members, planning = self._members, self._planning
+        if members.trial is not None and members.trial.process == process:
+            members.trial = replace(members.trial, process="")
         for (other, key), newcomer in list(members.newcomers.items()):
             if newcomer == process:
                 del members.newcomers[other, key]

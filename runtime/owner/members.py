@@ -3,20 +3,20 @@
 from __future__ import annotations
 
 from collections import OrderedDict
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from math import inf
 
 from hierax.runtime.owner.effects import RESTART, OwnerEffects, OwnerPolicy
-from hierax.runtime.owner.plan import Plan
-from hierax.schemas.changes import Replace
+from hierax.runtime.owner.plan import Born, Plan, Trial
 from hierax.schemas.control import Dismiss
 from hierax.schemas.roster import Roster
 
+UNDONE = "it had failed in its first epoch, and what it had replaced goes on"
+
+Tried = tuple[str, Roster, str, Born, bool]
+
 REMEMBERED = 1024
 """How many dead processes are remembered, so that what comes late does no harm."""
-
-Born = tuple[int, int, str]
-"""The version with which a node came in, the first epoch that it took part in, and the request of it."""
 
 
 class Members:
@@ -29,6 +29,9 @@ class Members:
         effects: of the owner.
         clock: seconds.
         settings: of the deployment.
+        tried: of a node whose first epoch under the roster is under way, its name, the roster before it, and the
+            process and birth of what it has replaced, and whether that fails alone.
+        alone: the nodes that fail alone; None: as the settings say.
 
     Attributes:
         roster: in force.
@@ -40,6 +43,7 @@ class Members:
         ended: nodes and processes that are to be killed, and since when.
         alone: the nodes that are detached when an operator or edge function of theirs raises.
         failures: by node that was detached for that, why.
+        trial: the node that has replaced another one, and whose first epoch is not committed yet.
     """
 
     def __init__(
@@ -50,6 +54,8 @@ class Members:
         effects: OwnerEffects,
         clock: Callable[[], float],
         settings: OwnerPolicy,
+        tried: Tried | None = None,
+        alone: Iterable[str] | None = None,
     ) -> None:
         self.roster = roster
         self.processes = dict(processes)
@@ -59,7 +65,7 @@ class Members:
         self.ended: dict[tuple[str, str], float] = {}
         self._effects = effects
         self._clock = clock
-        self.alone = frozenset(settings.alone)
+        self.alone = frozenset(settings.alone if alone is None else alone)
         self.failures: dict[str, str] = {}
         self._on_loss = dict(settings.on_loss)
         self._rejoin_timeout_s = dict(settings.rejoin_timeout_s)
@@ -68,6 +74,9 @@ class Members:
         self._refused: dict[str, str] = {}
         self._heard_s: dict[str, float] = {}
         self._saved: dict[str, tuple[int, int]] = {}
+        self.trial = None if tried is None else self._trial(*tried)
+        self._outlived: list[tuple[str, str]] = []
+        self._undone: dict[str, tuple[int, int]] = {}
         for name in roster.nodes.keys() - self.processes.keys():
             self.lose(name)
 
@@ -166,7 +175,35 @@ class Members:
     def alone_in(self, plan: Plan) -> tuple[str, ...]:
         """The nodes that fail alone under a plan's roster."""
         new = {name: name in request.alone for request in plan.requests for name in request.new_nodes}
+        if self.trial is not None and plan.undone:
+            new[plan.undone] = self.trial.alone
         return tuple(name for name in sorted(plan.roster.nodes) if new.get(name, name in self.alone))
+
+    def tried_in(self, plan: Plan) -> tuple[str, ...]:
+        """The nodes that fail alone in the first epoch under a plan's roster."""
+        if plan.urgent and self.trial is not None and not plan.undone:  # that epoch goes on under it
+            return (self.trial.name,)
+        return (plan.tried,) if plan.tried else ()
+
+    def _trial(self, name: str, before: Roster, process: str, born: Born, alone: bool) -> Trial:
+        """What becomes of a node if the one that replaces it fails."""
+        on_loss, rejoin_timeout_s = self._on_loss.get(name), self._rejoin_timeout_s.get(name)
+        return Trial(name, before, process, born, alone, on_loss, rejoin_timeout_s)
+
+    def end_trial(self) -> bool:
+        """What is tried counts from now on; whether anything was. `dismiss_outlived` follows."""
+        trial, self.trial = self.trial, None
+        if trial is not None and trial.process:
+            self._outlived.append((trial.name, trial.process))
+        return trial is not None
+
+    def dismiss_outlived(self) -> None:
+        """Tell those to go that were replaced for good, and that is recorded."""
+        for name, process in self._outlived:
+            known = name in self.born
+            why = f"another process runs it from epoch {self.born[name][1]} on" if known else "it is detached"
+            self._effects.tell(process, Dismiss(f"{name}: {why}"))
+        self._outlived.clear()
 
     def take_effect(self, plan: Plan, epoch: int) -> dict[str, str]:
         """A plan's roster is in force from this epoch on.
@@ -174,7 +211,10 @@ class Members:
         Returns:
             By node, the processes that have no place any more.
         """
-        old = self.processes
+        old, trial = self.processes, self.trial
+        if plan.tried:
+            name = plan.tried
+            self.trial = self._trial(name, self.roster, self.processes[name], self.born[name], name in self.alone)
         self.alone = frozenset(self.alone_in(plan))
         self.failures = {name: why for name, why in self.failures.items() if name not in plan.roster.nodes}
         self.roster = plan.roster
@@ -182,12 +222,41 @@ class Members:
         self.lost.clear()
         self._given_up.clear()
         key = "" if plan.request is None else plan.request.key
-        self.newcomers = {(name, of): process for (name, of), process in self.newcomers.items() if of and of != key}
+        self.newcomers = {
+            (name, of): process
+            for (name, of), process in self.newcomers.items()
+            if (of and of != key) or name == plan.undone
+        }
         fresh = (plan.version, epoch, key)
-        if plan.request is not None and isinstance(plan.request.change, Replace):
-            self.born[plan.request.change.name] = fresh
+        if plan.tried:
+            self.born[plan.tried] = fresh
         self.born = {name: self.born.get(name, fresh) for name in self.roster.nodes}
         for request in plan.requests:
             self._on_loss.update(request.on_loss)
             self._rejoin_timeout_s.update(request.rejoin_timeout_s)
-        return {name: process for name, process in old.items() if self.processes.get(name) != process}
+        if plan.undone and trial is not None:
+            self._undo(trial, plan.version)
+        elif self.trial is not None and self.trial.name not in self.roster.nodes:
+            self.end_trial()
+        waits = "" if self.trial is None else self.trial.process
+        return {name: process for name, process in old.items() if process not in (self.processes.get(name), waits)}
+
+    def was_undone(self, name: str, version: int) -> bool:
+        """Whether a node had failed in its place under a version, and what it had replaced goes on."""
+        first, last = self._undone.get(name, (0, 0))
+        return first <= version < last
+
+    def _undo(self, trial: Trial, version: int) -> None:
+        name = trial.name
+        self._undone[name] = (self.born[name][0], version)
+        newcomer = self.newcomers.pop((name, ""), None)
+        if newcomer is not None:
+            self._effects.tell(newcomer, Dismiss(f"{name}: {UNDONE}"))
+        self.trial = None
+        self.born[name] = trial.born
+        self._on_loss.pop(name, None)
+        self._rejoin_timeout_s.pop(name, None)
+        if trial.on_loss is not None:
+            self._on_loss[name] = trial.on_loss
+        if trial.rejoin_timeout_s is not None:
+            self._rejoin_timeout_s[name] = trial.rejoin_timeout_s

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from math import inf
 
 from hierax.runtime.core.errors import HieraxError
@@ -13,8 +13,8 @@ from hierax.runtime.owner.effects import OwnerEffects, OwnerPolicy
 from hierax.runtime.owner.epoch_progress import EpochProgress
 from hierax.runtime.owner.inquiry import Inquiry
 from hierax.runtime.owner.losses import Losses
-from hierax.runtime.owner.members import Born, Members
-from hierax.runtime.owner.plan import Request, Stage
+from hierax.runtime.owner.members import Members, Tried
+from hierax.runtime.owner.plan import Born, Request, Stage, Trial
 from hierax.runtime.owner.planning import MAX_TRIES, Planning
 from hierax.runtime.owner.roster_changes import apply
 from hierax.runtime.owner.suspicions import Suspicions
@@ -59,6 +59,7 @@ class Owner:
             request of it; None: all were there at the beginning.
         settled: the epoch after that may have been acted upon, so it is done again with the same nodes.
         last_attempt: the one of the last epoch committed that was.
+        tried, alone: as `Members` has them.
     """
 
     def __init__(
@@ -75,13 +76,15 @@ class Owner:
         born: Mapping[str, Born] | None = None,
         settled: bool = False,
         last_attempt: int = 0,
+        tried: Tried | None = None,
+        alone: Iterable[str] | None = None,
     ) -> None:
         self._effects = effects
         self._told_s: dict[str, float] = {}
         self._clock = clock
         self._settings = settings
         self._refusals = Refusals()
-        members = Members(roster, processes, born, effects, clock, settings)
+        members = Members(roster, processes, born, effects, clock, settings, tried, alone)
         self._inquiry = Inquiry(effects, members.end, clock, settings)
         progress = EpochProgress(
             members, self._inquiry, effects, epoch=epoch, attempt=attempt, settled=settled, last_attempt=last_attempt
@@ -141,6 +144,16 @@ class Owner:
         """
         return self._members.born[name]
 
+    @property
+    def alone(self) -> frozenset[str]:
+        """The nodes that fail alone."""
+        return self._members.alone
+
+    @property
+    def trial(self) -> Trial | None:
+        """The node that has replaced another one, and whose first epoch is not committed yet."""
+        return self._members.trial
+
     def take_back(self, process: str) -> None:
         """Come back as a new process of the world's; the epoch is begun again once its neighbours are ready."""
         world = self.roster.world
@@ -163,11 +176,13 @@ class Owner:
                 progress.begin()
         if not progress.running:
             self._effects.keep()  # nobody hears of a commit that a crash could undo
+        self._members.dismiss_outlived()
         self._answers.tell(progress.epoch)
 
     def committed(self, epoch: int) -> None:
         """An epoch is committed; `proceed` or `finish` follows."""
         self._progress.committed(epoch)
+        self._planning.end_trial()
         if self._members.lost:
             self._arrivals.judge_again()
         if self._planning.queue:
@@ -176,6 +191,7 @@ class Owner:
     def finish(self) -> None:
         """The last epoch is committed and recorded: what is still asked for comes too late."""
         self._progress.over = True
+        self._members.dismiss_outlived()
         self._answers.tell(self.epoch)
         self._planning.finish(OVER)
 
@@ -239,4 +255,6 @@ class Owner:
         now = self._clock()
         if now - self._told_s.get(word.name, -inf) >= FETCH_S:  # who asks more often is not the process
             self._told_s[word.name] = now
-            self._effects.tell(word.process, Prepare(self.roster.plain(), tuple(sorted(self._members.alone))))
+            alone, trial = tuple(sorted(self._members.alone)), self.trial
+            tried = () if trial is None else (trial.name,)
+            self._effects.tell(word.process, Prepare(self.roster.plain(), alone, tried))

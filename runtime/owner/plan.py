@@ -6,7 +6,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from enum import Enum
 
-from hierax.schemas.changes import Change, new_nodes
+from hierax.runtime.owner.roster_changes import Undo
+from hierax.schemas.changes import Change, Replace, new_nodes
 from hierax.schemas.roster import Roster
 
 
@@ -16,6 +17,31 @@ class Stage(Enum):
     PREPARE = "the processes that it touches"
     READY = "the end of the epoch"
     HAND_OVER = "the states of the nodes that are replaced"
+
+
+Born = tuple[int, int, str]
+"""The version with which a node came in, the first epoch that it took part in, and the request of it."""
+
+
+@dataclass(frozen=True)
+class Trial:
+    """A node that has replaced another one, until its first epoch is committed.
+
+    Attributes:
+        name: of the node.
+        before: the roster that was in force before.
+        process: of what it has replaced, which waits; empty: it has died.
+        born: of that.
+        alone, on_loss, rejoin_timeout_s: what held for that; None where nothing was said.
+    """
+
+    name: str
+    before: Roster
+    process: str
+    born: Born
+    alone: bool
+    on_loss: str | None
+    rejoin_timeout_s: float | None
 
 
 @dataclass
@@ -31,7 +57,7 @@ class Request:
     """
 
     key: str
-    change: Change
+    change: Change | Undo
     since_s: float
     on_loss: Mapping[str, str] = field(default_factory=dict)
     rejoin_timeout_s: Mapping[str, float] = field(default_factory=dict)
@@ -41,7 +67,7 @@ class Request:
     @property
     def new_nodes(self) -> tuple[str, ...]:
         """The nodes for which it needs processes."""
-        return tuple(sorted(new_nodes(self.change)))
+        return () if isinstance(self.change, Undo) else tuple(sorted(new_nodes(self.change)))
 
 
 @dataclass
@@ -78,6 +104,18 @@ class Plan:
     def requests(self) -> list[Request]:
         """All that is asked for in it."""
         return [*self.along, *([] if self.request is None else [self.request])]
+
+    @property
+    def tried(self) -> str:
+        """The node in it that replaces another one; empty: there is none."""
+        change = None if self.request is None else self.request.change
+        return change.name if isinstance(change, Replace) else ""
+
+    @property
+    def undone(self) -> str:
+        """The node that is what it was before it was replaced; empty: there is none."""
+        change = None if self.request is None else self.request.change
+        return change.name if isinstance(change, Undo) else ""
 
     @property
     def version(self) -> int:

@@ -12,7 +12,7 @@ from hierax.runtime.owner.effects import OwnerEffects, OwnerPolicy
 from hierax.runtime.owner.epoch_progress import EpochProgress
 from hierax.runtime.owner.members import Members
 from hierax.runtime.owner.plan import Plan, Request, Stage
-from hierax.runtime.owner.roster_changes import apply, removed, touched
+from hierax.runtime.owner.roster_changes import Undo, apply, removed, touched
 from hierax.schemas.changes import Detach, Replace
 from hierax.schemas.control import Dismiss, HandOver, Prepare, Ready, State, Taken, TakeOver, Unchanged
 from hierax.schemas.roster import Roster
@@ -143,6 +143,10 @@ class Planning:
             return False
         change = request.change
         lost = self._members.lost
+        if isinstance(change, Undo) and not self._replaced_process(change.name):
+            why = self._members.failures.get(change.name, "")
+            self._effects.stop(f"{why}; and the process of what {change.name} has replaced has died")
+            return False
         if not request.key and isinstance(change, Detach) and change.name not in lost:
             self.queue.remove(request)  # it is back, or detached already
             return False
@@ -154,10 +158,16 @@ class Planning:
             return False  # the epoch under way may be committed after all, with another state than was handed over
         return not self._missing(request)
 
+    def _replaced_process(self, name: str) -> str:
+        """The process that takes its place again when what has replaced it fails; empty: it has died."""
+        trial = self._members.trial
+        return trial.process if trial is not None and trial.name == name else ""
+
     def _try(self, request: Request | None, back: set[str]) -> bool:
         """Make a plan of a change and the nodes that are back; whether that could be done now."""
         version = self.highest + 1
-        roster, along = self._without_lost(request)
+        undone = request.change.name if request is not None and isinstance(request.change, Undo) else ""
+        roster, along = self._without_lost(request, undone)
         if request is not None:
             try:
                 roster = apply(roster, request.change, version, lambda _: version)
@@ -165,22 +175,23 @@ class Planning:
                 if not along:  # else it may be done already when those are
                     self.withdraw(request, str(error))
                 return False
-        back = back & roster.nodes.keys()
-        if (self._members.lost.keys() - back) & roster.nodes.keys() or not (request or along or back):
+        back = back & roster.nodes.keys() - {undone}
+        if (self._members.lost.keys() - back - {undone}) & roster.nodes.keys() or not (request or along or back):
             return False  # others are lost and not back, or there is nothing to do
         instances = {**roster.instances, **dict.fromkeys(sorted(back), version)}
         self._prepare(replace(roster, version=version, instances=instances), request, along, frozenset(back))
         return True
 
-    def _without_lost(self, request: Request | None) -> tuple[Roster, tuple[Request, ...]]:
+    def _without_lost(self, request: Request | None, undone: str) -> tuple[Roster, tuple[Request, ...]]:
         """The roster without the lost nodes that are to be detached: one after the other, each would wait for all."""
         roster = self._members.roster
         lost = self._members.lost
         along = []
         for each in self.queue:
             change = each.change
-            wanted = isinstance(change, Detach) and change.name in lost and change.name in roster.nodes
-            if each is request or not wanted or (each.key and self._progress.settled):
+            if each is request or not isinstance(change, Detach) or (each.key and self._progress.settled):
+                continue
+            if change.name not in lost or change.name not in roster.nodes or change.name == undone:
                 continue
             try:
                 smaller = apply(roster, change, roster.version + 1, lambda _: 0)
@@ -208,8 +219,11 @@ class Planning:
             if isinstance(request.change, Replace) and request.change.name not in members.lost:
                 replaced = {request.change.name: members.processes[request.change.name]}
             processes.update({name: members.newcomers[name, request.key] for name in request.new_nodes})
+            if isinstance(request.change, Undo):
+                processes[request.change.name] = self._replaced_process(request.change.name)
         waiting = set(touched(members.roster, roster)) | {roster.world}
-        self.plan = Plan(roster, processes, request, along, back, waiting, bool(members.lost), now, now, replaced)
+        urgent = bool(members.lost) or (request is not None and isinstance(request.change, Undo))
+        self.plan = Plan(roster, processes, request, along, back, waiting, urgent, now, now, replaced)
         self._tell_waiting(self.plan)
         same = Unchanged(roster.version, members.roster.version)
         for name in sorted(roster.nodes.keys() - waiting):  # so that they need not ask when the first message comes
@@ -242,10 +256,14 @@ class Planning:
             plan.waiting = set(plan.replaced)
             self._tell_waiting(plan)
             return
-        if any(name in plan.roster.nodes and name not in plan.back for name in self._members.lost):
+        away = self._members.lost.keys() - plan.back - {plan.undone}
+        if away & plan.roster.nodes.keys():
             return
         first = self._progress.epoch + 1
         self.plan = None
+        if plan.undone:
+            key = self._members.born[plan.undone][2]
+            self._answers.undo(key, f"{self._members.failures[plan.undone]}; what it was to replace goes on")
         gone = self._members.take_effect(plan, first)
         for request in plan.requests:
             if request.key:
@@ -258,7 +276,7 @@ class Planning:
 
     def _tell_waiting(self, plan: Plan) -> None:
         plan.told_s = self._clock()
-        prepare = Prepare(plan.roster.plain(), self._members.alone_in(plan))
+        prepare = Prepare(plan.roster.plain(), self._members.alone_in(plan), self._members.tried_in(plan))
         epoch, attempt = self._progress.epoch, self._progress.last_attempt
         for name in sorted(plan.waiting):
             if plan.stage is Stage.PREPARE:
@@ -303,6 +321,12 @@ class Planning:
             self.take_effect(plan)
 
     # --- plans that come to nothing
+
+    def end_trial(self) -> None:
+        """The first epoch of what replaces another node is committed."""
+        if self._members.end_trial() and self.plan is not None and self.plan.urgent:
+            self.redo(self.plan)  # it says that the node is tried still
+            self.reconsider()
 
     def redo(self, plan: Plan) -> None:
         """Plan anew, as a process died meanwhile."""

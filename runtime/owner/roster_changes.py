@@ -7,6 +7,7 @@ went in was; a change that would break it is refused in one line.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
 from typing import Any
 
 from hierax.runtime.core.errors import HierarchyError, HieraxError
@@ -21,7 +22,20 @@ class ChangeError(HieraxError):
     """A change of the roster is refused: which one, and why."""
 
 
-def apply(roster: Roster, change: Change, version: int, instances: Callable[[str], int]) -> Roster:
+@dataclass(frozen=True)
+class Undo:
+    """What a node has replaced takes its place again, with its process. Nobody asks for it: it follows on a failure.
+
+    Attributes:
+        name: of the node.
+        before: the roster before it was replaced.
+    """
+
+    name: str
+    before: Roster
+
+
+def apply(roster: Roster, change: Change | Undo, version: int, instances: Callable[[str], int]) -> Roster:
     """The roster after a change.
 
     Args:
@@ -43,6 +57,8 @@ def apply(roster: Roster, change: Change, version: int, instances: Callable[[str
         return _attach(roster, change, version, instances)
     if isinstance(change, Detach):
         return _detach(roster, change, version)
+    if isinstance(change, Undo):
+        return _undo(roster, change, version)
     return _replace(roster, change, version, instances)
 
 
@@ -134,6 +150,16 @@ def _replace(roster: Roster, change: Replace, version: int, instances: Callable[
     nodes = {**roster.nodes, name: change.reference}
     _check_hierarchy(roster.world, nodes, edges, what)
     return _successor(roster, version, nodes, edges, {name: instances(name)})
+
+
+def _undo(roster: Roster, change: Undo, version: int) -> Roster:
+    name, before = change.name, change.before
+    nodes = {**roster.nodes, name: before.nodes[name]}
+    had = [edge for edge in before.edges if name in edge.pair and edge.lower in nodes and edge.upper in nodes]
+    edges = [*(edge for edge in roster.edges if name not in edge.pair), *had]
+    _check_hierarchy(roster.world, nodes, edges, f"cannot undo what has replaced {name!r}")
+    after = _successor(roster, version, nodes, edges, {})
+    return replace(after, instances={**after.instances, name: before.instance(name)})
 
 
 def _successor(

@@ -265,7 +265,8 @@ class Checker:
 
     def _start(self, turn: Turn, base: int, roster: Roster) -> Start:
         """What one change, at most, makes of the states before it."""
-        before = self._starts.get((turn.epoch, base)) or self._after(turn.epoch - 1)
+        last = self._after(turn.epoch - 1)
+        before = self._starts.get((turn.epoch, base)) or last
         hierarchy = self.hierarchy_of(roster)
         now: dict[str, ActiveNode] = {}
         for name, reference in sorted(roster.nodes.items()):
@@ -274,6 +275,8 @@ class Checker:
                 now[name] = ActiveNode(node.initial_belief(), node.initial_policy)
             elif reference == before.roster.nodes[name]:
                 now[name] = before.states[name]
+            elif reference == last.roster.nodes.get(name):  # what replaced it has failed in this epoch
+                now[name] = last.states[name]
             else:  # no two references of a scenario are equal
                 state = before.states[name]
                 now[name] = state._replace(belief=node.take_over(state.belief))

@@ -142,6 +142,7 @@ class Keepers(Supervision):
 
     def stop(self, why: str) -> None:
         self._around.journal.trace(f"owner stops the run: {why}")
+        self._around.checker.excused |= "has replaced has died" in why  # neither of two nodes in one place can go on
         self.stopped = why
 
     def note(self, what: str) -> None:

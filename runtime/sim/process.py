@@ -20,7 +20,7 @@ from hierax.runtime.sim.forgery import forged
 from hierax.runtime.sim.inspection import Inspected, Inspector, Turn, inspected_edges
 from hierax.runtime.sim.journal import FAULT, MESSAGE, VERDICT, Journal, control_kind
 from hierax.runtime.sim.network import Host, Network
-from hierax.runtime.sim.scenario import CONTRADICT, FORETELL, RAISE, TORN, Scenario
+from hierax.runtime.sim.scenario import CONTRADICT, FORETELL, RAISE, TORN, TRIAL, Scenario
 from hierax.runtime.sim.storage import Crash, SimStorage
 from hierax.schemas.control import AskStatus, Control, Order, Prepare, decode_control
 from hierax.schemas.messages import Message, decode_message
@@ -297,7 +297,11 @@ class SimProcess(Host):
         self._around.checker.starts(self.name, self.token, self.member.engine.state, turn)
 
     def _calls(self, call: Call, epoch: int) -> None:
-        ends = [name for name in call.subject.split("->") if name in self.member.alone] if self.raises else []
+        told = call.subject.split("->")
+        if self._around.scenario.trials_fail and self.member.tried_now.intersection(told):
+            self._around.journal.count(FAULT, TRIAL)
+            raise OperatorError(call.subject, call.operator, epoch, "it fails in its first epoch")
+        ends = [name for name in told if name in self.member.alone | self.member.tried_now] if self.raises else []
         if ends:
             self.raises = False
             self._around.journal.count(FAULT, RAISE)

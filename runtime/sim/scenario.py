@@ -15,11 +15,11 @@ from hierax.schemas.roster import Reference, Roster, RosterEdge
 CRASH, WORLD, TORN, DAMAGE = "crash", "world", "torn", "damage"
 LOSS, DOUBLE, REORDER, DELAY, PARTITION = "loss", "double", "reorder", "delay", "partition"
 HANG, PAUSE, SLOW = "hang", "pause", "slow"
-BREAK, RAISE = "break", "raise"
+BREAK, RAISE, TRIAL = "break", "raise", "trial"
 STRAY, FORETELL, CONTRADICT = "stray", "foretell", "contradict"
 OF_MESSAGES = (LOSS, DOUBLE, REORDER, DELAY)
 FORGED = (STRAY, FORETELL, CONTRADICT)
-FAULTS = (CRASH, WORLD, TORN, DAMAGE, *OF_MESSAGES, PARTITION, HANG, PAUSE, SLOW, RAISE, *FORGED, BREAK)
+FAULTS = (CRASH, WORLD, TORN, DAMAGE, *OF_MESSAGES, PARTITION, HANG, PAUSE, SLOW, RAISE, *FORGED, BREAK, TRIAL)
 """All kinds of faults.
 
 crash: a node's process dies at one of its calls. world: so does the world's. torn: a
@@ -29,9 +29,10 @@ long, for a while. partition: processes are cut off and joined again. hang: a pr
 in an operator; pause: it does not run at all; slow: it takes its time for a while. break:
 the link between two processes breaks, what is under way on it is lost, and after a while
 it is mended, which both are told. raise: an operator or edge function raises, of a node
-that fails alone. stray, foretell, contradict: somebody else makes another message of one
-that a process has taken in: one that has no place there; one of an attempt that nobody
-has begun; one that says something else, which ends the run.
+that fails alone; trial: of any that replaces another, in its first epoch. stray, foretell,
+contradict: somebody else makes another message of one that a process has taken in: one
+that has no place there; one of an attempt that nobody has begun; one that says something
+else, which ends the run.
 """
 
 _NEED_DEADLINE = frozenset({DAMAGE, LOSS, PARTITION, HANG, FORETELL})
@@ -114,6 +115,7 @@ class Scenario:
         on_uncertain_act: of the world.
         on_loss, rejoin_timeout_s: by node.
         left_dead: nodes whose processes are not started again.
+        trials_fail: whether whatever replaces a node raises in its first epoch.
         epoch_deadline_s: how long an epoch may take before it is asked who waits for whom; None: for ever, so
             that nothing but what befalls the run itself can make it go on.
     """
@@ -128,6 +130,7 @@ class Scenario:
     on_loss: Mapping[str, str] = field(default_factory=dict)
     rejoin_timeout_s: Mapping[str, float] = field(default_factory=dict)
     left_dead: frozenset[str] = frozenset()
+    trials_fail: bool = False
     epoch_deadline_s: float | None = 0.3
 
     @property
@@ -157,7 +160,7 @@ def draw_scenario(seed: int, faults: Collection[str] = FAULTS, epochs: int | Non
     proposals = _proposals(rng, roster, span_s)
     names = sorted(set(roster.nodes) - {WORLD_NAME}) + [p for p in NAMES[:3] if p not in roster.nodes]
     detached = frozenset(name for name in names if rng.random() < 0.2)
-    rare = (BREAK, CONTRADICT)
+    rare = (BREAK, CONTRADICT, TRIAL)
     befalls = _faults(rng, tuple(kind for kind in FAULTS if kind in faults and kind not in rare), names, span_s)
     if BREAK in faults:
         befalls += _breaks(Random(f"{seed}/breaks"), [*names, WORLD_NAME], span_s, only=len(faults) == 1)
@@ -175,6 +178,7 @@ def draw_scenario(seed: int, faults: Collection[str] = FAULTS, epochs: int | Non
         rejoin_timeout_s={name: rng.choice((0.05, 0.5, 5.0)) for name in names},
         left_dead=frozenset(name for name in sorted(detached) if rng.random() < 0.3),
         epoch_deadline_s=0.3 if not befalls or _NEED_DEADLINE & {fault.kind for fault in befalls} else None,
+        trials_fail=TRIAL in faults and Random(f"{seed}/trials").random() < (0.7 if len(faults) == 1 else 0.2),
     )
 
 

@@ -6,7 +6,7 @@ import logging
 import socket
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from typing import Any
 
 import zenoh
@@ -30,6 +30,9 @@ LOOK_AGAIN_S = 0.02
 
 INTRODUCE_S = 0.3
 """How long it takes at most until everybody has heard of everybody."""
+
+LEAVE_S = 1.0
+"""How long processes that are kept elsewhere may take to go when the run is over."""
 
 KNOCK_TIMEOUT_S = 5.0
 
@@ -61,6 +64,7 @@ class Hub:
         self._introduces = threading.Lock()
         self._queryable: Any = None
         self._watcher: Any = None
+        self._on_gone: Callable[[str, str], None] | None = None
         self._subscriber: Any = None
         if progress is not None:
             self._subscriber = self._session.declare_subscriber(keys.epochs, _teller(progress))
@@ -87,11 +91,11 @@ class Hub:
         self._queryable = self._session.declare_queryable(key, answer)
 
     def stop_serving(self) -> None:
-        """Answer nothing any more, and watch nobody."""
-        for declared in (self._queryable, self._watcher):
-            if declared is not None:
-                declared.undeclare()
-        self._queryable = self._watcher = None
+        """Answer nothing any more, and tell of nobody who goes."""
+        self._on_gone = None
+        if self._queryable is not None:
+            self._queryable.undeclare()
+        self._queryable = None
 
     def watch(self, on_gone: Callable[[str, str], None]) -> None:
         """Tell of every process of a node that is gone, or cut off: the node's name and the process's token."""
@@ -100,10 +104,13 @@ class Hub:
             name, token = str(sample.key_expr).split("/")[-2:]
             if sample.kind == zenoh.SampleKind.DELETE:
                 self._living.discard(token)
-                on_gone(name, token)
+                tell = self._on_gone
+                if tell is not None:
+                    tell(name, token)
             else:
                 self._living.add(token)
 
+        self._on_gone = on_gone
         liveliness = self._session.liveliness()
         self._watcher = liveliness.declare_subscriber(self._keys.alive("*"), changed, history=True)
 
@@ -143,6 +150,24 @@ class Hub:
             self._session.put(self._keys.control(process), encode_control(Dismiss(why, again)))
         except zenoh.ZError as error:
             _log.info("%s is not dismissed: %s", process, error)
+
+    def dismiss_all(self, reasons: Mapping[str, str]) -> None:
+        """Tell processes that are kept elsewhere that the run is over, again and again until they are gone.
+
+        Once is not enough: what is put into a session that is closed then, or on a link that is full, may be lost.
+
+        Args:
+            reasons: what they are told, by token.
+        """
+        patience_s = time.monotonic() + LEAVE_S
+        told = dict(reasons)
+        while told:
+            for process, why in told.items():
+                self.dismiss(process, why)
+            if time.monotonic() > patience_s:
+                return
+            time.sleep(LOOK_AGAIN_S)
+            told = {process: why for process, why in told.items() if process in self._living}
 
     def note(self, what: str) -> None:
         """Tell whoever records what happens, if somebody does."""

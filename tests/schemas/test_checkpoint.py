@@ -22,6 +22,7 @@ from hierax.schemas.checkpoint import (
     decode_state,
     decode_world,
     encode_checkpoint,
+    encode_trial,
     encode_world,
 )
 from hierax.schemas.errors import SchemaError
@@ -50,6 +51,7 @@ WORLD = WorldRecord(
     state=START,
     intended=6,
     acted=5,
+    trial=encode_trial("arm", ROSTER, ("token", 2, 5, ""), True),
 )
 CHECKPOINT_BYTES = bytes.fromhex(
     "98 01 07 01 02 03 c3"
@@ -198,7 +200,7 @@ def test_a_record_too_large_is_refused() -> None:
         (encode_value((2, "of another version")), "checkpoint.format", "format 2; this version reads format 1"),
         (encode_value((True, *CHECKPOINT)), "checkpoint.format", "format True; this version reads format 1"),
         (encode_value((1, *CHECKPOINT, 0)), "checkpoint", "expected an array of 8 fields, got 9"),
-        (encode_world(WORLD), "checkpoint", "expected an array of 8 fields, got 12"),
+        (encode_world(WORLD), "checkpoint", "expected an array of 8 fields, got 14"),
     ],
 )
 def test_other_bytes_are_no_checkpoint(data: bytes, where: str, what: str) -> None:
@@ -208,7 +210,7 @@ def test_other_bytes_are_no_checkpoint(data: bytes, where: str, what: str) -> No
 
 
 def test_a_checkpoint_is_no_world_record() -> None:
-    with pytest.raises(SchemaError, match="record: expected an array of 12 fields, got 8"):
+    with pytest.raises(SchemaError, match="record: expected an array of 14 fields, got 8"):
         decode_world(encode_checkpoint(CHECKPOINT))
 
 

@@ -178,6 +178,16 @@ def _check_end(path: Path, data: bytes) -> None:
             raise DataError(f"{path}: cut off; expected a whole {name} image")
 
 
+def check_no_results(path: Path) -> None:
+    """See that nothing is lost where a results file is begun: a header alone, a process had begun that was killed.
+
+    Raises:
+        DataError: there is something in the file already.
+    """
+    if path.is_file() and path.stat().st_size > len(RESULTS_HEADER) + 1:
+        raise DataError(f"{path}: is there already; --overwrite replaces it, or name another file")
+
+
 class ResultsFile:
     """Writes a BOP results file: ``scene_id,im_id,obj_id,score,R,t,time``, one pose a line, after that header.
 

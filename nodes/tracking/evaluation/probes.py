@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from hierax.nodes.tracking.datasets.bop import ResultsFile
+from hierax.nodes.tracking.datasets.bop import ResultsFile, check_no_results
 from hierax.nodes.tracking.math.geometry import invert
 from hierax.runtime import Probe, Step
 
@@ -34,7 +34,7 @@ class BopResults(Probe):
         """Begin the files.
 
         Raises:
-            DataError: one cannot be written.
+            DataError: one cannot be written, or there are poses in it already, and it may not be written over.
         """
         self._begin(output, again=False)
 
@@ -64,6 +64,9 @@ class BopResults(Probe):
         paths = [Path(self._file)] if self._file is not None else []
         paths += [output / POSES_FILE] if output is not None else []
         different = {path.resolve(): path for path in paths}
+        if not (again or self.overwrite):
+            for path in different.values():
+                check_no_results(path)
         self._results = []
         for path in different.values():
             self._results.append(ResultsFile(path, self._scene_id, again))

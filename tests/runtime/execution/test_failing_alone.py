@@ -76,6 +76,58 @@ def test_in_its_first_epoch_and_later(
     assert run(tmp_path, capsys, f"5:attach:{later}")["digest"] == expected != undisturbed["digest"]
 
 
+def replacement(folder: Path, fails: str, at: int, policy: str = "") -> Path:
+    """What takes the place of `high`, below it `low` as ever: at one place it fails, from an epoch on."""
+    path = folder / f"high-{fails}-{at}{len(policy)}.yaml"
+    operator = fails if fails in OPERATORS else "none"
+    parameters = f"name: high, operator: {operator}, epoch: {at}, generation: 1"
+    text = f'nodes:\n  high: {{class: "support.failing_nodes:Failing", parameters: {{{parameters}}}{policy}}}\n'
+    if fails not in OPERATORS:
+        functions = {name: "MIX" if name != fails else "FAILING_MIX" for name in FUNCTIONS[:3]}
+        epochs = {name: f", epoch: {at}" if name == fails else "" for name in FUNCTIONS}
+        text += "edges:\n  low -> high:\n"
+        for name, function in functions.items():
+            text += f'    {name}: {{function: "{globals()[function]}", parameters: {{name: z{name}{epochs[name]}}}}}\n'
+    path.write_text(text)
+    return path
+
+
+@pytest.mark.parametrize("policy", ["", ", on_loss: detach"])
+@pytest.mark.parametrize("fails", [*OPERATORS, *FUNCTIONS[:3]])
+def test_what_replaces_another_and_fails_at_once_is_undone(
+    fails: str, policy: str, tmp_path: Path, capsys: pytest.CaptureFixture[str], caplog: pytest.LogCaptureFixture
+) -> None:
+    undisturbed = run(tmp_path, capsys)
+    undone = run(tmp_path, capsys, f"5:replace:high:{replacement(tmp_path, fails, 5, policy)}")
+    assert undone["digest"] == undisturbed["digest"], "it was never there"
+    assert undone["nodes"] == undisturbed["nodes"]
+    (line,) = [record.getMessage() for record in caplog.records]
+    assert " in epoch 5: RuntimeError: out of luck (" in line
+    assert line.endswith("; what high has replaced goes on")
+
+
+def test_what_replaces_another_and_fails_later_ends_the_run_or_is_detached(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for fails in ("observe", "context"):
+        change = f"5:replace:high:{replacement(tmp_path, fails, 6)}"
+        failed = run(tmp_path, capsys, change, code=1)
+        assert " in epoch 6: RuntimeError: out of luck" in failed["error"]
+        alone = f"5:replace:high:{replacement(tmp_path, fails, 6, ', on_loss: detach')}"
+        expected = run(tmp_path, capsys, alone, "6:detach:high")
+        assert run(tmp_path, capsys, alone)["digest"] == expected["digest"]
+
+
+@pytest.mark.parametrize("settings", [("staleness=1", "exact=true"), ("staleness=null",)])
+def test_where_epochs_overlap_what_was_replaced_goes_on(
+    settings: tuple[str, ...], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for fails in ("observe", "sense", "context"):
+        report = run(tmp_path, capsys, f"5:replace:high:{replacement(tmp_path, fails, 1)}", settings=settings)
+        assert report["epochs"] == 12
+        assert sorted(report["nodes"]) == ["high", "low", "world"]
+
+
 def test_what_only_it_joins_to_the_world_goes_with_it(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     path = snippet(tmp_path, "observe", 7)
     further = tmp_path / "further.yaml"

@@ -10,7 +10,7 @@ from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import pytest
-from support.live import MIXING, Live, Program, until
+from support.live import DEPLOYMENT, MIXING, Live, Program, until
 
 BULKY = "support.live_nodes:Bulky"
 
@@ -48,6 +48,21 @@ def test_what_comes_too_early_for_a_replacement_is_a_line_in_its_log_and_none_on
     assert len([line for line in told if "refused" in line]) <= 3
     live.ends()
     assert not [line for line in live.launch.err if "refused" in line]
+
+
+def test_a_world_by_itself_is_joined_and_left(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    alone = DEPLOYMENT[: DEPLOYMENT.index("  low: ")]
+    monkeypatch.setattr("support.live.DEPLOYMENT", alone)
+    live = Live(tmp_path)
+    try:
+        top = live.snippet("top", "world")
+        schedule = [f"{live.change('attach', top)}:attach:{top}"]
+        live.goes_on()
+        schedule.append(f"{live.change('detach', 'top')}:detach:top")
+        live.goes_on()
+        live.is_repeated_by(*schedule)
+    finally:
+        live.close()
 
 
 def test_low_latency_links_hand_over_short_beliefs_and_say_what_is_too_long(tmp_path: Path) -> None:
@@ -132,6 +147,21 @@ def test_what_fails_in_its_first_epoch_is_refused_and_the_run_goes_on(live: Live
         assert ("a set cannot be sent" if "SetMix" in what else "RuntimeError: out of luck (") in done.stderr
     assert live.run["nodes"].keys() == {"world", "low", "high"}
     live.goes_on()
+    live.is_repeated_by()
+
+
+def test_what_replaces_another_and_fails_in_its_first_epoch_is_undone(live: Live) -> None:
+    instead = live.folder / "instead.yaml"
+    node = 'nodes:\n  high: {class: "support.failing_nodes:Failing", parameters: {name: high, operator: observe}%s}\n'
+    before = live.run["nodes"]["high"]
+    for policy in ("", ", on_loss: detach"):
+        instead.write_text(node % policy, encoding="utf-8")
+        done = live.hierax("replace", "high", str(instead))
+        assert (done.returncode, len(done.stderr.splitlines())) == (1, 1), done.stderr
+        assert re.match(r"error: high: observe in epoch \d+: RuntimeError: out of luck \(", done.stderr), done.stderr
+        assert done.stderr.endswith("; what it was to replace goes on\n")
+    live.goes_on()
+    assert live.run["nodes"]["high"] == before, "the same process, not started again"
     live.is_repeated_by()
 
 

@@ -107,6 +107,21 @@ def test_questions_that_are_none_are_refused(live: Live, stranger: Stranger) -> 
     live.goes_on()
 
 
+def test_a_dismissal_of_a_process_that_is_kept_elsewhere_is_asked_about(live: Live, stranger: Stranger) -> None:
+    path = live.snippet("top", "high", policy=", on_loss: restart")
+    keeper = live.start("attach", path, "--here", "--deployment", str(live.file))
+    first = int(keeper.says("attached top at epoch").split()[-1])
+    token = live.run["nodes"]["top"]["process"]
+    stranger.say(token, Dismiss("go away"))
+    keeper.says("somebody has dismissed its process, and not the launch; it is started again")
+    until(lambda: live.run["nodes"].get("top", {}).get("process") not in (None, token), "another process")
+    live.goes_on()
+    report = live.ends()
+    assert report["digest"] == live.repeated(report["epochs"], f"{first}:attach:{path}")["digest"], live.launch.err
+    assert keeper.ends() == 0, (keeper.err, live.launch.err)
+    assert keeper.err[-1] == "hierax: top: its process exits: top: the run is over\n"
+
+
 def test_an_attempt_that_nobody_has_begun_is_refused_or_overtaken(live: Live, stranger: Stranger) -> None:
     """Far ahead it is refused; near by the epoch is begun again, after it: the digests stay as they are."""
     for attempt in (10**9, 7):

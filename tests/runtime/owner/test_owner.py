@@ -235,10 +235,74 @@ def test_a_replace_hands_the_state_over() -> None:
     assert owned.hear(State("high", 1, b"state")) == [("high.2", TakeOver(1, 1, 0, b"state"))]
     assert owned.hear(State("high", 1, b"state")) == [], "one that is said twice counts once"
     assert owned.hear(Taken("low", 1, "who asks?"), Taken("stranger", 1, "")) == []
-    begins, dismisses = owned.hear(Taken("high", 1, ""))
-    assert begins == ("begin", 2, 0, 1)
-    assert dismisses[0] == "high.1"
-    assert isinstance(dismisses[1], Dismiss)
+    assert owned.hear(Taken("high", 1, "")) == [("begin", 2, 0, 1)]
+    assert owned.hear(join("high.1", 1, active=True)) == [], "it waits until what replaces it has done an epoch"
+    begins, dismisses, answers = owned.commit()
+    assert begins == ("begin", 3, 0, 1)
+    assert dismisses == ("high.1", Dismiss("high: another process runs it from epoch 2 on"))
+    assert answers == ("answer", "c1", 2, "")
+
+
+def fails(owned: Owned) -> list[tuple[Any, ...]]:
+    """What the owner calls when what replaces a node has failed in its first epoch."""
+    owned.hear(State("high", 1, b"state"), Taken("high", 1, ""))
+    return owned.hear(Failed("low", "low.1", 1, "low->high", "low->high: sense in epoch 2: out of luck"))
+
+
+def test_what_fails_in_the_place_of_another_is_undone() -> None:
+    owned = replaced()
+    calls = fails(owned)
+    assert sorted(prepares(calls)) == ["high.1", "low.1", "world.1"], "the process that was replaced is there still"
+    (order,) = [order for who, order, *_ in calls if who == "high.1"]
+    assert Roster.read(order.roster).instances.get("high", 0) == 0
+    assert (order.alone, order.tried) == ((), ())
+    assert fails(owned) == [], "said twice"
+    answers, begins, dismisses = owned.ready(2, "high.1", "low.1", "world.1")
+    why = "low->high: sense in epoch 2: out of luck; what it was to replace goes on"
+    assert answers == ("answer", "c1", 0, why)
+    assert begins == ("begin", 2, 1, 2)
+    assert dismisses[0] == "high.2"
+    assert owned.owner.roster.content_hash() == CHAIN.content_hash()
+    assert owned.owner.born("high") == (0, 1, "")
+    assert owned.commit() == [("begin", 3, 0, 2)]
+
+
+def test_who_is_told_of_a_trial() -> None:
+    owned = begun()
+    owned.hear(propose(Replace("high", OTHER)))
+    calls = owned.hear(join("high.2", request="c1"))
+    assert {order.tried for _, order in calls[1:]} == {("high",)}
+    owned.ready(1, "high.2", "low.1", "world.1")
+    owned.commit()
+    owned.hear(State("high", 1, b"state"), Taken("high", 1, ""))
+    owned.hear(Lost("low", "low.1", True))
+    calls = owned.hear(join("low.2", 1, version=0))
+    assert {order.tried for _, order in calls[1:]} == {("high",)}, "its first epoch is begun again"
+    owned.ready(2, "high.2", "low.2", "world.1")
+    assert {order.tried for _, order in owned.hear(propose(Detach("high"), "c2"))[1:]} == {()}
+
+
+def test_where_what_was_replaced_has_died_the_run_ends() -> None:
+    owned = replaced()
+    owned.hear(State("high", 1, b"state"), Taken("high", 1, ""), Lost("high", "high.1", True))
+    ((kind, why),) = fails(owned)
+    assert kind == "stop"
+    assert why.startswith("low->high: sense in epoch 2: out of luck; and the process of what high has replaced")
+
+
+def test_an_owner_that_is_new_knows_what_is_tried() -> None:
+    roster = Roster(CHAIN.world, {**CHAIN.nodes, "high": OTHER}, CHAIN.edges, 1, {"high": 1})
+    processes = {"low": "low.1", "high": "high.2"}
+    tried = ("high", CHAIN, "high.1", (0, 1, ""), False)
+    born = {"high": (1, 2, "c1")}
+    owned = Owned(roster=roster, processes=processes, epoch=1, attempt=0, highest=1, born=born, tried=tried)
+    owned.owner.take_back("world.2")
+    owned.ready(2, "low.1", "world.2")
+    calls = owned.hear(Failed("high", "high.2", 2, "high", "high: out of luck"))
+    assert sorted(prepares(calls)) == ["high.1", "low.1", "world.2"]
+    calls = owned.ready(3, "high.1", "low.1", "world.2")
+    assert ("answer", "c1", 0, "high: out of luck; what it was to replace goes on") in calls
+    assert owned.owner.roster.content_hash() == CHAIN.content_hash()
 
 
 @pytest.mark.parametrize("when", ["before", "after"])

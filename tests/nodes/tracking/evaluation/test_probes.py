@@ -15,6 +15,7 @@ from hierax.nodes.tracking.evaluation.pictures import Pictures
 from hierax.nodes.tracking.evaluation.probes import BopResults, Truth, scene_number
 from hierax.nodes.tracking.math.geometry import invert
 from hierax.nodes.tracking.simworld.world import SimWorld
+from hierax.runtime.commands.main import main
 
 
 def grey() -> Any:
@@ -87,6 +88,37 @@ def test_one_file_named_twice_is_written_once(tmp_path: Path, again: bool) -> No
     probe.record(step(2, arm_belief(4, x=0.3)))
     probe.close()
     assert frames_of(tmp_path / "poses.csv") == [(3, 0.2), (4, 0.3)]
+
+
+@pytest.mark.parametrize("name", ["mine.csv", "poses.csv"])
+def test_poses_that_are_there_are_not_written_over(tmp_path: Path, name: str) -> None:
+    path = tmp_path / name
+    path.write_text(f"{RESULTS_HEADER}\n")
+    probe = BopResults(str(tmp_path / "mine.csv"))
+    probe.open(tmp_path)  # as of a process that was killed before the run had begun
+    probe.record(step(1, arm_belief(3, x=0.1)))
+    probe.close()
+    before = path.read_text()
+    with pytest.raises(DataError, match=rf"{name}: is there already; --overwrite replaces it, or name another file$"):
+        BopResults(str(path)).open(None)
+    assert path.read_text() == before
+    again = BopResults(str(path))
+    again.overwrite = True
+    again.open(None)
+    again.close()
+    assert read_results(path) == []
+
+
+def test_a_second_run_writes_over_them_when_asked(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = tmp_path / "poses.csv"
+    command = ["run", "tracking", "--epochs", "2", "--set", f"output={path}"]
+    assert main(command) == 0
+    before = path.read_text()
+    path.write_text(before + before.splitlines()[-1] + "\n")
+    assert main(command) == 1
+    assert f"{path}: is there already; --overwrite replaces it, or name another file" in capsys.readouterr().err
+    assert main([*command, "--overwrite"]) == 0
+    assert path.read_text() == before
 
 
 def test_what_is_lost_or_not_yet_seen_is_not_written(tmp_path: Path) -> None:
