@@ -35,7 +35,7 @@ from hierax.runtime.deployment.locating import shipped
 from hierax.runtime.deployment.read import read_deployment
 from hierax.runtime.recording.reading import Recording
 from hierax.runtime.recording.writing import CHUNK_S
-from hierax.runtime.transport.hub import ask
+from hierax.runtime.transport.launch_client import LaunchClient
 
 HIERAX = [sys.executable, "-m", "hierax.runtime.commands.main"]
 TIMEOUT_S = 120.0
@@ -69,7 +69,8 @@ class Launch:
     def run(self) -> dict[str, Any]:
         """What is known of it."""
         (file,) = (self.folder / "hierax").glob("*.json")
-        return dict(ask(json.loads(file.read_text(encoding="utf-8"))["endpoint"], {"ask": "ps"}))
+        with LaunchClient(json.loads(file.read_text(encoding="utf-8"))["endpoint"]) as client:
+            return client.ask({"ask": "ps"})
 
     def wait_for(self, condition: Callable[[], bool], what: str) -> None:
         """Wait until a condition holds."""

@@ -11,13 +11,12 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from hierax.runtime.commands.options import Format, OutputFormat
-from hierax.runtime.commands.which import Connect, Run, endpoint_of, keys_here, keys_of
+from hierax.runtime.commands.which import Connect, Run, client_of, keys_here
 
 if TYPE_CHECKING:
     from hierax.runtime.execution.plain import Json
     from hierax.runtime.tools.echoes import Echo, Edge
-    from hierax.runtime.tools.inspecting import LaunchInspector, LaunchState
-    from hierax.runtime.transport.inspection import LaunchClient
+    from hierax.runtime.transport.launch_client import LaunchClient, LaunchStatus
 
 ASK_AGAIN_S = 1.5
 """Well within the time for which nodes show copies when they are asked."""
@@ -45,12 +44,8 @@ def echo(
     output_format: OutputFormat = Format.text,
 ) -> int:
     """Show messages as they go, with size and rate, until Ctrl-C. The run never waits for this."""
-    from hierax.runtime.tools.inspecting import LaunchInspector
-    from hierax.runtime.transport.inspection import LaunchClient
-
-    endpoint = endpoint_of(run, connect)
-    with LaunchClient(endpoint, keys=keys_of(endpoint)) as client:
-        for number, each in enumerate(echoes(client, LaunchInspector(client), key), start=1):
+    with client_of(run, connect) as client:
+        for number, each in enumerate(echoes(client, key), start=1):
             if output_format is Format.json:
                 print(json.dumps(as_json(each, full), allow_nan=False), flush=True)
             else:
@@ -61,7 +56,7 @@ def echo(
     return 0
 
 
-def echoes(client: LaunchClient, inspector: LaunchInspector, pattern: str) -> Iterator[Echo]:
+def echoes(client: LaunchClient, pattern: str) -> Iterator[Echo]:
     """Messages as they come; ends when the launch does."""
     from hierax.runtime.tools.echoes import Counter
     from hierax.runtime.transport.port import TransportError
@@ -73,10 +68,10 @@ def echoes(client: LaunchClient, inspector: LaunchInspector, pattern: str) -> It
         if not came.full():  # what is left out is seen by its epoch
             came.put_nowait(data)
 
-    seen = inspector.look()
-    _ask(inspector, seen, pattern)
-    client.listen(f"{seen.keys.root}/seen/**", heard)
-    wanted = _ask(inspector, seen, pattern)
+    status = client.status()
+    _ask(client, status, pattern)
+    client.listen(f"{client.keys().root}/seen/**", heard)
+    wanted = _ask(client, status, pattern)
     asked_s = time.monotonic()
     counter = Counter()
     while True:
@@ -86,8 +81,8 @@ def echoes(client: LaunchClient, inspector: LaunchInspector, pattern: str) -> It
             data = b""
         if time.monotonic() - asked_s >= ASK_AGAIN_S:
             try:
-                seen = inspector.look()
-                wanted = _ask(inspector, seen, pattern)
+                status = client.status()
+                wanted = _ask(client, status, pattern)
             except TransportError:
                 return
             asked_s = time.monotonic()
@@ -97,13 +92,13 @@ def echoes(client: LaunchClient, inspector: LaunchInspector, pattern: str) -> It
                 yield counter.take(message, len(data))
 
 
-def _ask(inspector: LaunchInspector, seen: LaunchState, pattern: str) -> set[Edge]:
+def _ask(client: LaunchClient, status: LaunchStatus, pattern: str) -> set[Edge]:
     """Have the nodes show what is wanted for some seconds more."""
     from hierax.runtime.tools.echoes import chosen, edges_of
 
-    wanted = chosen(pattern, edges_of(inspector.pairs(seen)))
+    wanted = chosen(pattern, edges_of(client.edges(status)))
     senders = {sender for _, sender, _ in wanted}
-    inspector.ask(seen, {"look": "echo", "edges": [list(edge) for edge in wanted]}, senders & seen.nodes.keys())
+    client.ask_nodes(status, {"look": "echo", "edges": [list(edge) for edge in wanted]}, senders & status.nodes.keys())
     return set(wanted)
 
 

@@ -8,11 +8,11 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from hierax.runtime.commands.options import Format, OutputFormat
-from hierax.runtime.commands.which import Connect, Run, endpoint_of, keys_of, nodes_here
+from hierax.runtime.commands.which import Connect, Run, client_of, nodes_here
 
 if TYPE_CHECKING:
     from hierax.runtime.execution.plain import Json
-    from hierax.runtime.tools.inspecting import Answer, LaunchState
+    from hierax.runtime.transport.launch_client import Answer, LaunchStatus
 
 NodeArgument = Annotated[
     str, typer.Argument(metavar="NODE", help="A node's name.", show_default=False, autocompletion=nodes_here)
@@ -28,39 +28,35 @@ def inspect(
 ) -> int:
     """Show what a node has observed, believes, was told from above and does, after its last epoch."""
     from hierax.runtime.commands.show import print_json
-    from hierax.runtime.tools.inspecting import LaunchInspector
-    from hierax.runtime.transport.inspection import LaunchClient
 
-    endpoint = endpoint_of(run, connect)
-    with LaunchClient(endpoint, keys=keys_of(endpoint)) as client:
-        inspector = LaunchInspector(client)
-        seen = inspector.look()
-        answer = inspector.state(seen, node)
+    with client_of(run, connect) as client:
+        status = client.status()
+        answer = client.node_state(status, node)
     if output_format is Format.json:
-        print_json(as_json(seen, node, answer, full))
+        print_json(as_json(status, node, answer, full))
     else:
-        _print(seen, node, answer)
+        _print(status, node, answer)
     return 0
 
 
-def as_json(seen: LaunchState, node: str, answer: Answer, full: bool = False) -> Json:
+def as_json(status: LaunchStatus, node: str, answer: Answer, full: bool = False) -> Json:
     """All of it as plain JSON."""
     from hierax.runtime.execution.plain import plain
 
     told = {key: value for key, value in answer.items() if key != "process"}
     return {
-        "hierarchy": seen.hierarchy,
-        "run": seen.run,
+        "hierarchy": status.hierarchy,
+        "run": status.run,
         "node": node,
         **{key: plain(value, full) for key, value in told.items()},
     }
 
 
-def _print(seen: LaunchState, node: str, answer: Mapping[str, Any]) -> None:
+def _print(status: LaunchStatus, node: str, answer: Mapping[str, Any]) -> None:
     from hierax.runtime.tools.summary import tree
 
     counts = {True: "committed", False: "not committed yet", None: "epochs overlap"}[answer["committed"]]
-    print(f"{node} of {seen.hierarchy}, run {seen.run}: after epoch {answer['epoch']} ({counts})")
+    print(f"{node} of {status.hierarchy}, run {status.run}: after epoch {answer['epoch']} ({counts})")
     print(f"class  {answer['class']}")
     for where in ("below", "above"):
         print(f"{where}  {', '.join(answer[where]) or 'nothing'}")

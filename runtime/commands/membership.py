@@ -12,13 +12,14 @@ import typer
 
 from hierax.runtime.commands.errors import CommandError
 from hierax.runtime.commands.options import Format, OutputFormat, Trust
-from hierax.runtime.commands.which import Connect, Run, endpoint_of, keys_of, nodes_here
+from hierax.runtime.commands.which import Connect, Run, client_at, client_of, endpoint_of, known_run, nodes_here
 
 if TYPE_CHECKING:
     from hierax.runtime.deployment import Deployment
     from hierax.runtime.deployment.deployment import RestartPolicy
     from hierax.runtime.launch.here import AttachedHere
     from hierax.runtime.launch.run_file import Running
+    from hierax.runtime.transport.launch_client import LaunchClient
     from hierax.schemas.changes import Attach, Change
 
 _LOOPBACK = re.compile(r"[a-z]+/(127\.|localhost|\[::1\])")
@@ -88,13 +89,16 @@ def attach(
             "--here: give the launch's deployment file by --deployment, as no launch of yours answers there: what runs "
             "here is what that file and SOURCE name; or --trust, to run whatever the launch names"
         )
-    file = _deployment(endpoint, deployment)
-    change = read_attach(source, file)
-    restarts = read_restarts(source, file, attached=True)
-    what = f"attached {', '.join(change.nodes)}"
-    if here:
-        return _keep_here(change, restarts, what, _here(source, change, own, trust, endpoint, host), output_format)
-    return _tell(_change(endpoint, change, restarts), what, output_format)
+    with client_at(endpoint) as client:
+        file = _deployment(client, deployment)
+        change = read_attach(source, file)
+        restarts = read_restarts(source, file, attached=True)
+        what = f"attached {', '.join(change.nodes)}"
+        if not here:
+            return _print_epoch(_change(client, change, restarts), what, output_format)
+        named = _here(source, change, own, trust, endpoint, host)
+        offer = _change(client, change, restarts, here=True, host=named.host)
+    return _run_here(offer, restarts, what, named, output_format)
 
 
 def detach(
@@ -107,7 +111,8 @@ def detach(
     """Detach a node from a hierarchy that runs, and print the epoch at which it took effect."""
     from hierax.schemas.changes import Detach
 
-    return _tell(_change(endpoint_of(run, connect), Detach(node, cascade), {}), f"detached {node}", output_format)
+    with client_of(run, connect) as client:
+        return _print_epoch(_change(client, Detach(node, cascade), {}), f"detached {node}", output_format)
 
 
 def replace(
@@ -121,11 +126,10 @@ def replace(
     """Let another class or other parameters take a node's place and belief, and print the epoch."""
     from hierax.runtime.deployment.snippet import read_replace, read_restarts
 
-    endpoint = endpoint_of(run, connect)
-    file = _deployment(endpoint, deployment)
-    change = read_replace(source, node, file)
-    answer = _change(endpoint, change, read_restarts(source, file))
-    return _tell(answer, f"replaced {node}", output_format)
+    with client_of(run, connect) as client:
+        file = _deployment(client, deployment)
+        answer = _change(client, read_replace(source, node, file), read_restarts(source, file))
+        return _print_epoch(answer, f"replaced {node}", output_format)
 
 
 def ps(
@@ -161,7 +165,7 @@ def ps(
 def _awaited(run: str | None, connect: str | None, what: str) -> tuple[list[dict[str, Any]], list[str]]:
     """What runs, when one of it has come to an epoch, or has a node."""
     from hierax.runtime.core.errors import HieraxError
-    from hierax.runtime.transport.hub import is_gone
+    from hierax.runtime.transport.launch_client import is_gone
     from hierax.runtime.transport.port import TransportError
 
     wanted = f"committed epoch {what}" if what.isdigit() else f"a node {what!r}"
@@ -192,13 +196,15 @@ def _runs(run: str | None, connect: str | None) -> tuple[list[dict[str, Any]], l
     from hierax.runtime.transport.port import TransportError
 
     if run is not None or connect is not None:
-        return [_ask(endpoint_of(run, connect), {"ask": "ps"})], []
+        with client_of(run, connect) as client:
+            return [client.ask({"ask": "ps"})], []
     found: list[dict[str, Any]] = []
     silent: list[str] = []
 
     def look(running: Running) -> None:
         try:
-            found.append(_ask(running.endpoint, {"ask": "ps"}))
+            with client_at(running.endpoint, running) as client:
+                found.append(client.ask({"ask": "ps"}))
         except TransportError:
             if running.alive:  # else it is over since it was listed
                 silent.append(f"{running.run} ({running.hierarchy}, process {running.pid})")
@@ -222,19 +228,18 @@ def _print_runs(runs: Sequence[Mapping[str, Any]]) -> None:
         print_table({"node": {}, "state": {}, "pid": right, "instance": right, "restarts": right}, rows)
 
 
-def _deployment(endpoint: str, file: str | None) -> Deployment:
+def _deployment(client: LaunchClient, file: str | None) -> Deployment:
     from hierax.runtime.deployment.read import read_deployment
 
-    said = _ask(endpoint, {"ask": "ps"})
+    said = client.ask({"ask": "ps"})
     return read_deployment(file or said["file"], said["settings"])
 
 
 def _own_deployment(endpoint: str, file: str | None) -> Deployment | None:
     """The deployment of a launch as its user on this machine knows it; None: no more is known than the launch says."""
     from hierax.runtime.deployment.read import read_deployment
-    from hierax.runtime.launch.run_file import known_runs
 
-    running = next((each for each in known_runs() if each.endpoint == endpoint), None)
+    running = known_run(endpoint)
     if running is not None:
         return read_deployment(file or running.deployment, running.settings)
     return None if file is None else read_deployment(file)  # with the launch's settings it could name anything
@@ -263,26 +268,15 @@ def _here(
     return AttachedHere(change.nodes, allowance, trust, import_paths, endpoint, host or "", settings)
 
 
-def _ask(endpoint: str, question: Mapping[str, Any]) -> dict[str, Any]:
-    from hierax.runtime.transport.hub import ask
-
-    answer = ask(endpoint, dict(question), timeout_s=TIMEOUT_S, keys=keys_of(endpoint))
-    if not isinstance(answer, dict):
-        raise CommandError(f"the launch at {endpoint} gave an answer that is no map")
-    if "refusal" in answer:
-        raise CommandError(str(answer["refusal"]))
-    return answer
-
-
 def _change(
-    endpoint: str, change: Change, restarts: Mapping[str, RestartPolicy], here: bool = False, host: str = ""
+    client: LaunchClient, change: Change, restarts: Mapping[str, RestartPolicy], here: bool = False, host: str = ""
 ) -> dict[str, Any]:
     policies = {name: vars(policy) for name, policy in restarts.items()}
     question = {"ask": "change", "change": change.plain(), "restarts": policies, "here": here, "host": host}
-    return _ask(endpoint, question)
+    return client.ask(question, TIMEOUT_S)
 
 
-def _tell(answer: Mapping[str, Any], what: str, output_format: Format) -> int:
+def _print_epoch(answer: Mapping[str, Any], what: str, output_format: Format) -> int:
     from hierax.runtime.commands.show import print_json
 
     if output_format is Format.json:
@@ -292,21 +286,24 @@ def _tell(answer: Mapping[str, Any], what: str, output_format: Format) -> int:
     return 0
 
 
-def _keep_here(
-    change: Attach, restarts: Mapping[str, RestartPolicy], what: str, here: AttachedHere, output_format: Format
+def _run_here(
+    offer: Mapping[str, Any],
+    restarts: Mapping[str, RestartPolicy],
+    what: str,
+    here: AttachedHere,
+    output_format: Format,
 ) -> int:
     from hierax.runtime.launch.local_keeper import keep
 
-    endpoint = here.endpoint
-    offer = _change(endpoint, change, restarts, here=True, host=here.host)
     request = offer.get("request")
     if not isinstance(request, str):
-        raise CommandError(f"the launch at {endpoint} gave no order, and no reason")
+        raise CommandError(f"the launch at {here.endpoint} gave no order, and no reason")
 
-    def told() -> None:
-        _tell(_ask(endpoint, {"ask": "await", "request": request}), what, output_format)
+    def await_change() -> None:
+        with client_at(here.endpoint) as client:
+            _print_epoch(client.ask({"ask": "await", "request": request}, TIMEOUT_S), what, output_format)
 
     def say(line: str) -> None:
         print(f"hierax: {line}", file=sys.stderr, flush=True)
 
-    return keep(offer.get("orders"), request, here, restarts, told, say)
+    return keep(offer.get("orders"), request, here, restarts, await_change, say)

@@ -13,7 +13,7 @@ import typer
 from hierax.runtime.commands.errors import CommandError
 from hierax.runtime.commands.options import LARGEST, Format, OutputFormat, Overwrite
 from hierax.runtime.commands.recordings import Exclude, MaxDuration, MaxSize, claimed_file, selection_of, tell_ending
-from hierax.runtime.commands.which import Connect, Run, endpoint_of, keys_of
+from hierax.runtime.commands.which import Connect, Run, client_of
 
 
 def record(
@@ -51,19 +51,15 @@ def record(
     from hierax.runtime.commands.show import print_json
     from hierax.runtime.recording.info import RunInfo
     from hierax.runtime.recording.live_recording import LiveRecording
-    from hierax.runtime.transport.hub import ask
 
     if hierarchy is not None and run is not None:
         raise CommandError("give the launch or --run, not both")
     selection = selection_of(exclude, max_size, max_duration)
     with claimed_file(output, overwrite) as target:
-        endpoint = endpoint_of(run if hierarchy is None else hierarchy, connect)
-        said = ask(endpoint, {"ask": "record", "pid": 0 if connect else os.getpid()}, keys=keys_of(endpoint))
-        if not isinstance(said, dict) or "refusal" in said:
-            raise CommandError(f"the launch at {endpoint} cannot be recorded: {said}")
-        info = RunInfo.read(said)
+        with client_of(run if hierarchy is None else hierarchy, connect) as client:
+            info = RunInfo.read(client.ask({"ask": "record", "pid": 0 if connect else os.getpid()}))
         recording = LiveRecording(
-            info, endpoint, target, check=False, host=host, epochs=epochs, watches=True, selection=selection
+            info, client.endpoint, target, check=False, host=host, epochs=epochs, watches=True, selection=selection
         )
         for number in (signal.SIGINT, signal.SIGTERM):
             signal.signal(number, lambda *_: recording.stop())

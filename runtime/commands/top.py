@@ -11,12 +11,12 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from hierax.runtime.commands.options import Format, OutputFormat
-from hierax.runtime.commands.which import Connect, Run, endpoint_of, keys_of
+from hierax.runtime.commands.which import Connect, Run, client_of
 
 if TYPE_CHECKING:
     from rich.table import Table
 
-    from hierax.runtime.tools.inspecting import LaunchInspector
+    from hierax.runtime.transport.launch_client import LaunchClient
 
 _TIMES = ("observe", "policy", "predict", "edges", "act", "other", "waiting")
 _COLUMNS = ("node", "state", "epoch", *_TIMES, "for", "cpu", "memory", "restarts")
@@ -39,12 +39,8 @@ def top(
     output_format: OutputFormat = Format.text,
 ) -> int:
     """Show where the time of a launch's nodes goes, until Ctrl-C: per epoch, in which operator, waiting for whom."""
-    from hierax.runtime.tools.inspecting import LaunchInspector
-    from hierax.runtime.transport.inspection import LaunchClient
-
-    endpoint = endpoint_of(run, connect)
-    with LaunchClient(endpoint, keys=keys_of(endpoint)) as client:
-        looks = overviews(LaunchInspector(client), interval, time.sleep)
+    with client_of(run, connect) as client:
+        looks = overviews(client, interval, time.sleep)
         if once:
             _print_one(next(looks), output_format)
         elif output_format is Format.json or not sys.stdout.isatty():
@@ -55,25 +51,22 @@ def top(
     return 0
 
 
-def overviews(
-    inspector: LaunchInspector, interval_s: float, sleep: Callable[[float], None]
-) -> Iterator[Mapping[str, Any]]:
+def overviews(client: LaunchClient, interval_s: float, sleep: Callable[[float], None]) -> Iterator[Mapping[str, Any]]:
     """One overview after the other, each of an interval; ends when the launch does."""
-    from hierax.runtime.tools.inspecting import Answer
     from hierax.runtime.tools.rates import overview
     from hierax.runtime.transport.port import TransportError
 
     question = {"look": "meter"}
-    seen = inspector.look()
-    before: dict[str, Answer] = inspector.ask(seen, question, seen.nodes)
+    status = client.status()
+    before = client.ask_nodes(status, question, status.nodes)
     while True:
         sleep(interval_s)
         try:
-            seen = inspector.look()
+            status = client.status()
         except TransportError:
             return  # it is over
-        after = inspector.ask(seen, question, seen.nodes)
-        yield overview(seen, before, after)
+        after = client.ask_nodes(status, question, status.nodes)
+        yield overview(status, before, after)
         before = after
 
 

@@ -142,17 +142,15 @@ def _of_recording(file: Path, first: int, last: int | None, trust: bool) -> Sour
 
 
 def _of_launch(run: str | None, connect: str | None, file: str | None, trust: bool) -> Source:
-    from hierax.runtime.commands.which import endpoint_of, keys_of
+    from hierax.runtime.commands.which import client_at, endpoint_of, known_run
     from hierax.runtime.core.errors import HieraxError
     from hierax.runtime.deployment.read import read_deployment
     from hierax.runtime.deployment.secrets import usable
-    from hierax.runtime.launch.run_file import known_runs
     from hierax.runtime.loading.allowance import ANYTHING
-    from hierax.runtime.transport.inspection import LaunchClient
     from hierax.runtime.viewing.live import show_launch
 
     endpoint = endpoint_of(run, connect)
-    running = next((each for each in known_runs() if each.endpoint == endpoint), None)
+    running = known_run(endpoint)
     deployment: Deployment | None = None
     try:
         if running is not None:
@@ -170,7 +168,7 @@ def _of_launch(run: str | None, connect: str | None, file: str | None, trust: bo
     allowance = ANYTHING if deployment is None or trust else deployment.allowance
 
     def show(presenter: ViewPresenter) -> None:
-        with LaunchClient(endpoint, keys=keys_of(endpoint)) as client, redirect_stdout(sys.stderr):
+        with client_at(endpoint, running) as client, redirect_stdout(sys.stderr):
             show_launch(client, presenter, allowance)
 
     return deployment, "launch" if running is None else running.hierarchy, show

@@ -14,8 +14,7 @@ from hierax.runtime.core.errors import HieraxError
 
 if TYPE_CHECKING:
     from hierax.runtime.launch.run_file import Running
-    from hierax.runtime.tools.inspecting import LaunchInspector, LaunchState
-    from hierax.schemas.keys import Keys
+    from hierax.runtime.transport.launch_client import LaunchClient, LaunchStatus
 
 _ENDPOINT = re.compile(r"[a-z]+/.+:[0-9]+")
 
@@ -88,36 +87,53 @@ def _listed(runs: Sequence[Running]) -> str:
     return ", ".join(f"{each.run} ({each.hierarchy})" for each in runs)
 
 
-def keys_of(endpoint: str) -> Keys | None:
-    """The keys of the launch at an endpoint, where it runs on this machine; None: they have to be found out."""
+def known_run(endpoint: str) -> Running | None:
+    """The launch at an endpoint, where it runs on this machine and is this user's."""
     from hierax.runtime.launch.run_file import known_runs
+
+    return next((each for each in known_runs() if each.endpoint == endpoint), None)
+
+
+def client_at(endpoint: str, running: Running | None = None) -> LaunchClient:
+    """A client of the launch at an endpoint; of one that is known here, on the keys of that run alone.
+
+    Raises:
+        TransportError: it cannot be reached.
+    """
+    from hierax.runtime.transport import launch_client
     from hierax.schemas.keys import Keys
 
-    running = next((each for each in known_runs() if each.endpoint == endpoint), None)
-    return None if running is None else Keys(running.hierarchy, running.run)
+    running = running or known_run(endpoint)
+    keys = None if running is None else Keys(running.hierarchy, running.run)
+    return launch_client.LaunchClient(endpoint, keys=keys)
 
 
-def _looks() -> Iterator[tuple[LaunchInspector, LaunchState]]:
+def client_of(run: str | None, connect: str | None) -> LaunchClient:
+    """A client of the launch that is meant.
+
+    Raises:
+        CommandError: there is none, or several; or an option is wrong.
+        TransportError: it cannot be reached.
+    """
+    return client_at(endpoint_of(run, connect))
+
+
+def _clients() -> Iterator[tuple[LaunchClient, LaunchStatus]]:
     """For completion: the launches on this machine that answer."""
     from hierax.runtime.launch.run_file import known_runs
-    from hierax.runtime.tools.inspecting import LaunchInspector
-    from hierax.runtime.transport.inspection import LaunchClient
-    from hierax.schemas.keys import Keys
 
     for running in known_runs():
-        keys = Keys(running.hierarchy, running.run)
-        with suppress(HieraxError), LaunchClient(running.endpoint, keys=keys) as client:  # it may have ended just now
-            inspector = LaunchInspector(client)
-            yield inspector, inspector.look()
+        with suppress(HieraxError), client_at(running.endpoint, running) as client:  # it may have ended just now
+            yield client, client.status()
 
 
 def nodes_here() -> list[str]:
     """For completion: the nodes of the launches on this machine."""
-    return sorted({name for _, seen in _looks() for name in seen.nodes})
+    return sorted({name for _, status in _clients() for name in status.nodes})
 
 
 def keys_here() -> list[str]:
     """For completion: the keys of the launches on this machine."""
     from hierax.runtime.tools.echoes import edges_of, short_key
 
-    return sorted({short_key(edge) for inspector, seen in _looks() for edge in edges_of(inspector.pairs(seen))})
+    return sorted({short_key(edge) for client, status in _clients() for edge in edges_of(client.edges(status))})

@@ -19,8 +19,7 @@ from hierax.runtime.launch.child import END_TIMEOUT_S, Child, Restarts, start_ch
 from hierax.runtime.launch.frames import COME_BACK, Frames, NodeOrder
 from hierax.runtime.launch.here import AttachedHere, read_orders
 from hierax.runtime.launch.overheard import Overhearing
-from hierax.runtime.transport.hub import ask, is_gone
-from hierax.runtime.transport.port import TransportError
+from hierax.runtime.transport.launch_client import LaunchClient, is_gone
 from hierax.runtime.transport.zenoh_session import remove_orphaned_segments
 from hierax.schemas.keys import Keys
 from hierax.schemas.values import Value
@@ -180,9 +179,8 @@ def _is_counted_on(order: NodeOrder) -> bool:
     if is_gone(order.hub):
         return False
     try:
-        said = ask(order.hub, {"ask": "ps"}, order.settings, SETTLE_S, Keys(order.deployment, order.run))
-    except TransportError:
+        with LaunchClient(order.hub, order.settings, Keys(order.deployment, order.run)) as client:
+            node = client.status(SETTLE_S).nodes.get(order.name, {})
+    except HieraxError:
         return False
-    nodes = said.get("nodes") if isinstance(said, dict) else None
-    node = nodes.get(order.name) if isinstance(nodes, dict) else None
-    return isinstance(node, dict) and node.get("process") == order.process
+    return node.get("process") == order.process

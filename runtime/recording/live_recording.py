@@ -26,8 +26,7 @@ from hierax.runtime.recording.info import Ending, RunInfo
 from hierax.runtime.recording.recorder import Recorder
 from hierax.runtime.recording.selection import EVERYTHING, Selection
 from hierax.runtime.recording.writing import Compression, McapFile, Target
-from hierax.runtime.transport.hub import ask
-from hierax.runtime.transport.port import TransportError
+from hierax.runtime.transport.launch_client import LaunchClient
 from hierax.runtime.transport.steps import BusTap
 from hierax.runtime.watch.logs import log_console
 from hierax.schemas.keys import Keys
@@ -43,7 +42,7 @@ QUIET_S = 0.3
 
 LOOK_S = 1.0
 CUT_OFF_LOOKS = 5
-"""How often the keeper is asked; how often in a row it has to be further, and nothing come, for a recorder to end."""
+"""How often the launch is asked; how often in a row it has to be further, and nothing come, for a recorder to end."""
 
 LISTENING, DONE, FAILED = "listening", "done", "failed"
 """What it says: it hears all from now on; how the recording ended; why there is none."""
@@ -135,12 +134,13 @@ class LiveRecording:
         return self.checker is not None and bool(self._recorder.cut)
 
     def _look(self) -> None:
-        """How far the launch is, by its keeper's words: a recorder that is cut off hears nothing, and not that."""
+        """How far the launch is, by its supervisor's words: a recorder that is cut off hears nothing, and not that."""
         said = _epoch_of(self._ear.ask({"ask": "ps"}))
         if said is None:
             self._stopping = True
-            with suppress(TransportError):  # it is over; else this session is cut off, and another one is told
-                self._last = _epoch_of(ask(self._endpoint, {"ask": "ps"}, self._settings, keys=self._keys))
+            # it is over; else this session is cut off, and another one is told
+            with suppress(HieraxError), LaunchClient(self._endpoint, self._settings, self._keys) as client:
+                self._last = _epoch_of(client.ask({"ask": "ps"}))
             return
         heard = self._recorder.ledger.last
         behind = heard < (self._last or 0)
@@ -174,7 +174,7 @@ class LiveRecording:
 
 
 def _epoch_of(said: Any) -> int | None:
-    """The last epoch by a keeper's words; None: it says none."""
+    """The last epoch by a supervisor's words; None: it says none."""
     epoch = said.get("epoch") if isinstance(said, dict) else None
     return epoch if isinstance(epoch, int) else None
 

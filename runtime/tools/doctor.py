@@ -117,7 +117,7 @@ def check_shared_memory(folder: Path = Path("/dev/shm"), locked_bytes: int | Non
 def check_loopback() -> Iterator[Finding]:
     """Whether two processes of a launch would find each other; multicast is not needed."""
     from hierax.runtime.transport.hub import Hub
-    from hierax.runtime.transport.inspection import LaunchClient
+    from hierax.runtime.transport.launch_client import LaunchClient
     from hierax.schemas.keys import Keys
 
     settings = os.environ.get("ZENOH_CONFIG")
@@ -128,7 +128,7 @@ def check_loopback() -> Iterator[Finding]:
         try:
             hub.serve(lambda question, reply: reply(question))
             with LaunchClient(hub.endpoint, keys=keys) as client:
-                client.ask_keeper({"doctor": True}, LOOP_TIMEOUT_S)
+                client.ask({"doctor": True}, LOOP_TIMEOUT_S)
         finally:
             hub.close()
     except HieraxError as error:

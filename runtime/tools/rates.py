@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from hierax.runtime.execution.plain import Json
-from hierax.runtime.tools.inspecting import Answer, LaunchState
+from hierax.runtime.transport.launch_client import Answer, LaunchStatus
 
 NS_PER_US = 1e3
 NS_PER_S = 1e9
@@ -92,21 +92,21 @@ def doing(answer: Answer) -> str:
     return f"waits for {', '.join(waited)}" if waited else "between epochs"
 
 
-def overview(seen: LaunchState, before: Mapping[str, Answer], after: Mapping[str, Answer]) -> Json:
+def overview(status: LaunchStatus, before: Mapping[str, Answer], after: Mapping[str, Answer]) -> Json:
     """All of a launch as plain JSON.
 
     Args:
-        seen: the launch.
+        status: of the launch.
         before, after: what its nodes have answered, twice; some may not have.
     """
-    nodes = {name: _node(told, before.get(name), after.get(name)) for name, told in seen.nodes.items()}
+    nodes = {name: _node(told, before.get(name), after.get(name)) for name, told in status.nodes.items()}
     rates = {name: NodeRates.between(before.get(name), answer) for name, answer in after.items()}
     quickest = max(rates.values(), key=lambda each: each.epochs_per_s, default=None)
     return {
-        "hierarchy": seen.hierarchy,
-        "run": seen.run,
-        "epoch": max([seen.epoch, *(answer["epoch"] - 1 for answer in after.values())]),
-        "roster": seen.roster,
+        "hierarchy": status.hierarchy,
+        "run": status.run,
+        "epoch": max([status.epoch, *(answer["epoch"] - 1 for answer in after.values())]),
+        "roster": status.roster,
         "epochs_per_s": 0.0 if quickest is None else quickest.epochs_per_s,
         "epoch_us": {
             "p50": None if quickest is None else quickest.epoch_us(0.5),

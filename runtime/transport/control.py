@@ -14,7 +14,10 @@ from hierax.schemas.keys import Keys
 from hierax.schemas.limits import MAX_STATE_BYTES
 
 OWNER = "owner"
-"""The owner's address; a process's is its token."""
+"""The owner's address among the control keys; a process's is its token."""
+
+SUPERVISOR = "keeper"
+"""The supervisor's address among them."""
 
 _log = logging.getLogger("hierax")
 

@@ -3,30 +3,22 @@
 from __future__ import annotations
 
 import logging
-import socket
 import threading
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Mapping
 from typing import Any
 
 import zenoh
 
+from hierax.runtime.transport.control import SUPERVISOR
 from hierax.runtime.transport.port import TransportError
-from hierax.runtime.transport.zenoh_session import LOOPBACK, Settings, close_session, free_endpoint, open_session
+from hierax.runtime.transport.queries import Reply, answer_questions
+from hierax.runtime.transport.zenoh_session import LOOPBACK, ZenohConfig, close_session, free_endpoint, open_session
 from hierax.schemas.control import Dismiss, encode_control
 from hierax.schemas.errors import SchemaError
 from hierax.schemas.keys import Keys
-from hierax.schemas.limits import MAX_NUMBER, MAX_QUESTION_BYTES
+from hierax.schemas.limits import MAX_NUMBER
 from hierax.schemas.values import Value, decode_value, encode_value
-
-KEEPER = "keeper"
-"""The keeper's address among the control keys."""
-
-FIND_TIMEOUT_S = 5.0
-FOUND_TIMEOUT_S = 2.0
-"""How long keepers may take to say which runs they keep."""
-
-LOOK_AGAIN_S = 0.02
 
 INTRODUCE_S = 0.3
 """How long it takes at most until everybody has heard of everybody."""
@@ -34,7 +26,7 @@ INTRODUCE_S = 0.3
 LEAVE_S = 1.0
 """How long processes that are kept elsewhere may take to go when the run is over."""
 
-KNOCK_TIMEOUT_S = 5.0
+LOOK_AGAIN_S = 0.02
 
 _TRIES = 5
 
@@ -46,20 +38,20 @@ class Hub:
 
     Args:
         keys: of the run.
-        settings: Zenoh's own.
+        zenoh_config: Zenoh's own configuration.
         progress: told the number of each committed epoch, from a thread of Zenoh's.
         host: address of this machine at which others may link; None: this machine's processes only.
 
     Raises:
-        TransportError: Zenoh refuses the settings, or no endpoint could be listened on.
+        TransportError: Zenoh refuses its configuration, or no endpoint could be listened on.
     """
 
     def __init__(
-        self, keys: Keys, settings: Settings, progress: Callable[[int], None] | None, host: str | None = None
+        self, keys: Keys, zenoh_config: ZenohConfig, progress: Callable[[int], None] | None, host: str | None = None
     ) -> None:
-        self.endpoint, self._session = _listen(settings, host)
+        self.endpoint, self._session = _listen(zenoh_config, host)
         self._keys = keys
-        self._settings, self._host = settings, host
+        self._zenoh_config, self._host = zenoh_config, host
         self._living: set[str] = set()
         self._introduces = threading.Lock()
         self._queryable: Any = None
@@ -67,28 +59,11 @@ class Hub:
         self._on_gone: Callable[[str, str], None] | None = None
         self._subscriber: Any = None
         if progress is not None:
-            self._subscriber = self._session.declare_subscriber(keys.epochs, _teller(progress))
+            self._subscriber = self._session.declare_subscriber(keys.epochs, _epoch_listener(progress))
 
-    def serve(self, on_query: Callable[[Value, Callable[[Value], None]], None]) -> None:
-        """Answer what is asked of the keeper: `on_query` is given the question, and what gives the answer."""
-        key = self._keys.control(KEEPER)
-
-        def answer(query: zenoh.Query) -> None:
-            def reply(value: Value) -> None:
-                with query:
-                    try:
-                        query.reply(key, encode_value(value))
-                    except zenoh.ZError as error:
-                        _log.info("an answer is not sent: %s", error)  # who asked has gone
-
-            try:
-                question = read_question(query)
-            except SchemaError as error:
-                reply({"refusal": str(error)})
-                return
-            on_query(question, reply)
-
-        self._queryable = self._session.declare_queryable(key, answer)
+    def serve(self, on_question: Callable[[Value, Reply], None]) -> None:
+        """Answer what the supervisor is asked: `on_question` is given the question, and what sends the answer."""
+        self._queryable = answer_questions(self._session, self._keys.control(SUPERVISOR), on_question)
 
     def stop_serving(self) -> None:
         """Answer nothing any more, and tell of nobody who goes."""
@@ -130,7 +105,7 @@ class Hub:
             return  # it is dead; or all are just being told
         try:
             listen = f"tcp/{self._host}:0" if self._host else LOOPBACK
-            session = open_session([listen], [self.endpoint], self._settings, shared_memory=False)
+            session = open_session([listen], [self.endpoint], self._zenoh_config, shared_memory=False)
             time.sleep(INTRODUCE_S)
             close_session(session)
         except TransportError as error:
@@ -181,155 +156,20 @@ class Hub:
         close_session(self._session)
 
 
-class Caller:
-    """Asks the keeper of one launch, through its hub, on the key of that run alone.
-
-    Args:
-        endpoint: of the hub.
-        settings: Zenoh's own.
-        keys: of the run; None: they are found out, which fails where several answer.
-
-    Raises:
-        TransportError: the launch cannot be reached.
-    """
-
-    def __init__(self, endpoint: str, settings: Settings = None, keys: Keys | None = None) -> None:
-        self._endpoint = endpoint
-        self._keys = keys
-        try:  # a client, as the processes of the run would link to a peer
-            self.session = open_session((), [endpoint], settings, shared_memory=False, mode="client")
-        except TransportError as error:
-            raise TransportError(f"the launch at {endpoint} cannot be reached: {error}") from error
-
-    def ask(self, question: Value, timeout_s: float = 60.0) -> Value:
-        """What the keeper answers.
-
-        Args:
-            question: see `hierax.runtime.launch.requests`.
-            timeout_s: how long the answer may take.
-
-        Raises:
-            TransportError: it does not answer.
-        """
-        patience = time.monotonic() + FIND_TIMEOUT_S
-        if self._keys is None:
-            self._keys = self._found(patience)
-        key = self._keys.control(KEEPER)
-        while time.monotonic() < patience:  # whom nobody has heard of yet is not waited for by `get`
-            for _, answer in self.get(key, question, timeout_s):
-                return answer
-            time.sleep(LOOK_AGAIN_S)
-        raise TransportError(f"the launch at {self._endpoint} does not answer")
-
-    def get(self, key: str, question: Value, timeout_s: float) -> Iterator[tuple[str, Value]]:
-        """The answers on keys that a key matches, as they come, each with the key on which it came.
-
-        Raises:
-            TransportError: it cannot be asked, or an answer is none.
-        """
-        try:
-            replies = self.session.get(
-                key,
-                payload=encode_value(question),
-                timeout=timeout_s,
-                target=zenoh.QueryTarget.ALL,
-                consolidation=zenoh.ConsolidationMode.NONE,
-            )
-            for reply in replies:
-                if reply.ok is not None and zenoh.KeyExpr(key).includes(reply.ok.key_expr):
-                    yield str(reply.ok.key_expr), decode_value(reply.ok.payload.to_bytes(), "answer")
-        except (zenoh.ZError, SchemaError) as error:
-            raise TransportError(f"the launch at {self._endpoint} cannot be asked: {error}") from error
-
-    def close(self) -> None:
-        """Close the session."""
-        close_session(self.session)
-
-    def _found(self, patience: float) -> Keys:
-        """The keys of the one run whose keeper answers here, and says of itself that it keeps this run."""
-        while time.monotonic() < patience:
-            found: set[tuple[str, str]] = set()
-            for key, answer in self.get(Keys("*", "*").control(KEEPER), {"ask": "ps"}, FOUND_TIMEOUT_S):
-                hierarchy, run = key.split("/")[1:3]
-                if isinstance(answer, dict) and _says(answer, "hierarchy", hierarchy) and _says(answer, "run", run):
-                    found.add((hierarchy, run))
-            if len(found) > 1:
-                named = ", ".join(sorted(f"{run} ({hierarchy})" for hierarchy, run in found))
-                raise TransportError(f"several launches answer at {self._endpoint}, and one at most is there: {named}")
-            for hierarchy, run in found:
-                return Keys(hierarchy, run)
-            time.sleep(LOOK_AGAIN_S)
-        raise TransportError(f"the launch at {self._endpoint} does not answer")
-
-
-def ask(
-    endpoint: str, question: Value, settings: Settings = None, timeout_s: float = 60.0, keys: Keys | None = None
-) -> Value:
-    """Ask a launch's keeper something, in a session for that alone.
-
-    Args:
-        endpoint, settings, keys: as `Caller` has them.
-        question: see `hierax.runtime.launch.requests`.
-        timeout_s: how long the answer may take.
-
-    Raises:
-        TransportError: it cannot be reached, or does not answer.
-    """
-    caller = Caller(endpoint, settings, keys)
-    try:
-        return caller.ask(question, timeout_s)
-    finally:
-        caller.close()
-
-
-def read_question(query: zenoh.Query) -> Value:
-    """What is asked.
-
-    Raises:
-        SchemaError: it is longer than a question may be, or no value.
-    """
-    payload = query.payload
-    size = 0 if payload is None else len(payload)
-    if payload is not None and size > MAX_QUESTION_BYTES:
-        raise SchemaError(f"{size} bytes; at most {MAX_QUESTION_BYTES} are allowed", "question")
-    return decode_value(b"" if payload is None else payload.to_bytes(), "question")
-
-
-def _says(answer: dict[str, Value], field: str, what: str) -> bool:
-    said = answer.get(field)
-    return isinstance(said, str) and said == what
-
-
-def is_gone(endpoint: str) -> bool:
-    """Whether there is no launch at an endpoint any more; not so where its machine cannot be reached.
-
-    Args:
-        endpoint: of its hub.
-    """
-    address, _, port = endpoint.partition("/")[2].rpartition(":")
-    try:
-        socket.create_connection((address.strip("[]"), int(port)), timeout=KNOCK_TIMEOUT_S).close()
-    except ConnectionRefusedError:
-        return True
-    except OSError:
-        return False
-    return False
-
-
-def _listen(settings: Settings, host: str | None) -> tuple[str, zenoh.Session]:
+def _listen(zenoh_config: ZenohConfig, host: str | None) -> tuple[str, zenoh.Session]:
     """Somebody else may take the free endpoint before we do; then another one is tried."""
     for _ in range(_TRIES - 1):
         endpoint = free_endpoint(host)
         try:
-            return endpoint, open_session(listen=[endpoint], settings=settings, shared_memory=False)
+            return endpoint, open_session(listen=[endpoint], zenoh_config=zenoh_config, shared_memory=False)
         except TransportError:
             continue
     endpoint = free_endpoint(host)
-    return endpoint, open_session(listen=[endpoint], settings=settings, shared_memory=False)
+    return endpoint, open_session(listen=[endpoint], zenoh_config=zenoh_config, shared_memory=False)
 
 
-def _teller(progress: Callable[[int], None]) -> Callable[[zenoh.Sample], None]:
-    def tell(sample: zenoh.Sample) -> None:
+def _epoch_listener(progress: Callable[[int], None]) -> Callable[[zenoh.Sample], None]:
+    def on_sample(sample: zenoh.Sample) -> None:
         try:
             epoch, _ = decode_value(sample.payload.to_bytes(), "epoch")
         except (SchemaError, ValueError, TypeError):
@@ -337,4 +177,4 @@ def _teller(progress: Callable[[int], None]) -> Callable[[zenoh.Sample], None]:
         if type(epoch) is int and 0 <= epoch <= MAX_NUMBER:
             progress(epoch)
 
-    return tell
+    return on_sample

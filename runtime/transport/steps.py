@@ -10,12 +10,13 @@ from typing import Any, NamedTuple
 
 import zenoh
 
-from hierax.runtime.transport.hub import KEEPER
+from hierax.runtime.transport.control import SUPERVISOR
 from hierax.runtime.transport.port import TransportError
-from hierax.runtime.transport.zenoh_session import Settings, close_session, open_session
+from hierax.runtime.transport.queries import answers_on
+from hierax.runtime.transport.zenoh_session import ZenohConfig, close_session, open_session
 from hierax.schemas.errors import SchemaError
 from hierax.schemas.keys import Keys
-from hierax.schemas.values import Value, decode_value, encode_value
+from hierax.schemas.values import Value
 
 CHANNEL_SIZE = 4096
 """How many samples wait for the thread that takes them in; when it is full, their senders wait."""
@@ -108,7 +109,7 @@ class BusTap:
     Args:
         endpoint: of the run's hub.
         keys: of the run.
-        settings: Zenoh's own.
+        zenoh_config: Zenoh's own configuration.
         host: address of this machine at which processes on others may link; None: this machine's only.
         queue_bytes: how much the queue holds.
 
@@ -120,12 +121,12 @@ class BusTap:
         self,
         endpoint: str,
         keys: Keys,
-        settings: Settings = None,
+        zenoh_config: ZenohConfig = None,
         host: str | None = None,
         queue_bytes: int = QUEUE_BYTES,
     ) -> None:
         listen = (f"tcp/{host}:0",) if host else ("tcp/127.0.0.1:0",)
-        self._session = open_session(listen, (endpoint,), settings)
+        self._session = open_session(listen, (endpoint,), zenoh_config)
         self._keys = keys
         self._queue_bytes = queue_bytes
         self._queue: deque[Sample] = deque()
@@ -158,15 +159,12 @@ class BusTap:
         return list(dropped)
 
     def ask(self, question: Value, timeout_s: float = ANSWER_TIMEOUT_S) -> Value:
-        """Ask the launch's keeper something; None: it does not answer."""
-        key = self._keys.control(KEEPER)
+        """Ask the launch's supervisor something, in the session that listens; None: it does not answer."""
         try:
-            for reply in self._session.get(key, payload=encode_value(question), timeout=timeout_s):
-                if reply.ok is not None:
-                    return decode_value(reply.ok.payload.to_bytes(), "answer")
+            answers = answers_on(self._session, self._keys.control(SUPERVISOR), question, timeout_s)
+            return next((answer for _, answer in answers), None)
         except (zenoh.ZError, SchemaError):
             return None
-        return None
 
     def wake(self) -> None:
         """Make `wait` return."""

@@ -21,8 +21,8 @@ from hierax.runtime.transport.port import TransportError
 LOOPBACK = "tcp/127.0.0.1:0"
 """Where a session listens unless told otherwise: a free port that no other machine reaches."""
 
-Settings: TypeAlias = "str | Mapping[str, Any] | None"
-"""Zenoh's own settings: the path of a JSON5 file, JSON5 text in braces, or a map."""
+ZenohConfig: TypeAlias = "str | Mapping[str, Any] | None"
+"""Zenoh's own configuration: the path of a JSON5 file, JSON5 text in braces, or a map."""
 
 LOGGED = "error,zenoh::api::session=off,zenoh::net::protocol::gossip=off"
 """What Zenoh prints, where RUST_LOG says nothing.
@@ -59,7 +59,7 @@ _BATCH = "transport/link/tx/batch_size"
 def open_session(
     listen: Sequence[str] = (LOOPBACK,),
     connect: Sequence[str] = (),
-    settings: Settings = None,
+    zenoh_config: ZenohConfig = None,
     shared_memory: bool = True,
     mode: Literal["peer", "client"] = "peer",
     low_latency: bool = False,
@@ -68,7 +68,7 @@ def open_session(
 
     Args:
         listen, connect: Zenoh endpoints.
-        settings: Zenoh's own; they win over ours, and over the file that ZENOH_CONFIG names.
+        zenoh_config: Zenoh's own configuration; it wins over ours, and over the file that ZENOH_CONFIG names.
         shared_memory: whether large messages may go through shared memory.
         mode: a ``peer`` links directly to every peer it hears of; a ``client`` only to what it connects to.
         low_latency: links to others that want the same are written to at once, by the thread that sends, without
@@ -96,7 +96,7 @@ def open_session(
     if low_latency:
         ours["transport/unicast/qos/enabled"] = False  # Zenoh has one or the other
     try:
-        config = _configured(ours, settings)
+        config = _configured(ours, zenoh_config)
         _set_low_latency(config, low_latency)
         return _opened(config)
     except zenoh.ZError as error:
@@ -207,9 +207,9 @@ def _is_orphaned(path: Path, remove: bool = False) -> bool:
     return True
 
 
-def _configured(ours: Mapping[str, Any], settings: Settings) -> zenoh.Config:
+def _configured(ours: Mapping[str, Any], zenoh_config: ZenohConfig) -> zenoh.Config:
     """The user's configuration, with ours where it says nothing."""
-    config = _given(settings)
+    config = _given(zenoh_config)
     default = zenoh.Config()
     for path, value in ours.items():
         if config.get_json(path) == default.get_json(path):
@@ -233,13 +233,13 @@ def _words(error: zenoh.ZError) -> str:
     return _QUOTED_TEXT.sub(r"\1 …", " ".join(lines))
 
 
-def _given(settings: Settings) -> zenoh.Config:
+def _given(zenoh_config: ZenohConfig) -> zenoh.Config:
     config: zenoh.Config
-    if isinstance(settings, Mapping):
-        config = zenoh.Config.from_json5(json.dumps(settings))
-    elif settings is not None:
-        is_text = settings.lstrip().startswith("{")
-        config = zenoh.Config.from_json5(settings) if is_text else zenoh.Config.from_file(settings)
+    if isinstance(zenoh_config, Mapping):
+        config = zenoh.Config.from_json5(json.dumps(zenoh_config))
+    elif zenoh_config is not None:
+        is_text = zenoh_config.lstrip().startswith("{")
+        config = zenoh.Config.from_json5(zenoh_config) if is_text else zenoh.Config.from_file(zenoh_config)
     else:
         config = zenoh.Config.from_env() if os.environ.get("ZENOH_CONFIG") else zenoh.Config()
     return config

@@ -10,8 +10,7 @@ from threading import Condition
 
 from hierax.runtime.core.probe import Step
 from hierax.runtime.loading.allowance import Allowance
-from hierax.runtime.tools.inspecting import LaunchInspector, LaunchState
-from hierax.runtime.transport.inspection import LaunchClient
+from hierax.runtime.transport.launch_client import LaunchClient, LaunchStatus
 from hierax.runtime.transport.port import TransportError
 from hierax.runtime.viewing.nodes import ShownNodes
 from hierax.runtime.viewing.presenter import ViewPresenter
@@ -35,7 +34,7 @@ def show_launch(
     """Show a launch until it ends.
 
     Args:
-        client: asks the launch.
+        client: of the launch.
         presenter: shows it.
         allowance: which code may be loaded.
         over: whether it has been looked at long enough; asked often.
@@ -47,19 +46,18 @@ def show_launch(
         TransportError: it does not answer from the beginning.
         HieraxError: a node cannot be loaded here, or what it shows cannot be shown.
     """
-    inspector = LaunchInspector(client)
-    seen = inspector.look()
+    status = client.status()
     inbox = _Inbox()
-    client.listen(seen.keys.seen(STEP, "*", "*"), inbox.put)
+    client.listen(client.keys().seen(STEP, "*", "*"), inbox.put)
     stage = _Stage(presenter, inbox, allowance)
-    asked = _Asked(seen.epoch, time.monotonic())
-    stage.set_roster(_ask(inspector, seen, 1))
+    asked = _Asked(status.epoch, time.monotonic())
+    stage.set_roster(_ask(client, status, 1))
     while not over():
         if time.monotonic() - asked.at_s >= ASK_EVERY_S:
             try:
-                seen = inspector.look()
-                every, asked = asked.next(seen.epoch)
-                stage.set_roster(_ask(inspector, seen, every))
+                status = client.status()
+                every, asked = asked.next(status.epoch)
+                stage.set_roster(_ask(client, status, every))
             except TransportError:
                 break  # it has ended
         stage.show(inbox.take(ASK_EVERY_S / 4))
@@ -82,9 +80,9 @@ class _Asked:
         return max(1, ceil(rate / MOST_EPOCHS_PER_S)), _Asked(epoch, now_s)
 
 
-def _ask(inspector: LaunchInspector, seen: LaunchState, every: int) -> Roster | None:
+def _ask(client: LaunchClient, status: LaunchStatus, every: int) -> Roster | None:
     """Have all nodes tell their steps for a while; the roster, if the world answers."""
-    answers = inspector.ask(seen, {"look": "steps", "every": every}, seen.nodes)
+    answers = client.ask_nodes(status, {"look": "steps", "every": every}, status.nodes)
     for answer in answers.values():
         if answer.get("roster") is not None:
             return Roster.read(answer["roster"])

@@ -13,7 +13,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
-from hierax.runtime.transport.hub import ask
+from hierax.runtime.transport.launch_client import LaunchClient
 from support.live_nodes import PACE_S
 
 HIERAX = [sys.executable, "-m", "hierax.runtime.commands.main"]
@@ -167,8 +167,8 @@ class Live:
     def run(self) -> dict[str, Any]:
         """What ``hierax ps`` tells of it."""
         if not self.namespace:
-            told: dict[str, Any] = ask(self.endpoint, {"ask": "ps"})
-            return told
+            with LaunchClient(self.endpoint) as client:
+                return client.ask({"ask": "ps"})
         runs = json.loads(self.hierax("ps", "--format", "json").stdout)["runs"]
         return dict(runs[0])
 

@@ -15,7 +15,8 @@ from typing import Any
 
 import zenoh
 
-from hierax.runtime.transport.hub import KEEPER, ask
+from hierax.runtime.transport.control import SUPERVISOR
+from hierax.runtime.transport.launch_client import LaunchClient
 from hierax.runtime.transport.zenoh_session import close_session, open_session
 from hierax.schemas.control import Prepare, Propose, encode_control
 from hierax.schemas.keys import Keys
@@ -32,7 +33,8 @@ def main() -> None:
     os.setgid(order["group"])
     os.setuid(order["user"])
     endpoint = order["endpoint"]
-    run = ask(endpoint, {"ask": "ps"})
+    with LaunchClient(endpoint) as client:
+        run = client.ask({"ask": "ps"})
     keys = Keys(run["hierarchy"], run["run"])
     session = open_session(connect=[endpoint], shared_memory=False)
     processes = {name: node["process"] for name, node in run["nodes"].items()}
@@ -44,7 +46,7 @@ def main() -> None:
         for reference in order["references"]:
             put(session, keys.control("owner"), proposals(reference))
             asked = [(change, here) for change in changes(reference) for here in (False, True)]
-            refusals += [keeper_says(session, keys, change, here) for change, here in asked]
+            refusals += [supervisor_says(session, keys, change, here) for change, here in asked]
     finally:
         close_session(session)
     json.dump({"user": os.getuid(), "refusals": refusals}, sys.stdout)
@@ -91,11 +93,11 @@ def put(session: zenoh.Session, key: str, messages: Iterator[bytes]) -> None:
     publisher.undeclare()
 
 
-def keeper_says(session: zenoh.Session, keys: Keys, change: Value, here: bool) -> str:
-    """What the keeper answers to who asks for a change; empty: it would make it."""
+def supervisor_says(session: zenoh.Session, keys: Keys, change: Value, here: bool) -> str:
+    """What the supervisor answers to who asks for a change; empty: it would make it."""
     names = list(change["nodes"]) if "nodes" in change else [change["name"]]
     question = {"ask": "change", "change": change, "restarts": {name: {} for name in names}, "here": here, "host": ""}
-    replies = session.get(keys.control(KEEPER), payload=encode_value(question), timeout=PATIENCE_S)
+    replies = session.get(keys.control(SUPERVISOR), payload=encode_value(question), timeout=PATIENCE_S)
     answers = [decode_value(reply.ok.payload.to_bytes(), "answer") for reply in replies if reply.ok is not None]
     return str(answers[0].get("refusal", "")) if answers else "no answer"
 

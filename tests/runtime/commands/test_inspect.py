@@ -9,9 +9,9 @@ from support.live import Live
 
 from hierax.runtime.commands.inspect import as_json
 from hierax.runtime.commands.main import main
-from hierax.runtime.tools.inspecting import LaunchState
+from hierax.runtime.transport.launch_client import LaunchStatus
 
-SEEN = LaunchState("toys", "aa", 3, 0, {})
+SEEN = LaunchStatus("toys", "aa", 3, 0, {})
 
 
 def test_a_node_as_json_says_what_it_believes_and_why(live: Live, capsys: pytest.CaptureFixture[str]) -> None:

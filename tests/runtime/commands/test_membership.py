@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -14,9 +14,11 @@ from support.deployments import write
 from hierax.runtime.commands import membership as changes
 from hierax.runtime.commands.main import main
 from hierax.runtime.launch.run_file import Running, register
-from hierax.runtime.transport import hub
+from hierax.runtime.transport import launch_client
+from hierax.runtime.transport.launch_client import LaunchClient
 from hierax.runtime.transport.port import TransportError
 from hierax.schemas.keys import Keys
+from hierax.schemas.values import Value
 
 SNIPPET = """\
 nodes:
@@ -50,20 +52,36 @@ class FakeLaunches:
             "nodes": {"world": NODE, "left": {**NODE, "pid": None, "state": "elsewhere"}},
         }
 
-    def ask(self, endpoint: str, question: dict[str, Any], timeout_s: float = 0.0, keys: Keys | None = None) -> Any:
-        """In the place of `hub.ask`."""
-        self.asked.append((endpoint, question))
-        if endpoint in self.silent:
-            raise TransportError(f"the launch at {endpoint} does not answer")
-        self.after(endpoint, question)
-        return self.answers[endpoint if question["ask"] == "ps" else question["ask"]]
+    def client(self, endpoint: str, zenoh_config: None = None, keys: Keys | None = None) -> FakeClient:
+        """In the place of `LaunchClient`."""
+        return FakeClient(self, endpoint)
+
+
+class FakeClient(LaunchClient):
+    """Asks no launch, but those that a test has."""
+
+    def __init__(self, launches: FakeLaunches, endpoint: str) -> None:
+        self.endpoint = endpoint
+        self._launches = launches
+        self._keys = Keys("toys", "aaaa1111")
+
+    def _get(self, key: str, question: Value, timeout_s: float) -> Iterator[tuple[str, Value]]:
+        launches = self._launches
+        launches.asked.append((self.endpoint, question))
+        if self.endpoint in launches.silent:
+            raise TransportError(f"the launch at {self.endpoint} does not answer")
+        launches.after(self.endpoint, question)
+        yield key, launches.answers[self.endpoint if question["ask"] == "ps" else question["ask"]]
+
+    def close(self) -> None:
+        return
 
 
 @pytest.fixture
 def launches(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> FakeLaunches:
     monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
     fake = FakeLaunches(tmp_path)
-    monkeypatch.setattr(hub, "ask", fake.ask)
+    monkeypatch.setattr(launch_client, "LaunchClient", fake.client)
     return fake
 
 
@@ -244,9 +262,3 @@ def test_what_a_dead_launch_left_behind_is_no_launch(
     assert main(["ps"]) == 0
     assert capsys.readouterr().out == "no launch runs on this machine\n"
     assert not path.exists()
-
-
-def test_an_endpoint_where_nobody_listens_is_no_launch() -> None:
-    endpoint = hub.free_endpoint()
-    assert hub.is_gone(endpoint)
-    assert not hub.is_gone("tcp/not.a.host.invalid:7")

@@ -4,8 +4,8 @@ from typing import Any
 
 import pytest
 
-from hierax.runtime.tools.inspecting import LaunchState
 from hierax.runtime.tools.rates import NodeRates, doing, overview
+from hierax.runtime.transport.launch_client import LaunchStatus
 
 
 def answer(seconds: float, epochs: int, process: str = "a", **change: Any) -> dict[str, Any]:
@@ -31,7 +31,7 @@ def answer(seconds: float, epochs: int, process: str = "a", **change: Any) -> di
     }
 
 
-SEEN = LaunchState(
+SEEN = LaunchStatus(
     "toys",
     "5163af85",
     9,

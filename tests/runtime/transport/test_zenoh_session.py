@@ -43,7 +43,7 @@ def test_settings_of_the_user_s_win(form: str, tmp_path: Path) -> None:
     text = f'{{listen: {{endpoints: ["{endpoint}"]}}}}'
     (tmp_path / "zenoh.json5").write_text(text)
     forms = {"map": {"listen": {"endpoints": [endpoint]}}, "text": text, "file": str(tmp_path / "zenoh.json5")}
-    session = open_session(settings=forms[form])
+    session = open_session(zenoh_config=forms[form])
     port = f"{int(endpoint.rpartition(':')[2]):04X}"
     found = [address for address in listening() if address.endswith(f":{port}")]
     close_session(session)
@@ -64,10 +64,10 @@ def test_the_file_that_zenoh_config_names_is_read(tmp_path: Path, monkeypatch: p
 def test_low_latency_is_not_to_be_had_by_zenoh_s_settings_alone() -> None:
     settings = "{transport: {unicast: {lowlatency: true, qos: {enabled: false}}}}"
     with pytest.raises(TransportError, match="long messages get lost; leave it out: low_latency: true in"):
-        open_session(settings=settings, low_latency=True)
+        open_session(zenoh_config=settings, low_latency=True)
     settings = "{transport: {link: {tx: {batch_size: 8192}}}}"
     with pytest.raises(TransportError, match="batch_size, which bounds what low-latency links carry"):
-        open_session(settings=settings, low_latency=True)
+        open_session(zenoh_config=settings, low_latency=True)
 
 
 @pytest.mark.parametrize("low_latency", [False, True])
@@ -100,7 +100,7 @@ def test_low_latency_links_carry_no_long_messages(low_latency: bool) -> None:
 @pytest.mark.parametrize("settings", ["{mode: }", '{mode: "king"}', "there/is/no/such.json5"])
 def test_settings_that_zenoh_refuses_are_one_clear_error(settings: str) -> None:
     with pytest.raises(TransportError, match="Zenoh: "):
-        open_session(settings=settings)
+        open_session(zenoh_config=settings)
 
 
 def test_orphaned_segments_are_removed_and_those_in_use_are_not() -> None:

@@ -12,7 +12,7 @@ from support.launched import Command, until
 from hierax.runtime.core.showing import Graph
 from hierax.runtime.launch.run_file import known_runs
 from hierax.runtime.loading.allowance import Allowance
-from hierax.runtime.transport.inspection import LaunchClient
+from hierax.runtime.transport.launch_client import LaunchClient
 from hierax.runtime.viewing.live import MOST_EPOCHS_PER_S, _Asked, show_launch
 from hierax.runtime.viewing.presenter import ViewPresenter
 
@@ -53,8 +53,8 @@ def test_a_launch_is_seen_until_it_ends(tmp_path: Path, monkeypatch: pytest.Monk
 
     with Command(tmp_path, "launch", "servo", "--epochs", "10000000") as launch:
         until(lambda: bool(known_runs()), "the launch runs")
-        with LaunchClient(known_runs()[0].endpoint) as glass:
-            assert show_launch(glass, ViewPresenter(canvas), Allowance(("hierax.nodes.servo",)), over) > 15
+        with LaunchClient(known_runs()[0].endpoint) as client:
+            assert show_launch(client, ViewPresenter(canvas), Allowance(("hierax.nodes.servo",)), over) > 15
         attached[0].end()
         assert attached[0].process.returncode == 0, attached[0].err
         last = max(epoch for epoch, things in canvas.drawn.items() if "velocity_m_s/second/believed" in things)

@@ -1,0 +1,287 @@
+"""The client of a launch: asks its supervisor and its nodes, and listens to what they show.
+
+Nothing of the run goes through here, and nothing waits for it. Tools do not subscribe to
+the keys of edges: what is put there waits for slow receivers, and a tool that its user
+has stopped would hold the run up. A node shows copies, which are dropped where they
+cannot go at once (`hierax.runtime.transport.inspection`).
+"""
+
+from __future__ import annotations
+
+import socket
+import time
+from collections.abc import Callable, Collection, Iterator, Mapping
+from dataclasses import dataclass
+from types import TracebackType
+from typing import Any
+
+import zenoh
+
+from hierax.runtime.core.errors import HieraxError
+from hierax.runtime.loading.nearest import did_you_mean
+from hierax.runtime.transport.control import SUPERVISOR
+from hierax.runtime.transport.port import TransportError
+from hierax.runtime.transport.queries import answers_on
+from hierax.runtime.transport.zenoh_session import ZenohConfig, close_session, open_session
+from hierax.schemas.errors import SchemaError, shown
+from hierax.schemas.keys import Keys
+from hierax.schemas.values import Value
+
+FIND_TIMEOUT_S = 5.0
+"""How long it may take until the launch's session has heard of the client's."""
+
+FOUND_TIMEOUT_S = 2.0
+"""How long supervisors may take to say which runs they supervise."""
+
+NODES_TIMEOUT_S = 2.0
+LOOK_AGAIN_S = 0.02
+KNOCK_TIMEOUT_S = 5.0
+
+Answer = dict[str, Any]
+
+
+class AnswerError(HieraxError):
+    """A launch refuses what it is asked, or gives an answer that cannot be read."""
+
+
+@dataclass(frozen=True)
+class LaunchStatus:
+    """A launch, as its supervisor describes it.
+
+    Attributes:
+        hierarchy: the name of the hierarchy.
+        run: the identification of the run.
+        epoch: the last one committed, as far as the supervisor has heard.
+        roster: the version in force.
+        nodes: by name: ``process``, ``pid``, ``state``, ``restarts``, ``instance``.
+    """
+
+    hierarchy: str
+    run: str
+    epoch: int
+    roster: int
+    nodes: Mapping[str, Mapping[str, Any]]
+
+    @staticmethod
+    def read(answer: Answer) -> LaunchStatus:
+        """From the answer to ``{"ask": "ps"}``.
+
+        Raises:
+            AnswerError: it is none.
+        """
+        fields = {"hierarchy": str, "run": str, "epoch": int, "roster": int, "nodes": dict}
+        sound = all(isinstance(answer.get(field), kind) for field, kind in fields.items())
+        if not sound or not all(
+            isinstance(row, dict) and {"process", "state"} <= row.keys() for row in answer["nodes"].values()
+        ):
+            raise AnswerError("the launch gave an answer that cannot be read")
+        return LaunchStatus(*(answer[field] for field in fields))
+
+    def check_node(self, name: str) -> None:
+        """Check that the launch has a node.
+
+        Raises:
+            HieraxError: it has none of this name; with the nearest one.
+        """
+        if name not in self.nodes:
+            known = did_you_mean(name, self.nodes, "the nodes are")
+            raise HieraxError(f"there is no node {name!r} in {self.hierarchy}, run {self.run}{known}")
+
+
+class LaunchClient:
+    """Asks one launch, in a session of its own through the launch's hub, on the keys of that run alone.
+
+    Args:
+        endpoint: of the hub.
+        zenoh_config: Zenoh's own configuration.
+        keys: of the run; None: they are found out, which fails where several answer.
+
+    Raises:
+        TransportError: the launch cannot be reached.
+    """
+
+    def __init__(self, endpoint: str, zenoh_config: ZenohConfig = None, keys: Keys | None = None) -> None:
+        self.endpoint = endpoint
+        self._keys = keys
+        try:  # a client, as the processes of the run would link to a peer
+            self._session = open_session((), [endpoint], zenoh_config, shared_memory=False, mode="client")
+        except TransportError as error:
+            raise TransportError(f"the launch at {endpoint} cannot be reached: {error}") from error
+
+    def keys(self) -> Keys:
+        """The keys of the run, found out where nobody has said them.
+
+        Raises:
+            TransportError: no launch answers, or several do.
+        """
+        if self._keys is None:
+            self._keys = self._found()
+        return self._keys
+
+    def ask(self, question: Value, timeout_s: float = 60.0) -> Answer:
+        """What the supervisor answers.
+
+        Args:
+            question: see `hierax.runtime.launch.requests`.
+            timeout_s: how long the answer may take.
+
+        Raises:
+            TransportError: it does not answer.
+            AnswerError: it refuses, or the answer is no map.
+        """
+        patience = time.monotonic() + FIND_TIMEOUT_S
+        key = self.keys().control(SUPERVISOR)
+        while time.monotonic() < patience:  # whom nobody has heard of yet is not waited for by `get`
+            for _, answer in self._get(key, question, timeout_s):
+                if not isinstance(answer, dict):
+                    raise AnswerError(f"the launch at {self.endpoint} gave an answer that is no map: {shown(answer)}")
+                if "refusal" in answer:
+                    raise AnswerError(str(answer["refusal"]))
+                return answer
+            time.sleep(LOOK_AGAIN_S)
+        raise TransportError(f"the launch at {self.endpoint} does not answer")
+
+    def status(self, timeout_s: float = 60.0) -> LaunchStatus:
+        """What runs now.
+
+        Raises:
+            HieraxError: there is no answer, or none that can be read.
+        """
+        return LaunchStatus.read(self.ask({"ask": "ps"}, timeout_s))
+
+    def ask_nodes(
+        self, status: LaunchStatus, question: Mapping[str, Value], names: Collection[str]
+    ) -> dict[str, Answer]:
+        """What nodes answer; of a node's processes, only the one that has its place counts.
+
+        Args:
+            status: of the launch.
+            question: see `hierax.runtime.launch.inspection_server`.
+            names: of the nodes.
+        """
+        return {
+            name: answer
+            for name, answers in self.answers_of(question, names).items()
+            for answer in answers
+            if isinstance(answer, dict) and answer.get("process") == status.nodes[name]["process"]
+        }
+
+    def edges(self, status: LaunchStatus) -> list[tuple[str, str]]:
+        """The edges of a launch, as (lower, upper), in order."""
+        answers = self.ask_nodes(status, {"look": "neighbours"}, status.nodes)
+        return sorted(
+            (lower, name)
+            for name, answer in answers.items()
+            for lower in answer.get("below", ())
+            if isinstance(lower, str)
+        )
+
+    def node_state(self, status: LaunchStatus, name: str) -> Answer:
+        """What a node believes.
+
+        Raises:
+            HieraxError: there is no such node, or its process does not answer.
+        """
+        status.check_node(name)
+        answer = self.ask_nodes(status, {"look": "state"}, [name]).get(name)
+        if answer is None:
+            state = status.nodes[name]["state"]
+            raise HieraxError(f"{name}: its process does not answer; the launch says that it is {state}")
+        if "refusal" in answer:
+            raise AnswerError(f"{name}: {answer['refusal']}")
+        return answer
+
+    def answers_of(
+        self, question: Value, names: Collection[str], timeout_s: float = NODES_TIMEOUT_S
+    ) -> dict[str, list[Value]]:
+        """All that nodes answer.
+
+        Args:
+            question: see `hierax.runtime.launch.inspection_server`.
+            names: of the nodes; those that answer sooner are asked again where others are waited for.
+            timeout_s: how long all of them may take.
+
+        Returns:
+            The answers of those that gave one, by name; of two processes of a node, both.
+        """
+        patience = time.monotonic() + timeout_s
+        answers: dict[str, list[Value]] = {}
+        missing = set(names)
+        while missing:
+            where = self.keys().look(next(iter(missing)) if len(missing) == 1 else "*")
+            left_s = max(patience - time.monotonic(), LOOK_AGAIN_S)
+            came: dict[str, list[Value]] = {}
+            for key, answer in self._get(where, question, left_s):
+                came.setdefault(key.rpartition("/")[2], []).append(answer)
+            answers.update({name: came[name] for name in sorted(missing & came.keys())})
+            missing -= came.keys()
+            if not missing or time.monotonic() >= patience:
+                break
+            time.sleep(LOOK_AGAIN_S)
+        return answers
+
+    def listen(self, key: str, heard: Callable[[str, bytes], None]) -> None:
+        """Have `heard` called with key and bytes of every sample on matching keys, in a thread of Zenoh's.
+
+        Raises:
+            TransportError: Zenoh refuses the key.
+        """
+
+        def on_sample(sample: zenoh.Sample) -> None:
+            heard(str(sample.key_expr), sample.payload.to_bytes())
+
+        try:
+            self._session.declare_subscriber(key, on_sample)
+        except zenoh.ZError as error:
+            raise TransportError(f"{key!r} is no key to listen to: {error}") from error
+
+    def close(self) -> None:
+        """Close the session."""
+        close_session(self._session)
+
+    def __enter__(self) -> LaunchClient:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def _get(self, key: str, question: Value, timeout_s: float) -> Iterator[tuple[str, Value]]:
+        try:
+            yield from answers_on(self._session, key, question, timeout_s)
+        except (zenoh.ZError, SchemaError) as error:
+            raise TransportError(f"the launch at {self.endpoint} cannot be asked: {error}") from error
+
+    def _found(self) -> Keys:
+        """The keys of the one run whose supervisor answers here, and says of itself that it supervises this run."""
+        patience = time.monotonic() + FIND_TIMEOUT_S
+        while time.monotonic() < patience:
+            found: set[tuple[str, str]] = set()
+            for key, answer in self._get(Keys("*", "*").control(SUPERVISOR), {"ask": "ps"}, FOUND_TIMEOUT_S):
+                hierarchy, run = key.split("/")[1:3]
+                if isinstance(answer, dict) and (answer.get("hierarchy"), answer.get("run")) == (hierarchy, run):
+                    found.add((hierarchy, run))
+            if len(found) > 1:
+                named = ", ".join(sorted(f"{run} ({hierarchy})" for hierarchy, run in found))
+                raise TransportError(f"several launches answer at {self.endpoint}, and one at most is there: {named}")
+            for hierarchy, run in found:
+                return Keys(hierarchy, run)
+            time.sleep(LOOK_AGAIN_S)
+        raise TransportError(f"the launch at {self.endpoint} does not answer")
+
+
+def is_gone(endpoint: str) -> bool:
+    """Whether there is no launch at an endpoint any more; not so where its machine cannot be reached.
+
+    Args:
+        endpoint: of its hub.
+    """
+    address, _, port = endpoint.partition("/")[2].rpartition(":")
+    try:
+        socket.create_connection((address.strip("[]"), int(port)), timeout=KNOCK_TIMEOUT_S).close()
+    except ConnectionRefusedError:
+        return True
+    except OSError:
+        return False
+    return False

@@ -1,0 +1,75 @@
+"""Questions and answers over Zenoh: a question is a value, and so is each answer."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Callable, Iterator
+from typing import Any
+
+import zenoh
+
+from hierax.schemas.errors import SchemaError
+from hierax.schemas.limits import MAX_QUESTION_BYTES
+from hierax.schemas.values import Value, decode_value, encode_value
+
+Reply = Callable[[Value], None]
+"""Sends the answer to a question; any thread may call it."""
+
+_log = logging.getLogger("hierax")
+
+
+def answer_questions(session: zenoh.Session, key: str, on_question: Callable[[Value, Reply], None]) -> Any:
+    """Have the questions on a key answered; what is no question is refused at once.
+
+    Args:
+        session: an open session.
+        key: on which they come.
+        on_question: called with each and what sends the answer, in a thread of Zenoh's: it must not take long.
+
+    Returns:
+        What stops that by its ``undeclare``.
+    """
+
+    def on_query(query: zenoh.Query) -> None:
+        def reply(value: Value) -> None:
+            with query:
+                try:
+                    query.reply(key, encode_value(value))
+                except (zenoh.ZError, SchemaError) as error:
+                    _log.info("an answer is not sent: %s", error)  # who asked has gone; or it is too long
+
+        try:
+            question = _read(query)
+        except SchemaError as error:
+            reply({"refusal": str(error)})
+        else:
+            on_question(question, reply)
+
+    return session.declare_queryable(key, on_query)
+
+
+def answers_on(session: zenoh.Session, key: str, question: Value, timeout_s: float) -> Iterator[tuple[str, Value]]:
+    """The answers on keys that a key matches, as they come, each with the key on which it came.
+
+    Raises:
+        zenoh.ZError: nobody can be asked.
+        SchemaError: an answer is no value.
+    """
+    replies = session.get(
+        key,
+        payload=encode_value(question),
+        timeout=timeout_s,
+        target=zenoh.QueryTarget.ALL,
+        consolidation=zenoh.ConsolidationMode.NONE,
+    )
+    for reply in replies:
+        if reply.ok is not None and zenoh.KeyExpr(key).includes(reply.ok.key_expr):
+            yield str(reply.ok.key_expr), decode_value(reply.ok.payload.to_bytes(), "answer")
+
+
+def _read(query: zenoh.Query) -> Value:
+    payload = query.payload
+    size = 0 if payload is None else len(payload)
+    if payload is not None and size > MAX_QUESTION_BYTES:
+        raise SchemaError(f"{size} bytes; at most {MAX_QUESTION_BYTES} are allowed", "question")
+    return decode_value(b"" if payload is None else payload.to_bytes(), "question")
