@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import weakref
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -10,16 +9,15 @@ import numpy as np
 
 from hierax.nodes.picking.panda import JOINTS
 from hierax.nodes.picking.panda_model import panda_file
-from hierax.nodes.tracking.evaluation.pictures import contact_sheet, write_picture
-from hierax.nodes.tracking.imagery.bullet import load_pybullet
+from hierax.nodes.picking.workcell import FINGERS
+from hierax.nodes.tracking.evaluation.pictures import CONTACT_SHEET, contact_sheet, write_picture
+from hierax.nodes.tracking.imagery.bullet import Bullet
 from hierax.nodes.tracking.math.geometry import Array, Floats, quaternion_of
 from hierax.runtime import Probe, Step, Value
 
 VIEWS_FOLDER = "views"
-CONTACT_SHEET = "contact-sheet.png"
 
 BESIDE = ((1.20, -0.85, 0.62), (0.35, 0.0, 0.27))  # where the view is from, and what it looks at, metres
-_FINGERS = (9, 10)
 _TABLE_HALF_M = (0.75, 0.65, 0.02)
 _TABLE_COLOUR = (168, 134, 98)
 _FIELD_DEG = 42.0
@@ -30,17 +28,10 @@ class SceneView:
     """Draws arm, table and cubes by pybullet's TinyRenderer, with the arm's visible meshes."""
 
     def __init__(self) -> None:
-        self._pybullet = load_pybullet()
-        self._client: int = self._pybullet.connect(self._pybullet.DIRECT)
-        weakref.finalize(self, self._pybullet.disconnect, self._client)
-        self._arm = int(self._pybullet.loadURDF(str(panda_file()), useFixedBase=1, physicsClientId=self._client))
+        self._bullet = Bullet()
+        self.arm = int(self._bullet.loadURDF(str(panda_file()), useFixedBase=1))  # its name in the labels of `draw`
         self._box(_TABLE_HALF_M, _TABLE_COLOUR, (0.0, 0.0, -_TABLE_HALF_M[2]))
         self._cubes: dict[int, int] = {}
-
-    @property
-    def arm(self) -> int:
-        """What the arm is called in the labels of `draw`."""
-        return self._arm
 
     def draw(
         self, belief: Value, view: Sequence[float], lens: Sequence[float], size: tuple[int, int]
@@ -55,42 +46,30 @@ class SceneView:
         Returns:
             uint8 RGB (h, w, 3), and int32 (h, w), whose body is seen, -1 for none.
         """
-        pybullet, client = self._pybullet, {"physicsClientId": self._client}
-        for joint in range(JOINTS):
-            pybullet.resetJointState(self._arm, joint, belief["joints"][joint], **client)
-        for joint, place in zip(_FINGERS, belief["fingers"], strict=True):
-            pybullet.resetJointState(self._arm, joint, place, **client)
+        bullet = self._bullet
+        for joint, place in zip((*range(JOINTS), *FINGERS), (*belief["joints"], *belief["fingers"]), strict=True):
+            bullet.resetJointState(self.arm, joint, place)
         for body in belief["bodies"]:
             if body["id"] not in self._cubes:
                 self._cubes[body["id"]] = self._box([body["side_m"] / 2] * 3, body["colour"], (0.0, 0.0, 0.0))
-            pose = body["pose"]
-            pybullet.resetBasePositionAndOrientation(
-                self._cubes[body["id"]], pose[:3, 3].tolist(), quaternion_of(pose[:3, :3]).tolist(), **client
-            )
+            place = body["pose"][:3, 3].tolist(), quaternion_of(body["pose"][:3, :3]).tolist()
+            bullet.resetBasePositionAndOrientation(self._cubes[body["id"]], *place)
         width, height = size
-        drawn = pybullet.getCameraImage(
-            width,
-            height,
-            viewMatrix=view,
-            projectionMatrix=lens,
-            lightDirection=[-0.42, -0.38, 1.05],
-            renderer=pybullet.ER_TINY_RENDERER,
-            **client,
-        )
+        way = {"lightDirection": [-0.42, -0.38, 1.05], "renderer": bullet.ER_TINY_RENDERER}
+        drawn = bullet.getCameraImage(width, height, viewMatrix=view, projectionMatrix=lens, **way)
         picture = np.asarray(drawn[2], dtype=np.uint8).reshape(height, width, 4)[..., :3]
         return picture, np.asarray(drawn[4], dtype=np.int32).reshape(height, width)
 
     def beside(self, belief: Value, size: tuple[int, int]) -> Array:
         """The scene from beside the table, uint8 RGB (h, w, 3)."""
-        view = self._pybullet.computeViewMatrix(*BESIDE, (0.0, 0.0, 1.0))
-        lens = self._pybullet.computeProjectionMatrixFOV(_FIELD_DEG, size[0] / size[1], *_RANGE_M)
+        view = self._bullet.computeViewMatrix(*BESIDE, (0.0, 0.0, 1.0))
+        lens = self._bullet.computeProjectionMatrixFOV(_FIELD_DEG, size[0] / size[1], *_RANGE_M)
         return self.draw(belief, view, lens, size)[0]
 
     def _box(self, half: Sequence[float], colour: Sequence[int], place: Sequence[float]) -> int:
-        pybullet, client = self._pybullet, {"physicsClientId": self._client}
         rgba = [part / 255.0 for part in colour] + [1.0]
-        shape = pybullet.createVisualShape(pybullet.GEOM_BOX, halfExtents=half, rgbaColor=rgba, **client)
-        return int(pybullet.createMultiBody(0, -1, shape, basePosition=place, **client))
+        shape = self._bullet.createVisualShape(self._bullet.GEOM_BOX, halfExtents=half, rgbaColor=rgba)
+        return int(self._bullet.createMultiBody(0, -1, shape, basePosition=place))
 
 
 class Views(Probe):

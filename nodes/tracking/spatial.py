@@ -10,7 +10,8 @@ import numpy as np
 
 from hierax.nodes.tracking.display import spatial_things
 from hierax.nodes.tracking.imagery.alternatives import elsewhere
-from hierax.nodes.tracking.imagery.physics import GRAVITY_M_S2, Motion, Simulator, Solid
+from hierax.nodes.tracking.imagery.bullet import GRAVITY_M_S2
+from hierax.nodes.tracking.imagery.physics import Motion, Simulator, Solid
 from hierax.nodes.tracking.imagery.resting import resting
 from hierax.nodes.tracking.math.geometry import (
     NO_POSES,

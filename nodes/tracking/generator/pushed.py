@@ -5,14 +5,14 @@ The motion is pybullet's, done beforehand. The rod belongs to nobody's model.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from typing import Any, NamedTuple
+from collections.abc import Sequence
+from typing import NamedTuple
 
 import numpy as np
 
 from hierax.nodes.tracking.generator.camera import FPS, Swing, camera_path
 from hierax.nodes.tracking.generator.things import Item, colours
-from hierax.nodes.tracking.imagery.bullet import load_pybullet
+from hierax.nodes.tracking.imagery.bullet import Bullet, box_shape, create_body, hull_shape, pose_of, prepare
 from hierax.nodes.tracking.math.geometry import (
     Array,
     Floats,
@@ -21,7 +21,6 @@ from hierax.nodes.tracking.math.geometry import (
     make_pose,
     project,
     quaternion_of,
-    rotation_of,
 )
 from hierax.nodes.tracking.simworld.raster import visible_shares
 from hierax.nodes.tracking.simworld.shapes import Thing, box, regular, wedge
@@ -147,57 +146,33 @@ def _planned(rng: np.random.Generator) -> _Plan:
 
 def _simulated(plan: _Plan, frames: int) -> tuple[Floats, Floats]:
     """world_from_object of things (frames, n, 4, 4) and rod (frames, 4, 4)."""
-    bullet = load_pybullet()
-    client = bullet.connect(bullet.DIRECT)
-    here = {"physicsClientId": client}
-    try:
-        bullet.setPhysicsEngineParameter(fixedTimeStep=1.0 / (FPS * _STEPS), deterministicOverlappingPairs=1, **here)
-        bullet.setGravity(0.0, 0.0, -9.81, **here)
-        slab = bullet.createCollisionShape(bullet.GEOM_BOX, halfExtents=[5.0] * 3, **here)
-        table = bullet.createMultiBody(0.0, slab, basePosition=[0.0, 0.0, -5.0], **here)
-        bullet.changeDynamics(table, -1, lateralFriction=0.7, **here)
-        handles = [_created(bullet, thing, here) for thing in plan.things]
-        # What is screwed to the table would not be pushed; the screen is heavy instead.
-        bullet.changeDynamics(handles[0], -1, mass=5.0, **here)
-        rod = _created(bullet, plan.rod, here)
-        hand = bullet.createConstraint(
-            rod, -1, -1, -1, bullet.JOINT_FIXED, [0, 0, 0], [0, 0, 0], plan.rod.pose[:3, 3].tolist(), **here
-        )
-        turn = quaternion_of(plan.rod.pose[:3, :3]).tolist()
-        from_tip = plan.rod.pose[:3, 3] - plan.tips_m[0]
-        poses, rods = [], []
-        for frame in range(frames):
-            poses.append([_pose_of(bullet, handle, here) for handle in handles])
-            rods.append(_pose_of(bullet, rod, here))
-            for step in range(_STEPS):
-                tip = _tip_at(plan, (frame + (step + 1) / _STEPS) / FPS)
-                bullet.changeConstraint(
-                    hand, (tip + from_tip).tolist(), jointChildFrameOrientation=turn, maxForce=_ROD_FORCE_N, **here
-                )
-                bullet.stepSimulation(**here)
-    finally:
-        bullet.disconnect(client)
+    bullet = Bullet()
+    prepare(bullet, 1.0 / (FPS * _STEPS), [5.0] * 3, 0.7)
+    handles = [_created(bullet, thing) for thing in plan.things]
+    # What is screwed to the table would not be pushed; the screen is heavy instead.
+    bullet.changeDynamics(handles[0], -1, mass=5.0)
+    rod = _created(bullet, plan.rod)
+    start = plan.rod.pose[:3, 3].tolist()
+    hand = bullet.createConstraint(rod, -1, -1, -1, bullet.JOINT_FIXED, [0, 0, 0], [0, 0, 0], start)
+    turn = quaternion_of(plan.rod.pose[:3, :3]).tolist()
+    from_tip = plan.rod.pose[:3, 3] - plan.tips_m[0]
+    poses, rods = [], []
+    for frame in range(frames):
+        poses.append([pose_of(bullet, handle) for handle in handles])
+        rods.append(pose_of(bullet, rod))
+        for step in range(_STEPS):
+            place = _tip_at(plan, (frame + (step + 1) / _STEPS) / FPS) + from_tip
+            bullet.changeConstraint(hand, place.tolist(), jointChildFrameOrientation=turn, maxForce=_ROD_FORCE_N)
+            bullet.stepSimulation()
     return np.array(poses), np.array(rods)
 
 
-def _created(bullet: Any, thing: Thing, here: Mapping[str, int]) -> int:
+def _created(bullet: Bullet, thing: Thing) -> int:
     vertices = thing.shape.mesh.vertices
     half = np.ptp(vertices, axis=0) / 2
-    if len(vertices) == 8 and np.allclose(np.abs(vertices), half):
-        shape = bullet.createCollisionShape(bullet.GEOM_BOX, halfExtents=half.tolist(), **here)
-    else:
-        shape = bullet.createCollisionShape(bullet.GEOM_MESH, vertices=vertices.tolist(), **here)
-    mass = _DENSITY_KG_M3 * float(np.prod(2.0 * half))
-    handle: int = bullet.createMultiBody(
-        mass, shape, -1, thing.pose[:3, 3].tolist(), quaternion_of(thing.pose[:3, :3]).tolist(), **here
-    )
-    bullet.changeDynamics(handle, -1, lateralFriction=0.6, restitution=0.0, **here)
-    return handle
-
-
-def _pose_of(bullet: Any, handle: int, here: Mapping[str, int]) -> Floats:
-    position, quaternion = bullet.getBasePositionAndOrientation(handle, **here)
-    return make_pose(rotation_of(quaternion), np.array(position))
+    is_box = len(vertices) == 8 and np.allclose(np.abs(vertices), half)
+    shape = box_shape(bullet, half.tolist()) if is_box else hull_shape(bullet, vertices)
+    return create_body(bullet, shape, _DENSITY_KG_M3 * float(np.prod(2.0 * half)), 0.6, thing.pose)
 
 
 def _tip_at(plan: _Plan, time_s: float) -> Floats:

@@ -8,14 +8,13 @@ no physics. The client is a cache; a layer depends on the arguments alone, to th
 
 from __future__ import annotations
 
-import atexit
 from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from hierax.nodes.tracking.imagery.bullet import load_pybullet
+from hierax.nodes.tracking.imagery.bullet import Bullet
 from hierax.nodes.tracking.math.geometry import Array, Floats, cross, project, quaternion_of, transform
 from hierax.nodes.tracking.model.shapes import Shape
 
@@ -67,7 +66,7 @@ class MeshRenderer:
     def __init__(self, vertices: Floats, faces: Array) -> None:
         self._vertices = vertices
         self._faces = faces
-        self._client: int | None = None
+        self._bullet = Bullet()
         self._bodies: list[int] = []
 
     def inverse_depth(self, pose: Floats, intrinsics: Array, window: Window) -> Floats:
@@ -78,26 +77,23 @@ class MeshRenderer:
             intrinsics: (4,) fx, fy, cx, cy in pixels, pixel centres at integers.
             window: the part of the image that is drawn.
         """
-        pybullet = load_pybullet()
-        if self._client is None:
-            self._client = pybullet.connect(pybullet.DIRECT)
-            atexit.register(self.close)
+        bullet = self._bullet
+        if not self._bodies:
             self._create()
         position, quaternion = pose[:3, 3].tolist(), quaternion_of(pose[:3, :3]).tolist()
         for body in self._bodies:
-            pybullet.resetBasePositionAndOrientation(body, position, quaternion, physicsClientId=self._client)
+            bullet.resetBasePositionAndOrientation(body, position, quaternion)
         near, far = _z_range(transform(pose, _corners(self._vertices.min(axis=0), self._vertices.max(axis=0))))
         width, height = window.size
         # OpenGL's camera looks along -z with y up; ours along z with y down.
         view = np.diag([1.0, -1.0, -1.0, 1.0])
-        result = pybullet.getCameraImage(
+        result = bullet.getCameraImage(
             width,
             height,
             viewMatrix=view.T.ravel().tolist(),
             projectionMatrix=_frustum(intrinsics, window, (near, far)).T.ravel().tolist(),
             shadow=0,
-            renderer=pybullet.ER_TINY_RENDERER,
-            physicsClientId=self._client,
+            renderer=bullet.ER_TINY_RENDERER,
         )
         z_buffer = np.asarray(result[3], dtype=np.float32).reshape(height, width).astype(np.float64)
         seen = np.asarray(result[4], dtype=np.int32).reshape(height, width) >= 0
@@ -105,26 +101,15 @@ class MeshRenderer:
 
     def close(self) -> None:
         """End the client; the next image starts a new one."""
-        if self._client is None:
-            return
-        pybullet = load_pybullet()
-        atexit.unregister(self.close)
-        if pybullet.isConnected(self._client):
-            pybullet.disconnect(self._client)
-        self._client = None
-        self._bodies = []
+        self._bullet, self._bodies = Bullet(), []
 
     def _create(self) -> None:
-        pybullet = load_pybullet()
+        bullet = self._bullet
         for start in range(0, len(self._faces), _FACES_PER_SHAPE):
             used, faces = np.unique(self._faces[start : start + _FACES_PER_SHAPE], return_inverse=True)
-            shape = pybullet.createVisualShape(
-                pybullet.GEOM_MESH,
-                vertices=self._vertices[used].tolist(),
-                indices=faces.ravel().tolist(),
-                physicsClientId=self._client,
-            )
-            self._bodies.append(int(pybullet.createMultiBody(0, -1, shape, physicsClientId=self._client)))
+            mesh = {"vertices": self._vertices[used].tolist(), "indices": faces.ravel().tolist()}
+            shape = bullet.createVisualShape(bullet.GEOM_MESH, **mesh)
+            self._bodies.append(int(bullet.createMultiBody(0, -1, shape)))
 
 
 class LayerRenderer:

@@ -7,18 +7,24 @@ cubes, and equal to the bit however often and in whichever process it is done.
 
 from __future__ import annotations
 
-import weakref
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from math import ceil
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
-from hierax.nodes.tracking.imagery.bullet import load_pybullet
-from hierax.nodes.tracking.math.geometry import Floats, make_pose, quaternion_of, rotation_of
+from hierax.nodes.tracking.imagery.bullet import (
+    GRAVITY_M_S2,
+    Bullet,
+    box_shape,
+    create_body,
+    hull_shape,
+    pose_of,
+    prepare,
+)
+from hierax.nodes.tracking.math.geometry import Floats, make_pose
 
-GRAVITY_M_S2 = 9.81
 STEP_S = 1.0 / 240.0
 MAX_STEPS = 480
 TABLE_HALF_M = 10.0
@@ -64,8 +70,7 @@ class Simulator:
     """Contacts and gravity over a horizontal table, the plane z = 0; its client is a cache."""
 
     def __init__(self) -> None:
-        self._pybullet = load_pybullet()
-        self._client: int | None = None
+        self._bullet = Bullet()
 
     def run(
         self,
@@ -87,67 +92,43 @@ class Simulator:
         """
         if not solids or duration_s <= 0.0:
             return list(motions)
-        if self._client is None:
-            self._client = self._pybullet.connect(self._pybullet.DIRECT)
-            weakref.finalize(self, self._pybullet.disconnect, self._client)
         steps = min(MAX_STEPS, max(1, ceil(duration_s / STEP_S - 1e-6)))
         step_s = duration_s / steps
-        self._prepare(step_s)
+        prepare(self._bullet, step_s, [TABLE_HALF_M] * 3, 1.0)
         handles = [self._create(solid, motion) for solid, motion in zip(solids, motions, strict=True)]
         for _ in range(steps):
             for index, drive in (drives or {}).items():
                 self._draw_along(handles[index], solids[index], drive, step_s)
-            self._pybullet.stepSimulation(physicsClientId=self._client)
+            self._bullet.stepSimulation()
         return [self._read(handle, solid) for handle, solid in zip(handles, solids, strict=True)]
 
-    @property
-    def _here(self) -> dict[str, Any]:
-        return {"physicsClientId": self._client}
-
-    def _prepare(self, step_s: float) -> None:
-        pybullet, client = self._pybullet, self._here
-        pybullet.resetSimulation(**client)
-        pybullet.setPhysicsEngineParameter(fixedTimeStep=step_s, deterministicOverlappingPairs=1, **client)
-        pybullet.setGravity(0.0, 0.0, -GRAVITY_M_S2, **client)
-        # A box, not a plane: against a plane a box has one contact in its first step, and rocks.
-        half = [TABLE_HALF_M] * 3
-        slab = pybullet.createCollisionShape(pybullet.GEOM_BOX, halfExtents=half, **client)
-        table = pybullet.createMultiBody(0.0, slab, basePosition=[0.0, 0.0, -TABLE_HALF_M], **client)
-        pybullet.changeDynamics(table, -1, lateralFriction=1.0, **client)
-
     def _create(self, solid: Solid, motion: Motion) -> int:
-        pybullet, client = self._pybullet, self._here
-        if solid.is_box:
-            shape = pybullet.createCollisionShape(pybullet.GEOM_BOX, halfExtents=solid.half.tolist(), **client)
-        else:
-            shape = pybullet.createCollisionShape(pybullet.GEOM_MESH, vertices=solid.hull.tolist(), **client)
+        bullet = self._bullet
+        shape = box_shape(bullet, solid.half.tolist()) if solid.is_box else hull_shape(bullet, solid.hull)
         rotation = motion.pose[:3, :3]
         offset = rotation @ solid.centre
-        handle: int = pybullet.createMultiBody(
-            solid.mass, shape, -1, (motion.pose[:3, 3] + offset).tolist(), quaternion_of(rotation).tolist(), **client
+        handle = create_body(
+            bullet, shape, solid.mass, solid.friction, make_pose(rotation, motion.pose[:3, 3] + offset)
         )
         linear = motion.velocity[:3] + np.cross(motion.velocity[3:], offset)
-        pybullet.resetBaseVelocity(handle, linear.tolist(), motion.velocity[3:].tolist(), **client)
-        pybullet.changeDynamics(handle, -1, lateralFriction=solid.friction, restitution=0.0, **client)
+        bullet.resetBaseVelocity(handle, linear.tolist(), motion.velocity[3:].tolist())
         return handle
 
     def _draw_along(self, handle: int, solid: Solid, drive: Floats, step_s: float) -> None:
         """Pull at the centre, hard enough to reach the velocity in one step against the table's friction."""
-        pybullet, client = self._pybullet, self._here
-        linear = np.array(pybullet.getBaseVelocity(handle, **client)[0][:2])
+        bullet = self._bullet
+        linear = np.array(bullet.getBaseVelocity(handle)[0][:2])
         speed = float(np.linalg.norm(drive))
         against_friction = solid.friction * GRAVITY_M_S2 * drive / speed if speed > 0.0 else np.zeros(2)
         force = solid.mass * ((drive - linear) / step_s + against_friction)
-        centre = pybullet.getBasePositionAndOrientation(handle, **client)[0]
-        pybullet.applyExternalForce(handle, -1, [*force.tolist(), 0.0], centre, pybullet.WORLD_FRAME, **client)
+        centre = bullet.getBasePositionAndOrientation(handle)[0]
+        bullet.applyExternalForce(handle, -1, [*force.tolist(), 0.0], centre, bullet.WORLD_FRAME)
 
     def _read(self, handle: int, solid: Solid) -> Motion:
-        pybullet, client = self._pybullet, self._here
-        position, quaternion = pybullet.getBasePositionAndOrientation(handle, **client)
-        linear, angular = (np.array(part) for part in pybullet.getBaseVelocity(handle, **client))
-        rotation = rotation_of(quaternion)
-        offset = rotation @ solid.centre
-        pose = make_pose(rotation, np.array(position) - offset)
+        pose = pose_of(self._bullet, handle)
+        linear, angular = (np.array(part) for part in self._bullet.getBaseVelocity(handle))
+        offset = pose[:3, :3] @ solid.centre
+        pose[:3, 3] -= offset
         return Motion(pose, np.concatenate([linear - np.cross(angular, offset), angular]))
 
 

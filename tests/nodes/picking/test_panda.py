@@ -16,7 +16,7 @@ from hierax.nodes.picking.panda import (
     joints_for,
 )
 from hierax.nodes.picking.panda_model import panda_file
-from hierax.nodes.tracking.imagery.bullet import load_pybullet
+from hierax.nodes.tracking.imagery.bullet import Bullet
 from hierax.nodes.tracking.math.geometry import Floats, make_pose, pose_error, rotation_of
 
 SEED = 5
@@ -25,15 +25,11 @@ HAND_TO_GRIPPER_M = 0.1034
 
 
 def in_pybullet(joints: Floats) -> Floats:
-    pybullet = load_pybullet()
-    client = pybullet.connect(pybullet.DIRECT)
-    try:
-        robot = pybullet.loadURDF(str(panda_file()), useFixedBase=1, physicsClientId=client)
-        for joint, angle in enumerate(joints):
-            pybullet.resetJointState(robot, joint, angle, physicsClientId=client)
-        state = pybullet.getLinkState(robot, HAND_LINK, computeForwardKinematics=1, physicsClientId=client)
-    finally:
-        pybullet.disconnect(client)
+    bullet = Bullet()
+    robot = bullet.loadURDF(str(panda_file()), useFixedBase=1)
+    for joint, angle in enumerate(joints):
+        bullet.resetJointState(robot, joint, angle)
+    state = bullet.getLinkState(robot, HAND_LINK, computeForwardKinematics=1)
     rotation = rotation_of(state[5])
     return make_pose(rotation, np.array(state[4]) + HAND_TO_GRIPPER_M * rotation[:, 2])
 
