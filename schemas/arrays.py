@@ -11,9 +11,8 @@ The data of extension `ARRAY` (code 1) is a head and the raw elements::
     ...     p     zeros
     ...           elements, C order
 
-The padding (0 to 15) puts the elements on a multiple of 16, counted from the start
-of the data or, for an array behind the payload, of the message: numpy then reads
-them in place and aligned.
+The padding (0 to 15) puts the elements on a multiple of 16, counted from the start of the data or, for an array behind
+the payload, of the message: numpy then reads them in place and aligned.
 """
 
 from __future__ import annotations
@@ -81,11 +80,7 @@ def array_elements(array: np.ndarray[Any, Any]) -> memoryview:
 
 
 def encode_array(array: np.ndarray[Any, Any]) -> bytes:
-    """The data of extension `ARRAY`: head and elements.
-
-    Raises:
-        SchemaError: see `check_array`.
-    """
+    """The data of extension `ARRAY`: head and elements. Raises `SchemaError` as `check_array` does."""
     code = _LITTLE_NUMBERS.get(array.dtype)
     if (
         code is not None

@@ -10,7 +10,16 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
 from hierax.schemas.errors import SchemaError, shown
-from hierax.schemas.roster import Reference, RosterEdge, _mapping, _name, _plain_edge, _read_edge
+from hierax.schemas.roster import (
+    Reference,
+    RosterEdge,
+    plain_edge,
+    plain_nodes,
+    read_edges,
+    read_mapping,
+    read_name,
+    read_nodes,
+)
 from hierax.schemas.values import Value
 
 
@@ -28,24 +37,17 @@ class Attach:
 
     def plain(self) -> Value:
         """As a value."""
-        nodes = {name: self.nodes[name].plain() for name in sorted(self.nodes)}
-        return {"change": "attach", "nodes": nodes, "edges": [_plain_edge(edge) for edge in self.edges]}
+        return {
+            "change": "attach",
+            "nodes": plain_nodes(self.nodes),
+            "edges": [plain_edge(each) for each in self.edges],
+        }
 
     @staticmethod
     def read(value: Value) -> Attach:
-        """From a value.
-
-        Raises:
-            SchemaError: it is no `Attach`; says which field and what was expected.
-        """
-        fields = _mapping(value, {"change", "nodes", "edges"}, "change")
-        if not isinstance(fields["nodes"], dict):
-            raise SchemaError("expected a map", "change.nodes")
-        nodes = {
-            _name(name, "change.nodes"): Reference.read(node, f"change.nodes.{name}")
-            for name, node in fields["nodes"].items()
-        }
-        return Attach(nodes, _read_edges(fields["edges"]))
+        """From a value. Raises `SchemaError` if it is no `Attach`; says which field and what was expected."""
+        fields = read_mapping(value, {"change", "nodes", "edges"}, "change")
+        return Attach(read_nodes(fields["nodes"], "change.nodes"), read_edges(fields["edges"], "change.edges"))
 
 
 @dataclass(frozen=True)
@@ -54,8 +56,7 @@ class Detach:
 
     Attributes:
         name: of the node.
-        cascade: what only it joins to the world goes as well; else the change is refused
-            where there is such a node.
+        cascade: what only it joins to the world goes as well; else the change is refused where there is such a node.
     """
 
     name: str
@@ -67,15 +68,11 @@ class Detach:
 
     @staticmethod
     def read(value: Value) -> Detach:
-        """From a value.
-
-        Raises:
-            SchemaError: it is no `Detach`; says which field and what was expected.
-        """
-        fields = _mapping(value, {"change", "name", "cascade"}, "change")
+        """From a value. Raises `SchemaError` if it is no `Detach`; says which field and what was expected."""
+        fields = read_mapping(value, {"change", "name", "cascade"}, "change")
         if not isinstance(fields["cascade"], bool):
             raise SchemaError(f"expected true or false, got {shown(fields['cascade'])}", "change.cascade")
-        return Detach(_name(fields["name"], "change.name"), fields["cascade"])
+        return Detach(read_name(fields["name"], "change.name"), fields["cascade"])
 
 
 @dataclass(frozen=True)
@@ -94,21 +91,19 @@ class Replace:
 
     def plain(self) -> Value:
         """As a value."""
-        edges = None if self.edges is None else [_plain_edge(edge) for edge in self.edges]
+        edges = None if self.edges is None else [plain_edge(edge) for edge in self.edges]
         return {"change": "replace", "name": self.name, "reference": self.reference.plain(), "edges": edges}
 
     @staticmethod
     def read(value: Value) -> Replace:
-        """From a value.
-
-        Raises:
-            SchemaError: it is no `Replace`; says which field and what was expected.
-        """
-        fields = _mapping(value, {"change", "name", "reference", "edges"}, "change")
-        return Replace(
-            _name(fields["name"], "change.name"),
+        """From a value. Raises `SchemaError` if it is no `Replace`; says which field and what was expected."""
+        fields = read_mapping(value, {"change", "name", "reference", "edges"}, "change")
+        name, reference = (
+            read_name(fields["name"], "change.name"),
             Reference.read(fields["reference"], "change.reference"),
-            None if fields["edges"] is None else _read_edges(fields["edges"]),
+        )
+        return Replace(
+            name, reference, None if fields["edges"] is None else read_edges(fields["edges"], "change.edges")
         )
 
 
@@ -116,11 +111,7 @@ Change = Attach | Detach | Replace
 """Any change of a roster that can be asked for."""
 
 
-_READERS: dict[str, Callable[[Value], Change]] = {
-    "attach": Attach.read,
-    "detach": Detach.read,
-    "replace": Replace.read,
-}
+_READERS: dict[str, Callable[[Value], Change]] = {"attach": Attach.read, "detach": Detach.read, "replace": Replace.read}
 
 
 def new_nodes(change: Change) -> Mapping[str, Reference]:
@@ -131,20 +122,10 @@ def new_nodes(change: Change) -> Mapping[str, Reference]:
 
 
 def read_change(value: Value) -> Change:
-    """A change of any kind from a value.
-
-    Raises:
-        SchemaError: it is none; says which field and what was expected.
-    """
+    """A change of any kind from a value. Raises `SchemaError` if it is none; says which field and what was expected."""
     kind = value.get("change") if isinstance(value, dict) else None
     if isinstance(kind, str) and kind in _READERS:
         return _READERS[kind](value)
     if not isinstance(value, dict):
         raise SchemaError(f"expected a map, got {shown(value)}", "change")
     raise SchemaError(f"expected attach, detach or replace, got {shown(kind)}", "change.change")
-
-
-def _read_edges(value: Value) -> tuple[RosterEdge, ...]:
-    if not isinstance(value, (list, tuple)):
-        raise SchemaError("expected a list", "change.edges")
-    return tuple(_read_edge(edge, f"change.edges[{index}]") for index, edge in enumerate(value))

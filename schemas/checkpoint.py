@@ -1,7 +1,6 @@
 """What a process writes down so that a new one can go on in its place.
 
-Both records are one msgpack array that any msgpack library reads, a format number in
-front::
+Both records are one msgpack array that any msgpack library reads, a format number in front::
 
     [format, epoch, attempt, instance, roster, finished, start, now]
     [format, epoch, attempt, instance, roster, highest_version, last_digest, state,
@@ -13,8 +12,8 @@ encoded, a record takes about a microsecond.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import Any, NamedTuple
+from collections.abc import Mapping, Sequence
+from typing import Any, NamedTuple, get_type_hints
 
 from hierax.schemas.errors import SchemaError, shown
 from hierax.schemas.messages import DIGEST_BYTES
@@ -96,34 +95,9 @@ class WorldRecord(NamedTuple):
     alone: bytes = b""
 
 
-_CHECKPOINT = (
-    ("format", int),
-    ("epoch", int),
-    ("attempt", int),
-    ("instance", int),
-    ("roster", int),
-    ("finished", bool),
-    ("start", bytes),
-    ("now", bytes),
-)
-_WORLD = (
-    ("format", int),
-    ("epoch", int),
-    ("attempt", int),
-    ("instance", int),
-    ("roster", bytes),
-    ("highest_version", int),
-    ("last_digest", bytes),
-    ("state", bytes),
-    ("intended", int),
-    ("acted", int),
-    ("processes", bytes),
-    ("last_attempt", int),
-    ("trial", bytes),
-    ("alone", bytes),
-)
-_CHECKPOINT_NAMES = tuple(name for name, _ in _CHECKPOINT)
-_WORLD_NAMES = tuple(name for name, _ in _WORLD)
+_CHECKPOINT: dict[str, type] = {"format": int, **get_type_hints(Checkpoint)}
+_WORLD: dict[str, type] = {"format": int, **get_type_hints(WorldRecord)}
+_CHECKPOINT_NAMES, _WORLD_NAMES = tuple(_CHECKPOINT), tuple(_WORLD)
 
 
 def encode_checkpoint(checkpoint: Checkpoint) -> bytes:
@@ -251,11 +225,7 @@ def _is_place(value: Value) -> bool:
 
 
 def decode_roster(data: bytes, where: str = "roster") -> Roster:
-    """The roster of a record.
-
-    Raises:
-        SchemaError: the bytes are no encoded roster.
-    """
+    """The roster of a record. Raises `SchemaError` if the bytes are no encoded roster."""
     value = decode_value(data, where)
     try:
         return Roster.read(value)
@@ -264,11 +234,7 @@ def decode_roster(data: bytes, where: str = "roster") -> Roster:
 
 
 def decode_state(data: bytes, where: str = "state") -> tuple[Value, str, tuple[Value, ...]]:
-    """Belief, policy and actions of a state.
-
-    Raises:
-        SchemaError: the bytes are no encoded state.
-    """
+    """Belief, policy and actions of a state. Raises `SchemaError` if the bytes are no encoded state."""
     state = decode_value(data, where)
     if type(state) is not tuple or len(state) != 3:
         raise SchemaError("expected an array of belief, policy and actions", where)
@@ -280,7 +246,7 @@ def decode_state(data: bytes, where: str = "state") -> tuple[Value, str, tuple[V
     return belief, policy, actions
 
 
-def _fields(data: bytes | memoryview, kinds: Sequence[tuple[str, type]], where: str) -> tuple[Any, ...]:
+def _fields(data: bytes | memoryview, kinds: Mapping[str, type], where: str) -> tuple[Any, ...]:
     fields: Any = unpack(data, read_extension, where)
     if type(fields) is not tuple or not fields:
         raise SchemaError(f"expected an array of {len(kinds)} fields", where)
@@ -292,8 +258,8 @@ def _fields(data: bytes | memoryview, kinds: Sequence[tuple[str, type]], where: 
     return fields
 
 
-def _check_fields(fields: Sequence[Any], kinds: Sequence[tuple[str, type]], where: str) -> None:
-    for (name, kind), field in zip(kinds, fields, strict=True):
+def _check_fields(fields: Sequence[Any], kinds: Mapping[str, type], where: str) -> None:
+    for (name, kind), field in zip(kinds.items(), fields, strict=True):
         if type(field) is not kind:
             raise SchemaError(f"expected {_TYPE_NAMES[kind]}, got {shown(field)}", f"{where}.{name}")
         if type(field) is int and not 0 <= field <= _MAX_WHOLE:

@@ -11,13 +11,7 @@ from typing import Any, NamedTuple, cast, get_args, get_origin, get_type_hints
 
 from hierax.schemas.errors import SchemaError, shown
 from hierax.schemas.keys import check_name
-from hierax.schemas.limits import (
-    MAX_NEIGHBOURS,
-    MAX_NUMBER,
-    MAX_STATE_BYTES,
-    MAX_TEXT_CHARS,
-    MAX_WORD_BYTES,
-)
+from hierax.schemas.limits import MAX_NEIGHBOURS, MAX_NUMBER, MAX_STATE_BYTES, MAX_TEXT_CHARS, MAX_WORD_BYTES
 from hierax.schemas.values import Value, decode_value, encode_value
 
 NEVER = -1
@@ -145,7 +139,7 @@ class Status(NamedTuple):
 
     Attributes:
         waits_for: names of senders and kinds of messages.
-        busy: the operator's process is in; empty: in none.
+        busy: the operator that the process is in; empty: in none.
         version: of the roster that the node is in.
     """
 
@@ -204,38 +198,20 @@ class Propose(NamedTuple):
     alone: tuple[str, ...] = ()
 
 
-Control = (
-    Prepare
-    | Unchanged
-    | HandOver
-    | TakeOver
-    | AskStatus
-    | Resend
-    | Dismiss
-    | Join
-    | Ready
-    | State
-    | Taken
-    | Fetch
-    | Status
-    | Failed
-    | Lost
-    | Census
-    | Propose
-)
-Order = Prepare | Unchanged | HandOver | TakeOver | AskStatus | Resend | Dismiss
-"""What a process is told by the owner."""
-
 Offered = Prepare | Unchanged | HandOver | TakeOver | AskStatus | Resend
 """What a process is told by the owner on its own key; a dismissal comes by way of its keeper."""
+
+Order = Offered | Dismiss
+"""What a process is told by the owner."""
 
 Word = Join | Ready | State | Taken | Fetch | Status | Failed
 """What a process says to the owner on the owner's key; the rest comes by way of the keeper."""
 
+Control = Order | Word | Lost | Census | Propose
+"""Every kind of control message."""
+
 _KINDS: dict[str, Callable[..., object]] = {kind.__name__: kind for kind in get_args(Control)}
 _FIELDS = {kind.__name__: get_type_hints(kind) for kind in get_args(Control)}
-
-
 _LONG = (Prepare, TakeOver, State, Propose, Census)
 """The kinds that hold a roster, a state or a list of processes."""
 
@@ -260,11 +236,7 @@ def encode_control(control: Control) -> bytes:
 
 
 def decode_control(data: bytes) -> Control:
-    """Read a control message.
-
-    Raises:
-        SchemaError: it is none; says which field and what was expected.
-    """
+    """Read a control message. Raises `SchemaError` if it is none; says which field and what was expected."""
     _check_length(data)
     value = decode_value(data, "control")
     name = value[0] if isinstance(value, tuple) and value else None

@@ -5,12 +5,10 @@ A message is one msgpack array that any msgpack library reads::
     [format, kind, sender, receiver, epoch, attempt, roster, instance, time_s, digest,
      extensions, payload]
 
-Arrays inside the payload are extension `ARRAY` (see `hierax.schemas.arrays`). An array
-of `LARGE_ARRAY_BYTES` or more is extension `TAIL_ARRAY` in the payload, whose data is
-its number (unsigned 16 bits, big-endian); the array itself, extension `ARRAY`, follows
-the payload as a further element of the message, and after the last one stands the
-number of bytes of all that follows the payload (unsigned 32 bits). So large arrays are
-read in place, without a copy.
+Arrays inside the payload are extension `ARRAY` (see `hierax.schemas.arrays`). An array of `LARGE_ARRAY_BYTES` or more
+is extension `TAIL_ARRAY` in the payload, whose data is its number (unsigned 16 bits, big-endian); the array itself,
+extension `ARRAY`, follows the payload as a further element of the message, and after the last one stands the number of
+bytes of all that follows the payload (unsigned 32 bits). So large arrays are read in place, without a copy.
 """
 
 from __future__ import annotations
@@ -24,13 +22,7 @@ import numpy as np
 
 from hierax.schemas.arrays import ARRAY, array_elements, array_head, check_array, decode_array
 from hierax.schemas.errors import SchemaError, shown
-from hierax.schemas.limits import (
-    LARGE_ARRAY_BYTES,
-    MAX_EXTENSIONS,
-    MAX_MESSAGE_BYTES,
-    MAX_NAME_CHARS,
-    MAX_PLAIN_BYTES,
-)
+from hierax.schemas.limits import LARGE_ARRAY_BYTES, MAX_EXTENSIONS, MAX_MESSAGE_BYTES, MAX_NAME_CHARS, MAX_PLAIN_BYTES
 from hierax.schemas.values import Packers, Value, array_in_place, fault, is_sound, pack, read_extension, unpack
 
 FORMAT = 1
@@ -46,20 +38,11 @@ DIGEST_BYTES = 32
 NO_EXTENSIONS: Mapping[str, Value] = {}
 
 _KIND_CODES = {kind: code for code, kind in enumerate(KINDS)}
-_FIELDS = (
-    ("format", int),
-    ("kind", int),
-    ("sender", str),
-    ("receiver", str),
-    ("epoch", int),
-    ("attempt", int),
-    ("roster", int),
-    ("instance", int),
-    ("time_s", float),
-    ("digest", bytes),
-    ("extensions", dict),
-    ("payload", tuple),
+_NAMES = (
+    *("format", "kind", "sender", "receiver", "epoch", "attempt", "roster", "instance"),
+    *("time_s", "digest", "extensions", "payload"),
 )
+_TYPES = (int, int, str, str, int, int, int, int, float, bytes, dict, tuple)
 _TYPE_NAMES = {
     int: "a whole number",
     str: "a string",
@@ -69,10 +52,8 @@ _TYPE_NAMES = {
     tuple: "an array of elements",
 }
 _new = tuple.__new__
-_FIELD_COUNT = len(_FIELDS)
-_KIND_COUNT = len(KINDS)
-_NAMES = tuple(name for name, _ in _FIELDS)
-_FIXARRAY = bytes([0x90 | len(_FIELDS)])
+_FIELD_COUNT, _KIND_COUNT = len(_NAMES), len(KINDS)
+_FIXARRAY = bytes([0x90 | _FIELD_COUNT])
 _ARRAY16 = struct.Struct(">BH")
 _EXT32 = struct.Struct(">BIb")
 _TAIL_BYTES = struct.Struct(">BI")
@@ -114,11 +95,7 @@ class Message(NamedTuple):
 
 
 def encode_message(message: Message) -> bytes:
-    """The bytes of a message.
-
-    Raises:
-        SchemaError: the payload holds something that cannot travel.
-    """
+    """The bytes of a message. Raises `SchemaError` if the payload holds something that cannot travel."""
     (kind, sender, receiver, epoch, attempt, roster, instance, time_s, digest, extensions), payload = message
     code = _KIND_CODES[kind]
     fields = (FORMAT, code, sender, receiver, epoch, attempt, roster, instance, time_s, digest, extensions, payload)
@@ -193,7 +170,7 @@ class _Tail:
 
 
 def _with_tail(packed: bytes, large: list[np.ndarray[Any, Any]]) -> bytes:
-    parts: list[bytes | memoryview] = [_ARRAY16.pack(0xDC, len(_FIELDS) + len(large) + 1), packed[1:]]
+    parts: list[bytes | memoryview] = [_ARRAY16.pack(0xDC, _FIELD_COUNT + len(large) + 1), packed[1:]]
     start = offset = _ARRAY16.size + len(packed) - 1
     for array in large:
         head = array_head(array, offset + _EXT32.size)
@@ -207,7 +184,7 @@ def _with_tail(packed: bytes, large: list[np.ndarray[Any, Any]]) -> bytes:
 def _split_tail(data: bytes) -> tuple[Value, ...]:
     if len(data) < _ARRAY16.size + _TAIL_BYTES.size:
         raise SchemaError(f"{len(data)} bytes are too short", "message")
-    count = _ARRAY16.unpack_from(data)[1] - len(_FIELDS) - 1
+    count = _ARRAY16.unpack_from(data)[1] - _FIELD_COUNT - 1
     marker, tail_bytes = _TAIL_BYTES.unpack_from(data, len(data) - _TAIL_BYTES.size)
     start = len(data) - tail_bytes
     if marker != 0xCE or count < 1 or start < _ARRAY16.size or tail_bytes < _TAIL_BYTES.size:
@@ -291,7 +268,7 @@ def _too_plain(size: int) -> SchemaError:
 
 def _wrong_field(fields: tuple[Value, ...]) -> SchemaError:
     """What is wrong with fields that make no message."""
-    for (name, expected), field in zip(_FIELDS, fields, strict=True):
+    for name, expected, field in zip(_NAMES, _TYPES, fields, strict=True):
         if type(field) is not expected:
             return SchemaError(f"expected {_TYPE_NAMES[expected]}, got {shown(field)}", f"message.{name}")
     form, kind, sender, receiver, epoch, attempt, roster, instance, _, digest, extensions, _ = fields

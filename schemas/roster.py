@@ -16,6 +16,9 @@ from hierax.schemas.keys import check_name
 from hierax.schemas.messages import DIGEST_BYTES
 from hierax.schemas.values import Value, encode_value
 
+FUNCTIONS = ("sense", "task", "context")
+"""An edge's functions."""
+
 
 @dataclass(frozen=True)
 class Reference:
@@ -35,12 +38,8 @@ class Reference:
 
     @staticmethod
     def read(value: Value, where: str) -> Reference:
-        """From a value.
-
-        Raises:
-            SchemaError: it is no reference.
-        """
-        fields = _mapping(value, {"target", "parameters"}, where)
+        """From a value. Raises `SchemaError` if it is no reference."""
+        fields = read_mapping(value, {"target", "parameters"}, where)
         target, parameters = fields["target"], fields["parameters"]
         if not isinstance(target, str) or target.count(":") != 1:
             raise SchemaError(f"expected 'package.module:name', got {shown(target)}", f"{where}.target")
@@ -105,8 +104,8 @@ class Roster:
         """What the run's meaning depends on."""
         return {
             "world": self.world,
-            "nodes": {name: self.nodes[name].plain() for name in sorted(self.nodes)},
-            "edges": [_plain_edge(edge) for edge in sorted(self.edges, key=lambda edge: (edge.lower, edge.upper))],
+            "nodes": plain_nodes(self.nodes),
+            "edges": [plain_edge(edge) for edge in sorted(self.edges, key=lambda edge: edge.pair)],
         }
 
     def content_hash(self) -> bytes:
@@ -123,52 +122,59 @@ class Roster:
 
     @staticmethod
     def read(value: Value) -> Roster:
-        """From a value.
-
-        Raises:
-            SchemaError: it is no roster; says which field and what was expected.
-        """
-        fields = _mapping(value, {"world", "nodes", "edges", "version", "instances"}, "roster")
-        if not isinstance(fields["edges"], (list, tuple)):
-            raise SchemaError("expected a list", "roster.edges")
-        if not isinstance(fields["nodes"], dict):
-            raise SchemaError("expected a map", "roster.nodes")
-        nodes = {
-            _name(name, "roster.nodes"): Reference.read(node, f"roster.nodes.{name}")
-            for name, node in fields["nodes"].items()
-        }
-        edges = tuple(_read_edge(edge, f"roster.edges[{index}]") for index, edge in enumerate(fields["edges"]))
+        """From a value. Raises `SchemaError` if it is no roster; says which field and what was expected."""
+        fields = read_mapping(value, {"world", "nodes", "edges", "version", "instances"}, "roster")
         instances = fields["instances"]
+        nodes, edges = read_nodes(fields["nodes"], "roster.nodes"), read_edges(fields["edges"], "roster.edges")
         if not isinstance(instances, dict):
             raise SchemaError("expected a map", "roster.instances")
         return Roster(
-            _name(fields["world"], "roster.world"),
+            read_name(fields["world"], "roster.world"),
             nodes,
             edges,
             _whole(fields["version"], "roster.version"),
-            {_name(name, "roster.instances"): _whole(n, f"roster.instances.{name}") for name, n in instances.items()},
+            {
+                read_name(name, "roster.instances"): _whole(n, f"roster.instances.{name}")
+                for name, n in instances.items()
+            },
         )
 
 
-def _plain_edge(edge: RosterEdge) -> Value:
-    functions = {"sense": edge.sense, "task": edge.task, "context": edge.context}
-    return {
-        "lower": edge.lower,
-        "upper": edge.upper,
-        **{kind: None if function is None else function.plain() for kind, function in functions.items()},
-    }
+def plain_nodes(nodes: Mapping[str, Reference]) -> Value:
+    """Nodes as a value, by name in alphabetical order."""
+    return {name: nodes[name].plain() for name in sorted(nodes)}
+
+
+def plain_edge(edge: RosterEdge) -> Value:
+    """An edge as a value."""
+    functions = {kind: getattr(edge, kind) for kind in FUNCTIONS}
+    plain = {kind: None if function is None else function.plain() for kind, function in functions.items()}
+    return {"lower": edge.lower, "upper": edge.upper, **plain}
+
+
+def read_nodes(value: Value, where: str) -> dict[str, Reference]:
+    """Nodes from a value, by name. Raises `SchemaError` if they are none."""
+    if not isinstance(value, dict):
+        raise SchemaError("expected a map", where)
+    return {read_name(name, where): Reference.read(node, f"{where}.{name}") for name, node in value.items()}
+
+
+def read_edges(value: Value, where: str) -> tuple[RosterEdge, ...]:
+    """Edges from a value. Raises `SchemaError` if they are none."""
+    if not isinstance(value, (list, tuple)):
+        raise SchemaError("expected a list", where)
+    return tuple(_read_edge(edge, f"{where}[{index}]") for index, edge in enumerate(value))
 
 
 def _read_edge(value: Value, where: str) -> RosterEdge:
-    fields = _mapping(value, {"lower", "upper", "sense", "task", "context"}, where)
-    functions = {
-        kind: None if fields[kind] is None else Reference.read(fields[kind], f"{where}.{kind}")
-        for kind in ("sense", "task", "context")
-    }
-    return RosterEdge(_name(fields["lower"], f"{where}.lower"), _name(fields["upper"], f"{where}.upper"), **functions)
+    fields = read_mapping(value, {"lower", "upper", *FUNCTIONS}, where)
+    lower, upper = read_name(fields["lower"], f"{where}.lower"), read_name(fields["upper"], f"{where}.upper")
+    given = {kind: fields[kind] for kind in FUNCTIONS if fields[kind] is not None}
+    return RosterEdge(lower, upper, **{kind: Reference.read(plain, f"{where}.{kind}") for kind, plain in given.items()})
 
 
-def _name(value: Value, where: str) -> str:
+def read_name(value: Value, where: str) -> str:
+    """A node's name from a value. Raises `SchemaError` if it is none."""
     try:
         return check_name(value, "node's name")
     except SchemaError as error:
@@ -181,7 +187,8 @@ def _whole(value: Value, where: str) -> int:
     return value
 
 
-def _mapping(value: Value, keys: set[str], where: str) -> dict[str, Any]:
+def read_mapping(value: Value, keys: set[str], where: str) -> dict[str, Any]:
+    """A map that has these keys and no others. Raises `SchemaError` if the value is none."""
     if not isinstance(value, dict) or set(value) != keys:
         raise SchemaError(f"expected a map with the keys {', '.join(sorted(keys))}", where)
     return value

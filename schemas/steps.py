@@ -10,7 +10,7 @@ State, sensed belief and start are in it as bytes, each one encoded value.
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, get_origin, get_type_hints
 
 from hierax.schemas.errors import SchemaError, shown
 from hierax.schemas.values import Packers, Value, array_in_place, decode_value, pack
@@ -74,23 +74,7 @@ class NodeStep(NamedTuple):
     chain: bytes = b""
 
 
-_FIELDS: tuple[tuple[str, type], ...] = (
-    ("name", str),
-    ("stream", str),
-    ("number", int),
-    ("epoch", int),
-    ("attempt", int),
-    ("roster", int),
-    ("instance", int),
-    ("time_s", float),
-    ("digest", bytes),
-    ("state", bytes),
-    ("sensed", bytes),
-    ("start", bytes),
-    ("used", tuple),
-    ("passages", tuple),
-    ("chain", bytes),
-)
+_FIELDS: dict[str, type] = {name: get_origin(hint) or hint for name, hint in get_type_hints(NodeStep).items()}
 _USED = (str, str, int, int)
 _PASSAGE = (bool, str, str, int, int)
 
@@ -101,17 +85,13 @@ def encode_step(step: NodeStep) -> bytes:
 
 
 def decode_step(data: bytes) -> NodeStep:
-    """Read a step.
-
-    Raises:
-        SchemaError: the bytes are none; says which field and what was expected.
-    """
+    """Read a step. Raises `SchemaError` if the bytes are none; says which field and what was expected."""
     value = decode_value(data, "step")
     if not isinstance(value, tuple) or len(value) != len(_FIELDS) + 1:
         raise SchemaError(f"expected an array of {len(_FIELDS) + 1} fields", "step")
     if type(value[0]) is not int or value[0] != FORMAT:
         raise SchemaError(f"format {shown(value[0])}; this version reads format {FORMAT}", "step.format")
-    for (name, expected), field in zip(_FIELDS, value[1:], strict=True):
+    for (name, expected), field in zip(_FIELDS.items(), value[1:], strict=True):
         if type(field) is not expected:
             raise SchemaError(f"expected {expected.__name__}, got {shown(field)}", f"step.{name}")
     step: NodeStep = NodeStep._make(value[1:])

@@ -1,9 +1,8 @@
 """Values: what beliefs, actions, observations, task parameters and context are made of.
 
-A value is None, a bool, an int of 64 bits, a float, a str, bytes, a tuple or list of
-values, a dict from str to values, or a numpy array of numbers or bools. One value has
-one encoding (a dict keeps its order); a list or named tuple comes back as a tuple, a
-numpy scalar as a Python number.
+A value is None, a bool, an int of 64 bits, a float, a str, bytes, a tuple or list of values, a dict from str to values,
+or a numpy array of numbers or bools. One value has one encoding (a dict keeps its order); a list or named tuple comes
+back as a tuple, a numpy scalar as a Python number.
 """
 
 from __future__ import annotations
@@ -76,11 +75,7 @@ def encode_frozen(value: Value) -> bytes:
 
 
 def decode_value(data: bytes | memoryview, where: str = "value") -> Value:
-    """Read what `encode_value` wrote.
-
-    Raises:
-        SchemaError: the bytes are not exactly one value.
-    """
+    """Read what `encode_value` wrote. Raises `SchemaError` if the bytes are not exactly one value."""
     return unpack(data, read_extension, where)
 
 
@@ -171,11 +166,7 @@ def _unpack_large(data: bytes, ext_hook: ExtHook) -> Value:
 
 
 def replace_numpy(value: Any) -> Any:
-    """A numpy scalar as a Python number.
-
-    Raises:
-        SchemaError: it is something else that cannot travel.
-    """
+    """A numpy scalar as a Python number. Raises `SchemaError` if it is something else that cannot travel."""
     if isinstance(value, np.generic):
         plain = value.item()
         if isinstance(plain, (bool, int, float)):
@@ -207,11 +198,7 @@ _FREEZING = Packers(_frozen_in_place)
 
 
 def read_extension(code: int, data: bytes) -> Value:
-    """The array that extension `ARRAY` holds.
-
-    Raises:
-        SchemaError: it is another extension, or no array.
-    """
+    """The array that extension `ARRAY` holds. Raises `SchemaError` if it is another extension, or no array."""
     if code == ARRAY:
         return decode_array(data)
     raise SchemaError(f"unknown extension type {code}; expected {ARRAY} (an array)")

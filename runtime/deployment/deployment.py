@@ -30,17 +30,16 @@ class RestartPolicy:
     anybody can see, and give up on one that falls over again and again within some seconds.
 
     Attributes:
-        restart_policy: after which end another process is started: ``never``; ``on-failure``,
-            an exit code other than 0 or a signal; ``always``.
+        restart_policy: after which end another process is started: ``never``; ``on-failure``, an exit code other than 0
+            or a signal; ``always``.
         max_restarts: how many within the window; the next end of the process is its last. 0: no limit.
-        restart_delay_s: from the end of the process to the first restart within the window;
-            doubled for each further one.
+        restart_delay_s: from the end of the process to the first restart within the window; doubled for each further
+            one.
         max_restart_delay_s: what it is doubled up to.
         restart_window_s: restarts before so many seconds count no more; None: all count.
         rejoin_timeout_s: how long the epoch is held for a lost node, back-off included.
-        on_loss: what follows then. ``restart``: it is waited for as long as its keeper may
-            restart it, then the run is stopped; ``detach``: it is detached, and what only it
-            joins to the world; ``stop``: the run is stopped.
+        on_loss: what follows then. ``restart``: it is waited for as long as its keeper may restart it, then the run is
+            stopped; ``detach``: it is detached, and what only it joins to the world; ``stop``: the run is stopped.
     """
 
     restart_policy: Literal["never", "on-failure", "always"] = "on-failure"
@@ -82,20 +81,18 @@ class Deployment:
         epochs: how many by default; None: until the world says finished.
         roster: nodes and edges.
         probes: in the file's order; where errors name one, it is ``probes[i]``.
-        modules: ``package.module`` or ``package.*``: from which code may be loaded, now and when the
-            roster changes; all modules that the file names are among them.
+        modules: ``package.module`` or ``package.*``: from which code may be loaded, now and when the roster changes;
+            all modules that the file names are among them.
         restarts: by node, of all nodes.
         restart: of nodes that are attached later and say nothing else.
         durability: checkpoints outlive the death of a ``process``, or also that of the ``host``.
-        epoch_deadline_s: how long an epoch may take before who holds it up counts as lost, in
-            seconds; None: for ever.
-        on_uncertain_act: whether a world of which nobody knows if it acted acts again, ``repeat``
-            (at least once), or not, ``skip`` (at most once).
+        epoch_deadline_s: how long an epoch may take before who holds it up counts as lost, in seconds; None: for ever.
+        on_uncertain_act: whether a world of which nobody knows if it acted acts again, ``repeat`` (at least once), or
+            not, ``skip`` (at most once).
         staleness: how old inputs from above may be.
         rates_hz: by node, how often at most it takes part in an epoch of a free run; of all that say so.
         start_timeout_s: how long all nodes may take to come up, in seconds.
-        zenoh: Zenoh's own settings: a map, JSON5 text in braces, or the path of a file; None
-            where none are given.
+        zenoh: Zenoh's own settings: a map, JSON5 text in braces, or the path of a file; None where none are given.
         low_latency: whether processes have links that carry short messages more quickly, and no long ones.
         import_paths: folders in which the deployment's own modules are looked for.
         document: where everything stands in the file.

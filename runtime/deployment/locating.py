@@ -46,11 +46,7 @@ def find_file(name: str | Path) -> Path:
 
 
 def read_text(path: Path) -> str:
-    """A file's text.
-
-    Raises:
-        DeploymentError: it cannot be read, is too large, or not UTF-8.
-    """
+    """A file's text. Raises `DeploymentError` if it cannot be read, is too large, or not UTF-8."""
     try:
         with path.open("rb") as file:
             data = file.read(MAX_FILE_BYTES + 1)

@@ -27,11 +27,7 @@ _MODULES = re.compile(MODULES_PATTERN)
 
 
 def check_target(target: str) -> str:
-    """A class or function as ``package.module:name``.
-
-    Raises:
-        ValueError: it is written otherwise.
-    """
+    """A class or function as ``package.module:name``. Raises `ValueError` if it is written otherwise."""
     if not is_target(target):
         raise ValueError(f"expected 'package.module:name', got {target!r}")
     return target
@@ -53,11 +49,7 @@ def check_modules_pattern(pattern: str) -> str:
 
 
 def split_edge(name: str) -> tuple[str, str]:
-    """The lower and the upper node of ``lower -> upper``.
-
-    Raises:
-        ValueError: it is written otherwise.
-    """
+    """The lower and the upper node of ``lower -> upper``. Raises `ValueError` if it is written otherwise."""
     lower, arrow, upper = name.partition("->")
     if not arrow or not lower.strip() or not upper.strip() or "->" in upper:
         raise ValueError(f"{name!r} is no edge: expected 'lower -> upper', two names of nodes")

@@ -21,12 +21,11 @@ def apply_override(document: Document, text: str) -> None:
 
     Args:
         document: is changed.
-        text: ``PATH=VALUE``. The path is a name in ``parameters``, or a dotted path into one of
-            these or into the document; the value is read as YAML.
+        text: ``PATH=VALUE``. The path is a name in ``parameters``, or a dotted path into one of these or into the
+            document; the value is read as YAML.
 
     Raises:
-        DeploymentError: there is no such path, with the nearest valid name; or the
-            value is no YAML.
+        DeploymentError: there is no such path, with the nearest valid name; or the value is no YAML.
     """
     path, equals, value_text = text.partition("=")
     if not equals or not path.strip():

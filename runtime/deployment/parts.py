@@ -20,11 +20,7 @@ KINDS = ("sense", "task", "context")
 
 
 def roster_nodes(models: Mapping[str, NodeModel], document: Document) -> dict[str, Reference]:
-    """Classes and parameters by name.
-
-    Raises:
-        DeploymentError: a parameter is no value.
-    """
+    """Classes and parameters by name. Raises `DeploymentError` if a parameter is no value."""
     return {name: reference(node.target, node.parameters, document, ("nodes", name)) for name, node in models.items()}
 
 
@@ -56,11 +52,7 @@ def reference(target: str, parameters: Mapping[str, Any], document: Document, ke
 
 
 def check_known(name: str, nodes: Iterable[str], document: Document, keys: Keys) -> None:
-    """Whether there is a node of this name.
-
-    Raises:
-        DeploymentError: there is none, with the nearest one.
-    """
+    """Whether there is a node of this name. Raises `DeploymentError` if there is none, with the nearest one."""
     if name not in nodes:
         raise document.error(keys, f"there is no node {name!r}{did_you_mean(name, nodes, 'the nodes are')}")
 

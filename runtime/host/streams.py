@@ -1,8 +1,7 @@
 """A process's standard streams: on standard output stands what it says itself, and nothing else.
 
-Zenoh prints its log to descriptor 1, as do libraries that nodes use. A process that calls
-`own_streams` or `own_output` has descriptor 1 lead to standard error, and keeps the real
-standard output for itself.
+Zenoh prints its log to descriptor 1, as do libraries that nodes use. A process that calls `own_streams` or `own_output`
+has descriptor 1 lead to standard error, and keeps the real standard output for itself.
 """
 
 from __future__ import annotations

@@ -358,11 +358,7 @@ class Checker:
 
 
 def check_recording(recording: Recording) -> Checker:
-    """A checker that has seen all of a recording.
-
-    Raises:
-        RecordingError: the recording is damaged.
-    """
+    """A checker that has seen all of a recording. Raises `RecordingError` if the recording is damaged."""
     checker = Checker(recording.info.how_stale)
     for entry in recording.entries(MESSAGE, STEP, ROSTER):
         if entry.topic.what == MESSAGE:

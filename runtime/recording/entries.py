@@ -30,46 +30,26 @@ class Entry(NamedTuple):
     data: bytes
 
     def message(self) -> Message:
-        """The message that it is.
-
-        Raises:
-            SchemaError: it is none.
-        """
+        """The message that it is. Raises `SchemaError` if it is none."""
         return decode_message(self.data)
 
     def step(self) -> NodeStep:
-        """The step that it is.
-
-        Raises:
-            SchemaError: it is none.
-        """
+        """The step that it is. Raises `SchemaError` if it is none."""
         return decode_step(self.data)
 
     def roster(self) -> Roster:
-        """The roster that it is.
-
-        Raises:
-            SchemaError: it is none.
-        """
+        """The roster that it is. Raises `SchemaError` if it is none."""
         return Roster.read(decode_value(self.data, "roster"))
 
     def commit(self) -> tuple[int, bytes]:
-        """The epoch and the run's digest that it tells.
-
-        Raises:
-            SchemaError: it tells none.
-        """
+        """The epoch and the run's digest that it tells. Raises `SchemaError` if it tells none."""
         value = decode_value(self.data, "epoch")
         if type(value) is not tuple or tuple(map(type, value)) != (int, bytes) or value[0] < 0:
             raise SchemaError(f"expected an epoch's number and digest, got {shown(value)}", "epoch")
         return value
 
     def fault(self) -> Fault:
-        """What happened to a process.
-
-        Raises:
-            SchemaError: it tells nothing of the kind.
-        """
+        """What happened to a process. Raises `SchemaError` if it tells nothing of the kind."""
         value = decode_value(self.data, self.topic.what)
         if self.topic.what == NOTE:
             if type(value) is not str:

@@ -87,11 +87,7 @@ class InProcess:
         runner.watch(Witness(name, lambda: runner.engine, _Told(self, name), roster))
 
     def finish(self) -> None:
-        """The run is over.
-
-        Raises:
-            RecordingError: the file cannot be written.
-        """
+        """The run is over. Raises `RecordingError` if the file cannot be written."""
         self.ending = self._recorder.finish(self._last)
 
     def told(self, key: str, data: bytes) -> None:

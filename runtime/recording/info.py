@@ -182,11 +182,7 @@ class Ending:
 
     @staticmethod
     def read(plain: Mapping[str, Any]) -> Ending:
-        """From a value.
-
-        Raises:
-            RecordingError: a field lacks or is something else.
-        """
+        """From a value. Raises `RecordingError` if a field lacks or is something else."""
         try:
             gaps, cut_short = (tuple(Gap(**gap) for gap in plain.get(name, ())) for name in ("gaps", "cut_short"))
             ending = Ending(

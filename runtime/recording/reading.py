@@ -38,11 +38,7 @@ class Recording:
 
     @staticmethod
     def open(path: Path | str) -> Recording:
-        """Open a recording.
-
-        Raises:
-            RecordingError: it cannot be read, or is none.
-        """
+        """Open a recording. Raises `RecordingError` if it cannot be read, or is none."""
         require_mcap()
         path = Path(path)
         try:

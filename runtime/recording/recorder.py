@@ -78,11 +78,7 @@ class Recorder:
         self._messages = 0
 
     def take(self, heard: Sample) -> None:
-        """Take in what came on a key.
-
-        Raises:
-            RecordingError: the file cannot be written.
-        """
+        """Take in what came on a key. Raises `RecordingError` if the file cannot be written."""
         topic = topic_of(heard.key)
         if topic is None:
             return
@@ -127,11 +123,7 @@ class Recorder:
             self.ledger.add(Gap(self.ledger.last, f"{key}: the recorder could not keep up"))
 
     def flush(self) -> None:
-        """Write what has waited for long enough.
-
-        Raises:
-            RecordingError: the file cannot be written.
-        """
+        """Write what has waited for long enough. Raises `RecordingError` if the file cannot be written."""
         if self._file is not None:
             self._file.flush()
 

@@ -65,11 +65,7 @@ def check_pattern(pattern: str) -> str:
 
 
 def read_size(text: str) -> int:
-    """Bytes, such as ``500 MB`` or ``2GiB``.
-
-    Raises:
-        RecordingError: it is no size.
-    """
+    """Bytes, such as ``500 MB`` or ``2GiB``. Raises `RecordingError` if it is no size."""
     found = _SIZE.fullmatch(text.strip())
     if found is None or not float(found[1]):
         raise RecordingError(f"--max-size {text}: expected a size, such as 500MB or 2GiB")
@@ -77,11 +73,7 @@ def read_size(text: str) -> int:
 
 
 def read_duration(text: str) -> float:
-    """Seconds, such as ``90``, ``90s``, ``15m`` or ``2h``.
-
-    Raises:
-        RecordingError: it is no time.
-    """
+    """Seconds, such as ``90``, ``90s``, ``15m`` or ``2h``. Raises `RecordingError` if it is no time."""
     found = _DURATION.fullmatch(text.strip())
     if found is None or not float(found[1]):
         raise RecordingError(f"--max-duration {text}: expected a time, such as 90s, 15m or 2h")

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import json
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, get_origin, get_type_hints
 
 import msgpack
 
 from hierax.schemas.errors import SchemaError
-from hierax.schemas.messages import CONTEXT, KINDS, OBSERVATIONS, TASKS
+from hierax.schemas.messages import CONTEXT, KINDS, OBSERVATIONS, TASKS, Header
+from hierax.schemas.steps import NodeStep
 
 MESSAGE, STEP, ROSTER, EPOCH, NOTE, CONTROL, TOKEN = "message", "step", "roster", "epoch", "note", "control", "token"
 """What there is in a recording."""
@@ -84,6 +85,14 @@ _HEAD = (int, str, str, int, int, int, int, float, bytes)
 _WHOLE: dict[str, Any] = {"type": "integer", "minimum": 0}
 _TEXT: dict[str, Any] = {"type": "string"}
 _BYTES: dict[str, Any] = {"description": "bytes"}
+_KIND = {"enum": [*range(len(KINDS))], "description": ", ".join(f"{i}: {kind}" for i, kind in enumerate(KINDS))}
+_BY_TYPE = {int: _WHOLE, str: _TEXT, bytes: _BYTES, float: {"type": "number"}, tuple: {"type": "array"}}
+
+
+def _by_type(record: type, **others: dict[str, Any]) -> dict[str, dict[str, Any]]:
+    """The fields of a named tuple by their types, but for the others."""
+    hints = get_type_hints(record)
+    return {name: others.get(name) or _BY_TYPE[get_origin(hint) or hint] for name, hint in hints.items()}
 
 
 def _array(title: str, description: str, **fields: dict[str, Any]) -> dict[str, Any]:
@@ -102,40 +111,14 @@ _SCHEMAS: dict[str, dict[str, Any]] = {
         "One msgpack array; see hierax.schemas.messages. Numpy arrays are msgpack extension 1 (hierax.schemas.arrays); "
         "large ones stand behind the payload.",
         format=_WHOLE,
-        kind={
-            "enum": list(range(len(KINDS))),
-            "description": ", ".join(f"{i}: {kind}" for i, kind in enumerate(KINDS)),
-        },
-        sender=_TEXT,
-        receiver=_TEXT,
-        epoch=_WHOLE,
-        attempt=_WHOLE,
-        roster=_WHOLE,
-        instance=_WHOLE,
-        time_s={"type": "number"},
-        digest=_BYTES,
-        extensions={"type": "object"},
+        **_by_type(Header, kind=_KIND, extensions={"type": "object"}),
         payload={"type": "array", "description": "observations, task parameters or context elements"},
     ),
     STEP: _array(
         "hierax.NodeStep",
         "What a node did in an epoch; see hierax.schemas.steps.",
         format=_WHOLE,
-        name=_TEXT,
-        stream=_TEXT,
-        number=_WHOLE,
-        epoch=_WHOLE,
-        attempt=_WHOLE,
-        roster=_WHOLE,
-        instance=_WHOLE,
-        time_s={"type": "number"},
-        digest=_BYTES,
-        state={**_BYTES, "description": "encoded [belief, policy, actions]"},
-        sensed=_BYTES,
-        start=_BYTES,
-        used={"type": "array"},
-        passages={"type": "array"},
-        chain=_BYTES,
+        **_by_type(NodeStep, state={**_BYTES, "description": "encoded [belief, policy, actions]"}),
     ),
     ROSTER: {"title": "hierax.Roster", "type": "object", "description": "see hierax.schemas.roster"},
     EPOCH: _array("hierax.Epoch", "A committed epoch and the run's digest.", epoch=_WHOLE, digest=_BYTES),

@@ -180,11 +180,7 @@ class _Pending:
 
 
 def check_roster(roster: Roster) -> Roster:
-    """A roster that is a hierarchy, as it is.
-
-    Raises:
-        HierarchyError: it is none.
-    """
+    """A roster that is a hierarchy, as it is. Raises `HierarchyError` if it is none."""
     check_graph(roster.world, roster.nodes, [edge.pair for edge in roster.edges])
     return roster
 

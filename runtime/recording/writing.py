@@ -127,11 +127,7 @@ class McapFile:
         return written + self._pending
 
     def flush(self, at_once: bool = False) -> None:
-        """Write the chunk under way, if it is old enough.
-
-        Raises:
-            RecordingError: the file cannot be written.
-        """
+        """Write the chunk under way, if it is old enough. Raises `RecordingError` if the file cannot be written."""
         if self._dirty_s is None or not (at_once or time.monotonic() - self._dirty_s >= CHUNK_S):
             return
         self._dirty_s = None
@@ -139,11 +135,7 @@ class McapFile:
             self._writer.flush()
 
     def close(self, ending: Ending) -> None:
-        """Write how it ended, and the file's index.
-
-        Raises:
-            RecordingError: the file cannot be written.
-        """
+        """Write how it ended, and the file's index. Raises `RecordingError` if the file cannot be written."""
         with self._mapped():
             self._writer.flush()
             self._writer.add_metadata(ENDING, to_metadata(ending.plain()))
@@ -188,11 +180,7 @@ def _writer(file: Any, compression: Compression) -> Any:
 
 
 def require_mcap() -> None:
-    """See that recordings can be written and read.
-
-    Raises:
-        RecordingError: the package lacks.
-    """
+    """See that recordings can be written and read. Raises `RecordingError` if the package lacks."""
     try:
         import mcap.writer  # noqa: F401
     except ModuleNotFoundError as error:

@@ -69,8 +69,7 @@ def check_node(
         observations, tasks, context: what it is given in the first epoch, the second one, …
         epochs: how many; by default as many as the longest of these, and at least `EPOCHS`.
         seed: of its random numbers.
-        name, below, above: what it finds in its ticks; without `above`, and without tasks
-            and context, it is a root.
+        name, below, above: what it finds in its ticks; without `above`, and without tasks and context, it is a root.
 
     Returns:
         What the node did in each epoch, for further assertions.

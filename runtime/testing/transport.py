@@ -28,8 +28,7 @@ def check_transport(open_ports: OpenPorts, most_bytes: int | None = None, break_
     """Check a transport.
 
     Args:
-        open_ports: given edges (lower, upper), opens a port for each node and connects them;
-            they are closed here.
+        open_ports: given edges (lower, upper), opens a port for each node and connects them; they are closed here.
         most_bytes: how long a message it carries; None: any that is a message. Of a longer one it has to say that it
             does not.
         break_link: breaks the link between two of the ports, and mends it, or lets it be mended; None: that a port

@@ -21,11 +21,7 @@ class ShownNodes:
         self._built: dict[str, tuple[bytes, Node]] = {}
 
     def node(self, roster: Roster, name: str) -> Node:
-        """A node of a roster.
-
-        Raises:
-            NotAllowedError, LoadError: it may not, or cannot, be loaded.
-        """
+        """A node of a roster. Raises `NotAllowedError` or `LoadError` if it may not, or cannot, be loaded."""
         reference = roster.nodes[name]
         key = encode_value(reference.plain())
         if name not in self._built or self._built[name][0] != key:

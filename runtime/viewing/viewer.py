@@ -111,11 +111,7 @@ def window(stream: Stream, memory: str) -> Iterator[Place]:
 
 @contextmanager
 def file(stream: Stream, path: Path, overwrite: bool = False) -> Iterator[Place]:
-    """A file for Rerun, ``.rrd``.
-
-    Raises:
-        ViewerError: it cannot be written, or is there already.
-    """
+    """A file for Rerun, ``.rrd``. Raises `ViewerError` if it cannot be written, or is there already."""
     _check_replaceable(path, overwrite)
     try:
         path.parent.mkdir(parents=True, exist_ok=True)

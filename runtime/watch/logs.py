@@ -1,8 +1,7 @@
 """The logs of a launch: one file of JSON lines for each node, and one for the supervisor.
 
-Whatever a node's process says by Python's `logging` goes there, from level INFO; warnings
-and errors go to the console as well. Every record has the fields ``run``, ``node``,
-``epoch`` and ``attempt``, for formatters of one's own too.
+Whatever a node's process says by Python's `logging` goes there, from level INFO; warnings and errors go to the console
+as well. Every record has the fields ``run``, ``node``, ``epoch`` and ``attempt``, for formatters of one's own too.
 
     {"time": "2030-01-02T03:04:05.678901Z", "level": "WARNING", "run": "5163af85", "node": "arm",
      "epoch": 12, "attempt": 0, "logger": "hierax", "message": "…"}

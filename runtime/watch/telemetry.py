@@ -1,9 +1,8 @@
 """OpenTelemetry: a span for each epoch of each node, and inside it one for each operator and edge function.
 
-An epoch is one trace. Its root is the world's span; that of another node has as its parent
-the span of the node below it, whose observations came last. Which that is, messages say: each carries the
-sender's context in its header's extensions, as W3C Trace Context has it. The span of
-`predict` links to those of the nodes above, whose context came.
+An epoch is one trace. Its root is the world's span; that of another node has as its parent the span of the node below
+it, whose observations came last. Which that is, messages say: each carries the sender's context in its header's
+extensions, as W3C Trace Context has it. The span of `predict` links to those of the nodes above, whose context came.
 
 It is on where the environment says so, as OpenTelemetry specifies: ``OTEL_TRACES_EXPORTER``
 is ``otlp`` or ``console``. Needs the extra ``[telemetry]``.
@@ -42,11 +41,7 @@ Clock = Callable[[], int]
 
 
 def wanted() -> bool:
-    """Whether the environment asks for spans.
-
-    Raises:
-        HieraxError: it asks for what cannot be had here.
-    """
+    """Whether the environment asks for spans. Raises `HieraxError` if it asks for what cannot be had here."""
     name = os.environ.get(EXPORTER_VARIABLE, NONE).strip().lower()
     if name in ("", NONE) or os.environ.get("OTEL_SDK_DISABLED", "").strip().lower() == "true":
         return False
