@@ -24,7 +24,7 @@ import numpy as np
 from hierax.nodes.tracking.datasets.bop import read_results
 from hierax.nodes.tracking.datasets.truth import read_truth
 from hierax.nodes.tracking.errors import DataError
-from hierax.nodes.tracking.evaluation.scoring import courses, score, table
+from hierax.nodes.tracking.evaluation.scoring import object_errors, score, table
 from hierax.nodes.tracking.generator.camera import reported_path
 from hierax.nodes.tracking.generator.scenes import model_info, start_error, write_json
 from hierax.nodes.tracking.math.geometry import Floats, invert, orthonormal
@@ -112,7 +112,7 @@ def print_score(poses: Path, truth: Path) -> None:
     Raises:
         DataError: a file is missing or damaged.
     """
-    found = courses(read_results(poses), read_truth(truth))
+    found = object_errors(read_results(poses), read_truth(truth))
     names = {1: "castle", 2: "cube"}
     print(table({"both": score(found), **{names[each.obj_id]: score([each]) for each in found}}))
 

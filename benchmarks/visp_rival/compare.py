@@ -26,7 +26,7 @@ import numpy as np
 from hierax.nodes.tracking.datasets.bop import BopScene, read_image, read_results
 from hierax.nodes.tracking.datasets.truth import read_truth
 from hierax.nodes.tracking.errors import DataError
-from hierax.nodes.tracking.evaluation.scoring import Score, courses, score, table
+from hierax.nodes.tracking.evaluation.scoring import Score, object_errors, score, table
 from hierax.nodes.tracking.math.geometry import Floats, invert
 from hierax.nodes.tracking.model.mesh import Mesh
 
@@ -139,7 +139,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         try:
             truth = read_truth(options.truth or options.scene.parent.parent / "truth" / options.scene.name)
             results = track(options.scene.resolve(), options.table, folder.resolve())
-            scores = {way: score(courses(read_results(poses), truth)) for way, (poses, _) in results.items()}
+            scores = {way: score(object_errors(read_results(poses), truth)) for way, (poses, _) in results.items()}
         except DataError as error:
             print(f"error: {error}", file=sys.stderr)
             return 1

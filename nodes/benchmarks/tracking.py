@@ -12,7 +12,7 @@ import numpy as np
 
 from hierax.nodes.tracking.datasets.bop import read_results
 from hierax.nodes.tracking.datasets.truth import read_truth
-from hierax.nodes.tracking.evaluation.scoring import ObjectErrors, Score, courses, score
+from hierax.nodes.tracking.evaluation.scoring import ObjectErrors, Score, object_errors, score
 from hierax.nodes.tracking.generator.kinds import KINDS
 from hierax.nodes.tracking.generator.scenes import write_scene
 from hierax.runtime.core.errors import HieraxError
@@ -69,13 +69,13 @@ class Tracked:
 
     Attributes:
         scene, way: which.
-        courses: the errors of each object, as scoring gives them.
+        errors: of each object, as scoring gives them.
         stage_ms: by node, the processor's time of an epoch in its operators and edge functions, in milliseconds.
     """
 
     scene: Scene
     way: str
-    courses: Sequence[ObjectErrors]
+    errors: Sequence[ObjectErrors]
     stage_ms: dict[str, float]
 
 
@@ -260,7 +260,7 @@ def _track(scene: Scene, way: str, settings: Sequence[str], folder: Path) -> Tra
     poses = folder / f"{scene.name}-{scene.seed}-{way.replace(' ', '-').replace(',', '')}.{_POSES}"
     changes = [f"scene={scene.folder}", f"table={str(scene.table).lower()}", f"output={poses}", *WAYS[way], *settings]
     stage_ms = _stages_ms(read_deployment(DEPLOYMENT, changes))
-    return Tracked(scene, way, courses(read_results(poses), read_truth(scene.truth)), stage_ms)
+    return Tracked(scene, way, object_errors(read_results(poses), read_truth(scene.truth)), stage_ms)
 
 
 def _stages_ms(deployment: Deployment) -> dict[str, float]:
@@ -284,8 +284,8 @@ def _stage_ms(meter: Meter) -> float:
 
 def _row(name: str, way: str, done: Sequence[Tracked]) -> Row:
     stages = {stage: float(np.median([each.stage_ms[stage] for each in done])) for stage in done[0].stage_ms}
-    hidden = [score(each.courses).hidden.shares[1] for each in done]
-    return Row(name, way, score([course for each in done for course in each.courses]), stages, hidden)
+    hidden = [score(each.errors).hidden.shares[1] for each in done]
+    return Row(name, way, score([item for each in done for item in each.errors]), stages, hidden)
 
 
 def known_ways(wanted: Sequence[str]) -> list[str]:

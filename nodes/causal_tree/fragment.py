@@ -58,8 +58,7 @@ class Fragment:
     """Some nodes of a network.
 
     Args:
-        network: the whole, or at least these nodes and their parents.
-        names: the nodes.
+        network: the whole, or at least these nodes and their parents; names: the nodes.
 
     Attributes:
         names: the nodes, in the network's order.
@@ -134,8 +133,7 @@ class Fragment:
         """What goes up.
 
         Args:
-            evidence: of all senders.
-            slots: diagnostic support from below, by arrow.
+            evidence: of all senders; slots: diagnostic support from below, by arrow.
             supports: causal support from above, by arrow, of the last epoch; for polytrees.
         """
         evidence = tuple(evidence)

@@ -89,8 +89,7 @@ def make_plan(
     """Plan the sweeps of a network.
 
     Args:
-        sizes: of each variable, its number of states.
-        priors: by variable without parents.
+        sizes: of each variable, its number of states; priors: by variable without parents.
         families: of the variables with parents. There is no loop.
         roots: variables that are taken for roots of their part of the network, where it has no other before.
     """

@@ -36,8 +36,7 @@ def weights(names: Sequence[str], values: Sequence[float], what: str) -> dict[st
     """Numbers that a user gave, as a message.
 
     Args:
-        names: the hypotheses.
-        values: one number of 0 or more for each, not all 0.
+        names: the hypotheses; values: one number of 0 or more for each, not all 0.
         what: the parameter's name, for the error.
 
     Raises:

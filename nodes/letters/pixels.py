@@ -62,8 +62,7 @@ class GlyphCamera:
     """φ from the world to a letter node: a camera that looks at one sign.
 
     Args:
-        letter: which one, from 1.
-        noise: standard deviation of the sensor's noise, in grey values.
+        letter: which one, from 1; noise: standard deviation of the sensor's noise, in grey values.
         size: height and width of a sign, in pixels.
 
     Raises:
@@ -100,8 +99,7 @@ class PixelLetterNode(LetterNode):
     """A letter node that sees pixels.
 
     Args:
-        words: the vocabulary.
-        letter: the place, from 1.
+        words: the vocabulary; letter: the place, from 1.
         sigma: standard deviation of the sensor's noise as the node believes it, in grey values.
         slip: probability that any letter at all was drawn in place of the one that was meant;
             it keeps the pixels from ever ruling a letter out.
@@ -164,8 +162,7 @@ class SignPicture(Probe):
     """Writes what a letter node saw last, as a picture, into the run's output folder.
 
     Args:
-        file: its name, such as ``letter1.png``.
-        enlarge: by which whole factor.
+        file: its name, such as ``letter1.png``; enlarge: by which whole factor.
     """
 
     def __init__(self, file: str, enlarge: int = 6) -> None:

@@ -77,8 +77,7 @@ class LetterNode(Node):
     uniform until something is known.
 
     Args:
-        words: the vocabulary.
-        letter: the place, from 1.
+        words: the vocabulary; letter: the place, from 1.
     """
 
     def __init__(self, words: Sequence[str], letter: int) -> None:
@@ -161,8 +160,7 @@ class WordNode(Node):
         """τ: what a letter node reports takes the place of its part; the others stay.
 
         Args:
-            observations: ``{"from": node, "likelihood": {word: p, …}}`` each.
-            belief: as above.
+            observations: ``{"from": node, "likelihood": {word: p, …}}`` each; belief: as above.
 
         Raises:
             ImpossibleEvidenceError: the letters leave no word that has a prior.
@@ -217,8 +215,7 @@ class LetterEvidence(_Place):
     """φ from a letter node to the word: η·M·L, its diagnostic part as one over the words.
 
     Args:
-        words: the vocabulary.
-        letter: the place, from 1.
+        words: the vocabulary; letter: the place, from 1.
     """
 
     def __call__(self, belief: Value, tick: Tick = NO_TICK) -> Elements:
@@ -231,8 +228,7 @@ class WordSupport(_Place):
     """ϱ from the word to a letter node: η·(c ∘ all parts but the letter's own)·M.
 
     Args:
-        words: the vocabulary.
-        letter: the place, from 1.
+        words: the vocabulary; letter: the place, from 1.
     """
 
     def __call__(self, belief: Value, tick: Tick = NO_TICK) -> Elements:

@@ -28,8 +28,7 @@ def letters_at(words: Sequence[str], letter: int) -> tuple[str, ...]:
     """The hypotheses of a letter node: the letters at a place, in the order of the words.
 
     Args:
-        words: the vocabulary.
-        letter: the place, from 1.
+        words: the vocabulary; letter: the place, from 1.
 
     Raises:
         ValueError: the words have no such place.

@@ -47,8 +47,7 @@ def planned(scene: int, cubes: int = len(SIDES_M)) -> tuple[Place, ...]:
     the first, so that one of them hides the other and keeps the gripper from some of its sides.
 
     Args:
-        scene: number of the scene, from 0.
-        cubes: how many, from 1 to 5.
+        scene: number of the scene, from 0; cubes: how many, from 1 to 5.
 
     Raises:
         ValueError: a number is out of its range, or there is no room.

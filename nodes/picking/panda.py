@@ -49,9 +49,7 @@ def joints_for(gripper: Floats, start: Floats, iterations: int = 60) -> tuple[Fl
     """Joint angles that bring the gripper to a pose: damped least squares.
 
     Args:
-        gripper: world_from_gripper.
-        start: (7,) where to begin, radians.
-        iterations: at most so many steps.
+        gripper: world_from_gripper; start: (7,) where to begin, radians; iterations: at most so many steps.
 
     Returns:
         (7,) radians, within the joints' limits, and how far off the gripper then is: metres

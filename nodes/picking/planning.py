@@ -82,8 +82,7 @@ def clear(gripper: Floats, width_m: float, boxes: Boxes, clearance_m: float) -> 
     """Whether hand and camera keep clear of boxes and table on the whole approach.
 
     Args:
-        gripper: world_from_gripper at its end.
-        width_m: how wide the gripper is open.
+        gripper: world_from_gripper at its end; width_m: how wide the gripper is open.
         boxes: everything that is not to be touched, what is to be taken included.
         clearance_m: how far they are to keep off.
     """

@@ -92,8 +92,7 @@ class PickSpatial(SpatialNode):
 
         Args:
             context: one element {"held": id of a cube, or None}, from the grasp node.
-            actions: not used.
-            belief: as `observe` left it.
+            actions: not used; belief: as `observe` left it.
         """
         predicted = super().predict((), (), belief)
         held = context[0]["held"] if context else None
@@ -112,8 +111,7 @@ def arm(scene: int = 0, cubes: int = len(SIDES_M), **options: Any) -> PickArm:
     """The arm node with a first guess at the cubes' poses, and nothing of their shapes.
 
     Args:
-        scene, cubes: as for `hierax.nodes.picking.world.PickWorld`.
-        options: further ones of `ArmNode`.
+        scene, cubes: as for `hierax.nodes.picking.world.PickWorld`; options: further ones of `ArmNode`.
     """
     camera_from_world = invert(camera_of(gripper_at(HOME_RAD)))
     objects: list[FirstPose] = [
@@ -127,8 +125,7 @@ def spatial(scene: int = 0, cubes: int = len(SIDES_M), **options: Any) -> PickSp
     """The spatial node with a first guess at the cubes' poses, and with their models; the table carries them.
 
     Args:
-        scene, cubes: as for `hierax.nodes.picking.world.PickWorld`.
-        options: further ones of `SpatialNode`.
+        scene, cubes: as for `hierax.nodes.picking.world.PickWorld`; options: further ones of `SpatialNode`.
     """
     objects: list[FirstBody] = []
     for place, pose in zip(planned(scene, cubes), guessed(scene, cubes), strict=True):

@@ -40,8 +40,7 @@ class SceneView:
 
         Args:
             belief: of `hierax.nodes.picking.world.PickWorld`.
-            view, lens: OpenGL's view and projection matrices, (16,), by columns.
-            size: width and height in pixels.
+            view, lens: OpenGL's view and projection matrices, (16,), by columns; size: width and height in pixels.
 
         Returns:
             uint8 RGB (h, w, 3), and int32 (h, w), whose body is seen, -1 for none.
@@ -76,8 +75,7 @@ class Views(Probe):
     """Draws the world from beside the table, into ``views/`` in the output folder, with a contact sheet at the end.
 
     Args:
-        every: from one picture to the next, in frames.
-        width, height: of the pictures, in pixels.
+        every: from one picture to the next, in frames; width, height: of the pictures, in pixels.
 
     Raises:
         ValueError: `every` is below 1.

@@ -84,9 +84,7 @@ class Workcell:
         """Let the arm move and things fall, slide and be held.
 
         Args:
-            arm, cubes: as they are.
-            order: what the arm is to do.
-            steps: how long, in steps of `STEP_S`.
+            arm, cubes: as they are; order: what the arm is to do; steps: how long, in steps of `STEP_S`.
 
         Returns:
             How arm and cubes are afterwards, and what each cube then touches.

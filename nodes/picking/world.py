@@ -14,7 +14,7 @@ from hierax.nodes.picking.workcell import STEP_HZ, Arm, Cube, Order, Touch, Work
 from hierax.nodes.tracking.math.geometry import Floats, exp_so3, log_so3, make_pose
 from hierax.nodes.tracking.simworld import shapes as sim_shapes
 from hierax.nodes.tracking.simworld.scene import develop, draw
-from hierax.nodes.tracking.simworld.world import MAX_AMOUNT, MAX_SIDE_PX
+from hierax.nodes.tracking.simworld.world import check_pictures
 from hierax.runtime import NO_TICK, Elements, Tick, Value, World
 from hierax.runtime.core.node import Policy
 
@@ -48,13 +48,11 @@ class PickWorld(World):
     nothing but the fingers).
 
     Args:
-        scene: number of the scene, from 0.
-        cubes: how many cubes, from 1 to 5.
+        scene: number of the scene, from 0; cubes: how many cubes, from 1 to 5.
         frames: after how many the world has finished, if nothing has been held long enough by then.
         width, height: of the pictures, in pixels.
         noise: standard deviation of the sensor's noise, in grey levels of 256.
-        blur_px: standard deviation of the lens's blur, in pixels.
-        fps: frames per second, a divisor of 240.
+        blur_px: standard deviation of the lens's blur, in pixels; fps: frames per second, a divisor of 240.
     """
 
     def __init__(
@@ -68,13 +66,7 @@ class PickWorld(World):
         blur_px: float = 0.7,
         fps: int = 20,
     ) -> None:
-        for name, number, least in (("frames", frames, 1), ("width", width, 64), ("height", height, 64)):
-            most = 2**53 if name == "frames" else MAX_SIDE_PX
-            if not least <= number <= most:
-                raise ValueError(f"{name} is {number}; expected a whole number from {least} to {most}")
-        for name, amount in (("noise", noise), ("blur_px", blur_px)):
-            if not 0.0 <= amount <= MAX_AMOUNT:
-                raise ValueError(f"{name} is {amount}; expected a number from 0 to {MAX_AMOUNT:g}")
+        check_pictures(frames, width, height, noise, blur_px)
         if fps < 1 or STEP_HZ % fps:
             raise ValueError(f"fps is {fps}; expected a divisor of {STEP_HZ}")
         self._bodies = _placed(scene, cubes)

@@ -6,12 +6,12 @@ edges that it takes from the context; without context its objects are lost.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping, Sequence
 
 import numpy as np
 
 from hierax.nodes.tracking.display import arm_things
+from hierax.nodes.tracking.errors import check_positive
 from hierax.nodes.tracking.estimation.profiles import smoothed
 from hierax.nodes.tracking.estimation.tracked import (
     NO_CONTROLS,
@@ -93,11 +93,8 @@ class ArmNode(Node):
         patience: int = 10,
         prior: bool = True,
     ) -> None:
-        deviations = {"start_m": start_m, "start_rad": start_rad, "motion_m": motion_m, "motion_rad": motion_rad}
-        deviations.update(camera_m=camera_m, camera_rad=camera_rad, error_px=error_px)
-        for name, number in deviations.items():
-            if not 0.0 < number < math.inf:
-                raise ValueError(f"{name} is {number}; expected a positive number")
+        check_positive(start_m=start_m, start_rad=start_rad, motion_m=motion_m, motion_rad=motion_rad)
+        check_positive(camera_m=camera_m, camera_rad=camera_rad, error_px=error_px)
         if not 0.0 <= kept_score <= found_score <= 1.0:
             raise ValueError(f"expected 0 <= kept_score <= found_score <= 1, got {kept_score} and {found_score}")
         if patience < 1:

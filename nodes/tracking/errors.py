@@ -2,8 +2,24 @@
 
 from __future__ import annotations
 
+import math
+
 from hierax.runtime.core.errors import HieraxError
 
 
 class DataError(HieraxError):
     """A file of a scene or a model is missing or damaged; the message names it and what was expected."""
+
+
+def check_positive(**numbers: float) -> None:
+    """See that options, by name, are finite numbers above 0; ValueError."""
+    for name, number in numbers.items():
+        if not 0.0 < number < math.inf:
+            raise ValueError(f"{name} is {number}; expected a positive number")
+
+
+def check_between(least: float, most: float, kind: str, **numbers: float) -> None:
+    """See that options, by name, are from `least` to `most`, "a number" or whatever kind they are; ValueError."""
+    for name, number in numbers.items():
+        if not least <= number <= most:
+            raise ValueError(f"{name} is {number}; expected {kind} from {least} to {most:g}")

@@ -286,8 +286,7 @@ def fault(value: Any, kind: Any, where: str) -> str:
 
     Args:
         value: a belief, an observation, or a part of one.
-        kind: a class of this module, or the annotation of one of its fields.
-        where: what the value is called.
+        kind: a class of this module, or the annotation of one of its fields; where: what the value is called.
     """
     origin = get_origin(kind)
     if origin is Annotated:

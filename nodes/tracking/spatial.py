@@ -9,6 +9,7 @@ from math import sqrt
 import numpy as np
 
 from hierax.nodes.tracking.display import spatial_things
+from hierax.nodes.tracking.errors import check_between
 from hierax.nodes.tracking.imagery.alternatives import elsewhere
 from hierax.nodes.tracking.imagery.bullet import GRAVITY_M_S2
 from hierax.nodes.tracking.imagery.physics import Motion, Simulator, Solid
@@ -77,8 +78,7 @@ class SpatialNode(Node):
         max_sigmas: float = 3.0,
         friction: float = 0.5,
     ) -> None:
-        if not 0.0 <= velocity_gain <= 1.0:
-            raise ValueError(f"velocity_gain is {velocity_gain}; expected a number from 0 to 1")
+        check_between(0, 1, "a number", velocity_gain=velocity_gain)
         for name, number in (("damping", damping), ("max_sigmas", max_sigmas), ("friction", friction)):
             if not 0.0 <= number < math.inf:
                 raise ValueError(f"{name} is {number}; expected a finite number not below 0")

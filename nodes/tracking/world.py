@@ -34,8 +34,7 @@ def world(
     """N₀: a `BopWorld` where a scene is given, else a `SimWorld`.
 
     Args:
-        scene: folder of a BOP scene, or None.
-        cubes, frames, noise, blur_px: of the simulated world.
+        scene: folder of a BOP scene, or None; cubes, frames, noise, blur_px: of the simulated world.
         fps: frames per second, of either.
 
     Raises:

@@ -75,9 +75,7 @@ class ReadAhead:
     What `read` returns or raises does not depend on it.
 
     Args:
-        paths: the images.
-        depth: how many are read ahead at most.
-        read: reads one.
+        paths: the images; depth: how many are read ahead at most; read: reads one.
     """
 
     def __init__(self, paths: Sequence[Path], depth: int = AHEAD, read: Callable[[Path], Array] = read_image) -> None:

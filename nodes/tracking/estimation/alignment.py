@@ -82,12 +82,8 @@ def align(
     """Correct predicted poses.
 
     Args:
-        image: of `smoothed`.
-        controls: the control points of all objects.
-        start: where they should be.
-        intrinsics: (4,) fx, fy, cx, cy in pixels.
-        memory: what the objects looked like beside their edges.
-        search: how.
+        image: of `smoothed`; controls: the control points of all objects; start: where they should be.
+        intrinsics: (4,) fx, fy, cx, cy in pixels; memory: what the objects looked like beside their edges; search: how.
 
     Returns:
         The corrected poses; None where no control point is in the image.

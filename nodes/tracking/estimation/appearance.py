@@ -171,8 +171,7 @@ def remembered(slots: Looks, controls: Controls, rows: Indices, colours: Singles
     """What is remembered after an image.
 
     Args:
-        slots: before.
-        controls: of all objects.
+        slots: before; controls: of all objects.
         rows: of one object's control points that were matched and are surely seen.
         colours: (n, 2, channels) inside and outside of each.
     """

@@ -28,9 +28,7 @@ def apartness(controls: Controls, poses: Floats, intrinsics: Array) -> Floats:
     """(n,) 0 to 1 of each control point how far its edge stands alone where some poses put it.
 
     Args:
-        controls: of all objects.
-        poses: (m, 4, 4) camera_from_object.
-        intrinsics: (4,) fx, fy, cx, cy in pixels.
+        controls: of all objects; poses: (m, 4, 4) camera_from_object; intrinsics: (4,) fx, fy, cx, cy in pixels.
     """
     if not len(controls.owners):
         return np.zeros(0)

@@ -59,9 +59,7 @@ def told_by(tone: Tone, blocks: Floats, slopes: Floats) -> Floats:
     by how much the factor should be more than it was taken to be.
 
     Args:
-        tone: at some poses.
-        blocks: (m, 12, 12) information about twists there.
-        slopes: (m, 12) gradient over them.
+        tone: at some poses; blocks: (m, 12, 12) information about twists there; slopes: (m, 12) gradient over them.
     """
     own = blocks[:, 6:, 6:]
     eased = own + _EASE * own * np.eye(6) + 1e-9 * np.eye(6)
@@ -75,9 +73,7 @@ def allowed_for(tone: Tone, told: Floats, factor: float, information: float) -> 
     """How what is believed of the factor after an image changes what the image says of the poses.
 
     Args:
-        tone: at some poses.
-        told: (m, 2) what each object tells in this image.
-        factor, information: believed before it.
+        tone: at some poses; told: (m, 2) what each object tells in this image; factor, information: believed before it.
 
     Returns:
         To be added to the (m, 12, 12) information about twists and to the (m, 12) gradient over them.
@@ -93,9 +89,7 @@ def remembered(before: Any, told: Floats, factor: float) -> Floats:
     """What an object has told after an image, older images fading.
 
     Args:
-        before: the same before.
-        told: (2,) of `told_by`.
-        factor: that the places of edges were corrected by.
+        before: the same before; told: (2,) of `told_by`; factor: that the places of edges were corrected by.
     """
     now = np.array([told[0], told[1] + factor * told[0]])
     kept: Floats = (1.0 - 1.0 / _IMAGES) * np.asarray(before, dtype=np.float64) + now

@@ -146,8 +146,7 @@ def _aligned(task: Task, information: Floats, shift: Floats) -> Aligned | None:
     """What the image says of the poses, when light's encoding is not known better than it is.
 
     Args:
-        task: what is aligned.
-        information: (m, 6, 6) of the predictions.
+        task: what is aligned; information: (m, 6, 6) of the predictions.
         shift: (4, 4) what the camera's error is supposed to do to all poses.
     """
     start = Start(shift @ task.start.poses, information, task.start.camera)

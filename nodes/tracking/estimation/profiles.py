@@ -83,8 +83,7 @@ def read_profiles(image: Image, lines: Lines, edges: Indices, reach: int, contra
     Args:
         image: of `smoothed`.
         lines: where; its rows ascending, so that neighbours on an edge stand together.
-        edges: (n,) of each line.
-        reach: pixels.
+        edges: (n,) of each line; reach: pixels.
         contrast: smallest slope that counts as an edge, grey levels per pixel.
     """
     half = reach + 1 + _FLANK_PX

@@ -38,8 +38,7 @@ def first_belief(item: FirstPose, covariance: Floats) -> TrackedObject:
     """An object before the first image.
 
     Args:
-        item: "id", "obj_id" and "pose", camera_from_object.
-        covariance: (6, 6) of the pose's error.
+        item: "id", "obj_id" and "pose", camera_from_object; covariance: (6, 6) of the pose's error.
 
     Raises:
         ValueError: the pose is no 4 × 4 matrix of finite numbers.

@@ -59,8 +59,7 @@ class Pictures(Probe):
     is told has no red: what was expected died with the process before.
 
     Args:
-        every: from one picture to the next, in frames.
-        video: whether a video is made.
+        every: from one picture to the next, in frames; video: whether a video is made.
         fps: of the video, frames per second.
 
     Raises:

@@ -21,7 +21,7 @@ from hierax.nodes.tracking.datasets.truth import TruePose, read_truth
 from hierax.nodes.tracking.errors import DataError
 from hierax.nodes.tracking.evaluation.pictures import write_picture
 from hierax.nodes.tracking.evaluation.probes import POSES_FILE, TRUTH_FILE
-from hierax.nodes.tracking.evaluation.scoring import ObjectErrors, courses
+from hierax.nodes.tracking.evaluation.scoring import ObjectErrors, object_errors
 from hierax.nodes.tracking.math.geometry import Array, Floats
 from hierax.runtime import Probe, Step
 
@@ -71,7 +71,7 @@ class ErrorPlot(Probe):
             return
         true = _simulated_truth(self._output) if self._truth is None else read_truth(self._truth)
         if true:
-            write_picture(self._output / PLOT_FILE, plot(courses(read_results(self._output / POSES_FILE), true)))
+            write_picture(self._output / PLOT_FILE, plot(object_errors(read_results(self._output / POSES_FILE), true)))
 
 
 def read_errors(output: Path, truth: Path | None = None) -> list[ObjectErrors]:
@@ -85,7 +85,7 @@ def read_errors(output: Path, truth: Path | None = None) -> list[ObjectErrors]:
         DataError: one of the files is missing or damaged, or there is no true pose.
     """
     if truth is not None:
-        return courses(read_results(output / POSES_FILE), read_truth(truth))
+        return object_errors(read_results(output / POSES_FILE), read_truth(truth))
     truth_file = output / TRUTH_FILE
     if not truth_file.is_file():
         raise DataError(
@@ -95,7 +95,7 @@ def read_errors(output: Path, truth: Path | None = None) -> list[ObjectErrors]:
     true = _simulated_truth(output)
     if not true:
         raise DataError(f"{truth_file}: no poses")
-    return courses(read_results(output / POSES_FILE), true)
+    return object_errors(read_results(output / POSES_FILE), true)
 
 
 def _simulated_truth(output: Path) -> dict[int, list[TruePose]]:

@@ -109,12 +109,11 @@ class Score(NamedTuple):
         return plain
 
 
-def courses(results: Iterable[Result], truth: Mapping[int, Sequence[TruePose]]) -> list[ObjectErrors]:
+def object_errors(results: Iterable[Result], truth: Mapping[int, Sequence[TruePose]]) -> list[ObjectErrors]:
     """Each true object's errors, by its number.
 
     Args:
-        results: poses that were given, of one scene.
-        truth: by frame, as `read_truth` gives it.
+        results: poses that were given, of one scene; truth: by frame, as `read_truth` gives it.
     """
     given = {(result.obj_id, result.im_id): result.pose for result in results}
     true: dict[int, list[tuple[int, TruePose]]] = {}
@@ -133,18 +132,18 @@ def courses(results: Iterable[Result], truth: Mapping[int, Sequence[TruePose]]) 
     return found
 
 
-def score(all_courses: Sequence[ObjectErrors]) -> Score:
+def score(all_errors: Sequence[ObjectErrors]) -> Score:
     """The figures of some objects, of one run or of several."""
-    counted = [course.counted for course in all_courses]
-    visible = _joined(course.visible[kept] for course, kept in zip(all_courses, counted, strict=True))
-    distance = _joined(course.distance_mm[kept] for course, kept in zip(all_courses, counted, strict=True))
-    angle = _joined(course.angle_deg[kept] for course, kept in zip(all_courses, counted, strict=True))
+    counted = [item.counted for item in all_errors]
+    visible = _joined(item.visible[kept] for item, kept in zip(all_errors, counted, strict=True))
+    distance = _joined(item.distance_mm[kept] for item, kept in zip(all_errors, counted, strict=True))
+    angle = _joined(item.angle_deg[kept] for item, kept in zip(all_errors, counted, strict=True))
     right = np.array([(distance <= mm) & (angle <= degrees) for mm, degrees in LIMITS])
     whole = np.ones(len(visible), bool)
     known = ~np.isnan(distance)
     astray = known & ((distance > _ASTRAY[0]) | (angle > _ASTRAY[1]))
     return Score(
-        objects=len(all_courses),
+        objects=len(all_errors),
         frames=len(visible),
         shares=_shares(right, whole),
         bands=tuple(_band(right, visible, low, high) for low, high in (*BINS, *WIDE_BINS)),
@@ -154,8 +153,8 @@ def score(all_courses: Sequence[ObjectErrors]) -> Score:
         worst_deg=_of(np.max, angle[known]),
         missing=_of(np.mean, ~known),
         astray=_of(np.mean, astray),
-        lost=sum(_is_lost(course) for course in all_courses),
-        again_frames=tuple(frames for course in all_courses for frames in _again(course)),
+        lost=sum(_is_lost(item) for item in all_errors),
+        again_frames=tuple(frames for item in all_errors for frames in _again(item)),
     )
 
 
@@ -196,11 +195,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--format", choices=("text", "json"), default="text", help="how the figures are printed")
     options = parser.parse_args(arguments)
     try:
-        found = courses(read_results(options.poses), read_truth(options.truth))
+        found = object_errors(read_results(options.poses), read_truth(options.truth))
     except DataError as error:
         print(f"error: {error}", file=sys.stderr)
         return 1
-    rows = {"all": score(found), **{f"object {course.obj_id}": score([course]) for course in found}}
+    rows = {"all": score(found), **{f"object {item.obj_id}": score([item]) for item in found}}
     if options.format == "json":
         print(json.dumps({name: each.plain() for name, each in rows.items()}, indent=2))
     else:
@@ -217,14 +216,14 @@ def _shares(right: Array, which: Array) -> tuple[float, ...]:
     return tuple(_of(np.mean, row[which]) for row in right)
 
 
-def _is_lost(course: ObjectErrors) -> bool:
-    last = np.nonzero(course.counted)[0][-_LAST_FRAMES:]
-    return len(last) > 0 and not course.within(_NEAR)[last].any()
+def _is_lost(item: ObjectErrors) -> bool:
+    last = np.nonzero(item.counted)[0][-_LAST_FRAMES:]
+    return len(last) > 0 and not item.within(_NEAR)[last].any()
 
 
-def _again(course: ObjectErrors) -> list[int | None]:
+def _again(item: ObjectErrors) -> list[int | None]:
     """After how many frames an object that was gone, and came back, was right."""
-    counted, right = course.counted, course.within(_RIGHT_AGAIN)
+    counted, right = item.counted, item.within(_RIGHT_AGAIN)
     found: list[int | None] = []
     for back in np.nonzero(counted[1:] & ~counted[:-1])[0] + 1:
         gone = np.nonzero(~counted[back:])[0]

@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from hierax.nodes.tracking.math.geometry import Array, Floats, exp_se3, make_pose
+from hierax.nodes.tracking.math.geometry import Array, Floats, exp_se3, looking_down
 
 FPS = 30.0
 DRIFT_M, DRIFT_DEG = 0.008, 1.0  # how far the reported camera drifts from the true one at most
@@ -30,10 +30,7 @@ def camera_path(swing: Swing, target_m: Array, frames: int, rng: np.random.Gener
     """world_from_camera of each frame, (frames, 4, 4).
 
     Args:
-        swing: the path.
-        target_m: (3,) what it looks at.
-        frames: how many.
-        rng: draws the hand's tremble.
+        swing: the path; target_m: (3,) what it looks at; frames: how many; rng: draws the hand's tremble.
     """
     if swing.swing_deg == 0.0:
         return np.repeat(_looking(swing, target_m, 0.0, 0.0)[None], frames, axis=0)
@@ -78,6 +75,4 @@ def _looking(swing: Swing, target_m: Array, time_s: float, progress: float) -> F
     near, far = swing.radius_m
     eased = progress * progress * (3.0 - 2.0 * progress)
     radius = near + (far - near) * eased
-    away = np.array([np.cos(azimuth) * np.cos(elevation), np.sin(azimuth) * np.cos(elevation), np.sin(elevation)])
-    right = np.array([-np.sin(azimuth), np.cos(azimuth), 0.0])
-    return make_pose(np.stack((right, np.cross(-away, right), -away), axis=1), target_m + radius * away)
+    return looking_down(azimuth, elevation, radius, target_m)

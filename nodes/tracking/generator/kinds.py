@@ -72,9 +72,7 @@ def film(kind: str, seed: int, frames: int) -> Film:
     """A scene of a kind.
 
     Args:
-        kind: one of `KINDS`.
-        seed: draws everything in it.
-        frames: how many.
+        kind: one of `KINDS`; seed: draws everything in it; frames: how many.
 
     Raises:
         ValueError: there is no such kind, or `frames` is not positive.

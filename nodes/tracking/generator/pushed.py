@@ -58,10 +58,7 @@ def pushed(rng: np.random.Generator, frames: int, intrinsics: Array, size: tuple
     """A scene of six objects; see the module.
 
     Args:
-        rng: draws everything.
-        frames: how many.
-        intrinsics: fx, fy, cx, cy in pixels.
-        size: of the pictures, (w, h).
+        rng: draws everything; frames: how many; intrinsics: fx, fy, cx, cy in pixels; size: of the pictures, (w, h).
     """
     plan = _planned(rng)
     poses, rods = _simulated(plan, frames)

@@ -50,9 +50,7 @@ def write_scene(
 
     Args:
         out: the dataset's folder; what stands there of an earlier scene is replaced.
-        kind: one of `KINDS`.
-        seed: draws everything.
-        frames: how many, at 30 a second.
+        kind: one of `KINDS`; seed: draws everything; frames: how many, at 30 a second.
         exact: say the truth of start and camera; the kind "pushed" always does.
         objects: take so many of the objects at most, the first; None for all.
 

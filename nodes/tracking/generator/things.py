@@ -82,11 +82,8 @@ def scattered(
     """Put items on the table, at random in a disc around the origin.
 
     Args:
-        items: in the order in which they take their places.
-        rng: draws places and turns.
-        radius_m: of the disc.
-        gap_m: least room between two of them.
-        taken: what stands there already.
+        items: in the order in which they take their places; rng: draws places and turns; radius_m: of the disc.
+        gap_m: least room between two of them; taken: what stands there already.
 
     Returns:
         One thing for each item; None where no room was found.

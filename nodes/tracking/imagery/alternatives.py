@@ -38,8 +38,7 @@ def elsewhere(pose: Floats, covariance: Floats, support: Floats, turn: int) -> F
     """Poses (`AT_ONCE`, 4, 4) that a body may have as well.
 
     Args:
-        pose: world_from_object that it is imagined at.
-        covariance: (6, 6) of that, twist in the object's frame.
+        pose: world_from_object that it is imagined at; covariance: (6, 6) of that, twist in the object's frame.
         support: (3,) unit vector upwards in the object's frame where the body stands on something: there it may be
             elsewhere and turned, but not higher or tilted; zeros where nothing carries it.
         turn: other numbers give other poses.

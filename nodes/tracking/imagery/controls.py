@@ -57,9 +57,7 @@ def controls_of(
     """Points on the edges of an object that would be seen if it were alone.
 
     Args:
-        shape: the object.
-        pose: camera_from_object.
-        intrinsics: (4,) fx, fy, cx, cy in pixels.
+        shape: the object; pose: camera_from_object; intrinsics: (4,) fx, fy, cx, cy in pixels.
         size: width and height of the image in pixels.
         layer: the object drawn alone; needed of a body that is not convex.
 

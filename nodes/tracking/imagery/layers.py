@@ -73,8 +73,7 @@ class MeshRenderer:
         """(h, w) float64, 1/z in 1/m, 0 where the mesh is not.
 
         Args:
-            pose: camera_from_object.
-            intrinsics: (4,) fx, fy, cx, cy in pixels, pixel centres at integers.
+            pose: camera_from_object; intrinsics: (4,) fx, fy, cx, cy in pixels, pixel centres at integers.
             window: the part of the image that is drawn.
         """
         bullet = self._bullet
@@ -128,8 +127,7 @@ class LayerRenderer:
         """The object alone; None where no part of it can be in the image.
 
         Args:
-            pose: camera_from_object.
-            intrinsics: (4,) fx, fy, cx, cy in pixels, pixel centres at integers.
+            pose: camera_from_object; intrinsics: (4,) fx, fy, cx, cy in pixels, pixel centres at integers.
             size: width and height of the image in pixels.
         """
         shape = self.shape
@@ -178,8 +176,7 @@ def _cast(corners: Floats, closed: Array, intrinsics: Array, window: Window) -> 
     Args:
         corners: (m, 3, 3) of triangles, camera's frame, metres.
         closed: (m,) whether only one side is seen, the one from which they go counter-clockwise.
-        intrinsics: (4,) fx, fy, cx, cy in pixels.
-        window: the part of the image.
+        intrinsics: (4,) fx, fy, cx, cy in pixels; window: the part of the image.
     """
     a, b, c = corners[:, 0], corners[:, 1], corners[:, 2]
     sides = np.stack((cross(b, c), cross(c, a), cross(a, b)), axis=1)
@@ -225,9 +222,7 @@ def _far_sides(planes: Floats, pose: Floats, intrinsics: Array) -> Floats:
     """What the planes that a ray can leave half spaces n·x <= d through look like, as `Layer.sides`.
 
     Args:
-        planes: (p, 4) n and d, object's frame.
-        pose: camera_from_object.
-        intrinsics: (4,) fx, fy, cx, cy in pixels.
+        planes: (p, 4) n and d, object's frame; pose: camera_from_object; intrinsics: (4,) fx, fy, cx, cy in pixels.
     """
     fx, fy, cx, cy = (float(part) for part in intrinsics)
     normals = planes[:, :3] @ pose[:3, :3].T

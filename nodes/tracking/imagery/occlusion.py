@@ -54,8 +54,7 @@ def chances_seen(points: Sequence[Floats], placed: Sequence[Placed], intrinsics:
 
     Args:
         points: of each object (n, 3), its frame, metres; before the camera.
-        placed: the objects, in the same order.
-        intrinsics: (4,) fx, fy, cx, cy in pixels.
+        placed: the objects, in the same order; intrinsics: (4,) fx, fy, cx, cy in pixels.
     """
     counts = [len(own) for own in points]
     if len(placed) < 2 or not sum(counts):

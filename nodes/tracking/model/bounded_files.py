@@ -15,8 +15,7 @@ def read_file(path: Path, expected: str) -> bytes:
     """What is in a file.
 
     Args:
-        path: of the file.
-        expected: what it should be, for errors.
+        path: of the file; expected: what it should be, for errors.
 
     Raises:
         DataError: it is missing, no file, or too large.

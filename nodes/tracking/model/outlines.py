@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from hierax.nodes.tracking.math.geometry import Floats
+from hierax.nodes.tracking.math.geometry import Floats, unit
 from hierax.nodes.tracking.model.shapes import Ints, Shape
 
 
@@ -24,8 +24,7 @@ def outline_of(shape: Shape, viewpoint: Floats) -> Outline:
     """The outline of a shape's smooth surfaces, hidden or not.
 
     Args:
-        shape: the object.
-        viewpoint: (3,) the camera's centre, object's frame.
+        shape: the object; viewpoint: (3,) the camera's centre, object's frame.
     """
     towards = np.sum(shape.corner_normals * (viewpoint - shape.corners), axis=1)
     one, two, three = (towards > 0.0)[shape.smooth_corners].T
@@ -40,8 +39,7 @@ def outline_of(shape: Shape, viewpoint: Floats) -> Outline:
     share = (towards[apex] / (towards[apex] - towards[others]))[..., None]
     ends = shape.corners[apex] + share * (shape.corners[others] - shape.corners[apex])
     normals = shape.corner_normals[apex] + share * (shape.corner_normals[others] - shape.corner_normals[apex])
-    outwards = normals.sum(axis=1)
-    outwards /= np.maximum(np.linalg.norm(outwards, axis=1, keepdims=True), 1e-300)
+    outwards = unit(normals.sum(axis=1))
     crossed = np.minimum(apex, others).astype(np.int64) * len(shape.corners) + np.maximum(apex, others)
     order, turned, chains = _chained(crossed)
     ends = np.where(turned[:, None, None], ends[order, ::-1], ends[order])

@@ -61,8 +61,7 @@ def read_ply(path: Path, unit_m: float = BOP_UNIT_M) -> Mesh:
     """A mesh from a PLY file: ascii, or binary of either byte order; polygons are cut into triangles.
 
     Args:
-        path: the file.
-        unit_m: the file's unit of length in metres.
+        path: the file; unit_m: the file's unit of length in metres.
 
     Raises:
         DataError: the file is missing or damaged; it names file, line or element, and what was expected.
@@ -90,8 +89,7 @@ def write_ply(path: Path, mesh: Mesh, unit_m: float = BOP_UNIT_M) -> None:
 
     Args:
         path: the file; its folder must exist.
-        mesh: in metres.
-        unit_m: the file's unit of length in metres.
+        mesh: in metres; unit_m: the file's unit of length in metres.
     """
     lines = ["ply", "format ascii 1.0", f"element vertex {len(mesh.vertices)}"]
     lines += [f"property float {axis}" for axis in "xyz"]

@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from hierax.nodes.tracking.math.geometry import Array, Floats
+from hierax.nodes.tracking.math.geometry import Array, Floats, unit
 
 # Faces that meet at a larger angle meet in an edge that is seen; at a smaller one the surface is smooth.
 SHARP_RADIANS = 0.3
@@ -59,8 +59,7 @@ def shape_of(vertices: Floats, faces: Array) -> Shape:
     """Prepare a mesh.
 
     Args:
-        vertices: (n, 3) metres.
-        faces: (m, 3) indices of vertices, wound in any way.
+        vertices: (n, 3) metres; faces: (m, 3) indices of vertices, wound in any way.
     """
     vertices, faces = _welded(vertices, np.asarray(faces, dtype=np.int32))
     pairs = _paired(faces)
@@ -203,8 +202,7 @@ def _inwards(vertices: Floats, faces: Ints, normals: Floats, edges: Ints, edge_f
     found = np.zeros((len(edges), 2, 3))
     for side in range(2):
         face = np.maximum(edge_faces[:, side], 0)
-        across = np.cross(normals[face], along)
-        across /= np.maximum(np.linalg.norm(across, axis=1, keepdims=True), 1e-300)
+        across = unit(np.cross(normals[face], along))
         middle = vertices[faces[face]].mean(axis=1)
         away = np.sum(across * (middle - vertices[edges[:, 0]]), axis=1, keepdims=True)
         found[:, side] = np.where(edge_faces[:, side : side + 1] < 0, 0.0, np.where(away < 0, -across, across))
@@ -217,8 +215,7 @@ def _chained(vertices: Floats, edges: Ints) -> tuple[NDArray[np.intp], Ints]:
     for number, (start, end) in enumerate(edges.tolist()):
         at.setdefault(start, []).append(number)
         at.setdefault(end, []).append(number)
-    along = vertices[edges[:, 1]] - vertices[edges[:, 0]]
-    along /= np.maximum(np.linalg.norm(along, axis=1, keepdims=True), 1e-300)
+    along = unit(vertices[edges[:, 1]] - vertices[edges[:, 0]])
     after: list[list[int]] = [[] for _ in edges]
     for vertex, beside in at.items():
         if len(beside) != 2:
@@ -260,8 +257,7 @@ def _directed(edges: Ints, chains: Ints) -> Ints:
 
 def _bent(vertices: Floats, edges: Ints, chains: Ints) -> Ints:
     """The chains, those that bend cut into arcs."""
-    along = vertices[edges[:, 1]] - vertices[edges[:, 0]]
-    along /= np.maximum(np.linalg.norm(along, axis=1, keepdims=True), 1e-300)
+    along = unit(vertices[edges[:, 1]] - vertices[edges[:, 0]])
     arcs = np.zeros(len(edges), dtype=np.int32)
     first = 0
     for at in range(1, len(edges)):
@@ -281,7 +277,7 @@ def _corners(
     normals = np.zeros((len(names), 3))
     for corner in range(3):
         np.add.at(normals, numbers[:, corner], weighted)
-    normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-300)
+    normals = unit(normals)
     used, places = np.unique(numbers[smooth], return_inverse=True)
     return places.reshape(-1, 3).astype(np.int32), vertices[names[used] % len(vertices)], normals[used]
 

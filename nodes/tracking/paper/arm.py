@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping, Sequence
 
 import numpy as np
 
+from hierax.nodes.tracking.errors import check_between, check_positive
 from hierax.nodes.tracking.estimation.tracked import (
     check_ids,
     diagonal_covariance,
@@ -57,11 +57,8 @@ class PaperArmNode(Node):
         kept_score: float = 0.35,
         patience: int = 10,
     ) -> None:
-        for name, number in (("start_m", start_m), ("start_rad", start_rad), ("error_px", error_px)):
-            if not 0.0 < number < math.inf:
-                raise ValueError(f"{name} is {number}; expected a positive number")
-        if not 0.0 <= kept_score <= 1.0:
-            raise ValueError(f"kept_score is {kept_score}; expected a number from 0 to 1")
+        check_positive(start_m=start_m, start_rad=start_rad, error_px=error_px)
+        check_between(0, 1, "a number", kept_score=kept_score)
         if patience < 1:
             raise ValueError(f"patience is {patience}; expected at least 1 image")
         self._start = diagonal_covariance(start_m, start_rad)
@@ -106,8 +103,7 @@ class PaperArmNode(Node):
         Args:
             context: one element as `hierax.nodes.tracking.render.SegmentedDepth` gives it, or
                 none: then the arm knows no shapes, and every object is lost.
-            actions: none.
-            belief: as `observe` left it.
+            actions: none; belief: as `observe` left it.
         """
         camera = belief["camera"]
         expected = {item["id"]: item for item in context[0]["poses"]} if context else {}

@@ -70,10 +70,8 @@ def expected_lines(depth: Array, labels: Array, label: int, intrinsics: Array) -
     """The visible edges of one object, by Laplacian and Hough transform.
 
     Args:
-        depth: (h, w) metres along the camera's z, 0 where nothing is.
-        labels: (h, w) uint8, which object is seen.
-        label: the object.
-        intrinsics: (4,) fx, fy, cx, cy of the images in pixels.
+        depth: (h, w) metres along the camera's z, 0 where nothing is; labels: (h, w) uint8, which object is seen.
+        label: the object; intrinsics: (4,) fx, fy, cx, cy of the images in pixels.
 
     Returns:
         End points (n, 2, 3) in the frame of the camera that the images were rendered from, metres.
@@ -115,8 +113,7 @@ def match_lines(lines: Floats, expected: Floats, predicted: Floats, intrinsics: 
     Args:
         lines: (n, 2, 2) of `image_lines`.
         expected: (m, 2, 3) end points of the expected edges, object's frame, metres.
-        predicted: camera_from_object.
-        intrinsics: (4,) fx, fy, cx, cy in pixels.
+        predicted: camera_from_object; intrinsics: (4,) fx, fy, cx, cy in pixels.
 
     Returns:
         The corrected pose; None where too few of the edges are found.

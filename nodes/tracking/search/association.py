@@ -84,8 +84,7 @@ def associate(
         objects: each with "pose" (predicted camera_from_object), "before" (where it would be if it
             had not moved), "covariance", "motion_scale", "probation", "controls", "slots", "failed_searches" and "id".
         camera: (6, 6) inverse covariance of the camera's error; None where its pose is exact.
-        intrinsics: (4,) fx, fy, cx, cy in pixels.
-        options: how far things go.
+        intrinsics: (4,) fx, fy, cx, cy in pixels; options: how far things go.
 
     Returns:
         What the camera's error does to all poses (4, 4), and each object's estimate; None

@@ -124,8 +124,7 @@ def search_elsewhere(looking: Looking, found: Found, doubtful: Sequence[int]) ->
     """The same as found, but for doubtful objects that are better explained elsewhere.
 
     Args:
-        looking: what the search works on.
-        found: where the objects were expected and found.
+        looking: what the search works on; found: where the objects were expected and found.
         doubtful: which of them to look for.
     """
     objects, prior = looking.objects, looking.task.prior
@@ -175,9 +174,7 @@ def aligned_each(task: Task, tries: Sequence[int], start: Start, search: Search,
 
     Args:
         task: the image, and what is known of the objects' edges.
-        tries: (n,) which object's control points each start has.
-        start: of each.
-        search: how.
+        tries: (n,) which object's control points each start has; start: of each; search: how.
         most: how many control points each has at most.
     """
     places = task.controls.rows_of(tries, most)

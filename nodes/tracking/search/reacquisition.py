@@ -86,8 +86,7 @@ def find_again(looking: Looking, found: Found, sought: Sequence[int]) -> Found:
     """The same as found, but for objects of which a pose that was imagined besides explains the image clearly best.
 
     Args:
-        looking: what the search works on.
-        found: where the objects were expected and found.
+        looking: what the search works on; found: where the objects were expected and found.
         sought: which of them to look for; they have "others".
     """
     objects, prior = looking.objects, looking.task.prior

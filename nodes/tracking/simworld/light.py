@@ -78,9 +78,7 @@ def shadows(corners: Floats, face: Face, lamp: Lamp = LAMP) -> list[Floats]:
     """Where a convex part keeps the lamp's light from a face's plane.
 
     Args:
-        corners: of the part, (n, 3), world frame.
-        face: whose plane it falls on.
-        lamp: the light.
+        corners: of the part, (n, 3), world frame; face: whose plane it falls on; lamp: the light.
 
     Returns:
         For each point of the lamp a convex polygon (n, 2) in the face's coordinates a and b; none where nothing of the

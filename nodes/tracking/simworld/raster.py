@@ -32,9 +32,7 @@ def homography(face: Face, camera: Floats, intrinsics: Array) -> Floats:
     """From a face's coordinates (a, b, 1) to pixels, times the depth.
 
     Args:
-        face: in the world's frame.
-        camera: world_from_camera.
-        intrinsics: fx, fy, cx, cy in pixels.
+        face: in the world's frame; camera: world_from_camera; intrinsics: fx, fy, cx, cy in pixels.
     """
     from_world = invert(camera)
     rotation = from_world[:3, :3]
@@ -59,8 +57,7 @@ def cover(to_pixels: Floats, cells: Sequence[Floats], window: Window, samples: i
     Args:
         to_pixels: its homography.
         cells: convex polygons of its coordinates, counter-clockwise; none for the unit square.
-        window: which pixels.
-        samples: per pixel, along each axis.
+        window: which pixels; samples: per pixel, along each axis.
     """
     left, top, right, bottom = window
     step = 1.0 / samples
@@ -90,9 +87,7 @@ def visible_shares(bodies: Sequence[Body], camera: Floats, intrinsics: Array, si
     """Of each body the share of its silhouette that is seen: in the picture, and behind no other body.
 
     Args:
-        bodies: what there is.
-        camera: world_from_camera.
-        intrinsics: fx, fy, cx, cy in pixels.
+        bodies: what there is; camera: world_from_camera; intrinsics: fx, fy, cx, cy in pixels.
         size: width and height in pixels.
 
     Returns:

@@ -49,12 +49,8 @@ def draw(
     """The picture without blur or noise.
 
     Args:
-        bodies: above the plane z = 0, and in front of the camera.
-        camera: world_from_camera, 4x4, above that plane.
-        intrinsics: fx, fy, cx, cy in pixels.
-        size: width and height in pixels.
-        lamp: the light.
-        wood: of the table.
+        bodies: above the plane z = 0, and in front of the camera; camera: world_from_camera, 4x4, above that plane.
+        intrinsics: fx, fy, cx, cy in pixels; size: width and height in pixels; lamp: the light; wood: of the table.
 
     Returns:
         RGB, float32 (h, w, 3), 0 to 255.
@@ -69,8 +65,7 @@ def develop(image: Array, blur_px: float, noise: float, rng: np.random.Generator
     """What a sensor makes of a picture.
 
     Args:
-        image: float32 RGB.
-        blur_px: standard deviation of the lens's blur, in pixels.
+        image: float32 RGB; blur_px: standard deviation of the lens's blur, in pixels.
         noise: standard deviation of the sensor's noise, in grey levels of 256.
         rng: draws the noise.
 

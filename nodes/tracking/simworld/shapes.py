@@ -138,8 +138,7 @@ def extruded(
     """A prism over a polygon in the plane of x and y, from z = -length_m / 2 to length_m / 2.
 
     Args:
-        outline: (n, 2) corners, counter-clockwise, metres.
-        length_m: along z.
+        outline: (n, 2) corners, counter-clockwise, metres; length_m: along z.
         cells: indices of corners of convex polygons that the outline consists of; none where it is convex.
     """
     corners = np.asarray(outline, dtype=np.float64)

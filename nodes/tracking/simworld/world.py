@@ -8,8 +8,9 @@ import numpy as np
 
 from hierax.nodes.tracking import schema
 from hierax.nodes.tracking.display import world_things
+from hierax.nodes.tracking.errors import check_between
 from hierax.nodes.tracking.imagery.physics import Motion, Simulator, Solid
-from hierax.nodes.tracking.math.geometry import Floats, exp_so3, make_pose
+from hierax.nodes.tracking.math.geometry import Floats, exp_so3, looking_down, make_pose
 from hierax.nodes.tracking.schema import Picture, SimBelief
 from hierax.nodes.tracking.simworld.scene import develop, draw
 from hierax.nodes.tracking.simworld.shapes import Cube, cube_corners
@@ -19,7 +20,7 @@ from hierax.runtime.core.showing import Things
 DENSITY_KG_M3 = 600.0
 FRICTION = 0.6
 MAX_SIDE_PX = 4096
-MAX_AMOUNT = 1000.0  # of noise, in grey levels, and of blur, in pixels
+MAX_AMOUNT = 1000  # of noise, in grey levels, and of blur, in pixels
 MAX_FPS = 1e6
 
 FOCAL_LENGTH = 0.95  # in widths of the picture
@@ -63,12 +64,10 @@ class SimWorld(World):
     The belief is a `SimBelief`, see `hierax.nodes.tracking.schema`; z of the world is up, the table its plane z = 0.
 
     Args:
-        cubes: how many of the scene's cubes, from 1 to 6.
-        frames: after how many the world has finished.
+        cubes: how many of the scene's cubes, from 1 to 6; frames: after how many the world has finished.
         width, height: of the pictures, in pixels.
         noise: standard deviation of the sensor's noise, in grey levels of 256.
-        blur_px: standard deviation of the lens's blur, in pixels.
-        fps: frames per second.
+        blur_px: standard deviation of the lens's blur, in pixels; fps: frames per second.
     """
 
     def __init__(
@@ -82,13 +81,7 @@ class SimWorld(World):
         fps: float = 30.0,
     ) -> None:
         bodies = first_bodies(cubes)
-        sizes = (("width", width, 64, MAX_SIDE_PX), ("height", height, 64, MAX_SIDE_PX))
-        for name, number, least, most in (("frames", frames, 1, 2**53), *sizes):
-            if not least <= number <= most:
-                raise ValueError(f"{name} is {number}; expected a whole number from {least} to {most}")
-        for name, amount in (("noise", noise), ("blur_px", blur_px)):
-            if not 0.0 <= amount <= MAX_AMOUNT:
-                raise ValueError(f"{name} is {amount}; expected a number from 0 to {MAX_AMOUNT:g}")
+        check_pictures(frames, width, height, noise, blur_px)
         if not 0.0 < fps <= MAX_FPS:
             raise ValueError(f"fps is {fps}; expected a positive number, at most {MAX_FPS:g}")
         self._fps = float(fps)
@@ -142,6 +135,13 @@ class SimWorld(World):
         return bool(belief["frame"] >= self._frames)
 
 
+def check_pictures(frames: int, width: int, height: int, noise: float, blur_px: float) -> None:
+    """See that a simulated camera's options are in range; ValueError."""
+    check_between(1, 2**53, "a whole number", frames=frames)
+    check_between(64, MAX_SIDE_PX, "a whole number", width=width, height=height)
+    check_between(0, MAX_AMOUNT, "a number", noise=noise, blur_px=blur_px)
+
+
 def picture_seen(belief: SimBelief, tick: Tick = NO_TICK) -> tuple[Picture, ...]:
     """φ of the simulated world: the picture that the camera takes, with noise of the tick's generator."""
     cubes = [Cube(body["pose"], body["side_m"], body["colour"]) for body in belief["bodies"]]
@@ -156,9 +156,7 @@ def camera_at(time_s: float) -> Floats:
     azimuth = np.radians(AZIMUTH_DEG - SWING_DEG * np.cos(phase))
     elevation = np.radians(ELEVATION_DEG + 4.0 * np.sin(phase))
     radius = RADIUS_M - 0.05 * np.sin(phase)
-    away = np.array([np.cos(azimuth) * np.cos(elevation), np.sin(azimuth) * np.cos(elevation), np.sin(elevation)])
-    right = np.array([-np.sin(azimuth), np.cos(azimuth), 0.0])
-    return make_pose(np.stack((right, np.cross(-away, right), -away), axis=1), LOOK_AT_M + radius * away)
+    return looking_down(azimuth, elevation, radius, LOOK_AT_M)
 
 
 def drive_at(time_s: float) -> Floats | None:

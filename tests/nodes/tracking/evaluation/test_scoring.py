@@ -1,4 +1,4 @@
-"""Scores of poses against the truth, on made-up courses."""
+"""Scores of poses against the truth, on made-up errors."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import pytest
 
 from hierax.nodes.tracking.datasets.bop import Result, ResultsFile
 from hierax.nodes.tracking.datasets.truth import TruePose
-from hierax.nodes.tracking.evaluation.scoring import ObjectErrors, courses, main, score, table
+from hierax.nodes.tracking.evaluation.scoring import ObjectErrors, main, object_errors, score, table
 from hierax.nodes.tracking.math.geometry import exp_so3, make_pose
 
 
@@ -79,7 +79,7 @@ def pose(x_mm: float, turn_deg: float = 0.0) -> Any:
 def test_errors_are_between_poses_of_one_frame_and_object() -> None:
     truth = {3: [TruePose(7, pose(0.0), 0.5), TruePose(9, pose(50.0), 1.0)], 4: [TruePose(7, pose(10.0), 1.0)]}
     results = [Result(1, 3, 7, 1.0, pose(3.0, 2.0), -1.0), Result(1, 4, 9, 1.0, pose(0.0), -1.0)]
-    seven, nine = courses(results, truth)
+    seven, nine = object_errors(results, truth)
     assert (seven.obj_id, nine.obj_id) == (7, 9)
     assert seven.frames.tolist() == [3, 4]
     assert seven.distance_mm[0] == pytest.approx(3.0)
