@@ -29,6 +29,7 @@ from hierax.nodes.tracking.schema import (
     ArmBelief,
     FirstPose,
     Imagery,
+    Nothing,
     Picture,
     SeenCamera,
     SeenObject,
@@ -36,7 +37,7 @@ from hierax.nodes.tracking.schema import (
 )
 from hierax.nodes.tracking.search.association import Estimate, Options, associate
 from hierax.nodes.tracking.search.multistart import FALLING, held, in_turn
-from hierax.runtime import Elements, Node, Step, Value
+from hierax.runtime import Node, Step, Value
 from hierax.runtime.core.showing import Things
 
 _DRIFT_GAIN = 0.3
@@ -158,7 +159,7 @@ class ArmNode(Node):
             "objects": objects,
         }
 
-    def predict(self, context: tuple[Imagery, ...], actions: Elements, belief: ArmBelief) -> ArmBelief:
+    def predict(self, context: tuple[Imagery, ...], actions: Nothing, belief: ArmBelief) -> ArmBelief:
         """γ: where the objects will be, and which of their edges will be seen, both from the context.
 
         Args:

@@ -7,14 +7,14 @@ poses; ``error_mm`` and ``turn_deg`` against the truth, where the world knows it
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import Any
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
 from hierax.nodes.tracking.evaluation.pictures import CORRECTED, EXPECTED
 from hierax.nodes.tracking.math.geometry import NEAREST_M, Array, Floats, invert, pose_error, project, transform
 from hierax.nodes.tracking.render import DepthRenderer, Item
+from hierax.nodes.tracking.schema import PaperObject, SpatialBelief, TrackedObject
 from hierax.runtime import Step, Value
 from hierax.runtime.core.showing import (
     WHITE,
@@ -123,7 +123,7 @@ def _curve(number: int, value: float) -> Curve:
     return Curve(value, colour_of(number))
 
 
-def _edges(objects: Any, moved: Floats, intrinsics: Array) -> Floats:
+def _edges(objects: Sequence[TrackedObject | PaperObject], moved: Floats, intrinsics: Array) -> Floats:
     """The expected edges of objects in the image, (n, 2, 2) pixels; `moved` goes before their poses."""
     lines = [transform(moved @ item["pose"], np.asarray(item["edges"])) for item in objects if len(item["edges"])]
     if not lines:
@@ -133,7 +133,7 @@ def _edges(objects: Any, moved: Floats, intrinsics: Array) -> Floats:
     return project(ahead, intrinsics)
 
 
-def _names(objects: Any, intrinsics: Array) -> dict[str, Thing]:
+def _names(objects: Sequence[TrackedObject | PaperObject], intrinsics: Array) -> dict[str, Thing]:
     """At its origin, what an object is that is not tracked."""
     things: dict[str, Thing] = {}
     for item in objects:
@@ -144,14 +144,18 @@ def _names(objects: Any, intrinsics: Array) -> dict[str, Thing]:
     return things
 
 
-def _imagined(belief: Mapping[str, Any]) -> tuple[Array, Array]:
+def _imagined(belief: SpatialBelief) -> tuple[Array, Array]:
     """Depth and labels that the camera is expected to see."""
-    from_world = invert(belief["camera"])
+    camera, intrinsics, size = belief["camera"], belief["intrinsics"], belief["size"]
+    assert camera is not None
+    assert intrinsics is not None
+    assert size is not None
+    from_world = invert(camera)
     items = [
         Item(body["id"], body["model"]["vertices"], body["model"]["faces"], from_world @ body["pose"])
         for body in belief["bodies"]
     ]
-    return _renderer.render(items, belief["intrinsics"], tuple(belief["size"]))
+    return _renderer.render(items, intrinsics, size)
 
 
 def _grid() -> Floats:

@@ -35,6 +35,7 @@ Covariance = Annotated[Floats, Is((6, 6), "float64", "of a twist in the object's
 Intrinsics = Annotated[Array, Is((4,), "float64", "fx, fy, cx, cy in pixels, pixel centres at integers")]
 Upwards = Annotated[Floats, Is((3,), "float64", "unit vector in the object's frame; zeros where nothing carries it")]
 Size = tuple[int, int]  # width and height in pixels
+Nothing = tuple[()]  # the context and actions of nodes that are given none
 
 
 class Model(TypedDict):
@@ -58,6 +59,23 @@ class FirstBody(FirstPose):
     model: Model
 
 
+@final
+class SceneBelief(TypedDict):
+    """What the world that plays a scene folder is."""
+
+    scene: str  # the folder
+    index: int  # which frame is seen next
+
+
+class ScoredPose(TypedDict):
+    """What a results file says of an object in a frame."""
+
+    obj_id: int
+    pose: CameraFromObject
+    score: float  # 0 to 1
+    status: str  # of an object that is `LOST` nothing is written
+
+
 class Picture(TypedDict):
     """World to arm: what the camera sees."""
 
@@ -68,7 +86,7 @@ class Picture(TypedDict):
 
 
 class ControlPoints(TypedDict):
-    """Points on edges that a camera is expected to see: the fields of `imagery.controls.Controls`."""
+    """Points on edges of one object that a camera is expected to see, see `hierax.nodes.tracking.model.controls`."""
 
     points: Annotated[Floats, Is(("n", 3), "float64", "m, object's frame")]
     tangents: Annotated[Floats, Is(("n", 3), "float64", "unit vectors along the edge, object's frame")]
@@ -194,6 +212,9 @@ class PaperArmBelief(TypedDict):
     objects: tuple[PaperObject, ...]
 
 
+AnyArmBelief = ArmBelief | PaperArmBelief
+
+
 @final
 class SeenObject(TypedDict):
     """Arm to spatial: where one object is, in the world."""
@@ -230,6 +251,7 @@ class Cube(TypedDict):
     velocity: Annotated[Floats, Is((6,), "float64", "m/s and rad/s, world frame")]  # of its origin, and its turning
 
 
+@final
 class SimBelief(TypedDict):
     """What the simulated world is."""
 

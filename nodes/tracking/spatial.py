@@ -25,8 +25,8 @@ from hierax.nodes.tracking.math.geometry import (
     log_so3,
     make_pose,
 )
-from hierax.nodes.tracking.schema import Body, FirstBody, Model, SeenCamera, SeenObject, SpatialBelief
-from hierax.runtime import NO_TICK, Elements, Node, Step, Tick, Value
+from hierax.nodes.tracking.schema import Body, FirstBody, Model, Nothing, SeenCamera, SeenObject, SpatialBelief
+from hierax.runtime import NO_TICK, Node, Step, Tick, Value
 from hierax.runtime.core.showing import Things
 
 DENSITY_KG_M3 = 500.0
@@ -126,7 +126,7 @@ class SpatialNode(Node):
             sensed = {**sensed, **camera}
         return sensed
 
-    def predict(self, context: Elements, actions: Elements, belief: SpatialBelief) -> SpatialBelief:
+    def predict(self, context: Nothing, actions: Nothing, belief: SpatialBelief) -> SpatialBelief:
         """γ: one frame interval of physics."""
         bodies, interval_s = belief["bodies"], belief["interval_s"]
         coasting = [self._coasted(Motion(body["pose"], body["velocity"]), interval_s) for body in bodies]

@@ -15,10 +15,10 @@ from hierax.nodes.tracking.datasets.bop_world import BopWorld, frame_seen
 from hierax.nodes.tracking.math.geometry import Floats, invert
 from hierax.nodes.tracking.model.mesh import Mesh, box_mesh
 from hierax.nodes.tracking.paper.arm import PaperArmNode
-from hierax.nodes.tracking.schema import FirstBody, FirstPose
+from hierax.nodes.tracking.schema import FirstBody, FirstPose, Picture, SceneBelief, SimBelief
 from hierax.nodes.tracking.simworld.world import SCENE, SimWorld, camera_at, first_bodies, picture_seen
 from hierax.nodes.tracking.spatial import SpatialNode
-from hierax.runtime import NO_TICK, Elements, Tick, Value, World
+from hierax.runtime import NO_TICK, Tick, World
 
 _ARMS: dict[str, type[ArmNode] | type[PaperArmNode]] = {"robust": ArmNode, "paper": PaperArmNode}
 
@@ -46,8 +46,8 @@ def world(
     return SimWorld(cubes=cubes, frames=frames, noise=noise, blur_px=blur_px, fps=fps)
 
 
-def seen(belief: Value, tick: Tick = NO_TICK) -> Elements:
-    """φ of either world: one element with ``image``, ``camera``, ``intrinsics`` and ``frame``."""
+def seen(belief: SceneBelief | SimBelief, tick: Tick = NO_TICK) -> tuple[Picture, ...]:
+    """φ of either world: what the camera sees."""
     return frame_seen(belief) if "scene" in belief else picture_seen(belief, tick)
 
 

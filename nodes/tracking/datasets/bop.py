@@ -8,7 +8,7 @@ are ``DATASET/models/obj_000001.ply`` and ``models_info.json``. Lengths in the f
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from functools import cached_property
 from pathlib import Path
@@ -24,6 +24,7 @@ from hierax.nodes.tracking.math.geometry import Array, Floats, invert, make_pose
 from hierax.nodes.tracking.model.bounded_files import MAX_PIXELS, image_size, read_file
 from hierax.nodes.tracking.model.mesh import Mesh
 from hierax.nodes.tracking.model.ply import BOP_UNIT_M, read_ply
+from hierax.nodes.tracking.schema import LOST, ScoredPose
 
 cv2.setNumThreads(1)
 
@@ -223,18 +224,18 @@ class ResultsFile:
             if not self._end:
                 self._append(f"{RESULTS_HEADER}\n".encode("ascii"))
 
-    def write(self, im_id: int, objects: Sequence[Mapping[str, Any]], time_s: float = -1.0) -> None:
+    def write(self, im_id: int, objects: Sequence[ScoredPose], time_s: float = -1.0) -> None:
         """One image's poses.
 
         Args:
             im_id: the image's number.
-            objects: with "obj_id", "pose" (camera_from_object, metres), "score" and "status".
+            objects: those of the image.
             time_s: how long the image took.
 
         Raises:
             DataError: the file cannot be written.
         """
-        lines = [self._line(im_id, item, time_s) for item in objects if item["status"] != "lost"]
+        lines = [self._line(im_id, item, time_s) for item in objects if item["status"] != LOST]
         with self._mapped():
             self._go_back(im_id)
             self._begins.append((im_id, self._end))
@@ -252,7 +253,7 @@ class ResultsFile:
     ) -> None:
         self.close()
 
-    def _line(self, im_id: int, item: Mapping[str, Any], time_s: float) -> str:
+    def _line(self, im_id: int, item: ScoredPose, time_s: float) -> str:
         pose = item["pose"]
         rotation = " ".join(repr(float(part)) for part in pose[:3, :3].ravel())
         translation = " ".join(repr(float(part) / BOP_UNIT_M) for part in pose[:3, 3])

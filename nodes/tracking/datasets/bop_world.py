@@ -10,8 +10,8 @@ from pathlib import Path
 
 from hierax.nodes.tracking.datasets.bop import BopScene, read_image
 from hierax.nodes.tracking.math.geometry import Array
-from hierax.nodes.tracking.schema import Picture
-from hierax.runtime import NO_TICK, Elements, Tick, Value, World
+from hierax.nodes.tracking.schema import Nothing, Picture, SceneBelief
+from hierax.runtime import NO_TICK, Tick, World
 
 AHEAD = 8  # how many images are read ahead at most
 
@@ -19,7 +19,7 @@ AHEAD = 8  # how many images are read ahead at most
 class BopWorld(World):
     """Shows the frames of a scene in order; nothing acts on it.
 
-    The belief is {"scene": the folder, "index": which frame is seen next}.
+    The belief is a `SceneBelief`, see `hierax.nodes.tracking.schema`.
 
     Args:
         scene: ``DATASET/SPLIT/000001``.
@@ -37,24 +37,24 @@ class BopWorld(World):
         self._fps = float(fps)
         self._count = len(_scene(self._scene).frames)
 
-    def initial_belief(self) -> Value:
+    def initial_belief(self) -> SceneBelief:
         """The first frame is yet to be seen."""
         return {"scene": self._scene, "index": 0}
 
-    def predict(self, context: Elements, actions: Elements, belief: Value, tick: Tick = NO_TICK) -> Value:
+    def predict(self, context: Nothing, actions: Nothing, belief: SceneBelief, tick: Tick = NO_TICK) -> SceneBelief:
         """Time passes: the next frame; after the last one it stays."""
         return {**belief, "index": min(belief["index"] + 1, self._count)}
 
-    def time_s(self, belief: Value, epoch: int) -> float:
+    def time_s(self, belief: SceneBelief, epoch: int) -> float:
         """The frame's place over the frames per second."""
         return float(belief["index"]) / self._fps
 
-    def finished(self, belief: Value) -> bool:
+    def finished(self, belief: SceneBelief) -> bool:
         """Whether all frames have been seen."""
         return bool(belief["index"] >= self._count)
 
 
-def frame_seen(belief: Value) -> tuple[Picture, ...]:
+def frame_seen(belief: SceneBelief) -> tuple[Picture, ...]:
     """φ of a `BopWorld`: the frame and what its camera is known to be.
 
     Returns:

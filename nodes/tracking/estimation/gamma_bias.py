@@ -9,13 +9,13 @@ which some are bright inside and some outside.
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
 from hierax.nodes.tracking.estimation.profiles import Profiles, Singles
 from hierax.nodes.tracking.math.batched import solved
-from hierax.nodes.tracking.math.geometry import Floats
+from hierax.nodes.tracking.math.geometry import Array, Floats
 
 # Pictures that hold light as it is have 0; those of a sharp lens, encoded as screens want it, 0.2.
 USUAL_PX = 0.05
@@ -85,7 +85,7 @@ def allowed_for(tone: Tone, told: Floats, factor: float, information: float) -> 
     return -outer / known[:, None, None], tone.couplings * change
 
 
-def remembered(before: Any, told: Floats, factor: float) -> Floats:
+def remembered(before: Array, told: Floats, factor: float) -> Floats:
     """What an object has told after an image, older images fading.
 
     Args:

@@ -14,7 +14,8 @@ import numpy as np
 from hierax.nodes.tracking.datasets.bop import read_image
 from hierax.nodes.tracking.errors import DataError
 from hierax.nodes.tracking.math.geometry import NEAREST_M, Array, Floats, invert, project, transform
-from hierax.runtime import Probe, Step, Value
+from hierax.nodes.tracking.schema import AnyArmBelief
+from hierax.runtime import Probe, Step
 
 cv2.setNumThreads(1)
 
@@ -44,8 +45,8 @@ class _Shown(NamedTuple):
 
     frame: int
     image: Array
-    expected: Value
-    corrected: Value
+    expected: AnyArmBelief | None
+    corrected: AnyArmBelief
 
 
 class Pictures(Probe):
@@ -76,7 +77,7 @@ class Pictures(Probe):
         self._fps = fps
         self._folder: Path | None = None
         self._frames: set[int] = set()
-        self._beliefs: dict[int, Value] = {}
+        self._beliefs: dict[int, AnyArmBelief] = {}
         self._last: _Shown | None = None
 
     def open(self, output: Path | None) -> None:
@@ -137,23 +138,25 @@ class Pictures(Probe):
         return folder / f"frame-{frame:06d}.png"
 
 
-def overlay(image: Array, expected: Value, corrected: Value) -> Array:
+def overlay(image: Array, expected: AnyArmBelief | None, corrected: AnyArmBelief) -> Array:
     """An image with the edges of an arm's beliefs over it.
 
     Args:
         image: uint8, (h, w) gray or (h, w, 3) RGB.
         expected: the arm's belief as predicted, before the image; None for none.
-        corrected: its belief after the image.
+        corrected: its belief after the image, of whose camera it knows.
 
     Returns:
         uint8 RGB (h, w, 3).
     """
     picture: Array = cv2.cvtColor(image, cv2.COLOR_GRAY2RGB) if image.ndim == 2 else np.array(image)
     camera, intrinsics = corrected["camera"], corrected["intrinsics"]
-    before = () if expected is None or expected["camera"] is None else expected["objects"]
-    for item in before:
-        moved = invert(camera) @ expected["camera"] @ item["pose"]
-        _draw_edges(picture, item["edges"], moved, intrinsics, EXPECTED, _EXPECTED_PX)
+    assert camera is not None
+    assert intrinsics is not None
+    if expected is not None and expected["camera"] is not None:
+        moved = invert(camera) @ expected["camera"]
+        for item in expected["objects"]:
+            _draw_edges(picture, item["edges"], moved @ item["pose"], intrinsics, EXPECTED, _EXPECTED_PX)
     for item in corrected["objects"]:
         if item["status"] == "tracked":
             _draw_edges(picture, item["edges"], item["pose"], intrinsics, CORRECTED, _CORRECTED_PX)

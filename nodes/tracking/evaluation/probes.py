@@ -6,6 +6,7 @@ from pathlib import Path
 
 from hierax.nodes.tracking.datasets.bop import ResultsFile, check_no_results
 from hierax.nodes.tracking.math.geometry import invert
+from hierax.nodes.tracking.schema import ScoredPose
 from hierax.runtime import Probe, Step
 
 POSES_FILE = "poses.csv"
@@ -112,7 +113,7 @@ class Truth(Probe):
         if self._results is None:
             self._results = ResultsFile(self._output / TRUTH_FILE, 0)
         camera_from_world = invert(belief["camera"])
-        objects = [
+        objects: list[ScoredPose] = [
             {"obj_id": body["obj_id"], "pose": camera_from_world @ body["pose"], "score": 1.0, "status": "true"}
             for body in belief["bodies"]
         ]

@@ -22,11 +22,12 @@ from hierax.nodes.tracking.schema import (
     ExpectedObject,
     FirstPose,
     Imagery,
+    Nothing,
     PaperArmBelief,
     PaperObject,
     Picture,
 )
-from hierax.runtime import Elements, Node
+from hierax.runtime import Node
 
 _NO_EDGES = np.zeros((0, 2, 3))
 _LEAST_INFORMATION = 1e-2  # of the first pose's, counted as seen, so that what no line shows stays finite
@@ -97,7 +98,7 @@ class PaperArmNode(Node):
             "objects": tuple(item if lines is None else self._corrected(item, lines, intrinsics) for item in objects),
         }
 
-    def predict(self, context: tuple[Imagery, ...], actions: Elements, belief: PaperArmBelief) -> PaperArmBelief:
+    def predict(self, context: tuple[Imagery, ...], actions: Nothing, belief: PaperArmBelief) -> PaperArmBelief:
         """γ: where the objects will be, and which of their edges will be seen, both from the context.
 
         Args:

@@ -11,10 +11,10 @@ from hierax.nodes.tracking.display import world_things
 from hierax.nodes.tracking.errors import check_between
 from hierax.nodes.tracking.imagery.physics import Motion, Simulator, Solid
 from hierax.nodes.tracking.math.geometry import Floats, exp_so3, looking_down, make_pose
-from hierax.nodes.tracking.schema import Picture, SimBelief
+from hierax.nodes.tracking.schema import Nothing, Picture, SimBelief
 from hierax.nodes.tracking.simworld.scene import develop, draw
 from hierax.nodes.tracking.simworld.shapes import Cube, cube_corners
-from hierax.runtime import NO_TICK, Elements, Step, Tick, Value, World
+from hierax.runtime import NO_TICK, Step, Tick, Value, World
 from hierax.runtime.core.showing import Things
 
 DENSITY_KG_M3 = 600.0
@@ -108,7 +108,7 @@ class SimWorld(World):
             "bodies": self._bodies,
         }
 
-    def predict(self, context: Elements, actions: Elements, belief: SimBelief) -> SimBelief:
+    def predict(self, context: Nothing, actions: Nothing, belief: SimBelief) -> SimBelief:
         """The next frame: gravity, contacts and the thread for one frame interval, and the camera moved on."""
         bodies = belief["bodies"]
         motions = [Motion(body["pose"], body["velocity"]) for body in bodies]

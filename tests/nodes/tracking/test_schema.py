@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, get_args, get_type_hints
 
 import numpy as np
 import pytest
 
 from hierax.nodes.tracking.arm import ArmNode, poses_seen
+from hierax.nodes.tracking.datasets.bop_world import BopWorld
 from hierax.nodes.tracking.paper.arm import PaperArmNode
 from hierax.nodes.tracking.render import SegmentedDepth
 from hierax.nodes.tracking.schema import (
@@ -21,6 +22,8 @@ from hierax.nodes.tracking.schema import (
     SpatialBelief,
     fault,
 )
+from hierax.nodes.tracking.simworld.world import SimWorld
+from hierax.nodes.tracking.spatial import SpatialNode
 from hierax.nodes.tracking.world import arm, seen, spatial, world
 from hierax.runtime import Tick
 
@@ -51,6 +54,17 @@ def test_beliefs_observations_and_context_are_as_the_schema_says(method: str, ki
         assert [fault(each, SeenObject, "object") for each in objects[:-1]] == [""] * 6
         assert fault(objects[-1], SeenCamera, "camera") == ""
         assert [fault(each, Imagery, "imagery") for each in context] == [""]
+
+
+@pytest.mark.parametrize("each", [ArmNode, PaperArmNode, SpatialNode, SimWorld, BopWorld, SegmentedDepth])
+def test_whatever_a_node_is_given_or_gives_has_a_type(each: type) -> None:
+    operators = [
+        vars(each)[name] for name in ("initial_belief", "observe", "predict", "__call__") if name in vars(each)
+    ]
+    for operator in (*operators, seen, poses_seen):
+        for name, kind in get_type_hints(operator).items():
+            assert kind is not Any, (operator, name)
+            assert Any not in get_args(kind), (operator, name)
 
 
 @pytest.mark.parametrize(
