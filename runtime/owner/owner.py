@@ -200,8 +200,8 @@ class Owner:
         if isinstance(word, (Join, Ready, Fetch)):
             self._members.hear(word.process)
         if self._progress.over:
-            if isinstance(word, Propose) and not self._answers.repeat(word.request):
-                self._answers.give(word.request, 0, OVER)
+            if isinstance(word, Propose):
+                self._answer_late(word.request)
         elif isinstance(word, (Ready, State, Taken)):
             self._planning.hear(word)
         elif isinstance(word, Join):
@@ -247,6 +247,15 @@ class Owner:
             self._answers.give(key, 0, str(error))
             return
         self._planning.ask(Request(key, change, self._clock(), word.on_loss, word.rejoin_timeout_s, word.alone))
+
+    def _answer_late(self, key: str) -> None:
+        """The run is over; what is asked for may have been made before the world's last process died."""
+        if self._answers.repeat(key):
+            return
+        if self._answers.owe_what_was_made(key):
+            self._answers.tell(self.epoch)
+        else:
+            self._answers.give(key, 0, OVER)
 
     def _on_fetch(self, word: Fetch) -> None:
         """Only who has a place in a version is told of it: another process of that node would take part as well."""

@@ -85,6 +85,7 @@ class Checker:
         self.version = -1
         self._in_force = {scenario.roster.version: scenario.roster}
         self._came: dict[str, int] = {}
+        self._acted_under = (0, scenario.roster)
         self._may_go = {each.change.name for each in scenario.proposals if isinstance(each.change, Detach)}
         self._missable = {*scenario.on_loss, *(name for each in scenario.proposals for name in each.on_loss)}
         if not scenario.together:
@@ -142,6 +143,7 @@ class Checker:
         self._processes[turn.version] = dict(processes)
         if base != turn.version:
             before = self._in_force[base]
+            self._check_settled(turn.epoch, roster)
             self._check_detached(before, roster)
             for name, reference in roster.nodes.items():
                 if before.nodes.get(name) != reference:
@@ -179,6 +181,7 @@ class Checker:
     def acted(self, epoch: int) -> None:
         """The device outside has moved."""
         self.acts[epoch] += 1
+        self._acted_under = (epoch, self._in_force[self.version])
 
     def commits(self, turn: Turn, encoded: Mapping[str, bytes]) -> None:
         """The world's engine has committed an epoch; it counts when it is told.
@@ -231,11 +234,14 @@ class Checker:
 
     def _check_answers(self, answers: Mapping[str, str]) -> None:
         for proposal in self._scenario.proposals:
-            answer = answers[proposal.key]
+            answer, change = answers[proposal.key], proposal.change
+            refused = not answer.startswith("epoch ") and not isinstance(change, Detach)
+            if refused and _holds(change, self._ends[-1].roster):  # no two changes of a scenario make the same node
+                self.violate(f"{proposal.key} is said to be refused ({answer}), and holds")
             if not answer.startswith("epoch ") or list(answers.values()).count(answer) > 1:
                 continue  # refused, or another change of the same epoch may have undone it
             roster = self._ends[int(answer.removeprefix("epoch "))].roster
-            if not _holds(proposal.change, roster):
+            if not _holds(change, roster):
                 self.violate(f"{proposal.key} is said to hold from {answer} on, and does not")
 
     def _check_acts(self) -> None:
@@ -249,6 +255,13 @@ class Checker:
                 self.violate(f"epoch {epoch} was never acted, and acts are repeated")
             if self._scenario.on_uncertain_act == "skip" and acts > 1:
                 self.violate(f"epoch {epoch} was acted {acts} times, and uncertain ones are skipped")
+
+    def _check_settled(self, epoch: int, roster: Roster) -> None:
+        """An epoch that was acted upon is done again with the same nodes, but for those that are lost."""
+        acted, under = self._acted_under
+        new = [name for name, reference in roster.nodes.items() if under.nodes.get(name) != reference]
+        if acted == epoch and new:
+            self.violate(f"epoch {epoch} was acted upon, and is done again with {sorted(new)}")
 
     def _check_detached(self, before: Roster, roster: Roster) -> None:
         """Nobody goes but who is to, and what only those join to the world."""

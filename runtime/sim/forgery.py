@@ -5,40 +5,40 @@ Forged messages come after the one that they are made of, as nobody can tell whi
 
 from __future__ import annotations
 
-from random import Random
-
 from hierax.runtime.engine.table import ATTEMPTS_AHEAD, EPOCHS_AHEAD, ROSTERS_AHEAD
 from hierax.runtime.sim.inspection import tagged_as_of
 from hierax.runtime.sim.scenario import CONTRADICT, FORETELL
 from hierax.schemas.messages import CONTEXT, OBSERVATIONS, Message
 
 
-def forged(kind: str, message: Message, rng: Random) -> Message | None:
-    """Another message made of one.
+def forged(kind: str, message: Message) -> list[Message]:
+    """Other messages made of one.
 
     Args:
         kind: `CONTRADICT`, `FORETELL` or `STRAY`.
         message: one that was taken in.
-        rng: of what is changed.
 
     Returns:
-        None where nothing of the kind can be made of it.
+        All of the kind that can be made of it; what is foretold is what will be said, as nothing else will.
     """
     header = message.header
-    if kind == CONTRADICT:
-        return Message(header, (*message.payload, "forged"))
     if kind == FORETELL:
-        if header.kind != OBSERVATIONS:
-            return None
         attempt = header.attempt + 1
-        return Message(header._replace(attempt=attempt), tagged_as_of(message.payload, header.epoch, attempt))
-    strays = [
-        header._replace(sender="stranger"),
-        header._replace(receiver="stranger"),
-        header._replace(epoch=header.epoch + EPOCHS_AHEAD + 10),
-        header._replace(attempt=header.attempt + ATTEMPTS_AHEAD + 10),
-        header._replace(roster=header.roster + ROSTERS_AHEAD + 10),
-        header._replace(instance=header.instance + 1000),
-        *([header._replace(attempt=header.attempt + 1, digest=b"")] if header.kind == CONTEXT else []),
-    ]
-    return Message(rng.choice(strays), (*message.payload, "forged"))
+        return [Message(header._replace(attempt=attempt), tagged_as_of(message.payload, header.epoch, attempt))]
+    if kind == CONTRADICT:
+        headers = [header]
+    elif header.kind == OBSERVATIONS:
+        headers = [
+            header._replace(sender="stranger"),
+            header._replace(roster=header.roster + ROSTERS_AHEAD + 10),
+            header._replace(epoch=header.epoch + EPOCHS_AHEAD + 10),
+            header._replace(attempt=header.attempt + ATTEMPTS_AHEAD + 10),
+        ]
+    else:
+        headers = [
+            header._replace(receiver="stranger"),
+            header._replace(roster=header.roster + ROSTERS_AHEAD + 10),
+            header._replace(instance=header.instance + 1000),
+            header._replace(kind=CONTEXT, attempt=header.attempt + 1, digest=b""),
+        ]
+    return [Message(each, (*message.payload, "forged")) for each in headers]

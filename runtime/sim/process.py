@@ -259,10 +259,9 @@ class SimProcess(Host):
         self.member.step(message)
         if not self.forges or ACTIONS[verdict] is not Action.TAKE:
             return
-        other = forged(self.forges, message, self._rng)
-        if other is not None:
-            self._around.clock.schedule(self._rng.uniform(0.0, FORGED_S), self.take, "forged", (self.forges, other))
-            self.forges = ""
+        kind, self.forges = self.forges, ""
+        for other in forged(kind, message):
+            self._around.clock.schedule(self._rng.uniform(0.0, FORGED_S), self.take, "forged", (kind, other))
 
     def _step_forged(self, kind: str, message: Message) -> None:
         """A message comes that somebody else has made of one that was taken in; a contradiction has to be noticed."""

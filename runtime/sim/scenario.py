@@ -35,6 +35,14 @@ that has no place there; one of an attempt that nobody has begun; one that says 
 else, which ends the run.
 """
 
+_SHARES = {RAISE: 0.4, STRAY: 0.2, FORETELL: 0.2, CONTRADICT: 0.14}
+"""Faults that are drawn apart from the others, as they end runs, or need a node that fails alone: in how many seeds."""
+
+_OF_WORLD = {
+    WORLD: 1.0, TORN: 0.3, DAMAGE: 0.3, PAUSE: 0.2, SLOW: 0.2, PARTITION: 0.1, STRAY: 0.6, CONTRADICT: 0.3
+}  # fmt: skip
+"""How often a fault befalls the world's process; else it is any other's."""
+
 _NEED_DEADLINE = frozenset({DAMAGE, LOSS, PARTITION, HANG, FORETELL})
 """Faults after which a run may need the epoch's deadline to go on."""
 
@@ -160,12 +168,14 @@ def draw_scenario(seed: int, faults: Collection[str] = FAULTS, epochs: int | Non
     proposals = _proposals(rng, roster, span_s)
     names = sorted(set(roster.nodes) - {WORLD_NAME}) + [p for p in NAMES[:3] if p not in roster.nodes]
     detached = frozenset(name for name in names if rng.random() < 0.2)
-    rare = (BREAK, CONTRADICT, TRIAL)
-    befalls = _faults(rng, tuple(kind for kind in FAULTS if kind in faults and kind not in rare), names, span_s)
+    apart = (BREAK, TRIAL, *_SHARES)
+    befalls = _faults(rng, tuple(kind for kind in FAULTS if kind in faults and kind not in apart), names, span_s)
     if BREAK in faults:
         befalls += _breaks(Random(f"{seed}/breaks"), [*names, WORLD_NAME], span_s, only=len(faults) == 1)
-    if CONTRADICT in faults:
-        befalls += _contradictions(Random(f"{seed}/contradict"), [*names, WORLD_NAME], span_s)
+    for kind in (kind for kind in _SHARES if kind in faults):
+        drawn = Random(f"{seed}/{kind}")
+        if drawn.random() < _SHARES[kind]:
+            befalls += (_fault(drawn, kind, names, span_s),)
     return Scenario(
         seed,
         roster,
@@ -255,13 +265,18 @@ def _breaks(rng: Random, names: list[str], span_s: float, only: bool) -> tuple[F
     )
 
 
-def _contradictions(rng: Random, names: list[str], span_s: float) -> tuple[Fault, ...]:
-    return (Fault(CONTRADICT, rng.uniform(0.0, span_s), rng.choice(names)),) if rng.random() < 0.08 else ()
-
-
 def _fault(rng: Random, kind: str, names: list[str], span_s: float) -> Fault:
     at_s = rng.uniform(0.0, span_s)
-    share = {WORLD: 1.0, TORN: 0.3, DAMAGE: 0.3, PAUSE: 0.2, SLOW: 0.2, PARTITION: 0.1, STRAY: 0.3}.get(kind, 0.0)
+    share = {
+        WORLD: 1.0,
+        TORN: 0.3,
+        DAMAGE: 0.3,
+        PAUSE: 0.2,
+        SLOW: 0.2,
+        PARTITION: 0.1,
+        STRAY: 0.5,
+        CONTRADICT: 0.3,
+    }.get(kind, 0.0)
     name = WORLD_NAME if rng.random() < share else rng.choice(names)
     if kind in (CRASH, WORLD, TORN, DAMAGE, RAISE, *FORGED):
         return Fault(kind, at_s, name, rng.randint(1, 25))

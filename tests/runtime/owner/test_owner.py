@@ -8,7 +8,7 @@ import pytest
 
 from hierax.runtime.owner.effects import OwnerEffects, OwnerPolicy
 from hierax.runtime.owner.members import REMEMBERED
-from hierax.runtime.owner.owner import FETCH_S, MAX_TRIES, Owner
+from hierax.runtime.owner.owner import FETCH_S, MAX_TRIES, OVER, Owner
 from hierax.runtime.owner.suspicions import MAX_REPEATS
 from hierax.schemas.changes import Attach, Change, Detach, Replace
 from hierax.schemas.control import (
@@ -639,6 +639,13 @@ def test_who_asks_for_the_roster_again_and_again_is_told_it_some_times() -> None
     assert prepares(owned.hear(*[Fetch("low", "low.1", 0)] * 100)) == ["low.1"]
     owned.now += FETCH_S
     assert prepares(owned.hear(Fetch("low", "low.1", 0))) == ["low.1"]
+
+
+def test_what_was_made_is_told_when_the_run_is_over() -> None:
+    owned = Owned(epoch=4, attempt=0, highest=6, born={"high": (6, 4, "c1"), "low": (0, 1, "")})
+    owned.owner.finish()
+    owned.take()
+    assert owned.hear(propose(TOP), propose(TOP, "c2")) == [("answer", "c1", 4, ""), ("answer", "c2", 0, OVER)]
 
 
 def test_the_world_comes_back() -> None:
