@@ -6,7 +6,7 @@ INSTALLED := $(VENV)/.installed
 RUNS := $(VENV)/.runs
 CHECKED := .build/checked
 
-.PHONY: demo test check docs model sim kills changes fuzz rival tutorial interrupts clean test-quick format junk
+.PHONY: demo test check docs model sim mutations kills changes fuzz rival tutorial interrupts clean test-quick format junk
 
 # what runs, recordings included, and what tests need besides: the viewer alone is some hundreds of megabytes
 $(RUNS): pyproject.toml
@@ -42,9 +42,13 @@ model: $(INSTALLED)
 	@command -v spin > /dev/null && command -v gcc > /dev/null || { echo "the model needs spin and gcc" >&2; exit 1; }
 	$(BIN)/python -m pytest tests/model
 
-# the nightly-sized simulation: about five minutes on two cores
+# docs/simulation.md: the nightly-sized simulation, some ten minutes on two idle cores
 sim: $(INSTALLED)
 	$(BIN)/hierax sim --seeds 0:20000
+
+# docs/simulation.md: the first seed that notices each planted mistake; some ten minutes
+mutations: $(INSTALLED)
+	$(BIN)/python benchmarks/mutations.py
 
 # docs/recovery.md: kills, stops and resumes launches of the tracking deployment, for some ten minutes
 kills: $(INSTALLED)

@@ -39,10 +39,11 @@ class Suspicions:
 
     def is_ahead(self, said: Join | Status) -> bool:
         """Whether a node that has a place says that it is further than the world has begun."""
-        members, progress = self._members, self._progress
-        if said.version != members.roster.version:
-            return said.version > members.roster.version
-        return (said.epoch, said.attempt) > (progress.epoch + 1, progress.attempt)
+        place, begun = (said.epoch, said.attempt), (self._progress.epoch + 1, self._progress.attempt)
+        version = self._members.roster.version
+        if said.version < version:  # that attempt was begun under another version, if it was
+            return place >= begun
+        return said.version > version or place > begun
 
     def is_astray(self, said: Join | Status) -> bool:
         """Whether a node that has a place says that it is in an attempt of the last epoch after the committed one.
@@ -73,7 +74,7 @@ class Suspicions:
         lowers = sorted(edge.lower for edge in self._members.roster.edges if edge.upper == status.name)
         who = f"somebody else has sent it observations in the name of {' or '.join(lowers)}"
         what = f"{status.name} is in {where}, which the world has not begun: {who}"
-        if status.version != self._members.roster.version or status.epoch != progress.epoch + 1:
+        if status.version > self._members.roster.version or status.epoch != progress.epoch + 1:
             self._effects.stop(f"{what}, or the world's record was damaged; the world is in epoch {progress.epoch + 1}")
             return
         self._repeats = self._repeats + 1 if self._epoch == status.epoch else 1

@@ -35,7 +35,7 @@ that has no place there; one of an attempt that nobody has begun; one that says 
 else, which ends the run.
 """
 
-_SHARES = {RAISE: 0.4, STRAY: 0.2, FORETELL: 0.2, CONTRADICT: 0.14}
+_SHARES = {RAISE: 0.5, STRAY: 0.3, FORETELL: 0.3, CONTRADICT: 0.16}
 """Faults that are drawn apart from the others, as they end runs, or need a node that fails alone: in how many seeds."""
 
 _OF_WORLD = {
@@ -43,7 +43,7 @@ _OF_WORLD = {
 }  # fmt: skip
 """How often a fault befalls the world's process; else it is any other's."""
 
-_NEED_DEADLINE = frozenset({DAMAGE, LOSS, PARTITION, HANG, FORETELL})
+_NEED_DEADLINE = frozenset({DAMAGE, LOSS, PARTITION, HANG})
 """Faults after which a run may need the epoch's deadline to go on."""
 
 WORLD_NAME = "world"
@@ -175,7 +175,7 @@ def draw_scenario(seed: int, faults: Collection[str] = FAULTS, epochs: int | Non
     for kind in (kind for kind in _SHARES if kind in faults):
         drawn = Random(f"{seed}/{kind}")
         if drawn.random() < _SHARES[kind]:
-            befalls += (_fault(drawn, kind, names, span_s),)
+            befalls += (_fault(drawn, kind, names, 0.7 * span_s),)
     return Scenario(
         seed,
         roster,
@@ -188,7 +188,7 @@ def draw_scenario(seed: int, faults: Collection[str] = FAULTS, epochs: int | Non
         rejoin_timeout_s={name: rng.choice((0.05, 0.5, 5.0)) for name in names},
         left_dead=frozenset(name for name in sorted(detached) if rng.random() < 0.3),
         epoch_deadline_s=0.3 if not befalls or _NEED_DEADLINE & {fault.kind for fault in befalls} else None,
-        trials_fail=TRIAL in faults and Random(f"{seed}/trials").random() < (0.7 if len(faults) == 1 else 0.2),
+        trials_fail=TRIAL in faults and Random(f"{seed}/trials").random() < (0.7 if len(faults) == 1 else 0.3),
     )
 
 

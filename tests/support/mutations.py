@@ -21,6 +21,7 @@ from hierax.runtime.owner.planning import Planning
 from hierax.runtime.sim.process import SimProcess
 from hierax.schemas.control import Fetch, Prepare
 from hierax.schemas.messages import Message
+from support import owner_mutations
 
 
 @contextmanager
@@ -316,6 +317,7 @@ def last_message_said_again() -> Iterator[None]:
 
 
 MUTATIONS = {
+    **owner_mutations.MUTATIONS,
     "stale attempt accepted": stale_attempt_accepted,
     "latest roster fetched instead of the message's": latest_roster_fetched,
     "wrong belief rolled back": wrong_belief_rolled_back,

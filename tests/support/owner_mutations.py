@@ -18,14 +18,13 @@ from hierax.runtime.owner import losses, planning
 from hierax.runtime.owner.answers import Answers
 from hierax.runtime.owner.arrivals import Arrivals
 from hierax.runtime.owner.inquiry import Inquiry
-from hierax.runtime.owner.members import Members
 from hierax.runtime.owner.owner import Owner
 from hierax.runtime.owner.planning import Planning
 from hierax.runtime.owner.suspicions import Suspicions
 from hierax.runtime.recovery import slots
 from hierax.runtime.recovery.slots import Slots
 from hierax.schemas.changes import Detach
-from hierax.schemas.control import Dismiss, HandOver, Ready, State, TakeOver, Unchanged
+from hierax.schemas.control import HandOver, State, Unchanged
 from hierax.schemas.messages import Message
 from hierax.schemas.roster import Roster
 
@@ -107,11 +106,6 @@ def one_slot(write: Callable[..., None]) -> Callable[..., None]:
     return mutant
 
 
-def any_version(on_back: Callable[..., None]) -> Callable[..., None]:
-    """It is not asked under which version a checkpoint was written."""
-    return lambda self, word: on_back(self, word._replace(version=self._members.roster.version))
-
-
 def instances_overlooked(touched: Callable[[Roster, Roster], frozenset[str]]) -> Callable[..., frozenset[str]]:
     """Neighbours of a new process are told that nothing changes for them."""
     return lambda old, new: touched(replace(old, instances={}), replace(new, instances={}))
@@ -128,18 +122,6 @@ def as_now(go_on: Callable[..., None]) -> Callable[..., None]:
     return mutant
 
 
-def dismissed_first(take_effect: Callable[..., dict[str, str]]) -> Callable[..., dict[str, str]]:
-    """Processes are told to go before the roster without them is on record."""
-
-    def mutant(self: Members, *arguments: Any) -> dict[str, str]:
-        gone = take_effect(self, *arguments)
-        for name, process in gone.items():
-            self._effects.tell(process, Dismiss(f"{name}: it goes"))
-        return gone
-
-    return mutant
-
-
 def handed_over_as_it_is(_: Any) -> Callable[..., None]:
     """The state of now is handed over, whichever epoch it is of."""
 
@@ -149,31 +131,13 @@ def handed_over_as_it_is(_: Any) -> Callable[..., None]:
     return mutant
 
 
-def taken_over_in_memory(take_over: Callable[..., None]) -> Callable[..., None]:
-    """What is taken over is not written down."""
-
-    def mutant(self: Member, order: TakeOver) -> None:
-        kept, self._slots = self._slots, None
-        try:
-            take_over(self, order)
-        finally:
-            self._slots = kept
-
-    return mutant
-
-
-def ready_before_linked(_: Any) -> Callable[..., None]:
+def ready_before_linked(say_ready: Callable[..., None]) -> Callable[..., None]:
     """A process is ready when it has the roster, be its links open or not."""
-    return lambda self, version: self._say(Ready(self.name, self.process, version, ""))
 
-
-def world_not_waited_for(prepare: Callable[..., None]) -> Callable[..., None]:
-    """The world's own links are not waited for."""
-
-    def mutant(self: Planning, *arguments: Any) -> None:
-        prepare(self, *arguments)
-        if self.plan is not None and len(self.plan.waiting) > 1:
-            self.plan.waiting.discard(self.plan.roster.world)
+    def mutant(self: Member, version: int) -> None:
+        if not isinstance(self, WorldMember):
+            self._linked.add(version)
+        say_ready(self, version)
 
     return mutant
 
@@ -183,17 +147,6 @@ def not_settled(init: Callable[..., None]) -> Callable[..., None]:
 
     def mutant(self: Owner, *arguments: Any, **options: Any) -> None:
         init(self, *arguments, **{**options, "settled": False})
-
-    return mutant
-
-
-def told_once(join: Callable[..., None]) -> Callable[..., None]:
-    """That an operator has raised is said once."""
-
-    def mutant(self: Member, request: str = "") -> None:
-        failure, self._failure = self._failure, None
-        join(self, request)
-        self._failure = failure
 
     return mutant
 
@@ -208,26 +161,19 @@ MUTATIONS: dict[str, Mutation] = {
     "one slot": instead(Slots, "write", one_slot),
     "no checksum": lambda: patch.object(slots, "crc32", lambda *_: 0),
     "any checkpoint will do": instead(Arrivals, "_unsound", lambda _: lambda *_: ""),
-    "checkpoint of another node": instead(Arrivals, "_on_back", any_version),
-    "checkpoint judged once": instead(Arrivals, "judge_again", lambda _: nothing),
     "older record as it is": instead(world_member, "_safest", lambda _: lambda record: record),
     "new process overlooked by its neighbours": instead(planning, "touched", instances_overlooked),
     "unchanged as it is now": instead(Member, "_go_on_as", as_now),
-    "dismissed before it is recorded": instead(Members, "take_effect", dismissed_first),
     "state handed over as it is": instead(Member, "_hand_over", handed_over_as_it_is),
-    "state taken over in memory": instead(Member, "_take_over", taken_over_in_memory),
     "change forgotten with the world's process": instead(Answers, "owe_what_was_made", lambda _: no),
     "ready before the links are open": instead(Member, "_say_ready", ready_before_linked),
-    "world not waited for": instead(Planning, "_prepare", world_not_waited_for),
     "settled epoch with other nodes": instead(Owner, "__init__", not_settled),
     "plan kept when a process dies": instead(Planning, "redo", lambda _: nothing),
     "those above left when a node is detached": instead(losses, "Detach", lambda _: lambda name, cascade: Detach(name)),
     "older of two blamed": lambda: patch.object(losses, "max", min, create=True),
-    "failure told once": instead(Member, "join", told_once),
     "who was cut off left alone": instead(Arrivals, "_on_active", lambda _: nothing),
     "who is ahead left alone": instead(Suspicions, "is_ahead", lambda _: no),
     "who is in an attempt of its own left alone": instead(Suspicions, "is_astray", lambda _: no),
     "deadline overlooked": instead(Inquiry, "tick", lambda _: nothing),
-    "culprit left alone": instead(Inquiry, "_blame", lambda _: nothing),
     "act repeated in any case": instead(WorldMember, "_should_act", lambda _: lambda *_: True),
 }

@@ -616,6 +616,16 @@ def test_who_waits_in_an_attempt_that_nobody_counts_is_brought_back() -> None:
     assert owned.hear(Status("low", question.inquiry, 1, 1, (), "")) == [], "the next epoch moves it on"
 
 
+def test_who_is_in_an_attempt_of_another_version_is_overtaken() -> None:
+    owned = begun()
+    owned.hear(propose(Detach("high")))
+    owned.ready(1, "low.1", "world.1")
+    assert owned.commit()[0] == ("begin", 2, 0, 1)
+    assert owned.hear(join("low.1", 1, active=True, version=0)) == [], "it may have been said before"
+    question = asked(owned.hear(join("low.1", 2, active=True, version=0)))
+    assert owned.hear(Status("low", question.inquiry, 2, 0, (), "", 0))[0] == ("begin", 2, 1, 1)
+
+
 def test_a_node_that_is_asked_may_be_in_a_roster_before() -> None:
     owned = begun()
     owned.hear(propose(Detach("high")))

@@ -1,6 +1,9 @@
-"""Every mistake that is made on purpose shows in the simulation."""
+"""Every mistake that is made on purpose shows in the simulation, at the seed that the docs name."""
 
 from __future__ import annotations
+
+import re
+from pathlib import Path
 
 import pytest
 from support.mutations import MUTATIONS
@@ -8,15 +11,20 @@ from support.mutations import MUTATIONS
 from hierax.runtime.sim.campaign import simulate_quietly
 from hierax.runtime.sim.scenario import draw_scenario
 
-SEEDS = 2000
+PAGE = Path(__file__).parents[3] / "docs" / "simulation.md"
+SEEDS = {
+    name: int(seed) for name, seed in re.findall(r"\| ([^|]+) \| (\d+) \|$", PAGE.read_text("utf-8"), re.MULTILINE)
+}
 
 
-@pytest.mark.parametrize("name", MUTATIONS)
+def test_the_docs_name_all() -> None:
+    assert SEEDS.keys() == MUTATIONS.keys()
+
+
+@pytest.mark.parametrize("name", SEEDS)
 def test_a_mutation_is_caught(name: str) -> None:
+    scenario = draw_scenario(SEEDS[name])
     with MUTATIONS[name]():
-        for seed in range(SEEDS):
-            violation = simulate_quietly(draw_scenario(seed)).violation
-            if violation:
-                print(f"{name}: caught at seed {seed}: {violation}")
-                return
-    pytest.fail(f"{name}: {SEEDS} seeds did not notice")
+        violation = simulate_quietly(scenario).violation
+    assert violation, f"seed {SEEDS[name]} does not notice it any more: `make mutations`"
+    assert not simulate_quietly(scenario).violation
