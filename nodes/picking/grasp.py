@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from hierax.nodes.picking.commands import Command, command
+from hierax.nodes.picking.commands import command
 from hierax.nodes.picking.panda import HOME_GRIPPER, WIDEST_M
 from hierax.nodes.picking.planning import OPENING_M, before, choose
 from hierax.nodes.tracking.math.geometry import Floats, pose_error
@@ -103,7 +103,18 @@ class GraspNode(Node):
 
     def _wish(self, belief: Value) -> Elements:
         """The gripper's command in this phase."""
-        return (_WISHES[belief["phase"]](self, belief),)
+        if belief["phase"] == WATCH:
+            return (command(HOME_GRIPPER, WIDEST_M, _FAST_M_S),)
+        grasp, opened_m = belief["gripper"], belief["box_width"] + OPENING_M
+        wishes = {
+            APPROACH: (before(grasp), opened_m, _FAST_M_S),
+            DESCEND: (grasp, opened_m, _SLOW_M_S),
+            CLOSE: (grasp, 0.0, _SLOW_M_S),
+            LIFT: (self._raised(belief), 0.0, _SLOW_M_S),
+            HOLD: (self._raised(belief), 0.0, _SLOW_M_S),
+            RETREAT: (before(grasp), WIDEST_M, _SLOW_M_S),
+        }
+        return (command(*wishes[belief["phase"]]),)
 
     def metrics(self, belief: Value) -> Mapping[str, float]:
         """How many attempts there were, and of which cube (0: none)."""
@@ -178,24 +189,6 @@ class GraspNode(Node):
         raised[2, 3] += self._lift_m
         return raised
 
-    def _wish_watch(self, belief: Value) -> Command:
-        return command(HOME_GRIPPER, WIDEST_M, _FAST_M_S)
-
-    def _wish_approach(self, belief: Value) -> Command:
-        return command(before(belief["gripper"]), belief["box_width"] + OPENING_M, _FAST_M_S)
-
-    def _wish_descend(self, belief: Value) -> Command:
-        return command(belief["gripper"], belief["box_width"] + OPENING_M, _SLOW_M_S)
-
-    def _wish_close(self, belief: Value) -> Command:
-        return command(belief["gripper"], 0.0, _SLOW_M_S)
-
-    def _wish_lift(self, belief: Value) -> Command:
-        return command(self._raised(belief), 0.0, _SLOW_M_S)
-
-    def _wish_retreat(self, belief: Value) -> Command:
-        return command(before(belief["gripper"]), WIDEST_M, _SLOW_M_S)
-
 
 def held_now(belief: Value) -> Elements:
     """ϱ of the grasp node: {"held": id of the cube that the hand holds, None for none}."""
@@ -249,15 +242,4 @@ _NEXT = {
     LIFT: GraspNode._after_lift,
     HOLD: GraspNode._after_hold,
     RETREAT: GraspNode._after_retreat,
-}
-
-# By phase, what is asked of the gripper.
-_WISHES = {
-    WATCH: GraspNode._wish_watch,
-    APPROACH: GraspNode._wish_approach,
-    DESCEND: GraspNode._wish_descend,
-    CLOSE: GraspNode._wish_close,
-    LIFT: GraspNode._wish_lift,
-    HOLD: GraspNode._wish_lift,
-    RETREAT: GraspNode._wish_retreat,
 }

@@ -13,7 +13,7 @@ import numpy as np
 
 from hierax.nodes.tracking.evaluation.pictures import CORRECTED, EXPECTED
 from hierax.nodes.tracking.math.geometry import NEAREST_M, Array, Floats, invert, pose_error, project, transform
-from hierax.nodes.tracking.render import DepthRenderer, Item
+from hierax.nodes.tracking.render import DepthRenderer, item_of
 from hierax.nodes.tracking.schema import PaperObject, SpatialBelief, TrackedObject
 from hierax.runtime import Step, Value
 from hierax.runtime.core.showing import (
@@ -151,11 +151,7 @@ def _imagined(belief: SpatialBelief) -> tuple[Array, Array]:
     assert intrinsics is not None
     assert size is not None
     from_world = invert(camera)
-    items = [
-        Item(body["id"], body["model"]["vertices"], body["model"]["faces"], from_world @ body["pose"])
-        for body in belief["bodies"]
-    ]
-    return _renderer.render(items, intrinsics, size)
+    return _renderer.render([item_of(body, from_world) for body in belief["bodies"]], intrinsics, size)
 
 
 def _grid() -> Floats:

@@ -9,6 +9,7 @@ from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from hierax.nodes.tracking.imagery.controls import controls_of
 from hierax.nodes.tracking.imagery.layers import Layer, LayerRenderer, Window, surrounding
@@ -157,7 +158,7 @@ class SegmentedDepth:
         if camera is None or intrinsics is None or size is None:
             return ()
         camera_from_world = invert(camera)
-        items = [_item(body, camera_from_world) for body in belief["bodies"]]
+        items = [item_of(body, camera_from_world) for body in belief["bodies"]]
         layers = self._renderer.layers(items, intrinsics, size)
         controls = self._controls(items, belief["bodies"], layers, intrinsics, size)
         others = self._others(belief["bodies"], items, layers, camera_from_world, intrinsics, size)
@@ -192,14 +193,14 @@ class SegmentedDepth:
             controls_of(self._renderer.renderer(item).shape, item.pose, intrinsics, size, layers.get(item.label))
             for item in items
         ]
+        chances = self._chances([controls.points for controls in alone], placed, intrinsics)
+        return [_likely(controls, seen) for controls, seen in zip(alone, chances, strict=True)]
+
+    def _chances(self, points: list[Floats], placed: list[Placed], intrinsics: Array) -> list[NDArray[np.float32]]:
+        """Of each point the chance that no body hides it."""
         if self._occlusion:
-            chances = chances_seen([controls.points for controls in alone], placed, intrinsics)
-        else:
-            chances = [np.ones(len(controls.points), dtype=np.float32) for controls in alone]
-        found = []
-        for controls, seen in zip(alone, chances, strict=True):
-            found.append(_likely(controls, seen))
-        return found
+            return chances_seen(points, placed, intrinsics)
+        return [np.ones(len(own), dtype=np.float32) for own in points]
 
     def _others(
         self,
@@ -225,18 +226,15 @@ class SegmentedDepth:
                 )
                 for pose in poses
             ]
-            if self._occlusion:
-                hiders = [
-                    Placed(other.pose, np.asarray(bodies[at]["covariance"], dtype=np.float64), layers.get(other.label))
-                    for at, other in enumerate(items)
-                    if at != number
-                ]
-                near = _NEAR * np.asarray(body["covariance"], dtype=np.float64)
-                placed = [*hiders, *(Placed(pose, near, None) for pose in poses)]
-                points = [np.zeros((0, 3))] * len(hiders) + [controls.points for controls in alone]
-                chances = chances_seen(points, placed, intrinsics)[len(hiders) :]
-            else:
-                chances = [np.ones(len(controls.points), dtype=np.float32) for controls in alone]
+            hiders = [
+                Placed(other.pose, np.asarray(bodies[at]["covariance"], dtype=np.float64), layers.get(other.label))
+                for at, other in enumerate(items)
+                if at != number
+            ]
+            near = _NEAR * np.asarray(body["covariance"], dtype=np.float64)
+            placed = [*hiders, *(Placed(pose, near, None) for pose in poses)]
+            points = [np.zeros((0, 3))] * len(hiders) + [controls.points for controls in alone]
+            chances = self._chances(points, placed, intrinsics)[len(hiders) :]
             each: list[Alternative] = [
                 {"pose": pose, "controls": _likely(controls, seen), "kept": place < body["kept"]}
                 for place, (pose, controls, seen) in enumerate(zip(body["others"], alone, chances, strict=True))
@@ -264,7 +262,8 @@ def _expected(body: Body, controls: ControlPoints, others: tuple[Alternative, ..
     }
 
 
-def _item(body: Body, camera_from_world: Floats) -> Item:
+def item_of(body: Body, camera_from_world: Floats) -> Item:
+    """A body as it is drawn."""
     model = body["model"]
     return Item(body["id"], model["vertices"], model["faces"], camera_from_world @ body["pose"])
 

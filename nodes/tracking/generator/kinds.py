@@ -19,7 +19,7 @@ from hierax.nodes.tracking.generator.things import (
     scattered,
     stacked,
 )
-from hierax.nodes.tracking.math.geometry import Array, Floats
+from hierax.nodes.tracking.math.geometry import Floats
 from hierax.nodes.tracking.simworld.light import Lamp
 from hierax.nodes.tracking.simworld.raster import visible_shares
 from hierax.nodes.tracking.simworld.scene import Wood
@@ -32,6 +32,8 @@ INTRINSICS = np.array([FOCAL_PX, FOCAL_PX, 318.4, 241.2])
 _CANDIDATES = 40
 _LOOKS = 6
 _COARSE = 4  # candidates are looked at in pictures that are smaller by this
+_COARSE_SIZE = SIZE[0] // _COARSE, SIZE[1] // _COARSE
+_COARSE_INTRINSICS = (INTRINSICS + np.array([0.0, 0.0, 0.5, 0.5])) / _COARSE - np.array([0.0, 0.0, 0.5, 0.5])
 
 
 @dataclass(frozen=True)
@@ -163,7 +165,7 @@ def _still_life(
         target = np.mean([thing.pose[:3, 3] for thing in things], axis=0)
         path = camera_path(swing, target, frames, rng)
         looks = np.linspace(0, frames - 1, _LOOKS).astype(int)
-        shares = np.array([visible_shares(things, path[at], _coarse(), _coarse_size()) for at in looks])
+        shares = np.array([visible_shares(things, path[at], _COARSE_INTRINSICS, _COARSE_SIZE) for at in looks])
         value = merit(1.0 - shares)
         if best is None or value > best[0]:
             best = (value, things, path)
@@ -209,14 +211,6 @@ def _wood(rng: np.random.Generator) -> Wood:
     unevenness, grain = rng.uniform(0.8, 1.6), int(rng.integers(1000))
     tile_m = rng.uniform(0.04, 0.09) if rng.random() < 1.0 / 3.0 else 0.0
     return Wood(colour, unevenness, grain, tile_m)
-
-
-def _coarse() -> Array:
-    return np.array([FOCAL_PX, FOCAL_PX, INTRINSICS[2] + 0.5, INTRINSICS[3] + 0.5]) / _COARSE - [0.0, 0.0, 0.5, 0.5]
-
-
-def _coarse_size() -> tuple[int, int]:
-    return SIZE[0] // _COARSE, SIZE[1] // _COARSE
 
 
 # By name.

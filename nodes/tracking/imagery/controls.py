@@ -72,7 +72,9 @@ def controls_of(
     lines = only(lines, ahead)
     pixels = project(seen[ahead], intrinsics)
     outside = (pixels.max(axis=1, initial=-np.inf) < 0.0) | (pixels.min(axis=1, initial=np.inf) > np.array(size))
-    owners, shares = _spread(np.where(outside.any(axis=1), 0.0, _lengths(pixels)), lines.edges)
+    owners, shares = _spread(
+        np.where(outside.any(axis=1), 0.0, np.linalg.norm(pixels[:, 1] - pixels[:, 0], axis=1)), lines.edges
+    )
     step = (lines.ends[:, 1] - lines.ends[:, 0])[owners]
     points = lines.ends[owners, 0] + shares[:, None] * step
     controls = Controls(
@@ -152,11 +154,6 @@ def _numbered(shape: Shape, pose: Floats, controls: Controls) -> Controls:
             places[points] = points[0] + (np.arange(len(points)) - changes[0] - 1) % len(points)
     order = np.lexsort((places, numbers))
     return only(controls._replace(edges=numbers), order)
-
-
-def _lengths(pixels: Floats) -> Floats:
-    lengths: Floats = np.linalg.norm(pixels[:, 1] - pixels[:, 0], axis=1)
-    return lengths
 
 
 def _spread(lengths: Floats, edges: Ints) -> tuple[NDArray[np.intp], Floats]:

@@ -90,7 +90,8 @@ class SimWorld(World):
         self._noise = float(noise)
         self._blur_px = float(blur_px)
         self._bodies = bodies
-        self._solids = [_solid(body["side_m"]) for body in bodies]
+        sides_m = [body["side_m"] for body in bodies]
+        self._solids = [Solid(cube_corners(side), DENSITY_KG_M3 * side**3, FRICTION) for side in sides_m]
         self._simulator = Simulator()
 
     def initial_belief(self) -> SimBelief:
@@ -187,7 +188,3 @@ def first_bodies(cubes: int) -> tuple[schema.Cube, ...]:
         }
         for number, item in enumerate(SCENE[:cubes], start=1)
     )
-
-
-def _solid(side_m: float) -> Solid:
-    return Solid(cube_corners(side_m), DENSITY_KG_M3 * side_m**3, FRICTION)
