@@ -20,6 +20,7 @@ from typing import Any
 
 import cv2
 import numpy as np
+from cad import read_cao, read_vrml
 
 from hierax.nodes.tracking.datasets.bop import read_results
 from hierax.nodes.tracking.datasets.truth import read_truth
@@ -28,7 +29,6 @@ from hierax.nodes.tracking.evaluation.scoring import object_errors, score, table
 from hierax.nodes.tracking.generator.camera import reported_path
 from hierax.nodes.tracking.generator.scenes import model_info, start_error, write_json
 from hierax.nodes.tracking.math.geometry import Floats, invert, orthonormal
-from hierax.nodes.tracking.model.cad import read_cao, read_vrml
 from hierax.nodes.tracking.model.mesh import Mesh
 from hierax.nodes.tracking.model.ply import BOP_UNIT_M, write_ply
 

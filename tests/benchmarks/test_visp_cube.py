@@ -16,6 +16,7 @@ from hierax.nodes.tracking.arm import poses_seen
 from hierax.nodes.tracking.datasets.bop import BopScene, ResultsFile, read_image
 from hierax.nodes.tracking.errors import DataError
 from hierax.nodes.tracking.math.geometry import Floats, exp_so3, make_pose, project, transform
+from hierax.nodes.tracking.model.mesh import box_mesh
 from hierax.nodes.tracking.render import SegmentedDepth
 from hierax.runtime.core.hierarchy import Edge, Hierarchy
 from hierax.runtime.core.process import ActiveHierarchy, update
@@ -49,6 +50,15 @@ def sliding(count: int, rng: np.random.Generator) -> Floats:
         standing = make_pose(exp_so3(np.array([0.0, 0.0, turn])), [x, y, 0.0])
         poses.append(table @ standing @ make_pose(np.eye(3), -np.array(bottom)))
     return np.array(poses)
+
+
+def test_a_convex_body_is_turned_outward() -> None:
+    mesh = box_mesh((1.0, 2.0, 3.0))
+    mixed = mesh.faces.copy()
+    mixed[::2] = mixed[::2, ::-1]
+    corners = mesh.vertices[visp_cube.outward(mesh.vertices, mixed)]
+    volume = np.sum(corners[:, 0] * np.cross(corners[:, 1], corners[:, 2])) / 6
+    assert volume == pytest.approx(6.0)
 
 
 def test_poses_beside_those_of_the_full_run_put_onto_its_plane() -> None:

@@ -8,12 +8,12 @@ from types import ModuleType
 
 import numpy as np
 import pytest
+from cad import read_cao
 
 from hierax.nodes.tracking.datasets.bop import BopScene
 from hierax.nodes.tracking.errors import DataError
 from hierax.nodes.tracking.generator.scenes import write_scene
 from hierax.nodes.tracking.math.geometry import invert
-from hierax.nodes.tracking.model.cad import read_cao
 from hierax.nodes.tracking.model.mesh import Mesh
 from hierax.nodes.tracking.simworld.shapes import angle_piece, box, wedge
 

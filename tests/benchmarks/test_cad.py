@@ -6,11 +6,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from cad import cut, mesh_of, read_cao, read_vrml
 
 from hierax.nodes.tracking.errors import DataError
 from hierax.nodes.tracking.math.geometry import Floats, exp_so3
-from hierax.nodes.tracking.model.cad import cut, mesh_of, outward, read_cao, read_vrml
-from hierax.nodes.tracking.model.mesh import box_mesh
 
 CAO = """# a roof
 V1
@@ -87,15 +86,6 @@ def test_faces_without_area_are_left_out() -> None:
     assert len(mesh.faces) == 1
     with pytest.raises(DataError, match="x: no faces"):
         mesh_of(Path("x"), [np.zeros((4, 3))])
-
-
-def test_a_convex_body_is_turned_outward() -> None:
-    mesh = box_mesh((1.0, 2.0, 3.0))
-    mixed = mesh.faces.copy()
-    mixed[::2] = mixed[::2, ::-1]
-    corners = mesh.vertices[outward(mesh.vertices, mixed)]
-    volume = np.sum(corners[:, 0] * np.cross(corners[:, 1], corners[:, 2])) / 6
-    assert volume == pytest.approx(6.0)
 
 
 @pytest.mark.parametrize(

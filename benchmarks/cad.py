@@ -7,10 +7,9 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hierax.nodes.tracking.errors import DataError
-from hierax.nodes.tracking.math.geometry import Array, Floats
+from hierax.nodes.tracking.math.geometry import Floats
 from hierax.nodes.tracking.model.mesh import Mesh
 
 _WELD_M = 1e-6
@@ -95,14 +94,6 @@ def cut(polygon: Floats) -> list[tuple[int, int, int]]:
         del left[at]
     triangles.append((left[0], left[1], left[2]))
     return [item for item in triangles if abs(_twice_area(*flat[list(item)])) > _LEAST_AREA_M2]
-
-
-def outward(vertices: Floats, faces: Array) -> NDArray[np.int32]:
-    """The triangles of a convex body, each turned to be counter-clockwise seen from outside."""
-    corners = vertices[faces]
-    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    inward = np.sum(normals * (corners.mean(axis=1) - vertices.mean(axis=0)), axis=1) < 0
-    return np.where(inward[:, None], faces[:, ::-1], faces).astype(np.int32)
 
 
 def _cao_polygons(path: Path, depth: int) -> list[Floats]:
