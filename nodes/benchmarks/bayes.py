@@ -6,75 +6,45 @@ other processes share the processors. Errors are against node-by-node propagatio
 
 from __future__ import annotations
 
-import importlib
 import statistics
 import time
 import warnings
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
-from typing import Any, Protocol
+from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from hierax.nodes.benchmarks.bayes_limit import Limit, reference
 from hierax.nodes.causal_tree import Inference, random_tree
+from hierax.nodes.causal_tree.network_files import import_quietly
 from hierax.runtime.core.errors import HieraxError
-from hierax.runtime.execution.plain import Json
 
-STATES = 4
-SHARE = 0.3
-"""Of the leaves, that are observed."""
-
-SETS = 12
-SECONDS = 1.0
-"""After so long in a round, no further update is made."""
+STATES = 4  # of each node
+SHARE = 0.3  # of the leaves, that are observed
+SETS = 12  # evidence sets
+SECONDS = 1.0  # after so long in a round, no further update is made
 
 Description = Sequence[Mapping[str, Any]]
-Evidence = Mapping[str, int]
-"""By node, the number of its state."""
-
+Evidence = Mapping[str, int]  # by node, the number of its state
 Posteriors = Mapping[Any, NDArray[np.float64]]
 Update = Callable[[Evidence], Posteriors]
+Rival = Callable[[Description], Update]
 
-
-class Rival(Protocol):
-    """Takes a network, and gives what makes posteriors of evidence."""
-
-    def __call__(self, network: Description) -> Update: ...
+OURS = "hierax"
+LIMIT = "numpy, level by level"
 
 
 @dataclass(frozen=True)
 class Cell:
-    """One way on one network.
+    """One way on one network."""
 
-    Attributes:
-        way: whose.
-        nodes: of the network.
-        update_ms: the median of the rounds' medians; None where there is none.
-        error: the largest of any posterior.
-        note: why there is no time.
-    """
-
-    way: str
-    nodes: int
-    update_ms: float | None
-    error: float | None
-    note: str = ""
-
-    def plain(self) -> dict[str, Json]:
-        """As plain JSON."""
-        return {
-            "way": self.way,
-            "nodes": self.nodes,
-            "update_ms": self.update_ms,
-            "error": self.error,
-            "note": self.note,
-        }
-
-
-OURS = "hierax"
-LIMIT = "numpy, level by level"
+    way: str  # whose
+    nodes: int  # of the network
+    update_ms: float | None  # the median of the rounds' medians; None where there is none
+    error: float | None  # the largest of any posterior
+    note: str = ""  # why there is no time
 
 
 def bench_bayes(sizes: Sequence[int], rounds: int, seed: int, told: Callable[[str], None]) -> list[Cell]:
@@ -91,61 +61,62 @@ def bench_bayes(sizes: Sequence[int], rounds: int, seed: int, told: Callable[[st
         network = random_tree(nodes, STATES, seed)
         sets = _evidence_sets(network, np.random.Generator(np.random.PCG64([seed, nodes])))
         exact = [reference(network, evidence) for evidence in sets]
-        ways: dict[str, tuple[Rival, int]] = {OURS: (_ours, 10**9), LIMIT: (Limit, 10**9), **RIVALS}
-        timings = [_Timing(way, rival, network, sets, most) for way, (rival, most) in ways.items()]
+        ways: dict[str, tuple[Rival, int]] = {OURS: (_ours, nodes), LIMIT: (Limit, nodes), **RIVALS}
+        timings = [
+            _Timing(way, rival, network, sets, exact, f"left out: more than {most} nodes" if nodes > most else "")
+            for way, (rival, most) in ways.items()
+        ]
         for number in range(rounds):
             for timing in timings:
                 told(f"{nodes} nodes, round {number + 1} of {rounds}: {timing.way}")
-                timing.round(exact)
+                timing.round()
         cells += [timing.cell() for timing in timings]
     return cells
 
 
+@dataclass
 class _Timing:
     """One way on one network, over the rounds."""
 
-    def __init__(self, way: str, rival: Rival, network: Description, sets: Sequence[Evidence], most: int) -> None:
-        self.way = way
-        self._sets = sets
-        self._nodes = len(network)
-        self._rounds_ms: list[float] = []
-        self._error = 0.0
-        self._note = f"left out: more than {most} nodes" if len(network) > most else ""
-        self._network = network
-        self._rival = rival
-        self._update: Update | None = None
+    way: str
+    rival: Rival
+    network: Description
+    sets: Sequence[Evidence]
+    exact: Sequence[Posteriors]  # of each set
+    note: str  # why there is no time; empty while there may be one
+    rounds_ms: list[float] = field(default_factory=list)  # the median of each
+    error: float = 0.0  # the largest so far
+    update: Update | None = None
 
-    def round(self, exact: Sequence[Posteriors]) -> None:
+    def round(self) -> None:
         """Update with the evidence sets, one after the other."""
-        if self._note:
+        if self.note:
             return
         try:
-            if self._update is None:
-                self._update = self._rival(self._network)
-                self._update(self._sets[0])
-            times_ms = self._times_ms(self._update, exact)
+            if self.update is None:
+                self.update = self.rival(self.network)
+                self.update(self.sets[0])
+            self.rounds_ms.append(statistics.median(self._times_ms(self.update)))
         except ModuleNotFoundError as error:
-            self._note = f"{error.name} is not installed"
+            self.note = f"{error.name} is not installed"
         except HieraxError:
             raise
         except Exception as error:  # what rivals raise is theirs to know
-            self._note = f"failed: {type(error).__name__}: {' '.join(str(error).split())[:60]}"
-        else:
-            self._rounds_ms.append(statistics.median(times_ms))
+            self.note = f"failed: {type(error).__name__}: {' '.join(str(error).split())[:60]}"
 
     def cell(self) -> Cell:
         """The rounds together."""
-        if self._note or not self._rounds_ms:
-            return Cell(self.way, self._nodes, None, None, self._note)
-        return Cell(self.way, self._nodes, statistics.median(self._rounds_ms), self._error)
+        if self.note:
+            return Cell(self.way, len(self.network), None, None, self.note)
+        return Cell(self.way, len(self.network), statistics.median(self.rounds_ms), self.error)
 
-    def _times_ms(self, update: Update, exact: Sequence[Posteriors]) -> list[float]:
+    def _times_ms(self, update: Update) -> list[float]:
         times_ms: list[float] = []
-        for evidence, wanted in zip(self._sets, exact, strict=True):
+        for evidence, wanted in zip(self.sets, self.exact, strict=True):
             begun = time.process_time()
             found = update(evidence)
             times_ms.append((time.process_time() - begun) * 1e3)
-            self._error = max(self._error, *(float(np.abs(found[name] - row).max()) for name, row in wanted.items()))
+            self.error = max(self.error, *(float(np.abs(found[name] - row).max()) for name, row in wanted.items()))
             if sum(times_ms) > SECONDS * 1e3:
                 break
         return times_ms
@@ -162,17 +133,14 @@ def _ours(network: Description) -> Update:
     vectors = np.eye(STATES)
 
     def update(evidence: Evidence) -> Posteriors:
-        posteriors: Posteriors = inference.update({name: vectors[state] for name, state in evidence.items()})
-        return posteriors
+        return inference.update({name: vectors[state] for name, state in evidence.items()})
 
     return update
 
 
 def _pyagrum(engine: str) -> Rival:
     def made(network: Description) -> Update:
-        with warnings.catch_warnings():  # where they are errors, those of its import end the process
-            warnings.simplefilter("ignore")
-            gum = importlib.import_module("pyagrum")
+        gum = import_quietly("pyagrum")
         gum.setNumberOfThreads(1)
         net = gum.BayesNet()
         for entry in network:
@@ -180,7 +148,6 @@ def _pyagrum(engine: str) -> Rival:
         for entry in network:
             for parent in entry["parents"]:
                 net.addArc(parent, entry["id"])
-        for entry in network:
             net.cpt(entry["id"])[:] = entry["cpt"] if entry["parents"] else entry["prior"]
         inference = getattr(gum, engine)(net)
         names = [entry["id"] for entry in network]
@@ -197,27 +164,20 @@ def _pyagrum(engine: str) -> Rival:
 
 
 def _pgmpy(network: Description) -> Update:
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")
-        cpds = importlib.import_module("pgmpy.factors.discrete")
-        models = importlib.import_module("pgmpy.models")
-        methods = importlib.import_module("pgmpy.inference")
+    names = ("pgmpy.factors.discrete", "pgmpy.models", "pgmpy.inference")
+    cpds, models, methods = (import_quietly(name) for name in names)
     model = models.DiscreteBayesianNetwork()
     model.add_nodes_from([entry["id"] for entry in network])
     model.add_edges_from([(parent, entry["id"]) for entry in network for parent in entry["parents"]])
     for entry in network:
-        if entry["parents"]:
-            columns = np.array(entry["cpt"]).T
-            cpd = cpds.TabularCPD(entry["id"], STATES, columns, evidence=entry["parents"], evidence_card=[STATES])
-        else:
-            cpd = cpds.TabularCPD(entry["id"], STATES, np.array(entry["prior"])[:, None])
-        model.add_cpds(cpd)
+        columns = np.atleast_2d(entry["cpt"] if entry["parents"] else entry["prior"]).T
+        above = {"evidence": entry["parents"], "evidence_card": [STATES]} if entry["parents"] else {}
+        model.add_cpds(cpds.TabularCPD(entry["id"], STATES, columns, **above))
     inference = methods.BeliefPropagation(model)
-    names = [entry["id"] for entry in network]
 
     def update(evidence: Evidence) -> Posteriors:
         found: dict[str, Any] = {name: np.eye(STATES)[state] for name, state in evidence.items()}
-        asked = [name for name in names if name not in evidence]
+        asked = [entry["id"] for entry in network if entry["id"] not in evidence]
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
             for name in asked:  # of several at once it makes their joint distribution first

@@ -3,17 +3,17 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
-from functools import partial
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import asdict, dataclass
+from itertools import product
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
 from hierax.nodes.tracking.datasets.bop import read_results
 from hierax.nodes.tracking.datasets.truth import read_truth
 from hierax.nodes.tracking.evaluation.scoring import ObjectErrors, Score, object_errors, score
-from hierax.nodes.tracking.generator.kinds import KINDS
 from hierax.nodes.tracking.generator.scenes import write_scene
 from hierax.runtime.core.errors import HieraxError
 from hierax.runtime.deployment import Deployment
@@ -31,7 +31,7 @@ WAYS = {
     "context, no prior": ("prior=false",),
     "with all": (),
 }
-"""What is set of the deployment. An object's own model is what it shows when no other object is there."""
+"""What is set of the deployment, by way. An object's own model is what it shows when no other object is there."""
 
 CONTEXT, OWN = "with all", "own model"
 STAGES = ("world", "arm", "spatial")
@@ -39,129 +39,74 @@ STAGES = ("world", "arm", "spatial")
 
 SPEED_KIND = "scattered"
 SPEED_OBJECTS = (1, 5)
-_POSES = "poses.csv"
-
 Tell = Callable[[str], None]
 
 
 @dataclass(frozen=True)
 class Scene:
-    """A scene to be tracked.
+    """A scene to be tracked."""
 
-    Attributes:
-        name: what scenes are put together by: the kind, or the folder's name.
-        seed: of a generated scene; 0 of others.
-        folder: of the BOP scene.
-        truth: the folder with the true poses.
-        table: whether the world's plane z = 0 carries the objects.
-    """
-
-    name: str
-    seed: int
-    folder: Path
-    truth: Path
-    table: bool
-
-
-@dataclass(frozen=True)
-class Tracked:
-    """One scene, tracked in one way.
-
-    Attributes:
-        scene, way: which.
-        errors: of each object, as scoring gives them.
-        stage_ms: by node, the processor's time of an epoch in its operators and edge functions, in milliseconds.
-    """
-
-    scene: Scene
-    way: str
-    errors: Sequence[ObjectErrors]
-    stage_ms: dict[str, float]
+    name: str  # what scenes are put together by: the kind, or the folder's name
+    seed: int  # of a generated scene; 0 of others
+    folder: Path  # of the BOP scene
+    truth: Path  # the folder with the true poses
+    table: bool  # whether the world's plane z = 0 carries the objects
 
 
 @dataclass(frozen=True)
 class Row:
-    """All scenes of one name, tracked in one way.
-
-    Attributes:
-        name, way: which.
-        score: of all objects of all of them.
-        stage_ms: by node, the median of the scenes.
-        hidden_shares: of each scene, the share within 5 mm and 5° where more than half of an object is
-            hidden; nan where there is no such frame.
-    """
+    """All scenes of one name, tracked in one way."""
 
     name: str
     way: str
-    score: Score
-    stage_ms: dict[str, float]
+    score: Score  # of all objects of all the scenes
+    stage_ms: dict[str, float]  # by node, the median of the scenes
+    # of each scene, the share within 5 mm and 5° where more than half of an object is hidden; nan where nothing is
     hidden_shares: Sequence[float]
 
     def plain(self) -> dict[str, Json]:
         """As plain JSON."""
-        hidden: list[Json] = [None if np.isnan(share) else share for share in self.hidden_shares]
-        return {
-            "scene": self.name,
-            "way": self.way,
-            **self.score.plain(),
-            "stage_ms": dict(self.stage_ms),
-            "hidden_shares": hidden,
-        }
+        hidden = [None if np.isnan(share) else share for share in self.hidden_shares]
+        told = {"stage_ms": self.stage_ms, "hidden_shares": hidden}
+        return {"scene": self.name, "way": self.way, **self.score.plain(), **told}
 
 
 @dataclass(frozen=True)
 class Gain:
-    """What context is worth on hidden objects: share within 5 mm and 5° with all, less that of own models.
+    """What context is worth on hidden objects: share within 5 mm and 5° with all, less that of own models."""
 
-    Attributes:
-        name: of the scenes.
-        differences: one for each seed.
-    """
-
-    name: str
-    differences: Sequence[float]
+    name: str  # of the scenes
+    differences: Sequence[float]  # one for each seed
 
     def plain(self) -> dict[str, Json]:
         """As plain JSON; the spread is the standard deviation over the seeds."""
         known = np.array(self.differences)
-        return {
-            "scene": self.name,
-            "seeds": len(known),
+        spread = float(known.std(ddof=1)) if len(known) > 1 else None
+        figures = {
             "mean": float(known.mean()),
-            "spread": float(known.std(ddof=1)) if len(known) > 1 else None,
+            "spread": spread,
             "least": float(known.min()),
             "most": float(known.max()),
         }
+        return {"scene": self.name, "seeds": len(known), **figures}
 
 
 @dataclass(frozen=True)
 class Speed:
-    """A launch over Zenoh.
+    """A launch over Zenoh."""
 
-    Attributes:
-        objects: how many there are.
-        epochs_hz: of each round, epochs per second from the first epoch's beginning to the last one's commit.
-        stage_ms: by node, the processor's time of an epoch, measured in one process.
-    """
+    objects: int  # how many there are
+    rounds: Sequence[float]  # of each, epochs per second from the first epoch's beginning to the last one's commit
+    stage_ms: dict[str, float]  # by node, the processor's time of an epoch, measured in one process
 
-    objects: int
-    epochs_hz: Sequence[float]
-    stage_ms: dict[str, float]
+    @property
+    def epochs_hz(self) -> float:
+        """The median of the rounds."""
+        return float(np.median(self.rounds))
 
     def plain(self) -> dict[str, Json]:
         """As plain JSON."""
-        rates: list[Json] = list(self.epochs_hz)
-        return {
-            "objects": self.objects,
-            "epochs_hz": float(np.median(self.epochs_hz)),
-            "rounds": rates,
-            "stage_ms": dict(self.stage_ms),
-        }
-
-
-def kinds() -> list[str]:
-    """The kinds of scenes that can be generated."""
-    return list(KINDS)
+        return {**asdict(self), "epochs_hz": self.epochs_hz}
 
 
 def generated(names: Sequence[str], seeds: int, frames: int, exact: bool, folder: Path, told: Tell) -> list[Scene]:
@@ -179,12 +124,11 @@ def generated(names: Sequence[str], seeds: int, frames: int, exact: bool, folder
         HieraxError: something cannot be written.
     """
     scenes = []
-    for name in names:
-        for seed in range(seeds):
-            told(f"{name}, seed {seed}: drawing {frames} frames")
-            out = folder / f"{name}-{seed}{'-exact' if exact else ''}-{frames}"
-            scene = write_scene(out, name, seed, frames, exact)
-            scenes.append(Scene(name, seed, scene, out / "truth" / scene.name, True))
+    for name, seed in product(names, range(seeds)):
+        told(f"{name}, seed {seed}: drawing {frames} frames")
+        out = folder / f"{name}-{seed}{'-exact' if exact else ''}-{frames}"
+        scene = write_scene(out, name, seed, frames, exact)
+        scenes.append(Scene(name, seed, scene, out / "truth" / scene.name, True))
     return scenes
 
 
@@ -203,17 +147,11 @@ def bench_tracking(
     Raises:
         HieraxError: a scene cannot be read, or a node failed.
     """
-    done = []
-    for scene in scenes:
-        for way in ways:
-            told(f"{scene.name}, seed {scene.seed}: {way}")
-            done.append(_track(scene, way, settings, folder))
-    names = list(dict.fromkeys(scene.name for scene in scenes))
-    return [
-        _row(name, way, [each for each in done if (each.scene.name, each.way) == (name, way)])
-        for name in names
-        for way in ways
-    ]
+    tracked: dict[tuple[str, str], list[_Tracked]] = {}
+    for scene, way in product(scenes, ways):
+        told(f"{scene.name}, seed {scene.seed}: {way}")
+        tracked.setdefault((scene.name, way), []).append(_track(scene, way, settings, folder))
+    return [_row(name, way, of_scenes) for (name, way), of_scenes in tracked.items()]
 
 
 def gains(rows: Sequence[Row]) -> list[Gain]:
@@ -248,66 +186,59 @@ def bench_speed(frames: int, rounds: int, settings: Sequence[str], folder: Path,
         scene = write_scene(folder / f"speed-{objects}", SPEED_KIND, 0, frames, False, objects)
         deployments[objects] = read_deployment(DEPLOYMENT, [f"scene={scene}", "table=true", *settings])
     rates: dict[int, list[float]] = {objects: [] for objects in SPEED_OBJECTS}
-    for number in range(rounds):
-        for objects, deployment in deployments.items():
-            told(f"{objects} objects, round {number + 1} of {rounds}")
-            report = launch(deployment, epochs=None, seed=0)
-            rates[objects].append(report.epochs_per_s or 0.0)
+    for number, objects in product(range(rounds), SPEED_OBJECTS):
+        told(f"{objects} objects, round {number + 1} of {rounds}")
+        report = launch(deployments[objects], epochs=None, seed=0)
+        rates[objects].append(report.epochs_per_s or 0.0)
     return [Speed(objects, rates[objects], _stages_ms(deployment)) for objects, deployment in deployments.items()]
 
 
-def _track(scene: Scene, way: str, settings: Sequence[str], folder: Path) -> Tracked:
-    poses = folder / f"{scene.name}-{scene.seed}-{way.replace(' ', '-').replace(',', '')}.{_POSES}"
-    changes = [f"scene={scene.folder}", f"table={str(scene.table).lower()}", f"output={poses}", *WAYS[way], *settings]
-    stage_ms = _stages_ms(read_deployment(DEPLOYMENT, changes))
-    return Tracked(scene, way, object_errors(read_results(poses), read_truth(scene.truth)), stage_ms)
-
-
-def _stages_ms(deployment: Deployment) -> dict[str, float]:
-    """Run a deployment in this process; by node, how long an epoch takes in its operators."""
-    meters: dict[str, Meter] = {}
-    run(deployment, epochs=None, seed=0, watch=partial(_meter, meters))
-    return {name: _stage_ms(meters[name]) for name in STAGES if name in meters}
-
-
-def _meter(meters: dict[str, Meter], name: str, runner: NodeRunner) -> None:
-    # The time of this thread alone: other programs on the machine do not count.
-    meters[name] = Meter(time.thread_time_ns)
-    runner.watch(meters[name])
-
-
-def _stage_ms(meter: Meter) -> float:
-    read = meter.read()
-    work = read["work_ns"]
-    return float(sum(work[kind] for kind in (OBSERVE, PREDICT, EDGES)) / max(1, read["epochs"]) / 1e6)
-
-
-def _row(name: str, way: str, done: Sequence[Tracked]) -> Row:
-    stages = {stage: float(np.median([each.stage_ms[stage] for each in done])) for stage in done[0].stage_ms}
-    hidden = [score(each.errors).hidden.shares[1] for each in done]
-    return Row(name, way, score([item for each in done for item in each.errors]), stages, hidden)
-
-
-def known_ways(wanted: Sequence[str]) -> list[str]:
-    """The ways that are wanted, in the order of `WAYS`; all, where none are named.
+def chosen(what: str, wanted: Sequence[str], known: Iterable[str]) -> list[str]:
+    """Those of the known names that are wanted, in their order; all, where none are named.
 
     Raises:
-        HieraxError: there is no such way.
+        HieraxError: there is no such name.
     """
-    return _chosen("way", wanted, list(WAYS))
-
-
-def known_kinds(wanted: Sequence[str]) -> list[str]:
-    """The kinds that are wanted, in their order; all, where none are named.
-
-    Raises:
-        HieraxError: there is no such kind.
-    """
-    return _chosen("kind", wanted, kinds())
-
-
-def _chosen(what: str, wanted: Sequence[str], known: Sequence[str]) -> list[str]:
+    known = list(known)
     unknown = [name for name in wanted if name not in known]
     if unknown:
         raise HieraxError(f"there is no {what} {unknown[0]!r}; expected some of {', '.join(known)}")
     return [name for name in known if not wanted or name in wanted]
+
+
+class _Tracked(NamedTuple):
+    """One scene, tracked in one way."""
+
+    errors: Sequence[ObjectErrors]  # of each object, as scoring gives them
+    stage_ms: dict[str, float]  # as `_stages_ms` gives them
+
+
+def _track(scene: Scene, way: str, settings: Sequence[str], folder: Path) -> _Tracked:
+    poses = folder / f"{scene.name}-{scene.seed}-{way.replace(' ', '-').replace(',', '')}.poses.csv"
+    changes = [f"scene={scene.folder}", f"table={str(scene.table).lower()}", f"output={poses}", *WAYS[way], *settings]
+    stage_ms = _stages_ms(read_deployment(DEPLOYMENT, changes))
+    return _Tracked(object_errors(read_results(poses), read_truth(scene.truth)), stage_ms)
+
+
+def _row(name: str, way: str, tracked: Sequence[_Tracked]) -> Row:
+    stages = {stage: float(np.median([each.stage_ms[stage] for each in tracked])) for stage in tracked[0].stage_ms}
+    hidden = [score(each.errors).hidden.shares[1] for each in tracked]
+    return Row(name, way, score([item for each in tracked for item in each.errors]), stages, hidden)
+
+
+def _stages_ms(deployment: Deployment) -> dict[str, float]:
+    """Run a deployment in this process; by node, an epoch's time in its operators and edge functions, in ms."""
+    meters: dict[str, Meter] = {}
+
+    def watch(name: str, runner: NodeRunner) -> None:
+        # The time of this thread alone: other programs on the machine do not count.
+        meters[name] = Meter(time.thread_time_ns)
+        runner.watch(meters[name])
+
+    run(deployment, epochs=None, seed=0, watch=watch)
+    return {name: _stage_ms(meters[name]) for name in STAGES if name in meters}
+
+
+def _stage_ms(meter: Meter) -> float:
+    read = meter.read()
+    return float(sum(read["work_ns"][kind] for kind in (OBSERVE, PREDICT, EDGES)) / max(1, read["epochs"]) / 1e6)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import re
 import warnings
+from importlib import import_module
 from pathlib import Path
 from typing import Any
 
@@ -155,15 +156,20 @@ def _check_bif(text: str) -> None:
     check_tables({head[0]: [states.get(name, 1) for name in head] for head in heads if head})
 
 
+def import_quietly(name: str) -> Any:
+    """A module whose import warns; where warnings are errors, those would end the process."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        return import_module(name)
+
+
 def _from_bif(path: Path, text: str) -> list[dict[str, Any]]:
     try:
         _check_bif(text)
     except NetworkError as error:
         raise NetworkError(f"{path}: {error}") from error
     try:
-        with warnings.catch_warnings():  # where they are errors, those of its import end the process
-            warnings.simplefilter("ignore")
-            import pyagrum
+        pyagrum = import_quietly("pyagrum")
     except ModuleNotFoundError as error:
         what = "BIF needs pyAgrum, which is not installed: pip install 'hierax[bayes]'"
         raise NetworkError(f"{path}: {what}") from error

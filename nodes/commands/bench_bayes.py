@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import asdict
 from typing import TYPE_CHECKING, Annotated
 
 import typer
@@ -27,7 +28,7 @@ def bayes(
 
     cells = bench_bayes(_sizes(nodes), rounds, seed, show_progress)
     if output_format is Format.json:
-        print_json({"cells": [cell.plain() for cell in cells]})
+        print_json({"cells": [asdict(cell) for cell in cells]})
     else:
         _print(cells)
     return 0
@@ -47,14 +48,12 @@ def _sizes(text: str) -> list[int]:
 def _print(cells: Sequence[Cell]) -> None:
     from hierax.runtime.commands.show import print_table
 
-    sizes = list(dict.fromkeys(cell.nodes for cell in cells))
-    by_place = {(cell.way, cell.nodes): cell for cell in cells}
-    right = {"justify": "right"}
-    rows = [
-        (way, *(_shown(by_place[way, size]) for size in sizes)) for way in dict.fromkeys(cell.way for cell in cells)
-    ]
+    rows: dict[str, list[str]] = {}
+    for cell in cells:
+        rows.setdefault(cell.way, [cell.way]).append(_shown(cell))
+    columns = {"way": {}, **{f"{cell.nodes} nodes": {"justify": "right"} for cell in cells}}
     print("One update of 30 % of the leaves, all posteriors: CPU ms (largest error)", end="\n\n")
-    print_table({"way": {}, **{f"{size} nodes": right for size in sizes}}, rows)
+    print_table(columns, [tuple(row) for row in rows.values()])
     notes = [f"{cell.way}, {cell.nodes} nodes: {cell.note}" for cell in cells if cell.note]
     if notes:
         print("\n" + "\n".join(notes))

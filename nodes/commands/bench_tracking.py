@@ -53,26 +53,29 @@ def tracking(
 ) -> int:
     """Track scenes with and without context, physics and prior, beside the truth."""
     from hierax.nodes.benchmarks import tracking as bench
+    from hierax.nodes.tracking.generator.kinds import KINDS
     from hierax.runtime.commands.show import print_json, show_progress
 
+    as_json = output_format is Format.json
     with ExitStack() as stack:
         folder = keep or Path(stack.enter_context(tempfile.TemporaryDirectory()))
         folder.mkdir(parents=True, exist_ok=True)
         if speed:
             speeds = bench.bench_speed(frames, rounds, settings or (), folder, show_progress)
-            if output_format is Format.json:
+            if as_json:
                 print_json({"speeds": [each.plain() for each in speeds]})
             else:
                 _print_speeds(speeds)
             return 0
-        chosen = bench.known_ways(_names(ways, ";"))
+        chosen_ways = bench.chosen("way", _names(ways, ";"), bench.WAYS)
         if scene is None:
-            scenes = bench.generated(bench.known_kinds(_names(kinds, ",")), seeds, frames, exact, folder, show_progress)
+            chosen_kinds = bench.chosen("kind", _names(kinds, ","), KINDS)
+            scenes = bench.generated(chosen_kinds, seeds, frames, exact, folder, show_progress)
         else:
             scenes = [_given(scene, truth, table)]
-        rows = bench.bench_tracking(scenes, chosen, settings or (), folder, show_progress)
+        rows = bench.bench_tracking(scenes, chosen_ways, settings or (), folder, show_progress)
     gains = bench.gains(rows)
-    if output_format is Format.json:
+    if as_json:
         print_json({"rows": [row.plain() for row in rows], "gains": [gain.plain() for gain in gains]})
     else:
         _print_rows(rows)
@@ -138,13 +141,11 @@ def _print_gains(gains: Sequence[Gain]) -> None:
     rows = []
     for gain in gains:
         plain = gain.plain()
-        figures = [
-            f"{100.0 * plain[name]:+.1f}" if plain[name] is not None else "–" for name in ("mean", "least", "most")
-        ]
+        mean, least, most = (f"{100.0 * plain[name]:+.1f}" for name in ("mean", "least", "most"))
         spread = "–" if plain["spread"] is None else f"{100.0 * plain['spread']:.1f}"
-        rows.append((gain.name, str(plain["seeds"]), figures[0], spread, figures[1], figures[2]))
-    columns = {"scene": {}, "seeds": _RIGHT, "mean, points": _RIGHT, "spread": _RIGHT, "least": _RIGHT, "most": _RIGHT}
-    print_table(columns, rows)
+        rows.append((gain.name, str(plain["seeds"]), mean, spread, least, most))
+    heads = ("seeds", "mean, points", "spread", "least", "most")
+    print_table({"scene": {}, **dict.fromkeys(heads, _RIGHT)}, rows)
 
 
 def _print_speeds(speeds: Sequence[Speed]) -> None:
@@ -154,7 +155,7 @@ def _print_speeds(speeds: Sequence[Speed]) -> None:
     rows = []
     for each in speeds:
         stages = [f"{each.stage_ms[stage]:.1f}" for stage in STAGES]
-        rounds = ", ".join(f"{rate:.1f}" for rate in each.epochs_hz)
-        rows.append((str(each.objects), f"{each.plain()['epochs_hz']:.1f}", rounds, *stages))
+        rounds = ", ".join(f"{rate:.1f}" for rate in each.rounds)
+        rows.append((str(each.objects), f"{each.epochs_hz:.1f}", rounds, *stages))
     heads = {"objects": _RIGHT, "epochs/s": _RIGHT, "rounds": {}}
     print_table({**heads, **{f"ms {stage}": _RIGHT for stage in STAGES}}, rows)

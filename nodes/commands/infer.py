@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -43,15 +44,14 @@ def infer(
     read = read_network(network)
     inference = Inference(read)
     found = inference.update(_evidence(read, evidence or ()))
-    states = {name: variable.states for name, variable in read.variables.items()}
-    shares = {name: dict(zip(states[name], row.tolist(), strict=True)) for name, row in found.items()}
+    variables = read.variables
+    shares = {str(name): dict(zip(variables[name].states, row.tolist(), strict=True)) for name, row in found.items()}
     if output_format is Format.json:
-        posteriors = {str(name): row for name, row in shares.items()}
-        print_json({"file": str(network), "log_evidence": inference.log_evidence, "posteriors": posteriors})
+        print_json({"file": str(network), "log_evidence": inference.log_evidence, "posteriors": shares})
         return 0
     print(f"{network}: {len(shares)} nodes, ln P(evidence) = {inference.log_evidence:.9g}", end="\n\n")
     rows = [
-        (str(name) if place == 0 else "", state, f"{share:.9g}")
+        (name if place == 0 else "", state, f"{share:.9g}")
         for name, row in shares.items()
         for place, (state, share) in enumerate(row.items())
     ]
@@ -73,18 +73,17 @@ def _evidence(network: Network, given: Sequence[str]) -> dict[Any, Any]:
     names = {str(name): name for name in network.variables}
     found: dict[Any, Any] = {}
     for option in given:
-        text, equals, value = option.partition("=")
+        text, _, value = (part.strip() for part in option.partition("="))
         where = f"--evidence {option}"
-        if not equals or not value:
+        if not value:
             raise CommandError(f"{where}: expected NAME=STATE, or NAME=[likelihood,…]")
-        name = names.get(text.strip())
+        name = names.get(text)
         if name is None:
-            raise CommandError(f"{where}: there is no node {text.strip()!r}{did_you_mean(text.strip(), names)}")
+            raise CommandError(f"{where}: there is no node {text!r}{did_you_mean(text, names)}")
         if name in found:
-            raise CommandError(f"{where}: node {text.strip()!r} has evidence already")
-        states = network.variables[name].states
+            raise CommandError(f"{where}: node {text!r} has evidence already")
         try:
-            found[name] = likelihoods(network, name, _value(value.strip(), states))
+            found[name] = likelihoods(network, name, _value(value, network.variables[name].states))
         except HieraxError as error:
             raise CommandError(f"{where}: {error}") from error
     return found
@@ -92,13 +91,9 @@ def _evidence(network: Network, given: Sequence[str]) -> dict[Any, Any]:
 
 def _value(text: str, states: Sequence[str]) -> Any:
     """What a user wrote: a state's name, its number, or likelihoods."""
-    if text in states:
-        return text
-    if text.isdecimal():
+    if text.isdecimal() and text not in states:
         return int(text)
-    if not (text.startswith("[") and text.endswith("]")):
-        return text
-    try:
-        return [float(number) for number in text[1:-1].split(",")]
-    except ValueError:
-        return text
+    if text.startswith("[") and text.endswith("]") and text not in states:
+        with suppress(ValueError):
+            return [float(number) for number in text[1:-1].split(",")]
+    return text

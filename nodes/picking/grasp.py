@@ -14,26 +14,18 @@ from hierax.nodes.tracking.math.geometry import Floats, pose_error
 from hierax.runtime import NO_TICK, Elements, Node, Tick, Value
 from hierax.runtime.core.node import Policy
 
-WATCH = "watch"
-APPROACH = "approach"
-DESCEND = "descend"
-CLOSE = "close"
-LIFT = "lift"
-HOLD = "hold"
-RETREAT = "retreat"
+WATCH, APPROACH, DESCEND, CLOSE = "watch", "approach", "descend", "close"
+LIFT, HOLD, RETREAT = "lift", "hold", "retreat"
 
-_FAST_M_S = 0.25
-_SLOW_M_S = 0.08
-
-_LOOK_S = 1.0
-_AIM_S = 0.4
-_STILL_S = 0.25
-_PATIENCE_S = 5.0
-_SURE_M = 0.003
-_NEAR_M = 0.004
-_NEAR_RAD = np.radians(2.0)
-_STILL_M = 0.0005
-_THINNER_M = 0.008
+# How fast the gripper goes while there is room, and beside the cube.
+_FAST_M_S, _SLOW_M_S = 0.25, 0.08
+# How long the camera looks before a grasp is chosen, the gripper stays above the cube, and the fingers stand still.
+_LOOK_S, _AIM_S, _STILL_S = 1.0, 0.4, 0.25
+_PATIENCE_S = 5.0  # how long a phase may take that waits for something
+_SURE_M = 0.003  # a cube's place is known as well as this, or it is not taken
+_NEAR_M, _NEAR_RAD = 0.004, np.radians(2.0)  # the gripper is where it should be when it is as near as this
+_STILL_M = 0.0005  # fingers that move less in an epoch stand still
+_THINNER_M = 0.008  # fingers that are nearer to one another than the cube is wide, less this, have lost it
 
 
 class GraspNode(Node):
@@ -67,19 +59,9 @@ class GraspNode(Node):
 
     def initial_belief(self) -> Value:
         """Watching; nothing is known yet."""
-        return {
-            "phase": WATCH,
-            "since_s": 0.0,
-            "steady_s": None,
-            "width": WIDEST_M,
-            "bodies": (),
-            "hand": None,
-            "target": None,
-            "box_from_gripper": None,
-            "box_width": None,
-            "gripper": None,
-            "attempts": 0,
-        }
+        seen = {"width": WIDEST_M, "bodies": (), "hand": None}
+        grasp = dict.fromkeys(("target", "box_from_gripper", "box_width", "gripper"))
+        return {"phase": WATCH, "since_s": 0.0, "steady_s": None, **seen, **grasp, "attempts": 0}
 
     def observe(self, observations: Elements, belief: Value, tick: Tick = NO_TICK) -> Value:
         """τ: the scene as it is tracked, and the phase that follows.
@@ -90,12 +72,10 @@ class GraspNode(Node):
         """
         if not observations:
             return belief
-        seen = {
-            **belief,
-            "bodies": tuple(item for item in observations if "pose" in item),
-            "hand": next(item["hand"] for item in observations if "hand" in item),
-        }
-        return _NEXT[belief["phase"]](self, seen, tick.time_s)
+        bodies = tuple(item for item in observations if "pose" in item)
+        hand = next(item["hand"] for item in observations if "hand" in item)
+        seen = {**belief, "bodies": bodies, "hand": hand}
+        return getattr(self, f"_after_{seen['phase']}")(seen, tick.time_s)
 
     def policies(self) -> Mapping[str, Policy]:
         """Π: to pick."""
@@ -122,36 +102,26 @@ class GraspNode(Node):
 
     def _after_watch(self, belief: Value, time_s: float) -> Value:
         """A grasp is chosen once the tracker has had time for its first errors, the camera being home."""
-        looking = _reached(belief, HOME_GRIPPER)
-        belief = _steadied(belief, looking, time_s)
+        belief = _steadied(belief, _reached(belief, HOME_GRIPPER), time_s)
         if not _steady(belief, time_s, _LOOK_S):
             return belief
         sure = [body["id"] for body in belief["bodies"] if _sure(body)]
         chosen = choose(belief["bodies"], [number for number in sure if self._wanted in (None, number)])
         if chosen is None:
             return belief
-        aimed = {
-            **belief,
-            "target": chosen.id,
-            "box_from_gripper": chosen.box_from_gripper,
-            "box_width": chosen.width_m,
-            "attempts": belief["attempts"] + 1,
-        }
-        return _enter(_aimed(aimed), APPROACH, time_s)
+        target, box_from_gripper, box_width = chosen
+        grasp = {"target": target, "box_from_gripper": box_from_gripper, "box_width": box_width}
+        return _enter(_aimed({**belief, **grasp, "attempts": belief["attempts"] + 1}), APPROACH, time_s)
 
     def _after_approach(self, belief: Value, time_s: float) -> Value:
         """The grasp follows the cube as long as that is tracked; then down, when the gripper is above it."""
         belief = _aimed(belief)
         belief = _steadied(belief, _reached(belief, before(belief["gripper"])), time_s)
-        if _steady(belief, time_s, _AIM_S):
-            return _enter(belief, DESCEND, time_s)
-        return self._unless_late(belief, time_s)
+        return _enter(belief, DESCEND, time_s) if _steady(belief, time_s, _AIM_S) else _unless_late(belief, time_s)
 
     def _after_descend(self, belief: Value, time_s: float) -> Value:
         """Where the cube was seen last is where it is taken: so near it is at the border of the view."""
-        if _reached(belief, belief["gripper"]):
-            return _enter(belief, CLOSE, time_s)
-        return self._unless_late(belief, time_s)
+        return _enter(belief, CLOSE, time_s) if _reached(belief, belief["gripper"]) else _unless_late(belief, time_s)
 
     def _after_close(self, belief: Value, time_s: float) -> Value:
         """The fingers stand still: on the cube, or on one another."""
@@ -159,16 +129,14 @@ class GraspNode(Node):
         belief = _steadied(belief, abs(width - belief["width"]) < _STILL_M, time_s)
         belief = {**belief, "width": width}
         if not _steady(belief, time_s, _STILL_S):
-            return self._unless_late(belief, time_s)
+            return _unless_late(belief, time_s)
         return _enter(belief, LIFT if _filled(belief) else RETREAT, time_s)
 
     def _after_lift(self, belief: Value, time_s: float) -> Value:
         """Up, unless the cube is lost on the way."""
         if not _filled(belief):
             return _enter(belief, RETREAT, time_s)
-        if _reached(belief, self._raised(belief)):
-            return _enter(belief, HOLD, time_s)
-        return self._unless_late(belief, time_s)
+        return _enter(belief, HOLD, time_s) if _reached(belief, self._raised(belief)) else _unless_late(belief, time_s)
 
     def _after_hold(self, belief: Value, time_s: float) -> Value:
         """It is held on, unless the cube is lost."""
@@ -176,13 +144,10 @@ class GraspNode(Node):
 
     def _after_retreat(self, belief: Value, time_s: float) -> Value:
         """Open and back, and then home to have another look."""
-        if not _reached(belief, before(belief["gripper"])) and time_s - belief["since_s"] < _PATIENCE_S:
+        if not _reached(belief, before(belief["gripper"])) and not _late(belief, time_s):
             return belief
-        forgotten = {**belief, "target": None, "box_from_gripper": None, "box_width": None, "gripper": None}
-        return _enter(forgotten, WATCH, time_s)
-
-    def _unless_late(self, belief: Value, time_s: float) -> Value:
-        return belief if time_s - belief["since_s"] < _PATIENCE_S else _enter(belief, RETREAT, time_s)
+        forgotten = dict.fromkeys(("target", "box_from_gripper", "box_width", "gripper"))
+        return _enter({**belief, **forgotten}, WATCH, time_s)
 
     def _raised(self, belief: Value) -> Floats:
         raised: Floats = belief["gripper"].copy()
@@ -197,6 +162,14 @@ def held_now(belief: Value) -> Elements:
 
 def _enter(belief: Value, phase: str, time_s: float) -> Value:
     return {**belief, "phase": phase, "since_s": time_s, "steady_s": None}
+
+
+def _late(belief: Value, time_s: float) -> bool:
+    return bool(time_s - belief["since_s"] >= _PATIENCE_S)
+
+
+def _unless_late(belief: Value, time_s: float) -> Value:
+    return _enter(belief, RETREAT, time_s) if _late(belief, time_s) else belief
 
 
 def _steadied(belief: Value, holds: bool, time_s: float) -> Value:
@@ -231,15 +204,3 @@ def _reached(belief: Value, gripper: Floats) -> bool:
 def _filled(belief: Value) -> bool:
     """Whether something as wide as the target is between the fingers."""
     return bool(belief["hand"]["width"] > belief["box_width"] - _THINNER_M)
-
-
-# By phase, what follows.
-_NEXT = {
-    WATCH: GraspNode._after_watch,
-    APPROACH: GraspNode._after_approach,
-    DESCEND: GraspNode._after_descend,
-    CLOSE: GraspNode._after_close,
-    LIFT: GraspNode._after_lift,
-    HOLD: GraspNode._after_hold,
-    RETREAT: GraspNode._after_retreat,
-}

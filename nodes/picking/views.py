@@ -12,7 +12,7 @@ from hierax.nodes.picking.panda_model import panda_file
 from hierax.nodes.picking.workcell import FINGERS
 from hierax.nodes.tracking.evaluation.pictures import CONTACT_SHEET, contact_sheet, write_picture
 from hierax.nodes.tracking.imagery.bullet import Bullet
-from hierax.nodes.tracking.math.geometry import Array, Floats, quaternion_of
+from hierax.nodes.tracking.math.geometry import Array, quaternion_of
 from hierax.runtime import Probe, Step, Value
 
 VIEWS_FOLDER = "views"
@@ -95,10 +95,6 @@ class Views(Probe):
         if self._folder is not None:
             self._folder.mkdir(exist_ok=True)
 
-    def open_again(self, output: Path | None) -> None:
-        """Go on beside what is there."""
-        self.open(output)
-
     def record(self, step: Step) -> None:
         """Draw the frame, if it is one to be drawn."""
         if self._folder is None or step.sensed["frame"] % self._every:
@@ -115,20 +111,3 @@ class Views(Probe):
         pictures = sorted(self._folder.glob("frame-*.png"))
         if pictures:
             write_picture(self._folder / CONTACT_SHEET, contact_sheet(pictures))
-
-
-def opengl_view(camera: Floats) -> list[float]:
-    """OpenGL's view matrix (16,) of world_from_camera: it looks along -z with y up, ours along z with y down."""
-    matrix: Floats = np.diag([1.0, -1.0, -1.0, 1.0]) @ np.linalg.inv(camera)
-    return [float(number) for number in matrix.T.ravel()]
-
-
-def opengl_lens(intrinsics: Array, size: tuple[int, int], near_m: float = 0.005, far_m: float = 4.0) -> list[float]:
-    """OpenGL's projection matrix (16,) of a pinhole camera with its principal point in the middle."""
-    matrix = np.zeros((4, 4))
-    matrix[0, 0] = 2.0 * intrinsics[0] / size[0]
-    matrix[1, 1] = 2.0 * intrinsics[1] / size[1]
-    matrix[2, 2] = -(far_m + near_m) / (far_m - near_m)
-    matrix[2, 3] = -2.0 * far_m * near_m / (far_m - near_m)
-    matrix[3, 2] = -1.0
-    return [float(number) for number in matrix.T.ravel()]

@@ -73,7 +73,7 @@ class Workcell:
     """An arm over a table with cubes on it; its client is a cache."""
 
     def __init__(self) -> None:
-        self._bullet = Bullet()
+        self.bullet = Bullet()  # as the last call has left it
         # pybullet reads models from files alone: this one is in memory, and ends with the process.
         self._model = os.memfd_create("panda.urdf")
         weakref.finalize(self, os.close, self._model)
@@ -90,22 +90,18 @@ class Workcell:
             How arm and cubes are afterwards, and what each cube then touches.
         """
         iterations = {"numSolverIterations": _SOLVER_ITERATIONS}
-        table = prepare(self._bullet, STEP_S, _TABLE_HALF_M, TABLE_FRICTION, **iterations)
+        table = prepare(self.bullet, STEP_S, _TABLE_HALF_M, TABLE_FRICTION, **iterations)
         robot = self._create_arm(arm, table)
         handles = [self._create_cube(cube) for cube in cubes]
         for step in range(1, steps + 1):
             self._drive_joints(robot, order.start + (order.end - order.start) * (step / steps))
             self._drive_fingers(robot, order.width_m)
-            self._bullet.stepSimulation()
+            self.bullet.stepSimulation()
         after = [self._read_cube(handle, cube) for handle, cube in zip(handles, cubes, strict=True)]
         return self._read_arm(robot), after, [self._touch(handle, robot) for handle in handles]
 
-    def constraints(self) -> int:
-        """How many constraints hold things together in the client: none, ever."""
-        return int(self._bullet.getNumConstraints())
-
     def _create_arm(self, arm: Arm, table: int) -> int:
-        bullet = self._bullet
+        bullet = self.bullet
         robot = int(bullet.loadURDF(f"/proc/self/fd/{self._model}", useFixedBase=1))
         # Its foot stands on the table, and is fixed anyhow.
         bullet.setCollisionFilterPair(robot, table, -1, -1, 0)
@@ -119,20 +115,20 @@ class Workcell:
         return robot
 
     def _create_cube(self, cube: Cube) -> int:
-        shape = box_shape(self._bullet, [cube.side_m / 2] * 3)
-        handle = create_body(self._bullet, shape, DENSITY_KG_M3 * cube.side_m**3, CUBE_FRICTION, cube.pose)
-        self._bullet.resetBaseVelocity(handle, cube.velocity[:3].tolist(), cube.velocity[3:].tolist())
+        shape = box_shape(self.bullet, [cube.side_m / 2] * 3)
+        handle = create_body(self.bullet, shape, DENSITY_KG_M3 * cube.side_m**3, CUBE_FRICTION, cube.pose)
+        self.bullet.resetBaseVelocity(handle, cube.velocity[:3].tolist(), cube.velocity[3:].tolist())
         return handle
 
     def _drive_joints(self, robot: int, targets: Floats) -> None:
         gains = {"positionGain": 0.15, "velocityGain": 1.0}
         for joint, (target, torque) in enumerate(zip(targets, TORQUES_NM, strict=True)):
             way = {"targetPosition": target, "force": torque, **gains}
-            self._bullet.setJointMotorControl2(robot, joint, self._bullet.POSITION_CONTROL, **way)
+            self.bullet.setJointMotorControl2(robot, joint, self.bullet.POSITION_CONTROL, **way)
 
     def _drive_fingers(self, robot: int, width_m: float) -> None:
         """Each finger at a bounded speed and force towards its place; where they squeeze, gently kept in the middle."""
-        bullet = self._bullet
+        bullet = self.bullet
         (left, left_speed), (right, right_speed) = (state[:2] for state in bullet.getJointStates(robot, FINGERS))
         uneven = 0.0
         if width_m < left + right:
@@ -143,17 +139,17 @@ class Workcell:
             bullet.setJointMotorControl2(robot, joint, bullet.VELOCITY_CONTROL, targetVelocity=speed, force=force)
 
     def _read_arm(self, robot: int) -> Arm:
-        joints = self._bullet.getJointStates(robot, range(JOINTS))
-        fingers = self._bullet.getJointStates(robot, FINGERS)
+        joints = self.bullet.getJointStates(robot, range(JOINTS))
+        fingers = self.bullet.getJointStates(robot, FINGERS)
         columns = [np.array([state[part] for state in states]) for states in (joints, fingers) for part in (0, 1)]
         return Arm(*columns)
 
     def _read_cube(self, handle: int, cube: Cube) -> Cube:
-        linear, angular = self._bullet.getBaseVelocity(handle)
-        return Cube(cube.side_m, pose_of(self._bullet, handle), np.array(linear + angular))
+        linear, angular = self.bullet.getBaseVelocity(handle)
+        return Cube(cube.side_m, pose_of(self.bullet, handle), np.array(linear + angular))
 
     def _touch(self, handle: int, robot: int) -> Touch:
-        points = self._bullet.getContactPoints(handle)
+        points = self.bullet.getContactPoints(handle)
         # body, its link and the force along the normal; those without force are merely near.
         pressed = [(point[2], point[4]) for point in points if point[9] > 0.0]
         parts = {link for body, link in pressed if body == robot}

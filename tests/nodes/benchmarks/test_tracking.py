@@ -8,7 +8,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from hierax.nodes.benchmarks.tracking import CONTEXT, OWN, WAYS, Gain, Row, gains, kinds
+from hierax.nodes.benchmarks.tracking import CONTEXT, OWN, WAYS, Gain, Row, gains
+from hierax.nodes.tracking.generator.kinds import KINDS
 from hierax.runtime.commands.main import main
 
 
@@ -50,7 +51,7 @@ def test_the_gain_is_of_scenes_with_hidden_frames_alone() -> None:
 @pytest.mark.parametrize(
     ("arguments", "said"),
     [
-        (["--kinds", "heap"], f"there is no kind 'heap'; expected some of {', '.join(kinds())}"),
+        (["--kinds", "heap"], f"there is no kind 'heap'; expected some of {', '.join(KINDS)}"),
         (["--ways", "best"], "there is no way 'best'; expected some of own model"),
         (["--scene", "nowhere/test/000001"], "nowhere/test/000001: no such folder; expected a BOP scene"),
         (["--kinds", "tower", "--frames", "2", "--set", "nodes.arm.parameters.speed=1"], "speed"),

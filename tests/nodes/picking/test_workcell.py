@@ -68,7 +68,7 @@ def test_a_cube_is_lifted_and_held_by_the_fingers_alone() -> None:
     assert distance < 0.001
     assert angle < np.radians(4.0)
     assert np.abs(after.cube.velocity).max() < 0.01
-    assert cell.constraints() == 0
+    assert cell.bullet.getNumConstraints() == 0
 
 
 def test_without_friction_it_stays_on_the_table(monkeypatch: pytest.MonkeyPatch) -> None:

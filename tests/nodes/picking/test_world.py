@@ -10,9 +10,9 @@ import pytest
 from hierax.nodes.picking.commands import command, name_of
 from hierax.nodes.picking.layout import GUESS_M, GUESS_RAD, guessed, planned
 from hierax.nodes.picking.panda import HOME_GRIPPER, gripper_at, gripper_down
-from hierax.nodes.picking.views import SceneView, opengl_lens, opengl_view
+from hierax.nodes.picking.views import SceneView
 from hierax.nodes.picking.world import OFF_PLAN_M, OFF_PLAN_RAD, PickWorld, picture_and_hand_seen
-from hierax.nodes.tracking.math.geometry import pose_error
+from hierax.nodes.tracking.math.geometry import Array, Floats, pose_error
 from hierax.runtime import Tick
 
 SEED = 3
@@ -92,6 +92,23 @@ def test_what_is_seen_is_a_picture_and_the_hand_and_no_cubes_pose() -> None:
     assert seen["image"].shape == (480, 640, 3)
     assert seen["image"].dtype == np.uint8
     assert seen["hand"]["width"] == pytest.approx(0.08)
+
+
+def opengl_view(camera: Floats) -> list[float]:
+    """OpenGL's view matrix (16,) of world_from_camera: it looks along -z with y up, ours along z with y down."""
+    matrix: Floats = np.diag([1.0, -1.0, -1.0, 1.0]) @ np.linalg.inv(camera)
+    return [float(number) for number in matrix.T.ravel()]
+
+
+def opengl_lens(intrinsics: Array, size: tuple[int, int], near_m: float = 0.005, far_m: float = 4.0) -> list[float]:
+    """OpenGL's projection matrix (16,) of a pinhole camera with its principal point in the middle."""
+    matrix = np.zeros((4, 4))
+    matrix[0, 0] = 2.0 * intrinsics[0] / size[0]
+    matrix[1, 1] = 2.0 * intrinsics[1] / size[1]
+    matrix[2, 2] = -(far_m + near_m) / (far_m - near_m)
+    matrix[2, 3] = -2.0 * far_m * near_m / (far_m - near_m)
+    matrix[3, 2] = -1.0
+    return [float(number) for number in matrix.T.ravel()]
 
 
 def test_nothing_of_the_arm_is_in_the_cameras_view() -> None:
