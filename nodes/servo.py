@@ -1,10 +1,8 @@
 """Visual servoing: a camera follows a sliding object (example 2 of arXiv 1801.02270).
 
-An object slides from rest down a frictionless plane of 60°: x(t) = ½kt². A camera node
-filters what it sees of it and moves the camera there; a node above knows how things
-slide and predicts where the object will be. That prediction is the context.
-
-All positions are in metres along the plane, from where the object starts.
+An object slides from rest down a frictionless plane of 60°: x(t) = ½kt². A camera node filters what it sees of it and
+moves the camera there; a node above knows how things slide and predicts where the object will be. That prediction is
+the context. All positions are in metres along the plane, from where the object starts.
 """
 
 from __future__ import annotations
@@ -54,10 +52,9 @@ class CameraPolicies(Mapping[str, Policy]):
 class SlidingWorld(World):
     """N₀: the object on the plane, and the camera.
 
-    Belief: ``epochs`` that have passed (the time is δt times that), ``camera``: the
-    position last commanded, and sums over the epochs: ``error_sum`` of the errors
-    |x(t) - camera|, in metres, ``square_sum`` of their squares. The error of an epoch is
-    between the object at the time of that epoch's observation and the position that is commanded in the same epoch.
+    Belief: ``epochs`` that have passed (the time is δt times that), ``camera``: the position last commanded, and sums
+    over the epochs: ``error_sum`` of the errors |x(t) - camera|, in metres, ``square_sum`` of their squares. The error
+    of an epoch is between the object at the time of that epoch's observation and the position that is commanded in it.
     """
 
     initial_policy = HOLD
@@ -84,12 +81,8 @@ class SlidingWorld(World):
         """
         camera = actions[0] if actions else belief["camera"]
         error = abs(position_at(self.time_s(belief, 0)) - camera)
-        return {
-            "epochs": belief["epochs"] + 1,
-            "camera": camera,
-            "error_sum": belief["error_sum"] + error,
-            "square_sum": belief["square_sum"] + error**2,
-        }
+        sums = {"error_sum": belief["error_sum"] + error, "square_sum": belief["square_sum"] + error**2}
+        return {"epochs": belief["epochs"] + 1, "camera": camera, **sums}
 
     def time_s(self, belief: Value, epoch: int) -> float:
         """t, in seconds; 0 in the first epoch."""
@@ -100,10 +93,8 @@ class SlidingWorld(World):
         epochs = belief["epochs"]
         if not epochs:
             return {}
-        return {
-            "tracking_error_mean": belief["error_sum"] / epochs,
-            "tracking_error_rms": math.sqrt(belief["square_sum"] / epochs),
-        }
+        rms = math.sqrt(belief["square_sum"] / epochs)
+        return {"tracking_error_mean": belief["error_sum"] / epochs, "tracking_error_rms": rms}
 
     def show(self, step: Step, before: Value) -> Things:
         """The object and the camera beside one another, and how far they are apart."""

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from functools import lru_cache
 from typing import Any
 
@@ -18,18 +17,19 @@ AMBIGUOUS = "?"  # the sign between H and A
 GREYS = np.dtype(np.uint8)
 
 Picture = np.ndarray[Any, np.dtype[np.uint8]]
-Stroke = Sequence[tuple[float, float]]
+Stroke = np.ndarray[Any, np.dtype[np.float64]]  # corners (n, 2) in a unit square, x to the right and y down
 
 _FRACTION_BITS = 6
 _BOW = [(0.54 + 0.34 * math.cos(math.radians(a)), 0.5 + 0.35 * math.sin(math.radians(a))) for a in range(45, 316, 15)]
-# Each letter's strokes in a unit square, y down. H and A have the same ones, in other places.
-_STROKES: dict[str, list[Stroke]] = {
+_CORNERS: dict[str, list[list[tuple[float, float]]]] = {
     "A": [[(0.22, 0.86), (0.5, 0.14)], [(0.78, 0.86), (0.5, 0.14)], [(0.36, 0.5), (0.64, 0.5)]],
     "C": [_BOW],
     "E": [[(0.72, 0.14), (0.3, 0.14), (0.3, 0.86), (0.72, 0.86)], [(0.3, 0.5), (0.66, 0.5)]],
     "H": [[(0.22, 0.86), (0.22, 0.14)], [(0.78, 0.86), (0.78, 0.14)], [(0.22, 0.5), (0.78, 0.5)]],
     "T": [[(0.2, 0.16), (0.8, 0.16)], [(0.5, 0.16), (0.5, 0.86)]],
 }
+# Each letter's strokes. H and A have the same ones, in other places.
+_STROKES = {letter: [np.array(stroke) for stroke in strokes] for letter, strokes in _CORNERS.items()}
 
 DRAWN = tuple(_STROKES)  # the letters that can be drawn
 
@@ -43,10 +43,7 @@ def strokes(sign: str, ambiguity: float) -> list[Stroke]:
     """
     if sign != AMBIGUOUS:
         return _STROKES[sign]
-    return [
-        [(_between(h[0], a[0], ambiguity), _between(h[1], a[1], ambiguity)) for h, a in zip(of_h, of_a, strict=True)]
-        for of_h, of_a in zip(_STROKES["H"], _STROKES["A"], strict=True)
-    ]
+    return [(1.0 - ambiguity) * h + ambiguity * a for h, a in zip(_STROKES["H"], _STROKES["A"], strict=True)]
 
 
 @lru_cache(maxsize=256)
@@ -55,7 +52,7 @@ def draw_glyph(sign: str, ambiguity: float, size: int) -> Picture:
     picture = np.full((size, size), PAPER, GREYS)
     scale = size * (1 << _FRACTION_BITS)
     for stroke in strokes(sign, ambiguity):
-        points = np.array([[round(x * scale), round(y * scale)] for x, y in stroke], np.int32)
+        points = np.rint(stroke * scale).astype(np.int32)
         cv2.polylines(picture, [points], False, INK, max(1, size // 10), cv2.LINE_AA, _FRACTION_BITS)
     picture.flags.writeable = False
     return picture
@@ -64,7 +61,3 @@ def draw_glyph(sign: str, ambiguity: float, size: int) -> Picture:
 def draw_picture(letters: str, ambiguity: float, size: int) -> Picture:
     """Signs in a row, shape (size, size × their number), uint8."""
     return np.hstack([draw_glyph(sign, ambiguity, size) for sign in letters])
-
-
-def _between(start: float, end: float, part: float) -> float:
-    return (1.0 - part) * start + part * end

@@ -1,8 +1,8 @@
 """Messages over named hypotheses: what beliefs and letters' observations are made of.
 
-A message is a dict from hypothesis to a number that counts only up to a common factor;
-here all of them sum to 1. 0 means impossible, exactly: products keep their exponents
-apart, and what would underflow stays at `TINY`, so that later evidence can still choose it.
+A message is a dict from hypothesis to a number that counts only up to a common factor; here all of them sum to 1. 0
+means impossible, exactly: products keep their exponents apart, and what would underflow stays at `TINY`, so that later
+evidence can still choose it.
 """
 
 from __future__ import annotations

@@ -5,14 +5,14 @@ H as it should be) and 1 (an A), with density 2(1 - a); of an A, with density 2a
 
     p(pixels | H) = ∫ N(pixels; drawn(a), σ²) 2(1 - a) da
 
-and likewise of A. With the two ideal templates alone, the noise in the pixels would
-decide how a sign halfway between them is read, and with full confidence.
+and likewise of A. With the two ideal templates alone, the noise in the pixels would decide how a sign halfway between
+them is read, and with full confidence.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
@@ -24,7 +24,7 @@ from hierax.nodes.letters.glyphs import AMBIGUOUS, DRAWN, GREYS, Picture, draw_g
 from hierax.nodes.letters.messages import Weights, is_number
 from hierax.nodes.letters.tree import LetterNode
 from hierax.runtime import NO_TICK, Elements, Probe, Step, Tick, Value, World
-from hierax.runtime.core.showing import Image, Thing, Things
+from hierax.runtime.core.showing import Image, Things
 
 MIN_SIZE = 12
 MAX_SIZE = 256
@@ -76,9 +76,7 @@ class GlyphCamera:
             raise ValueError(f"size: expected a whole number of pixels from {MIN_SIZE} to {MAX_SIZE}, got {size!r}")
         if not isinstance(letter, int) or letter < 1:
             raise ValueError(f"letter: expected a place from 1, got {letter!r}")
-        self._letter = letter
-        self._noise = float(noise)
-        self._size = size
+        self._letter, self._noise, self._size = letter, float(noise), size
 
     def __call__(self, belief: Value, tick: Tick = NO_TICK) -> Elements:
         """One observation: the sign's part of the picture, shape (size, size), uint8, with fresh noise.
@@ -101,8 +99,8 @@ class PixelLetterNode(LetterNode):
     Args:
         words: the vocabulary; letter: the place, from 1.
         sigma: standard deviation of the sensor's noise as the node believes it, in grey values.
-        slip: probability that any letter at all was drawn in place of the one that was meant;
-            it keeps the pixels from ever ruling a letter out.
+        slip: probability that any letter at all was drawn in place of the one that was meant; it keeps the pixels from
+            ever ruling a letter out.
 
     Raises:
         ValueError: a letter of the words cannot be drawn, or a number is out of range.
@@ -117,8 +115,7 @@ class PixelLetterNode(LetterNode):
             raise ValueError(f"sigma: expected a number of grey values above 0, got {sigma!r}")
         if not is_number(slip) or not 0 < slip < 1:
             raise ValueError(f"slip: expected a probability between 0 and 1, got {slip!r}")
-        self._sigma = float(sigma)
-        self._slip = float(slip)
+        self._sigma, self._slip = float(sigma), float(slip)
 
     def likelihood(self, observation: Value) -> Weights:
         """p(pixels | letter) by letter, scaled to sum 1.
@@ -142,7 +139,7 @@ class PixelLetterNode(LetterNode):
 
     def show(self, step: Step, before: Value) -> Things:
         """The sign that was seen, and the posterior, by letter."""
-        sign: dict[str, Thing] = {"sign/seen": Image(step.observations[0])} if step.observations else {}
+        sign = {"sign/seen": Image(step.observations[0])} if step.observations else {}
         return {**sign, **super().show(step, before)}
 
     def _log_likelihood(self, name: str, pixels: Picture) -> float:
@@ -150,10 +147,8 @@ class PixelLetterNode(LetterNode):
         templates, priors = _templates(name, pixels.shape[0])
         # whole numbers: signs at the same distance come out equal to the bit
         squares = ((templates - pixels.astype(np.int32)) ** 2).sum(axis=(1, 2), dtype=np.int64)
-        logs = [
-            math.log(prior) - int(square) / (2.0 * self._sigma**2)
-            for prior, square in zip(priors, squares, strict=True)
-        ]
+        pairs = zip(priors, squares, strict=True)
+        logs = [math.log(prior) - int(square) / (2.0 * self._sigma**2) for prior, square in pairs]
         top = max(logs)
         return top + math.log(math.fsum(math.exp(value - top) for value in logs))
 
@@ -166,8 +161,7 @@ class SignPicture(Probe):
     """
 
     def __init__(self, file: str, enlarge: int = 6) -> None:
-        self._name = file
-        self._enlarge = enlarge
+        self._name, self._enlarge = file, enlarge
         self._file: Path | None = None
         self._seen: Picture | None = None
 
@@ -196,13 +190,9 @@ class SignPicture(Probe):
 @lru_cache(maxsize=64)
 def _templates(name: str, size: int) -> Templates:
     """The shapes that a letter may have, (n, size, size), and how likely each is, up to a factor common to letters."""
-    leanings: Mapping[float, float] = {}
-    if name == "H":
-        leanings = {a: 1.0 - a for a in LEANINGS if a < 1}
-    if name == "A":
-        leanings = {a: a for a in LEANINGS if a > 0}
-    if not leanings:
+    if name not in ("H", "A"):
         return draw_glyph(name, 0.0, size).astype(np.int32)[None], (1.0,)
+    leanings = {a: prior for a in LEANINGS if (prior := 1.0 - a if name == "H" else a) > 0}
     total = math.fsum(leanings.values())
     shapes = np.stack([draw_glyph(AMBIGUOUS, a, size) for a in leanings]).astype(np.int32)
     return shapes, tuple(prior / total for prior in leanings.values())

@@ -5,8 +5,8 @@ parts, which come from below, and causal support, which comes from above. It is 
 for any likelihoods: slots are keyed by the child's name, a missing part is uniform, and the context for a letter leaves
 out what that letter said itself.
 
-A belief is ``{"diagnostic": …, "causal": …, "posterior": …}``, each part by hypothesis
-and of sum 1; the posterior follows from the other two and is kept to be read.
+A belief is ``{"diagnostic": …, "causal": …, "posterior": …}``, each part by hypothesis and of sum 1; the posterior
+follows from the other two and is kept to be read.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from hierax.nodes.letters.messages import Weights, product, uniform, weights
 from hierax.nodes.letters.words import check_words, letters_at, letters_given_word, words_given_letter
 from hierax.runtime import NO_TICK, Elements, Node, Step, Tick, Value, World
 from hierax.runtime.core.node import structural_difference
-from hierax.runtime.core.showing import Curve, Thing, Things, colour_of
+from hierax.runtime.core.showing import Curve, Things, colour_of
 
 UNKNOWN = "?"  # in a string of letters, the one of which the sign tells nothing
 
@@ -59,7 +59,7 @@ class SymbolWorld(World):
         result = []
         for place, sign in enumerate(letters, start=1):
             known = letters_at(self._words, place)
-            if sign != UNKNOWN and sign not in known:
+            if sign not in (*known, UNKNOWN):
                 raise ValueError(f"letters: expected one of {', '.join(known)} or {UNKNOWN} at {place}, got {sign!r}")
             result.append([float(sign in (name, UNKNOWN)) for name in known])
         return result
@@ -70,11 +70,24 @@ def symbol_seen(belief: Value, letter: int) -> Elements:
     return (belief["likelihoods"][letter - 1],)
 
 
-class LetterNode(Node):
+class _HypothesesNode(Node):
+    """A node whose belief has a posterior over hypotheses."""
+
+    def metrics(self, belief: Value) -> Mapping[str, float]:
+        """The posterior, by hypothesis."""
+        return dict(belief["posterior"])
+
+    def show(self, step: Step, before: Value) -> Things:
+        """The posterior, a curve for each hypothesis."""
+        shares = enumerate(step.belief["posterior"].items(), start=1)
+        return {f"posterior/{name}": Curve(share, colour_of(number)) for number, (name, share) in shares}
+
+
+class LetterNode(_HypothesesNode):
     """N₁, N₂, N₃: which letter a sign is.
 
-    ``diagnostic`` is p(sign | letter), ``causal`` what the word expects there; both are
-    uniform until something is known.
+    ``diagnostic`` is p(sign | letter), ``causal`` what the word expects there; both are uniform until something is
+    known.
 
     Args:
         words: the vocabulary; letter: the place, from 1.
@@ -122,20 +135,12 @@ class LetterNode(Node):
             return belief
         return self._belief(belief["diagnostic"], product(self.names, context, "the context"))
 
-    def metrics(self, belief: Value) -> Mapping[str, float]:
-        """The posterior, by letter."""
-        return dict(belief["posterior"])
-
-    def show(self, step: Step, before: Value) -> Things:
-        """The posterior, by letter."""
-        return posterior_things(step.belief)
-
     def _belief(self, diagnostic: Weights, causal: Weights) -> Value:
         posterior = product(self.names, (diagnostic, causal), "the sign in its context")
         return {"diagnostic": diagnostic, "causal": causal, "posterior": posterior}
 
 
-class WordNode(Node):
+class WordNode(_HypothesesNode):
     """N₄: which word the letters are.
 
     ``diagnostic`` has a part for each letter node, by its name; ``causal`` is the prior.
@@ -182,24 +187,10 @@ class WordNode(Node):
             raise ValueError(difference)
         return self._belief(reported)
 
-    def metrics(self, belief: Value) -> Mapping[str, float]:
-        """The posterior, by word."""
-        return dict(belief["posterior"])
-
-    def show(self, step: Step, before: Value) -> Things:
-        """The posterior, by word."""
-        return posterior_things(step.belief)
-
     def _belief(self, diagnostic: Mapping[str, Weights]) -> Value:
         what = f"{', '.join(diagnostic)} together" if diagnostic else "the prior"
         posterior = product(self.names, (*diagnostic.values(), self._priors), what)
         return {"diagnostic": diagnostic, "causal": self._priors, "posterior": posterior}
-
-
-def posterior_things(belief: Value) -> dict[str, Thing]:
-    """A belief's posterior as curves, one for each hypothesis."""
-    shares = enumerate(belief["posterior"].items(), start=1)
-    return {f"posterior/{name}": Curve(share, colour_of(number)) for number, (name, share) in shares}
 
 
 class _Place:

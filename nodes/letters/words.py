@@ -1,7 +1,7 @@
 """The vocabulary: which letters the words have at which place.
 
-The conditional probabilities of a letter given a word are 0 or 1 here: M[w, l] = 1
-where word w has letter l at the place.
+The conditional probabilities of a letter given a word are 0 or 1 here: M[w, l] = 1 where word w has letter l at the
+place.
 """
 
 from __future__ import annotations
