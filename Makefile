@@ -23,7 +23,7 @@ demo: $(RUNS)
 	$(BIN)/python -m hierax.nodes.tracking.evaluation.report demo-output
 	@echo "Look at demo-output/pictures/contact-sheet.png and demo-output/errors.png"
 
-# two workers; one of them has all tests that start processes (tests/conftest.py)
+# two workers; tests/conftest.py says which has what
 test: $(INSTALLED)
 	$(BIN)/python -m pytest --numprocesses 2
 

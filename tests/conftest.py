@@ -12,30 +12,47 @@ from hypothesis import HealthCheck, settings
 settings.register_profile("hierax", deadline=None, print_blob=True, suppress_health_check=[HealthCheck.too_slow])
 settings.load_profile("hierax")
 
-STARTING = (
-    "tests/benchmarks/",
-    "tests/docs/",
-    "tests/nodes/causal_tree/",
-    "tests/nodes/picking/",
-    "tests/nodes/benchmarks/",
-    "tests/nodes/commands/",
-    "tests/runtime/commands/",
-    "tests/runtime/core/test_digest.py",
-    "tests/runtime/launch/",
-    "tests/runtime/recording/",
-    "tests/runtime/recovery/",
-    "tests/runtime/host/test_interpreter.py",
-    "tests/runtime/loading/test_loader.py",
-    "tests/runtime/host/test_streams.py",
-    "tests/runtime/testing/",
-    "tests/runtime/tools/",
-    "tests/runtime/transport/",
-    "tests/runtime/viewing/",
-    "tests/runtime/watch/",
-    "tests/test_docs_testing.py",
-    "tests/test_readme.py",
+STARTING = {
+    "tests/benchmarks/": 1,
+    "tests/docs/": 1,
+    "tests/nodes/benchmarks/": 1,
+    "tests/nodes/causal_tree/": 1,
+    "tests/nodes/commands/": 1,
+    "tests/nodes/picking/": 1,
+    "tests/runtime/commands/": 0,
+    "tests/runtime/core/test_digest.py": 1,
+    "tests/runtime/host/test_interpreter.py": 1,
+    "tests/runtime/host/test_streams.py": 1,
+    "tests/runtime/launch/": 0,
+    "tests/runtime/loading/test_loader.py": 1,
+    "tests/runtime/recording/": 1,
+    "tests/runtime/recovery/": 0,
+    "tests/runtime/testing/": 1,
+    "tests/runtime/tools/": 1,
+    "tests/runtime/transport/": 0,
+    "tests/runtime/viewing/": 1,
+    "tests/runtime/watch/": 1,
+    "tests/test_docs_testing.py": 1,
+    "tests/test_readme.py": 1,
+}
+"""Tests that start processes, and which worker has them, one by one: more at once would starve each other."""
+
+SLOW = (
+    "tests/model/",
+    "tests/nodes/tracking/estimation/test_appearance.py",
+    "tests/nodes/tracking/estimation/test_fusion.py",
+    "tests/nodes/tracking/estimation/test_joint_alignment.py",
+    "tests/nodes/tracking/generator/test_scenes.py",
+    "tests/nodes/tracking/paper/test_arm.py",
+    "tests/nodes/tracking/search/",
+    "tests/nodes/tracking/test_arm.py",
+    "tests/nodes/tracking/test_world.py",
+    "tests/runtime/engine/test_agrees_with_core.py",
+    "tests/runtime/engine/test_staleness.py",
+    "tests/runtime/sim/",
+    "tests/schemas/test_hostile_bytes.py",
 )
-"""Tests that start processes, or look for what processes leave on the machine: one worker has them all, one by one."""
+"""Tests that only compute, for seconds."""
 
 
 @pytest.hookimpl(optionalhook=True)
@@ -45,20 +62,25 @@ def pytest_xdist_make_scheduler(config: pytest.Config, log: object) -> object:
 
     class ByFile(LoadScopeScheduling):
         def _split_scope(self, nodeid: str) -> str:
-            return "starting" if nodeid.startswith(STARTING) else nodeid.partition("::")[0]
+            starting = [worker for path, worker in STARTING.items() if nodeid.startswith(path)]
+            return f"starting {starting[0]}" if starting else nodeid.partition("::")[0]
 
     return ByFile(config, log)
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """`make test-quick` leaves out what starts processes."""
+    """`make test-quick` leaves out what starts processes, and what is slow."""
     for item in items:
-        if item.nodeid.startswith(STARTING):
+        if item.nodeid.startswith(tuple(STARTING)):
             item.add_marker("processes")
+        elif item.nodeid.startswith(SLOW):
+            item.add_marker("slow")
 
 
 @pytest.fixture(scope="session", autouse=True)
 def _logs_elsewhere(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
+    """Logs of this worker's launches, and where they are found, are its own."""
     with pytest.MonkeyPatch.context() as patch:
+        patch.setitem(os.environ, "XDG_RUNTIME_DIR", str(tmp_path_factory.mktemp("running")))
         patch.setitem(os.environ, "XDG_STATE_HOME", str(tmp_path_factory.mktemp("state")))
         yield
