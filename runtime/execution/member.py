@@ -132,7 +132,6 @@ class Member(NodeRunner):
         """
         if self._failure is not None:
             self._say(self._failure)
-            return
         if self.active:
             engine = self.engine
             place = (engine.wiring.roster, engine.attempt)

@@ -18,13 +18,14 @@ from hierax.runtime.owner import losses, planning
 from hierax.runtime.owner.answers import Answers
 from hierax.runtime.owner.arrivals import Arrivals
 from hierax.runtime.owner.inquiry import Inquiry
+from hierax.runtime.owner.members import Members
 from hierax.runtime.owner.owner import Owner
 from hierax.runtime.owner.planning import Planning
 from hierax.runtime.owner.suspicions import Suspicions
 from hierax.runtime.recovery import slots
 from hierax.runtime.recovery.slots import Slots
 from hierax.schemas.changes import Detach
-from hierax.schemas.control import HandOver, State, Unchanged
+from hierax.schemas.control import Dismiss, HandOver, State, TakeOver, Unchanged
 from hierax.schemas.messages import Message
 from hierax.schemas.roster import Roster
 
@@ -122,11 +123,36 @@ def as_now(go_on: Callable[..., None]) -> Callable[..., None]:
     return mutant
 
 
+def dismissed_first(take_effect: Callable[..., dict[str, str]]) -> Callable[..., dict[str, str]]:
+    """Processes are told to go before the roster without them is on record."""
+
+    def mutant(self: Members, *arguments: Any) -> dict[str, str]:
+        gone = take_effect(self, *arguments)
+        for name, process in gone.items():
+            self._effects.tell(process, Dismiss(f"{name}: it goes"))
+        return gone
+
+    return mutant
+
+
 def handed_over_as_it_is(_: Any) -> Callable[..., None]:
     """The state of now is handed over, whichever epoch it is of."""
 
     def mutant(self: Member, order: HandOver) -> None:
         self._say(State(self.name, order.version, self.engine.encoded_start))
+
+    return mutant
+
+
+def taken_over_in_memory(take_over: Callable[..., None]) -> Callable[..., None]:
+    """What is taken over is not written down."""
+
+    def mutant(self: Member, order: TakeOver) -> None:
+        kept, self._slots = self._slots, None
+        try:
+            take_over(self, order)
+        finally:
+            self._slots = kept
 
     return mutant
 
@@ -151,6 +177,17 @@ def not_settled(init: Callable[..., None]) -> Callable[..., None]:
     return mutant
 
 
+def told_once(join: Callable[..., None]) -> Callable[..., None]:
+    """That an operator has raised is said once."""
+
+    def mutant(self: Member, request: str = "") -> None:
+        failure, self._failure = self._failure, None
+        join(self, request)
+        self._failure = failure
+
+    return mutant
+
+
 MUTATIONS: dict[str, Mutation] = {
     "start kept when an epoch begins": instead(Engine, "_turn", start_kept),
     "version taken up when it is prepared": instead(Engine, "prepare", taken_up_at_once),
@@ -164,13 +201,16 @@ MUTATIONS: dict[str, Mutation] = {
     "older record as it is": instead(world_member, "_safest", lambda _: lambda record: record),
     "new process overlooked by its neighbours": instead(planning, "touched", instances_overlooked),
     "unchanged as it is now": instead(Member, "_go_on_as", as_now),
+    "dismissed before it is recorded": instead(Members, "take_effect", dismissed_first),
     "state handed over as it is": instead(Member, "_hand_over", handed_over_as_it_is),
+    "state taken over in memory": instead(Member, "_take_over", taken_over_in_memory),
     "change forgotten with the world's process": instead(Answers, "owe_what_was_made", lambda _: no),
     "ready before the links are open": instead(Member, "_say_ready", ready_before_linked),
     "settled epoch with other nodes": instead(Owner, "__init__", not_settled),
     "plan kept when a process dies": instead(Planning, "redo", lambda _: nothing),
     "those above left when a node is detached": instead(losses, "Detach", lambda _: lambda name, cascade: Detach(name)),
     "older of two blamed": lambda: patch.object(losses, "max", min, create=True),
+    "failure told once": instead(Member, "join", told_once),
     "who was cut off left alone": instead(Arrivals, "_on_active", lambda _: nothing),
     "who is ahead left alone": instead(Suspicions, "is_ahead", lambda _: no),
     "who is in an attempt of its own left alone": instead(Suspicions, "is_astray", lambda _: no),
