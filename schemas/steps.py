@@ -73,6 +73,16 @@ class NodeStep(NamedTuple):
     passages: tuple[Passage, ...] = ()
     chain: bytes = b""
 
+    @property
+    def when(self) -> tuple[int, int]:
+        """The epoch and the attempt of it."""
+        return self.epoch, self.attempt
+
+    @property
+    def used_of(self) -> dict[tuple[str, str], tuple[int, int]]:
+        """By sender and kind, the epoch and attempt of the inputs that are in `used`."""
+        return {(sender, kind): (epoch, attempt) for sender, kind, epoch, attempt in self.used}
+
 
 _FIELDS: dict[str, type] = {name: get_origin(hint) or hint for name, hint in get_type_hints(NodeStep).items()}
 _USED = (str, str, int, int)

@@ -35,6 +35,7 @@ from hierax.runtime.core.hierarchy import neighbours_above, neighbours_below
 from hierax.runtime.core.staleness import BARRIER, Staleness
 from hierax.runtime.recording.reading import Recording
 from hierax.runtime.recording.topics import MESSAGE, ROSTER, STEP, MessageSummary, glance
+from hierax.runtime.recording.trace import Attempt, Line
 from hierax.schemas.messages import CONTEXT, OBSERVATIONS, TASKS
 from hierax.schemas.roster import Roster
 from hierax.schemas.steps import NodeStep, Passage
@@ -50,9 +51,6 @@ SHOWN = 100
 
 HELD_STEPS = 10_000
 """How many steps may wait for their roster."""
-
-Attempt = tuple[int, int]
-Slot = tuple[str, str, str]
 
 
 class Violation(NamedTuple):
@@ -77,10 +75,10 @@ class Violation(NamedTuple):
 class _Seat:
     """A node's place under a version of the roster: what it has to hear and to say."""
 
-    below: tuple[str, ...]
-    above: tuple[str, ...]
-    from_above: tuple[tuple[str, str], ...]
-    to_below: tuple[tuple[str, str], ...]
+    below: Sequence[str]
+    above: Sequence[str]
+    from_above: Sequence[tuple[str, str]]
+    to_below: Sequence[tuple[str, str]]
 
 
 @dataclass
@@ -109,17 +107,21 @@ class Checker:
 
     Args:
         staleness: of the run.
+
+    Attributes:
+        violations: what was found so far, the first ones.
+        epochs: how many commits were seen.
+        checked: how many steps were checked.
     """
 
     def __init__(self, staleness: Staleness = BARRIER) -> None:
+        self.violations: list[Violation] = []
+        self.epochs = self.checked = 0
         self._staleness = staleness
-        self._found: list[Violation] = []
-        self._count = 0
-        self._checked = 0
         self._rosters: dict[int, Roster] = {}
         self._seats: dict[tuple[int, str], _Seat] = {}
         self._logs: dict[str, _PortLog] = {}
-        self._messages: dict[Attempt, dict[Slot, tuple[int, bytes]]] = {}
+        self._messages: dict[Attempt, dict[Line, tuple[int, bytes]]] = {}
         self._times: dict[Attempt, float] = {}
         self._order: deque[Attempt] = deque()
         self._waiting: deque[NodeStep] = deque()
@@ -127,23 +129,7 @@ class Checker:
         self._held: list[MessageSummary] = []
         self._early: deque[NodeStep] = deque()
         self._committed: tuple[int, int, bytes] = (0, 0, b"")
-        self._epochs = 0
         self._since: dict[int, int] = {}
-
-    @property
-    def epochs(self) -> int:
-        """How many commits were seen."""
-        return self._epochs
-
-    @property
-    def checked(self) -> int:
-        """How many steps were checked."""
-        return self._checked
-
-    @property
-    def violations(self) -> Sequence[Violation]:
-        """What was found so far, the first ones."""
-        return tuple(self._found)
 
     def roster(self, roster: Roster) -> None:
         """A version of the roster."""
@@ -164,28 +150,25 @@ class Checker:
     def message(self, data: bytes) -> None:
         """A message along an edge."""
         header = glance(data)
-        when = (header.epoch, header.attempt)
-        slot = (header.kind, header.sender, header.receiver)
+        when = header.when
         if when not in self._messages:
             self._messages[when] = {}
             self._order.append(when)
         known = self._messages[when]
         content = crc32(memoryview(data)[header.payload_at :])  # what is in the extensions may change
-        before = known.get(slot)
-        first = self._since.get(header.roster)
-        if first is None or header.epoch < first:
-            self._since[header.roster] = header.epoch
+        before = known.get(header.line)
+        self._since[header.roster] = min(header.epoch, self._since.get(header.roster, header.epoch))
         if before is None:
-            known[slot] = (content, header.digest)
+            known[header.line] = (content, header.digest)
             self._check_edge(header)
         elif before[0] != content:
-            self._break("ONCE", when, f"{header.kind} {header.sender} -> {header.receiver} was sent twice, unlike")
+            self._break("ONCE", when, f"{header} was sent twice, unlike")
         time_s = self._times.setdefault(when, header.time_s)
         if time_s != header.time_s:
             self._break("TIME", when, f"{header.sender} says it is {header.time_s} s, another one {time_s} s")
         epoch, attempt, _ = self._committed
         if self._staleness.barrier and header.epoch == epoch and header.attempt > attempt:
-            self._break("COMMIT", when, f"{header.kind} {header.sender} -> {header.receiver} after its commit")
+            self._break("COMMIT", when, f"{header} after its commit")
 
     def step(self, step: NodeStep) -> None:
         """A step of a node."""
@@ -227,19 +210,17 @@ class Checker:
         upward = header.kind == OBSERVATIONS
         pair = (header.sender, header.receiver) if upward else (header.receiver, header.sender)
         edge = next((edge for edge in roster.edges if edge.pair == pair), None)
-        when = (header.epoch, header.attempt)
-        where = f"{header.kind} {header.sender} -> {header.receiver}"
+        named = roster.instance(header.sender)
         if edge is None:
-            self._break("EDGE", when, f"{where}: version {header.roster} has no such edge")
+            self._break("EDGE", header.when, f"{header}: version {header.roster} has no such edge")
         elif header.kind == TASKS and edge.task is None:
-            self._break("EDGE", when, f"{where}: the edge has no task function")
-        elif header.instance != roster.instance(header.sender):
-            named = roster.instance(header.sender)
-            self._break("EDGE", when, f"{where}: from instance {header.instance}, the roster names {named}")
+            self._break("EDGE", header.when, f"{header}: the edge has no task function")
+        elif header.instance != named:
+            self._break("EDGE", header.when, f"{header}: from instance {header.instance}, the roster names {named}")
 
     def _check_order(self, step: NodeStep, log: _PortLog, seat: _Seat) -> None:
-        self._checked += 1
-        when = (step.epoch, step.attempt)
+        self.checked += 1
+        when = step.when
         ups = {peer: log.place(True, OBSERVATIONS, peer, when) for peer in seat.above}
         downs = {(kind, peer): log.place(True, kind, peer, when) for kind, peer in seat.to_below}
         lacking = [f"{OBSERVATIONS} to {peer}" for peer, at in ups.items() if at is None]
@@ -263,7 +244,7 @@ class Checker:
 
     def _used(self, step: NodeStep, seat: _Seat, when: Attempt) -> dict[tuple[str, str], Attempt]:
         """Of which epochs the inputs were, and whether they may be."""
-        used = {(peer, kind): (epoch, attempt) for peer, kind, epoch, attempt in step.used}
+        used = step.used_of
         bound = self._staleness.epochs
         for (peer, kind), (epoch, _) in used.items():
             age = step.epoch - epoch
@@ -281,7 +262,7 @@ class Checker:
 
     def _commit(self, step: NodeStep, roster: Roster) -> None:
         epoch, attempt, chain = self._committed
-        when = (step.epoch, step.attempt)
+        when = step.when
         if step.epoch == epoch and step.attempt != attempt:
             self._break("COMMIT", when, f"epoch {epoch} was committed before, as attempt {attempt}")
         elif 0 < step.epoch < epoch:
@@ -290,8 +271,8 @@ class Checker:
             expected = epoch_digest(chain, step.epoch, roster.content_hash(), step.digest)
             if expected != step.chain:
                 self._break("DIGEST", when, "the run's digest does not follow from the last one and the world's")
-        self._committed = (step.epoch, step.attempt, step.chain)
-        self._epochs += 1
+        self._committed = (*when, step.chain)
+        self.epochs += 1
 
     def _is_settled(self, epoch: int) -> bool:
         return self._waiting[0].epoch <= epoch - SETTLED_EPOCHS or self._bytes > SETTLED_BYTES
@@ -301,17 +282,15 @@ class Checker:
         roster = self._rosters.get(step.roster)
         if roster is None:
             return
-        when = (step.epoch, step.attempt)
-        used = {(peer, kind): (epoch, attempt) for peer, kind, epoch, attempt in step.used}
-        digests = []
+        used, digests = step.used_of, []
         for peer in self._seat(roster, step.name).above:
-            heard = self._messages.get(used.get((peer, CONTEXT), when), {}).get((CONTEXT, peer, step.name))
+            heard = self._messages.get(used.get((peer, CONTEXT), step.when), {}).get((CONTEXT, peer, step.name))
             if heard is None:
                 return  # not recorded: a gap, which is told elsewhere
             digests.append(heard[1])
         if node_digest(step.state, digests) != step.digest:
             what = f"{step.name}'s digest does not follow from its state and the context of this epoch"
-            self._break("DIGEST", when, what)
+            self._break("DIGEST", step.when, what)
 
     # --- helpers
 
@@ -332,16 +311,13 @@ class Checker:
         key = (roster.version, name)
         if key not in self._seats:
             pairs = [edge.pair for edge in roster.edges]
-            tasking = {edge.pair for edge in roster.edges if edge.task is not None}
+            tasks = {edge.pair for edge in roster.edges if edge.task is not None}
             below, above = neighbours_below(name, pairs), neighbours_above(name, pairs)
-            self._seats[key] = _Seat(
-                below,
-                above,
-                tuple((CONTEXT, peer) for peer in above)
-                + tuple((TASKS, peer) for peer in above if (name, peer) in tasking),
-                tuple((CONTEXT, peer) for peer in below)
-                + tuple((TASKS, peer) for peer in below if (peer, name) in tasking),
-            )
+            from_above = [(CONTEXT, peer) for peer in above] + [
+                (TASKS, peer) for peer in above if (name, peer) in tasks
+            ]
+            to_below = [(CONTEXT, peer) for peer in below] + [(TASKS, peer) for peer in below if (peer, name) in tasks]
+            self._seats[key] = _Seat(below, above, from_above, to_below)
         return self._seats[key]
 
     def _forget(self, epoch: int) -> None:
@@ -352,9 +328,8 @@ class Checker:
             self._times.pop(when, None)
 
     def _break(self, rule: str, when: Attempt, what: str) -> None:
-        self._count += 1
-        if len(self._found) < SHOWN:
-            self._found.append(Violation(rule, *when, what))
+        if len(self.violations) < SHOWN:
+            self.violations.append(Violation(rule, *when, what))
 
 
 def check_recording(recording: Recording) -> Checker:

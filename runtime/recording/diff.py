@@ -14,7 +14,7 @@ from typing import NamedTuple, Protocol
 from hierax.runtime.core.elements import Elements, Value
 from hierax.runtime.core.hierarchy import neighbours_above, neighbours_below
 from hierax.runtime.core.process import ActiveNode
-from hierax.runtime.recording.values import ABSENT, Unlike, first_unlike
+from hierax.runtime.recording.values import ABSENT, first_unlike
 from hierax.schemas.messages import CONTEXT, OBSERVATIONS, TASKS
 from hierax.schemas.roster import Roster
 
@@ -95,7 +95,7 @@ class RosterDifference(NamedTuple):
 
 @dataclass
 class Comparison:
-    """What became of a comparison.
+    """What became of a comparison of two runs.
 
     Attributes:
         epochs: how many there are on both sides.
@@ -146,13 +146,10 @@ def compare(a: Iterable[EpochView], b: Iterable[EpochView], tolerance: float = 0
 
 def roster_differences(epoch: int, a: Roster, b: Roster) -> list[RosterDifference]:
     """Where the contents of two rosters differ: nodes and edges, each once."""
-    found = []
-    for what, left, right in (("nodes", _nodes(a), _nodes(b)), ("edges", _edges(a), _edges(b))):
-        for name in sorted(left.keys() | right.keys()):
-            unlike = first_unlike(left.get(name, ABSENT), right.get(name, ABSENT), f"{what}.{name}")
-            if unlike is not None:
-                found.append(RosterDifference(epoch, *unlike))
-    return found
+    left, right = _parts(a), _parts(b)
+    paths = sorted(left.keys() | right.keys(), key=lambda path: (path.startswith("edges."), path))
+    found = (first_unlike(left.get(path, ABSENT), right.get(path, ABSENT), path) for path in paths)
+    return [RosterDifference(epoch, *unlike) for unlike in found if unlike is not None]
 
 
 def _paired(a: Iterator[EpochView], b: Iterator[EpochView]) -> Iterator[tuple[EpochView, EpochView]]:
@@ -245,12 +242,8 @@ def _has_task(roster: Roster, lower: str, upper: str) -> bool:
     return any(edge.pair == (lower, upper) and edge.task is not None for edge in roster.edges)
 
 
-def _nodes(roster: Roster) -> dict[str, Value]:
-    return {name: reference.plain() for name, reference in roster.nodes.items()}
-
-
-def _edges(roster: Roster) -> dict[str, Value]:
-    return {f"{each['lower']} -> {each['upper']}": each for each in roster.content()["edges"]}
-
-
-__all__ = ["Comparison", "Difference", "EpochView", "RosterDifference", "Unlike", "compare", "roster_differences"]
+def _parts(roster: Roster) -> dict[str, Value]:
+    """Nodes and edges by path."""
+    content = roster.content()
+    nodes = {f"nodes.{name}": node for name, node in content["nodes"].items()}
+    return nodes | {f"edges.{edge['lower']} -> {edge['upper']}": edge for edge in content["edges"]}

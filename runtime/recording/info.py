@@ -8,6 +8,7 @@ import platform
 import sys
 import time
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import asdict, dataclass, field, fields, replace
 from importlib.metadata import PackageNotFoundError, version
 from typing import Any
@@ -183,29 +184,22 @@ class Ending:
     @staticmethod
     def read(plain: Mapping[str, Any]) -> Ending:
         """From a value. Raises `RecordingError` if a field lacks or is something else."""
+        unreadable = "what it says of its end cannot be read"
         try:
-            gaps, cut_short = (tuple(Gap(**gap) for gap in plain.get(name, ())) for name in ("gaps", "cut_short"))
-            ending = Ending(
-                plain["first"],
-                plain["last"],
-                plain["messages"],
-                gaps,
-                plain["lost"],
-                cut_short,
-                plain.get("cut", ""),
-                dict(plain.get("left_out", {})),
-            )
-        except (KeyError, TypeError, ValueError) as error:
-            raise RecordingError(f"what it says of its end cannot be read: {error}") from error
+            given = {each.name: plain[each.name] for each in fields(Ending) if each.name in plain}
+            gaps = {name: tuple(Gap(**gap) for gap in given.get(name, ())) for name in ("gaps", "cut_short")}
+            ending = Ending(**{**given, **gaps, "left_out": dict(given.get("left_out", {}))})
+        except (TypeError, ValueError) as error:
+            raise RecordingError(f"{unreadable}: {error}") from error
         told = [*ending.gaps, *ending.cut_short]
         numbers = [ending.first, ending.last, ending.messages, ending.lost]
         numbers += [number for gap in told for number in (gap.epoch, gap.count)]
         if not all(map(_is_whole, numbers)) or not all(isinstance(gap.what, str) for gap in told):
-            raise RecordingError("what it says of its end cannot be read: expected whole numbers from 0, and texts")
-        if not _is_text(ending.cut) or not _are_named_texts(dict.fromkeys(ending.left_out, "")):
-            raise RecordingError("what it says of its end cannot be read: expected texts for what is left out")
+            raise RecordingError(f"{unreadable}: expected whole numbers from 0, and texts")
+        if not all(map(_is_text, (ending.cut, *ending.left_out))):
+            raise RecordingError(f"{unreadable}: expected texts for what is left out")
         if not all(map(_is_whole, ending.left_out.values())):
-            raise RecordingError("what it says of its end cannot be read: expected how much is left out")
+            raise RecordingError(f"{unreadable}: expected how much is left out")
         return ending
 
 
@@ -230,6 +224,7 @@ def from_metadata(metadata: Mapping[str, str], texts: Sequence[str] = ()) -> dic
         raise RecordingError(f"its metadata is not what hierax writes: {error!s:.200}") from error
 
 
+_LARGEST = 2**63 - 1
 INFO_TEXTS = ("hierarchy", "run", "mode", "deployment", "deployment_text", "seal")
 ENDING_TEXTS = ("cut",)
 
@@ -257,8 +252,6 @@ def _is_name(value: object) -> bool:
     except SchemaError:
         return False
 
-
-_LARGEST = 2**63 - 1
 
 Expected = tuple[str, Callable[[object], bool]]
 _ANYTHING: Expected = ("anything", lambda value: True)
@@ -289,7 +282,6 @@ _FIELDS: dict[str, Expected] = {
 }
 """What each field of `RunInfo` has to be."""
 
-
 _NEW = ("modules", "seal", "left_out")
 """Fields that the first format lacks."""
 
@@ -312,13 +304,8 @@ def _machine() -> dict[str, Any]:
 
 
 def _versions() -> dict[str, str]:
-    found = {package: _version(package) for package in _PACKAGES}
-    return {package: text for package, text in found.items() if text}
-
-
-def _version(package: str) -> str:
-    """Of a package; empty: it is not installed."""
-    try:
-        return version(package)
-    except PackageNotFoundError:
-        return ""
+    found = {}
+    for package in _PACKAGES:
+        with suppress(PackageNotFoundError):
+            found[package] = version(package)
+    return found

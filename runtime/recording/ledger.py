@@ -11,13 +11,8 @@ from collections import deque
 from collections.abc import Callable, Mapping
 
 from hierax.runtime.recording.info import Gap
+from hierax.runtime.recording.trace import Attempt, Line
 from hierax.schemas.steps import NodeStep
-
-Attempt = tuple[int, int]
-"""An epoch and which attempt of it."""
-
-Slot = tuple[str, str, str]
-"""Kind, sender and receiver."""
 
 PATIENCE_S = 30.0
 """How long steps may come after the messages that they tell of."""
@@ -36,6 +31,8 @@ class Ledger:
     Attributes:
         last: the last epoch whose commit was recorded.
         cut: the last epoch that is wanted; None: all are.
+        cut_short: messages that reached their receivers and not the recorder, as their senders' processes died
+            meanwhile.
     """
 
     def __init__(
@@ -44,14 +41,13 @@ class Ledger:
         self._from_start = from_start
         self._epochs = epochs
         self._clock = clock
-        self._bits: dict[Slot, int] = {}
-        self._slots: list[Slot] = []
+        self._bits: dict[Line, int] = {}
         self._heard: dict[Attempt, int] = {}
         self._missing: dict[Attempt, int] = {}
         self._sent: dict[Attempt, int] = {}
         self._deaths: set[str] = set()
         self._names: frozenset[str] = frozenset()
-        self._cut_short: list[Gap] = []
+        self.cut_short: list[Gap] = []
         self._ages: deque[tuple[float, Attempt]] = deque()
         self._streams: dict[str, tuple[str, int]] = {}
         self._first: dict[str, int] = {}
@@ -89,11 +85,6 @@ class Ledger:
         """Whether something of an epoch is wanted."""
         return self.cut is None or epoch <= self.cut
 
-    @property
-    def cut_short(self) -> tuple[Gap, ...]:
-        """Messages that reached their receivers and not the recorder, as their senders' processes died meanwhile."""
-        return tuple(self._cut_short)
-
     def expect(self, names: Mapping[str, object]) -> None:
         """The nodes of a roster that was not known yet."""
         self._deaths |= self._names - names.keys()
@@ -101,19 +92,16 @@ class Ledger:
         if not self._expected:
             self._expected = self._names
 
-    def message(self, slot: Slot, epoch: int, attempt: int) -> None:
+    def message(self, line: Line, epoch: int, attempt: int) -> None:
         """A message was recorded."""
-        bit = self._bit(slot)
+        bit = self._bit(line)
         when = (epoch, attempt)
-        heard = self._heard.get(when)
-        if heard is None:
-            heard = 0
+        if when not in self._heard:
             self._ages.append((self._clock(), when))
             self._forget()
-        self._heard[when] = heard | bit
-        missing = self._missing.get(when)
-        if missing:
-            self._settle(when, missing & ~bit)
+        self._heard[when] = self._heard.get(when, 0) | bit
+        if when in self._missing:
+            self._settle(when, self._missing[when] & ~bit)
 
     def step(self, step: NodeStep) -> None:
         """A step was recorded."""
@@ -128,11 +116,11 @@ class Ledger:
         for sent, kind, peer, epoch, attempt in step.passages:
             if not self.wants(epoch):
                 continue
-            slot = (kind, step.name, peer) if sent else (kind, peer, step.name)
+            line = (kind, step.name, peer) if sent else (kind, peer, step.name)
             when = (epoch, attempt)
-            needed[when] = needed.get(when, 0) | self._bit(slot)
+            needed[when] = needed.get(when, 0) | self._bit(line)
             if sent and when >= oldest:
-                self._sent[when] = self._sent.get(when, 0) | self._bit(slot)
+                self._sent[when] = self._sent.get(when, 0) | self._bit(line)
         for when, bits in needed.items():
             missing = bits & ~self._heard.get(when, 0)
             if missing and when >= oldest:
@@ -179,12 +167,9 @@ class Ledger:
             self.add(Gap(self.last, f"all steps of {', '.join(silent)}", len(silent)))
         return tuple(self._gaps), self._lost
 
-    def _bit(self, slot: Slot) -> int:
-        bit = self._bits.get(slot)
-        if bit is None:
-            bit = self._bits[slot] = 1 << len(self._slots)
-            self._slots.append(slot)
-        return bit
+    def _bit(self, line: Line) -> int:
+        """The bit that stands for a line in the numbers of what was heard, sent and is missing."""
+        return self._bits.setdefault(line, 1 << len(self._bits))
 
     def _settle(self, when: Attempt, missing: int) -> None:
         if missing:
@@ -206,11 +191,11 @@ class Ledger:
         if not first or when[0] < first:
             return  # of an epoch that the recording does not have as a whole
         missing, sent = self._missing[when], self._sent.get(when, 0)
-        for number, (kind, sender, receiver) in enumerate(self._slots):
-            if not missing >> number & 1:
+        for (kind, sender, receiver), bit in self._bits.items():
+            if not missing & bit:
                 continue
             gap = Gap(when[0], f"{kind} message {sender} -> {receiver} of attempt {when[1]}")
-            if sender in self._deaths and not sent >> number & 1:
-                self._cut_short.append(gap)
+            if sender in self._deaths and not sent & bit:
+                self.cut_short.append(gap)
             else:
                 self.add(gap)

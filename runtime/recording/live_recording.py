@@ -15,17 +15,15 @@ import threading
 import time
 from collections.abc import Mapping
 from contextlib import suppress
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 from hierax.runtime.core.errors import HieraxError
 from hierax.runtime.host.streams import own_streams
-from hierax.runtime.recording.check import Checker
 from hierax.runtime.recording.info import Ending, RunInfo
-from hierax.runtime.recording.recorder import Recorder
+from hierax.runtime.recording.recorder import open_recorder
 from hierax.runtime.recording.selection import EVERYTHING, Selection
-from hierax.runtime.recording.writing import Compression, McapFile, Target
+from hierax.runtime.recording.writing import Compression, Target
 from hierax.runtime.transport.launch_client import LaunchClient
 from hierax.runtime.transport.steps import BusTap
 from hierax.runtime.watch.logs import log_console
@@ -80,20 +78,15 @@ class LiveRecording:
         watches: bool = False,
         selection: Selection = EVERYTHING,
     ) -> None:
-        info = replace(info, left_out=tuple(selection.exclude))
-        self.checker = Checker(info.how_stale) if check else None
-        written = None if file is None else McapFile(file, info, compression)
-        auditors = () if self.checker is None else (self.checker,)
-        self._recorder = Recorder(written, auditors, info.from_start, epochs, info.how_stale.barrier, selection)
+        self._recorder = open_recorder(info, file, check, selection, epochs, compression)
+        self.checker = self._recorder.checker
         self._keys = Keys(info.hierarchy, info.run)
         self._ear = BusTap(endpoint, self._keys, settings, host)
-        self._endpoint = endpoint
-        self._settings = settings
+        self._endpoint, self._settings = endpoint, settings
         self._stopping = False
         self._last: int | None = None
         self._watches = watches
-        self._silent = 0
-        self._before = 0
+        self._silent = self._before = 0
 
     def stop(self, last: int | None = None) -> None:
         """Come to the end; any thread may call it, and a signal's handler.

@@ -3,20 +3,21 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Iterable
-from typing import Protocol
+from dataclasses import replace
+from pathlib import Path
 
 import msgpack
 
-from hierax.runtime.recording.info import Ending, Gap
+from hierax.runtime.recording.check import Checker
+from hierax.runtime.recording.info import Ending, Gap, RunInfo
 from hierax.runtime.recording.ledger import Ledger
 from hierax.runtime.recording.selection import EVERYTHING, Selection
 from hierax.runtime.recording.topics import EPOCH, MESSAGE, ROSTER, STEP, TOKEN, Topic, glance, topic_of
-from hierax.runtime.recording.writing import McapFile
+from hierax.runtime.recording.writing import Compression, McapFile, Target
 from hierax.runtime.transport.steps import Sample
 from hierax.schemas.messages import HELLO
 from hierax.schemas.roster import Roster
-from hierax.schemas.steps import NodeStep, decode_step
+from hierax.schemas.steps import decode_step
 from hierax.schemas.values import decode_value, encode_value
 
 INDEX_BYTES = 64 << 10
@@ -25,31 +26,19 @@ INDEX_BYTES = 64 << 10
 _log = logging.getLogger("hierax")
 
 
-class Auditor(Protocol):
-    """What sees everything that a recorder takes in, as it comes; see `hierax.runtime.recording.check`."""
-
-    def message(self, data: bytes) -> None:
-        """A message along an edge."""
-
-    def step(self, step: NodeStep) -> None:
-        """A step of a node."""
-
-    def roster(self, roster: Roster) -> None:
-        """A version of the roster."""
-
-
 class Recorder:
     """Takes in what comes on the keys of a run.
 
     Args:
         file: where it is written; None: nowhere.
-        auditors: who sees it as well.
+        checker: sees everything as well, as it comes; None: the formal order is not checked.
         from_start: whether it begins with the run.
         epochs: how many are recorded; None: all.
         barrier: whether every node does every epoch.
-        selection: what is written of what comes; the auditors see all.
+        selection: what is written of what comes; the checker sees all.
 
     Attributes:
+        checker: as it was given.
         ledger: its account.
         cut: by which option of the selection nothing more is written; empty: by none.
     """
@@ -57,7 +46,7 @@ class Recorder:
     def __init__(
         self,
         file: McapFile | None,
-        auditors: Iterable[Auditor] = (),
+        checker: Checker | None = None,
         from_start: bool = True,
         epochs: int | None = None,
         barrier: bool = True,
@@ -71,7 +60,7 @@ class Recorder:
         self._newest = 0
         self._largest = self._bytes = self._mark = 0
         self._file = file
-        self._auditors = tuple(auditors)
+        self.checker = checker
         self.ledger = Ledger(from_start, epochs)
         self._barrier = barrier
         self._versions: set[int] = set()
@@ -88,9 +77,7 @@ class Recorder:
             _log.warning("not recorded, as it is not of this kind: %s: %s", heard.key, error)
             self.ledger.add(Gap(0, f"{heard.key}: {error}"))
             return
-        if epoch < 0 or not self.ledger.wants(epoch):
-            return
-        if self._is_left_out(heard.key):
+        if epoch < 0 or not self.ledger.wants(epoch) or self._is_left_out(heard.key):
             return
         self._messages += 1
         if self._file is not None:
@@ -109,7 +96,7 @@ class Recorder:
             return
         if topic.what == MESSAGE:
             seen = glance(data)
-            self.ledger.message((seen.kind, seen.sender, seen.receiver), seen.epoch, seen.attempt)
+            self.ledger.message(seen.line, *seen.when)
             what = f"{seen.kind} message {seen.sender} -> {seen.receiver}: the recorder could not keep up"
             self.ledger.add(Gap(seen.epoch, what))
         elif topic.what == STEP:
@@ -142,19 +129,20 @@ class Recorder:
         ledger.cut = None
         gaps, lost = ledger.close(last if self._barrier else None)
         first = ledger.first if ledger.last >= ledger.first else 0
-        ending = Ending(first, ledger.last, self._messages, gaps, lost, ledger.cut_short, self.cut, self._left_out)
+        ending = Ending(
+            first, ledger.last, self._messages, gaps, lost, tuple(ledger.cut_short), self.cut, self._left_out
+        )
         if self._file is not None:
             self._file.close(ending)
         return ending
 
     def _is_left_out(self, key: str) -> bool:
-        pattern = self._patterns.get(key)
-        if pattern is None:
-            pattern = self._patterns[key] = self._selection.leaves_out(key)
-        if not pattern:
-            return False
-        self._left_out[pattern] += 1
-        return True
+        if key not in self._patterns:
+            self._patterns[key] = self._selection.leaves_out(key)
+        pattern = self._patterns[key]
+        if pattern:
+            self._left_out[pattern] += 1
+        return bool(pattern)
 
     def _keep_bounds(self, file: McapFile, time_ns: int, epoch: int, size: int) -> None:
         """The last epoch that is recorded is the one under way when another one may be too much."""
@@ -188,9 +176,8 @@ class Recorder:
         if topic.what == STEP:
             step = decode_step(data)
             self.ledger.step(step)
-            if self.cut or self.ledger.wants(step.epoch):
-                for auditor in self._auditors:
-                    auditor.step(step)
+            if self.checker is not None and (self.cut or self.ledger.wants(step.epoch)):
+                self.checker.step(step)
             return step.epoch, data
         if topic.what == ROSTER:
             return self._on_roster(data)
@@ -205,11 +192,11 @@ class Recorder:
         seen = glance(data)
         if seen.kind == HELLO:
             return -1, data
-        if self.ledger.wants(seen.epoch):
-            self.ledger.message((seen.kind, seen.sender, seen.receiver), seen.epoch, seen.attempt)
-        if self.cut or self.ledger.wants(seen.epoch):
-            for auditor in self._auditors:
-                auditor.message(data)
+        wanted = self.ledger.wants(seen.epoch)
+        if wanted:
+            self.ledger.message(seen.line, *seen.when)
+        if self.checker is not None and (wanted or self.cut):
+            self.checker.message(data)
         return seen.epoch, data
 
     def _on_roster(self, data: bytes) -> tuple[int, bytes]:
@@ -219,6 +206,32 @@ class Recorder:
             return -1, data
         self._versions.add(roster.version)
         self.ledger.expect(roster.nodes)
-        for auditor in self._auditors:
-            auditor.roster(roster)
+        if self.checker is not None:
+            self.checker.roster(roster)
         return 0, data
+
+
+def open_recorder(
+    info: RunInfo,
+    file: Path | Target | None,
+    check: bool,
+    selection: Selection,
+    epochs: int | None = None,
+    compression: Compression = "zstd",
+) -> Recorder:
+    """A recorder of a run.
+
+    Args:
+        info: of the run.
+        file: to be written; None: none.
+        check: whether the formal order is checked.
+        selection, epochs: as `Recorder` has them.
+        compression: of the file.
+
+    Raises:
+        RecordingError: the file cannot be written.
+    """
+    info = replace(info, left_out=tuple(selection.exclude))
+    written = None if file is None else McapFile(file, info, compression)
+    checker = Checker(info.how_stale) if check else None
+    return Recorder(written, checker, info.from_start, epochs, info.how_stale.barrier, selection)

@@ -59,6 +59,19 @@ class MessageSummary(NamedTuple):
     digest: bytes
     payload_at: int
 
+    @property
+    def when(self) -> tuple[int, int]:
+        """The epoch and the attempt of it."""
+        return self.epoch, self.attempt
+
+    @property
+    def line(self) -> tuple[str, str, str]:
+        """Kind, sender and receiver."""
+        return self.kind, self.sender, self.receiver
+
+    def __str__(self) -> str:
+        return f"{self.kind} {self.sender} -> {self.receiver}"
+
 
 def glance(data: bytes) -> MessageSummary:
     """Read a message's header and nothing of its payload, however large.

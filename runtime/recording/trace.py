@@ -24,6 +24,9 @@ PENDING_BYTES = 256 << 20
 PENDING_EPOCHS = 20_000
 """So much is kept while a node that has not told of an epoch may still do so: links may be far behind each other."""
 
+Attempt = tuple[int, int]
+"""An epoch and which attempt of it."""
+
 Line = tuple[str, str, str]
 """Kind, sender and receiver."""
 
@@ -50,15 +53,10 @@ class NodeTrace:
         """The state at its beginning, where that was told."""
         return ActiveNode(*decode_state(self.step.start, self._where("start"))) if self.step.start else None
 
-    @property
-    def has_sensed(self) -> bool:
-        """Whether the belief after `observe` was told."""
-        return bool(self.step.sensed)
-
     @cached_property
-    def sensed(self) -> Value:
-        """The belief after `observe`."""
-        return decode_value(self.step.sensed, self._where("sensed"))
+    def sensed(self) -> tuple[Value] | None:
+        """The belief after `observe`, in a tuple; None: it was not told."""
+        return (decode_value(self.step.sensed, self._where("sensed")),) if self.step.sensed else None
 
     def _where(self, what: str) -> str:
         return f"{self.place}: epoch {self.step.epoch}: {self.step.name}: {what}"
@@ -130,14 +128,12 @@ class EpochTrace:
     def used_of(self, name: str) -> Mapping[tuple[str, str], tuple[int, int]] | None:
         """By sender and kind, of which epoch and attempt a node's inputs were; None: of this one."""
         trace = self.nodes.get(name)
-        if trace is None or not trace.step.used:
-            return None
-        return {(sender, kind): (epoch, attempt) for sender, kind, epoch, attempt in trace.step.used}
+        return None if trace is None else trace.step.used_of or None
 
     def sensed_of(self, name: str) -> tuple[Value] | None:
         """A node's belief after `observe`, in a tuple; None: not told."""
         trace = self.nodes.get(name)
-        return None if trace is None or not trace.has_sensed else (trace.sensed,)
+        return None if trace is None else trace.sensed
 
     def state_of(self, name: str) -> ActiveNode | None:
         """A node's state after it; None: not told."""
@@ -218,9 +214,8 @@ class Assembly:
             return False
         if what == MESSAGE:
             seen = glance(entry.data)
-            line = (seen.kind, seen.sender, seen.receiver)
             pending = self._at(seen.epoch)
-            pending.lines.setdefault(line, {})[seen.attempt] = entry.data
+            pending.lines.setdefault(seen.line, {})[seen.attempt] = entry.data
             pending.size += len(entry.data)
             self._bytes += len(entry.data)
             return False
@@ -230,7 +225,7 @@ class Assembly:
             return False
         step = entry.step()
         self._at(step.epoch).steps.setdefault(step.name, {})[step.attempt] = step
-        self._told[step.name] = max((step.epoch, step.attempt), self._told.get(step.name, (0, 0)))
+        self._told[step.name] = max(step.when, self._told.get(step.name, (0, 0)))
         under = self._rosters.get(step.roster)
         if under is not None and step.name == under.world:
             self._world = max(self._world, step.epoch)
@@ -290,9 +285,10 @@ class Assembly:
                 nodes[name] = NodeTrace(taken, self._place)
         digest = (world[attempt].chain if world else b"") or pending.digest
         previous = self._digest[1] if self._digest[0] == epoch - 1 else b""
-        named = dict(sorted(nodes.items()))
-        lines, heard_ns = pending.lines, pending.heard_ns
-        return EpochTrace(epoch, attempt, roster, named, lines, digest, heard_ns, previous, self._place)
+        in_order = dict(sorted(nodes.items()))
+        return EpochTrace(
+            epoch, attempt, roster, in_order, pending.lines, digest, pending.heard_ns, previous, self._place
+        )
 
     def _state_from(self, name: str, epoch: int) -> NodeStep | None:
         """What the next process of a node that died before it could tell began the next epoch with."""
@@ -305,7 +301,4 @@ class Assembly:
     def _at(self, epoch: int) -> _Pending:
         if epoch < self._next:
             return _Pending()  # it comes too late
-        pending = self._pending.get(epoch)
-        if pending is None:
-            pending = self._pending[epoch] = _Pending()
-        return pending
+        return self._pending.setdefault(epoch, _Pending())

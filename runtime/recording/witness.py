@@ -28,11 +28,11 @@ _KEPT = 64
 class StepSink(Protocol):
     """Where steps and rosters go."""
 
-    def step(self, data: bytes) -> None:
-        """An encoded step."""
+    def step(self, data: bytes, /) -> None:
+        """Take an encoded step."""
 
-    def roster(self, data: bytes) -> None:
-        """An encoded roster."""
+    def roster(self, data: bytes, /) -> None:
+        """Take an encoded roster."""
 
 
 @dataclass
@@ -112,34 +112,18 @@ class Witness(Watcher):
         step = completed.step
         begun = self._begun.pop((step.epoch, step.attempt), None)
         if begun is None:
-            return  # begun before anybody recorded
+            return  # the epoch was begun before anybody recorded
         if self._roster is not None:
             self._tell_roster(self._roster())
         self._number += max(step.epoch - self._last, 1) if self._resumed else 1
         self._resumed = False
         self._last = step.epoch
         passages, self._passages = self._passages, []
-        self._teller.step(
-            encode_step(
-                NodeStep(
-                    self._name,
-                    self._stream,
-                    self._number,
-                    step.epoch,
-                    step.attempt,
-                    begun.roster,
-                    begun.instance,
-                    step.time_s,
-                    completed.digest,
-                    completed.state,
-                    b"" if self._roster is not None else _encoded(step.sensed),
-                    begun.start,
-                    begun.used,
-                    tuple(passages),
-                    self._chain[1] if self._chain[0] == step.epoch else b"",
-                )
-            )
-        )
+        where = (step.epoch, step.attempt, begun.roster, begun.instance, step.time_s)
+        states = (completed.state, b"" if self._roster is not None else _encoded(step.sensed), begun.start)
+        heard = (begun.used, tuple(passages), self._chain[1] if self._chain[0] == step.epoch else b"")
+        told = NodeStep(self._name, self._stream, self._number, *where, completed.digest, *states, *heard)
+        self._teller.step(encode_step(told))
 
     def _tell_roster(self, roster: Roster) -> None:
         now_s = time.monotonic()

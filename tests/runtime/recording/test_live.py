@@ -67,7 +67,7 @@ def test_a_launch_is_recorded_with_changes_and_deaths(start: Start, tmp_path: Pa
     assert recording.ending is not None
     assert (recording.ending.first, recording.ending.last) == (1, report["epochs"])
     assert is_repeated(recording) == report["epochs"]
-    assert check_recording(recording).violations == ()
+    assert check_recording(recording).violations == []
     assert recording.digests()[report["epochs"]].hex() == report["digest"]
     names = {epoch.epoch: set(epoch.roster.nodes) for epoch in recording.epochs()}
     assert "top" not in names[attached - 1]
@@ -95,7 +95,7 @@ def test_a_launch_is_recorded_from_the_middle_on(start: Start, tmp_path: Path) -
     assert (told["first"], told["last"]) == (recording.ending.first, recording.ending.last)
     assert told["first"] > 1
     assert is_repeated(recording) == told["last"]
-    assert check_recording(recording).violations == ()
+    assert check_recording(recording).violations == []
 
     second = tmp_path / "second.mcap"
     done = live.hierax("record", "-o", str(second), "--epochs", "20", "--format", "json")
@@ -127,7 +127,7 @@ def test_what_is_left_out_of_a_launch_is_said_and_the_rest_is_whole(start: Start
     assert part.ending is not None
     assert dict(part.ending.left_out)["ctx/**"] >= 40
     assert not list(part.messages(kind="ctx"))
-    assert check_recording(part).violations == ()
+    assert check_recording(part).violations == []
 
 
 @pytest.mark.parametrize("most", [("--max-size", "60kB"), ("--max-duration", "0.3s")])
