@@ -103,8 +103,7 @@ _CHECKPOINT_NAMES, _WORLD_NAMES = tuple(_CHECKPOINT), tuple(_WORLD)
 def encode_checkpoint(checkpoint: Checkpoint) -> bytes:
     """The bytes of a node's checkpoint; that states are encoded states is not looked into.
 
-    Raises:
-        SchemaError: a field is not what it must be, or the whole is too large.
+    Raises `SchemaError` if a field is not what it must be, or the whole is too large.
     """
     epoch, attempt, instance, roster, finished, start, now = checkpoint
     if not (
@@ -124,8 +123,7 @@ def encode_checkpoint(checkpoint: Checkpoint) -> bytes:
 def decode_checkpoint(data: bytes | memoryview) -> Checkpoint:
     """Read a node's checkpoint; its states are read to see that they are some.
 
-    Raises:
-        SchemaError: the bytes are no checkpoint of this format; it names the field.
+    Raises `SchemaError` that names the field if the bytes are no checkpoint of this format.
     """
     fields = _fields(data, _CHECKPOINT, "checkpoint")
     checkpoint = Checkpoint(*fields[1:])
@@ -137,8 +135,7 @@ def decode_checkpoint(data: bytes | memoryview) -> Checkpoint:
 def encode_world(record: WorldRecord) -> bytes:
     """The bytes of the world's record; that roster and state are encoded ones is not looked into.
 
-    Raises:
-        SchemaError: a field is not what it must be, or the whole is too large.
+    Raises `SchemaError` if a field is not what it must be, or the whole is too large.
     """
     fields = (FORMAT, *record)
     _check_fields(fields, _WORLD, "record")
@@ -149,8 +146,7 @@ def encode_world(record: WorldRecord) -> bytes:
 def decode_world(data: bytes | memoryview) -> WorldRecord:
     """Read the world's record; its roster and state are read to see that they are such.
 
-    Raises:
-        SchemaError: the bytes are no world's record of this format; it names the field.
+    Raises `SchemaError` that names the field if the bytes are no world's record of this format.
     """
     record = WorldRecord(*_fields(data, _WORLD, "record")[1:])
     _check_world(record)

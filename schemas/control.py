@@ -153,13 +153,12 @@ class Status(NamedTuple):
 
 
 class Failed(NamedTuple):
-    """Process to owner: an operator or edge function of a node that fails alone has raised.
+    """Process to owner: an operator or edge function of a node that fails alone has raised, and why, in one line.
 
     Attributes:
         name, process: who says so; an edge function may run in the process of the other node.
         version: of the roster under which it happened.
         subject: the node, or the edge as ``lower->upper``.
-        why: in one line.
     """
 
     name: str
@@ -226,8 +225,7 @@ _MAY_BE_EMPTY = frozenset({"request", "process"})
 def encode_control(control: Control) -> bytes:
     """The bytes of a control message; texts that are too long are cut.
 
-    Raises:
-        SchemaError: it is longer than a control message may be.
+    Raises `SchemaError` if it is longer than a control message may be.
     """
     fields = (_cut(part) if field in _TEXTS else part for field, part in zip(control._fields, control, strict=True))
     data = encode_value((type(control).__name__, *fields))

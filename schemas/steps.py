@@ -25,9 +25,8 @@ class Passage(NamedTuple):
 
     Attributes:
         sent: whether it went out.
-        kind: of the message.
+        kind, epoch, attempt: of the message.
         peer: the other end.
-        epoch, attempt: of the message.
     """
 
     sent: bool

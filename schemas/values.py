@@ -55,8 +55,7 @@ class Packers:
 def encode_value(value: Value) -> bytes:
     """The one encoding of a value: what digests are taken over and checkpoints hold.
 
-    Raises:
-        SchemaError: the value holds something that cannot travel; it says where and what.
+    Raises `SchemaError` that says where and what if the value holds something that cannot travel.
     """
     if not is_sound(value, 0):
         raise fault(value, "value", ())
@@ -64,11 +63,7 @@ def encode_value(value: Value) -> bytes:
 
 
 def encode_frozen(value: Value) -> bytes:
-    """As `encode_value`; and nobody can write into the value's arrays any more.
-
-    Raises:
-        SchemaError: as `encode_value` has it.
-    """
+    """As `encode_value`; and nobody can write into the value's arrays any more."""
     if not is_sound(value, 0):
         raise fault(value, "value", ())
     return pack(value, _FREEZING)
@@ -179,8 +174,7 @@ def replace_numpy(value: Any) -> Any:
 def array_in_place(value: Any) -> Any:
     """What msgpack does not know, as something that it does: an array as extension `ARRAY`.
 
-    Raises:
-        SchemaError: it is something that cannot travel.
+    Raises `SchemaError` if it is something that cannot travel.
     """
     if isinstance(value, np.ndarray):
         return msgpack.ExtType(ARRAY, encode_array(value))

@@ -33,12 +33,7 @@ TIMEOUT_S = 120.0
 
 @dataclass(frozen=True)
 class Row:
-    """One kind of work, ours and bare.
-
-    Attributes:
-        name: what is sent.
-        ours_us, bare_us: for each round, the counted epochs, in microseconds.
-    """
+    """One kind of work, ours and bare: for each round, the counted epochs, in microseconds."""
 
     name: str
     ours_us: Sequence[Times]
@@ -69,13 +64,8 @@ class Row:
 def bench_epoch(epochs: int, rounds: int, told: Callable[[str], None]) -> list[Row]:
     """Time the chain with small messages and with a picture, and the bare chain against a bare round trip.
 
-    Args:
-        epochs: in each round.
-        rounds: of ours and the rival in turn, so that a machine that changes its pace changes it for both.
-        told: told what is going on.
-
-    Raises:
-        HieraxError: a process failed.
+    So many epochs are in each round; rounds of ours and the rival's take turns, so that a machine that changes its pace
+    changes it for both. `told` hears what is going on. Raises `HieraxError` if a process failed.
     """
     rows = []
     for name, picture, kinds in (

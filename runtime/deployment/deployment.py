@@ -62,8 +62,8 @@ class ViewSpec:
 
     Attributes:
         show: ``module:name`` of a function of all nodes' steps of an epoch, or None.
-        layout: columns, each of cells from top to bottom, each with the names of views that
-            share it; None: by what the nodes show.
+        layout: columns, each of cells from top to bottom, each with the names of views that share it; None: by what the
+            nodes show.
     """
 
     show: str | None = None
@@ -130,11 +130,7 @@ class Deployment:
         return self.document.where(self.document.keys(where))
 
     def explain(self, error: HieraxError) -> HieraxError:
-        """An error with its place in the deployment file, where it has one.
-
-        Args:
-            error: if it has a `where`, as a `LoadError` has, that is a path in the roster.
-        """
+        """An error with its place in the file, if its `where`, as `LoadError` has it, is a path in the roster."""
         where = getattr(error, "where", "")
         if not where:
             return error

@@ -17,9 +17,8 @@ class Document:
     Attributes:
         place: the file's name, as errors show it.
         root: the map at the top.
-        lines: of every value in the file, by path.
-        changed: the ``--set`` that a value comes from, by path.
-        origins: the parameter that a value was taken from, by path.
+        lines, changed, origins: by path, the line of every value in the file, the ``--set`` that a value comes from,
+            and the parameter that it was taken from.
         outer: the document whose parameters are meant, where it is another one.
     """
 

@@ -33,13 +33,9 @@ _EXPECTED = {
 def first_error(
     error: ValidationError, document: Document, root: dict[str, Any], top: TopModel = DeploymentModel
 ) -> DeploymentError:
-    """The fault that comes first in the file, or in a ``--set``.
+    """The fault of what pydantic found that comes first in the file, or in a ``--set``.
 
-    Args:
-        error: what pydantic found.
-        document: for the places.
-        root: the values that were validated.
-        top: the model that they were validated by.
+    `root` are the values that were validated by the model `top`; the document knows their places.
     """
     found = [(_keys(details["loc"], root), details) for details in error.errors(include_url=False)]
     misspelt = {keys[:-1] for keys, details in found if details["type"] == "extra_forbidden"}

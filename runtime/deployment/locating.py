@@ -20,13 +20,9 @@ def shipped() -> dict[str, Path]:
 
 
 def find_file(name: str | Path) -> Path:
-    """The deployment file of a name.
+    """The deployment file of a path, or of the name of a shipped deployment.
 
-    Args:
-        name: the path of a file, or the name of a shipped deployment.
-
-    Raises:
-        DeploymentError: there is neither; with the nearest shipped name.
+    Raises `DeploymentError` if there is neither; with the nearest shipped name.
     """
     path = Path(name)
     try:

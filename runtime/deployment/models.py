@@ -1,7 +1,7 @@
 """The fields of a deployment file, as pydantic models; the published JSON Schema is made from them.
 
-They check one field at a time. What joins several (an edge's nodes, the world's name)
-is checked in `hierax.runtime.deployment.read`.
+They check one field at a time. What joins several (an edge's nodes, the world's name) is checked in
+`hierax.runtime.deployment.read`.
 """
 
 from __future__ import annotations
@@ -34,11 +34,7 @@ def check_target(target: str) -> str:
 
 
 def check_modules_pattern(pattern: str) -> str:
-    """A module as ``package.module``, or a package with all that is inside it as ``package.*``.
-
-    Raises:
-        ValueError: it is written otherwise.
-    """
+    """A module as ``package.module``, or a package with all that is inside it as ``package.*``; else a `ValueError`."""
     if not _MODULES.match(pattern) or pattern.endswith("\n"):
         raise ValueError(f"expected 'package.module' or 'package.*', got {pattern!r:.60}")
     if pattern == "hierax.*":
@@ -98,6 +94,10 @@ Target = Annotated[str, AfterValidator(check_target), WithJsonSchema({"type": "s
 Parameters = Annotated[dict[str, Any], BeforeValidator(_none_as_map, json_schema_input_type=dict[str, Any] | None)]
 
 
+NotNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
+Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
+
+
 class _Model(BaseModel):
     model_config = ConfigDict(extra="forbid", strict=True, frozen=True)
 
@@ -106,42 +106,34 @@ class RestartModel(_Model):
     """What is done when a node's process ends or cannot be reached; durations are in seconds."""
 
     restart_policy: Literal["never", "on-failure", "always"] = Field(
-        default=RestartPolicy.restart_policy,
+        RestartPolicy.restart_policy,
         description="after which end of a process another one is started: none, one by a failure or signal, any",
     )
     max_restarts: int = Field(
-        default=RestartPolicy.max_restarts, ge=0, description="how often within restart_window; 0: no limit"
+        RestartPolicy.max_restarts, ge=0, description="how often within restart_window; 0: no limit"
     )
-    restart_delay_s: float = Field(
-        default=RestartPolicy.restart_delay_s,
+    restart_delay_s: NotNegative = Field(
+        RestartPolicy.restart_delay_s,
         alias="restart_delay",
-        ge=0,
-        allow_inf_nan=False,
         description="before the first restart; twice as long before each further one within restart_window",
     )
-    max_restart_delay_s: float = Field(
-        default=RestartPolicy.max_restart_delay_s,
+    max_restart_delay_s: NotNegative = Field(
+        RestartPolicy.max_restart_delay_s,
         alias="max_restart_delay",
-        ge=0,
-        allow_inf_nan=False,
         description="the longest that restart_delay grows to",
     )
-    restart_window_s: float | None = Field(
-        default=RestartPolicy.restart_window_s,
+    restart_window_s: Positive | None = Field(
+        RestartPolicy.restart_window_s,
         alias="restart_window",
-        gt=0,
-        allow_inf_nan=False,
         description="restarts longer ago than this are forgotten; null: none ever is",
     )
-    rejoin_timeout_s: float = Field(
-        default=RestartPolicy.rejoin_timeout_s,
+    rejoin_timeout_s: Positive = Field(
+        RestartPolicy.rejoin_timeout_s,
         alias="rejoin_timeout",
-        gt=0,
-        allow_inf_nan=False,
         description="how long the epoch waits for a lost node to come back, before on_loss",
     )
     on_loss: Literal["restart", "detach", "stop"] = Field(
-        default=RestartPolicy.on_loss,
+        RestartPolicy.on_loss,
         description="a node that does not come back: wait on while it is being restarted, else stop; "
         "or detach it, and what only it joins to the world; or stop the run",
     )
@@ -153,11 +145,9 @@ class NodeModel(RestartModel):
     target: Target = Field(
         alias="class", description="module:name of a class, or of a function that is annotated to return a node"
     )
-    parameters: Parameters = Field(default={}, description="keyword arguments of the class")
-    rate_hz: float | None = Field(
-        default=None,
-        gt=0,
-        allow_inf_nan=False,
+    parameters: Parameters = Field({}, description="keyword arguments of the class")
+    rate_hz: Positive | None = Field(
+        None,
         description="in free running (staleness: null), how often at most it takes part in an epoch; null: as it can",
     )
 
@@ -166,22 +156,21 @@ class FunctionModel(_Model):
     """A function of an edge, with parameters."""
 
     function: Target = Field(description="module:name of a function, or of a class whose objects are called")
-    parameters: Parameters = Field(default={}, description="keyword arguments: of the class, or further ones")
-    enabled: bool = Field(default=True, description="false: the empty set, always")
+    parameters: Parameters = Field({}, description="keyword arguments: of the class, or further ones")
+    enabled: bool = Field(True, description="false: the empty set, always")
 
 
 Function = Annotated[
-    FunctionModel | None,
-    BeforeValidator(_written_out, json_schema_input_type=Target | FunctionModel | None),
+    FunctionModel | None, BeforeValidator(_written_out, json_schema_input_type=Target | FunctionModel | None)
 ]
 
 
 class EdgeModel(_Model):
     """An edge's three functions; one that is left out gives the empty set."""
 
-    sense: Function = Field(default=None, description="from the lower node's belief to the upper one's observations")
-    task: Function = Field(default=None, description="from the upper node's actions to the lower one's tasks")
-    context: Function = Field(default=None, description="from the upper node's belief to the lower one's context")
+    sense: Function = Field(None, description="from the lower node's belief to the upper one's observations")
+    task: Function = Field(None, description="from the upper node's actions to the lower one's tasks")
+    context: Function = Field(None, description="from the upper node's belief to the lower one's context")
 
 
 class ProbeModel(_Model):
@@ -191,91 +180,78 @@ class ProbeModel(_Model):
     target: Target = Field(
         alias="class", description="module:name of a class, or of a function that is annotated to return a probe"
     )
-    parameters: Parameters = Field(default={}, description="keyword arguments of the class")
+    parameters: Parameters = Field({}, description="keyword arguments of the class")
 
 
 class ViewModel(_Model):
     """What `hierax view` shows of the deployment, beside what each node shows of itself."""
 
     show: Target | None = Field(
-        default=None,
-        description="module:name of a function from all nodes' steps of an epoch, by name, to things by path",
+        None, description="module:name of a function from all nodes' steps of an epoch, by name, to things by path"
     )
-    layout: Annotated[
-        list[list[str | list[str]]] | None,
-        Field(
-            description="columns of views, each from top to bottom; a list of views in place of one: behind tabs",
-        ),
-    ] = None
+    layout: list[list[str | list[str]]] | None = Field(
+        None, description="columns of views, each from top to bottom; a list of views in place of one: behind tabs"
+    )
+
+
+Edges = Annotated[
+    dict[EdgeName, EdgeModel], BeforeValidator(_none_as_map, json_schema_input_type=dict[EdgeName, EdgeModel] | None)
+]
+Probes = Annotated[list[ProbeModel], BeforeValidator(_none_as_list, json_schema_input_type=list[ProbeModel] | None)]
+ModuleList = Annotated[list[Modules], BeforeValidator(_none_as_list, json_schema_input_type=list[Modules] | None)]
+Restart = Annotated[RestartModel, BeforeValidator(_none_as_map, json_schema_input_type=RestartModel | None)]
+Views = Annotated[ViewModel, BeforeValidator(_none_as_map, json_schema_input_type=ViewModel | None)]
+ZenohSettings = Annotated[
+    Any, AfterValidator(_zenoh), WithJsonSchema({"anyOf": [{"type": "string"}, {"type": "object"}, {"type": "null"}]})
+]
 
 
 class DeploymentModel(_Model):
     """A cognitive hierarchy: its nodes, the edges between them, and how it is run."""
 
     hierarchy: Name = Field(description="the hierarchy's name")
-    description: str = Field(default="", description="what it is, in one line")
-    epochs: int | None = Field(default=None, ge=1, description="how many; else until the world says finished")
+    description: str = Field("", description="what it is, in one line")
+    epochs: int | None = Field(None, ge=1, description="how many; else until the world says finished")
     world: NodeName = Field(description="which node is the external world")
-    parameters: Parameters = Field(
-        default={}, description="named values: ${NAME} stands for one, --set NAME=VALUE changes it"
-    )
+    parameters: Parameters = Field({}, description="named values: ${NAME} stands for one, --set NAME=VALUE changes it")
     nodes: dict[NodeName, NodeModel] = Field(description="by name")
-    edges: Annotated[
-        dict[EdgeName, EdgeModel],
-        BeforeValidator(_none_as_map, json_schema_input_type=dict[EdgeName, EdgeModel] | None),
-    ] = Field(default={}, description="by 'lower -> upper'")
-    probes: Annotated[
-        list[ProbeModel], BeforeValidator(_none_as_list, json_schema_input_type=list[ProbeModel] | None)
-    ] = Field(default=[], description="side outputs, no part of the run")
-    modules: Annotated[list[Modules], BeforeValidator(_none_as_list, json_schema_input_type=list[Modules] | None)] = (
-        Field(
-            default=[],
-            description="whose classes and functions may join the running hierarchy, beside what this file names: "
-            "package.module, or package.* for all inside it",
-        )
+    edges: Edges = Field({}, description="by 'lower -> upper'")
+    probes: Probes = Field([], description="side outputs, no part of the run")
+    modules: ModuleList = Field(
+        [],
+        description="whose classes and functions may join the running hierarchy, beside what this file names: "
+        "package.module, or package.* for all inside it",
     )
-    restart: Annotated[RestartModel, BeforeValidator(_none_as_map, json_schema_input_type=RestartModel | None)] = Field(
-        default=RestartModel(), description="of all nodes that say nothing else"
-    )
+    restart: Restart = Field(RestartModel(), description="of all nodes that say nothing else")
     durability: Literal["process", "host"] = Field(
-        default="process",
-        description="what checkpoints outlive: the death of a process, or also that of the machine (slower)",
+        "process", description="what checkpoints outlive: the death of a process, or also that of the machine (slower)"
     )
-    epoch_deadline_s: float | None = Field(
-        default=EPOCH_DEADLINE_S,
-        gt=0,
-        allow_inf_nan=False,
+    epoch_deadline_s: Positive | None = Field(
+        EPOCH_DEADLINE_S,
         description="how long an epoch may take before who holds it up counts as lost, in seconds; null: for ever",
     )
     on_uncertain_act: Literal["repeat", "skip"] = Field(
-        default="repeat",
+        "repeat",
         description="the world's process died, and nobody knows whether it acted: "
         "act again (at least once) or not (at most once)",
     )
     staleness: int | None = Field(
-        default=0,
+        0,
         ge=0,
         le=MAX_STALENESS,
         description="by how many epochs inputs from above may be older than the node's own; null: free running",
     )
     exact: bool = Field(
-        default=False, description="with a staleness: they are exactly so old, and the run can be repeated to the bit"
+        False, description="with a staleness: they are exactly so old, and the run can be repeated to the bit"
     )
-    start_timeout_s: float = Field(
-        default=30.0, gt=0, allow_inf_nan=False, description="how long launch waits for all nodes to come up"
-    )
+    start_timeout_s: Positive = Field(30.0, description="how long launch waits for all nodes to come up")
     low_latency: bool = Field(
-        default=False,
-        description="quicker links between processes, for messages of at most 32 KiB; a longer one ends the run",
+        False, description="quicker links between processes, for messages of at most 32 KiB; a longer one ends the run"
     )
-    view: Annotated[ViewModel, BeforeValidator(_none_as_map, json_schema_input_type=ViewModel | None)] = Field(
-        default=ViewModel(), description="how `hierax view` shows it; no part of the run"
+    view: Views = Field(ViewModel(), description="how `hierax view` shows it; no part of the run")
+    zenoh: ZenohSettings = Field(
+        None, description="Zenoh's own settings: a file (relative to this one), JSON5 text, or a map"
     )
-    zenoh: Annotated[
-        Any,
-        AfterValidator(_zenoh),
-        WithJsonSchema({"anyOf": [{"type": "string"}, {"type": "object"}, {"type": "null"}]}),
-    ] = Field(default=None, description="Zenoh's own settings: a file (relative to this one), JSON5 text, or a map")
 
 
 class SnippetModel(_Model):
@@ -283,7 +259,7 @@ class SnippetModel(_Model):
 
     nodes: dict[NodeName, NodeModel] = Field(description="by name")
     edges: dict[EdgeName, EdgeModel] | None = Field(
-        default=None, description="by 'lower -> upper'; one end may be a node that is running"
+        None, description="by 'lower -> upper'; one end may be a node that is running"
     )
 
 

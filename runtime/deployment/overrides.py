@@ -17,15 +17,10 @@ _CLOSED = (("nodes",), ("edges",), ("parameters",), ("probes",))
 
 
 def apply_override(document: Document, text: str) -> None:
-    """Change one value of a document.
+    """Change one value of a document by ``PATH=VALUE``.
 
-    Args:
-        document: is changed.
-        text: ``PATH=VALUE``. The path is a name in ``parameters``, or a dotted path into one of these or into the
-            document; the value is read as YAML.
-
-    Raises:
-        DeploymentError: there is no such path, with the nearest valid name; or the value is no YAML.
+    The path is a name in ``parameters``, or a dotted path into one of these or into the document; the value is read as
+    YAML. Raises `DeploymentError` if there is no such path, with the nearest valid name, or the value is no YAML.
     """
     path, equals, value_text = text.partition("=")
     if not equals or not path.strip():

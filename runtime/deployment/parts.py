@@ -12,11 +12,8 @@ from hierax.runtime.deployment.models import EdgeModel, FunctionModel, NodeModel
 from hierax.runtime.deployment.paths import Keys
 from hierax.runtime.loading.nearest import did_you_mean
 from hierax.schemas.errors import SchemaError
-from hierax.schemas.roster import Reference, RosterEdge
+from hierax.schemas.roster import FUNCTIONS, Reference, RosterEdge
 from hierax.schemas.values import decode_value, encode_value
-
-KINDS = ("sense", "task", "context")
-"""An edge's functions."""
 
 
 def roster_nodes(models: Mapping[str, NodeModel], document: Document) -> dict[str, Reference]:
@@ -25,14 +22,13 @@ def roster_nodes(models: Mapping[str, NodeModel], document: Document) -> dict[st
 
 
 def roster_edges(models: Mapping[str, EdgeModel], document: Document) -> tuple[RosterEdge, ...]:
-    """Edges, by name of the lower, then of the upper node; functions that are not enabled left out.
+    """Edges, by name of the lower, then of the upper node; functions that are not enabled are left out.
 
-    Raises:
-        DeploymentError: a parameter is no value.
+    Raises `DeploymentError` if a parameter is no value.
     """
     edges = []
     for name, edge in models.items():
-        functions = {kind: _function(getattr(edge, kind), document, ("edges", name, kind)) for kind in KINDS}
+        functions = {kind: _function(getattr(edge, kind), document, ("edges", name, kind)) for kind in FUNCTIONS}
         lower, upper = split_edge(name)
         edges.append(RosterEdge(lower, upper, **functions))
     return tuple(sorted(edges, key=lambda edge: edge.pair))
@@ -41,8 +37,7 @@ def roster_edges(models: Mapping[str, EdgeModel], document: Document) -> tuple[R
 def reference(target: str, parameters: Mapping[str, Any], document: Document, keys: Keys) -> Reference:
     """A reference whose parameters are as they are after travelling: lists have become tuples.
 
-    Raises:
-        DeploymentError: a parameter is no value.
+    Raises `DeploymentError` if a parameter is no value.
     """
     try:
         travelled = decode_value(encode_value(parameters))
@@ -58,16 +53,10 @@ def check_known(name: str, nodes: Iterable[str], document: Document, keys: Keys)
 
 
 def restart_policy(model: RestartModel, otherwise: RestartPolicy, document: Document, keys: Keys) -> RestartPolicy:
-    """What a file says about restarts.
+    """What the model of a node, or of all, says about restarts, with the rest as another policy has it.
 
-    Args:
-        model: of a node, or of all.
-        otherwise: for what the model leaves out; the longest delay is then at least the first one.
-        document: for the places.
-        keys: the model's path.
-
-    Raises:
-        DeploymentError: the longest delay is given, and shorter than the first one.
+    The longest delay is then at least the first one; if it is given, and shorter, `DeploymentError` names its place in
+    the document.
     """
     given = {name: getattr(model, name) for name in RestartModel.model_fields if name in model.model_fields_set}
     first_s = given.get("restart_delay_s", otherwise.restart_delay_s)

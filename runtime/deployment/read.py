@@ -19,25 +19,23 @@ from hierax.runtime.deployment.locating import find_file, import_paths, read_tex
 from hierax.runtime.deployment.models import DeploymentModel, ViewModel, split_edge
 from hierax.runtime.deployment.overrides import apply_override
 from hierax.runtime.deployment.parameters import substitute
-from hierax.runtime.deployment.parts import KINDS, check_known, reference, restart_policy, roster_edges, roster_nodes
+from hierax.runtime.deployment.parts import check_known, reference, restart_policy, roster_edges, roster_nodes
 from hierax.runtime.deployment.paths import Keys
 from hierax.runtime.deployment.tree import read_tree
 from hierax.runtime.loading.allowance import module_of
-from hierax.schemas.roster import ProbeSpec, Roster
+from hierax.schemas.roster import FUNCTIONS, ProbeSpec, Roster
 
 
 def read_deployment(file: str | Path, overrides: Sequence[str] = ()) -> Deployment:
-    """Read a deployment file.
-
-    Nothing of what it names is imported.
+    """Read a deployment file; nothing of what it names is imported.
 
     Args:
         file: the path of a file, or the name of a shipped deployment.
         overrides: as ``--set`` has them, ``PATH=VALUE``, in order.
 
     Raises:
-        DeploymentError: the file, or an override, is wrong: file, line, field, what was
-            expected, and the nearest valid name.
+        DeploymentError: the file, or an override, is wrong: file, line, field, what was expected, and the nearest valid
+            name.
     """
     path = find_file(file)
     document = read_document(path, "hierarchy, world, nodes and edges")
@@ -49,7 +47,6 @@ def read_deployment(file: str | Path, overrides: Sequence[str] = ()) -> Deployme
     except ValidationError as error:
         raise first_error(error, document, root) from error
     roster = _roster(model, document)
-    _check_structure(roster, document)
     restart = restart_policy(model.restart, RestartPolicy(), document, ("restart",))
     return Deployment(
         path=path,
@@ -76,14 +73,9 @@ def read_deployment(file: str | Path, overrides: Sequence[str] = ()) -> Deployme
 
 
 def read_document(path: Path, fields: str) -> Document:
-    """A YAML file whose root is a map.
+    """A YAML file whose root is a map; errors say which fields should be in it.
 
-    Args:
-        path: the file.
-        fields: what errors say should be in the map.
-
-    Raises:
-        DeploymentError: it cannot be read, or is something else.
+    Raises `DeploymentError` if it cannot be read, or is something else.
     """
     tree = read_tree(read_text(path), str(path))
     if tree.value is None:
@@ -100,7 +92,12 @@ def _roster(model: DeploymentModel, document: Document) -> Roster:
     for name in model.edges:
         for end in split_edge(name):
             check_known(end, nodes, document, ("edges", name))
-    return Roster(model.world, nodes, roster_edges(model.edges, document))
+    edges = roster_edges(model.edges, document)
+    try:
+        check_graph(model.world, nodes, [edge.pair for edge in edges])
+    except HierarchyError as error:
+        raise document.error(("edges",), str(error)) from error
+    return Roster(model.world, nodes, edges)
 
 
 def _probes(model: DeploymentModel, document: Document) -> tuple[ProbeSpec, ...]:
@@ -116,7 +113,7 @@ def _modules(model: DeploymentModel) -> tuple[str, ...]:
     """What the file names, in functions that are not enabled too, and what it lists."""
     targets = [node.target for node in model.nodes.values()] + [probe.target for probe in model.probes]
     for edge in model.edges.values():
-        functions = [getattr(edge, kind) for kind in KINDS]
+        functions = [getattr(edge, kind) for kind in FUNCTIONS]
         targets += [function.function for function in functions if function is not None]
     if model.view.show is not None:
         targets.append(model.view.show)
@@ -128,14 +125,6 @@ def _view(model: ViewModel) -> ViewSpec:
         return ViewSpec(model.show)
     columns = [[(cell,) if isinstance(cell, str) else tuple(cell) for cell in column] for column in model.layout]
     return ViewSpec(model.show, tuple(map(tuple, columns)))
-
-
-def _check_structure(roster: Roster, document: Document) -> None:
-    pairs = [(edge.lower, edge.upper) for edge in roster.edges]
-    try:
-        check_graph(roster.world, roster.nodes, pairs)
-    except HierarchyError as error:
-        raise document.error(("edges",), str(error)) from error
 
 
 def _staleness(model: DeploymentModel, document: Document) -> Staleness:

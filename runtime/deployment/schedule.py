@@ -25,11 +25,9 @@ _DIGITS = 19
 
 
 class Scheduled(NamedTuple):
-    """A change that is known before the run.
+    """A change that is known before the run, and takes effect at the start of an epoch.
 
     Attributes:
-        epoch: at the start of which it takes effect.
-        change: what changes.
         alone: of its new nodes, those that are detached when an operator or edge function of theirs raises.
     """
 
@@ -39,17 +37,14 @@ class Scheduled(NamedTuple):
 
 
 def read_schedule(texts: Sequence[str], deployment: Deployment) -> tuple[Scheduled, ...]:
-    """Changes by the epoch that each takes effect at the start of.
+    """Changes, sorted by the epoch at whose start each takes effect; those of one epoch are made in the given order.
 
     They are tried on the deployment's roster, so that none is refused in the middle of a run.
 
     Args:
-        texts: as ``--at`` has them, see `FORMS`. ``FILE`` is a snippet, or in an attach the
-            name of a node of the deployment file.
+        texts: as ``--at`` has them, see `FORMS`. ``FILE`` is a snippet, or in an attach the name of a node of the
+            deployment file.
         deployment: what will be run.
-
-    Returns:
-        Sorted by epoch; those of one epoch as they were given, to be made in this order.
 
     Raises:
         DeploymentError: one is written wrongly, its snippet is wrong, or it cannot be made.

@@ -39,11 +39,9 @@ def secret_values(zenoh: Any) -> frozenset[str]:
 
 
 def public_settings(settings: Sequence[str], zenoh: Any) -> tuple[str, ...]:
-    """Settings as they may be told and kept; of those that give something secret the path alone.
+    """Settings, as ``--set`` has them or as they were kept, as they may be told and kept.
 
-    Args:
-        settings: as ``--set`` has them, or as they were kept.
-        zenoh: the settings of Zenoh that they led to.
+    Of those that give something secret in the settings of Zenoh that they led to, the path alone is left.
     """
     secrets = secret_values(zenoh)
     return tuple(text.partition("=")[0].strip() if _is_hidden(text, secrets) else text for text in settings)
@@ -60,14 +58,9 @@ def usable(settings: Sequence[str]) -> list[str]:
 
 
 def completed(kept: Sequence[str], given: Sequence[str]) -> list[str]:
-    """Kept settings, with what was not kept given again.
+    """Kept settings, as `public_settings` gave them, with what was not kept given again, as ``--set`` has it.
 
-    Args:
-        kept: as `public_settings` gave them.
-        given: as ``--set`` has them.
-
-    Raises:
-        HieraxError: something lacks, or is given that was kept.
+    Raises `HieraxError` if something lacks, or is given that was kept.
     """
     again = {text.partition("=")[0].strip(): text for text in given}
     hidden = [text for text in kept if "=" not in text]
@@ -82,12 +75,7 @@ def completed(kept: Sequence[str], given: Sequence[str]) -> list[str]:
 
 
 def public_text(text: str, zenoh: Any) -> str:
-    """A deployment file's text without what is secret in it.
-
-    Args:
-        text: YAML that was read.
-        zenoh: the settings of Zenoh that it led to.
-    """
+    """The text of a deployment file, YAML that was read, without what is secret in Zenoh's settings that it led to."""
     secrets = secret_values(zenoh)
     if not secrets:
         return text
@@ -111,8 +99,7 @@ def _secret_scalars(text: str, secrets: frozenset[str]) -> Iterator[yaml.ScalarN
         return
     for key, value in root.value:
         if key.value in ("zenoh", "parameters"):
-            seen: set[int] = set()
-            for scalar in _scalars(value, seen):
+            for scalar in _scalars(value, set()):
                 if any(secret == scalar.value or (secret in scalar.value and _sure(secret, key)) for secret in secrets):
                     yield scalar
 
@@ -127,15 +114,11 @@ def _scalars(node: yaml.Node, seen: set[int]) -> Iterator[yaml.ScalarNode]:
     if id(node) in seen:
         return
     seen.add(id(node))
-
     if isinstance(node, yaml.ScalarNode):
         yield node
-    elif isinstance(node, yaml.MappingNode):
-        for _, value in node.value:
-            yield from _scalars(value, seen)
-    elif isinstance(node, yaml.SequenceNode):
-        for value in node.value:
-            yield from _scalars(value, seen)
+    elif isinstance(node, yaml.CollectionNode):
+        for part in node.value:
+            yield from _scalars(part[1] if isinstance(node, yaml.MappingNode) else part, seen)
 
 
 def _is_hidden(text: str, secrets: frozenset[str]) -> bool:
@@ -149,25 +132,15 @@ def _is_hidden(text: str, secrets: frozenset[str]) -> bool:
     return any(secret == value or (len(secret) >= _SURE_CHARS and secret in value) for secret in secrets)
 
 
-def _values(zenoh: Any) -> Iterator[str]:
-    if isinstance(zenoh, str):
-        yield from (found[len(found.groups())].strip("\"'") for found in _IN_TEXT.finditer(zenoh))
-    elif isinstance(zenoh, Mapping):
+def _values(zenoh: Any, inside: bool = False) -> Iterator[str]:
+    """What is secret in settings; `inside` of what is secret, all of it."""
+    if isinstance(zenoh, Mapping):
         for name, value in zenoh.items():
-            if is_secret(str(name)):
-                yield from _leaves(value)
-            else:
-                yield from _values(value)
+            yield from _values(value, inside or is_secret(str(name)))
     elif isinstance(zenoh, (list, tuple)):
         for value in zenoh:
-            yield from _values(value)
-
-
-def _leaves(value: Any) -> Iterator[str]:
-    if isinstance(value, Mapping):
-        value = list(value.values())
-    if isinstance(value, (list, tuple)):
-        for each in value:
-            yield from _leaves(each)
-    elif value is not None:
-        yield str(value)
+            yield from _values(value, inside)
+    elif inside and zenoh is not None:
+        yield str(zenoh)
+    elif isinstance(zenoh, str):
+        yield from (found[len(found.groups())].strip("\"'") for found in _IN_TEXT.finditer(zenoh))

@@ -1,13 +1,13 @@
 """Snippets: YAML with ``nodes`` and ``edges`` as a deployment file has them, for a hierarchy that runs.
 
-``${NAME}`` stands for a parameter of the deployment. Nothing of what a snippet names is
-imported, and nothing is checked that depends on the roster which it will find: what
-nodes there are then, and what may be loaded, `hierax.runtime.owner.roster_changes` decides.
+``${NAME}`` stands for a parameter of the deployment. Nothing of what a snippet names is imported, and nothing is
+checked that depends on the roster which it will find: what nodes there are then, and what may be loaded,
+`hierax.runtime.owner.roster_changes` decides.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -27,16 +27,11 @@ from hierax.schemas.changes import Attach, Replace
 
 
 def read_attach(source: str | Path, deployment: Deployment) -> Attach:
-    """What attaches nodes.
+    """What attaches nodes to a run of a deployment.
 
-    Args:
-        source: the path of a snippet; or the name of a node of the deployment file, which is
-            meant with all its edges there.
-        deployment: of the run.
-
-    Raises:
-        DeploymentError: there is no such file or node, or the snippet is wrong: file, line,
-            field, what was expected, and the nearest valid name.
+    The source is the path of a snippet; or the name of a node of the deployment file, which is meant with all its edges
+    there. Raises `DeploymentError` if there is no such file or node, or the snippet is wrong: file, line, field, what
+    was expected, and the nearest valid name.
     """
     if _is_node(source, deployment):
         name, roster = str(source), deployment.roster
@@ -46,16 +41,11 @@ def read_attach(source: str | Path, deployment: Deployment) -> Attach:
 
 
 def read_replace(source: str | Path, name: str, deployment: Deployment) -> Replace:
-    """What replaces a node.
+    """What replaces the node of a name.
 
-    Args:
-        source: the path of a snippet that has this node alone. Its edges are all that the node
-            has from then on; without ``edges`` it keeps those that it has.
-        name: of the node.
-        deployment: of the run.
-
-    Raises:
-        DeploymentError: as `read_attach`; or the snippet has another node.
+    The source is the path of a snippet that has this node alone. Its edges are all that the node has from then on;
+    without ``edges`` it keeps those that it has. Raises `DeploymentError` as `read_attach` does, or if the snippet has
+    another node.
     """
     model, document = _read(source, deployment)
     for given in model.nodes:
@@ -68,16 +58,8 @@ def read_replace(source: str | Path, name: str, deployment: Deployment) -> Repla
 def read_restarts(source: str | Path, deployment: Deployment, *, attached: bool = False) -> Mapping[str, RestartPolicy]:
     """What a source of `read_attach` or `read_replace` says about the restarts of its nodes.
 
-    What it leaves out is as ``restart`` at the top of the deployment file has it; but what is attached
-    fails alone (``on_loss: detach``) where neither file says what is to follow.
-
-    Args:
-        source: likewise.
-        deployment: of the run.
-        attached: whether its nodes are.
-
-    Raises:
-        DeploymentError: as `read_attach`.
+    What it leaves out is as ``restart`` at the top of the deployment file has it; but what is attached fails alone
+    (``on_loss: detach``) where neither file says what is to follow. Raises `DeploymentError` as `read_attach` does.
     """
     otherwise = deployment.restart
     if attached and not _says(deployment, "restart"):
@@ -125,10 +107,6 @@ def _read(source: str | Path, deployment: Deployment) -> tuple[SnippetModel, Doc
         raise document.error(("nodes",), "expected at least one node")
     for edge in model.edges or {}:
         if not model.nodes.keys() & set(split_edge(edge)):
-            nodes = _list(model.nodes)
-            raise document.error(("edges", edge), f"joins two other nodes; expected an edge of {nodes}")
+            names = " or ".join(map(repr, sorted(model.nodes)))
+            raise document.error(("edges", edge), f"joins two other nodes; expected an edge of {names}")
     return model, document
-
-
-def _list(names: Iterable[str]) -> str:
-    return " or ".join(repr(name) for name in sorted(names))

@@ -71,8 +71,7 @@ class Tree:
     """Values read from YAML.
 
     Attributes:
-        place: what errors name: the file, or the ``--set``.
-        has_lines: whether errors name the line, too.
+        place, has_lines: what errors name: the file, or the ``--set``; and whether they name the line, too.
         value: the root.
         lines: of every value, by path, counted from 1; of a map's entry, its key's.
     """
@@ -90,13 +89,8 @@ class Tree:
 def read_tree(text: str, place: str, has_lines: bool = True) -> Tree:
     """Read a YAML document.
 
-    Args:
-        text: the document.
-        place: the file's name, or the ``--set``: named in errors.
-        has_lines: whether errors name the line, too.
-
-    Raises:
-        DeploymentError: it is no YAML, or more than is allowed here.
+    The place is the file's name, or the ``--set``, for errors, which name the line, too, where `has_lines`. Raises
+    `DeploymentError` if the text is no YAML, or more than is allowed here.
     """
     tree = Tree(place, has_lines)
     if len(text) > MAX_TEXT_CHARS:

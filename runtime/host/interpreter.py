@@ -23,8 +23,6 @@ def python_module(module: str, *arguments: str) -> Sequence[str]:
 def python_code(code: str, *arguments: str) -> Sequence[str]:
     """The command that runs code as ``python -c`` does, but for the current folder; see `python_module`.
 
-    Args:
-        code: what is run; ``sys`` is imported.
-        arguments: are ``sys.argv[:]``, with nothing before them.
+    ``sys`` is imported, and the arguments are ``sys.argv[:]``, with nothing before them.
     """
     return [sys.executable, "-c", f"{_BEGIN}{code}", *arguments]

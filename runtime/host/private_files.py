@@ -40,18 +40,10 @@ class HeldError(HieraxError):
 
 @contextmanager
 def private_folder(path: Path, make: bool = False) -> Iterator[int]:
-    """A folder that nobody but this user can put anything into, nor into those above it, open.
+    """A folder that nobody but this user can put anything into, nor into those above it, open for `open_private`.
 
-    Args:
-        path: of it.
-        make: whether it is made, and those above it, where they lack; for this user alone.
-
-    Yields:
-        A descriptor, for `open_private`.
-
-    Raises:
-        UnsafeFileError: it or a folder above it is another user's, or others may write there.
-        OSError: it cannot be opened or made.
+    `make` has it made, and those above it, where they lack, for this user alone. Raises `UnsafeFileError` if it or a
+    folder above it is another user's, or others may write there, and `OSError` if it cannot be opened or made.
     """
     folder = _walked(path, make)
     try:
@@ -67,37 +59,26 @@ def private_folder(path: Path, make: bool = False) -> Iterator[int]:
 
 
 def open_private(folder: int, name: str, flags: int, path: Path) -> int:
-    """Open a file of this user alone; one that others could read is theirs no more.
+    """Open a file of this user alone in a `private_folder`; one that others could read is theirs no more.
 
-    Args:
-        folder: where it is, as `private_folder` gives it.
-        name: of the file.
-        flags: as `os.open` has them.
-        path: what errors name.
-
-    Raises:
-        UnsafeFileError: it is a link, no regular file, or another user's.
-        OSError: it cannot be opened.
+    The flags are those of `os.open`, and errors name the path. Raises `UnsafeFileError` if it is a link, no regular
+    file, or another user's, and `OSError` if it cannot be opened.
     """
     with _links_named(path):
         file = os.open(name, flags & ~os.O_TRUNC | _AT_ONCE, FILE_MODE, dir_fd=folder)
-    try:
+    with _closed_on_error(file):
         if _own(file, path).st_mode & 0o077:
             os.fchmod(file, FILE_MODE)
         if flags & os.O_TRUNC:
             os.ftruncate(file, 0)
-    except BaseException:
-        os.close(file)
-        raise
     return file
 
 
 def read_private(path: Path) -> bytes:
     """What is in a private file.
 
-    Raises:
-        UnsafeFileError: it, or its folder, is not of this user alone; or it is very large.
-        OSError: it cannot be read.
+    Raises `UnsafeFileError` if it, or its folder, is not of this user alone, or it is very large; `OSError` if it
+    cannot be read.
     """
     with private_folder(path.parent) as folder:
         file = open_private(folder, path.name, os.O_RDONLY, path)
@@ -111,9 +92,7 @@ def read_private(path: Path) -> bytes:
 def write_private(path: Path, content: bytes) -> None:
     """Write a private file, whole or not at all; its folder is made where it lacks.
 
-    Raises:
-        UnsafeFileError: its folder is not of this user alone.
-        OSError: it cannot be written.
+    Raises `UnsafeFileError` if its folder is not of this user alone, and `OSError` if it cannot be written.
     """
     unfinished = f".{path.name}.{token_hex(4)}.tmp"
     with private_folder(path.parent, make=True) as folder:
@@ -131,33 +110,19 @@ def write_private(path: Path, content: bytes) -> None:
 def open_result(path: Path | str, append: bool = False, private: bool = False) -> int:
     """Open a file that a run writes for its user, to be read and written; what is in it stays.
 
-    Args:
-        path: of the file, in a folder that is there.
-        append: whether everything goes to its end.
-        private: whether it is for this user alone.
-
-    Raises:
-        UnsafeFileError: it is a link, no regular file, or another user's.
-        OSError: it cannot be opened.
+    Its folder is there. `append` has everything go to its end; `private` has it for this user alone. Raises
+    `UnsafeFileError` if it is a link, no regular file, or another user's, and `OSError` if it cannot be opened.
     """
     flags = os.O_RDWR | os.O_CREAT | _AT_ONCE | (os.O_APPEND if append else 0)
     with _links_named(path):
         file = os.open(path, flags, FILE_MODE if private else 0o666)
-    try:
+    with _closed_on_error(file):
         _own(file, path)
-    except BaseException:
-        os.close(file)
-        raise
     return file
 
 
 def write_result(path: Path, content: bytes) -> None:
-    """Write a file for the user; what was in it is gone.
-
-    Raises:
-        UnsafeFileError: it is a link, no regular file, or another user's.
-        OSError: it cannot be written.
-    """
+    """Write a file for the user; what was in it is gone. Raises as `open_result` does."""
     with os.fdopen(open_result(path), "wb") as file:
         file.truncate(0)
         file.write(content)
@@ -166,12 +131,7 @@ def write_result(path: Path, content: bytes) -> None:
 def hold(file: int, told: Callable[[str], HieraxError]) -> None:
     """Have an open file for this process, and those that inherit it, alone; until it is closed or they have ended.
 
-    Args:
-        file: its descriptor.
-        told: the error, given who has it.
-
-    Raises:
-        HieraxError: another process has it.
+    Raises what `told` gives for who has it, if another process has it.
     """
     try:
         fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
@@ -188,11 +148,8 @@ def _walked(path: Path, make: bool) -> int:
         while left:
             name = left.pop()
             inner = _inner(folder, name, make)
-            try:
+            with _closed_on_error(inner):
                 target = _target(inner, name, path, is_last=not left)
-            except BaseException:
-                os.close(inner)
-                raise
             if not target:
                 os.close(folder)
                 folder = inner
@@ -223,8 +180,7 @@ def _parts(path: str) -> list[str]:
 def _target(inner: int, name: str, path: Path, *, is_last: bool) -> str:
     """Where what is on the way to a folder leads to, if it is a link; empty: it is a folder.
 
-    Raises:
-        UnsafeFileError: another user could have it lead elsewhere.
+    Raises `UnsafeFileError` if another user could have it lead elsewhere.
     """
     found = os.fstat(inner)
     is_link = stat.S_ISLNK(found.st_mode)
@@ -260,6 +216,15 @@ def _own(file: int, path: Path | str) -> os.stat_result:
     if found.st_uid != os.geteuid():
         raise UnsafeFileError(f"{path} belongs to another user (uid {found.st_uid})")
     return found
+
+
+@contextmanager
+def _closed_on_error(file: int) -> Iterator[None]:
+    try:
+        yield
+    except BaseException:
+        os.close(file)
+        raise
 
 
 @contextmanager

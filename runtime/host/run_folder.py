@@ -32,13 +32,8 @@ def run_folder(run: str) -> Path:
 def begin_run(run: str, about: Mapping[str, Any]) -> Path:
     """Make the folder of a launch that begins, and remove those of old ones.
 
-    Args:
-        run: its identification.
-        about: what is told of it, as JSON; ``pid`` is that of the supervisor.
-
-    Raises:
-        OSError: it cannot be made.
-        UnsafeFileError: others may write there.
+    `about` is told of it, as JSON; ``pid`` is that of the supervisor. Raises `OSError` if it cannot be made, and
+    `UnsafeFileError` if others may write there.
     """
     folder = run_folder(run)
     with private_folder(folder / LOGS, make=True):

@@ -47,14 +47,9 @@ def key_file() -> Path:
 
 
 def seal(what: str, content: Mapping[str, Any]) -> str:
-    """The seal of something that this user writes.
+    """The seal of a `RECORDING` or `STATE` that this user writes, of all that it says, as JSON.
 
-    Args:
-        what: `RECORDING` or `STATE`.
-        content: all that it says, as JSON.
-
-    Raises:
-        NoKeyError: none can be kept, so nothing can be sealed.
+    Raises `NoKeyError` if none can be kept, so that nothing can be sealed.
     """
     return _sealed(what, content, _key(make=True))
 
@@ -74,12 +69,9 @@ def _warn(text: str) -> None:
 
 
 def is_sealed(what: str, content: Mapping[str, Any], given: str) -> bool:
-    """Whether this user has written something on this machine, and nobody has changed it since.
+    """Whether this user has written a `RECORDING` or `STATE` on this machine, and nobody has changed it since.
 
-    Args:
-        what: `RECORDING` or `STATE`.
-        content: all that it says, without its seal.
-        given: its seal; empty: it has none.
+    The content is all that it says but for its seal, which is empty if it has none.
     """
     if not given:
         return False

@@ -54,13 +54,7 @@ HELD_STEPS = 10_000
 
 
 class Violation(NamedTuple):
-    """Where the formal order is broken.
-
-    Attributes:
-        rule: which one, as listed above.
-        epoch, attempt: when.
-        what: who and how.
-    """
+    """Where the formal order is broken: the rule, as listed above, when, and who did what."""
 
     rule: str
     epoch: int
@@ -103,15 +97,11 @@ class _PortLog:
 
 
 class Checker:
-    """Sees all that is recorded, as it comes, and says what breaks the order.
-
-    Args:
-        staleness: of the run.
+    """Sees all that is recorded of a run of this staleness, as it comes, and says what breaks the order.
 
     Attributes:
         violations: what was found so far, the first ones.
-        epochs: how many commits were seen.
-        checked: how many steps were checked.
+        epochs, checked: how many commits were seen, and how many steps were checked.
     """
 
     def __init__(self, staleness: Staleness = BARRIER) -> None:

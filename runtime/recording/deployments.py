@@ -20,14 +20,9 @@ from hierax.schemas.roster import Reference, Roster
 
 
 def recorded_deployment(info: RunInfo, settings: Sequence[str] = ()) -> Deployment:
-    """The deployment as it was recorded, whether or not its file is still there.
+    """The deployment as it was recorded, whether or not its file is still there, with further settings (``--set``).
 
-    Args:
-        info: of the recording.
-        settings: further ones, as ``--set`` has them.
-
-    Raises:
-        DeploymentError: a setting is wrong.
+    Raises `DeploymentError` if a setting is wrong.
     """
     with tempfile.TemporaryDirectory(prefix="hierax-") as folder:
         path = Path(folder) / (Path(info.deployment).name or "deployment")
@@ -41,14 +36,9 @@ def recorded_deployment(info: RunInfo, settings: Sequence[str] = ()) -> Deployme
 
 
 def allowance_of(recording: Recording, trust: bool = False) -> Allowance:
-    """Which code may be loaded to do a recording again.
+    """Which code may be loaded to do a recording again; all that it names, whoever has written it, where it is trusted.
 
-    Args:
-        recording: open.
-        trust: whether that is all that it names, whoever has written it.
-
-    Raises:
-        RecordingError: it is not known to be this user's own, and not trusted.
+    Raises `RecordingError` if it is not known to be this user's own, and not trusted.
     """
     if trust:
         return ANYTHING
@@ -62,11 +52,8 @@ def other_settings(info: RunInfo, settings: Sequence[str], classes: Mapping[str,
 
     Args:
         info: of the recording.
-        settings: as ``--set`` has them, of the deployment file.
+        settings: as ``--set`` has them, of the deployment file; `DeploymentError` is raised if one is wrong.
         classes: ``package.module:Class`` by node.
-
-    Raises:
-        DeploymentError: a setting is wrong.
     """
     if not settings and not classes:
         return None
@@ -79,12 +66,7 @@ def other_settings(info: RunInfo, settings: Sequence[str], classes: Mapping[str,
 
 
 def in_place_of(recorded: Roster, deployment: Deployment) -> Rewrite:
-    """What replays a recording with a deployment in the place of its own.
-
-    Args:
-        recorded: the recording's first roster.
-        deployment: the other one.
-    """
+    """What replays a recording, whose first roster is given, with a deployment in the place of its own."""
     content, other = recorded.content(), deployment.roster
     rewrite = rewriting(recorded, other)
 
@@ -97,11 +79,7 @@ def in_place_of(recorded: Roster, deployment: Deployment) -> Rewrite:
 
 
 def check_classes(rosters: Mapping[int, Roster], classes: Mapping[str, str]) -> None:
-    """Whether there are the nodes that get another class.
-
-    Raises:
-        RecordingError: there is no such node; with the nearest one.
-    """
+    """See that there are the nodes that get another class; `RecordingError` names the nearest one of one that lacks."""
     names = {name for roster in rosters.values() for name in roster.nodes}
     for name in classes:
         if name not in names:

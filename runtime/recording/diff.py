@@ -1,8 +1,8 @@
 """The first place where two runs differ: epoch, node or edge, operator, and field.
 
-In each epoch results are compared in the formal order: upward each node's `observe` and
-its edges' `sense`, downward its `select_policy`, policy, `task`, `predict` and `context`.
-So everything that went into the first one that differs was the same.
+In each epoch results are compared in the formal order: upward each node's `observe` and its edges' `sense`, downward
+its `select_policy`, policy, `task`, `predict` and `context`. So everything that went into the first one that differs
+was the same.
 """
 
 from __future__ import annotations
@@ -65,15 +65,12 @@ class EpochView(Protocol):
 
 
 class Difference(NamedTuple):
-    """Where two runs differ first.
+    """Where two runs differ first: in which epoch, at which path of a field, and what is there in each run.
 
     Attributes:
-        epoch: in which one.
         subject: the node, or the edge as ``lower->upper``.
-        operator: whose result differs: an operator, a policy as ``policy NAME``, an edge function;
-            ``time`` and ``digest`` where that is all that does.
-        path: of the field.
-        a, b: what is there.
+        operator: whose result differs: an operator, a policy as ``policy NAME``, an edge function; ``time`` and
+            ``digest`` where that is all that does.
     """
 
     epoch: int
@@ -98,12 +95,10 @@ class Comparison:
     """What became of a comparison of two runs.
 
     Attributes:
-        epochs: how many there are on both sides.
-        equal: how many were equal, up to the first difference.
-        last: the last one that was compared; 0: none.
-        difference: the first one.
-        rosters: where the rosters differ, the first time that they do.
-        unknown: results that one of both did not tell, and so were not compared.
+        epochs, equal: how many there are on both sides, and how many of them were equal, up to the first difference.
+        last: the last epoch that was compared; 0: none.
+        difference, rosters: the first one; where the rosters differ, the first time that they do.
+        unknown: how many results one of both did not tell, so that they were not compared.
         digests: how many digests were compared.
     """
 
@@ -122,12 +117,10 @@ class Comparison:
 
 
 def compare(a: Iterable[EpochView], b: Iterable[EpochView], tolerance: float = 0.0, digests: bool = True) -> Comparison:
-    """Compare the epochs that both have, up to the first difference.
+    """Compare the epochs that both have, in the order of their numbers, up to the first difference.
 
-    Args:
-        a, b: in the order of their numbers.
-        tolerance: of numbers, as `first_unlike` has it; with one digests are not compared.
-        digests: whether the runs' digests are compared, where the rosters were equal so far.
+    With a tolerance of numbers, as `first_unlike` has it, the runs' digests are not compared; else they are where
+    `digests` says so and the rosters were equal so far.
     """
     result = Comparison()
     for left, right in _paired(iter(a), iter(b)):

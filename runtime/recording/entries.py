@@ -16,11 +16,9 @@ class Entry(NamedTuple):
     """Something that was recorded.
 
     Attributes:
-        key: on which it came.
-        topic: the key, taken apart.
+        key, topic: on which it came, as it was and taken apart.
         time_ns: when, since 1970.
         epoch: of it, modulo 2³²; 0: of none.
-        data: its bytes.
     """
 
     key: str
@@ -62,13 +60,7 @@ class Entry(NamedTuple):
 
 
 class Fault(NamedTuple):
-    """Something that happened to a process.
-
-    Attributes:
-        time_ns: when, since 1970.
-        what: in words.
-        node: whose process; empty: the words say it.
-    """
+    """Something that happened to a process, in words, and when, since 1970. Without a node the words say whose."""
 
     time_ns: int
     what: str

@@ -35,15 +35,14 @@ class InProcess:
     """Hands what is said between the nodes of one process to a recorder.
 
     Args:
-        deployment: what is run.
-        seed: of the run.
+        deployment, seed: what is run.
         settings: with which the deployment was read.
         file: to be written; None: none.
         check: whether the formal order is checked.
         selection: what is written of what is said.
 
     Attributes:
-        checker: what checks it; None: nothing.
+        checker: what checks the order; None: nothing.
         ending: how the recording ended; None: it goes on.
 
     Raises:
@@ -78,13 +77,7 @@ class InProcess:
         self._recorder.flush()
 
     def watch(self, name: str, runner: NodeRunner, roster: Callable[[], Roster] | None) -> None:
-        """Have a node tell its steps.
-
-        Args:
-            name: of the node.
-            runner: of the node.
-            roster: of the world: gives the roster in force; None for other nodes.
-        """
+        """Have a node tell its steps; `roster` is given for the world alone, and gives the roster in force."""
         tell_step, tell_roster = partial(self._take, self._keys.steps(name)), partial(self._take, self._keys.roster)
         runner.watch(Witness(name, lambda: runner.engine, _Sink(tell_step, tell_roster), roster))
 

@@ -37,20 +37,15 @@ class RunInfo:
     """What is recorded.
 
     Attributes:
-        hierarchy: its name.
-        run: identification of the run.
-        mode: ``launch`` or ``run``.
-        seed: of the run.
+        hierarchy, run, mode, seed: the hierarchy's name, the run's identification, ``launch`` or ``run``, and its seed.
         staleness, exact: as the deployment has them.
-        deployment: path of the deployment file.
-        deployment_text: what it said, but for what is secret.
+        deployment, deployment_text: path of the deployment file, and what it said, but for what is secret.
         settings: with which it was read; of secret ones the paths alone.
         import_paths: where the deployment's own modules were looked for.
         from_start: whether the recording begins with the run.
         left_out: patterns of the keys that are not recorded, as `hierax.runtime.recording.selection` has them.
         started_ns: when it began, since 1970.
-        machine: what it was recorded on.
-        versions: of hierax and what it uses.
+        machine, versions: what it was recorded on; the versions of hierax and what it uses.
         format: of the recording.
         modules: from which code may be loaded, as `hierax.runtime.loading.allowance.Allowance` has them.
         seal: of all that, by the user who has recorded it; empty: there is none.
@@ -119,8 +114,7 @@ class RunInfo:
     def read(plain: Mapping[str, Any]) -> RunInfo:
         """From a value; fields of later versions are left out.
 
-        Raises:
-            RecordingError: it is of another format, or a field lacks or is something else.
+        Raises `RecordingError` if it is of another format, or a field lacks or is something else.
         """
         if plain.get("format") not in READ:
             read = " and ".join(map(str, READ))
@@ -138,13 +132,7 @@ class RunInfo:
 
 @dataclass(frozen=True)
 class Gap:
-    """Something that was said in the run and is not in the recording.
-
-    Attributes:
-        epoch: of which epoch.
-        what: in words: whose message or step.
-        count: how many.
-    """
+    """So many things (a node's messages or steps, in words) that were said in an epoch and are not in the recording."""
 
     epoch: int
     what: str
@@ -209,14 +197,9 @@ def to_metadata(plain: Mapping[str, Any]) -> dict[str, str]:
 
 
 def from_metadata(metadata: Mapping[str, str], texts: Sequence[str] = ()) -> dict[str, Any]:
-    """The map that metadata was made from.
+    """The map that metadata of a file was made from, where the values of some names are texts.
 
-    Args:
-        metadata: of the file.
-        texts: the names of values that are text.
-
-    Raises:
-        RecordingError: it is no such metadata.
+    Raises `RecordingError` if it is no such metadata.
     """
     try:
         return {name: text if name in texts else json.loads(text) for name, text in metadata.items()}

@@ -1,7 +1,7 @@
 """The ledger of a recording: what was said, by the words of those who said and heard it, against what was recorded.
 
-Every step names the messages that went in and out at its node's port, and counts the
-steps. So what lacks is known whoever has lost it, and how.
+Every step names the messages that went in and out at its node's port, and counts the steps. So what lacks is known
+whoever has lost it, and how.
 """
 
 from __future__ import annotations
@@ -151,8 +151,7 @@ class Ledger:
     def close(self, last: int | None = None) -> tuple[tuple[Gap, ...], int]:
         """What lacks, the first ones, and how much in all; after the end.
 
-        Args:
-            last: an epoch that every node has done, the last one of a run; None: not known.
+        With `last`, the last epoch of a run, every node is known to have done all epochs up to it.
         """
         first = self.first
         for name in sorted(self._names if last is not None else ()):

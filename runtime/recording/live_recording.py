@@ -50,16 +50,11 @@ class LiveRecording:
     """A recorder at work: hears a run, until it is told to stop.
 
     Args:
-        info: of the run.
-        endpoint: of the run's hub.
-        file: to be written; None: none.
-        check: whether the formal order is checked.
+        info, endpoint: of the run, and of its hub.
+        file, check, epochs, compression, selection: as `open_recorder` has them.
         settings: Zenoh's own.
         host: of this machine, for processes on others.
-        epochs: how many; None: until it is told to stop.
-        compression: of the file.
         watches: whether nobody else tells when the launch is over, and how far it came.
-        selection: what is written of what is heard.
 
     Raises:
         HieraxError: the file cannot be written, or the run cannot be reached.
@@ -91,8 +86,7 @@ class LiveRecording:
     def stop(self, last: int | None = None) -> None:
         """Come to the end; any thread may call it, and a signal's handler.
 
-        Args:
-            last: the last epoch of the run; None: it goes on, or nobody knows.
+        `last` is the last epoch of the run; None: it goes on, or nobody knows.
         """
         if last is not None:
             self._last = last
@@ -101,8 +95,7 @@ class LiveRecording:
     def record(self) -> Ending:
         """Hear and write until `stop`, the last epoch that is wanted, or the end of the launch.
 
-        Raises:
-            RecordingError: the file cannot be written.
+        Raises `RecordingError` if the file cannot be written.
         """
         recorder, ledger = self._recorder, self._recorder.ledger
         looked_s = time.monotonic()

@@ -32,13 +32,11 @@ class Recorder:
     Args:
         file: where it is written; None: nowhere.
         checker: sees everything as well, as it comes; None: the formal order is not checked.
-        from_start: whether it begins with the run.
-        epochs: how many are recorded; None: all.
+        from_start, epochs: as the `Ledger` has them.
         barrier: whether every node does every epoch.
         selection: what is written of what comes; the checker sees all.
 
     Attributes:
-        checker: as it was given.
         ledger: its account.
         cut: by which option of the selection nothing more is written; empty: by none.
     """
@@ -85,12 +83,7 @@ class Recorder:
             self._keep_bounds(self._file, heard.time_ns, epoch, len(data))
 
     def drop(self, key: str, data: bytes) -> None:
-        """Something was heard, but there was no room for it.
-
-        Args:
-            key: on which it came.
-            data: its beginning.
-        """
+        """Something was heard on a key, but there was no room for it; `data` is its beginning."""
         topic = topic_of(key)
         if topic is None:
             return
@@ -115,13 +108,9 @@ class Recorder:
             self._file.flush()
 
     def finish(self, last: int | None = None) -> Ending:
-        """Nothing more comes.
+        """Nothing more comes; `last` is the last epoch of the run, None if it is not known.
 
-        Args:
-            last: the last epoch of the run; None: not known.
-
-        Raises:
-            RecordingError: the file cannot be written.
+        Raises `RecordingError` if the file cannot be written.
         """
         ledger = self.ledger
         if self.cut and last is not None and ledger.cut is not None:
@@ -219,17 +208,10 @@ def open_recorder(
     epochs: int | None = None,
     compression: Compression = "zstd",
 ) -> Recorder:
-    """A recorder of a run.
+    """A recorder that writes a file, if one is given, and checks the formal order, if that is wanted.
 
-    Args:
-        info: of the run.
-        file: to be written; None: none.
-        check: whether the formal order is checked.
-        selection, epochs: as `Recorder` has them.
-        compression: of the file.
-
-    Raises:
-        RecordingError: the file cannot be written.
+    The selection and the number of epochs are as `Recorder` has them. Raises `RecordingError` if the file cannot be
+    written.
     """
     info = replace(info, left_out=tuple(selection.exclude))
     written = None if file is None else McapFile(file, info, compression)

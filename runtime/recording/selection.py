@@ -27,8 +27,7 @@ class Selection:
 
     Attributes:
         exclude: patterns of keys, as `leaves_out` has them.
-        max_bytes: how large the file may become; None: as large as it does.
-        max_duration_s: how long is recorded, in seconds; None: as long as the run lasts.
+        max_bytes, max_duration_s: how large the file may become, and how many seconds are recorded; None: no bound.
     """
 
     exclude: Sequence[str] = ()
@@ -51,11 +50,8 @@ EVERYTHING = Selection()
 def check_pattern(pattern: str) -> str:
     """A pattern of keys to be left out, such as ``obs/camera/*``.
 
-    Its parts stand for those of a key, with ``*`` for anything in one and ``?`` for any letter;
-    ``**`` at its end stands for all that is left.
-
-    Raises:
-        RecordingError: no key that may be left out is like it.
+    Its parts stand for those of a key, with ``*`` for anything in one and ``?`` for any letter; ``**`` at its end
+    stands for all that is left. Raises `RecordingError` if no key that may be left out is like it.
     """
     head = pattern.split("/")[0]
     if "" in pattern.split("/") or not any(head == "**" or fnmatchcase(kind, head) for kind in KINDS):

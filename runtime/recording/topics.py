@@ -76,8 +76,7 @@ class MessageSummary(NamedTuple):
 def glance(data: bytes) -> MessageSummary:
     """Read a message's header and nothing of its payload, however large.
 
-    Raises:
-        SchemaError: the bytes do not begin like a message.
+    Raises `SchemaError` if the bytes do not begin like a message.
     """
     unpacker = msgpack.Unpacker()
     unpacker.feed(data[:_GLANCED_BYTES])

@@ -33,11 +33,9 @@ Line = tuple[str, str, str]
 
 @dataclass(frozen=True)
 class NodeTrace:
-    """What a node did in an epoch; values are decoded when they are asked for.
+    """What a node did in an epoch, as it was told; values are decoded when they are asked for.
 
-    Attributes:
-        step: as it was told.
-        place: of the recording, for errors: `SchemaError` where a value is none.
+    Where a value is none, `SchemaError` names the place of the recording.
     """
 
     step: NodeStep
@@ -69,12 +67,11 @@ class EpochTrace:
     Attributes:
         epoch, attempt: which one, and which attempt of it was committed.
         roster: under which it was done.
-        nodes: what each node did, by name; one that is not told of lacks: its process died first, or, where
-            epochs overlap, it left the epoch out.
+        nodes: what each node did, by name; one that is not told of lacks: its process died first, or, where epochs
+            overlap, it left the epoch out.
         lines: messages as bytes, by kind, sender and receiver, then by attempt.
-        digest: of the run; empty: not told.
+        digest, previous: of the run, after this epoch and after the one before; empty: not told.
         heard_ns: when the world told of it, since 1970; 0: it did not.
-        previous: the run's digest of the epoch before; empty: not told.
         place: of the recording, for errors: `SchemaError` where a message is none.
     """
 
@@ -111,12 +108,7 @@ class EpochTrace:
         return order_of(self.roster)
 
     def elements(self, kind: str, sender: str, receiver: str, attempt: int | None = None) -> Elements | None:
-        """What a message held; None: it was not recorded.
-
-        Args:
-            kind, sender, receiver: of the message.
-            attempt: of the epoch; None: the one that was committed.
-        """
+        """What a message of an attempt, by default the one that was committed, held; None: it was not recorded."""
         data = self.lines.get((kind, sender, receiver), {}).get(self.attempt if attempt is None else attempt)
         return None if data is None else self.message(data).payload
 
@@ -182,11 +174,9 @@ def check_roster(roster: Roster) -> Roster:
 
 
 class Assembly:
-    """Puts committed epochs together, in order, from entries in the order in which they were heard.
+    """Puts committed epochs of a run of this staleness together, in order, from entries in the order of hearing them.
 
-    Args:
-        staleness: of the run.
-        place: of the recording, for errors.
+    `place` is that of the recording, for errors.
     """
 
     def __init__(self, staleness: Staleness, place: str = "") -> None:
@@ -203,9 +193,8 @@ class Assembly:
     def take(self, entry: Entry) -> bool:
         """Take something in; whether epochs may be whole now.
 
-        Raises:
-            SchemaError: it is not what its key says.
-            HierarchyError: it is a roster that is no hierarchy.
+        Raises `SchemaError` if it is not what its key says, and `HierarchyError` if it is a roster that is no
+        hierarchy.
         """
         what = entry.topic.what
         if what == ROSTER:

@@ -16,12 +16,7 @@ ABSENT = "(absent)"
 
 
 class Unlike(NamedTuple):
-    """The first place where two values differ.
-
-    Attributes:
-        path: of the field, such as ``belief.pose[3]``.
-        a, b: what is there.
-    """
+    """The first place where two values differ: the field's path, such as ``belief.pose[3]``, and what is there."""
 
     path: str
     a: Value
@@ -31,11 +26,8 @@ class Unlike(NamedTuple):
 def first_unlike(a: Value, b: Value, path: str, tolerance: float = 0.0) -> Unlike | None:
     """The first place where two values differ; None: nowhere.
 
-    Args:
-        a, b: the values.
-        path: what they are called.
-        tolerance: numbers are alike that differ by no more than this, or by no more than
-            this share of the greater one; 0: to the bit.
+    Numbers are alike that differ by no more than the tolerance, or by no more than this share of the greater one; 0: to
+    the bit. `path` is what the values are called.
     """
     if tolerance == 0.0 and _encoded(a) == _encoded(b):
         return None

@@ -49,8 +49,7 @@ class Witness(Watcher):
     """Tells a step for each epoch that a node completes.
 
     Args:
-        name: of the node.
-        engine: gives the node's engine, which may not be there yet.
+        name, engine: the node's name; what gives its engine, which may not be there yet.
         teller: where steps go.
         roster: of the world: gives the roster in force; None for other nodes.
     """

@@ -40,14 +40,10 @@ class Target:
 
 @contextmanager
 def claimed(path: Path, overwrite: bool = False) -> Iterator[Target]:
-    """Have the file of a recording for oneself; one that nothing was written into does not stay.
+    """Have the file of a recording for oneself; it is made where it lacks, and does not stay if nothing is written.
 
-    Args:
-        path: of the file; made where it lacks.
-        overwrite: whether a recording that is there already is to be replaced.
-
-    Raises:
-        RecordingError: it cannot be written, another process writes it, or there is something that is not replaced.
+    Raises `RecordingError` if it cannot be written, another process writes it, or there is something already that is
+    not replaced (`overwrite` replaces a recording).
     """
     try:
         file = open_result(path)
@@ -68,15 +64,10 @@ def claimed(path: Path, overwrite: bool = False) -> Iterator[Target]:
 
 
 class McapFile:
-    """A recording that is being written. Not for two threads at once.
+    """A recording that is being written, with compressed chunks. Not for two threads at once.
 
-    Args:
-        path: of the file, or what `claimed` gave; what was there is gone.
-        info: of the run.
-        compression: of chunks.
-
-    Raises:
-        RecordingError: the file cannot be written, or the package ``mcap`` lacks.
+    What was in the file, which is a path or what `claimed` gave, is gone. Raises `RecordingError` if it cannot be
+    written, or the package ``mcap`` lacks.
     """
 
     def __init__(self, path: Path | Target, info: RunInfo, compression: Compression = "zstd") -> None:
@@ -97,17 +88,10 @@ class McapFile:
             self._writer.flush()
 
     def add(self, key: str, what: str, time_ns: int, epoch: int, data: bytes) -> None:
-        """Add what came on a key.
+        """Add the bytes that came on a key, which is the channel's name, at a time since 1970.
 
-        Args:
-            key: the channel's name.
-            what: it is, as `hierax.runtime.recording.topics` has it.
-            time_ns: when it came, since 1970.
-            epoch: of it; 0: of none.
-            data: its bytes.
-
-        Raises:
-            RecordingError: the file cannot be written.
+        `what` is one of the kinds of `hierax.runtime.recording.topics`, and epoch 0 stands for none. Raises
+        `RecordingError` if the file cannot be written.
         """
         channel = self._channels.get(key)
         with self._mapped():

@@ -8,6 +8,7 @@ from __future__ import annotations
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -24,15 +25,11 @@ if TYPE_CHECKING:
     from hierax.runtime.testing.runs import Ran
 
 
+@dataclass(frozen=True)
 class Runs:
-    """What the fixture `hierax_run` gives: call it to run a hierarchy in this process.
+    """What the fixture `hierax_run` gives: call it to run a hierarchy in this process."""
 
-    Args:
-        folder: of the test's file, where deployment files are looked for first.
-    """
-
-    def __init__(self, folder: Path) -> None:
-        self._folder = folder
+    folder: Path
 
     def __call__(
         self,
@@ -63,9 +60,7 @@ class Runs:
             raise TypeError("hierax_run: expected a deployment or nodes, one of them")
         if nodes is not None:
             return run_hierarchy(nodes, edges, world=world, epochs=1 if epochs is None else epochs, seed=seed)
-        beside = self._folder / str(deployment)
-        file = beside if beside.is_file() else Path(str(deployment))
-        return run_deployment(file, epochs=epochs, seed=seed, settings=set)
+        return run_deployment(_found(self.folder, str(deployment)), epochs=epochs, seed=seed, settings=set)
 
 
 class NodeRuns:
@@ -81,16 +76,13 @@ class NodeRuns:
         epochs: int | None = None,
         seed: int = 0,
     ) -> list[Step]:
-        """Run a node by itself, and check that it is one (`hierax.runtime.testing.node.check_node`).
+        """Run a node by itself, check that it is one (`hierax.runtime.testing.node.check_node`), and give what it did.
 
         Args:
             node: of one's own.
             observations, tasks, context: what it is given in the first epoch, the second one, …
             epochs: how many; by default as many as there are inputs.
             seed: of its random numbers.
-
-        Returns:
-            What it did in each epoch.
         """
         from hierax.runtime.testing.node import check_node
 
@@ -98,15 +90,11 @@ class NodeRuns:
         return check_node(node, observations=observations, tasks=tasks, context=context, epochs=count, seed=seed)
 
 
+@dataclass(frozen=True)
 class Recordings:
-    """What the fixture `hierax_recorded` gives: call it for a node in a recording.
+    """What the fixture `hierax_recorded` gives: call it for a node in a recording."""
 
-    Args:
-        folder: of the test's file, where recordings are looked for first.
-    """
-
-    def __init__(self, folder: Path) -> None:
-        self._folder = folder
+    folder: Path
 
     def __call__(self, file: str | Path, node: str, *, epochs: int | None = None, trust: bool = False) -> Recorded:
         """A node with the inputs that it had in a recording: `run` and `check` do its epochs again.
@@ -122,8 +110,12 @@ class Recordings:
         """
         from hierax.runtime.testing.recorded import read_recorded
 
-        beside = self._folder / str(file)
-        return read_recorded(beside if beside.is_file() else file, node, epochs, trust)
+        return read_recorded(_found(self.folder, file), node, epochs, trust)
+
+
+def _found(folder: Path, file: str | Path) -> Path:
+    """A file beside the test, else in the current folder."""
+    return folder / file if (folder / file).is_file() else Path(file)
 
 
 @pytest.fixture

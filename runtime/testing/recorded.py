@@ -34,14 +34,10 @@ class Recorded:
     """A node in a recording.
 
     Attributes:
-        name: of the node.
-        reference: its class and parameters.
-        below, above: its neighbours.
-        seed: of the run.
-        allowance: which code may be loaded.
+        name, reference, below, above: the node, its class and parameters, and its neighbours.
+        seed, allowance: of the run, and which code may be loaded.
         inputs: what it was given in each epoch.
-        start: its state before the first of them.
-        states: its state after each of them.
+        start, states: its state before the first of them, and after each of them.
     """
 
     name: str
@@ -60,13 +56,9 @@ class Recorded:
         return [state.belief for state in self.states]
 
     def run(self, node: Node | None = None) -> list[Step]:
-        """Do the epochs again, one node alone.
+        """Do the epochs again, one node alone: the recorded one, its class with its parameters, or another one.
 
-        Args:
-            node: in the place of the recorded one; None: its class, with its parameters.
-
-        Raises:
-            HieraxError: it cannot be loaded, or failed.
+        Raises `HieraxError` if it cannot be loaded, or failed.
         """
         made = build_node(self.reference, f"nodes.{self.name}", self.allowance) if node is None else node
         bound = BoundNode(self.name, made, self.below, self.above, OperatorSetting(self.seed, wait_for))
@@ -82,13 +74,9 @@ class Recorded:
         return steps
 
     def check(self, node: Node | None = None) -> list[Step]:
-        """Do the epochs again, and see that they are as recorded, to the bit.
+        """Do the epochs again, as `run` does, and see that they are as recorded, to the bit.
 
-        Args:
-            node: as `run` has it.
-
-        Raises:
-            AssertionError: they are not; says in which epoch, and where.
+        Raises `AssertionError` if they are not; says in which epoch, and where.
         """
         steps = self.run(node)
         for step, state in zip(steps, self.states, strict=True):
@@ -101,11 +89,9 @@ class Recorded:
 
 
 def read_recorded(file: str | Path, name: str, epochs: int | None = None, trust: bool = False) -> Recorded:
-    """A node's inputs in a recording.
+    """The inputs of the node of a name in a recording.
 
     Args:
-        file: of the recording.
-        name: of the node.
         epochs: how many at most; None: all.
         trust: whether the code that it names is loaded also where it is not known to be this user's own.
 

@@ -63,10 +63,9 @@ class Ran:
 def run_deployment(
     file: str | Path, *, epochs: int | None = None, seed: int = 0, settings: Mapping[str, Any] | None = None
 ) -> Ran:
-    """Run a deployment file in this process.
+    """Run a deployment file, or the shipped deployment of a name, in this process.
 
     Args:
-        file: its path, or the name of a shipped deployment.
         epochs: how many; None: what the file says, or until the world has finished.
         seed: of all random numbers, and of the order of delivery.
         settings: as ``--set`` has them, by path.
@@ -85,11 +84,9 @@ def run_deployment(
 def run_hierarchy(
     nodes: Mapping[str, Node], edges: Sequence[Edge], *, world: str = "world", epochs: int = 1, seed: int = 0
 ) -> Ran:
-    """Run nodes and edges that a test has made.
+    """Run nodes, by name, and edges (`hierax.runtime.core.hierarchy.Edge`, with functions) that a test has made.
 
     Args:
-        nodes: by name.
-        edges: `hierax.runtime.core.hierarchy.Edge`, with functions.
         world: the name of N₀.
         epochs: how many at most; fewer where the world has finished.
         seed: as `run_deployment` has it.

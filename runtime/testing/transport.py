@@ -89,11 +89,8 @@ def _carries(ports: Mapping[str, Port], payloads: Sequence[tuple[Value, ...]]) -
     sent: dict[str, list[bytes]] = {name: [] for name in ports}
     for number, payload in enumerate(payloads, start=1):
         for lower, upper in EDGES:
-            for kind, sender, receiver in (
-                (OBSERVATIONS, lower, upper),
-                (TASKS, upper, lower),
-                (CONTEXT, upper, lower),
-            ):
+            lines = ((OBSERVATIONS, lower, upper), (TASKS, upper, lower), (CONTEXT, upper, lower))
+            for kind, sender, receiver in lines:
                 header = Header(kind, sender, receiver, number, 2, 3, 0, 0.25, bytes(range(32)), {"trace": number})
                 ports[sender].send(Message(header, payload))
                 sent[receiver].append(encode_message(Message(header, payload)))
@@ -145,15 +142,11 @@ def _can_be_interrupted(ports: Mapping[str, Port]) -> None:
     assert receive(port) is None, "interrupted, but something came"
 
 
-def _note(mended: list[tuple[str, str]], name: str, neighbour: str) -> None:
-    mended.append((name, neighbour))
-
-
 def _tells_of(break_link: BreakLink) -> Callable[[Mapping[str, Port]], None]:
     def check(ports: Mapping[str, Port]) -> None:
         mended: list[tuple[str, str]] = []
         for name, port in ports.items():
-            port.mended = partial(_note, mended, name)
+            port.mended = partial(lambda name, neighbour: mended.append((name, neighbour)), name)
         break_link(ports, "left", "top")
         patience = time.monotonic() + TIMEOUT_S
         while len(mended) < 2 and time.monotonic() < patience:

@@ -19,24 +19,16 @@ MOST_CELLS = 3
 
 @dataclass(frozen=True)
 class Column:
-    """Cells from top to bottom.
-
-    Attributes:
-        cells: of views.
-        share: of the screen's width, beside the other columns' shares.
-    """
+    """Cells of views from top to bottom, and their share of the screen's width, beside the other columns' shares."""
 
     cells: tuple[tuple[View, ...], ...]
     share: float
 
 
 def arranged(views: Mapping[str, View], layout: Layout | None) -> tuple[Column, ...]:
-    """Views in columns.
+    """Views in columns, as the deployment's layout has them, or, without one, by what they hold.
 
-    Args:
-        views: by name.
-        layout: as the deployment wants it; views that it does not name share a further
-            cell at the end. None: a layout by what the views hold.
+    Views that the layout does not name share a further cell at the end.
     """
     if layout is None:
         layout = default_layout(tuple(views.values()))

@@ -31,13 +31,12 @@ STEPS_WAITING = 512
 def show_launch(
     client: LaunchClient, presenter: ViewPresenter, allowance: Allowance, over: Callable[[], bool] = lambda: False
 ) -> int:
-    """Show a launch until it ends.
+    """Show a launch until it ends, or until `over`, which is asked often, says that it was looked at long enough.
 
     Args:
-        client: of the launch.
+        client: asks the launch.
         presenter: shows it.
         allowance: which code may be loaded.
-        over: whether it has been looked at long enough; asked often.
 
     Returns:
         How many steps of nodes were shown.
@@ -49,15 +48,16 @@ def show_launch(
     status = client.status()
     inbox = _Inbox()
     client.listen(client.keys().seen(STEP, "*", "*"), inbox.put)
-    stage = _Stage(presenter, inbox, allowance)
-    asked = _Asked(status.epoch, time.monotonic())
-    stage.set_roster(_ask(client, status, 1))
+    stage = _Stage(presenter, allowance)
+    epoch, asked_s = status.epoch, time.monotonic()
+    stage.set_roster(_ask(client, status, every=1))
     while not over():
-        if time.monotonic() - asked.at_s >= ASK_EVERY_S:
+        if time.monotonic() - asked_s >= ASK_EVERY_S:
             try:
                 status = client.status()
-                every, asked = asked.next(status.epoch)
-                stage.set_roster(_ask(client, status, every))
+                rate_hz = (status.epoch - epoch) / max(time.monotonic() - asked_s, 1e-3)
+                epoch, asked_s = status.epoch, time.monotonic()
+                stage.set_roster(_ask(client, status, every=max(1, ceil(rate_hz / MOST_EPOCHS_PER_S))))
             except TransportError:
                 break  # it has ended
         stage.show(inbox.take(ASK_EVERY_S / 4))
@@ -66,27 +66,11 @@ def show_launch(
     return stage.shown
 
 
-class _Asked:
-    """When the launch was asked last, and which epoch it was in."""
-
-    def __init__(self, epoch: int, at_s: float) -> None:
-        self.epoch = epoch
-        self.at_s = at_s
-
-    def next(self, epoch: int) -> tuple[int, _Asked]:
-        """How many epochs there are to each that can be shown; and what is remembered for the next time."""
-        now_s = time.monotonic()
-        rate = (epoch - self.epoch) / max(now_s - self.at_s, 1e-3)
-        return max(1, ceil(rate / MOST_EPOCHS_PER_S)), _Asked(epoch, now_s)
-
-
 def _ask(client: LaunchClient, status: LaunchStatus, every: int) -> Roster | None:
     """Have all nodes tell their steps for a while; the roster, if the world answers."""
-    answers = client.ask_nodes(status, {"look": "steps", "every": every}, status.nodes)
-    for answer in answers.values():
-        if answer.get("roster") is not None:
-            return Roster.read(answer["roster"])
-    return None
+    answers = client.ask_nodes(status, {"look": "steps", "every": every}, status.nodes).values()
+    rosters = (answer["roster"] for answer in answers if answer.get("roster") is not None)
+    return next(map(Roster.read, rosters), None)
 
 
 class _Inbox:
@@ -115,9 +99,8 @@ class _Inbox:
 class _Stage:
     """Shows steps under the roster that is in force."""
 
-    def __init__(self, presenter: ViewPresenter, inbox: _Inbox, allowance: Allowance) -> None:
+    def __init__(self, presenter: ViewPresenter, allowance: Allowance) -> None:
         self._presenter = presenter
-        self._inbox = inbox
         self._nodes = ShownNodes(allowance)
         self._roster: Roster | None = None
         self._last: tuple[int, int] | None = None

@@ -10,11 +10,7 @@ from hierax.schemas.values import encode_value
 
 
 class ShownNodes:
-    """Builds nodes; one whose class and parameters stay is kept.
-
-    Args:
-        allowance: which code may be loaded.
-    """
+    """Builds the nodes that may be loaded; one whose class and parameters stay is kept."""
 
     def __init__(self, allowance: Allowance) -> None:
         self._allowance = allowance

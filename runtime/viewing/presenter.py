@@ -73,10 +73,9 @@ class ViewPresenter:
     """Puts what nodes show on a canvas.
 
     Args:
-        canvas: where it is drawn.
         layout: of the views; None: one by what they hold.
         together: shows what needs several nodes; None: nothing.
-        tell: told what the user should know, a line each.
+        tell: is given what the user should know, a line each.
     """
 
     def __init__(
@@ -110,8 +109,7 @@ class ViewPresenter:
         """Show what a node did.
 
         Args:
-            name: of the node.
-            node: as it is built; its `show` and `metrics` are called.
+            name, node: the node, as it is built; its `show` and `metrics` are called.
             step: what it did.
             start: the belief that the epoch began in, where that is known and no step before it was shown.
 
@@ -129,13 +127,7 @@ class ViewPresenter:
         self._gather(name, step, figures_text(metrics_of(name, node, step.belief, step.epoch)))
 
     def epoch_took(self, epoch: int, time_s: float, wall_s: float) -> None:
-        """Show how long an epoch took, from its beginning to its commit.
-
-        Args:
-            epoch: which one.
-            time_s: the epoch's time.
-            wall_s: how long, in seconds.
-        """
+        """Show how many seconds an epoch took by the wall's clock, from its beginning to its commit."""
         view = View(EPOCHS, Kind.PLOT)
         self._show(EPOCHS, epoch, time_s, [Placed(view, f"{EPOCHS}/took_ms", "epoch, ms", 1000.0 * wall_s)])
 
@@ -230,12 +222,7 @@ class ViewPresenter:
 
 
 def hierarchy_graph(roster: Roster, figures: Mapping[str, str]) -> Graph:
-    """The hierarchy, the world at the bottom, each node with some figures of its belief.
-
-    Args:
-        roster: nodes and edges.
-        figures: a text for each node, or none.
-    """
+    """The hierarchy, the world at the bottom, each node with some figures of its belief, if there is a text of them."""
     pairs = [(edge.lower, edge.upper) for edge in roster.edges]
     depths: dict[str, int] = {}
     for name in topological_order(roster.nodes, pairs):

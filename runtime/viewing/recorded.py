@@ -28,20 +28,10 @@ def show_recording(
     last: int | None = None,
     progress: Callable[[int], None] = lambda _: None,
 ) -> int:
-    """Show what was recorded.
+    """Show the epochs of a recording from the first to the last one; how many were shown.
 
-    Args:
-        recording: open.
-        presenter: shows it.
-        allowance: which code may be loaded.
-        first, last: epochs; None: all.
-        progress: told the number of each epoch that is shown.
-
-    Returns:
-        How many epochs were shown.
-
-    Raises:
-        HieraxError: the file is damaged, a node cannot be loaded, or what it shows cannot be shown.
+    `progress` is told the number of each of them. Raises `HieraxError` if the file is damaged, a node cannot or may not
+    be loaded, or what it shows cannot be shown.
     """
     playing = _Playing(presenter, allowance)
     shown = 0

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from functools import singledispatch
 from typing import Any
 
 import numpy as np
@@ -46,11 +45,7 @@ Parts = Sequence[tuple[str, Any]]
 
 
 class RerunCanvas(Canvas):
-    """Draws into a stream.
-
-    Args:
-        stream: of Rerun's; it is joined to a viewer or a file before or after.
-    """
+    """Draws into a stream of Rerun's, which is joined to a viewer or a file before or after."""
 
     def __init__(self, stream: rr.RecordingStream) -> None:
         self._stream = stream
@@ -92,135 +87,98 @@ class RerunCanvas(Canvas):
         )
 
     def _parts(self, each: Placed) -> Parts:
+        """What is drawn of a thing; of a mesh whose shape is there already the pose alone."""
         if not isinstance(each.thing, Mesh):
             return archetypes(each.thing)
         shape = self._meshes.get(each.path)
         self._meshes[each.path] = each.thing
-        pose = ("", _transform(each.thing.pose))
-        return [pose] if shape is not None and _same(shape, each.thing) else [pose, ("", _mesh(each.thing))]
+        if shape is not None and _same(shape, each.thing):
+            return [("", _transform(each.thing.pose))]
+        return archetypes(each.thing)
 
 
-@singledispatch
 def archetypes(thing: Thing) -> Parts:
     """A thing as Rerun's archetypes."""
-    return [("", rr.Scalars(float(thing)))]  # type: ignore[arg-type]
+    match thing:
+        case Curve():
+            return [("", rr.Scalars(thing.value))]
+        case str():
+            return [("", rr.TextDocument(thing, media_type=rr.MediaType.MARKDOWN))]
+        case Image():
+            return [("", _compressed(thing.pixels))]
+        case Depth():
+            return [("", _depth(thing))]
+        case Labels():
+            return _labels(thing)
+        case Points2D():
+            radius, labels = rr.Radius.ui_points(thing.radius_px), thing.labels or None
+            return [("", rr.Points2D(thing.points, colors=thing.colour, radii=radius, labels=labels))]
+        case Lines2D():
+            radius = rr.Radius.ui_points(thing.width_px / 2)
+            return [("", rr.LineStrips2D(np.asarray(thing.lines), colors=thing.colour, radii=radius))]
+        case Points3D():
+            labels = thing.labels or None
+            return [("", rr.Points3D(thing.points, colors=thing.colour, radii=thing.radius_m, labels=labels))]
+        case Lines3D():
+            return [("", rr.LineStrips3D(np.asarray(thing.lines), colors=thing.colour, radii=thing.radius_m))]
+        case Mesh():
+            return [("", _transform(thing.pose)), ("", _mesh(thing))]
+        case Box():
+            return [("", _transform(thing.pose)), ("", _box(thing))]
+        case Axes():
+            return [("", _transform(thing.pose)), ("", rr.TransformAxes3D(thing.length_m))]
+        case Camera():
+            image = [] if thing.image is None else [("/image", _compressed(thing.image))]
+            return [("", _transform(thing.pose)), ("", _pinhole(thing)), *image]
+        case Graph():
+            return _graph(thing)
+        case _:
+            return [("", rr.Scalars(float(thing)))]
 
 
-@archetypes.register
-def _(thing: Curve) -> Parts:
-    return [("", rr.Scalars(thing.value))]
-
-
-@archetypes.register
-def _(thing: str) -> Parts:
-    return [("", rr.TextDocument(thing, media_type=rr.MediaType.MARKDOWN))]
-
-
-@archetypes.register
-def _(thing: Image) -> Parts:
-    return [("", _compressed(thing.pixels))]
-
-
-@archetypes.register
-def _(thing: Depth) -> Parts:
+def _depth(thing: Depth) -> rr.DepthImage:
     metres = np.asarray(thing.metres, np.float32)
     known = metres[metres > 0.0]
     span = (DEPTH_MARGIN * float(known.min()), float(known.max())) if known.size else None
-    return [("", rr.DepthImage(metres, meter=1.0, colormap="grayscale", depth_range=span))]
+    return rr.DepthImage(metres, meter=1.0, colormap="grayscale", depth_range=span)
 
 
-@archetypes.register
-def _(thing: Labels) -> Parts:
+def _labels(thing: Labels) -> Parts:
     labels = np.asarray(thing.labels)
     names, colours = thing.names or {}, thing.colours or {}
     known = sorted({int(label) for label in np.unique(labels)} | set(names) | set(colours))
-    classes = [
-        rr.AnnotationInfo(
-            label, names.get(label), (*colours.get(label, colour_of(label))[:3], 255) if label else (0, 0, 0, 0)
-        )
-        for label in known
-    ]
+    shown = {label: (*colours.get(label, colour_of(label))[:3], 255) if label else (0, 0, 0, 0) for label in known}
+    classes = [rr.AnnotationInfo(label, names.get(label), colour) for label, colour in shown.items()]
     return [("", rr.AnnotationContext(classes)), ("", rr.SegmentationImage(labels, opacity=thing.opacity))]
 
 
-@archetypes.register
-def _(thing: Points2D) -> Parts:
-    return [
-        (
-            "",
-            rr.Points2D(
-                thing.points,
-                colors=thing.colour,
-                radii=rr.Radius.ui_points(thing.radius_px),
-                labels=thing.labels or None,
-            ),
-        )
-    ]
-
-
-@archetypes.register
-def _(thing: Lines2D) -> Parts:
-    radius = rr.Radius.ui_points(thing.width_px / 2)
-    return [("", rr.LineStrips2D(np.asarray(thing.lines), colors=thing.colour, radii=radius))]
-
-
-@archetypes.register
-def _(thing: Points3D) -> Parts:
-    return [("", rr.Points3D(thing.points, colors=thing.colour, radii=thing.radius_m, labels=thing.labels or None))]
-
-
-@archetypes.register
-def _(thing: Lines3D) -> Parts:
-    return [("", rr.LineStrips3D(np.asarray(thing.lines), colors=thing.colour, radii=thing.radius_m))]
-
-
-@archetypes.register
-def _(thing: Mesh) -> Parts:
-    return [("", _transform(thing.pose)), ("", _mesh(thing))]
-
-
-@archetypes.register
-def _(thing: Box) -> Parts:
-    box = rr.Boxes3D(
+def _box(thing: Box) -> rr.Boxes3D:
+    return rr.Boxes3D(
         half_sizes=[np.asarray(thing.size) / 2],
         colors=thing.colour,
         fill_mode="solid" if thing.filled else "majorwireframe",
         labels=[thing.label] if thing.label else None,
     )
-    return [("", _transform(thing.pose)), ("", box)]
 
 
-@archetypes.register
-def _(thing: Axes) -> Parts:
-    return [("", _transform(thing.pose)), ("", rr.TransformAxes3D(thing.length_m))]
-
-
-@archetypes.register
-def _(thing: Camera) -> Parts:
+def _pinhole(thing: Camera) -> rr.Pinhole:
     fx, fy, cx, cy = np.asarray(thing.intrinsics).tolist()
-    # Rerun's pixels have their centres at halves
-    pinhole = rr.Pinhole(
+    return rr.Pinhole(
         focal_length=(fx, fy),
-        principal_point=(cx + 0.5, cy + 0.5),
+        principal_point=(cx + 0.5, cy + 0.5),  # Rerun's pixels have their centres at halves
         resolution=thing.size,
         camera_xyz=rr.ViewCoordinates.RDF,
         image_plane_distance=thing.depth_m,
     )
-    parts: list[tuple[str, Any]] = [("", _transform(thing.pose)), ("", pinhole)]
-    if thing.image is not None:
-        parts.append(("/image", _compressed(thing.image)))
-    return parts
 
 
-@archetypes.register
-def _(thing: Graph) -> Parts:
-    names = list(thing.nodes)
+def _graph(thing: Graph) -> Parts:
     colours = thing.colours or {}
     nodes = rr.GraphNodes(
-        names,
-        labels=[thing.nodes[name] for name in names],
-        positions=None if thing.places is None else [thing.places[name] for name in names],
-        colors=[colours.get(name, colour_of(2)) for name in names],
+        list(thing.nodes),
+        labels=list(thing.nodes.values()),
+        positions=None if thing.places is None else [thing.places[name] for name in thing.nodes],
+        colors=[colours.get(name, colour_of(2)) for name in thing.nodes],
     )
     edges = rr.GraphEdges(list(thing.edges), graph_type="directed" if thing.directed else "undirected")
     return [("", nodes), ("", edges)]
@@ -237,20 +195,18 @@ def blueprint(columns: Sequence[Column]) -> rrb.Blueprint:
     )
 
 
+_VIEWS = {
+    Kind.PICTURE: rrb.Spatial2DView,
+    Kind.SCENE: rrb.Spatial3DView,
+    Kind.TEXT: rrb.TextDocumentView,
+    Kind.GRAPH: rrb.GraphView,
+    Kind.PLOT: rrb.TimeSeriesView,
+}
+
+
 def _cell(views: Sequence[View]) -> Any:
-    cells = [_view(view) for view in views]
+    cells = [_VIEWS[view.kind](origin=f"/{view.name}", name=view.name.replace("/", " · ")) for view in views]
     return cells[0] if len(cells) == 1 else rrb.Tabs(*cells)
-
-
-def _view(view: View) -> Any:
-    kinds = {
-        Kind.PICTURE: rrb.Spatial2DView,
-        Kind.SCENE: rrb.Spatial3DView,
-        Kind.TEXT: rrb.TextDocumentView,
-        Kind.GRAPH: rrb.GraphView,
-        Kind.PLOT: rrb.TimeSeriesView,
-    }
-    return kinds[view.kind](origin=f"/{view.name}", name=view.name.replace("/", " · "))
 
 
 def _transform(pose: Any) -> rr.Transform3D:

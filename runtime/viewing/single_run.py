@@ -22,14 +22,9 @@ def run_seen(
     seed: int,
     progress: Callable[[int], None] | None = None,
 ) -> Report:
-    """Run a deployment in this process, and show it.
+    """Run a deployment in this process, as `hierax.runtime.execution.single.run` does, and show it.
 
-    Args:
-        deployment, epochs, seed, progress: see `hierax.runtime.execution.single.run`.
-        presenter: shows it.
-
-    Raises:
-        HieraxError: as `hierax.runtime.execution.single.run`; or what a node shows cannot be shown.
+    Raises `HieraxError` as that does, or if what a node shows cannot be shown.
     """
     presenter.set_roster(deployment.roster)
     clock = _Clock()

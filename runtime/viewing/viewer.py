@@ -50,10 +50,9 @@ _LOOK_S = 0.2
 
 @dataclass(frozen=True)
 class Place:
-    """Where a stream is seen.
+    """Where a stream is seen, named for the user.
 
     Attributes:
-        name: for the user.
         until_closed: returns when the user has seen enough; None: there is nobody who looks.
     """
 
@@ -65,11 +64,10 @@ class Place:
 def web_viewer(stream: Stream, port: int | None, memory: str, opens: bool) -> Iterator[Place]:
     """A web viewer that shows a stream, on this machine's loopback alone; its place is the page's address.
 
-    Rerun's own server listens on all addresses where it runs inside of a Python process, so
-    it is started as a process, which is told where to. It ends with this one.
+    Rerun's own server listens on all addresses where it runs inside of a Python process, so it is started as a process,
+    which is told where to. It ends with this one.
 
     Args:
-        stream: what it shows.
         port: of the page; None: `WEB_PORT`, or a free one where that is taken.
         memory: how much the server keeps for pages that are opened later, such as ``1GiB``.
         opens: whether the page is opened in a browser.
@@ -95,14 +93,9 @@ def _for_ever() -> None:
 
 @contextmanager
 def window(stream: Stream, memory: str) -> Iterator[Place]:
-    """Rerun's own window. It ends with this process.
+    """Rerun's own window, which shows a stream, keeps so much of it in memory, and ends with this process.
 
-    Args:
-        stream: what it shows.
-        memory: how much it keeps.
-
-    Raises:
-        ViewerError: it does not open.
+    Raises `ViewerError` if it does not open.
     """
     options = ["--hide-welcome-screen", "--memory-limit", memory]
     with _viewer(stream, options, _free_port()) as process:

@@ -23,11 +23,7 @@ TOGETHER = "together"
 
 
 class ShowError(HieraxError):
-    """What a node shows cannot be shown.
-
-    Attributes:
-        where: path in the deployment file of what shows it; may be empty.
-    """
+    """What a node shows cannot be shown; `where` is the path in the deployment file of what shows it, or empty."""
 
     def __init__(self, message: str, where: str = "") -> None:
         self.where = where
@@ -46,12 +42,7 @@ class Kind(Enum):
 
 @dataclass(frozen=True)
 class View:
-    """A view.
-
-    Attributes:
-        name: ``scene``, or ``NODE/score`` of a view of a node's own; it is the path of all that is in it, too.
-        kind: what it holds.
-    """
+    """A view, and what it holds; its name, ``scene`` or ``NODE/score``, is the path of all that is in it, too."""
 
     name: str
     kind: Kind
@@ -59,13 +50,10 @@ class View:
 
 @dataclass(frozen=True)
 class Placed:
-    """A thing in its place.
+    """A thing in its place: the view in which it is seen, and its name (`label`) there.
 
     Attributes:
-        view: in which it is seen.
-        path: of the thing, unique among all nodes' things.
-        label: its name within the view.
-        thing: what it is.
+        path: unique among all nodes' things.
     """
 
     view: View
@@ -75,14 +63,9 @@ class Placed:
 
 
 def shown_by(name: str, node: Node, step: Step, before: Value) -> tuple[Placed, ...]:
-    """What a node shows of an epoch.
+    """What a node shows of an epoch; see `Node.show`.
 
-    Args:
-        name: of the node.
-        node, step, before: see `Node.show`.
-
-    Raises:
-        ShowError: the node's `show` raised, or gave what cannot be shown.
+    Raises `ShowError` if the node's `show` raised, or gave what cannot be shown.
     """
     try:
         things: Any = node.show(step, before)
@@ -92,15 +75,9 @@ def shown_by(name: str, node: Node, step: Step, before: Value) -> tuple[Placed, 
 
 
 def placed(name: str, things: Mapping[str, Thing], where: str) -> tuple[Placed, ...]:
-    """Things by path in their places.
+    """Things by path, as the node of a name gives them by `Node.show`, in their places.
 
-    Args:
-        name: who shows them.
-        things: as `Node.show` gives them.
-        where: at the front of errors.
-
-    Raises:
-        ShowError: a path is wrong, or something is nothing that can be shown.
+    Raises `ShowError`, which begins with `where`, if a path is wrong, or something is nothing that can be shown.
     """
     if not isinstance(things, Mapping):
         raise ShowError(f"{where}: expected things by path, got {type(things).__name__}")
@@ -115,30 +92,21 @@ def _place(name: str, path: str, thing: Thing, where: str) -> Placed:
         raise ShowError(f"{where}: {path!r:.80} is no path: expected 'view/thing' or '/view/thing'")
     if inside[0] == (HIERARCHY if shared else BELIEF):
         raise ShowError(f"{where}: {path}: the view {inside[0]!r} is the viewer's own")
-    kind = _kind(thing)
+    kind = next((kind for kind, types in _KINDS.items() if isinstance(thing, types)), None)
     if kind is None:
-        raise ShowError(
-            f"{where}: {path}: expected a number, a text or a thing of hierax.runtime.core.showing, "
-            f"got {type(thing).__name__}"
-        )
+        expected = "expected a number, a text or a thing of hierax.runtime.core.showing"
+        raise ShowError(f"{where}: {path}: {expected}, got {type(thing).__name__}")
     view, label = inside[0], "/".join(inside[1:])
     if shared:
         return Placed(View(view, kind), "/".join((view, name, *inside[1:])), label or name, thing)
     return Placed(View(f"{name}/{view}", kind), "/".join((name, *inside)), label or view, thing)
 
 
-_PICTURES = get_args(Picture)
-_SCENES = get_args(Scene)
-_NUMBERS = (bool, int, float, np.number, np.bool_, Curve)
-
-
-def _kind(thing: object) -> Kind | None:
-    if isinstance(thing, _NUMBERS):
-        return Kind.PLOT
-    if isinstance(thing, str):
-        return Kind.TEXT
-    if isinstance(thing, _PICTURES):
-        return Kind.PICTURE
-    if isinstance(thing, _SCENES):
-        return Kind.SCENE
-    return Kind.GRAPH if isinstance(thing, Graph) else None
+_KINDS: dict[Kind, tuple[type, ...]] = {
+    Kind.PLOT: (bool, int, float, np.number, np.bool_, Curve),
+    Kind.TEXT: (str,),
+    Kind.PICTURE: get_args(Picture),
+    Kind.SCENE: get_args(Scene),
+    Kind.GRAPH: (Graph,),
+}
+"""What each kind of view holds."""

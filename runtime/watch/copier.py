@@ -12,10 +12,7 @@ Edge = tuple[str, str, str]
 
 
 class Copier(Watcher):
-    """Shows copies of what a node sends.
-
-    Args:
-        show: told kind, sender and receiver, and the message's bytes; must not wait.
+    """Shows copies of what a node sends, by kind, sender and receiver; `show` must not wait.
 
     Attributes:
         wanted: of which messages; replaced, never changed in place.

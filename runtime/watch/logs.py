@@ -179,12 +179,9 @@ class _File(logging.handlers.RotatingFileHandler):
 
 
 class LaunchLog:
-    """The supervisor's own file: what happens to the processes.
+    """The supervisor's own file: what happens to the processes of a run; without a handler nothing is written.
 
-    Args:
-        handler: of the file; None: nothing is written.
-        run: its identification.
-        epoch: asked at every line.
+    `epoch` is asked at every line.
     """
 
     def __init__(self, handler: logging.Handler | None, run: str, epoch: Callable[[], int]) -> None:

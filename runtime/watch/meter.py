@@ -23,6 +23,7 @@ EPOCHS_KEPT = 512
 _KINDS = {
     "observe": OBSERVE,
     "select_policy": POLICY,
+    "policy": POLICY,
     "predict": PREDICT,
     "sense": EDGES,
     "task": EDGES,
@@ -33,10 +34,7 @@ _KINDS = {
 
 def kind_of(operator: str) -> str:
     """Which of `WORK` an operator or edge function is."""
-    kind = _KINDS.get(operator)
-    if kind is None:
-        kind = POLICY if operator.startswith("policy") else OTHER
-    return kind
+    return _KINDS.get(operator.partition(" ")[0], OTHER)  # there may be any number of policies
 
 
 class Meter(Watcher):
@@ -100,9 +98,8 @@ class Meter(Watcher):
     def read(self, busy: str = "", waits_for: str = "") -> Value:
         """What was measured, up to now, in nanoseconds.
 
-        Args:
-            busy: the operator that the node is in, which has not returned yet; empty: in none.
-            waits_for: whose message it waits for, which has not come yet.
+        `busy` is the operator that the node is in, which has not returned yet, or empty; `waits_for` is who sends the
+        message that it waits for, which has not come yet.
         """
         now = self._clock()
         work, waiting = dict(self._work), dict(self._waiting)

@@ -17,11 +17,7 @@ STEPS_KEPT = 16
 
 
 class Stepper(Watcher):
-    """Keeps a node's last steps until they are taken, by another thread.
-
-    Attributes:
-        every: keeps only epochs that this divides.
-    """
+    """Keeps a node's last steps, of the epochs that `every` divides, until they are taken, by another thread."""
 
     def __init__(self) -> None:
         self.every = 1
@@ -45,8 +41,7 @@ class Stepper(Watcher):
 def read_step(data: bytes) -> tuple[int, Step]:
     """When an epoch was done, in nanoseconds since 1970, and what was done in it.
 
-    Raises:
-        SchemaError: it is nothing that `Stepper` has encoded.
+    Raises `SchemaError` if it is nothing that `Stepper` has encoded.
     """
     value = decode_value(data, "step")
     try:

@@ -55,12 +55,7 @@ def wanted() -> bool:
 
 
 def open_spans(hierarchy: str, run: str, node: str, exporter: SpanExporter | None = None) -> Spans:
-    """A node's spans, and where they go.
-
-    Args:
-        hierarchy, run, node: their names.
-        exporter: takes them; by default, what the environment says.
-    """
+    """A node's spans; the exporter, by default what the environment says, takes them."""
     from opentelemetry.sdk.resources import Resource
     from opentelemetry.sdk.trace import TracerProvider
     from opentelemetry.sdk.trace.export import BatchSpanProcessor
@@ -88,8 +83,6 @@ class Spans(Watcher):
     """Makes a node's spans.
 
     Args:
-        tracer: of OpenTelemetry's.
-        node: its name.
         flush: sends what is not sent yet.
         clock: nanoseconds since 1970.
     """

@@ -29,11 +29,7 @@ class _Kind:
 
 
 class Throttle(logging.Filter):
-    """Lets through some records of each kind (of one text before its arguments are put in), and counts the rest.
-
-    Args:
-        clock: seconds.
-    """
+    """Lets through some records of each kind (of one text before its arguments are put in), and counts the rest."""
 
     def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
         super().__init__()

@@ -16,11 +16,9 @@ class Watcher:
 
     def received(self, message: Message) -> None:
         """A message has come, and the engine is about to take it in."""
-        return
 
     def called(self, called: Called) -> None:
         """An operator or edge function has returned."""
-        return
 
     def sending(self, message: Message) -> Message:
         """A message is about to go.
@@ -32,36 +30,27 @@ class Watcher:
 
     def sent(self, message: Message) -> None:
         """A message has gone, as `sending` gave it."""
-        return
 
     def acted(self, epoch: int) -> None:
         """The world has moved its actuators, or there are none."""
-        return
 
     def turned(self) -> None:
         """In free running: the node's turn has come."""
-        return
 
     def refused(self, header: Header, verdict: Verdict) -> None:
         """A message was refused."""
-        return
 
     def rewired(self, version: int) -> None:
         """A version of the roster was taken up."""
-        return
 
     def completed(self, completed: Completed) -> None:
         """The node is done with an epoch, and its messages are sent."""
-        return
 
     def committed(self, epoch: int, digest: bytes) -> None:
         """An epoch is committed, and this is the run's digest; only the world's watchers are told."""
-        return
 
     def served(self) -> None:
         """All that followed from a message, an order or a turn is done."""
-        return
 
     def close(self) -> None:
         """The node's life is over."""
-        return
