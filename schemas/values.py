@@ -102,10 +102,12 @@ def pack(value: Value, packers: Packers, where: str = "value", names: Names = ()
         return packed
     if len(packed) > MAX_MESSAGE_BYTES:
         raise SchemaError(f"has {len(packed)} bytes; at most {MAX_MESSAGE_BYTES} are allowed", where)
-    if len(packed) > MAX_CONTAINERS and _containers(value) > MAX_CONTAINERS:
-        raise SchemaError(f"has more than {MAX_CONTAINERS} tuples and dicts; use arrays", where)
-    if len(packed) > MAX_ENTRIES and _entries(value) > MAX_ENTRIES:
-        raise SchemaError(f"its tuples and dicts have more than {MAX_ENTRIES} entries; use arrays", where)
+    if len(packed) > MAX_CONTAINERS:
+        entries = [len(item) for _, _, item in _walk("", 0, value, _LEAVES) if isinstance(item, (dict, tuple, list))]
+        if len(entries) > MAX_CONTAINERS:
+            raise SchemaError(f"has more than {MAX_CONTAINERS} tuples and dicts; use arrays", where)
+        if sum(entries) > MAX_ENTRIES:
+            raise SchemaError(f"its tuples and dicts have more than {MAX_ENTRIES} entries; use arrays", where)
     return packed
 
 
@@ -355,11 +357,3 @@ def _walk(path: str, depth: int, value: Value, sure: Types) -> Iterator[tuple[st
         for index, part in enumerate(value):
             if type(part) not in sure:
                 yield from _walk(f"{path}[{index}]", depth + 1, part, sure)
-
-
-def _containers(value: Value) -> int:
-    return sum(isinstance(item, (dict, tuple, list)) for _, _, item in _walk("", 0, value, _LEAVES))
-
-
-def _entries(value: Value) -> int:
-    return sum(len(item) for _, _, item in _walk("", 0, value, _LEAVES) if isinstance(item, (dict, tuple, list)))

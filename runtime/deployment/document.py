@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -70,21 +71,20 @@ class Document:
 
     def _changed(self, keys: Keys) -> str | None:
         """The ``--set`` that a value comes from: what it changed has no line any more."""
-        for length in range(len(keys), 0, -1):
-            if keys[:length] in self.changed:
-                return self.changed[keys[:length]]
-        return None
+        return next((self.changed[path] for path in _upward(keys) if path in self.changed), None)
 
     def _line(self, keys: Keys) -> int:
-        for length in range(len(keys), -1, -1):
-            if keys[:length] in self.lines:
-                return self.lines[keys[:length]]
-        return 0
+        return next((self.lines[path] for path in _upward(keys) if path in self.lines), 0)
 
     def _origin(self, keys: Keys) -> str:
-        for length in range(len(keys), -1, -1):
-            name = self.origins.get(keys[:length])
-            if name is not None:
-                place = (self.outer or self).where(("parameters", name, *keys[length:]))
-                return f" (from ${{{name}}}, {place})"
-        return ""
+        path = next((path for path in _upward(keys) if path in self.origins), None)
+        if path is None:
+            return ""
+        name = self.origins[path]
+        place = (self.outer or self).where(("parameters", name, *keys[len(path) :]))
+        return f" (from ${{{name}}}, {place})"
+
+
+def _upward(keys: Keys) -> Iterator[Keys]:
+    """A path, and those above it up to the root."""
+    return (keys[:length] for length in range(len(keys), -1, -1))

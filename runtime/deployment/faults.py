@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from types import NoneType
 from typing import Any
 
 from pydantic import ValidationError
@@ -9,7 +10,7 @@ from pydantic import ValidationError
 from hierax.runtime.deployment.document import Document
 from hierax.runtime.deployment.errors import DeploymentError
 from hierax.runtime.deployment.models import DeploymentModel, TopModel, field_meaning, field_names
-from hierax.runtime.deployment.paths import Keys
+from hierax.runtime.deployment.paths import Keys, inside
 from hierax.runtime.loading.nearest import did_you_mean
 
 _EXPECTED = {
@@ -55,11 +56,7 @@ def _keys(loc: tuple[int | str, ...], root: dict[str, Any]) -> Keys:
     for key in loc:
         if key == "[key]" or not isinstance(value, (dict, list)):
             break
-        keys = (*keys, key)
-        if isinstance(value, list) and isinstance(key, int):
-            value = value[key]
-        else:
-            value = value.get(key) if isinstance(value, dict) else None
+        keys, value = (*keys, key), inside(value, key)
     return keys
 
 
@@ -79,12 +76,6 @@ def _what(keys: Keys, details: Any, top: TopModel) -> str:
 
 
 def _given(value: Any) -> str:
-    if isinstance(value, dict):
-        return "a map"
-    if isinstance(value, list):
-        return "a list"
-    if value is None:
-        return "nothing"
     if isinstance(value, bool):
         return "true" if value else "false"
-    return f"{value!r:.60}"
+    return {dict: "a map", list: "a list", NoneType: "nothing"}.get(type(value)) or f"{value!r:.60}"

@@ -106,34 +106,34 @@ class RestartModel(_Model):
     """What is done when a node's process ends or cannot be reached; durations are in seconds."""
 
     restart_policy: Literal["never", "on-failure", "always"] = Field(
-        RestartPolicy.restart_policy,
+        default=RestartPolicy.restart_policy,
         description="after which end of a process another one is started: none, one by a failure or signal, any",
     )
     max_restarts: int = Field(
-        RestartPolicy.max_restarts, ge=0, description="how often within restart_window; 0: no limit"
+        default=RestartPolicy.max_restarts, ge=0, description="how often within restart_window; 0: no limit"
     )
     restart_delay_s: NotNegative = Field(
-        RestartPolicy.restart_delay_s,
+        default=RestartPolicy.restart_delay_s,
         alias="restart_delay",
         description="before the first restart; twice as long before each further one within restart_window",
     )
     max_restart_delay_s: NotNegative = Field(
-        RestartPolicy.max_restart_delay_s,
+        default=RestartPolicy.max_restart_delay_s,
         alias="max_restart_delay",
         description="the longest that restart_delay grows to",
     )
     restart_window_s: Positive | None = Field(
-        RestartPolicy.restart_window_s,
+        default=RestartPolicy.restart_window_s,
         alias="restart_window",
         description="restarts longer ago than this are forgotten; null: none ever is",
     )
     rejoin_timeout_s: Positive = Field(
-        RestartPolicy.rejoin_timeout_s,
+        default=RestartPolicy.rejoin_timeout_s,
         alias="rejoin_timeout",
         description="how long the epoch waits for a lost node to come back, before on_loss",
     )
     on_loss: Literal["restart", "detach", "stop"] = Field(
-        RestartPolicy.on_loss,
+        default=RestartPolicy.on_loss,
         description="a node that does not come back: wait on while it is being restarted, else stop; "
         "or detach it, and what only it joins to the world; or stop the run",
     )
@@ -145,9 +145,9 @@ class NodeModel(RestartModel):
     target: Target = Field(
         alias="class", description="module:name of a class, or of a function that is annotated to return a node"
     )
-    parameters: Parameters = Field({}, description="keyword arguments of the class")
+    parameters: Parameters = Field(default={}, description="keyword arguments of the class")
     rate_hz: Positive | None = Field(
-        None,
+        default=None,
         description="in free running (staleness: null), how often at most it takes part in an epoch; null: as it can",
     )
 
@@ -156,8 +156,8 @@ class FunctionModel(_Model):
     """A function of an edge, with parameters."""
 
     function: Target = Field(description="module:name of a function, or of a class whose objects are called")
-    parameters: Parameters = Field({}, description="keyword arguments: of the class, or further ones")
-    enabled: bool = Field(True, description="false: the empty set, always")
+    parameters: Parameters = Field(default={}, description="keyword arguments: of the class, or further ones")
+    enabled: bool = Field(default=True, description="false: the empty set, always")
 
 
 Function = Annotated[
@@ -168,9 +168,9 @@ Function = Annotated[
 class EdgeModel(_Model):
     """An edge's three functions; one that is left out gives the empty set."""
 
-    sense: Function = Field(None, description="from the lower node's belief to the upper one's observations")
-    task: Function = Field(None, description="from the upper node's actions to the lower one's tasks")
-    context: Function = Field(None, description="from the upper node's belief to the lower one's context")
+    sense: Function = Field(default=None, description="from the lower node's belief to the upper one's observations")
+    task: Function = Field(default=None, description="from the upper node's actions to the lower one's tasks")
+    context: Function = Field(default=None, description="from the upper node's belief to the lower one's context")
 
 
 class ProbeModel(_Model):
@@ -180,17 +180,19 @@ class ProbeModel(_Model):
     target: Target = Field(
         alias="class", description="module:name of a class, or of a function that is annotated to return a probe"
     )
-    parameters: Parameters = Field({}, description="keyword arguments of the class")
+    parameters: Parameters = Field(default={}, description="keyword arguments of the class")
 
 
 class ViewModel(_Model):
     """What `hierax view` shows of the deployment, beside what each node shows of itself."""
 
     show: Target | None = Field(
-        None, description="module:name of a function from all nodes' steps of an epoch, by name, to things by path"
+        default=None,
+        description="module:name of a function from all nodes' steps of an epoch, by name, to things by path",
     )
     layout: list[list[str | list[str]]] | None = Field(
-        None, description="columns of views, each from top to bottom; a list of views in place of one: behind tabs"
+        default=None,
+        description="columns of views, each from top to bottom; a list of views in place of one: behind tabs",
     )
 
 
@@ -210,47 +212,51 @@ class DeploymentModel(_Model):
     """A cognitive hierarchy: its nodes, the edges between them, and how it is run."""
 
     hierarchy: Name = Field(description="the hierarchy's name")
-    description: str = Field("", description="what it is, in one line")
-    epochs: int | None = Field(None, ge=1, description="how many; else until the world says finished")
+    description: str = Field(default="", description="what it is, in one line")
+    epochs: int | None = Field(default=None, ge=1, description="how many; else until the world says finished")
     world: NodeName = Field(description="which node is the external world")
-    parameters: Parameters = Field({}, description="named values: ${NAME} stands for one, --set NAME=VALUE changes it")
+    parameters: Parameters = Field(
+        default={}, description="named values: ${NAME} stands for one, --set NAME=VALUE changes it"
+    )
     nodes: dict[NodeName, NodeModel] = Field(description="by name")
-    edges: Edges = Field({}, description="by 'lower -> upper'")
-    probes: Probes = Field([], description="side outputs, no part of the run")
+    edges: Edges = Field(default={}, description="by 'lower -> upper'")
+    probes: Probes = Field(default=[], description="side outputs, no part of the run")
     modules: ModuleList = Field(
-        [],
+        default=[],
         description="whose classes and functions may join the running hierarchy, beside what this file names: "
         "package.module, or package.* for all inside it",
     )
-    restart: Restart = Field(RestartModel(), description="of all nodes that say nothing else")
+    restart: Restart = Field(default=RestartModel(), description="of all nodes that say nothing else")
     durability: Literal["process", "host"] = Field(
-        "process", description="what checkpoints outlive: the death of a process, or also that of the machine (slower)"
+        default="process",
+        description="what checkpoints outlive: the death of a process, or also that of the machine (slower)",
     )
     epoch_deadline_s: Positive | None = Field(
-        EPOCH_DEADLINE_S,
+        default=EPOCH_DEADLINE_S,
         description="how long an epoch may take before who holds it up counts as lost, in seconds; null: for ever",
     )
     on_uncertain_act: Literal["repeat", "skip"] = Field(
-        "repeat",
+        default="repeat",
         description="the world's process died, and nobody knows whether it acted: "
         "act again (at least once) or not (at most once)",
     )
     staleness: int | None = Field(
-        0,
+        default=0,
         ge=0,
         le=MAX_STALENESS,
         description="by how many epochs inputs from above may be older than the node's own; null: free running",
     )
     exact: bool = Field(
-        False, description="with a staleness: they are exactly so old, and the run can be repeated to the bit"
+        default=False, description="with a staleness: they are exactly so old, and the run can be repeated to the bit"
     )
-    start_timeout_s: Positive = Field(30.0, description="how long launch waits for all nodes to come up")
+    start_timeout_s: Positive = Field(default=30.0, description="how long launch waits for all nodes to come up")
     low_latency: bool = Field(
-        False, description="quicker links between processes, for messages of at most 32 KiB; a longer one ends the run"
+        default=False,
+        description="quicker links between processes, for messages of at most 32 KiB; a longer one ends the run",
     )
-    view: Views = Field(ViewModel(), description="how `hierax view` shows it; no part of the run")
+    view: Views = Field(default=ViewModel(), description="how `hierax view` shows it; no part of the run")
     zenoh: ZenohSettings = Field(
-        None, description="Zenoh's own settings: a file (relative to this one), JSON5 text, or a map"
+        default=None, description="Zenoh's own settings: a file (relative to this one), JSON5 text, or a map"
     )
 
 
@@ -259,7 +265,7 @@ class SnippetModel(_Model):
 
     nodes: dict[NodeName, NodeModel] = Field(description="by name")
     edges: dict[EdgeName, EdgeModel] | None = Field(
-        None, description="by 'lower -> upper'; one end may be a node that is running"
+        default=None, description="by 'lower -> upper'; one end may be a node that is running"
     )
 
 

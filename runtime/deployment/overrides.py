@@ -7,7 +7,7 @@ from typing import Any
 from hierax.runtime.deployment.document import Document
 from hierax.runtime.deployment.errors import DeploymentError
 from hierax.runtime.deployment.models import field_names
-from hierax.runtime.deployment.paths import Keys, field_text, longest_key, normal_path
+from hierax.runtime.deployment.paths import Keys, field_text, inside, longest_key, normal_path
 from hierax.runtime.deployment.secrets import told
 from hierax.runtime.deployment.tree import read_tree
 from hierax.runtime.loading.nearest import did_you_mean
@@ -47,7 +47,7 @@ def _resolve(document: Document, path: str, text: str) -> Keys:
     while rest:
         key = _next_key(document, keys, value, rest, text)
         keys, rest = (*keys, key), rest[len(str(key)) + 1 :]
-        value = _written_out(_inside(value, key), keys)
+        value = _written_out(inside(value, key), keys)
     return keys
 
 
@@ -70,21 +70,15 @@ def _next_key(document: Document, keys: Keys, value: Any, rest: str, text: str) 
     if not keys and isinstance(parameters, dict):
         names += parameters
     wrong = rest if keys == ("edges",) else token
-    inside = f" in {field_text(keys)}" if keys else ""
-    raise DeploymentError(f"there is no {wrong!r}{inside}{did_you_mean(wrong, names)}", f"--set {told(text)}")
-
-
-def _inside(value: Any, key: str | int) -> Any:
-    if isinstance(value, list) and isinstance(key, int):
-        return value[key]
-    return value.get(key) if isinstance(value, dict) else None
+    where = f" in {field_text(keys)}" if keys else ""
+    raise DeploymentError(f"there is no {wrong!r}{where}{did_you_mean(wrong, names)}", f"--set {told(text)}")
 
 
 def _container(root: dict[str, Any], keys: Keys) -> Any:
     """The map or list at a path; maps that lack on the way are made, short forms written out."""
     container: Any = root
     for depth, key in enumerate(keys, 1):
-        value = _written_out(_inside(container, key), keys[:depth])
+        value = _written_out(inside(container, key), keys[:depth])
         container[key] = {} if value is None else value
         container = container[key]
     return container

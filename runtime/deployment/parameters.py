@@ -76,16 +76,17 @@ class _Substitution:
 
     def text(self, value: str, keys: Keys) -> str:
         """Text with its references written out."""
-        parts = []
-        end = 0
-        for match in _REFERENCE.finditer(value):
-            parts += [value[end : match.start()], self.written(match, keys)]
-            end = match.end()
-            self.grow(len(parts[-1]), keys)
+
+        def grown(match: re.Match[str]) -> str:
+            written = self.written(match, keys)
+            self.grow(len(written), keys)
+            return written
+
         self.grow(len(value) + 1, keys)
-        return "".join((*parts, value[end:]))
+        return _REFERENCE.sub(grown, value)
 
     def written(self, match: re.Match[str], keys: Keys) -> str:
+        """What stands for a reference within text."""
         if match[0] == "$${":
             return "${"
         if match["name"] is None:

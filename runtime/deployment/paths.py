@@ -32,6 +32,13 @@ def normal_path(text: str) -> str:
     return f"{head}{dot}{edge_name(rest)}" if head == "edges" else text
 
 
+def inside(value: Any, key: str | int) -> Any:
+    """What a list or map has at a key; None: nothing."""
+    if isinstance(value, list) and isinstance(key, int):
+        return value[key]
+    return value.get(key) if isinstance(value, dict) else None
+
+
 def longest_key(value: Any, rest: str) -> str | int | None:
     """The longest key of a map, or the number of a list's item, that `rest` begins with."""
     if isinstance(value, list):

@@ -124,7 +124,7 @@ class RunInfo:
         if lacking:
             raise RecordingError(f"it says too little of its run: {', '.join(lacking)}")
         for name, value in given.items():
-            expected, is_such = _FIELDS.get(name, _ANYTHING)
+            expected, is_such = _FIELDS[name]
             if not is_such(value):
                 raise RecordingError(f"{name}: expected {expected}, got {shown(value)}")
         return RunInfo(**given)
@@ -208,7 +208,7 @@ def from_metadata(metadata: Mapping[str, str], texts: Sequence[str] = ()) -> dic
 
 
 _LARGEST = 2**63 - 1
-INFO_TEXTS = ("hierarchy", "run", "mode", "deployment", "deployment_text", "seal")
+INFO_TEXTS = tuple(each.name for each in fields(RunInfo) if each.type == "str")
 ENDING_TEXTS = ("cut",)
 
 
@@ -237,31 +237,20 @@ def _is_name(value: object) -> bool:
 
 
 Expected = tuple[str, Callable[[object], bool]]
-_ANYTHING: Expected = ("anything", lambda value: True)
+_BY_TYPE: dict[object, Expected] = {
+    "str": ("text", _is_text),
+    "int": ("a whole number from 0", _is_whole),
+    "int | None": ("a whole number from 0, or null", lambda value: value is None or _is_whole(value)),
+    "bool": ("true or false", lambda value: isinstance(value, bool)),
+    "Sequence[str]": ("a list of texts", _are_texts),
+    "Mapping[str, str]": ("a map of texts", _are_named_texts),
+    "Mapping[str, Any]": ("a map", lambda value: isinstance(value, Mapping)),
+}
 _NAME: Expected = ("a name", _is_name)
-_TEXT: Expected = ("text", _is_text)
-_TEXTS: Expected = ("a list of texts", _are_texts)
-_BOOL: Expected = ("true or false", lambda value: isinstance(value, bool))
-_WHOLE: Expected = ("a whole number from 0", _is_whole)
 _FIELDS: dict[str, Expected] = {
+    **{each.name: _BY_TYPE[each.type] for each in fields(RunInfo)},
     "hierarchy": _NAME,
     "run": _NAME,
-    "mode": _TEXT,
-    "seed": _WHOLE,
-    "staleness": ("a whole number from 0, or null", lambda value: value is None or _is_whole(value)),
-    "exact": _BOOL,
-    "deployment": _TEXT,
-    "deployment_text": _TEXT,
-    "settings": _TEXTS,
-    "import_paths": _TEXTS,
-    "from_start": _BOOL,
-    "started_ns": _WHOLE,
-    "machine": ("a map", lambda value: isinstance(value, Mapping)),
-    "versions": ("a map of texts", _are_named_texts),
-    "format": _WHOLE,
-    "modules": _TEXTS,
-    "seal": _TEXT,
-    "left_out": _TEXTS,
 }
 """What each field of `RunInfo` has to be."""
 

@@ -62,18 +62,21 @@ def check_pattern(pattern: str) -> str:
 
 def read_size(text: str) -> int:
     """Bytes, such as ``500 MB`` or ``2GiB``. Raises `RecordingError` if it is no size."""
-    found = _SIZE.fullmatch(text.strip())
-    if found is None or not float(found[1]):
-        raise RecordingError(f"--max-size {text}: expected a size, such as 500MB or 2GiB")
+    found = _measured(_SIZE, text, "--max-size", "a size, such as 500MB or 2GiB")
     return int(float(found[1]) * (1024 if found[3] else 1000) ** _POWERS[found[2]])
 
 
 def read_duration(text: str) -> float:
     """Seconds, such as ``90``, ``90s``, ``15m`` or ``2h``. Raises `RecordingError` if it is no time."""
-    found = _DURATION.fullmatch(text.strip())
-    if found is None or not float(found[1]):
-        raise RecordingError(f"--max-duration {text}: expected a time, such as 90s, 15m or 2h")
+    found = _measured(_DURATION, text, "--max-duration", "a time, such as 90s, 15m or 2h")
     return float(found[1]) * _SECONDS[found[2]]
+
+
+def _measured(pattern: re.Pattern[str], text: str, option: str, expected: str) -> re.Match[str]:
+    found = pattern.fullmatch(text.strip())
+    if found is None or not float(found[1]):
+        raise RecordingError(f"{option} {text}: expected {expected}")
+    return found
 
 
 def _fits(pattern: Sequence[str], names: Sequence[str]) -> bool:

@@ -12,7 +12,7 @@ import time
 import webbrowser
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from threading import Event, Thread
@@ -31,7 +31,6 @@ _RRD = b"RRF"
 """What Rerun's files begin with."""
 
 _COLOURS = re.compile(r"\x1b\[[0-9;]*m")
-
 
 Stream = rr.RecordingStream
 
@@ -186,16 +185,14 @@ def _viewer(stream: Stream, options: Sequence[str], data_port: int, *ports: int)
 def _flush(stream: Stream, program: _Program) -> None:
     """Have everything arrive, unless the window was closed."""
     ended = program.process.poll()
-    if ended == 0:
-        return
+    reason = f"exit code {ended}" if ended else ""
     try:
         if ended is None:
             stream.flush()
-            return
-        reason = f"exit code {ended}"
     except Exception as error:  # Rerun's own have no common class
-        reason = str(error)
-    raise ViewerError(f"Rerun's viewer has ended: {program.last_words or reason}")
+        reason = str(error) or type(error).__name__
+    if reason:
+        raise ViewerError(f"Rerun's viewer has ended: {program.last_words or reason}")
 
 
 def _data_address(port: int) -> str:
@@ -222,20 +219,17 @@ def _port(wanted: int | None) -> int:
 
 
 def _is_free(port: int) -> bool:
-    with socket.socket() as probe:
+    with socket.socket() as probe, suppress(OSError):
         probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-        try:
-            probe.bind((HOST, port))
-        except OSError:
-            return False
-    return True
+        probe.bind((HOST, port))
+        return True
+    return False
 
 
 def _free_port() -> int:
     with socket.socket() as probe:
         probe.bind((HOST, 0))
-        port: int = probe.getsockname()[1]
-        return port
+        return int(probe.getsockname()[1])
 
 
 def _wait_for(port: int, program: _Program) -> None:
