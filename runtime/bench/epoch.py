@@ -41,7 +41,7 @@ class Row:
 
     @property
     def ratios(self) -> Times:
-        """Of the medians, round by round."""
+        """The ratios of the medians, round by round."""
         return np.array([np.median(a) / np.median(b) for a, b in zip(self.ours_us, self.bare_us, strict=True)])
 
     @property
@@ -61,11 +61,11 @@ class Row:
         }
 
 
-def bench_epoch(epochs: int, rounds: int, told: Callable[[str], None]) -> list[Row]:
+def bench_epoch(epochs: int, rounds: int, progress: Callable[[str], None]) -> list[Row]:
     """Time the chain with small messages and with a picture, and the bare chain against a bare round trip.
 
     So many epochs are in each round; rounds of ours and the rival's take turns, so that a machine that changes its pace
-    changes it for both. `told` hears what is going on. Raises `HieraxError` if a process failed.
+    changes it for both. `progress` is told what is going on. Raises `HieraxError` if a process failed.
     """
     rows = []
     for name, picture, kinds in (
@@ -75,15 +75,17 @@ def bench_epoch(epochs: int, rounds: int, told: Callable[[str], None]) -> list[R
         bare: list[Times] = []
         ours: dict[str, list[Times]] = {links: [] for links in kinds}
         for number in range(rounds):
-            told(f"{name}, round {number + 1} of {rounds}")
+            progress(f"{name}, round {number + 1} of {rounds}")
             bare.append(_counted(_bare(epochs, picture)))
             for links, times in ours.items():
                 times.append(_counted(_ours(epochs, picture, links)))
         rows += [Row(f"{name}, {links} links", times, bare) for links, times in ours.items()]
     trips = []
     for number in range(rounds):
-        told(f"bare round trip, round {number + 1} of {rounds}")
-        trips.append(_counted(_bare_trip(epochs)))
+        progress(f"bare round trip, round {number + 1} of {rounds}")
+        low = free_endpoint()
+        world = ["world", "--listen", low, "--epochs", str(epochs)]
+        trips.append(_counted(_times(world, ["echo", "--connect", low])))
     rows.append(Row("bare chain (ours) against a bare round trip", rows[0].bare_us, trips))
     return rows
 
@@ -101,11 +103,6 @@ def _bare(epochs: int, picture: int) -> Sequence[float]:
         ["arm", "--connect", low, "--listen", high],
         ["spatial", "--connect", high, "--picture", str(picture)],
     )
-
-
-def _bare_trip(epochs: int) -> Sequence[float]:
-    low = free_endpoint()
-    return _times(["world", "--listen", low, "--epochs", str(epochs)], ["echo", "--connect", low])
 
 
 def _times(world: list[str], *others: list[str]) -> Sequence[float]:

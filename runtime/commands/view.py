@@ -126,7 +126,7 @@ def _of_deployment(source: str, settings: Settings, epochs: int | None, seed: in
 def _of_recording(file: Path, first: int, last: int | None, trust: bool) -> Source:
     from hierax.runtime.recording.deployments import allowance_of, recorded_deployment
     from hierax.runtime.recording.reading import Recording
-    from hierax.runtime.viewing.recorded import show_recording
+    from hierax.runtime.viewing.recorded_run import show_recording
 
     recording = Recording.open(file)
     allowance = allowance_of(recording, trust)

@@ -8,7 +8,7 @@ from typing import Any
 
 from hierax.runtime.deployment.errors import DeploymentError
 from hierax.runtime.deployment.paths import Keys, field_text, longest_key, normal_path
-from hierax.runtime.deployment.secrets import told
+from hierax.runtime.deployment.secrets import public_setting
 
 
 @dataclass
@@ -43,7 +43,7 @@ class Document:
         """``file:line`` of the nearest value on the path that was given, or its ``--set``."""
         changed = self._changed(keys)
         if changed is not None:
-            return f"--set {told(changed)}"
+            return f"--set {public_setting(changed)}"
         line = self._line(keys)
         return f"{self.place}:{line}" if line else self.place
 

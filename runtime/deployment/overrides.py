@@ -8,7 +8,7 @@ from hierax.runtime.deployment.document import Document
 from hierax.runtime.deployment.errors import DeploymentError
 from hierax.runtime.deployment.models import field_names
 from hierax.runtime.deployment.paths import Keys, field_text, inside, longest_key, normal_path
-from hierax.runtime.deployment.secrets import told
+from hierax.runtime.deployment.secrets import public_setting
 from hierax.runtime.deployment.tree import read_tree
 from hierax.runtime.loading.nearest import did_you_mean
 
@@ -24,8 +24,8 @@ def apply_override(document: Document, text: str) -> None:
     """
     path, equals, value_text = text.partition("=")
     if not equals or not path.strip():
-        raise DeploymentError("expected PATH=VALUE, e.g. noise=0.1", f"--set {told(text)}")
-    value = read_tree(value_text, f"--set {told(text)}", has_lines=False).value
+        raise DeploymentError("expected PATH=VALUE, e.g. noise=0.1", f"--set {public_setting(text)}")
+    value = read_tree(value_text, f"--set {public_setting(text)}", has_lines=False).value
     keys = _resolve(document, path, text)
     container = _container(document.root, keys[:-1])
     container[keys[-1]] = value
@@ -53,14 +53,14 @@ def _resolve(document: Document, path: str, text: str) -> Keys:
 
 def _next_key(document: Document, keys: Keys, value: Any, rest: str, text: str) -> str | int:
     if value is not None and not isinstance(value, (dict, list)):
-        raise DeploymentError(f"{field_text(keys)} is no map, nothing is inside it", f"--set {told(text)}")
+        raise DeploymentError(f"{field_text(keys)} is no map, nothing is inside it", f"--set {public_setting(text)}")
     key = longest_key(value, rest)
     if key is not None:
         return key
     token = rest.partition(".")[0]
     if isinstance(value, list):
         items = "1 item" if len(value) == 1 else f"{len(value)} items"
-        raise DeploymentError(f"{field_text(keys)} has {items}, counted from 0", f"--set {told(text)}")
+        raise DeploymentError(f"{field_text(keys)} has {items}, counted from 0", f"--set {public_setting(text)}")
     fields = field_names(keys)
     closed = keys in _CLOSED
     if token in fields or not (fields or closed):
@@ -71,7 +71,7 @@ def _next_key(document: Document, keys: Keys, value: Any, rest: str, text: str) 
         names += parameters
     wrong = rest if keys == ("edges",) else token
     where = f" in {field_text(keys)}" if keys else ""
-    raise DeploymentError(f"there is no {wrong!r}{where}{did_you_mean(wrong, names)}", f"--set {told(text)}")
+    raise DeploymentError(f"there is no {wrong!r}{where}{did_you_mean(wrong, names)}", f"--set {public_setting(text)}")
 
 
 def _container(root: dict[str, Any], keys: Keys) -> Any:

@@ -14,7 +14,6 @@ from hierax.runtime.core.staleness import Staleness
 from hierax.runtime.deployment.deployment import Deployment, RestartPolicy, ViewSpec
 from hierax.runtime.deployment.document import Document
 from hierax.runtime.deployment.errors import DeploymentError
-from hierax.runtime.deployment.faults import first_error
 from hierax.runtime.deployment.locating import find_file, import_paths, read_text
 from hierax.runtime.deployment.models import DeploymentModel, ViewModel, split_edge
 from hierax.runtime.deployment.overrides import apply_override
@@ -22,6 +21,7 @@ from hierax.runtime.deployment.parameters import substitute
 from hierax.runtime.deployment.parts import check_known, reference, restart_policy, roster_edges, roster_nodes
 from hierax.runtime.deployment.paths import Keys
 from hierax.runtime.deployment.tree import read_tree
+from hierax.runtime.deployment.validation import first_error
 from hierax.runtime.loading.allowance import module_of
 from hierax.schemas.roster import FUNCTIONS, ProbeSpec, Roster
 

@@ -47,13 +47,13 @@ def public_settings(settings: Sequence[str], zenoh: Any) -> tuple[str, ...]:
     return tuple(text.partition("=")[0].strip() if _is_hidden(text, secrets) else text for text in settings)
 
 
-def told(text: str) -> str:
+def public_setting(text: str) -> str:
     """A setting as errors show it."""
     return f"{text.partition('=')[0]}=…" if _is_hidden(text, frozenset()) else text
 
 
 def usable(settings: Sequence[str]) -> list[str]:
-    """Of kept settings those whose values are kept, too."""
+    """Those of the kept settings whose values are kept, too."""
     return [text for text in settings if "=" in text]
 
 

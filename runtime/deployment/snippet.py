@@ -17,11 +17,11 @@ from pydantic import ValidationError
 from hierax.runtime.deployment.deployment import Deployment, RestartPolicy
 from hierax.runtime.deployment.document import Document
 from hierax.runtime.deployment.errors import DeploymentError
-from hierax.runtime.deployment.faults import first_error
 from hierax.runtime.deployment.models import SnippetModel, split_edge
 from hierax.runtime.deployment.parameters import substitute
 from hierax.runtime.deployment.parts import restart_policy, roster_edges, roster_nodes
 from hierax.runtime.deployment.read import read_document
+from hierax.runtime.deployment.validation import first_error
 from hierax.runtime.loading.nearest import did_you_mean
 from hierax.schemas.changes import Attach, Replace
 

@@ -99,9 +99,8 @@ def read_tree(text: str, place: str, has_lines: bool = True) -> Tree:
         root = yaml.compose(text, Loader=_Loader)
     except yaml.reader.ReaderError as error:
         line = text.count("\n", 0, error.position) + 1
-        raise DeploymentError(
-            f"character {_character(error.character)!r} is not allowed in YAML", tree.at(line)
-        ) from error
+        character = chr(error.character) if isinstance(error.character, int) else error.character
+        raise DeploymentError(f"character {character!r} is not allowed in YAML", tree.at(line)) from error
     except yaml.MarkedYAMLError as error:
         raise _syntax_error(error, tree) from error
     except _TooMuch as error:
@@ -146,7 +145,7 @@ class _Builder:
         raise self.error(node, keys, f"the tag {_short(node.tag)} cannot be used here")
 
     def count(self, parts: int, node: yaml.Node, keys: Keys) -> None:
-        """So many values more."""
+        """Count so many values more."""
         self.parts += parts
         if self.parts > MAX_PARTS:
             raise self.error(node, keys[:4], f"the document has more than {MAX_PARTS} values")
@@ -210,10 +209,6 @@ class _Builder:
         return DeploymentError(what, self.tree.at(node.start_mark.line + 1), field_text(keys))
 
 
-def _character(given: int | str) -> str:
-    return chr(given) if isinstance(given, int) else given
-
-
 def _short(tag: str) -> str:
     return tag.replace(_TAG, "!!")
 
@@ -239,25 +234,17 @@ def _int(text: str) -> int:
     return number
 
 
-def _float(text: str) -> float:
-    return float(text.lower().replace(".inf", "inf").replace(".nan", "nan"))
-
-
 def _text(text: str) -> str:
     text.encode()  # half of a surrogate pair, written as an escape, cannot travel
     return text
-
-
-def _binary(text: str) -> bytes:
-    return base64.b64decode("".join(text.split()), validate=True)
 
 
 _SCALARS: dict[str, Callable[[str], Any]] = {
     f"{_TAG}null": _null,
     f"{_TAG}bool": _bool,
     f"{_TAG}int": _int,
-    f"{_TAG}float": _float,
+    f"{_TAG}float": lambda text: float(text.lower().replace(".inf", "inf").replace(".nan", "nan")),
     f"{_TAG}str": _text,
     f"{_TAG}merge": _text,
-    f"{_TAG}binary": _binary,
+    f"{_TAG}binary": lambda text: base64.b64decode("".join(text.split()), validate=True),
 }

@@ -20,10 +20,10 @@ from hierax.runtime.core.errors import HieraxError
 
 FILE_MODE, FOLDER_MODE = 0o600, 0o700
 LARGEST = 16 << 20
-"""Of a private file that is read at once, in bytes."""
+"""How many bytes a private file that is read at once may have."""
 
 _AT_ONCE = os.O_NOFOLLOW | os.O_CLOEXEC | os.O_NONBLOCK
-"""Of all files; a FIFO is refused, not waited for."""
+"""The flags for all files; a FIFO is refused, not waited for."""
 
 _LOOK = os.O_PATH | os.O_NOFOLLOW | os.O_CLOEXEC
 _MOST_LINKS = 40
@@ -128,15 +128,15 @@ def write_result(path: Path, content: bytes) -> None:
         file.write(content)
 
 
-def hold(file: int, told: Callable[[str], HieraxError]) -> None:
+def hold(file: int, refusal: Callable[[str], HieraxError]) -> None:
     """Have an open file for this process, and those that inherit it, alone; until it is closed or they have ended.
 
-    Raises what `told` gives for who has it, if another process has it.
+    Raises the refusal of who has it, if another process has it.
     """
     try:
         fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except BlockingIOError as error:
-        raise told(_holder(file)) from error
+        raise refusal(_holder(file)) from error
 
 
 def _walked(path: Path, make: bool) -> int:

@@ -12,7 +12,7 @@ from typing import Any
 from hierax.runtime.host.private_files import UnsafeFileError, private_folder, read_private, write_private
 
 KEPT_RUNS = 20
-"""Of how many launches, the last ones that have ended, the folders stay."""
+"""How many folders stay of launches that have ended, the last ones."""
 
 LOGS = "logs"
 ABOUT = "about.json"

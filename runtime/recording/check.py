@@ -41,7 +41,7 @@ from hierax.schemas.roster import Roster
 from hierax.schemas.steps import NodeStep, Passage
 
 KEPT_EPOCHS = 64
-"""For how many epochs back what a port saw is remembered."""
+"""How many epochs back what a port saw is remembered."""
 
 SETTLED_EPOCHS = 4096
 SETTLED_BYTES = 64 << 20
@@ -179,9 +179,10 @@ class Checker:
         log.unsure = max(log.unsure - 1, 0)
         if step.name == roster.world:
             self._commit(step, roster)
-            while self._waiting and self._is_settled(step.epoch):
+            settled = step.epoch - SETTLED_EPOCHS
+            while self._waiting and (self._waiting[0].epoch <= settled or self._bytes > SETTLED_BYTES):
                 self._check_digest(self._waiting.popleft())
-            self._forget(step.epoch)
+            self._forget(settled)
 
     def close(self) -> Sequence[Violation]:
         """What was found, the first ones; after the end."""
@@ -233,7 +234,7 @@ class Checker:
                 self._break("PREDICT", when, f"{step.name} predicted without {kind} of {peer}")
 
     def _used(self, step: NodeStep, seat: _Seat, when: Attempt) -> dict[tuple[str, str], Attempt]:
-        """Of which epochs the inputs were, and whether they may be."""
+        """The epochs that the inputs were of, which are found fault with where they may not be."""
         used = step.used_of
         bound = self._staleness.epochs
         for (peer, kind), (epoch, _) in used.items():
@@ -263,9 +264,6 @@ class Checker:
                 self._break("DIGEST", when, "the run's digest does not follow from the last one and the world's")
         self._committed = (*when, step.chain)
         self.epochs += 1
-
-    def _is_settled(self, epoch: int) -> bool:
-        return self._waiting[0].epoch <= epoch - SETTLED_EPOCHS or self._bytes > SETTLED_BYTES
 
     def _check_digest(self, step: NodeStep) -> None:
         self._bytes -= len(step.state)
@@ -310,8 +308,7 @@ class Checker:
             self._seats[key] = _Seat(below, above, from_above, to_below)
         return self._seats[key]
 
-    def _forget(self, epoch: int) -> None:
-        oldest = epoch - SETTLED_EPOCHS
+    def _forget(self, oldest: int) -> None:
         while self._order and self._order[0][0] < oldest:
             when = self._order.popleft()
             self._messages.pop(when, None)

@@ -60,7 +60,11 @@ def other_settings(info: RunInfo, settings: Sequence[str], classes: Mapping[str,
     rewrite = rewriting(recorded_deployment(info).roster, recorded_deployment(info, settings).roster)
 
     def rewritten(roster: Roster) -> Roster:
-        return _with_classes(rewrite(roster), classes)
+        roster = rewrite(roster)
+        others = {
+            name: Reference(classes[name], roster.nodes[name].parameters) for name in roster.nodes if name in classes
+        }
+        return replace(roster, nodes={**roster.nodes, **others})
 
     return rewritten
 
@@ -72,7 +76,7 @@ def in_place_of(recorded: Roster, deployment: Deployment) -> Rewrite:
 
     def rewritten(roster: Roster) -> Roster:
         if roster.content() == content:
-            return Roster(other.world, other.nodes, other.edges, roster.version, roster.instances)
+            return replace(other, version=roster.version, instances=roster.instances)
         return rewrite(roster)  # it was changed since
 
     return rewritten
@@ -83,14 +87,5 @@ def check_classes(rosters: Mapping[int, Roster], classes: Mapping[str, str]) -> 
     names = {name for roster in rosters.values() for name in roster.nodes}
     for name in classes:
         if name not in names:
-            raise RecordingError(
-                f"--with {name}: there is no node {name!r}{did_you_mean(name, names, 'the nodes are')}"
-            )
-
-
-def _with_classes(roster: Roster, classes: Mapping[str, str]) -> Roster:
-    nodes = {
-        name: Reference(classes[name], reference.parameters) if name in classes else reference
-        for name, reference in roster.nodes.items()
-    }
-    return Roster(roster.world, nodes, roster.edges, roster.version, roster.instances)
+            nearest = did_you_mean(name, names, "the nodes are")
+            raise RecordingError(f"--with {name}: there is no node {name!r}{nearest}")

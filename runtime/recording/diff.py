@@ -14,7 +14,7 @@ from typing import NamedTuple, Protocol
 from hierax.runtime.core.elements import Elements, Value
 from hierax.runtime.core.hierarchy import neighbours_above, neighbours_below
 from hierax.runtime.core.process import ActiveNode
-from hierax.runtime.recording.values import ABSENT, first_unlike
+from hierax.runtime.recording.unlike import ABSENT, first_unlike
 from hierax.schemas.messages import CONTEXT, OBSERVATIONS, TASKS
 from hierax.schemas.roster import Roster
 

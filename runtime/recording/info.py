@@ -221,14 +221,6 @@ def _is_text(value: object) -> bool:
     return isinstance(value, str) and "\x00" not in value and not any("\ud800" <= char <= "\udfff" for char in value)
 
 
-def _are_texts(value: object) -> bool:
-    return isinstance(value, (list, tuple)) and all(map(_is_text, value))
-
-
-def _are_named_texts(value: object) -> bool:
-    return isinstance(value, Mapping) and all(map(_is_text, [*value, *value.values()]))
-
-
 def _is_name(value: object) -> bool:
     try:
         return bool(check_name(value))  # type: ignore[arg-type]
@@ -242,8 +234,11 @@ _BY_TYPE: dict[object, Expected] = {
     "int": ("a whole number from 0", _is_whole),
     "int | None": ("a whole number from 0, or null", lambda value: value is None or _is_whole(value)),
     "bool": ("true or false", lambda value: isinstance(value, bool)),
-    "Sequence[str]": ("a list of texts", _are_texts),
-    "Mapping[str, str]": ("a map of texts", _are_named_texts),
+    "Sequence[str]": ("a list of texts", lambda value: isinstance(value, (list, tuple)) and all(map(_is_text, value))),
+    "Mapping[str, str]": (
+        "a map of texts",
+        lambda value: isinstance(value, Mapping) and all(map(_is_text, [*value, *value.values()])),
+    ),
     "Mapping[str, Any]": ("a map", lambda value: isinstance(value, Mapping)),
 }
 _NAME: Expected = ("a name", _is_name)

@@ -100,7 +100,8 @@ class LiveRecording:
         recorder, ledger = self._recorder, self._recorder.ledger
         looked_s = time.monotonic()
         try:
-            while not (self._stopping or (ledger.ended and not self._checks_on)):
+            # the order is checked further where nothing more is written
+            while not (self._stopping or (ledger.ended and not (self.checker is not None and recorder.cut))):
                 self._take(BATCH_S)
                 recorder.flush()
                 if self._watches and time.monotonic() - looked_s > LOOK_S:
@@ -113,11 +114,6 @@ class LiveRecording:
             self._ear.close()
         self._take(0.0)
         return recorder.finish(self._last if ledger.cut is None or not ledger.ended else ledger.cut)
-
-    @property
-    def _checks_on(self) -> bool:
-        """Whether the order is checked further, although nothing more is written."""
-        return self.checker is not None and bool(self._recorder.cut)
 
     def _look(self) -> None:
         """How far the launch is, by its supervisor's words: a recorder that is cut off hears nothing, and not that."""

@@ -22,7 +22,7 @@ ROSTER_EVERY_S = 0.5
 """How often the roster is told again, for those who have begun to record meanwhile."""
 
 _KEPT = 64
-"""Of how many epochs that were begun, and may still be completed, something is kept."""
+"""How many epochs that were begun, and may still be completed, are remembered."""
 
 
 class StepSink(Protocol):
@@ -50,16 +50,16 @@ class Witness(Watcher):
 
     Args:
         name, engine: the node's name; what gives its engine, which may not be there yet.
-        teller: where steps go.
+        sink: where steps go.
         roster: of the world: gives the roster in force; None for other nodes.
     """
 
     def __init__(
-        self, name: str, engine: Callable[[], Engine], teller: StepSink, roster: Callable[[], Roster] | None = None
+        self, name: str, engine: Callable[[], Engine], sink: StepSink, roster: Callable[[], Roster] | None = None
     ) -> None:
         self._name = name
         self._engine = engine
-        self._teller = teller
+        self._sink = sink
         self._roster = roster
         self._stream = token_hex(4)
         self._number = 0
@@ -122,14 +122,14 @@ class Witness(Watcher):
         states = (completed.state, b"" if self._roster is not None else _encoded(step.sensed), begun.start)
         heard = (begun.used, tuple(passages), self._chain[1] if self._chain[0] == step.epoch else b"")
         told = NodeStep(self._name, self._stream, self._number, *where, completed.digest, *states, *heard)
-        self._teller.step(encode_step(told))
+        self._sink.step(encode_step(told))
 
     def _tell_roster(self, roster: Roster) -> None:
         now_s = time.monotonic()
         if roster.version == self._told_version and now_s - self._told_s < ROSTER_EVERY_S:
             return
         self._told_version, self._told_s = roster.version, now_s
-        self._teller.roster(encode_value(roster.plain()))
+        self._sink.roster(encode_value(roster.plain()))
 
 
 def _encoded(belief: Value) -> bytes:

@@ -25,7 +25,7 @@ CHUNK_S = 1.0
 chunk, as a message and in a belief, takes its room once."""
 
 ZSTD_LEVEL = 1
-"""Of Zstandard; the default, 3, takes four times as long for images, for 7 % less."""
+"""The level of Zstandard; the default, 3, takes four times as long for images, for 7 % less."""
 
 Compression = Literal["none", "lz4", "zstd"]
 

@@ -24,7 +24,7 @@ EPOCHS = 3
 """How many are done where there are fewer inputs: they are given again from the first."""
 
 MAX_POLICIES = 32
-"""Of how many policies every one is called."""
+"""How many policies a node may have for all of them to be called."""
 
 NAME, BELOW, ABOVE = "node", "below", "above"
 

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from hierax.runtime.core.hierarchy import Edge
     from hierax.runtime.core.node import Node
     from hierax.runtime.core.probe import Step
-    from hierax.runtime.testing.recorded import Recorded
+    from hierax.runtime.testing.recorded_node import Recorded
     from hierax.runtime.testing.runs import Ran
 
 
@@ -108,7 +108,7 @@ class Recordings:
         Raises:
             HieraxError: the file is no recording, is not trusted, has no such node, or lacks what that was given.
         """
-        from hierax.runtime.testing.recorded import read_recorded
+        from hierax.runtime.testing.recorded_node import read_recorded
 
         return read_recorded(_found(self.folder, file), node, epochs, trust)
 

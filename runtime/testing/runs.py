@@ -42,17 +42,17 @@ class Ran:
 
     @property
     def digest(self) -> str:
-        """Of the last epoch: two runs with the same one were the same."""
+        """The digest of the last epoch: two runs with the same one were the same."""
         return self.report.digest
 
     @property
     def beliefs(self) -> dict[str, Value]:
-        """By node, after the last epoch."""
+        """The beliefs by node, after the last epoch."""
         return {name: node.belief for name, node in self.report.nodes.items()}
 
     @property
     def metrics(self) -> dict[str, dict[str, float]]:
-        """By node, after the last epoch."""
+        """The metrics by node, after the last epoch."""
         return {name: dict(node.metrics) for name, node in self.report.nodes.items()}
 
     def history(self, node: str) -> list[Value]:

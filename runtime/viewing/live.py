@@ -12,14 +12,14 @@ from hierax.runtime.core.probe import Step
 from hierax.runtime.loading.allowance import Allowance
 from hierax.runtime.transport.launch_client import LaunchClient, LaunchStatus
 from hierax.runtime.transport.port import TransportError
-from hierax.runtime.viewing.nodes import ShownNodes
 from hierax.runtime.viewing.presenter import ViewPresenter
+from hierax.runtime.viewing.shown_nodes import ShownNodes
 from hierax.runtime.watch.stepper import read_step
 from hierax.schemas.keys import STEP
 from hierax.schemas.roster import Roster
 
 MOST_EPOCHS_PER_S = 30.0
-"""Of a quicker launch every second, third, … epoch is shown."""
+"""How many epochs are shown; a quicker launch is shown every second, third, … epoch."""
 
 ASK_EVERY_S = 1.0
 """Nodes tell their steps for some seconds after they were asked."""
@@ -124,7 +124,7 @@ class _Stage:
             self.shown += 1
 
     def _time(self, step: Step, done_ns: int) -> None:
-        """From one epoch of the world to the next; where some are left out, their mean."""
+        """Show how long one epoch of the world took; where some are left out, their mean."""
         if self._last is not None and step.epoch > self._last[0]:
             took_s = (done_ns - self._last[1]) / 1e9 / (step.epoch - self._last[0])
             self._presenter.epoch_took(step.epoch, step.time_s, took_s)

@@ -40,7 +40,7 @@ TELL_AFTER_EPOCHS = 20
 """After so many a view that nothing is shown in is taken for a slip of the layout."""
 
 BELIEFS_KEPT = 4
-"""Of each node: an epoch may be done again."""
+"""How many beliefs of each node are kept, as an epoch may be done again."""
 
 _APART = (170.0, 110.0)
 """Between nodes in the picture of the hierarchy: across and up."""

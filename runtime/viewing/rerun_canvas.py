@@ -35,7 +35,7 @@ TIMELINE, TIME = "epoch", "time"
 """The timelines: the epoch's number, and the world's time in seconds."""
 
 JPEG_QUALITY = 85
-"""Of pictures: they take a tenth of the room."""
+"""The quality of pictures, which take a tenth of the room by it."""
 
 DEPTH_MARGIN = 0.7
 """The nearest depth is not drawn as black, which is where nothing is."""

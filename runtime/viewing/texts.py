@@ -10,10 +10,10 @@ import numpy as np
 from hierax.runtime.core.elements import Value
 
 MOST_LINES = 200
-"""Of one value; what is longer is cut off, and says so."""
+"""How many lines one value takes at most; what is longer is cut off, and says so."""
 
 MOST_ITEMS = 16
-"""Of an array that is written out, and of a list."""
+"""How many items an array that is written out, or a list, has at most."""
 
 MOST_CHARS = 80
 

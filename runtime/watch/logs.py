@@ -50,7 +50,7 @@ When = Callable[[], tuple[int, int]]
 """The epoch and attempt under way."""
 
 _throttle = Throttle()
-"""Of this process: on the console and in the file the same is left out."""
+"""The throttle of this process: on the console and in the file the same is left out."""
 
 _LOG = logging.getLogger(OURS)
 _CONSOLE_FORMAT = "%(name)s: %(message)s"

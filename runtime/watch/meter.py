@@ -18,7 +18,7 @@ WORK = (OBSERVE, POLICY, PREDICT, EDGES, ACT, OTHER)
 """What a node works at: τ; λ and π; γ; φ, ψ and ϱ; a world's actuators; encoding, sending, checkpoints, probes."""
 
 EPOCHS_KEPT = 512
-"""Of how many epochs, the last ones, the durations are kept."""
+"""How many durations, of the last epochs, are kept."""
 
 _KINDS = {
     "observe": OBSERVE,

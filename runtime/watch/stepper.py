@@ -13,7 +13,7 @@ from hierax.schemas.errors import SchemaError
 from hierax.schemas.values import decode_value, encode_value
 
 STEPS_KEPT = 16
-"""Of those that nobody has taken yet; of more than that, the oldest are forgotten."""
+"""How many steps wait until somebody takes them; of more than that, the oldest are forgotten."""
 
 
 class Stepper(Watcher):

@@ -171,6 +171,8 @@ class Spans(Watcher):
 
     def _begin(self, epoch: int, attempt: int, begun: int) -> Span:
         """The span of an epoch, which may be a new one."""
+        from opentelemetry.trace import set_span_in_context
+
         if self._span is not None and self._epoch == (epoch, attempt):
             self._works = True
             return self._span
@@ -183,15 +185,9 @@ class Spans(Watcher):
         span = self._tracer.start_span(f"{self._node} epoch", parent, attributes=attributes, start_time=begun)
         self._epoch, self._span = (epoch, attempt), span
         self._open[epoch] = span
-        self._carrier = self._injected(span)
+        self._carrier = {}
+        self._propagator.inject(self._carrier, set_span_in_context(span))
         return span
-
-    def _injected(self, span: Span) -> dict[str, str]:
-        from opentelemetry.trace import set_span_in_context
-
-        carrier: dict[str, str] = {}
-        self._propagator.inject(carrier, set_span_in_context(span))
-        return carrier
 
     def _links(self) -> list[Any]:
         from opentelemetry.trace import Link, get_current_span

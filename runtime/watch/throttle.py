@@ -17,7 +17,7 @@ PAUSES_S = (1.0, 2.0, 5.0, 10.0, 30.0, 60.0)
 """The pauses, each longer than the one before; the last one is kept. What is quiet for as long begins anew."""
 
 MAX_KINDS = 512
-"""Of how many kinds the records are counted apart."""
+"""How many kinds of records are counted apart."""
 
 
 @dataclass

@@ -20,7 +20,7 @@ from hierax.runtime.recording.reading import Recording
 from hierax.runtime.recording.replay import Replay
 from hierax.runtime.recording.topics import ROSTER
 from hierax.runtime.recording.writing import McapFile
-from hierax.runtime.testing.recorded import read_recorded
+from hierax.runtime.testing.recorded_node import read_recorded
 from hierax.schemas.roster import Reference, Roster
 from hierax.schemas.values import encode_value
 

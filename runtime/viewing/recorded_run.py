@@ -11,8 +11,8 @@ from hierax.runtime.core.probe import Step
 from hierax.runtime.loading.allowance import Allowance
 from hierax.runtime.recording.reading import Recording
 from hierax.runtime.recording.trace import EpochTrace, Line
-from hierax.runtime.viewing.nodes import ShownNodes
 from hierax.runtime.viewing.presenter import ViewPresenter
+from hierax.runtime.viewing.shown_nodes import ShownNodes
 from hierax.schemas.messages import CONTEXT, OBSERVATIONS, TASKS
 from hierax.schemas.roster import Roster
 
@@ -73,7 +73,9 @@ class _Playing:
         state, start = trace.state_of(name), trace.start_of(name)
         if known is None or state is None:
             return  # its process died before it could tell
-        before = self._belief_before(trace.epoch, name) if start is None else start.belief
+        epoch, before = self._beliefs.get(name, (0, None))
+        if start is not None or epoch >= trace.epoch:
+            before = None if start is None else start.belief
         self._beliefs[name] = (trace.epoch, state.belief)
         sensed = trace.sensed_of(name)
         if sensed is None and name == trace.roster.world:
@@ -95,10 +97,6 @@ class _Playing:
             state.belief,
         )
         self._presenter.step(name, self._nodes.node(trace.roster, name), step, before)
-
-    def _belief_before(self, epoch: int, name: str) -> Value:
-        known = self._beliefs.get(name)
-        return known[1] if known is not None and known[0] < epoch else None
 
     def _inputs(self, trace: EpochTrace, name: str, kind: str, senders: tuple[str, ...]) -> Elements:
         """What a node was given along all edges, in the order of their other ends' names; what lacks is left out."""

@@ -11,7 +11,7 @@ from hierax.runtime.loading.loader import load_function
 from hierax.runtime.recording.deployments import allowance_of, recorded_deployment
 from hierax.runtime.recording.reading import Recording
 from hierax.runtime.viewing.presenter import ViewPresenter
-from hierax.runtime.viewing.recorded import show_recording
+from hierax.runtime.viewing.recorded_run import show_recording
 from hierax.runtime.viewing.single_run import run_seen
 
 pytest.importorskip("mcap", reason="the extra [record] is not installed")
