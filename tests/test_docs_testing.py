@@ -17,7 +17,7 @@ def test_the_examples_pass(tmp_path: Path) -> None:
     folder = tmp_path / "house"
     make_project(folder)
     blocks = re.findall(r"```python\n(.*?)```", DOCS.read_text(encoding="utf-8"), re.DOTALL)
-    shown = [block for block in blocks if "robot.mcap" not in block]  # tests/runtime/testing/test_recorded_node.py has that
+    shown = [block for block in blocks if "robot.mcap" not in block]  # testing/test_recorded_node.py has that
     assert len(blocks) == len(shown) + 1 == 5
     (folder / "test_docs.py").write_text(NAMES + "\n\n".join(shown), encoding="utf-8")
     command = [sys.executable, "-m", "pytest", "-q", "-W", "error", "-p", "no:cacheprovider", "test_docs.py"]

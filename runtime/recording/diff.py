@@ -116,11 +116,11 @@ class Comparison:
         return self.difference is None and not self.rosters
 
 
-def compare(a: Iterable[EpochView], b: Iterable[EpochView], tolerance: float = 0.0, digests: bool = True) -> Comparison:
+def compare(a: Iterable[EpochView], b: Iterable[EpochView], tolerance: float = 0.0) -> Comparison:
     """Compare the epochs that both have, in the order of their numbers, up to the first difference.
 
-    With a tolerance of numbers, as `first_unlike` has it, the runs' digests are not compared; else they are where
-    `digests` says so and the rosters were equal so far.
+    The runs' digests are compared where the rosters were equal so far, but with a tolerance of numbers, as
+    `first_unlike` has it, they are not.
     """
     result = Comparison()
     for left, right in _paired(iter(a), iter(b)):
@@ -129,7 +129,7 @@ def compare(a: Iterable[EpochView], b: Iterable[EpochView], tolerance: float = 0
         if not result.rosters:
             result.rosters = roster_differences(left.epoch, left.roster, right.roster)
         result.difference = next(_differences(left, right, tolerance, result), None)
-        if result.difference is None and digests and not tolerance and not result.rosters:
+        if result.difference is None and not tolerance and not result.rosters:
             result.difference = _digest_difference(left, right, result)
         if result.difference is not None:
             return result

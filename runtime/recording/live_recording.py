@@ -23,7 +23,7 @@ from hierax.runtime.host.streams import own_streams
 from hierax.runtime.recording.info import Ending, RunInfo
 from hierax.runtime.recording.recorder import open_recorder
 from hierax.runtime.recording.selection import EVERYTHING, Selection
-from hierax.runtime.recording.writing import Compression, Target
+from hierax.runtime.recording.writing import Target
 from hierax.runtime.transport.launch_client import LaunchClient
 from hierax.runtime.transport.steps import BusTap
 from hierax.runtime.watch.logs import log_console
@@ -51,7 +51,7 @@ class LiveRecording:
 
     Args:
         info, endpoint: of the run, and of its hub.
-        file, check, epochs, compression, selection: as `open_recorder` has them.
+        file, check, epochs, selection: as `open_recorder` has them.
         settings: Zenoh's own.
         host: of this machine, for processes on others.
         watches: whether nobody else tells when the launch is over, and how far it came.
@@ -69,11 +69,10 @@ class LiveRecording:
         settings: Any = None,
         host: str | None = None,
         epochs: int | None = None,
-        compression: Compression = "zstd",
         watches: bool = False,
         selection: Selection = EVERYTHING,
     ) -> None:
-        self._recorder = open_recorder(info, file, check, selection, epochs, compression)
+        self._recorder = open_recorder(info, file, check, selection, epochs)
         self.checker = self._recorder.checker
         self._keys = Keys(info.hierarchy, info.run)
         self._ear = BusTap(endpoint, self._keys, settings, host)

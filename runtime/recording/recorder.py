@@ -13,7 +13,7 @@ from hierax.runtime.recording.info import Ending, Gap, RunInfo
 from hierax.runtime.recording.ledger import Ledger
 from hierax.runtime.recording.selection import EVERYTHING, Selection
 from hierax.runtime.recording.topics import EPOCH, MESSAGE, ROSTER, STEP, TOKEN, Topic, glance, topic_of
-from hierax.runtime.recording.writing import Compression, McapFile, Target
+from hierax.runtime.recording.writing import McapFile, Target
 from hierax.runtime.transport.steps import Sample
 from hierax.schemas.messages import HELLO
 from hierax.schemas.roster import Roster
@@ -206,7 +206,6 @@ def open_recorder(
     check: bool,
     selection: Selection,
     epochs: int | None = None,
-    compression: Compression = "zstd",
 ) -> Recorder:
     """A recorder that writes a file, if one is given, and checks the formal order, if that is wanted.
 
@@ -214,6 +213,6 @@ def open_recorder(
     written.
     """
     info = replace(info, left_out=tuple(selection.exclude))
-    written = None if file is None else McapFile(file, info, compression)
+    written = None if file is None else McapFile(file, info)
     checker = Checker(info.how_stale) if check else None
     return Recorder(written, checker, info.from_start, epochs, info.how_stale.barrier, selection)

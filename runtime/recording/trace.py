@@ -107,9 +107,9 @@ class EpochTrace:
         """The nodes from below to above."""
         return order_of(self.roster)
 
-    def elements(self, kind: str, sender: str, receiver: str, attempt: int | None = None) -> Elements | None:
-        """What a message of an attempt, by default the one that was committed, held; None: it was not recorded."""
-        data = self.lines.get((kind, sender, receiver), {}).get(self.attempt if attempt is None else attempt)
+    def elements(self, kind: str, sender: str, receiver: str) -> Elements | None:
+        """What a message of the attempt that was committed held; None: it was not recorded."""
+        data = self.lines.get((kind, sender, receiver), {}).get(self.attempt)
         return None if data is None else self.message(data).payload
 
     def start_of(self, name: str) -> ActiveNode | None:

@@ -8,7 +8,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 from hierax.runtime.host.private_files import HeldError, hold, open_result
 from hierax.runtime.recording.info import Ending, RecordingError, RunInfo, to_metadata
@@ -26,8 +26,6 @@ chunk, as a message and in a belief, takes its room once."""
 
 ZSTD_LEVEL = 1
 """The level of Zstandard; the default, 3, takes four times as long for images, for 7 % less."""
-
-Compression = Literal["none", "lz4", "zstd"]
 
 
 @dataclass(frozen=True)
@@ -70,7 +68,7 @@ class McapFile:
     written, or the package ``mcap`` lacks.
     """
 
-    def __init__(self, path: Path | Target, info: RunInfo, compression: Compression = "zstd") -> None:
+    def __init__(self, path: Path | Target, info: RunInfo) -> None:
         self._path = path.path if isinstance(path, Target) else path
         self._channels: dict[str, int] = {}
         self._schemas: dict[str, int] = {}
@@ -80,7 +78,7 @@ class McapFile:
             descriptor = os.dup(path.descriptor) if isinstance(path, Target) else open_result(path)
             self._file = os.fdopen(descriptor, "wb")
             self._file.truncate(0)
-            self._writer = _writer(self._file, compression)
+            self._writer = _writer(self._file)
             self._writer.start(PROFILE, f"hierax {info.versions.get('hierax', '')}")
             self._writer.add_metadata(INFO, to_metadata(info.plain()))
             text = info.deployment_text.encode()
@@ -152,15 +150,13 @@ class _Zstd:
         return ZstdCompressor(level=ZSTD_LEVEL).compress(data)
 
 
-def _writer(file: Any, compression: Compression) -> Any:
+def _writer(file: Any) -> Any:
     require_mcap()
     import mcap.writer
     from mcap.writer import CompressionType, Writer
 
     setattr(mcap.writer, "zstandard", _Zstd)  # noqa: B010 - the writer has no option for the level
-
-    kinds = {"none": CompressionType.NONE, "lz4": CompressionType.LZ4, "zstd": CompressionType.ZSTD}
-    return Writer(file, chunk_size=CHUNK_BYTES, compression=kinds[compression])
+    return Writer(file, chunk_size=CHUNK_BYTES, compression=CompressionType.ZSTD)
 
 
 def require_mcap() -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from itertools import chain
 
 from hierax.runtime.core.elements import Elements, Value
@@ -21,23 +20,17 @@ MESSAGES_KEPT = 64
 
 
 def show_recording(
-    recording: Recording,
-    presenter: ViewPresenter,
-    allowance: Allowance,
-    first: int = 1,
-    last: int | None = None,
-    progress: Callable[[int], None] = lambda _: None,
+    recording: Recording, presenter: ViewPresenter, allowance: Allowance, first: int = 1, last: int | None = None
 ) -> int:
     """Show the epochs of a recording from the first to the last one; how many were shown.
 
-    `progress` is told the number of each of them. Raises `HieraxError` if the file is damaged, a node cannot or may not
+    Raises `HieraxError` if the file is damaged, a node cannot or may not
     be loaded, or what it shows cannot be shown.
     """
     playing = _Playing(presenter, allowance)
     shown = 0
     for trace in recording.epochs(first, last):
         playing.epoch(trace)
-        progress(trace.epoch)
         shown += 1
     presenter.close()
     return shown

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
 
 from hierax.runtime.deployment import Deployment
 from hierax.runtime.engine.effects import Completed
@@ -14,14 +13,7 @@ from hierax.runtime.viewing.presenter import ViewPresenter
 from hierax.runtime.watch.watcher import Watcher
 
 
-def run_seen(
-    deployment: Deployment,
-    presenter: ViewPresenter,
-    *,
-    epochs: int | None,
-    seed: int,
-    progress: Callable[[int], None] | None = None,
-) -> Report:
+def run_seen(deployment: Deployment, presenter: ViewPresenter, *, epochs: int | None, seed: int) -> Report:
     """Run a deployment in this process, as `hierax.runtime.execution.single.run` does, and show it.
 
     Raises `HieraxError` as that does, or if what a node shows cannot be shown.
@@ -33,7 +25,7 @@ def run_seen(
         runner.watch(_Seen(name, runner, presenter, clock))
 
     try:
-        return single.run(deployment, epochs=epochs, seed=seed, progress=progress, watch=watch)
+        return single.run(deployment, epochs=epochs, seed=seed, watch=watch)
     finally:
         presenter.close()
 

@@ -15,7 +15,7 @@ MOST_LINES = 200
 MOST_ITEMS = 16
 """How many items an array that is written out, or a list, has at most."""
 
-MOST_CHARS = 80
+MOST_CHARS, MOST_FIGURES = 80, 4
 
 
 def belief_text(belief: Value) -> str:
@@ -26,10 +26,9 @@ def belief_text(belief: Value) -> str:
     return "\n".join(lines)
 
 
-def figures_text(figures: Mapping[str, float], most: int = 4) -> str:
-    """A few figures, a line each."""
-    lines = [f"{name} {number:.4g}" for name, number in list(figures.items())[:most]]
-    return "\n".join(lines)
+def figures_text(figures: Mapping[str, float]) -> str:
+    """The first figures, a line each."""
+    return "\n".join(f"{name} {number:.4g}" for name, number in list(figures.items())[:MOST_FIGURES])
 
 
 def _lines(value: Value, indent: str) -> Iterator[str]:

@@ -39,9 +39,9 @@ class ViewerError(HieraxError):
     """A viewer cannot be started, or a file not be written."""
 
 
-def stream_of(hierarchy: str, run: str | None = None) -> Stream:
+def stream_of(hierarchy: str) -> Stream:
     """A stream for what is shown of a run."""
-    return rr.RecordingStream(f"hierax {hierarchy}", recording_id=run)
+    return rr.RecordingStream(f"hierax {hierarchy}")
 
 
 _LOOK_S = 0.2

@@ -66,7 +66,7 @@ def test_what_is_left_out_is_said_and_the_rest_is_used(tmp_path: Path, capsys: C
     assert not list(recording.messages(node="world", kind="obs"))
     assert len(recording.digests()) == EPOCHS
     checker = check_recording(recording)
-    assert (checker.close(), checker.epochs) == ((), EPOCHS)
+    assert (checker.close(), checker.epochs) == ([], EPOCHS)
     said = f"hierax: {tmp_path}/part.mcap: obs/world/*, obs/nobody/* was left out (--exclude)\n"
     for arguments in (["check"], ["diff", "servo"], ["replay", "--world", "again", "--verify"]):
         command = [arguments[0], f"{tmp_path}/part.mcap", *arguments[1:]]

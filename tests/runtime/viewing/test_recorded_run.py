@@ -48,10 +48,9 @@ def test_a_recording_shows_what_the_run_showed(
 
 def test_a_part_of_a_recording(tmp_path: Path) -> None:
     recording = recorded(tmp_path, "servo", 20)
-    canvas, told = KeptCanvas(), list[int]()
-    assert show_recording(recording, ViewPresenter(canvas), allowance_of(recording), 5, 9, told.append) == 5
-    assert told == [5, 6, 7, 8, 9]
-    assert sorted(canvas.drawn) == told
+    canvas = KeptCanvas()
+    assert show_recording(recording, ViewPresenter(canvas), allowance_of(recording), 5, 9) == 5
+    assert sorted(canvas.drawn) == [5, 6, 7, 8, 9]
     assert "epochs/took_ms" not in canvas.drawn[5]
     assert canvas.drawn[6]["epochs/took_ms"].thing > 0.0  # type: ignore[operator]
 
@@ -66,9 +65,9 @@ def test_of_a_recording_that_was_cut_is_shown_what_there_is(tmp_path: Path) -> N
         if size is not None:
             path.write_bytes(path.read_bytes()[:size])
         recording = Recording.open(path)
-        canvas, told = KeptCanvas(), list[int]()
-        shown = show_recording(recording, ViewPresenter(canvas), allowance_of(recording, True), 1, None, told.append)
-        assert told == list(range(1, shown + 1))
+        canvas = KeptCanvas()
+        shown = show_recording(recording, ViewPresenter(canvas), allowance_of(recording, True))
+        assert sorted(canvas.drawn) == list(range(1, shown + 1))
         assert least <= shown <= cut.ending.last
         assert recording.loss
 
