@@ -101,10 +101,7 @@ _CHECKPOINT_NAMES, _WORLD_NAMES = tuple(_CHECKPOINT), tuple(_WORLD)
 
 
 def encode_checkpoint(checkpoint: Checkpoint) -> bytes:
-    """The bytes of a node's checkpoint; that states are encoded states is not looked into.
-
-    Raises `SchemaError` if a field is not what it must be, or the whole is too large.
-    """
+    """The bytes of a node's checkpoint, its states not looked into; `SchemaError` if a field or the size is wrong."""
     epoch, attempt, instance, roster, finished, start, now = checkpoint
     if not (
         type(epoch) is type(attempt) is type(instance) is type(roster) is int
@@ -133,10 +130,7 @@ def decode_checkpoint(data: bytes | memoryview) -> Checkpoint:
 
 
 def encode_world(record: WorldRecord) -> bytes:
-    """The bytes of the world's record; that roster and state are encoded ones is not looked into.
-
-    Raises `SchemaError` if a field is not what it must be, or the whole is too large.
-    """
+    """The bytes of the world's record, its parts not looked into; `SchemaError` if a field, or the size, is wrong."""
     fields = (FORMAT, *record)
     _check_fields(fields, _WORLD, "record")
     _check_world(record)
@@ -166,11 +160,7 @@ Place = tuple[str, int, int, str]
 
 
 def decode_processes(data: bytes, where: str = "processes") -> dict[str, Place]:
-    """The processes of a record.
-
-    Raises:
-        SchemaError: the bytes are no encoded map of names to tokens, versions, epochs and requests.
-    """
+    """The processes of a record: tokens, versions, epochs and requests by name. Raises `SchemaError` if it has none."""
     processes = decode_value(data, where) if data else {}
     if type(processes) is not dict or not all(map(_is_place, processes.values())):
         raise SchemaError("expected a map of names to tokens, versions, epochs and requests", where)
@@ -178,11 +168,7 @@ def decode_processes(data: bytes, where: str = "processes") -> dict[str, Place]:
 
 
 def decode_alone(data: bytes, where: str = "alone") -> tuple[str, ...] | None:
-    """The nodes of a record that fail alone; None: it does not say.
-
-    Raises:
-        SchemaError: the bytes are no such array.
-    """
+    """The nodes of a record that fail alone; None: it does not say. Raises `SchemaError` if it is no array of names."""
     names = decode_value(data, where) if data else None
     if names is not None and (type(names) is not tuple or not all(type(name) is str for name in names)):
         raise SchemaError("expected an array of names", where)

@@ -69,11 +69,7 @@ class Resend(NamedTuple):
 
 
 class Dismiss(NamedTuple):
-    """Owner to process: it is no part of the hierarchy (any more), and why.
-
-    Attributes:
-        again: it was taken for lost; a new process may come in its place, from its checkpoint.
-    """
+    """Owner to process: it is not in the hierarchy, and why; `again`: lost, a new one may come, from its checkpoint."""
 
     why: str
     again: bool = False
@@ -223,10 +219,7 @@ _MAY_BE_EMPTY = frozenset({"request", "process"})
 
 
 def encode_control(control: Control) -> bytes:
-    """The bytes of a control message; texts that are too long are cut.
-
-    Raises `SchemaError` if it is longer than a control message may be.
-    """
+    """The bytes of a control message, its texts cut where they are too long; `SchemaError` if it is too long itself."""
     fields = (_cut(part) if field in _TEXTS else part for field, part in zip(control._fields, control, strict=True))
     data = encode_value((type(control).__name__, *fields))
     _check_length(data)

@@ -19,11 +19,7 @@ _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.-]*")
 
 
 def check_name(name: str, what: str = "name") -> str:
-    """A name that may stand in a key, a file name and a deployment file.
-
-    Raises:
-        SchemaError: it is empty, too long, or has other characters.
-    """
+    """A name that may stand in keys, file names and deployment files. Raises `SchemaError` if it may not."""
     if not isinstance(name, str) or len(name) > MAX_NAME_CHARS or not _NAME.fullmatch(name):
         raise SchemaError(
             f"{shown(name)} is no {what}: expected at most {MAX_NAME_CHARS} letters, digits, '_', '.' or '-', "

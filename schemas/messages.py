@@ -135,11 +135,7 @@ def _encode_large(fields: tuple[Value, ...]) -> bytes:
 
 
 def decode_message(data: bytes) -> Message:
-    """Read a message; its large arrays are views of `data`, read-only.
-
-    Raises:
-        SchemaError: the bytes are not a message of this format.
-    """
+    """Read a message, whose large arrays are read-only views of `data`. Raises `SchemaError` if it is none."""
     if data[:1] == _FIXARRAY:
         if len(data) > MAX_PLAIN_BYTES:
             raise _too_plain(len(data))

@@ -37,11 +37,7 @@ _unpackb = msgpack.unpackb
 
 
 class Packers:
-    """Packers kept for reuse: one takes longer to make than to pack a small value with.
-
-    Args:
-        default: gives for what msgpack does not know something that it does.
-    """
+    """Packers kept for reuse, as one takes longer to make than to pack with; `default` as msgpack has it."""
 
     def __init__(self, default: Callable[[Any], Any]) -> None:
         self._default = default
@@ -53,10 +49,7 @@ class Packers:
 
 
 def encode_value(value: Value) -> bytes:
-    """The one encoding of a value: what digests are taken over and checkpoints hold.
-
-    Raises `SchemaError` that says where and what if the value holds something that cannot travel.
-    """
+    """The one encoding of a value, also for digests and checkpoints. Raises `SchemaError` saying what cannot travel."""
     if not is_sound(value, 0):
         raise fault(value, "value", ())
     return pack(value, _PACKERS)
@@ -174,10 +167,7 @@ def replace_numpy(value: Any) -> Any:
 
 
 def array_in_place(value: Any) -> Any:
-    """What msgpack does not know, as something that it does: an array as extension `ARRAY`.
-
-    Raises `SchemaError` if it is something that cannot travel.
-    """
+    """What msgpack does not know, as what it does: an array as extension `ARRAY`. Raises `SchemaError` for the rest."""
     if isinstance(value, np.ndarray):
         return msgpack.ExtType(ARRAY, encode_array(value))
     return replace_numpy(value)

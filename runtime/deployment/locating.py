@@ -20,10 +20,7 @@ def shipped() -> dict[str, Path]:
 
 
 def find_file(name: str | Path) -> Path:
-    """The deployment file of a path, or of the name of a shipped deployment.
-
-    Raises `DeploymentError` if there is neither; with the nearest shipped name.
-    """
+    """The deployment file of a path or a shipped name; `DeploymentError` with the nearest one if there is none."""
     path = Path(name)
     try:
         if path.is_file():

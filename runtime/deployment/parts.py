@@ -22,10 +22,7 @@ def roster_nodes(models: Mapping[str, NodeModel], document: Document) -> dict[st
 
 
 def roster_edges(models: Mapping[str, EdgeModel], document: Document) -> tuple[RosterEdge, ...]:
-    """Edges, by name of the lower, then of the upper node; functions that are not enabled are left out.
-
-    Raises `DeploymentError` if a parameter is no value.
-    """
+    """Edges, by names, without functions that are not enabled. Raises `DeploymentError` if a parameter is no value."""
     edges = []
     for name, edge in models.items():
         functions = {kind: _function(getattr(edge, kind), document, ("edges", name, kind)) for kind in FUNCTIONS}
@@ -35,10 +32,7 @@ def roster_edges(models: Mapping[str, EdgeModel], document: Document) -> tuple[R
 
 
 def reference(target: str, parameters: Mapping[str, Any], document: Document, keys: Keys) -> Reference:
-    """A reference whose parameters are as they are after travelling: lists have become tuples.
-
-    Raises `DeploymentError` if a parameter is no value.
-    """
+    """A reference with parameters as after travelling, lists as tuples; `DeploymentError` if one is no value."""
     try:
         travelled = decode_value(encode_value(parameters))
     except SchemaError as error:

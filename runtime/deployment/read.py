@@ -73,10 +73,7 @@ def read_deployment(file: str | Path, overrides: Sequence[str] = ()) -> Deployme
 
 
 def read_document(path: Path, fields: str) -> Document:
-    """A YAML file whose root is a map; errors say which fields should be in it.
-
-    Raises `DeploymentError` if it cannot be read, or is something else.
-    """
+    """A YAML file whose root is a map, with these fields, as errors say. Raises `DeploymentError` if it is none."""
     tree = read_tree(read_text(path), str(path))
     if tree.value is None:
         raise DeploymentError(f"is empty; expected a map with {fields}", str(path))

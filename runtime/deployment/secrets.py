@@ -39,10 +39,7 @@ def secret_values(zenoh: Any) -> frozenset[str]:
 
 
 def public_settings(settings: Sequence[str], zenoh: Any) -> tuple[str, ...]:
-    """Settings, as ``--set`` has them or as they were kept, as they may be told and kept.
-
-    Of those that give something secret in the settings of Zenoh that they led to, the path alone is left.
-    """
+    """Settings (``--set``) as they may be kept: of one that gives something secret to Zenoh, the path alone."""
     secrets = secret_values(zenoh)
     return tuple(text.partition("=")[0].strip() if _is_hidden(text, secrets) else text for text in settings)
 
@@ -58,10 +55,7 @@ def usable(settings: Sequence[str]) -> list[str]:
 
 
 def completed(kept: Sequence[str], given: Sequence[str]) -> list[str]:
-    """Kept settings, as `public_settings` gave them, with what was not kept given again, as ``--set`` has it.
-
-    Raises `HieraxError` if something lacks, or is given that was kept.
-    """
+    """Kept settings, and what was not kept given again; `HieraxError` if one lacks, or is given that was kept."""
     again = {text.partition("=")[0].strip(): text for text in given}
     hidden = [text for text in kept if "=" not in text]
     lacking = [path for path in hidden if path not in again]

@@ -75,11 +75,7 @@ def open_private(folder: int, name: str, flags: int, path: Path) -> int:
 
 
 def read_private(path: Path) -> bytes:
-    """What is in a private file.
-
-    Raises `UnsafeFileError` if it, or its folder, is not of this user alone, or it is very large; `OSError` if it
-    cannot be read.
-    """
+    """What is in a private file; `UnsafeFileError` if it may not be this user's alone, or is large, or `OSError`."""
     with private_folder(path.parent) as folder:
         file = open_private(folder, path.name, os.O_RDONLY, path)
     with os.fdopen(file, "rb") as stream:
@@ -178,10 +174,7 @@ def _parts(path: str) -> list[str]:
 
 
 def _target(inner: int, name: str, path: Path, *, is_last: bool) -> str:
-    """Where what is on the way to a folder leads to, if it is a link; empty: it is a folder.
-
-    Raises `UnsafeFileError` if another user could have it lead elsewhere.
-    """
+    """Where a link on the way leads to; empty: it is a folder. Raises `UnsafeFileError` if others could change that."""
     found = os.fstat(inner)
     is_link = stat.S_ISLNK(found.st_mode)
     if is_link or not is_last:

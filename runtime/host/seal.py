@@ -47,10 +47,7 @@ def key_file() -> Path:
 
 
 def seal(what: str, content: Mapping[str, Any]) -> str:
-    """The seal of a `RECORDING` or `STATE` that this user writes, of all that it says, as JSON.
-
-    Raises `NoKeyError` if none can be kept, so that nothing can be sealed.
-    """
+    """The seal of a `RECORDING` or `STATE` with this content, as JSON. Raises `NoKeyError` if no key can be kept."""
     return _sealed(what, content, _key(make=True))
 
 
@@ -69,10 +66,7 @@ def _warn(text: str) -> None:
 
 
 def is_sealed(what: str, content: Mapping[str, Any], given: str) -> bool:
-    """Whether this user has written a `RECORDING` or `STATE` on this machine, and nobody has changed it since.
-
-    The content is all that it says but for its seal, which is empty if it has none.
-    """
+    """Whether this user wrote a `RECORDING` or `STATE` here, unchanged since; its content is without the given seal."""
     if not given:
         return False
     try:

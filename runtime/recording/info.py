@@ -112,10 +112,7 @@ class RunInfo:
 
     @staticmethod
     def read(plain: Mapping[str, Any]) -> RunInfo:
-        """From a value; fields of later versions are left out.
-
-        Raises `RecordingError` if it is of another format, or a field lacks or is something else.
-        """
+        """From a value, but for fields of later versions. Raises `RecordingError` if its format or a field is wrong."""
         if plain.get("format") not in READ:
             read = " and ".join(map(str, READ))
             raise RecordingError(f"format {plain.get('format')!r:.20}; this version reads formats {read}")
@@ -197,10 +194,7 @@ def to_metadata(plain: Mapping[str, Any]) -> dict[str, str]:
 
 
 def from_metadata(metadata: Mapping[str, str], texts: Sequence[str] = ()) -> dict[str, Any]:
-    """The map that metadata of a file was made from, where the values of some names are texts.
-
-    Raises `RecordingError` if it is no such metadata.
-    """
+    """The map that metadata was made from, where some values are texts; `RecordingError` if it is none."""
     try:
         return {name: text if name in texts else json.loads(text) for name, text in metadata.items()}
     except (ValueError, RecursionError) as error:

@@ -83,19 +83,13 @@ class LiveRecording:
         self._silent = self._before = 0
 
     def stop(self, last: int | None = None) -> None:
-        """Come to the end; any thread may call it, and a signal's handler.
-
-        `last` is the last epoch of the run; None: it goes on, or nobody knows.
-        """
+        """Come to the end, from any thread; `last` is the run's last epoch, or None where nobody knows."""
         if last is not None:
             self._last = last
         self._stopping = True
 
     def record(self) -> Ending:
-        """Hear and write until `stop`, the last epoch that is wanted, or the end of the launch.
-
-        Raises `RecordingError` if the file cannot be written.
-        """
+        """Hear and write until `stop`, the last wanted epoch, or the launch's end; `RecordingError` as `Recorder`."""
         recorder, ledger = self._recorder, self._recorder.ledger
         looked_s = time.monotonic()
         try:

@@ -132,11 +132,7 @@ class Recording:
             yield self._read(entry, entry.fault)
 
     def epochs(self, first: int = 1, last: int | None = None) -> Iterator[EpochTrace]:
-        """The epochs that were committed, in order; of each the attempt that was.
-
-        Args:
-            first, last: which ones.
-        """
+        """The epochs that were committed, of these ones, in order; of each the attempt that was."""
         assembly = Assembly(self.info.how_stale, str(self.path))
         for epoch in self._assembled(assembly):
             if last is not None and epoch.epoch > last:
@@ -196,11 +192,7 @@ def _ending(path: Path) -> Ending | None:
 
 
 def _records(path: Path) -> Iterator[Any]:
-    """The file's records, those in chunks too, up to where it was cut off.
-
-    Raises:
-        RecordingError: it is damaged before its end.
-    """
+    """The file's records, those in chunks too, up to where it was cut off; `RecordingError` if it is damaged before."""
     from mcap.exceptions import EndOfFile, McapError
     from mcap.records import Chunk
     from mcap.stream_reader import StreamReader, breakup_chunk

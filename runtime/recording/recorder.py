@@ -108,10 +108,7 @@ class Recorder:
             self._file.flush()
 
     def finish(self, last: int | None = None) -> Ending:
-        """Nothing more comes; `last` is the last epoch of the run, None if it is not known.
-
-        Raises `RecordingError` if the file cannot be written.
-        """
+        """Nothing more comes after the run's last epoch, if that is known; `RecordingError` if it cannot be written."""
         ledger = self.ledger
         if self.cut and last is not None and ledger.cut is not None:
             last = min(last, ledger.cut)

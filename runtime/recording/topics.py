@@ -74,10 +74,7 @@ class MessageSummary(NamedTuple):
 
 
 def glance(data: bytes) -> MessageSummary:
-    """Read a message's header and nothing of its payload, however large.
-
-    Raises `SchemaError` if the bytes do not begin like a message.
-    """
+    """Read a message's header, and nothing of its payload. Raises `SchemaError` if the bytes do not begin like one."""
     unpacker = msgpack.Unpacker()
     unpacker.feed(data[:_GLANCED_BYTES])
     try:

@@ -33,10 +33,7 @@ Line = tuple[str, str, str]
 
 @dataclass(frozen=True)
 class NodeTrace:
-    """What a node did in an epoch, as it was told; values are decoded when they are asked for.
-
-    Where a value is none, `SchemaError` names the place of the recording.
-    """
+    """What a node told that it did in an epoch; values are decoded, or a `SchemaError`, when they are asked for."""
 
     step: NodeStep
     place: str = ""
@@ -174,10 +171,7 @@ def check_roster(roster: Roster) -> Roster:
 
 
 class Assembly:
-    """Puts committed epochs of a run of this staleness together, in order, from entries in the order of hearing them.
-
-    `place` is that of the recording, for errors.
-    """
+    """Puts epochs of a run together, in order, from entries as they were heard, in a recording's place for errors."""
 
     def __init__(self, staleness: Staleness, place: str = "") -> None:
         self._barrier = staleness.barrier
@@ -191,11 +185,7 @@ class Assembly:
         self._digest = (0, NO_DIGEST)
 
     def take(self, entry: Entry) -> bool:
-        """Take something in; whether epochs may be whole now.
-
-        Raises `SchemaError` if it is not what its key says, and `HierarchyError` if it is a roster that is no
-        hierarchy.
-        """
+        """Take something in; whether epochs may be whole now. Raises `SchemaError` or `HierarchyError` if it is bad."""
         what = entry.topic.what
         if what == ROSTER:
             roster = check_roster(entry.roster())

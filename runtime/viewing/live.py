@@ -55,15 +55,20 @@ def show_launch(
         if time.monotonic() - asked_s >= ASK_EVERY_S:
             try:
                 status = client.status()
-                rate_hz = (status.epoch - epoch) / max(time.monotonic() - asked_s, 1e-3)
+                every = shown_every(status.epoch - epoch, time.monotonic() - asked_s)
                 epoch, asked_s = status.epoch, time.monotonic()
-                stage.set_roster(_ask(client, status, every=max(1, ceil(rate_hz / MOST_EPOCHS_PER_S))))
+                stage.set_roster(_ask(client, status, every))
             except TransportError:
                 break  # it has ended
         stage.show(inbox.take(ASK_EVERY_S / 4))
     stage.show(inbox.take(0.0))
     presenter.close()
     return stage.shown
+
+
+def shown_every(epochs: int, took_s: float) -> int:
+    """How many epochs there are to each that can be shown of a launch that took so long for some."""
+    return max(1, ceil(epochs / max(took_s, 1e-3) / MOST_EPOCHS_PER_S))
 
 
 def _ask(client: LaunchClient, status: LaunchStatus, every: int) -> Roster | None:

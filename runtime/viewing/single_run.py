@@ -14,10 +14,7 @@ from hierax.runtime.watch.watcher import Watcher
 
 
 def run_seen(deployment: Deployment, presenter: ViewPresenter, *, epochs: int | None, seed: int) -> Report:
-    """Run a deployment in this process, as `hierax.runtime.execution.single.run` does, and show it.
-
-    Raises `HieraxError` as that does, or if what a node shows cannot be shown.
-    """
+    """Run a deployment in this process and show it; `HieraxError` as `single.run` has it, or if it cannot be shown."""
     presenter.set_roster(deployment.roster)
     clock = _Clock()
 

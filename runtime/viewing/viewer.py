@@ -49,11 +49,7 @@ _LOOK_S = 0.2
 
 @dataclass(frozen=True)
 class Place:
-    """Where a stream is seen, named for the user.
-
-    Attributes:
-        until_closed: returns when the user has seen enough; None: there is nobody who looks.
-    """
+    """Where a stream is seen; `until_closed` returns when the user has seen enough, None if nobody looks."""
 
     name: str
     until_closed: Callable[[], object] | None
@@ -92,10 +88,7 @@ def _for_ever() -> None:
 
 @contextmanager
 def window(stream: Stream, memory: str) -> Iterator[Place]:
-    """Rerun's own window, which shows a stream, keeps so much of it in memory, and ends with this process.
-
-    Raises `ViewerError` if it does not open.
-    """
+    """Rerun's window, which keeps so much in memory and ends with this process; `ViewerError` if it does not open."""
     options = ["--hide-welcome-screen", "--memory-limit", memory]
     with _viewer(stream, options, _free_port()) as process:
         yield Place("Rerun's window", process.wait)

@@ -50,11 +50,7 @@ class View:
 
 @dataclass(frozen=True)
 class Placed:
-    """A thing in its place: the view in which it is seen, and its name (`label`) there.
-
-    Attributes:
-        path: unique among all nodes' things.
-    """
+    """A thing in the view in which it is seen, by a path that no other thing of a node has, and its label there."""
 
     view: View
     path: str
@@ -63,10 +59,7 @@ class Placed:
 
 
 def shown_by(name: str, node: Node, step: Step, before: Value) -> tuple[Placed, ...]:
-    """What a node shows of an epoch; see `Node.show`.
-
-    Raises `ShowError` if the node's `show` raised, or gave what cannot be shown.
-    """
+    """What a node shows of an epoch by `Node.show`. Raises `ShowError` if that raised, or gave something else."""
     try:
         things: Any = node.show(step, before)
     except Exception as error:

@@ -12,11 +12,7 @@ Edge = tuple[str, str, str]
 
 
 class Copier(Watcher):
-    """Shows copies of what a node sends, by kind, sender and receiver; `show` must not wait.
-
-    Attributes:
-        wanted: of which messages; replaced, never changed in place.
-    """
+    """Shows copies of the `wanted` messages, a set that is replaced and never changed; `show` must not wait."""
 
     def __init__(self, show: Callable[[str, str, str, bytes], None]) -> None:
         self._show = show

@@ -78,12 +78,7 @@ def log_console() -> None:
 
 
 def log_node(run: str, node: str, when: When) -> None:
-    """Have all records of this process go to a node's file too, and know where they come from.
-
-    Args:
-        run, node: their names.
-        when: asked at every record.
-    """
+    """Have all records of this process go to a node's file too, with what `when` says is under way."""
     make = logging.getLogRecordFactory()
 
     def make_with_fields(*arguments: Any, **options: Any) -> logging.LogRecord:
@@ -179,10 +174,7 @@ class _File(logging.handlers.RotatingFileHandler):
 
 
 class LaunchLog:
-    """The supervisor's own file: what happens to the processes of a run; without a handler nothing is written.
-
-    `epoch` is asked at every line.
-    """
+    """The supervisor's file of what happens to a run's processes, in which `epoch`; without a handler there is none."""
 
     def __init__(self, handler: logging.Handler | None, run: str, epoch: Callable[[], int]) -> None:
         self._handler = handler

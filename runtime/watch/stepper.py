@@ -39,10 +39,7 @@ class Stepper(Watcher):
 
 
 def read_step(data: bytes) -> tuple[int, Step]:
-    """When an epoch was done, in nanoseconds since 1970, and what was done in it.
-
-    Raises `SchemaError` if it is nothing that `Stepper` has encoded.
-    """
+    """When an epoch was done, in ns since 1970, and what was done; `SchemaError` if `Stepper` has not said it."""
     value = decode_value(data, "step")
     try:
         done_ns = value.pop("done_ns")

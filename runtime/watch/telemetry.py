@@ -80,12 +80,7 @@ def _exporter() -> SpanExporter:
 
 
 class Spans(Watcher):
-    """Makes a node's spans.
-
-    Args:
-        flush: sends what is not sent yet.
-        clock: nanoseconds since 1970.
-    """
+    """Makes a node's spans; `flush` sends what is not sent yet, and the clock gives nanoseconds since 1970."""
 
     def __init__(
         self, tracer: Tracer, node: str, flush: Callable[[], object] | None = None, clock: Clock = time.time_ns

@@ -21,11 +21,7 @@ class Watcher:
         """An operator or edge function has returned."""
 
     def sending(self, message: Message) -> Message:
-        """A message is about to go.
-
-        Returns:
-            What goes: the same, perhaps with more in its header's extensions.
-        """
+        """A message is about to go, as it is returned, perhaps with more in its header's extensions."""
         return message
 
     def sent(self, message: Message) -> None:

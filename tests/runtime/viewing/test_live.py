@@ -13,7 +13,7 @@ from hierax.runtime.core.showing import Graph
 from hierax.runtime.launch.run_file import known_runs
 from hierax.runtime.loading.allowance import Allowance
 from hierax.runtime.transport.launch_client import LaunchClient
-from hierax.runtime.viewing.live import MOST_EPOCHS_PER_S, _Asked, show_launch
+from hierax.runtime.viewing.live import MOST_EPOCHS_PER_S, show_launch, shown_every
 from hierax.runtime.viewing.presenter import ViewPresenter
 
 SNIPPET = """\
@@ -24,11 +24,9 @@ edges:
 """
 
 
-def test_a_quick_launch_is_not_shown_in_every_epoch(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("time.monotonic", lambda: 12.0)
-    every, asked = _Asked(100, 10.0).next(round(100 + 2 * 7.5 * MOST_EPOCHS_PER_S))
-    assert every == 8
-    assert asked.next(asked.epoch)[0] == 1
+def test_a_quick_launch_is_not_shown_in_every_epoch() -> None:
+    assert shown_every(round(2 * 7.5 * MOST_EPOCHS_PER_S), took_s=2.0) == 8
+    assert shown_every(0, took_s=0.0) == 1
 
 
 def test_a_launch_is_seen_until_it_ends(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
