@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from graphlib import CycleError, TopologicalSorter
 from typing import Any
 
 from hierax.nodes.causal_tree.errors import NetworkError
@@ -46,16 +47,16 @@ def as_deployment(
             if held[parent] != held[name]:
                 below[held[parent]].add(held[name])
     pairs = sorted((lower, upper) for upper, lowers in below.items() for lower in lowers)
-    _check_parts(parts, pairs)
+    try:
+        TopologicalSorter(below).prepare()
+    except CycleError as error:
+        circle = ", ".join(sorted(set(error.args[1])))
+        raise NetworkError(f"arrows between the parts {circle} go round in a circle") from None
     edges: dict[str, Any] = {f"{WORLD} -> {part}": {"sense": f"{MODULE}:evidence_seen"} for part in parts}
     for lower, upper in pairs:
         edges[f"{lower} -> {upper}"] = {"sense": f"{MODULE}:diagnostic_support", "context": f"{MODULE}:causal_support"}
-    nodes: dict[str, Any] = {
-        WORLD: {
-            "class": f"{MODULE}:EvidenceWorld",
-            "parameters": {"network": "${network}", "sets": "${sets}", "hold": needed},
-        }
-    }
+    shown = {"network": "${network}", "sets": "${sets}", "hold": needed}
+    nodes: dict[str, Any] = {WORLD: {"class": f"{MODULE}:EvidenceWorld", "parameters": shown}}
     for part, names in parts.items():
         parameters = {"network": "${network}", "nodes": list(names), "settle": needed}
         nodes[part] = {"class": f"{MODULE}:Part", "parameters": parameters}
@@ -84,15 +85,3 @@ def _held(network: Network, parts: Mapping[str, Sequence[str]]) -> dict[Any, str
     if missing is not None:
         raise NetworkError("is in no part", missing)
     return held
-
-
-def _check_parts(parts: Mapping[str, Sequence[str]], pairs: Sequence[tuple[str, str]]) -> None:
-    """Whether parts form a hierarchy."""
-    above = {part: [upper for lower, upper in pairs if lower == part] for part in parts}
-    waiting = dict(above)
-    while waiting:
-        tops = [part for part, uppers in waiting.items() if not any(upper in waiting for upper in uppers)]
-        if not tops:
-            raise NetworkError(f"arrows between the parts {', '.join(sorted(waiting))} go round in a circle")
-        for part in tops:
-            del waiting[part]

@@ -65,15 +65,7 @@ class Inference:
     def update(self, evidence: Evidence) -> dict[Name, Floats]:
         """All posteriors given an evidence set; what the last one said of a node that this one leaves out is retracted.
 
-        Args:
-            evidence: likelihood vectors by node.
-
-        Returns:
-            By node, in the order of the description, P(state | evidence); shape (states,), float64, read-only.
-
-        Raises:
-            EvidenceError: it is no evidence.
-            ImpossibleEvidence: its probability is 0; names the node where this shows.
+        What it takes, returns and raises is told at `posteriors`.
         """
         self._given = False
         inputs = self._inputs(evidence)
@@ -132,17 +124,14 @@ class Inference:
 def plan_of(network: Network) -> Plan:
     """The plan of a whole network, rooted in its nodes without parents."""
     numbers = {name: number for number, name in enumerate(network.variables)}
-    variables = list(network.variables.values())
-    return make_plan(
-        [len(variable.states) for variable in variables],
-        {number: variable.table for number, variable in enumerate(variables) if not variable.parents},
-        [
-            Family((*(numbers[parent] for parent in variable.parents), number), variable.table)
-            for number, variable in enumerate(variables)
-            if variable.parents
-        ],
-        [number for number, variable in enumerate(variables) if not variable.parents],
-    )
+    priors, families = {}, []
+    for number, variable in enumerate(network.variables.values()):
+        if variable.parents:
+            families.append(Family((*(numbers[parent] for parent in variable.parents), number), variable.table))
+        else:
+            priors[number] = variable.table
+    sizes = [len(variable.states) for variable in network.variables.values()]
+    return make_plan(sizes, priors, families, tuple(priors))
 
 
 def _flat(evidence: Evidence, vectors: list[Any], sizes: np.ndarray[Any, np.dtype[np.intp]]) -> Floats:

@@ -11,6 +11,7 @@ of one array, in such an order that the others of a group stand side by side.
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -26,6 +27,9 @@ class Family(NamedTuple):
 
     members: tuple[int, ...]  # the parents, in the order of the table's axes, then the node
     table: Floats  # P(node | parents)
+
+
+Placed = tuple[int, tuple[int, ...], Family]  # a family's top, its others, and the family itself
 
 
 class Block(NamedTuple):
@@ -95,14 +99,12 @@ def make_plan(
     """
     levels, found = _levels(len(sizes), families, roots)
     has_below = np.zeros(len(sizes), bool)
+    shapes: list[list[Placed]] = []
     for level in levels:
-        has_below[[top for top, _ in level]] = True
-    shapes: list[list[tuple[int, tuple[int, ...], Family]]] = []
-    for level in levels:
-        by_shape: dict[tuple[int, ...], list[tuple[int, tuple[int, ...], Family]]] = {}
-        for top, family in level:
-            others = tuple(member for member in family.members if member != top)
-            by_shape.setdefault((sizes[top], *(sizes[other] for other in others)), []).append((top, others, family))
+        has_below[[top for top, _, _ in level]] = True
+        by_shape: dict[tuple[int, ...], list[Placed]] = {}
+        for placed in level:
+            by_shape.setdefault((sizes[placed[0]], *(sizes[other] for other in placed[1])), []).append(placed)
         shapes += by_shape.values()
     for entries in shapes:
         if len(entries[0][1]) == 1:  # those that have families themselves first: these are the next level's tops
@@ -119,17 +121,14 @@ def make_plan(
         base=base,
         roots=found,
         least=min(
-            min((float(array.min()) for array in base.values()), default=1.0),
-            min((float(family.table.min()) for family in families), default=1.0),
+            (float(array.min()) for array in (*base.values(), *(family.table for family in families))), default=1.0
         ),
         others=max((len(family.members) - 1 for family in families), default=1),
     )
 
 
-def _levels(
-    count: int, families: Sequence[Family], roots: Sequence[int]
-) -> tuple[list[list[tuple[int, Family]]], list[int]]:
-    """By depth, each family with its top; and the variables that hang from no family."""
+def _levels(count: int, families: Sequence[Family], roots: Sequence[int]) -> tuple[list[list[Placed]], list[int]]:
+    """The families by depth; and the variables that hang from none."""
     of_variable: list[list[int]] = [[] for _ in range(count)]
     for number, family in enumerate(families):
         for member in family.members:
@@ -137,41 +136,32 @@ def _levels(
     seen = [False] * count
     taken = [False] * len(families)
     found: list[int] = []
+    levels: list[list[Placed]] = []
     for root in (*roots, *range(count)):
-        if not seen[root]:
-            found.append(root)
-            _mark(root, of_variable, families, seen)
-    levels: list[list[tuple[int, Family]]] = []
-    frontier = found
-    while True:
-        level: list[tuple[int, Family]] = []
-        following: list[int] = []
-        for top in frontier:
-            for number in of_variable[top]:
-                if not taken[number]:
-                    taken[number] = True
-                    level.append((top, families[number]))
-                    following += [member for member in families[number].members if member != top]
-        if not level:
-            return levels, found
-        levels.append(level)
-        frontier = following
-
-
-def _mark(root: int, of_variable: Sequence[Sequence[int]], families: Sequence[Family], seen: list[bool]) -> None:
-    """Mark all variables of the root's part of the network as seen."""
-    seen[root] = True
-    waiting = [root]
-    while waiting:
-        for number in of_variable[waiting.pop()]:
-            for member in families[number].members:
-                if not seen[member]:
-                    seen[member] = True
-                    waiting.append(member)
+        if seen[root]:
+            continue
+        found.append(root)
+        frontier = [root]
+        for depth in itertools.count():
+            level: list[Placed] = []
+            for top in frontier:
+                seen[top] = True
+                for number in of_variable[top]:
+                    if not taken[number]:
+                        taken[number] = True
+                        others = tuple(member for member in families[number].members if member != top)
+                        level.append((top, others, families[number]))
+            if not level:
+                break
+            if depth == len(levels):
+                levels.append([])
+            levels[depth] += level
+            frontier = [other for _, others, _ in level for other in others]
+    return levels, found
 
 
 def _columns(
-    sizes: Sequence[int], roots: Sequence[int], shapes: Sequence[Sequence[tuple[int, tuple[int, ...], Family]]]
+    sizes: Sequence[int], roots: Sequence[int], shapes: Sequence[Sequence[Placed]]
 ) -> tuple[Places, dict[int, Places]]:
     """Each variable's column, and each column's variable: the others of a group side by side, other by other."""
     ordered = list(roots)
@@ -187,22 +177,17 @@ def _columns(
     return columns, {size: np.array(found, np.intp) for size, found in sorted(by_size.items())}
 
 
-def _group(entries: Sequence[tuple[int, tuple[int, ...], Family]], sizes: Sequence[int], columns: Places) -> Group:
+def _group(entries: Sequence[Placed], sizes: Sequence[int], columns: Places) -> Group:
     count = len(entries)
     top, others, _ = entries[0]
     tops = columns[[entry[0] for entry in entries]]
-    blocks = []
-    for place, other in enumerate(others):
-        first = int(columns[entries[0][1][place]])
-        blocks.append(Block(sizes[other], slice(first, first + count)))
-    order = None
-    if count > 1 and (np.diff(tops) < 0).any():
-        order = np.argsort(tops, kind="stable")
+    firsts = [int(columns[other]) for other in others]
+    order = np.argsort(tops, kind="stable") if (np.diff(tops) < 0).any() else None
     ordered = tops if order is None else tops[order]
     targets, starts = np.unique(ordered, return_index=True)
     return Group(
         table=_stacked(entries, (sizes[top], *(sizes[other] for other in others))),
-        others=tuple(blocks),
+        others=tuple(Block(sizes[other], slice(at, at + count)) for other, at in zip(others, firsts, strict=True)),
         top_size=sizes[top],
         tops=tops,
         order=order,
@@ -212,7 +197,7 @@ def _group(entries: Sequence[tuple[int, tuple[int, ...], Family]], sizes: Sequen
     )
 
 
-def _stacked(entries: Sequence[tuple[int, tuple[int, ...], Family]], shape: tuple[int, ...]) -> Floats:
+def _stacked(entries: Sequence[Placed], shape: tuple[int, ...]) -> Floats:
     """The tables with the top's axis first and the families last."""
     table = np.empty((len(entries), *shape))
     for place, (top, _, family) in enumerate(entries):

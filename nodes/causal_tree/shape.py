@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections import deque
 from collections.abc import Mapping, Sequence
+from graphlib import CycleError, TopologicalSorter
 
 from hierax.nodes.causal_tree.errors import Name, NetworkError
 
@@ -16,13 +16,18 @@ def check_shape(parents: Parents) -> None:
     Raises:
         NetworkError: there is; prints it.
     """
-    closing = _closing(parents)
-    if closing is None:
+    _, come_from = _outward(parents)
+    if sum(map(len, parents.values())) == len(come_from):  # a forest has no further arrows
         return
-    cycle = _cycle(parents)
-    if cycle:
-        raise NetworkError(f"there is a cycle: {' -> '.join(map(str, cycle))}")
-    loop = _loop(parents, closing)
+    try:
+        TopologicalSorter(parents).prepare()
+    except CycleError as error:
+        raise NetworkError(f"there is a cycle: {' -> '.join(map(str, error.args[1]))}") from None
+    arrows = ((name, parent) for name, above in parents.items() for parent in above)
+    name, parent = next(
+        ends for ends in arrows if ends not in come_from.items() and ends[::-1] not in come_from.items()
+    )
+    loop = [*_between(come_from, name, parent), name]
     raise NetworkError(
         f"there is an undirected loop, {' - '.join(map(str, loop))}; expected a tree or polytree, "
         "with one way at most between any two nodes"
@@ -57,73 +62,15 @@ def epochs_to_exactness(parents: Parents) -> int:
     return most + 1
 
 
-def _closing(parents: Parents) -> tuple[Name, Name] | None:
-    """The first arrow, as child and parent, between nodes that are joined already."""
-    leader = {name: name for name in parents}
-
-    def find(name: Name) -> Name:
-        while leader[name] != name:
-            leader[name] = leader[leader[name]]
-            name = leader[name]
-        return name
-
-    for name, above in parents.items():
-        for parent in above:
-            one, other = find(name), find(parent)
-            if one == other:
-                return name, parent
-            leader[one] = other
-    return None
-
-
-def _cycle(parents: Parents) -> list[Name]:
-    """A cycle along the arrows, its first node again at the end; empty where there is none."""
-    done: set[Name] = set()
-    for start in parents:
-        on_way: dict[Name, None] = {start: None}
-        stack = [(start, iter(parents[start]))] if start not in done else []
-        while stack:
-            name, above = stack[-1]
-            parent: Name | None = next((each for each in above if each not in done), None)
-            if parent is None:
-                done.add(name)
-                on_way.pop(name)
-                stack.pop()
-            elif parent in on_way:
-                names = list(on_way)
-                return [parent, *reversed(names[names.index(parent) :])]
-            else:
-                on_way[parent] = None
-                stack.append((parent, iter(parents[parent])))
-    return []
-
-
-def _loop(parents: Parents, closing: tuple[Name, Name]) -> list[Name]:
-    """The undirected loop that an arrow closes, its first node again at the end."""
-    joined: dict[Name, list[Name]] = {name: [] for name in parents}
-    for name, above in parents.items():
-        for parent in above:
-            if (name, parent) == closing:
-                return [*_way(joined, parent, name), parent]
-            joined[name].append(parent)
-            joined[parent].append(name)
-    raise AssertionError("the closing arrow is one of the network's")
-
-
-def _way(joined: Mapping[Name, Sequence[Name]], start: Name, end: Name) -> list[Name]:
-    """The way between two nodes that are joined."""
-    before = {end: end}
-    waiting = deque([end])
-    while start not in before:
-        name = waiting.popleft()
-        for neighbour in joined[name]:
-            if neighbour not in before:
-                before[neighbour] = name
-                waiting.append(neighbour)
-    way = [start]
-    while way[-1] != end:
-        way.append(before[way[-1]])
-    return way
+def _between(come_from: Mapping[Name, Name], start: Name, end: Name) -> list[Name]:
+    """The way between two nodes of one part, along the ways by which it was entered."""
+    way, back = [start], [end]
+    for ends in (way, back):
+        while ends[-1] in come_from:
+            ends.append(come_from[ends[-1]])
+    while len(way) > 1 and len(back) > 1 and way[-2] == back[-2]:  # up to where both ways meet first
+        del way[-1], back[-1]
+    return [*way, *back[-2::-1]]
 
 
 def _outward(parents: Parents) -> tuple[list[Name], dict[Name, Name]]:
