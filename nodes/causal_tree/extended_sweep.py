@@ -8,14 +8,24 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from hierax.nodes.causal_tree.extended_floats import ExtendedFloats, Places, divide, multiply, ones, products, total
+from hierax.nodes.causal_tree.extended_floats import (
+    ExtendedFloats,
+    Floats,
+    Places,
+    as_float64,
+    divide,
+    multiply,
+    ones,
+    products,
+    total,
+)
 from hierax.nodes.causal_tree.float64_sweep import along
 from hierax.nodes.causal_tree.plan import Group, Plan
 
 # By number of states: columns, once each, and the likelihoods there; shape (size, columns).
 Inputs = Mapping[int, tuple[Places, ExtendedFloats]]
 
-Columns = slice | Places
+Columns = int | slice | Places
 
 
 class NothingLeftError(Exception):
@@ -40,9 +50,8 @@ class Product(NamedTuple):
     def of(values: ExtendedFloats) -> Product:
         """One factor each."""
         zero = values.fraction == 0
-        return Product(
-            ExtendedFloats(np.where(zero, 0.5, values.fraction), np.where(zero, 1, values.exponent)), zero * 1
-        )
+        rest = ExtendedFloats(np.where(zero, 0.5, values.fraction), np.where(zero, 1, values.exponent))
+        return Product(rest, zero * 1)
 
     @property
     def value(self) -> ExtendedFloats:
@@ -123,27 +132,27 @@ class ExtendedSweep:
         for group, messages in zip(self._plan.groups, self._messages, strict=True):
             self._spread(group, self._beliefs[group.top_size].at(group.tops).without(messages))
 
-    def likelihood(self, size: int, columns: Columns) -> ExtendedFloats:
-        """L: from what lies further from the root, the prior and the evidence included."""
-        return self._likelihoods[size].at(columns).value
+    def likelihood(self, size: int, column: int) -> ExtendedFloats:
+        """L of a variable, from what lies further from the root, the prior and the evidence included; shape (size,)."""
+        return self._likelihoods[size].at(column).value
 
-    def belief(self, size: int) -> ExtendedFloats:
-        """L and what comes from the root's side, of all columns."""
-        return self._beliefs[size].value
+    def support(self, size: int, column: int) -> ExtendedFloats:
+        """What comes to a variable from the root's side; ones at a root; shape (size,)."""
+        return self._supports[size].at(column)
 
-    def support(self, size: int, columns: Columns) -> ExtendedFloats:
-        """What comes from the root's side; ones at a root."""
-        return self._supports[size].at(columns)
+    def float64_belief(self, size: int) -> Floats:
+        """The product of both, of all variables with so many states, in float64; shape (size, columns)."""
+        return as_float64(self._beliefs[size].value, 0)
 
     def message_up(self, group: int, family: int) -> ExtendedFloats:
-        """What a family told its top; shape (top's states,)."""
-        return self._messages[group].at(slice(family, family + 1)).value.at(0)
+        """What a family of a group told its top; shape (top's states,)."""
+        return self._messages[group].at(family).value
 
     def _spread(self, group: Group, at_tops: ExtendedFloats) -> None:
         table = group.extended_table
         ndim = table.fraction.ndim
         from_top = total(multiply(table, _along(at_tops, 0, ndim)), axis=0)
-        likelihoods = [self.likelihood(size, columns) for size, columns in group.others]
+        likelihoods = [self._likelihoods[size].at(columns).value for size, columns in group.others]
         for other, (size, columns) in enumerate(group.others):
             found = from_top
             for axis in reversed(range(len(likelihoods))):

@@ -9,7 +9,7 @@ from typing import NamedTuple, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from hierax.nodes.causal_tree.extended_floats import Floats, Places
+from hierax.nodes.causal_tree.extended_floats import ExtendedFloats, Floats, Places, extended
 from hierax.nodes.causal_tree.plan import Group, Plan
 
 N = TypeVar("N", np.float64, np.int64)
@@ -22,12 +22,12 @@ class _Step(NamedTuple):
 
     group: Group
     work: Floats
-    messages: Floats
-    scales: Floats
-    likelihoods: tuple[Floats, ...]
+    messages: Floats  # to the tops; shape (top's states, families)
+    scales: Floats  # what these have been divided by; shape (families,)
+    likelihoods: tuple[Floats, ...]  # likelihoods, supports, beliefs: of each other
     supports: tuple[Floats, ...]
     beliefs: tuple[Floats, ...]
-    at_tops: Floats
+    at_tops: Floats  # the tops' beliefs, family by family, without what the family said
 
 
 class Float64Sweep:
@@ -45,9 +45,9 @@ class Float64Sweep:
 
     def __init__(self, plan: Plan) -> None:
         self._plan = plan
-        self.likelihoods = {size: np.ones_like(base) for size, base in plan.base.items()}
-        self.supports = {size: np.ones_like(base) for size, base in plan.base.items()}
-        self.beliefs = {size: np.ones_like(base) for size, base in plan.base.items()}
+        self.likelihoods, self.supports, self.beliefs = (
+            {size: np.ones_like(base) for size, base in plan.base.items()} for _ in range(3)
+        )
         self._scales = np.ones(sum(len(group.tops) for group in plan.groups))
         self._steps = self._make_steps()
         self._least_log2 = math.log2(plan.least) if plan.least > 0 else -math.inf
@@ -108,27 +108,34 @@ class Float64Sweep:
         """The natural logarithm of what the messages up have been divided by."""
         return float(np.log(self._scales).sum())
 
-    def messages_up(self, group: int) -> Floats:
-        """What the families of a group told their tops, up to a factor; shape (top's states, families)."""
-        return self._steps[group].messages
+    def likelihood(self, size: int, column: int) -> ExtendedFloats:
+        """L of a variable; shape (size,)."""
+        return extended(self.likelihoods[size][:, column])
+
+    def support(self, size: int, column: int) -> ExtendedFloats:
+        """What comes to a variable from the root's side; shape (size,)."""
+        return extended(self.supports[size][:, column])
+
+    def float64_belief(self, size: int) -> Floats:
+        """The product of both, of all variables with so many states; shape (size, columns)."""
+        return self.beliefs[size]
+
+    def message_up(self, group: int, family: int) -> ExtendedFloats:
+        """What a family of a group told its top; shape (top's states,)."""
+        return extended(self._steps[group].messages[:, family])
 
     def _make_steps(self) -> list[_Step]:
         steps = []
         first = 0
         for group in self._plan.groups:
             count = len(group.tops)
-            steps.append(
-                _Step(
-                    group,
-                    np.empty_like(group.table),
-                    np.ones((group.top_size, count)),
-                    self._scales[first : first + count],
-                    tuple(self.likelihoods[size][:, columns] for size, columns in group.others),
-                    tuple(self.supports[size][:, columns] for size, columns in group.others),
-                    tuple(self.beliefs[size][:, columns] for size, columns in group.others),
-                    np.ones((group.top_size, count)),
-                )
+            messages, at_tops = np.ones((2, group.top_size, count))
+            of_others = (
+                tuple(array[size][:, columns] for size, columns in group.others)
+                for array in (self.likelihoods, self.supports, self.beliefs)
             )
+            scales = self._scales[first : first + count]
+            steps.append(_Step(group, np.empty_like(group.table), messages, scales, *of_others, at_tops))
             first += count
         return steps
 

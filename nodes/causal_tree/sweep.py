@@ -11,12 +11,11 @@ from hierax.nodes.causal_tree.extended_floats import (
     Floats,
     Places,
     as_float64,
-    extended,
     greatest,
     multiply,
     total,
 )
-from hierax.nodes.causal_tree.extended_sweep import Columns, ExtendedSweep, Inputs, NothingLeftError
+from hierax.nodes.causal_tree.extended_sweep import ExtendedSweep, Inputs, NothingLeftError
 from hierax.nodes.causal_tree.float64_sweep import Float64Sweep
 from hierax.nodes.causal_tree.plan import Plan
 
@@ -28,11 +27,7 @@ LEAST_INPUT = 2.0**-300  # likelihoods further apart than this are extended at o
 
 
 class Sweep:
-    """Evidence in, posteriors out, for one plan. Holds the last sweep only.
-
-    Attributes:
-        is_extended: whether the last sweep kept exponents apart.
-    """
+    """Evidence in, posteriors out, for one plan. Holds the last sweep only."""
 
     def __init__(self, plan: Plan) -> None:
         self._plan = plan
@@ -42,7 +37,12 @@ class Sweep:
         self._inputs: Inputs = {}
         self._exponents = 0
         self._least = 1.0
-        self.is_extended = False
+        self._last: Float64Sweep | ExtendedSweep = self._float64
+
+    @property
+    def is_extended(self) -> bool:
+        """Whether the last sweep kept exponents apart."""
+        return self._last is self._extended
 
     def up(self, inputs: Inputs) -> None:
         """From the leaves to the roots.
@@ -54,12 +54,13 @@ class Sweep:
             NothingLeftError: the evidence is impossible.
         """
         self._inputs = inputs
-        plain = self._take_plain(inputs) and self._float64.can_suffice
-        if plain:
+        if self._take_plain(inputs) and self._float64.can_suffice:
             self._least = self._float64.up(self._evidence)
-        self.is_extended = not (plain and self._float64.suffices(self._least))
-        if self.is_extended:
-            self._extended.up(inputs)
+            if self._float64.suffices(self._least):
+                self._last = self._float64
+                return
+        self._last = self._extended
+        self._extended.up(inputs)
 
     def down(self, at_roots: Inputs = NO_INPUTS) -> None:
         """From the roots to the leaves, after `up`.
@@ -77,50 +78,39 @@ class Sweep:
                 least *= self._float64.down(plain)
                 if self._float64.suffices(self._least, least):
                     return
-            self.is_extended = True
+            self._last = self._extended
             self._extended.up(self._inputs)
         self._extended.down(at_roots)
 
     def posteriors(self, size: int) -> Floats:
         """Of all variables with so many states, after `down`; shape (columns, size)."""
-        beliefs = as_float64(self._extended.belief(size), 0) if self.is_extended else self._float64.beliefs[size]
+        beliefs = self._last.float64_belief(size)
         shares: Floats = np.divide(beliefs, np.add.reduce(beliefs, axis=0)).T
         return shares
 
     def log_evidence(self) -> float:
         """The natural logarithm of the sum over all states of their probability times the likelihoods given."""
         logs, exponents = 0.0, 0.0
-        for size, column in self._roots():
-            found = total(self.likelihood(size, slice(column, column + 1)), axis=0)
-            logs += math.log(found.fraction[0])
-            exponents += int(found.exponent[0])
+        for root in self._plan.roots:
+            found = total(self._last.likelihood(*self._place(root)), axis=0)
+            logs += math.log(found.fraction)
+            exponents += int(found.exponent)
         if not self.is_extended:
             logs += self._float64.log_scale()
             exponents += self._exponents
         return logs + exponents * math.log(2.0)
 
-    def likelihood(self, size: int, columns: Columns) -> ExtendedFloats:
-        """L of some variables, up to a factor; shape (size, columns)."""
-        if self.is_extended:
-            return self._extended.likelihood(size, columns)
-        return extended(self._float64.likelihoods[size][:, columns])
-
     def message_up(self, group: int, family: int) -> ExtendedFloats:
         """What a family told its top, after `up`, up to a factor; shape (top's states,)."""
-        if self.is_extended:
-            return self._extended.message_up(group, family)
-        return extended(self._float64.messages_up(group)[:, family])
+        return self._last.message_up(group, family)
 
     def support(self, variable: int) -> ExtendedFloats:
         """What comes to a variable from the root's side, after `down`, up to a factor; shape (its states,)."""
-        size, column = self._plan.sizes[variable], int(self._plan.columns[variable])
-        if not self.is_extended:
-            return extended(self._float64.supports[size][:, column])
-        return self._extended.support(size, slice(column, column + 1)).at(0)
+        return self._last.support(*self._place(variable))
 
     def inner(self, variable: int) -> ExtendedFloats:
         """All that comes to a variable but its own input, after `down`, up to a factor; shape (its states,)."""
-        size, column = self._plan.sizes[variable], int(self._plan.columns[variable])
+        size, column = self._place(variable)
         found = multiply(self._plan.extended_base[size].at(column), self.support(variable))
         for group, family in self._plan.below.get(variable, ()):
             found = multiply(found, self.message_up(group, family))
@@ -140,8 +130,9 @@ class Sweep:
                 plain = plain and _is_plain(inputs[size], (columns, scaled))
         return plain
 
-    def _roots(self) -> list[tuple[int, int]]:
-        return [(self._plan.sizes[root], int(self._plan.columns[root])) for root in self._plan.roots]
+    def _place(self, variable: int) -> tuple[int, int]:
+        """Its number of states, and its column in the array of that size."""
+        return self._plan.sizes[variable], int(self._plan.columns[variable])
 
 
 def _is_plain(given: tuple[Places, ExtendedFloats], scaled: tuple[Places, Floats]) -> bool:
