@@ -130,12 +130,12 @@ class Float64Sweep:
         for group in self._plan.groups:
             count = len(group.tops)
             messages, at_tops = np.ones((2, group.top_size, count))
-            of_others = (
+            likelihoods, supports, beliefs = (
                 tuple(array[size][:, columns] for size, columns in group.others)
                 for array in (self.likelihoods, self.supports, self.beliefs)
             )
-            scales = self._scales[first : first + count]
-            steps.append(_Step(group, np.empty_like(group.table), messages, scales, *of_others, at_tops))
+            work, scales = np.empty_like(group.table), self._scales[first : first + count]
+            steps.append(_Step(group, work, messages, scales, likelihoods, supports, beliefs, at_tops))
             first += count
         return steps
 

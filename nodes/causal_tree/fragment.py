@@ -19,6 +19,7 @@ from hierax.nodes.causal_tree.messages import (
     Arrow,
     Evidence,
     Messages,
+    by_arrow,
     by_child,
     checked,
     checked_evidence,
@@ -110,22 +111,15 @@ class Fragment:
 
     def slots(self, messages: Messages) -> dict[str, dict[str, Floats]]:
         """What of diagnostic support concerns this part: about arrows to it from other parts' nodes."""
-        return {
-            child: kept
-            for child, given in messages.items()
-            if child not in self._numbers
-            and (kept := {p: checked(m, len(self.states[p]), p) for p, m in given.items() if p in self._numbers})
-        }
+        ours, given = self._numbers, by_arrow(messages)
+        mine = {arrow: given[arrow] for arrow in given if arrow[0] not in ours and arrow[1] in ours}
+        return by_child({arrow: checked(mine[arrow], len(self.states[arrow[1]]), arrow[1]) for arrow in mine})
 
     def supports(self, messages: Messages) -> dict[str, dict[str, Floats]]:
         """What of causal support concerns this part: about arrows from its nodes to other parts'."""
-        found: dict[str, dict[str, Floats]] = {}
-        for child, given in messages.items():
-            for parent, message in given.items():
-                guest = self._guests.get((child, parent))
-                if guest is not None:
-                    found.setdefault(child, {})[parent] = checked(message, self._plan.sizes[guest], parent)
-        return found
+        sizes = {arrow: self._plan.sizes[guest] for arrow, guest in self._guests.items()}
+        given = by_arrow(messages)
+        return by_child({arrow: checked(given[arrow], sizes[arrow], arrow[1]) for arrow in given if arrow in sizes})
 
     def diagnostic(
         self, evidence: Iterable[Evidence], slots: Mapping[Arrow, Floats], supports: Mapping[Arrow, Floats]

@@ -55,8 +55,13 @@ def checked_evidence(seen: Any, size: int, name: str) -> int | tuple[float, ...]
 
 
 def by_child(messages: Mapping[Arrow, Floats]) -> dict[str, dict[str, Floats]]:
-    """Messages as they travel."""
+    """Messages as they travel; `by_arrow` turns them back."""
     found: dict[str, dict[str, Floats]] = {}
     for (child, parent), message in messages.items():
         found.setdefault(child, {})[parent] = message
     return found
+
+
+def by_arrow(messages: Messages) -> dict[Arrow, Floats]:
+    """Messages that have come, by arrow."""
+    return {(child, parent): message for child, given in messages.items() for parent, message in given.items()}

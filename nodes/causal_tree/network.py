@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections import Counter
 from collections.abc import Hashable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
@@ -29,31 +30,19 @@ SUM_TOLERANCE = 1e-6
 
 @dataclass(frozen=True)
 class Variable:
-    """A node of a Bayesian network.
+    """A node of a Bayesian network."""
 
-    Attributes:
-        name: its id.
-        states: their names; "0", "1", … where only their number was given.
-        parents: ids, in the order of the table's axes.
-        table: P(node | parents), shape (parents' states…, states), float64, read-only; the prior where there are
-            no parents.
-    """
-
-    name: Name
-    states: tuple[str, ...]
-    parents: tuple[Name, ...]
-    table: Floats
+    name: Name  # its id
+    states: tuple[str, ...]  # their names; "0", "1", … where only their number was given
+    parents: tuple[Name, ...]  # ids, in the order of the table's axes
+    table: Floats  # P(node | parents), or the prior, shape (parents' states…, states), float64, read-only
 
 
 @dataclass(frozen=True)
 class Network:
-    """A causal tree, a polytree, or several of them side by side.
+    """A causal tree, a polytree, or several of them side by side."""
 
-    Attributes:
-        variables: by id, in the order of the description.
-    """
-
-    variables: Mapping[Name, Variable]
+    variables: Mapping[Name, Variable]  # by id, in the order of the description
 
     @property
     def is_tree(self) -> bool:
@@ -119,9 +108,8 @@ def check_tables(shapes: Mapping[Name, Sequence[int]]) -> None:
 
 def _id(entry: object, place: int) -> Name:
     if not isinstance(entry, Mapping):
-        raise NetworkError(
-            f"entry {place + 1}: expected a map with id, states, parents and prior or cpt, got {entry!r:.60}"
-        )
+        expected = "expected a map with id, states, parents and prior or cpt"
+        raise NetworkError(f"entry {place + 1}: {expected}, got {entry!r:.60}")
     if "id" not in entry:
         raise NetworkError(f"entry {place + 1}: expected an id, got {', '.join(map(str, entry)) or 'nothing'}")
     name = entry["id"]
@@ -145,9 +133,8 @@ def _states(entry: Mapping[str, Any], name: Name) -> tuple[str, ...]:
     if len(states) > MAX_STATES:
         raise NetworkError(f"states: {len(states)} of them; at most {MAX_STATES} are allowed", name)
     names = tuple(str(state).lower() if isinstance(state, bool) else str(state) for state in states)
-    seen: set[str] = set()
-    doubled = next((state for state in names if state in seen or seen.add(state)), None)  # type: ignore[func-returns-value]
-    if doubled is not None:
+    if len(set(names)) < len(names):
+        doubled = next(state for state, count in Counter(names).items() if count > 1)
         raise NetworkError(f"states: {doubled!r} is there twice", name)
     return names
 
@@ -181,10 +168,9 @@ def _table(entry: Mapping[str, Any], name: Name, shape: tuple[int, ...]) -> Floa
         raise NetworkError("expected a cpt, as it has parents, got a prior", name)
     try:
         numbers = np.asarray(entry[key])
-    except ValueError as error:  # lists of different lengths
-        raise NetworkError(
-            f"{key}: expected numbers of shape {_shown(shape)}, got lists of uneven lengths", name
-        ) from error
+    except ValueError as error:
+        expected = f"{key}: expected numbers of shape {_shown(shape)}"
+        raise NetworkError(f"{expected}, got lists of uneven lengths", name) from error
     if numbers.dtype.kind not in "iuf":
         raise NetworkError(f"{key}: expected numbers, got {entry[key]!r:.60}", name)
     if numbers.shape != shape:

@@ -24,10 +24,6 @@ MAX_YAML_VALUES = 1 << 18  # values of a YAML file, aliases counted wherever the
 MAX_DEPTH = 80
 
 
-class _TooMuch(Exception):  # noqa: N818 - told as another error, with its file
-    """The file has more than is allowed."""
-
-
 class _Loader(yaml.SafeLoader):
     """Numbers and booleans as YAML 1.2 has them: 1e-12 is a number, and no and yes are the names of states.
 
@@ -41,16 +37,16 @@ class _Loader(yaml.SafeLoader):
         self._composed += 1
         self._depth += 1
         if self._composed > MAX_YAML_VALUES:
-            raise _TooMuch(f"has more than {MAX_YAML_VALUES} values in YAML; JSON may have more")
+            raise NetworkError(f"has more than {MAX_YAML_VALUES} values in YAML; JSON may have more")
         if self._depth > MAX_DEPTH:
-            raise _TooMuch(f"is nested deeper than {MAX_DEPTH} levels")
+            raise NetworkError(f"is nested deeper than {MAX_DEPTH} levels")
         node: yaml.Node | None = super().compose_node(parent, index)
         self._depth -= 1
         return node
 
     def construct_document(self, node: yaml.Node) -> Any:
         if _size(node, {}) > MAX_YAML_VALUES:
-            raise _TooMuch(f"has more than {MAX_YAML_VALUES} values in YAML, aliases counted wherever they stand")
+            raise NetworkError(f"has more than {MAX_YAML_VALUES} values in YAML, aliases counted wherever they stand")
         return super().construct_document(node)
 
 
@@ -93,10 +89,9 @@ def read_network(file: str | Path) -> Network:
     suffix = path.suffix.lower()
     if suffix not in SUFFIXES:
         raise NetworkError(f"{path}: expected a file with the ending {', '.join(SUFFIXES)}")
-    text = _text(path, MAX_BYTES[suffix])
-    description = _from_bif(path, text) if suffix == ".bif" else _from_text(text, path)
     try:
-        return parse(description)
+        text = _text(path, MAX_BYTES[suffix])
+        return parse(_from_bif(path, text) if suffix == ".bif" else _from_text(text, suffix == ".json"))
     except NetworkError as error:
         placed = NetworkError(f"{path}: {error}")
         placed.node = error.node
@@ -105,41 +100,36 @@ def read_network(file: str | Path) -> Network:
 
 def _text(path: Path, most: int) -> str:
     """What is in a file, and nothing of one that is too large, or of something else than a file."""
+    data = b""
     try:
         is_other = path.exists() and not path.is_file()  # reading a FIFO waits for ever
-        data = b"" if is_other else _begin(path, most + 1)
+        if not is_other:
+            with path.open("rb") as file:
+                data = file.read(most + 1)
     except (OSError, ValueError) as error:
-        raise NetworkError(f"{path}: cannot be read: {getattr(error, 'strerror', None) or error}") from error
+        raise NetworkError(f"cannot be read: {getattr(error, 'strerror', None) or error}") from error
     if is_other:
-        raise NetworkError(f"{path}: is no file")
+        raise NetworkError("is no file")
     if len(data) > most:
-        raise NetworkError(f"{path}: has more than the {most} bytes that are allowed of {path.suffix.lower()}")
+        raise NetworkError(f"has more than the {most} bytes that are allowed of {path.suffix.lower()}")
     try:
         return data.decode("utf-8-sig")
     except UnicodeDecodeError as error:
-        raise NetworkError(f"{path}: byte {error.object[error.start]:#04x} is not UTF-8") from error
+        raise NetworkError(f"byte {error.object[error.start]:#04x} is not UTF-8") from error
 
 
-def _begin(path: Path, count: int) -> bytes:
-    with path.open("rb") as file:
-        return file.read(count)
-
-
-def _from_text(text: str, path: Path) -> Any:
+def _from_text(text: str, is_json: bool) -> Any:
     try:
-        content = json.loads(text) if path.suffix.lower() == ".json" else yaml.load(text, Loader=_Loader)
-    except _TooMuch as error:
-        raise NetworkError(f"{path}: {error}") from error
+        content = json.loads(text) if is_json else yaml.load(text, Loader=_Loader)
+    except NetworkError:
+        raise
     except RecursionError as error:
-        raise NetworkError(f"{path}: is nested too deeply; expected a list of nodes") from error
+        raise NetworkError("is nested too deeply; expected a list of nodes") from error
     except ValueError as error:
-        kind = "JSON" if path.suffix.lower() == ".json" else "YAML"
-        raise NetworkError(f"{path}: is no {kind}: {error}") from error
+        raise NetworkError(f"is no {'JSON' if is_json else 'YAML'}: {error}") from error
     except yaml.YAMLError as error:
-        raise NetworkError(f"{path}: is no YAML: {' '.join(str(error).split())}") from error
-    if isinstance(content, dict) and "network" in content:
-        return content["network"]
-    return content
+        raise NetworkError(f"is no YAML: {' '.join(str(error).split())}") from error
+    return content["network"] if isinstance(content, dict) and "network" in content else content
 
 
 _BIF_VARIABLE = re.compile(r'\bvariable\s+"?([^"\s{]+)"?\s*\{[^}]*?\[\s*([0-9]{1,18})\s*\]', re.DOTALL)
@@ -164,20 +154,16 @@ def import_quietly(name: str) -> Any:
 
 
 def _from_bif(path: Path, text: str) -> list[dict[str, Any]]:
-    try:
-        _check_bif(text)
-    except NetworkError as error:
-        raise NetworkError(f"{path}: {error}") from error
+    _check_bif(text)
     try:
         pyagrum = import_quietly("pyagrum")
     except ModuleNotFoundError as error:
-        what = "BIF needs pyAgrum, which is not installed: pip install 'hierax[bayes]'"
-        raise NetworkError(f"{path}: {what}") from error
+        raise NetworkError("BIF needs pyAgrum, which is not installed: pip install 'hierax[bayes]'") from error
     try:
         net = pyagrum.loadBN(str(path))
     except Exception as error:  # pyAgrum has many
         told = next((line for line in str(error).splitlines() if line.strip()), type(error).__name__)
-        raise NetworkError(f"{path}: is no BIF: {told.strip()}") from error
+        raise NetworkError(f"is no BIF: {told.strip()}") from error
     return description_of(net)
 
 
@@ -192,11 +178,8 @@ def description_of(net: Any) -> list[dict[str, Any]]:
         variable, table = net.variable(node), net.cpt(node)
         name = variable.name()
         parents = [axis for axis in table.names if axis != name]
-        # its arrays have the axes in the opposite order, whichever the table has
-        array = np.asarray(table.toarray(), np.float64)
-        axes = list(reversed(table.names))
-        array = array.transpose([axes.index(axis) for axis in (*parents, name)])
-        entry = {"id": name, "states": list(variable.labels()), "parents": parents}
-        entry["cpt" if parents else "prior"] = array.tolist()
-        description.append(entry)
+        axes = table.names[::-1]  # its arrays have the axes in the opposite order, whichever the table has
+        array = np.asarray(table.toarray(), np.float64).transpose([axes.index(axis) for axis in (*parents, name)])
+        numbers = {"cpt" if parents else "prior": array.tolist()}
+        description.append({"id": name, "states": list(variable.labels()), "parents": parents, **numbers})
     return description

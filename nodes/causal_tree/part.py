@@ -24,7 +24,7 @@ import numpy as np
 from hierax.nodes.causal_tree.errors import ImpossibleEvidence
 from hierax.nodes.causal_tree.extended_floats import Floats
 from hierax.nodes.causal_tree.fragment import Fragment
-from hierax.nodes.causal_tree.messages import NOTHING, Arrow, Messages
+from hierax.nodes.causal_tree.messages import NOTHING, Arrow, Messages, by_arrow, by_child
 from hierax.nodes.causal_tree.network import Network
 from hierax.nodes.causal_tree.network_graph import part_things
 from hierax.nodes.causal_tree.networks import Source, network_from
@@ -103,7 +103,7 @@ class Part(Node):
         age = min((seen["age"] for seen in observations), default=belief["age"])
         sensed = {**belief, "age": age, "evidence": evidence, "below": below}
         found = self._fragment.diagnostic(evidence.values(), self._merged_below(below), _merged(belief["above"]))
-        if found.impossible is not None and found.certain:
+        if found.certain:
             self._judge(found.impossible, age)
         return {**sensed, "diagnostic": found.messages}
 
@@ -163,21 +163,16 @@ class Part(Node):
         """The belief with all that follows from its slots."""
         evidence, below = belief["evidence"], self._merged_below(belief["below"])
         found = self._fragment.all(evidence.values(), below, _merged(belief["above"]))
-        if found.impossible is not None:
-            self._judge(found.impossible, age)
-        causal = {
-            part: {
-                child: {parent: found.causal[child, parent] for parent in parents} for child, parents in slots.items()
-            }
-            for part, slots in belief["below"].items()
-        }
-        diagnostic = belief.get("diagnostic", NOTHING)
+        self._judge(found.impossible, age)
         return {
             **belief,
-            "diagnostic": diagnostic,
-            "causal": causal,
+            "diagnostic": belief.get("diagnostic", NOTHING),
+            "causal": {
+                part: by_child({arrow: found.causal[arrow] for arrow in by_arrow(slots)})
+                for part, slots in belief["below"].items()
+            },
             "posterior": found.posterior,
-            "impossible": "" if found.impossible is None else found.impossible,
+            "impossible": found.impossible or "",
         }
 
     def _merged_below(self, below: Mapping[str, Messages]) -> dict[Arrow, Floats]:
@@ -186,8 +181,9 @@ class Part(Node):
             self._merged = (below, _merged(below))
         return self._merged[1]
 
-    def _judge(self, node: str, age: int) -> None:
-        if self._settle is not None and age >= self._settle:
+    def _judge(self, node: str | None, age: int) -> None:
+        """Refuse evidence that contradicts itself at a node, once that has settled."""
+        if node is not None and self._settle is not None and age >= self._settle:
             raise ImpossibleEvidence(node)
 
 
@@ -240,9 +236,5 @@ def _checked_names(network: Network, names: Sequence[object]) -> list[str]:
 
 def _merged(slots: Mapping[str, Messages]) -> dict[Arrow, Floats]:
     """The messages of all senders, by arrow."""
-    return {
-        (child, parent): np.asarray(message)
-        for sender in sorted(slots)
-        for child, messages in slots[sender].items()
-        for parent, message in messages.items()
-    }
+    by_sender = (by_arrow(slots[sender]) for sender in sorted(slots))
+    return {arrow: np.asarray(message) for messages in by_sender for arrow, message in messages.items()}

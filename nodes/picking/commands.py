@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from hierax.nodes.tracking.math.geometry import Array, make_pose, quaternion_of, rotation_of
-from hierax.runtime import Elements, Value
+from hierax.runtime import Elements, Node, Value
 from hierax.runtime.core.node import Policy, do_nothing
 
 REST = "default"
@@ -74,6 +74,22 @@ class Commanded(Mapping[str, Policy]):
 
     def __len__(self) -> int:
         return 1
+
+
+class CommandedNode(Node):
+    """A node that is told what the gripper has to do, and by default hands it on."""
+
+    def select_policy(self, tasks: Elements) -> str:
+        """λ: to carry out the command; of none, to do nothing."""
+        return name_of(tasks)
+
+    def policies(self) -> Mapping[str, Policy]:
+        """Π: for every command, its execution."""
+        return Commanded(self.carried_out)
+
+    def carried_out(self, wanted: Command, belief: Value) -> Command:
+        """The action by which a command is carried out."""
+        return wanted
 
 
 def handed_down(actions: Elements) -> Elements:

@@ -1,8 +1,8 @@
 """How the cubes of a scene are laid out, by its number, as far as everybody may know it.
 
-The plan gives each cube a place. Where it really stands is the world's alone: it moves every
-cube off its place (`hierax.nodes.picking.world`). What the trackers begin with is the plan
-with an error of its own, as a first look at the scene would have.
+The plan gives each cube a place. Where it really stands is the world's alone: it moves every cube off its place
+(`hierax.nodes.picking.world`). What the trackers begin with is the plan with an error of its own, as a first look at
+the scene would have.
 """
 
 from __future__ import annotations
@@ -43,8 +43,8 @@ class Place(NamedTuple):
 def planned(scene: int, cubes: int = len(SIDES_M)) -> tuple[Place, ...]:
     """The places of all cubes of a scene.
 
-    In every other scene the second cube stands on the first. The third one stands close to
-    the first, so that one of them hides the other and keeps the gripper from some of its sides.
+    In every other scene the second cube stands on the first. The third one stands close to the first, so that one of
+    them hides the other and keeps the gripper from some of its sides.
 
     Args:
         scene: number of the scene, from 0; cubes: how many, from 1 to 5.
@@ -57,16 +57,15 @@ def planned(scene: int, cubes: int = len(SIDES_M)) -> tuple[Place, ...]:
     if scene < 0:
         raise ValueError(f"scene is {scene}; expected a number from 0")
     rng = np.random.default_rng([scene, _PLAN])
-    stacked = scene % 2 == 1
     places: list[Place] = []
     for number, (side, colour) in enumerate(zip(SIDES_M[:cubes], COLOURS, strict=False), start=1):
-        if number == 2 and stacked:
-            floor = places[0]
-            centre, below = floor.pose[:2, 3] + rng.uniform(-0.006, 0.006, 2), 1
-            height = floor.side_m + side / 2
+        if number == 2 and scene % 2 == 1:
+            centre, below = places[0].pose[:2, 3] + rng.uniform(-0.006, 0.006, 2), 1
+            height = places[0].side_m + side / 2
         else:
             centre, below, height = _free_spot(rng, places, number, side), 0, side / 2
-        places.append(Place(number, side, colour, _upright(centre, height, rng.uniform(-np.pi, np.pi)), below))
+        yaw = exp_so3(np.array([0.0, 0.0, rng.uniform(-np.pi, np.pi)]))
+        places.append(Place(number, side, colour, make_pose(yaw, np.array([*centre, height])), below))
     return tuple(places)
 
 
@@ -83,17 +82,15 @@ def disturbed(pose: Floats, shift_m: Floats, turn_rad: Floats) -> Floats:
 
 def _free_spot(rng: np.random.Generator, places: list[Place], number: int, side: float) -> Floats:
     """Where a cube has room however the cubes are turned; the third close to the first."""
-    standing = [place for place in places if not place.below]
+    others = [place for place in places if not (place.below or (number == 3 and place.id == 1))]
     for _ in range(_TRIES):
         spot = rng.uniform(_CORNER_M, _FAR_CORNER_M)
         if number == 3:
             angle = rng.uniform(-np.pi, np.pi)
             distance = _radius(places[0].side_m) + _radius(side) + rng.uniform(*_BESIDE_M)
             spot = places[0].pose[:2, 3] + distance * np.array([np.cos(angle), np.sin(angle)])
-        others = [place for place in standing if not (number == 3 and place.id == 1)]
-        gaps = [
-            float(np.linalg.norm(spot - place.pose[:2, 3])) - _radius(place.side_m) - _radius(side) for place in others
-        ]
+        apart = [(np.linalg.norm(spot - place.pose[:2, 3]), _radius(place.side_m)) for place in others]
+        gaps = [float(distance) - radius - _radius(side) for distance, radius in apart]
         inside = bool(np.all(spot >= _CORNER_M) and np.all(spot <= _FAR_CORNER_M))
         if inside and min(gaps, default=np.inf) >= _GAP_M:
             return spot
@@ -102,10 +99,6 @@ def _free_spot(rng: np.random.Generator, places: list[Place], number: int, side:
 
 def _radius(side: float) -> float:
     return side / 2**0.5
-
-
-def _upright(centre: Floats, height: float, yaw: float) -> Floats:
-    return make_pose(exp_so3(np.array([0.0, 0.0, yaw])), np.array([*centre, height]))
 
 
 def _within(rng: np.random.Generator, radius: float) -> Floats:

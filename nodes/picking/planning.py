@@ -44,9 +44,9 @@ class Grasp(NamedTuple):
 def choose(bodies: Sequence[Mapping[str, Any]], eligible: Sequence[int]) -> Grasp | None:
     """The easiest grasp of any eligible box.
 
-    From above is easier than from the side, little turning is easier than much. A grasp is
-    possible where nothing lies on the box, hand and camera keep clear of all boxes and of
-    the table all along the approach, and the arm reaches both ends of it.
+    From above is easier than from the side, little turning is easier than much. A grasp is possible where nothing lies
+    on the box, hand and camera keep clear of all boxes and of the table all along the approach, and the arm reaches
+    both ends of it.
 
     Args:
         bodies: {"id", "pose": world_from_box, "size": (3,) m} of all boxes; the table is z = 0.
@@ -102,8 +102,8 @@ def clear(gripper: Floats, width_m: float, boxes: Boxes, clearance_m: float) -> 
 def overlapping(first: Boxes, second: Boxes, index: int) -> NDArray[np.bool_]:
     """Which of the first boxes overlap one of the second, (n,) bool: none of the 15 axes separates them.
 
-    The axes are the faces' normals of both and the cross products of their edges
-    (Gottschalk, Lin and Manocha, OBBTree, 1996).
+    The axes are the faces' normals of both and the cross products of their edges (Gottschalk, Lin and Manocha, OBBTree,
+    1996).
     """
     between = second.centres[index] - first.centres
     turn = np.einsum("nki,kj->nij", first.axes, second.axes[index])
@@ -131,14 +131,10 @@ def _boxes(bodies: Sequence[Mapping[str, Any]]) -> Boxes:
 
 def _uncovered(boxes: Boxes, index: int) -> bool:
     """Whether nothing is in the way of a box upwards."""
-    raises = np.zeros((len(_RAISES_M), 3))
-    raises[:, 2] = _RAISES_M
     count = len(_RAISES_M)
-    raised = Boxes(
-        boxes.centres[index] + raises,
-        np.repeat(boxes.axes[index][None], count, axis=0),
-        np.repeat(boxes.halves[index][None] - _SHRUNK_M, count, axis=0),
-    )
+    raises = np.outer(_RAISES_M, [0.0, 0.0, 1.0])
+    alike = (np.repeat(part[index][None], count, axis=0) for part in (boxes.axes, boxes.halves - _SHRUNK_M))
+    raised = Boxes(boxes.centres[index] + raises, *alike)
     others = [other for other in range(len(boxes.centres)) if other != index]
     return not any(overlapping(raised, boxes, other).any() for other in others)
 

@@ -1,17 +1,16 @@
 """The tracking nodes as they stand between the world and the grasp node.
 
-Both do what they do in `hierax.nodes.tracking`, and two things more: what the arm feels of
-its hand goes up through them, and the grasp node's commands go down.
+Both do what they do in `hierax.nodes.tracking`, and two things more: what the arm feels of its hand goes up through
+them, and the grasp node's commands go down.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
 
-from hierax.nodes.picking.commands import Command, Commanded, name_of
+from hierax.nodes.picking.commands import Command, CommandedNode
 from hierax.nodes.picking.layout import SIDES_M, guessed, planned
 from hierax.nodes.picking.panda import CAMERA_FROM_GRIPPER, HOME_RAD, camera_of, gripper_at
 from hierax.nodes.tracking.arm import ArmNode, poses_seen
@@ -20,10 +19,9 @@ from hierax.nodes.tracking.model.mesh import box_mesh
 from hierax.nodes.tracking.schema import FirstBody, FirstPose, Model
 from hierax.nodes.tracking.spatial import SpatialNode
 from hierax.runtime import NO_TICK, Elements, Tick, Value
-from hierax.runtime.core.node import Policy
 
 
-class PickArm(ArmNode):
+class PickArm(CommandedNode, ArmNode):
     """An arm node that also knows its hand.
 
     What stands above it knows where things are by this node's camera, whose pose it corrects. So it says where the hand
@@ -31,9 +29,9 @@ class PickArm(ArmNode):
     the joints have to bring it. While the hand grips, the camera sees little but what moves with it, of which it cannot
     learn where it is itself: the correction stays what it was.
 
-    The belief is that of `ArmNode`, with ``hand``, as the world gave it (None before the first
-    image), ``joints_from_camera`` ((4, 4): from where the camera has things to where the joints
-    have them) and ``grips``, whether the last command was to close the fingers.
+    The belief is that of `ArmNode`, with ``hand``, as the world gave it (None before the first image),
+    ``joints_from_camera`` ((4, 4): from where the camera has things to where the joints have them) and ``grips``,
+    whether the last command was to close the fingers.
     """
 
     def initial_belief(self) -> Value:
@@ -49,24 +47,20 @@ class PickArm(ArmNode):
             return {**felt, "joints_from_camera": belief["joints_from_camera"]}
         return {**felt, "joints_from_camera": felt["hand"]["gripper"] @ invert(felt["camera"] @ CAMERA_FROM_GRIPPER)}
 
-    def select_policy(self, tasks: Elements) -> str:
-        """λ: to have the hand carry out the command."""
-        return name_of(tasks)
-
-    def policies(self) -> Mapping[str, Policy]:
-        """Π: for every command, the same as the joints know it."""
-        return Commanded(_for_joints)
+    def carried_out(self, wanted: Command, belief: Value) -> Command:
+        """The command by the camera, as one by the joints' angles."""
+        return {**wanted, "gripper": belief["joints_from_camera"] @ wanted["gripper"]}
 
     def predict(self, context: Elements, actions: Elements, belief: Value) -> Value:
         """γ of `ArmNode`; its command changes nothing in what it expects to see, as the camera's pose is measured."""
         return {**super().predict(context, (), belief), "grips": any(action["width"] <= 0.0 for action in actions)}
 
 
-class PickSpatial(SpatialNode):
+class PickSpatial(CommandedNode, SpatialNode):
     """A spatial node in whose imagination the cube that the hand holds moves with the hand.
 
-    Its belief has ``hand``, as the arm felt it (None before the first observation), and
-    ``hand_before``, the same an epoch earlier.
+    Its belief has ``hand``, as the arm felt it (None before the first observation), and ``hand_before``, the same an
+    epoch earlier.
     """
 
     def initial_belief(self) -> Value:
@@ -78,14 +72,6 @@ class PickSpatial(SpatialNode):
         sensed = super().observe(observations, belief, tick)
         hands = [item["hand"] for item in observations if "hand" in item]
         return {**sensed, "hand": hands[0], "hand_before": belief["hand"]} if hands else sensed
-
-    def select_policy(self, tasks: Elements) -> str:
-        """λ: to hand on the command."""
-        return name_of(tasks)
-
-    def policies(self) -> Mapping[str, Policy]:
-        """Π: for every command, handing it on."""
-        return Commanded()
 
     def predict(self, context: Elements, actions: Elements, belief: Value) -> Value:
         """γ of `SpatialNode`, but for the cube that is held: it goes on as the hand went.
@@ -148,8 +134,8 @@ def scene_known(belief: Value) -> Elements:
     """φ of the spatial node: the bodies as boxes, and the hand.
 
     Returns:
-        Of each body {"id", "pose": world_from_box, its centre in the origin, "size": (3,) m,
-        "covariance", "status"}, then {"hand"}; none before the first observation.
+        Of each body {"id", "pose": world_from_box, its centre in the origin, "size": (3,) m, "covariance", "status"},
+        then {"hand"}; none before the first observation.
     """
     if belief["hand"] is None:
         return ()
@@ -159,18 +145,6 @@ def scene_known(belief: Value) -> Elements:
         low, high = vertices.min(axis=0), vertices.max(axis=0)
         pose = body["pose"].copy()
         pose[:3, 3] += pose[:3, :3] @ ((low + high) / 2)
-        boxes.append(
-            {
-                "id": body["id"],
-                "pose": pose,
-                "size": high - low,
-                "covariance": body["covariance"],
-                "status": body["status"],
-            }
-        )
+        known = {"covariance": body["covariance"], "status": body["status"]}
+        boxes.append({"id": body["id"], "pose": pose, "size": high - low, **known})
     return (*boxes, {"hand": belief["hand"]})
-
-
-def _for_joints(wanted: Command, belief: Value) -> Command:
-    """A command by the camera, as one by the joints' angles."""
-    return {**wanted, "gripper": belief["joints_from_camera"] @ wanted["gripper"]}

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from hierax.nodes.picking.commands import Commanded, name_of
+from hierax.nodes.picking.commands import CommandedNode
 from hierax.nodes.picking.layout import SIDES_M, disturbed, planned
 from hierax.nodes.picking.panda import HOME_RAD, WIDEST_M, camera_of, gripper_at, joints_for
 from hierax.nodes.picking.workcell import STEP_HZ, Arm, Cube, Order, Touch, Workcell
@@ -16,7 +16,6 @@ from hierax.nodes.tracking.simworld import shapes as sim_shapes
 from hierax.nodes.tracking.simworld.scene import develop, draw
 from hierax.nodes.tracking.simworld.world import check_pictures
 from hierax.runtime import NO_TICK, Elements, Tick, Value, World
-from hierax.runtime.core.node import Policy
 
 # How far a cube stands off its place in the plan at most, and how far it is turned.
 OFF_PLAN_M = 0.004
@@ -34,7 +33,7 @@ _TURN_M_RAD = 0.2  # a turn of a radian takes as long as a move of this
 _TRUTH = 3
 
 
-class PickWorld(World):
+class PickWorld(CommandedNode, World):
     """An arm with a camera in its hand, over a table with cubes.
 
     The arm's controller moves the gripper on a straight line to where it is commanded, speeding up and slowing down;
@@ -70,74 +69,38 @@ class PickWorld(World):
         if fps < 1 or STEP_HZ % fps:
             raise ValueError(f"fps is {fps}; expected a divisor of {STEP_HZ}")
         self._bodies = _placed(scene, cubes)
-        self._frames = frames
-        self._size = (width, height)
-        self._noise = float(noise)
-        self._blur_px = float(blur_px)
-        self._fps = fps
+        self._frames, self._fps = frames, fps
+        self._pictures = {"size": (width, height), "noise": float(noise), "blur_px": float(blur_px)}
+        focal = FOCAL_LENGTH * width
+        self._intrinsics = np.array([focal, focal, (width - 1) / 2, (height - 1) / 2])
         self._workcell = Workcell()
 
     def initial_belief(self) -> Value:
         """Frame 0: everything at rest, the gripper open, the camera overlooking the table."""
-        width, height = self._size
-        focal = FOCAL_LENGTH * width
+        arm = Arm(HOME_RAD, np.zeros(7), np.full(2, WIDEST_M / 2), np.zeros(2))
         gripper = gripper_at(HOME_RAD)
-        return {
-            "frame": 0,
-            "time_s": 0.0,
-            "joints": HOME_RAD,
-            "speeds": np.zeros(7),
-            "fingers": np.full(2, WIDEST_M / 2),
-            "finger_speeds": np.zeros(2),
-            "targets": HOME_RAD,
-            "setpoint": gripper,
-            "pace": 0.0,
-            "camera": camera_of(gripper),
-            "intrinsics": np.array([focal, focal, (width - 1) / 2, (height - 1) / 2]),
-            "size": self._size,
-            "noise": self._noise,
-            "blur_px": self._blur_px,
-            "bodies": self._bodies,
-        }
-
-    def select_policy(self, tasks: Elements) -> str:
-        """λ: to carry out the command; of none, to stay."""
-        return name_of(tasks)
-
-    def policies(self) -> Mapping[str, Policy]:
-        """Π: for every command, its execution."""
-        return Commanded()
+        controller = {"targets": HOME_RAD, "setpoint": gripper, "pace": 0.0}
+        camera = {"camera": camera_of(gripper), "intrinsics": self._intrinsics, **self._pictures}
+        return {"frame": 0, "time_s": 0.0, **arm._asdict(), **controller, **camera, "bodies": self._bodies}
 
     def predict(self, context: Elements, actions: Elements, belief: Value) -> Value:
         """γ: one frame interval of the arm's controller and of physics."""
         interval_s = 1.0 / self._fps
-        setpoint, pace = belief["setpoint"], 0.0
-        width = float(belief["fingers"].sum())
+        setpoint, pace, width = belief["setpoint"], 0.0, float(belief["fingers"].sum())
         if actions:
-            wanted = actions[0]
-            setpoint, pace = _advanced(setpoint, belief["pace"], wanted, interval_s)
-            width = wanted["width"]
+            setpoint, pace = _advanced(setpoint, belief["pace"], actions[0], interval_s)
+            width = actions[0]["width"]
         targets, _ = joints_for(setpoint, belief["targets"])
-        arm = Arm(belief["joints"], belief["speeds"], belief["fingers"], belief["finger_speeds"])
+        arm = Arm(*(belief[name] for name in Arm._fields))
         cubes = [Cube(body["side_m"], body["pose"], body["velocity"]) for body in belief["bodies"]]
         order = Order(belief["targets"], targets, width)
         arm, cubes, touches = self._workcell.run(arm, cubes, order, STEP_HZ // self._fps)
-        bodies = tuple(
-            _moved(body, cube, touch, interval_s)
-            for body, cube, touch in zip(belief["bodies"], cubes, touches, strict=True)
-        )
-        frame = belief["frame"] + 1
-        return {
-            **belief,
-            **arm._asdict(),
-            "frame": frame,
-            "time_s": frame / self._fps,
-            "targets": targets,
-            "setpoint": setpoint,
-            "pace": pace,
-            "camera": camera_of(gripper_at(arm.joints)),
-            "bodies": bodies,
-        }
+        frame = {"frame": belief["frame"] + 1, "time_s": (belief["frame"] + 1) / self._fps}
+        controller = {"targets": targets, "setpoint": setpoint, "pace": pace}
+        moved = zip(belief["bodies"], cubes, touches, strict=True)
+        bodies = tuple(_moved(body, cube, touch, interval_s) for body, cube, touch in moved)
+        camera = camera_of(gripper_at(arm.joints))
+        return {**belief, **arm._asdict(), **frame, **controller, "camera": camera, "bodies": bodies}
 
     def time_s(self, belief: Value, epoch: int) -> float:
         """The time of the belief's frame."""
@@ -149,12 +112,8 @@ class PickWorld(World):
 
     def metrics(self, belief: Value) -> Mapping[str, float]:
         """Whether a cube was grasped (1 or 0), how high the highest is lifted (mm), how long one has been held (s)."""
-        held_s = max(body["held_s"] for body in belief["bodies"])
-        return {
-            "grasped": float(held_s >= HELD_S - 1e-9),
-            "lift_mm": 1000.0 * max(body["lift_m"] for body in belief["bodies"]),
-            "held_s": held_s,
-        }
+        held_s, lift_m = (max(body[name] for body in belief["bodies"]) for name in ("held_s", "lift_m"))
+        return {"grasped": float(held_s >= HELD_S - 1e-9), "lift_mm": 1000.0 * lift_m, "held_s": held_s}
 
 
 def picture_and_hand_seen(belief: Value, tick: Tick = NO_TICK) -> Elements:
@@ -168,15 +127,10 @@ def picture_and_hand_seen(belief: Value, tick: Tick = NO_TICK) -> Elements:
     """
     cubes = [sim_shapes.Cube(body["pose"], body["side_m"], tuple(body["colour"])) for body in belief["bodies"]]
     picture = draw(cubes, belief["camera"], belief["intrinsics"], tuple(belief["size"]))
-    return (
-        {
-            "image": develop(picture, belief["blur_px"], belief["noise"], tick.rng),
-            "camera": belief["camera"],
-            "intrinsics": belief["intrinsics"],
-            "frame": belief["frame"],
-            "hand": {"gripper": gripper_at(belief["joints"]), "width": float(belief["fingers"].sum())},
-        },
-    )
+    image = develop(picture, belief["blur_px"], belief["noise"], tick.rng)
+    view = {name: belief[name] for name in ("camera", "intrinsics", "frame")}
+    hand = {"gripper": gripper_at(belief["joints"]), "width": float(belief["fingers"].sum())}
+    return ({"image": image, **view, "hand": hand},)
 
 
 def _placed(scene: int, cubes: int) -> tuple[dict[str, Any], ...]:
@@ -191,19 +145,9 @@ def _placed(scene: int, cubes: int) -> tuple[dict[str, Any], ...]:
         shifts[place.id] = shifts[place.below] if place.below else shift
         turn = np.array([0.0, 0.0, rng.uniform(-OFF_PLAN_RAD, OFF_PLAN_RAD)])
         pose = disturbed(place.pose, shifts[place.id], turn)
-        bodies.append(
-            {
-                "id": place.id,
-                "obj_id": place.id,
-                "side_m": place.side_m,
-                "colour": place.colour,
-                "pose": pose,
-                "velocity": np.zeros(6),
-                "floor_m": float(pose[2, 3]),
-                "lift_m": 0.0,
-                "held_s": 0.0,
-            }
-        )
+        cube = {"id": place.id, "obj_id": place.id, "side_m": place.side_m, "colour": place.colour}
+        lifted = {"floor_m": float(pose[2, 3]), "lift_m": 0.0, "held_s": 0.0}
+        bodies.append({**cube, "pose": pose, "velocity": np.zeros(6), **lifted})
     return tuple(bodies)
 
 
@@ -226,10 +170,5 @@ def _advanced(setpoint: Floats, pace: float, wanted: Mapping[str, Any], interval
 def _moved(body: Mapping[str, Any], cube: Cube, touch: Touch, interval_s: float) -> dict[str, Any]:
     lift_m = float(cube.pose[2, 3]) - body["floor_m"]
     held = lift_m >= LIFTED_M and touch.fingers and not touch.other
-    return {
-        **body,
-        "pose": cube.pose,
-        "velocity": cube.velocity,
-        "lift_m": lift_m,
-        "held_s": body["held_s"] + interval_s if held else 0.0,
-    }
+    held_s = body["held_s"] + interval_s if held else 0.0
+    return {**body, "pose": cube.pose, "velocity": cube.velocity, "lift_m": lift_m, "held_s": held_s}
