@@ -31,6 +31,9 @@ EPOCH_S = 0.7
 ANSWER_S = 0.15
 """How long the world's process, and then all others, may take to tell what they have come to."""
 
+KILLED_S = 5.0
+"""How long a process that was killed may take to be gone: until then it holds its checkpoint, which speaks for it."""
+
 CLOSE_S = 0.35
 """How long who has told may take to close probes and files, and to end."""
 
@@ -102,7 +105,7 @@ class EarlyEnd:
         for child in children:
             if child.report is None:
                 child.kill()
-        with anyio.move_on_after(ANSWER_S):
+        with anyio.move_on_after(KILLED_S):
             for child in children:
                 if child.report is None:
                     await child.heard.wait()

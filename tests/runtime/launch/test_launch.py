@@ -19,8 +19,8 @@ from support.recompute_digest import main as recompute_digest
 HIERAX = [sys.executable, "-m", "hierax.runtime.commands.main"]
 TESTS = Path(__file__).parents[2]
 TIMEOUT_S = 60.0
-ENDED_S = 2.0
-BUSY = 3
+ENDED_S = 30.0
+"""Less than any deadline; how quick it is, `make interrupts` shows."""
 """How many times longer things take where other programs want the cores as well."""
 
 
@@ -257,7 +257,7 @@ def test_every_node_has_a_process_of_its_own(launched: Launched) -> None:
 def test_a_signal_ends_all(launched: Launched, number: signal.Signals) -> None:
     launched.until_stuck()
     launched.process.send_signal(number)
-    assert launched.until_gone() < BUSY * ENDED_S
+    assert launched.until_gone() < ENDED_S
     out, err = launched.end()
     assert launched.process.returncode == 130
     assert "launch, seed 0, 49 epochs in" in out
