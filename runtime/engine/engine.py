@@ -408,8 +408,7 @@ class Engine:
             self._predict()
 
     def _sense(self) -> None:
-        inbox, self._inbox = self._inbox, {}
-        self._heard = inbox
+        self._heard = inbox = self._inbox
         node = self.node
         self.time_s = time_s = inbox[node.below[0], OBSERVATIONS].header.time_s
         self._observations = observations = _union(inbox, node.below, OBSERVATIONS)
@@ -424,6 +423,7 @@ class Engine:
             self._called(node.observe, sensed)
         if vigilance:
             vigilance.keep("belief", sensed)
+        self._inbox = {}  # not before: where an operator raises, nothing is taken in a second time
         self._send_up()
 
     def _send_up(self) -> None:
@@ -442,8 +442,7 @@ class Engine:
             self._release()
 
     def _predict(self) -> None:
-        inbox, self._inbox = self._inbox, {}
-        self._told = inbox
+        self._told = inbox = self._inbox
         wiring, node, epoch, time_s, sensed = self.wiring, self.node, self.epoch, self.time_s, self._sensed
         above = node.above
         tasks = _union(inbox, wiring.tasking, TASKS) if wiring.tasking else ()
@@ -473,6 +472,7 @@ class Engine:
         self._belief = belief
         self._encoded_now = encoded = self._encoded(state)
         self.digest = node_digest(encoded, [inbox[upper, CONTEXT].header.digest for upper in above])
+        self._inbox = {}
         self._enter(Phase.DONE)
         self._hand_on(tasks, context)
 

@@ -109,7 +109,9 @@ class Arrivals:
             return ""  # where epochs overlap a node may be behind
         has_part = self._members.born[name][1] <= last  # else it holds the state that it came with, of no attempt
         if epoch == last and attempt != last_attempt and has_part:
-            return f"its checkpoint is of attempt {attempt} of epoch {epoch}, and attempt {last_attempt} counts"
+            why = f"its checkpoint is of attempt {attempt} of epoch {epoch}, and attempt {last_attempt} counts"
+            forged = ", the last one: somebody else has sent it observations, or the world's record was damaged"
+            return why + forged if attempt > last_attempt else why
         if epoch in (NEVER, last, last + 1):
             return ""
         return f"its checkpoint is of epoch {epoch}, and the hierarchy is in epoch {last + 1}"

@@ -142,7 +142,9 @@ class Keepers(Supervision):
 
     def stop(self, why: str) -> None:
         self._around.journal.trace(f"owner stops the run: {why}")
-        self._around.checker.excused |= "has replaced has died" in why  # neither of two nodes in one place can go on
+        checker = self._around.checker
+        checker.excused |= "has replaced has died" in why  # neither of two nodes in one place can go on
+        checker.excused |= checker.foretold and "somebody else has sent it observations" in why
         self.stopped = why
 
     def note(self, what: str) -> None:

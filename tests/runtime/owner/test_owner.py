@@ -407,6 +407,16 @@ def test_a_checkpoint_of_an_attempt_that_was_not_committed_is_refused() -> None:
     assert prepares(owned.hear(join("high.3", 3, attempt=2)))
 
 
+def test_a_checkpoint_of_an_attempt_that_nobody_has_begun_says_that_somebody_else_spoke() -> None:
+    owned = Owned(epoch=3, last_attempt=2)
+    owned.proceed()
+    owned.hear(Lost("high", "high.1", True))
+    ((process, order),) = owned.hear(join("high.2", 3, attempt=3))
+    assert process == "high.2"
+    assert isinstance(order, Dismiss)
+    assert "attempt 3 of epoch 3, and attempt 2 counts, the last one: somebody else has sent it" in order.why
+
+
 def test_of_which_attempt_a_checkpoint_is_counts_from_the_commit_on() -> None:
     owned = begun()
     owned.hear(Lost("high", "high.1", True), join("high.2", 1))
