@@ -42,7 +42,7 @@ model: $(INSTALLED)
 	@command -v spin > /dev/null && command -v gcc > /dev/null || { echo "the model needs spin and gcc" >&2; exit 1; }
 	$(BIN)/python -m pytest tests/model
 
-# docs/simulation.md: the nightly-sized simulation, some fifteen minutes on two idle cores
+# docs/simulation.md: 20 000 seeds under simulated faults, some five minutes on two idle cores
 sim: $(INSTALLED)
 	$(BIN)/hierax sim --seeds 0:20000
 

@@ -69,7 +69,8 @@ class Keepers(Supervision):
             process.take("word", Census({token: token for token in self._around.processes if token != process.token}))
         except HieraxError as error:
             self.stop(str(error))
-        for name in sorted(self._final - {each.name for each in self._around.processes.values()}):
+        kept = {each.name for each in self._around.processes.values() if not self._is_newcomer(each)}
+        for name in sorted(self._final - kept):
             self.tell_owner(Lost(name, "", restarts=False))  # this one has not heard it
 
     def died(self, process: SimProcess) -> None:
@@ -87,7 +88,7 @@ class Keepers(Supervision):
         """A process was dismissed: it is not started again."""
         self._gone(process)
         self.tell_owner(Lost(process.name, process.token, restarts=False))
-        if not process.request or self._around.checker.had_place(process.token):
+        if not self._is_newcomer(process):
             self._final.add(process.name)
 
     def miss(self, process: SimProcess) -> None:
@@ -101,6 +102,10 @@ class Keepers(Supervision):
         world = self._around.world
         if world is not None:
             self._around.clock.schedule(0.0, world.take, "word", word)
+
+    def _is_newcomer(self, process: SimProcess) -> bool:
+        """Whether it was started for a change that has not given it a place yet."""
+        return bool(process.request) and not self._around.checker.had_place(process.token)
 
     def _gone(self, process: SimProcess) -> bool:
         self._around.checker.lost(process.name)
@@ -127,7 +132,7 @@ class Keepers(Supervision):
 
     def _restart(self, process: SimProcess) -> None:
         """Start another process, unless that one never had a place in the roster: then who asked for it knows."""
-        if process.request and not self._around.checker.had_place(process.token):
+        if self._is_newcomer(process):
             return
         again = self.start(process.name, storage=process.storage)
         if again.is_world:

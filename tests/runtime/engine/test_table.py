@@ -3,15 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import wraps
 from typing import Any
+from unittest.mock import patch
 
 import numpy as np
 import pytest
 from support.engines import DIGEST, EPOCH, INSTANCES, ROSTER, Solo, message, wiring
+from support.hierarchies import MixingNode
 from support.recording import Acted, Completed, Lacked, Output, Refused, Sent, of, sent, steps, verdicts
 
 from hierax.runtime.core.digest import DigestChain
-from hierax.runtime.core.errors import ContradictionError
+from hierax.runtime.core.errors import ContradictionError, OperatorError
 from hierax.runtime.engine.effects import Committed
 from hierax.runtime.engine.table import (
     ACTIONS,
@@ -337,3 +340,27 @@ def test_a_chain_goes_on_from_any_epoch_and_covers_no_attempt() -> None:
     first = whole.commit(1, DIGEST)
     resumed = DigestChain(DIGEST, 1, first)
     assert whole.commit(2, DIGEST) == resumed.commit(2, DIGEST)
+
+
+@pytest.mark.parametrize(("operator", "kinds"), [("observe", (OBSERVATIONS,)), ("predict", EPOCH)])
+def test_after_an_operator_raised_its_inputs_are_not_taken_again(operator: str, kinds: tuple[str, ...]) -> None:
+    calls = []
+    works = getattr(MixingNode, operator)
+
+    @wraps(works)
+    def fails_once(*arguments: Any) -> Any:
+        calls.append(operator)
+        if len(calls) == 1:
+            raise RuntimeError("out of luck")
+        return works(*arguments)
+
+    with patch.object(MixingNode, operator, fails_once):
+        solo = Solo()
+    with pytest.raises(OperatorError, match="out of luck"):
+        solo.take(*(message(kind) for kind in kinds))
+    solo.take(*(message(kind) for kind in kinds))
+    assert calls == [operator]
+    for kind in kinds:
+        with pytest.raises(ContradictionError, match="somebody else speaks in the name"):
+            solo.take(message(kind, text="another"))
+    assert results(solo.epoch(attempt=1)) == results(Solo().epoch(attempt=1))

@@ -36,6 +36,22 @@ def test_nothing_is_wrong_under_faults_of_one_kind(kind: str) -> None:
         assert not summary.stopped
 
 
+@pytest.mark.parametrize(
+    ("seed", "why"),
+    [
+        (3206, "somebody else has sent it observations"),  # lost after an attempt that nobody has begun
+        (6484, "somebody else has sent it observations"),
+        (5933, "say different things"),  # two observations, of which an operator raised
+        (6815, "say different things"),  # two tasks
+        (14971, "not started again"),  # a node is given up, and the world's process dies before it heard that
+    ],
+)
+def test_what_cannot_be_mended_is_said(seed: int, why: str) -> None:
+    result = simulate_quietly(draw_scenario(seed))
+    assert not result.violation
+    assert why in result.stopped
+
+
 def test_a_kind_that_no_seed_has_reached_fails_a_campaign(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
