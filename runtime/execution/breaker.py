@@ -12,7 +12,7 @@ from types import FrameType
 from typing import NoReturn
 
 from hierax.runtime.core.binding import CALLS, Call
-from hierax.runtime.execution.runner import Pacemaker
+from hierax.runtime.execution.pacemaker import Pacemaker
 
 PATIENCE_S = 0.7
 """How long the epoch under way may take to come to its end."""

@@ -8,7 +8,8 @@ from collections.abc import Mapping
 import numpy as np
 
 from hierax.runtime.deployment import Deployment
-from hierax.runtime.execution.runner import NodeRunner, Pacemaker
+from hierax.runtime.execution.pacemaker import Pacemaker
+from hierax.runtime.execution.runner import NodeRunner
 
 UNIT_S = 1.0
 """The period of a world without a rate; nodes without one are as quick as the quickest node."""

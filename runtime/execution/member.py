@@ -3,21 +3,20 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 
-from hierax.runtime.core.binding import BoundNode
 from hierax.runtime.core.errors import ContradictionError, HieraxError, OperatorError
-from hierax.runtime.core.probe import Probe
-from hierax.runtime.core.process import ActiveNode
+from hierax.runtime.core.staleness import BARRIER, Staleness
 from hierax.runtime.engine.effects import Completed, Saved
+from hierax.runtime.engine.engine import Engine
 from hierax.runtime.engine.table import ROSTERS_AHEAD, Phase, Verdict
 from hierax.runtime.engine.wiring import Wiring
-from hierax.runtime.execution.runner import Log, NodeRunner, Pacemaker
+from hierax.runtime.execution.checkpoints import Checkpoints, taken_over
+from hierax.runtime.execution.observers import Observers
+from hierax.runtime.execution.runner import Host, NodeRunner, World
 from hierax.runtime.loading.allowance import Refusals
-from hierax.runtime.recovery.disk import SLOTS
-from hierax.runtime.recovery.slots import Read, Slots
 from hierax.runtime.transport.port import Port
-from hierax.schemas.checkpoint import Checkpoint, decode_checkpoint, decode_state, encode_checkpoint
+from hierax.schemas.checkpoint import Checkpoint
 from hierax.schemas.control import (
     NEVER,
     AskStatus,
@@ -41,9 +40,6 @@ from hierax.schemas.messages import Header
 from hierax.schemas.roster import Roster
 from hierax.schemas.values import encode_value
 
-FIRST_SLOT = 1
-"""Where the first record goes."""
-
 REFUSED_TOLD = 32
 """Under one version of the roster, of how many senders and reasons refused messages are logged."""
 MAX_RESENDS = 64
@@ -55,19 +51,25 @@ MAX_PREPARED = 64
 _log = logging.getLogger("hierax")
 
 
-class Member(NodeRunner):
+class Member(Host):
     """A node's process, as far as it is no matter of processes.
+
+    It has a runner from when a roster with its node has come.
 
     Args:
         name: of the node.
         process: the process's token.
         wire: makes the wiring of a roster's version; loads what it names.
         port: of the node.
-        say: tells the roster's owner something; it may be lost, then it is said again.
-        slots: of its checkpoints; None: it keeps none, and cannot come back.
-        probes, states, pacemaker: as `NodeRunner` has them.
+        report: tells the roster's owner something; it may be lost, then it is told again.
+        checkpoints: of the node.
+        observers: of the node.
+        world: at the world's node; None at others.
+        staleness: of the deployment.
+        alone: the nodes that fail alone, until a roster comes that says otherwise.
 
     Attributes:
+        runner: of the node; None: no roster with it has come yet.
         alone: the nodes that fail alone.
         tried: likewise, until the end of the first epoch under the roster.
         dismissed: why the process is to end; empty: it is not.
@@ -80,24 +82,31 @@ class Member(NodeRunner):
         process: str,
         wire: Callable[[Roster], Wiring],
         port: Port,
-        say: Callable[[Control], None],
-        slots: Slots | None,
-        probes: Sequence[Probe] = (),
-        states: Log | None = None,
-        pacemaker: Pacemaker | None = None,
+        report: Callable[[Control], None],
+        checkpoints: Checkpoints,
+        observers: Observers | None = None,
+        *,
+        world: World | None = None,
+        staleness: Staleness = BARRIER,
+        alone: frozenset[str] = frozenset(),
     ) -> None:
-        super().__init__(None, port, probes, states, pacemaker)
         self.name = name
         self.process = process
+        self.port = port
+        self.observers = Observers(name) if observers is None else observers
+        self.staleness = staleness
+        self.runner: NodeRunner | None = None
         self.dismissed = ""
         self.again = False
-        self.alone = self.tried = frozenset[str]()
+        self._world = world
+        self.alone = alone
+        self.tried = frozenset[str]()
         self._alone_in: dict[int, tuple[frozenset[str], frozenset[str]]] = {}
         self._tried_in: int | None = None
         self._failure: Failed | None = None
         self._wire_roster = wire
-        self._say = say
-        self._slots = slots
+        self._report = report
+        self._checkpoints = checkpoints
         self._saved: Saved | None = None
         self._join: Join | None = None
         self._took = 0
@@ -112,14 +121,24 @@ class Member(NodeRunner):
         self._taken = b""
 
     @property
-    def wired(self) -> bool:
-        """Whether it has an engine yet."""
-        return hasattr(self, "engine")
+    def engine(self) -> Engine | None:
+        """Of the node; None: no roster with it has come yet."""
+        return None if self.runner is None else self.runner.engine
 
     @property
     def active(self) -> bool:
         """Whether this process has taken part in an epoch."""
-        return self.wired and self.engine.begun
+        return self.runner is not None and self.runner.engine.begun
+
+    def run(self, wiring: Wiring, saved: Saved | None = None, joins: bool = False) -> NodeRunner:
+        """Have a runner from now on; the arguments are those of `Engine`.
+
+        Raises:
+            OperatorError: the initial belief cannot be had.
+        """
+        parts = (self.port, self.observers, self, self._world)
+        self.runner = NodeRunner(wiring, *parts, staleness=self.staleness, saved=saved, joins=joins)
+        return self.runner
 
     def join(self, request: str = "") -> None:
         """Offer this process to the owner, or ask whether it is still part of the hierarchy.
@@ -131,15 +150,15 @@ class Member(NodeRunner):
                 had a place in the roster.
         """
         if self._failure is not None:
-            self._say(self._failure)
-        if self.active:
-            engine = self.engine
+            self._report(self._failure)
+        engine = self.engine
+        if engine is not None and engine.begun:
             place = (engine.wiring.roster, engine.attempt)
-            self._say(Join(self.name, self.process, "", engine.epoch, True, "", *place))
+            self._report(Join(self.name, self.process, "", engine.epoch, True, "", *place))
             return
         if self._join is None:
             self._join = self._offer(request)
-        self._say(self._join)
+        self._report(self._join)
 
     def recall(self, wiring: Wiring) -> None:
         """Have the state of the last epoch, after a run.
@@ -147,8 +166,8 @@ class Member(NodeRunner):
         Raises:
             HieraxError: there is no whole checkpoint.
         """
-        found = read_checkpoint(self._slots)
-        self.wire(wiring, None if found is None else found[1])
+        found = self._checkpoints.read()
+        self.run(wiring, None if found is None else found[1])
 
     def take_word(self, word: Control) -> None:
         """Do what the owner says; what others say is nothing to this process.
@@ -168,31 +187,34 @@ class Member(NodeRunner):
             ContradictionError: it was told something else before.
         """
         try:
-            self._do(order)
+            self.do(order)
         except OperatorError as error:
             self.failed(error)
-        self._finish()
+        if self.runner is not None:
+            self.runner.finish()
 
     def failed(self, error: OperatorError) -> None:
-        if not (self.alone | self.tried_now).intersection(error.subject.split("->")):
+        engine = self.engine
+        if engine is None or not (self.alone | self.tried_now).intersection(error.subject.split("->")):
             raise error
         _log.info("%s", error, exc_info=error)
-        version = self.engine.wiring.roster
+        version = engine.wiring.roster
         self._failure = Failed(self.name, self.process, version, error.subject, str(error))
-        self._say(self._failure)
+        self._report(self._failure)
 
     @property
     def tried_now(self) -> frozenset[str]:
         """The nodes that are tried in the epoch under way."""
-        over = self._tried_in is not None and self.engine.epoch > self._tried_in
+        first, engine = self._tried_in, self.engine
+        over = first is not None and engine is not None and engine.epoch > first
         return frozenset() if over or not self.tried else self.tried
 
     def completed(self, completed: Completed) -> None:
-        super().completed(completed)
         if self._tried_in is None:
             self._tried_in = completed.step.epoch
 
-    def _do(self, order: Order) -> None:
+    def do(self, order: Order) -> None:
+        """Do what the owner says, but for what follows from it; as `obey` does."""
         if isinstance(order, Prepare):
             self._prepare(order)
         elif isinstance(order, Unchanged):
@@ -202,7 +224,7 @@ class Member(NodeRunner):
         elif isinstance(order, TakeOver):
             self._take_over(order)
         elif isinstance(order, AskStatus):
-            self._say(self.status(order.inquiry))
+            self._report(self.status(order.inquiry))
         elif isinstance(order, Resend):
             self._resend(order)
         else:
@@ -210,19 +232,20 @@ class Member(NodeRunner):
             self.again = order.again
 
     def _resend(self, order: Resend) -> None:
-        if not self.wired or (self.engine.epoch, self.engine.attempt) != (order.epoch, order.attempt):
+        engine = self.engine
+        if engine is None or (engine.epoch, engine.attempt) != (order.epoch, order.attempt):
             return
         turn, count = self._resent
         count = count + 1 if turn == (order.epoch, order.attempt) else 1
         self._resent = ((order.epoch, order.attempt), count)
         if count <= MAX_RESENDS:
-            self.engine.resend(order.receivers)
+            engine.resend(order.receivers)
 
     def status(self, inquiry: int, busy: str = "") -> Status:
         """What the node waits for. Any thread may ask."""
-        if not self.wired:
-            return Status(self.name, inquiry, 0, 0, (), busy)
         engine = self.engine
+        if engine is None:
+            return Status(self.name, inquiry, 0, 0, (), busy)
         waits = () if engine.phase is Phase.DONE else engine.waits_for
         return Status(self.name, inquiry, engine.epoch, engine.attempt, waits, busy, engine.wiring.roster)
 
@@ -234,7 +257,7 @@ class Member(NodeRunner):
     def mended(self, neighbour: str) -> None:
         """The link to a neighbour broke and is there again: what it may lack is said again; it drops what is double."""
         _log.info("%s: the link to %s broke, and is there again", self.name, neighbour)
-        if self.wired:
+        if self.engine is not None:
             self.engine.say_again(neighbour)
 
     def _note_link(self, version: int) -> None:
@@ -242,28 +265,25 @@ class Member(NodeRunner):
         self._linked.add(version)
 
     def _say_ready(self, version: int) -> None:
-        engine_has_it = self.wired and (version == self.engine.wiring.roster or version in self.engine.prepared)
-        if version in self._linked and engine_has_it:
-            self._say(Ready(self.name, self.process, version, ""))
+        has_it = self.engine is not None and self.engine.wiring_of(version) is not None
+        if version in self._linked and has_it:
+            self._report(Ready(self.name, self.process, version, ""))
 
-    def save(self, epoch: int, attempt: int, start: bytes, now: bytes) -> None:
-        if self._slots is not None:
-            wiring = self.engine.wiring
-            checkpoint = Checkpoint(epoch, attempt, wiring.instance, wiring.roster, True, start, now)
-            self._slots.write(encode_checkpoint(checkpoint))
+    def save(self, engine: Engine, epoch: int, attempt: int, start: bytes, now: bytes) -> None:
+        wiring = engine.wiring
+        self._checkpoints.save(Checkpoint(epoch, attempt, wiring.instance, wiring.roster, True, start, now))
 
     def lacks(self, version: int) -> None:
         if version not in self._fetched and len(self._fetched) < MAX_PREPARED:
             self._fetched.add(version)
-            self._say(Fetch(self.name, self.process, version))
+            self._report(Fetch(self.name, self.process, version))
 
     def fetch_again(self) -> None:
         """Ask once more for the versions of which messages are held."""
         for version in sorted(self._fetched):
-            self._say(Fetch(self.name, self.process, version))
+            self._report(Fetch(self.name, self.process, version))
 
     def rewired(self, version: int) -> None:
-        super().rewired(version)
         self._refused.clear()
         self._failure = None
         self._take_up(version)
@@ -279,7 +299,7 @@ class Member(NodeRunner):
             self.alone, self.tried = self._alone_in[version]
             self._tried_in = None
 
-    def _gravity(self, header: Header, verdict: Verdict) -> int:
+    def log_level(self, header: Header, verdict: Verdict) -> int:
         if verdict not in (Verdict.OLD_ROSTER, Verdict.OTHER_INSTANCE, Verdict.FOREIGN):
             return logging.WARNING
         like_it = (verdict.value, header.sender)  # to be expected when nodes come and go: one is told
@@ -290,7 +310,7 @@ class Member(NodeRunner):
 
     def _offer(self, request: str) -> Join:
         try:
-            read = read_checkpoint(self._slots)
+            read = self._checkpoints.read()
         except (HieraxError, SchemaError) as error:
             return Join(self.name, self.process, request, NEVER, False, str(error))
         if read is None:
@@ -310,8 +330,9 @@ class Member(NodeRunner):
         if self.name not in roster.nodes or not all(end in roster.nodes for edge in roster.edges for end in edge.pair):
             _log.warning("%s: refused version %d of the roster: it has no place there", self.name, version)
             return
-        newer = self.wired and version > self.engine.wiring.roster
-        if newer and self.active and roster.instance(self.name) != self.engine.wiring.instance:
+        engine = self.engine
+        newer = engine is not None and version > engine.wiring.roster
+        if engine is not None and newer and engine.begun and roster.instance(self.name) != engine.wiring.instance:
             self.join()  # another process runs it, if that is so: the owner says it, by way of the keeper
             return
         if self._is_far(version):
@@ -323,24 +344,24 @@ class Member(NodeRunner):
         self._say_ready(version)
         if version in self._linked or version in self._linking:
             return
-        if self.wired and version <= self.engine.wiring.roster:
+        if engine is not None and not newer:
             return
         try:
             wiring = self._wire_roster(roster)
         except HieraxError as error:
             self._refuse(version, error)
             return
-        if not self.wired:
+        if engine is None:
             try:
-                self.wire(wiring, self._saved, joins=self._saved is None)
+                engine = self.run(wiring, self._saved, joins=self._saved is None).engine
             except OperatorError as error:  # s⁰
                 why = str(error).removeprefix(f"{self.name}: ")
-                self._say(Ready(self.name, self.process, version, why))
+                self._report(Ready(self.name, self.process, version, why))
                 return
             self._take_up(version)
         self._rosters[version] = roster
         self._link(wiring, self.linked)
-        self.engine.prepare(wiring)
+        engine.prepare(wiring)
         self._say_ready(version)
 
     def _refuse(self, version: int, error: HieraxError) -> None:
@@ -348,12 +369,12 @@ class Member(NodeRunner):
         why = str(error)
         if self._refusals.is_new(why):
             _log.warning("%s: roster version %d is refused: %s", self.name, version, why)
-        self._say(Ready(self.name, self.process, version, why))
+        self._report(Ready(self.name, self.process, version, why))
 
     def _is_far(self, version: int) -> bool:
-        if not self.wired:
-            return False
         engine = self.engine
+        if engine is None:
+            return False
         full = version not in engine.prepared and len(engine.prepared) >= MAX_PREPARED
         return full or version - engine.wiring.roster > ROSTERS_AHEAD
 
@@ -375,13 +396,14 @@ class Member(NodeRunner):
         """
         version = order.version
         self._fetched.discard(version)
-        if version in self._linked or version in self._linking or not self.wired:
+        engine = self.engine
+        if version in self._linked or version in self._linking or engine is None:
             return
-        wiring = self.engine.wiring_of(order.earlier)
-        if wiring is not None and version > self.engine.wiring.roster and not self._is_far(version):
+        wiring = engine.wiring_of(order.earlier)
+        if wiring is not None and version > engine.wiring.roster and not self._is_far(version):
             again = wiring.under(version)
             self._link(again, self._note_link)
-            self.engine.prepare(again)
+            engine.prepare(again)
 
     def _link(self, wiring: Wiring, opened: Callable[[int], None]) -> None:
         """First the links: what is held for the version may be taken, and answered, at once."""
@@ -390,77 +412,27 @@ class Member(NodeRunner):
 
     def _hand_over(self, order: HandOver) -> None:
         engine = self.engine
+        if engine is None:
+            return
         if engine.epoch == order.epoch and engine.phase is Phase.DONE:
-            self._say(State(self.name, order.version, engine.encoded))
+            self._report(State(self.name, order.version, engine.encoded))
         elif engine.epoch == order.epoch + 1:
-            self._say(State(self.name, order.version, engine.encoded_start))
+            self._report(State(self.name, order.version, engine.encoded_start))
 
     def _take_over(self, order: TakeOver) -> None:
         engine = self.engine
         if order.version == self._took and order.state != self._taken:
             what = f"two states to take over under version {order.version} of the roster were sent to it that differ"
             raise ContradictionError(f"{self.name}: {what}: somebody else speaks in the name of the roster's owner")
-        if engine.begun or order.version < self._took:
+        if engine is None or engine.begun or order.version < self._took:
             return  # late: it has taken over, and gone on
         try:
             state = taken_over(engine.node, order.state)
         except (HieraxError, SchemaError) as error:
-            self._say(Taken(self.name, order.version, f"cannot take over the belief: {error}"))
+            self._report(Taken(self.name, order.version, f"cannot take over the belief: {error}"))
             return
         self._took, self._taken = order.version, order.state
         engine.restore(Saved(order.epoch, order.attempt, state, state))
-        if self._slots is not None:
-            instance = order.version  # as of all nodes that are new in a version
-            now = engine.encoded
-            checkpoint = Checkpoint(order.epoch, order.attempt, instance, order.version, True, now, now)
-            for _ in range(SLOTS):  # in both, as one that is damaged beside an empty one was never whole
-                self._slots.write(encode_checkpoint(checkpoint))
-        self._say(Taken(self.name, order.version, ""))
-
-
-def read_checkpoint(slots: Slots | None) -> tuple[Checkpoint, Saved] | None:
-    """What a process that comes in the place of a lost one goes on with; None: at the beginning.
-
-    Raises:
-        HieraxError: what there is is damaged, and nothing older is whole.
-        SchemaError: what there is is whole, and no checkpoint that this version reads.
-    """
-    if slots is None:
-        raise HieraxError("it keeps no checkpoints")
-    reads = slots.read()
-    faults = [f"slot {read.slot} {read.fault}" for read in reads if read.fault]
-    for read in reads:
-        if read.data is None:
-            continue
-        checkpoint = decode_checkpoint(read.data)
-        if faults:
-            _log.warning("checkpoint: %s; using that of epoch %d", "; ".join(faults), checkpoint.epoch)
-        start, now = (ActiveNode(*decode_state(data)) for data in (checkpoint.start, checkpoint.now))
-        return checkpoint, Saved(checkpoint.epoch, checkpoint.attempt, start, now)
-    if never_whole(reads):
-        if faults:
-            _log.warning("checkpoint: %s; no other was ever written, so the node begins anew", "; ".join(faults))
-        return None
-    raise HieraxError(f"its checkpoint cannot be used: {'; '.join(faults)}")
-
-
-def never_whole(reads: Sequence[Read]) -> bool:
-    """Whether no record was ever written to its end: at most the first one, and that was torn."""
-    return all(read.empty or (read.fault and read.slot == FIRST_SLOT) for read in reads)
-
-
-def taken_over(node: BoundNode, state: bytes) -> ActiveNode:
-    """The state with which a node goes on in the place of another.
-
-    Raises:
-        HieraxError: it refuses.
-        SchemaError: that is no state.
-    """
-    belief, policy, actions = decode_state(state)
-    try:
-        belief = node.node.take_over(belief)
-    except Exception as error:
-        raise HieraxError(str(error)) from error
-    if policy not in node.policies:
-        raise HieraxError(f"it has no policy {policy!r}")
-    return ActiveNode(belief, policy, actions)
+        now, instance = engine.encoded, order.version  # as of all nodes that are new in a version
+        self._checkpoints.save_first(Checkpoint(order.epoch, order.attempt, instance, order.version, True, now, now))
+        self._report(Taken(self.name, order.version, ""))

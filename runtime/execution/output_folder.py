@@ -17,7 +17,7 @@ from pathlib import Path
 
 from hierax.runtime.core.errors import HieraxError, ProbeError
 from hierax.runtime.core.probe import Probe
-from hierax.runtime.execution.runner import Log
+from hierax.runtime.execution.log import Log
 from hierax.runtime.host.private_files import HeldError, hold, open_result, write_result
 from hierax.runtime.loading.allowance import Allowance
 from hierax.runtime.loading.loader import build_probe

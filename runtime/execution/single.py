@@ -21,12 +21,16 @@ from hierax.runtime.deployment.schedule import Scheduled
 from hierax.runtime.engine.effects import Saved
 from hierax.runtime.engine.engine import Engine
 from hierax.runtime.engine.table import Phase, Verdict
+from hierax.runtime.engine.wiring import Wiring
 from hierax.runtime.execution.breaker import Breaker
+from hierax.runtime.execution.checkpoints import taken_over
 from hierax.runtime.execution.free import run_freely
-from hierax.runtime.execution.member import taken_over
+from hierax.runtime.execution.log import Log
+from hierax.runtime.execution.observers import Observers
 from hierax.runtime.execution.output_folder import DIGESTS, open_probes, state_log, write_roster
+from hierax.runtime.execution.pacemaker import Pacemaker
 from hierax.runtime.execution.report import Interrupted, NodeReport, Report, make_report
-from hierax.runtime.execution.runner import Log, NodeRunner, Pacemaker
+from hierax.runtime.execution.runner import Host, NodeRunner, World
 from hierax.runtime.loading.loader import build_hierarchy
 from hierax.runtime.loading.node_loader import NodeLoader
 from hierax.runtime.owner.roster_changes import ChangeError, Undo, apply
@@ -55,7 +59,7 @@ class RunRecord(Protocol):
 
 
 Watch = Callable[[str, NodeRunner], None]
-"""Told a node's name and its runner, which has no engine yet: may have it watched."""
+"""Told a node's name and its runner: may have it watched."""
 
 
 def run(
@@ -123,50 +127,36 @@ def run(
     return report
 
 
-class _Runner(NodeRunner):
-    """A node's runner.
+class _World(World):
+    """Begins epochs, and before some of them has the roster changed.
 
-    Attributes:
-        on_failure: does without the node that has failed, or raises.
+    Args:
+        pacemaker: of the run.
+        nodes: of the run.
+        due: the epochs before which the roster changes.
+        acts: whether the world moves its actuators.
     """
 
-    on_failure: Callable[[OperatorError], None]
+    def __init__(self, pacemaker: Pacemaker, nodes: _Nodes, due: Sequence[int], acts: bool) -> None:
+        super().__init__(pacemaker)
+        self._nodes = nodes
+        self._due = due
+        self._acts = acts
 
-    def failed(self, error: OperatorError) -> None:
-        self.on_failure(error)
-
-    def _gravity(self, header: Header, verdict: Verdict) -> int:
-        return logging.INFO if verdict is Verdict.OLD_ROSTER else super()._gravity(header, verdict)
-
-
-class _WorldRunner(_Runner):
-    """The world's runner: before an epoch begins, the roster may change.
-
-    Attributes:
-        due: the epochs before which it does.
-        change: makes it do so.
-        acts: whether it moves its actuators.
-    """
-
-    due: Sequence[int] = ()
-    acts: bool = True
-    change: Callable[[int], None]
-
-    def _begin_next(self, pacemaker: Pacemaker) -> None:
-        epoch = self.engine.epoch + 1
-        if epoch in self.due:
-            self.change(epoch)
+    def begin_next(self, runner: NodeRunner) -> None:
+        epoch = runner.engine.epoch + 1
+        if epoch in self._due:
+            self._nodes.change(epoch)
+        runner.drain(self.pacemaker.limit == epoch or epoch + 1 in self._due)
+        self.pacemaker.start()
         try:
-            super()._begin_next(pacemaker)
+            runner.engine.begin()
         except OperatorError as error:
-            self.failed(error)
+            self._nodes.failed(error)
 
-    def act(self, epoch: int, actions: Elements) -> None:
-        if self.acts:
-            super().act(epoch, actions)
-
-    def drain(self, drains: bool) -> None:
-        super().drain(drains or self.engine.epoch + 2 in self.due)
+    def act(self, runner: NodeRunner, epoch: int, actions: Elements) -> None:
+        if self._acts:
+            super().act(runner, epoch, actions)
 
 
 @dataclass(frozen=True)
@@ -188,7 +178,7 @@ class _Trial:
     alone: bool
 
 
-class _Nodes:
+class _Nodes(Host):
     """The runners of all nodes, and the network between them."""
 
     def __init__(
@@ -202,13 +192,13 @@ class _Nodes:
         record: RunRecord | None,
         acts: bool,
     ) -> None:
-        self._acts = acts
         self._deployment = deployment
         self._watch = watch
         self._setting = OperatorSetting(seed, _wait)
         self._pacemaker = pacemaker
         self._output = output
         self._schedule = list(schedule)
+        self._begins = _World(pacemaker, self, [scheduled.epoch for scheduled in schedule], acts)
         self._alone = {name for name, policy in deployment.restarts.items() if policy.fails_alone}
         self._failed: set[str] = set()
         self._trials: dict[str, _Trial] = {}
@@ -222,10 +212,10 @@ class _Nodes:
         # that it is one, and what is wrong with the first node that is
         build_hierarchy(self._roster, self._setting, allowance)
         self._loaders = {name: NodeLoader(name, self._setting, allowance) for name in self._roster.nodes}
+        self._observers: dict[str, Observers] = {}
         self.runners: dict[str, NodeRunner] = {}
         for name in sorted(self._roster.nodes):
-            self.runners[name] = self._runner(name)
-            self.runners[name].wire(self._loaders[name].wiring(self._roster))
+            self.runners[name] = self._run_node(name, self._loaders[name].wiring(self._roster))
 
     def run(self, seed: int) -> None:
         """Run until the world is done."""
@@ -249,7 +239,7 @@ class _Nodes:
 
     def _deliver_all(self) -> None:
         runners, network = self.runners, self._network
-        runners[self._world].start()
+        runners[self._world].finish()
         while (name := network.next_receiver()) is not None:
             message = runners[name].port.receive()
             if message is not None:
@@ -260,29 +250,36 @@ class _Nodes:
 
     def close(self) -> None:
         """Close all probes and logs."""
-        for runner in self.runners.values():
-            runner.close()
+        for observers in self._observers.values():
+            observers.close()
 
-    def _runner(self, name: str, append: bool = False) -> NodeRunner:
-        port = self._network.open_port(name)
-        probes = open_probes(self._deployment.probes, name, self._allowance, self._output, append)
-        states = state_log(self._output, name, append)
-        runner = _Runner(None, port, probes, states)
-        if name == self._world:
-            runner = world = _WorldRunner(None, port, probes, states, self._pacemaker)
-            world.due = [scheduled.epoch for scheduled in self._schedule]
-            world.acts = self._acts
-            world.change = self._change
-        runner.on_failure = self._on_failure
-        runner.staleness = self._deployment.staleness
+    def _run_node(
+        self, name: str, wiring: Wiring, saved: Saved | None = None, again: bool = False, joins: bool = False
+    ) -> NodeRunner:
+        """A node's runner; `again`: behind what another one of the node has written."""
+        probes = open_probes(self._deployment.probes, name, self._allowance, self._output, again)
+        self._observers[name] = Observers(name, probes, state_log(self._output, name, again))
+        runner = NodeRunner(
+            wiring,
+            self._network.open_port(name),
+            self._observers[name],
+            self,
+            self._begins if name == self._world else None,
+            staleness=self._deployment.staleness,
+            saved=saved,
+            joins=joins,
+        )
         if self._watch is not None:
             self._watch(name, runner)
         if self._record is not None:
             self._record.watch(name, runner, (lambda: self._roster) if name == self._world else None)
         return runner
 
-    def _change(self, epoch: int) -> None:
-        """Every node is done with the last epoch, so that nothing is under way."""
+    def log_level(self, header: Header, verdict: Verdict) -> int:
+        return logging.INFO if verdict is Verdict.OLD_ROSTER else super().log_level(header, verdict)
+
+    def change(self, epoch: int) -> None:
+        """Make the changes that are due before an epoch; every node is done with the last one."""
         while self._schedule and self._schedule[0].epoch <= epoch:
             _, change, alone = self._schedule.pop(0)
             if isinstance(change, Detach) and change.name in self._failed and change.name not in self._roster.nodes:
@@ -293,7 +290,7 @@ class _Nodes:
             self._alone = (self._alone - new_nodes(change).keys()) | alone
             self._apply(epoch, change)
 
-    def _on_failure(self, error: OperatorError) -> None:
+    def failed(self, error: OperatorError) -> None:
         """What fails alone is detached, or undone, and the epoch begun again without it; as in a launch."""
         world = self.runners[self._world].engine
         again: OperatorError | None = error
@@ -361,8 +358,7 @@ class _Nodes:
                 raise ChangeError(f"cannot replace {name!r}: {error}") from error
             saved = Saved(epoch - 1, 0, state, state)
             self._close(name)
-        self.runners[name] = self._runner(name, append=replaces)
-        self.runners[name].wire(wiring, saved, joins=saved is None)
+        self.runners[name] = self._run_node(name, wiring, saved, again=replaces, joins=saved is None)
 
     def _come_back(self, name: str) -> None:
         """What was replaced goes on, as if it never had been."""
@@ -370,14 +366,12 @@ class _Nodes:
         self._alone = self._alone - {name} | ({name} if trial.alone else set())
         self._close(name)
         self._loaders[name] = trial.loader
-        self.runners[name] = self._runner(name, append=True)
-        self.runners[name].wire(trial.loader.wiring(self._roster), Saved(trial.epoch - 1, 0, trial.start, trial.start))
+        saved = Saved(trial.epoch - 1, 0, trial.start, trial.start)
+        self.runners[name] = self._run_node(name, trial.loader.wiring(self._roster), saved, again=True)
 
     def _close(self, name: str) -> None:
-        runner = self.runners.pop(name)
-        runner.close()
-        runner.watchers = ()
-        runner.port.close()
+        self._observers.pop(name).close()
+        self.runners.pop(name).port.close()
 
 
 @contextmanager

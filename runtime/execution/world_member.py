@@ -1,21 +1,24 @@
-"""The world's process: a member that owns the roster."""
+"""The world's process: a member, and the owner of the roster beside it."""
 
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable, Container, Mapping, Sequence
+from collections.abc import Callable, Container, Mapping
 from typing import Literal
 
 from hierax.runtime.core.digest import DigestChain
 from hierax.runtime.core.elements import Elements
 from hierax.runtime.core.errors import HieraxError, OperatorError
-from hierax.runtime.core.probe import Probe
 from hierax.runtime.core.process import ActiveNode
+from hierax.runtime.core.staleness import BARRIER, Staleness
 from hierax.runtime.engine.effects import Committed, Saved
 from hierax.runtime.engine.table import Phase
 from hierax.runtime.engine.wiring import Wiring
-from hierax.runtime.execution.member import Member, never_whole
-from hierax.runtime.execution.runner import Log, Pacemaker
+from hierax.runtime.execution.checkpoints import Checkpoints, never_whole, newest_whole
+from hierax.runtime.execution.member import Member
+from hierax.runtime.execution.observers import Observers
+from hierax.runtime.execution.pacemaker import Pacemaker
+from hierax.runtime.execution.runner import NodeRunner, World
 from hierax.runtime.owner.effects import OwnerEffects, OwnerPolicy
 from hierax.runtime.owner.members import Tried
 from hierax.runtime.owner.owner import Owner
@@ -43,7 +46,7 @@ OnUncertainAct = Literal["repeat", "skip"]
 
 
 class Supervision:
-    """What the owner needs of whoever keeps processes; does nothing where there is nobody."""
+    """What the owner needs of whoever supervises the run's processes; where there is nobody it only tells people."""
 
     def end(self, name: str, process: str, why: str) -> None:
         """Kill a process, and treat it as lost."""
@@ -62,21 +65,32 @@ class Supervision:
         return
 
 
-class WorldMember(Member, OwnerEffects):
-    """The world's node, its record, and the roster's owner.
+class WorldMember(World, OwnerEffects):
+    """The world's process in a run that may change: its member, its record, and the roster's owner.
+
+    Nothing is sent and nothing is written before `start`.
 
     Args:
-        name, process, wire, port, slots, probes, states, pacemaker: as `Member` has them.
-        tell: sends an order to another process; it may be lost.
-        keeper: of the run's processes.
-        settings: of the owner.
+        name, process, wire, port, observers, staleness, alone: as `Member` has them.
+        send_order: sends an order to another process; it may be lost.
+        supervision: of the run's processes.
+        slots: of the world's record.
+        pacemaker: of the run; it goes on where the record says.
+        policy: of the owner.
         clock: seconds, for the owner.
+        processes: those that live, by node; where there are two of a node, by any other key, too.
+        roster: with which the run begins; its links are open. None: it goes on by the world's record.
         on_uncertain_act: what is done about an act of which nobody knows whether it was done.
+        pauses: whether a world without neighbours, which waits for nobody, waits for `resume` between two epochs, so
+            that what is said to it is heard.
 
     Attributes:
-        pauses: whether a world without neighbours, which waits for nobody, waits for `go_on` between two epochs, so
-            that what is said to it is heard.
-        paused: whether it does.
+        member: the process that it is.
+        owner: of the roster.
+        paused: whether it waits for `resume`.
+
+    Raises:
+        HieraxError: there is no whole record, or the world cannot be loaded.
     """
 
     def __init__(
@@ -85,23 +99,27 @@ class WorldMember(Member, OwnerEffects):
         process: str,
         wire: Callable[[Roster], Wiring],
         port: Port,
-        tell: Callable[[str, Order], None],
-        keeper: Supervision,
-        slots: Slots | None,
+        send_order: Callable[[str, Order], None],
+        supervision: Supervision,
+        slots: Slots,
         pacemaker: Pacemaker,
-        settings: OwnerPolicy,
+        policy: OwnerPolicy,
         clock: Callable[[], float],
+        processes: Mapping[str, str],
+        roster: Roster | None,
         *,
+        observers: Observers | None = None,
+        staleness: Staleness = BARRIER,
+        alone: frozenset[str] = frozenset(),
         on_uncertain_act: OnUncertainAct = "repeat",
-        probes: Sequence[Probe] = (),
-        states: Log | None = None,
+        pauses: bool = False,
     ) -> None:
-        super().__init__(name, process, wire, port, self._hear, slots, probes, states, pacemaker)
-        self._pacemaker = pacemaker
-        self._tell = tell
-        self._keeper = keeper
-        self._settings = settings
-        self._clock = clock
+        super().__init__(pacemaker)
+        own = (name, process, wire, port, self._hear_own, Checkpoints(slots), observers)
+        self.member = Member(*own, world=self, staleness=staleness, alone=alone)
+        self._send_order = send_order
+        self._supervision = supervision
+        self._slots = slots
         self._on_uncertain_act = on_uncertain_act
         self._intended = 0
         self._acted = 0
@@ -110,63 +128,60 @@ class WorldMember(Member, OwnerEffects):
         self._alone_bytes = b""
         self._own_orders: list[Order] = []
         self._own_failures: list[Failed] = []
-        self.pauses = False
         self.paused = False
-        self.owner: Owner
-
-    def begin_run(self, roster: Roster, processes: Mapping[str, str]) -> None:
-        """Begin a run at its first epoch, under a roster whose links are open."""
-        self.wire(self._wire_roster(roster))
-        self.owner = Owner(roster, processes, self, self._clock, self._settings)
-        self.keep()  # so that nothing was sent yet where the only record turns out to be damaged
-        self._proceed()
-        self._finish()
-
-    def resume_run(self, processes: Mapping[str, str]) -> tuple[int, bytes]:
-        """Go on with a run by the world's record.
-
-        Args:
-            processes: those that live, by node; where there are two of a node, by any other key, too.
-
-        Returns:
-            The last committed epoch and its digest, which the process before may not have told.
-
-        Raises:
-            HieraxError: there is no whole record.
-        """
-        record, saved = read_record(self._slots)
+        self._pauses = pauses
+        self._resumes = roster is None
+        if roster is not None:
+            self._runner = self.member.run(wire(roster))
+            self.owner = Owner(roster, processes, self, clock, policy)
+            return
+        record, saved = read_record(slots)
         roster = decode_roster(record.roster)
         self._intended, self._acted = record.intended, record.acted
         recorded = decode_processes(record.processes)
         living = set(processes.values())
-        self.wire(self._wire_roster(roster), saved)
-        chain = DigestChain(roster.content_hash(), record.epoch - 1, record.last_digest)
-        self._pacemaker.chain = chain
+        self._runner = self.member.run(wire(roster), saved)
+        pacemaker.chain = DigestChain(roster.content_hash(), record.epoch - 1, record.last_digest)
         self.owner = Owner(
             roster,
-            {name: each[0] for name, each in recorded.items() if each[0] in living and name != roster.world},
+            {other: each[0] for other, each in recorded.items() if each[0] in living and other != roster.world},
             self,
-            self._clock,
-            self._settings,
+            clock,
+            policy,
             epoch=record.epoch - 1,
             attempt=record.attempt,
             highest=record.highest_version,
-            born={name: each[1:] for name, each in recorded.items()},
+            born={other: each[1:] for other, each in recorded.items()},
             settled=self._intended == record.epoch,
             last_attempt=record.last_attempt,
             tried=_living_trial(decode_trial(record.trial), living),
             alone=decode_alone(record.alone),
         )
-        if self._pacemaker.may_begin(self.engine):
-            self.owner.take_back(self.process)
-            self._finish()
+
+    def start(self) -> None:
+        """Begin the run, or go on with it.
+
+        Raises:
+            OperatorError: an operator failed.
+        """
+        if not self._resumes:
+            self.keep()  # so that nothing was sent yet where the only record turns out to be damaged
+            self._proceed()
+        elif self.pacemaker.may_begin(self._runner.engine):
+            self.owner.take_back(self.member.process)
         else:
             self.owner.finish()
-        return record.epoch - 1, record.last_digest
+        self._runner.finish()
 
     def take_word(self, word: Control) -> None:
+        """Do what the owner says to this process, or take in what anybody says to the owner.
+
+        Raises:
+            OperatorError: an operator failed.
+            ContradictionError: it was told something else before.
+        """
         if isinstance(word, Order):
-            self.obey(word)
+            self.member.obey(word)
         else:
             self.hear(word)
 
@@ -177,9 +192,9 @@ class WorldMember(Member, OwnerEffects):
             OperatorError: an operator failed.
         """
         self.owner.hear(word)
-        self._finish()
+        self._runner.finish()
 
-    def go_on(self) -> None:
+    def resume(self) -> None:
         """Begin the next epoch after a pause.
 
         Raises:
@@ -187,7 +202,7 @@ class WorldMember(Member, OwnerEffects):
         """
         self.paused = False
         self._proceed()
-        self._finish()
+        self._runner.finish()
 
     def end_soon(self) -> None:
         """The run was asked to end: where nothing is under way, nothing is waited for.
@@ -195,9 +210,9 @@ class WorldMember(Member, OwnerEffects):
         Raises:
             OperatorError: an operator failed.
         """
-        if self.engine.phase is Phase.DONE:
+        if self._runner.engine.phase is Phase.DONE:
             self._proceed()
-            self._finish()
+            self._runner.finish()
 
     def tick(self) -> None:
         """Time has passed.
@@ -206,30 +221,28 @@ class WorldMember(Member, OwnerEffects):
             OperatorError: an operator failed.
         """
         self.owner.tick()
-        self._finish()
+        self._runner.finish()
 
     # --- what the owner calls
 
-    def tell(self, process: str, order: Order) -> None:
-        if process == self.process:
+    def send_order(self, process: str, order: Order) -> None:
+        if process == self.member.process:
             self._own_orders.append(order)
         else:
-            self._tell(process, order)
+            self._send_order(process, order)
 
     def keep(self) -> None:
-        if self._slots is not None:
-            self._slots.write(encode_world(self._record()))
+        self._slots.write(encode_world(self._record()))
 
     def begin(self, epoch: int, attempt: int, version: int) -> None:
-        engine = self.engine
-        pacemaker = self._pacemaker
+        engine, pacemaker = self._runner.engine, self.pacemaker
         if engine.phase is Phase.DONE:
             pacemaker.start()
         if version != engine.wiring.roster:
             engine.rewire(version)
             pacemaker.chain.roster_hash = engine.wiring.place.roster_hash
             self._roster_bytes = b""
-        self.drain(pacemaker.limit == epoch or self.owner.drains)
+        self._runner.drain(pacemaker.limit == epoch or self.owner.drains)
         self.keep()
         try:
             if engine.phase is Phase.DONE:
@@ -237,30 +250,59 @@ class WorldMember(Member, OwnerEffects):
             else:
                 engine.begin_again(attempt)
         except OperatorError as error:
-            self.failed(error)
+            self.member.failed(error)
 
     def answer(self, request: str, epoch: int, refusal: str) -> None:
-        self._keeper.answer(request, epoch, refusal)
+        self._supervision.answer(request, epoch, refusal)
 
     def end(self, name: str, process: str, why: str) -> None:
-        self._keeper.end(name, process, why)
+        self._supervision.end(name, process, why)
 
     def stop(self, why: str) -> None:
-        self._keeper.stop(why)
+        self._supervision.stop(why)
 
     def note(self, what: str) -> None:
-        self._keeper.note(what)
+        self._supervision.note(what)
 
-    # --- what the engine calls
+    # --- what the runner calls
 
-    def act(self, epoch: int, actions: Elements) -> None:
-        if self.engine.node.act is None or not self._should_act(epoch):
+    def may_begin(self, runner: NodeRunner) -> bool:
+        return False  # the owner decides
+
+    def go_on(self, runner: NodeRunner, committed: Committed | None) -> None:
+        if committed is None:
+            return
+        self.owner.committed(committed.epoch)
+        if self._pauses and not runner.engine.node.above:
+            self.paused = True
+            self.keep()  # nobody hears of a commit that a crash could undo
+        else:
+            self._proceed()
+
+    def begin_next(self, runner: NodeRunner) -> None:
+        self._proceed(its_turn=True)
+
+    def act(self, runner: NodeRunner, epoch: int, actions: Elements) -> None:
+        if runner.engine.node.act is None or not self._should_act(epoch):
             return
         self._intended = epoch
         self.keep()
-        super().act(epoch, actions)
+        runner.move(epoch, actions)
         self._acted = epoch
         self.keep()
+
+    def settle(self) -> bool:
+        if not self._own_orders and not self._own_failures:
+            return False
+        orders, self._own_orders = self._own_orders, []
+        failures, self._own_failures = self._own_failures, []
+        for order in orders:
+            self.member.do(order)
+        for failure in failures:
+            self.owner.hear(failure)
+        return True
+
+    # --- within
 
     def _should_act(self, epoch: int) -> bool:
         if epoch > self._intended:
@@ -269,19 +311,18 @@ class WorldMember(Member, OwnerEffects):
             return False  # done, in an attempt that did not come to its end
         repeats = self._on_uncertain_act == "repeat"
         done = "it is repeated" if repeats else "it is skipped"
-        self.note(f"{self.name}: nobody knows whether the act of epoch {epoch} was done; {done} (on_uncertain_act)")
+        what = f"nobody knows whether the act of epoch {epoch} was done; {done} (on_uncertain_act)"
+        self.note(f"{self.member.name}: {what}")
         return repeats
 
-    # --- within
-
-    def _hear(self, word: Control) -> None:
+    def _hear_own(self, word: Control) -> None:
         if isinstance(word, Failed):  # it may be the owner that has just begun the epoch
             self._own_failures.append(word)
         else:
             self.owner.hear(word)
 
     def _record(self) -> WorldRecord:
-        owner, engine = self.owner, self.engine
+        owner, engine = self.owner, self._runner.engine
         begun = engine.epoch > owner.epoch  # and not committed
         trial = owner.trial
         if not self._roster_bytes:
@@ -293,10 +334,10 @@ class WorldMember(Member, OwnerEffects):
         return WorldRecord(
             epoch=owner.epoch + 1,
             attempt=max(owner.attempt, 0),
-            instance=owner.roster.instance(self.name),
+            instance=owner.roster.instance(self.member.name),
             roster=self._roster_bytes,
             highest_version=owner.highest,
-            last_digest=self._pacemaker.chain.digest,
+            last_digest=self.pacemaker.chain.digest,
             state=engine.encoded_start if begun else engine.encoded,
             intended=self._intended,
             acted=self._acted,
@@ -308,40 +349,12 @@ class WorldMember(Member, OwnerEffects):
             alone=self._alone_bytes,
         )
 
-    def _finish(self) -> None:
-        super()._finish()
-        while self._own_orders or self._own_failures:
-            orders, self._own_orders = self._own_orders, []
-            failures, self._own_failures = self._own_failures, []
-            for order in orders:
-                self._do(order)
-            for failure in failures:
-                self.owner.hear(failure)
-            super()._finish()
-
-    def _may_begin(self) -> bool:
-        return False  # the owner decides
-
-    def _go_on(self, committed: Committed | None) -> None:
-        if committed is None:
-            return
-        self.owner.committed(committed.epoch)
-        if self.pauses and not self.engine.node.above:
-            self.paused = True
-            self.keep()  # nobody hears of a commit that a crash could undo
-        else:
-            self._proceed()
-
-    def _begin_next(self, pacemaker: Pacemaker) -> None:
-        self._proceed(its_turn=True)
-
     def _proceed(self, its_turn: bool = False) -> None:
         """Begin the next epoch, or let what was committed count, before anybody hears of it."""
-        pacemaker = self._pacemaker
-        if pacemaker.may_begin(self.engine):
-            if its_turn or not self.staleness.free:
+        if self.pacemaker.may_begin(self._runner.engine):
+            if its_turn or not self._runner.staleness.free:
                 self.owner.proceed()
-        elif pacemaker.done:
+        elif self.pacemaker.done:
             self.keep()
             self.owner.finish()
 
@@ -359,25 +372,21 @@ def has_record(slots: Slots) -> bool:
     return not never_whole(slots.read())
 
 
-def read_record(slots: Slots | None) -> tuple[WorldRecord, Saved]:
+def read_record(slots: Slots) -> tuple[WorldRecord, Saved]:
     """What a new process of the world's goes on with.
 
     Raises:
         HieraxError: there is no whole record.
     """
-    if slots is None:
-        raise HieraxError("the world keeps no record")
-    reads = slots.read()
-    faults = [f"slot {read.slot} {read.fault}" for read in reads if read.fault]
-    for read in reads:
-        if read.data is not None:
-            record = decode_world(read.data)
-            if faults:
-                _log.warning("record: %s; using that of epoch %d", "; ".join(faults), record.epoch)
-                record = _safest(record)
-            state = ActiveNode(*decode_state(record.state))
-            return record, Saved(record.epoch - 1, 0, state, state)
-    raise HieraxError(f"the world's record cannot be used: {'; '.join(faults) or 'nothing was ever written'}")
+    data, faults = newest_whole(slots.read())
+    if data is None:
+        raise HieraxError(f"the world's record cannot be used: {faults or 'nothing was ever written'}")
+    record = decode_world(data)
+    if faults:
+        _log.warning("record: %s; using that of epoch %d", faults, record.epoch)
+        record = _safest(record)
+    state = ActiveNode(*decode_state(record.state))
+    return record, Saved(record.epoch - 1, 0, state, state)
 
 
 def _safest(record: WorldRecord) -> WorldRecord:

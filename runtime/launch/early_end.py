@@ -16,7 +16,7 @@ import numpy as np
 from hierax.runtime.core.errors import HieraxError
 from hierax.runtime.core.process import ActiveNode
 from hierax.runtime.deployment import Deployment
-from hierax.runtime.execution.member import read_checkpoint
+from hierax.runtime.execution.checkpoints import Checkpoints
 from hierax.runtime.execution.world_member import read_record
 from hierax.runtime.launch.child import Child
 from hierax.runtime.launch.frames import FINISH, NodeOrder, leave
@@ -128,7 +128,7 @@ class EarlyEnd:
             SchemaError: it is none.
         """
         with _slots(order) as storage:
-            found = read_checkpoint(Slots(storage))
+            found = Checkpoints(Slots(storage)).read()
         if found is None:
             raise HieraxError("its process did not answer, and has kept no checkpoint yet")
         checkpoint, saved = found

@@ -16,11 +16,11 @@ from hierax.runtime.execution.member import Member
 from hierax.runtime.execution.world_member import WorldMember
 from hierax.runtime.loading.nearest import did_you_mean
 
-METHODS = {"save": "save", "send": "send", "act": "act", "commit": "committed"}
-"""By place, the method of a member that is called there."""
+METHODS = {"act": "act", "commit": "committed"}
+"""By place that only the world's process comes to, the method of its member that is called there."""
 
 RECORDS = {"keep": 0, "intent": 1, "acted": 2}
-"""By place where the world writes its record, the how many-th record of an act it is; 0: none of an act."""
+"""By place where the world writes its record: the first or second record of an act; 0: none of an act."""
 
 PLACES = {
     "save": "a node writes its checkpoint",
@@ -37,7 +37,7 @@ INSTANTS = tuple(f"{place}.{side}" for place in PLACES for side in ("before", "a
 
 
 class Fault(NamedTuple):
-    """An instant, and the how many-th time.
+    """An instant, and at which time that it comes the process dies.
 
     Attributes:
         place: one of `PLACES`.
@@ -79,23 +79,29 @@ def read_faults(texts: Iterable[str]) -> dict[str, list[str]]:
     return found
 
 
-def plant(member: Member, text: str) -> None:
+def plant(text: str, member: Member, world: WorldMember | None) -> None:
     """Have the process kill itself.
 
     Args:
-        member: of the process.
         text: ``INSTANT:N``.
+        member: of the process.
+        world: likewise, if it is the world's.
 
     Raises:
-        HieraxError: that is no fault, or not one of this member.
+        HieraxError: that is no fault, or not one of this process.
     """
     fault = Fault.read(text)
-    if fault.place not in ("save", "send") and not isinstance(member, WorldMember):
+    strike = _Countdown(fault.number)
+    if fault.place == "save":
+        _wrap(member, "save", fault.before, strike)
+    elif fault.place == "send":
+        _wrap(member.port, "send", fault.before, strike)
+    elif world is None:
         raise HieraxError(f"--fault {text}: only the world's process comes to {fault.place!r}, not {member.name!r}")
-    if fault.place in RECORDS:
-        _plant_at_record(member, fault)
+    elif fault.place in RECORDS:
+        _plant_at_record(world, fault, strike)
     else:
-        _wrap(member, METHODS[fault.place], fault.before, _Countdown(fault.number))
+        _wrap(world, METHODS[fault.place], fault.before, strike)
 
 
 class _Countdown:
@@ -110,8 +116,7 @@ class _Countdown:
             os.kill(os.getpid(), signal.SIGKILL)
 
 
-def _plant_at_record(member: Member, fault: Fault) -> None:
-    countdown = _Countdown(fault.number)
+def _plant_at_record(world: WorldMember, fault: Fault, strike: Callable[[], None]) -> None:
     acts, records = False, 0
 
     def on_act(begins: bool) -> None:
@@ -122,15 +127,15 @@ def _plant_at_record(member: Member, fault: Fault) -> None:
         nonlocal records
         records += acts
         if records == RECORDS[fault.place]:
-            countdown()
+            strike()
 
-    _wrap(member, METHODS["act"], True, lambda: on_act(True))
-    _wrap(member, METHODS["act"], False, lambda: on_act(False))
-    _wrap(member, "keep", fault.before, on_keep)
+    _wrap(world, "act", True, lambda: on_act(True))
+    _wrap(world, "act", False, lambda: on_act(False))
+    _wrap(world, "keep", fault.before, on_keep)
 
 
-def _wrap(member: Member, name: str, before: bool, then: Callable[[], None]) -> None:
-    method = getattr(member, name)
+def _wrap(part: Any, name: str, before: bool, then: Callable[[], None]) -> None:
+    method = getattr(part, name)
 
     def wrapped(*arguments: Any) -> None:
         if before:
@@ -139,4 +144,4 @@ def _wrap(member: Member, name: str, before: bool, then: Callable[[], None]) -> 
         if not before:
             then()
 
-    setattr(member, name, wrapped)
+    setattr(part, name, wrapped)

@@ -17,7 +17,9 @@ import time
 from collections.abc import Callable, Mapping
 from typing import Any
 
-from hierax.runtime.execution.member import Member
+from hierax.runtime.engine.stale import StaleEngine
+from hierax.runtime.engine.table import Phase
+from hierax.runtime.execution.observers import Observers
 from hierax.runtime.transport.inspection import InspectionEndpoint
 from hierax.runtime.watch.copier import Copier, Edge
 from hierax.runtime.watch.meter import Meter
@@ -25,6 +27,7 @@ from hierax.runtime.watch.stepper import Stepper
 from hierax.schemas.errors import SchemaError, shown
 from hierax.schemas.keys import STEP, check_name
 from hierax.schemas.messages import CONTEXT, OBSERVATIONS, TASKS
+from hierax.schemas.roster import Roster
 from hierax.schemas.values import Value
 
 LEASE_S = 5.0
@@ -42,13 +45,27 @@ class InspectionServer:
     """Answers the questions at a node's window.
 
     Args:
-        member: the node.
+        name: of the node.
+        process: the process's token.
+        observers: of the node.
+        roster: gives the roster in force where this is the world's process and the run has begun; else None.
         window: of the node.
         busy: the operator that the node's thread is in, as ``OPERATOR of SUBJECT``; empty: in none.
     """
 
-    def __init__(self, member: Member, window: InspectionEndpoint, busy: Callable[[], str]) -> None:
-        self._member = member
+    def __init__(
+        self,
+        name: str,
+        process: str,
+        observers: Observers,
+        roster: Callable[[], Roster | None],
+        window: InspectionEndpoint,
+        busy: Callable[[], str],
+    ) -> None:
+        self._name = name
+        self._process = process
+        self._observers = observers
+        self._roster = roster
         self._window = window
         self._busy = busy
         self._meter: Meter | None = None
@@ -70,9 +87,8 @@ class InspectionServer:
         for question, reply in self._window.questions():
             reply(self._answer(question))
         if self._stepper is not None:
-            name = self._member.name
             for data in self._stepper.take():
-                self._window.show(STEP, name, name, data)
+                self._window.show(STEP, self._name, self._name, data)
         self._expire(time.monotonic())
 
     def _answer(self, question: Value) -> Value:
@@ -81,35 +97,34 @@ class InspectionServer:
         if look is None:
             return {"refusal": f"expected a map with 'look' as one of {', '.join(self._looks)}"}
         try:
-            return {"process": self._member.process, **look(question)}
+            return {"process": self._process, **look(question)}
         except SchemaError as error:
             return {"refusal": str(error)}
 
     def _tell_times(self, question: Mapping[str, Any]) -> dict[str, Value]:
-        member = self._member
         self._metered_s = time.monotonic()
         if self._meter is None:
             self._meter = Meter()
-            member.watch(self._meter)
+            self._observers.watch(self._meter)
         busy = self._busy()
-        status = member.status(0, busy)
-        waits = status.waits_for or (member.engine.waits_for if member.wired else ())
+        engine = self._observers.engine
+        waits = () if engine is None else engine.waits_for
+        ready = engine is None or engine.phase is Phase.DONE  # for the next epoch, and nobody owes it anything
         return {
             "pid": os.getpid(),
-            "epoch": status.epoch,
-            "attempt": status.attempt,
+            "epoch": 0 if engine is None else engine.epoch,
+            "attempt": 0 if engine is None else engine.attempt,
             "busy": busy,
-            "waits_for": [list(slot) for slot in status.waits_for],
+            "waits_for": [] if ready else [list(slot) for slot in waits],
             "rss_bytes": _rss_bytes(),
             "cpu_s": time.process_time(),
             "meter": self._meter.read(busy.partition(" of ")[0], waits[0][0] if waits else ""),
         }
 
     def _tell_state(self, question: Mapping[str, Any]) -> dict[str, Value]:
-        member = self._member
-        if not member.wired:
+        engine, last = self._observers.engine, self._observers.last
+        if engine is None:
             return {"epoch": 0, "refusal": "the node's process is still coming into the run"}
-        engine, last = member.engine, member.last
         node = engine.node
         told: dict[str, Value] = {
             "class": f"{type(node.node).__module__}:{type(node.node).__qualname__}",
@@ -134,23 +149,23 @@ class InspectionServer:
         return {
             **told,
             **step._asdict(),
-            "committed": engine.epoch > step.epoch or engine.is_world if member.staleness.barrier else None,
+            "committed": None if isinstance(engine, StaleEngine) else engine.epoch > step.epoch or engine.is_world,
             "digest": last.digest,
         }
 
     def _tell_neighbours(self, question: Mapping[str, Any]) -> dict[str, Value]:
-        node = self._member.engine.node if self._member.wired else None
-        return {"below": [], "above": []} if node is None else {"below": list(node.below), "above": list(node.above)}
+        engine = self._observers.engine
+        return {side: [] if engine is None else list(getattr(engine.node, side)) for side in ("below", "above")}
 
     def _echo(self, question: Mapping[str, Any]) -> dict[str, Value]:
         until_s = time.monotonic() + LEASE_S
         for kind, sender, receiver in _edges_of(question):
             known = (kind, sender, receiver) in self._wanted or len(self._wanted) < MAX_EDGES
-            if sender == self._member.name and known:
+            if sender == self._name and known:
                 self._wanted[kind, sender, receiver] = until_s
         if self._wanted and self._copier is None:
             self._copier = Copier(self._window.show)
-            self._member.watch(self._copier)
+            self._observers.watch(self._copier)
         if self._copier is not None:
             self._copier.wanted = frozenset(self._wanted)
         return {"lease_s": LEASE_S}
@@ -162,24 +177,24 @@ class InspectionServer:
         self._stepped_s = time.monotonic()
         if self._stepper is None:
             self._stepper = Stepper()
-            self._member.watch(self._stepper)
+            self._observers.watch(self._stepper)
         self._stepper.every = every
-        owner = getattr(self._member, "owner", None)  # the world's, from the beginning of the run on
-        return {"lease_s": LEASE_S, "roster": None if owner is None else owner.roster.plain()}
+        roster = self._roster()
+        return {"lease_s": LEASE_S, "roster": None if roster is None else roster.plain()}
 
     def _expire(self, now: float) -> None:
         if self._stepper is not None and now - self._stepped_s > LEASE_S:
-            self._member.unwatch(self._stepper)
+            self._observers.unwatch(self._stepper)
             self._stepper = None
         if self._meter is not None and now - self._metered_s > LEASE_S:
-            self._member.unwatch(self._meter)
+            self._observers.unwatch(self._meter)
             self._meter = None
         if self._copier is None:
             return
         self._wanted = {edge: until_s for edge, until_s in self._wanted.items() if until_s > now}
         self._copier.wanted = frozenset(self._wanted)
         if not self._wanted:
-            self._member.unwatch(self._copier)
+            self._observers.unwatch(self._copier)
             self._copier = None
 
 

@@ -16,12 +16,14 @@ import numpy as np
 
 from hierax.runtime.core.binding import CALLS, Call, OperatorSetting, Waiter
 from hierax.runtime.core.errors import ContradictionError, HieraxError
+from hierax.runtime.engine.wiring import Wiring
 from hierax.runtime.execution.member import Member
+from hierax.runtime.execution.observers import Observers
+from hierax.runtime.execution.pacemaker import Pacemaker
 from hierax.runtime.execution.world_member import WorldMember
 from hierax.runtime.launch.backlog import Backlog
 from hierax.runtime.launch.frames import (
     BEGIN,
-    COME_BACK,
     CUT_OFF,
     DISMISSED,
     FAILED,
@@ -32,12 +34,21 @@ from hierax.runtime.launch.frames import (
     NodeOrder,
 )
 from hierax.runtime.launch.inspection_server import InspectionServer
-from hierax.runtime.launch.member_building import build_member, preload
+from hierax.runtime.launch.member_building import (
+    build_member,
+    build_world,
+    open_observers,
+    open_slots,
+    pacemaker_of,
+    preload,
+)
 from hierax.runtime.launch.steady import SteadyClock
 from hierax.runtime.launch.supervisor_pipe import SupervisorPipe
 from hierax.runtime.loading.loader import LoadError, extend_import_path
 from hierax.runtime.loading.node_loader import NodeLoader
+from hierax.runtime.owner.effects import OwnerPolicy
 from hierax.runtime.recording.witness import Witness
+from hierax.runtime.recovery.slots import Slots
 from hierax.runtime.transport.control import OWNER, ControlLine
 from hierax.runtime.transport.inspection import InspectionEndpoint
 from hierax.runtime.transport.port import TransportError
@@ -50,6 +61,7 @@ from hierax.schemas.control import AskStatus, Control, Dismiss, Offered, Word, d
 from hierax.schemas.errors import SchemaError
 from hierax.schemas.keys import Keys
 from hierax.schemas.messages import Message
+from hierax.schemas.roster import Roster
 from hierax.schemas.values import Value
 
 IDLE_S = 0.5
@@ -86,6 +98,7 @@ class NodeLife:
         self._pipe = SupervisorPipe(status, self._stopping.set)
         self._port: ZenohPort | None = None
         self._member: Member | None = None
+        self._world: WorldMember | None = None
         self._inspection: InspectionServer | None = None
         self._teller: StepPublisher
         self._witness: Witness | None = None
@@ -114,8 +127,8 @@ class NodeLife:
 
     def when(self) -> tuple[int, int]:
         """The epoch and attempt under way, or done last; zeros before the first."""
-        member = self._member
-        return (member.engine.epoch, member.engine.attempt) if member is not None and member.wired else (0, 0)
+        engine = None if self._member is None else self._member.engine
+        return (0, 0) if engine is None else (engine.epoch, engine.attempt)
 
     def stop(self) -> None:
         """Make the node's thread come to its end."""
@@ -124,9 +137,8 @@ class NodeLife:
 
     def finish(self) -> None:
         """Make the run come to its end, if this is the world's process."""
-        member = self._member
-        if member is not None and member.pacemaker is not None:
-            member.pacemaker.asked = True
+        if self._world is not None:
+            self._world.pacemaker.asked = True
             self._wake()
 
     def leave(self, epoch: int | None) -> None:
@@ -167,10 +179,10 @@ class NodeLife:
         if member is None:
             return
         if self._teller.heard != self._recorded:
-            self._be_recorded(member, self._teller.heard)
+            self._be_recorded(member.observers, self._teller.heard)
         now = time.monotonic()
-        if isinstance(member, WorldMember):
-            self._watch_world(member, now)
+        if self._world is not None:
+            self._watch_world(self._world, now)
         elif member.active and now - max(self._when_moved(member, now), self._ticked_s) < IDLE_S:
             return
         if not self._ticks:
@@ -181,7 +193,7 @@ class NodeLife:
     def _when_moved(self, member: Member, now: float) -> float:
         """When the node has got further in its epochs; what others send it may be of no use."""
         engine = member.engine
-        place = (engine.epoch, engine.attempt, engine.phase)
+        place = () if engine is None else (engine.epoch, engine.attempt, engine.phase)
         if place != self._place:
             self._place, self._moved_s = place, now
         return self._moved_s
@@ -249,72 +261,109 @@ class NodeLife:
         is_world = order.owner is not None
         offered = () if is_world else (*get_args(Offered), *((Dismiss,) if order.elsewhere else ()))
         self._line = ControlLine(session, keys, order.process, offered, self.hear, most_bytes)
-        member = build_member(order, loader, port, self._line, self._pipe, EpochPublisher(session, keys))
-        if isinstance(member, WorldMember):
-            member.pauses = order.staleness is not None  # in free running it has turns
+        if is_world:
             self._owners_line = ControlLine(session, keys, OWNER, get_args(Word), self.hear, most_bytes)
+        observers, slots = open_observers(order), open_slots(order)
         self._teller = StepPublisher(session, keys, order.name)
         if order.recorded and self._teller.wait(RECORDER_TIMEOUT_S):
-            self._be_recorded(member, True)
+            self._be_recorded(observers, True)
         if telemetry.wanted():
-            member.watch(telemetry.open_spans(order.deployment, order.run, order.name))
-        self._inspection = InspectionServer(member, InspectionEndpoint(session, keys, order.name), self.busy)
+            observers.watch(telemetry.open_spans(order.deployment, order.run, order.name))
+        endpoint = InspectionEndpoint(session, keys, order.name)
+        seen = (order.name, order.process, observers, self._roster)
+        self._inspection = InspectionServer(*seen, endpoint, self.busy)
         gc.collect()
         gc.freeze()  # what is loaded stays; the collector need not look at it again in the middle of an epoch
         try:
-            if self._begin(member, loader, port):
-                self._member = member
+            if order.owner is not None:
+                pacemaker = pacemaker_of(order, EpochPublisher(session, keys))
+                member = self._begin_world(order.owner, loader, port, observers, slots, pacemaker)
+            else:
+                member = self._begin(loader, port, observers, slots)
+            if self._member is not None:
                 loop = self._run_freely if order.staleness is None else self._run
-                loop(member, port)
+                loop(self._member, port)
             if self._leaves:  # nobody waits for what probes do at their end
                 return self._part(member)
         finally:
-            member.close()
+            observers.close()
         return self._part(member)
 
-    def _be_recorded(self, member: Member, wanted: bool) -> None:
+    def _be_recorded(self, observers: Observers, wanted: bool) -> None:
         """Tell steps from now on, or no more."""
         self._recorded = wanted
         if not wanted and self._witness is not None:
-            member.unwatch(self._witness)
+            observers.unwatch(self._witness)
         elif self._witness is not None:  # the same one again: what nobody was told of in between is a gap
             self._witness.resume()
-            member.watch(self._witness)
+            observers.watch(self._witness)
         elif wanted:
-            roster = (lambda: member.owner.roster) if isinstance(member, WorldMember) else None
-            self._witness = Witness(self._order.name, lambda: member.engine, self._teller, roster)
-            member.watch(self._witness)
+            is_world = self._order.owner is not None
+            self._witness = Witness(
+                self._order.name, lambda: observers.engine, self._teller, self._roster if is_world else None
+            )
+            observers.watch(self._witness)
 
-    def _begin(self, member: Member, loader: NodeLoader, port: ZenohPort) -> bool:
-        """Come into the run; whether it did."""
+    def _roster(self) -> Roster | None:
+        """In force, as the world's process knows it."""
+        return None if self._world is None else self._world.owner.roster
+
+    def _begin(self, loader: NodeLoader, port: ZenohPort, observers: Observers, slots: Slots) -> Member:
+        """Come into the run; the member has a part in it where `_member` is set."""
         order = self._order
-        if order.life == BEGIN and order.roster is not None:
-            wiring = loader.wiring(order.roster)
-            if not isinstance(member, WorldMember):
-                member.wire(wiring)
-            port.link(wiring.node.below, wiring.node.above, wiring.roster, wiring.place.instances, lambda _: None)
-            while not port.connect():
-                if self._stopping.is_set():
-                    return False
-            self._pipe.say(UP)
-            if isinstance(member, WorldMember):
-                processes = self._until_told(port)
-                if processes is None:
-                    return False
-                member.begin_run(order.roster, {**processes, order.name: order.process})
-            return True
+        member = build_member(order, loader, port, self._line, observers, slots)
         if order.life == TO_REPORT and order.roster is not None:
             member.recall(loader.wiring(order.roster))
-            return False
-        if isinstance(member, WorldMember) and order.life == COME_BACK:
-            epoch, digest = member.resume_run(order.processes)
-            if epoch and member.pacemaker is not None:
-                member.pacemaker.on_commit(epoch, digest)
-            for proposal in order.proposals:
-                member.hear(decode_control(proposal))
+            return member
+        if order.life == BEGIN and order.roster is not None:
+            wiring = loader.wiring(order.roster)
+            member.run(wiring)
+            if not self._connect(port, wiring):
+                return member
         else:
             member.join(order.request)
         self._pipe.say(UP)
+        self._member = member
+        return member
+
+    def _begin_world(
+        self,
+        policy: OwnerPolicy,
+        loader: NodeLoader,
+        port: ZenohPort,
+        observers: Observers,
+        slots: Slots,
+        pacemaker: Pacemaker,
+    ) -> Member | None:
+        """Begin the run, or go on with it; None: it was stopped before."""
+        order, processes = self._order, self._order.processes
+        if order.life == BEGIN and order.roster is not None:
+            if not self._connect(port, loader.wiring(order.roster)):
+                return None
+            self._pipe.say(UP)
+            told = self._until_told(port)
+            if told is None:
+                return None
+            processes = {**told, order.name: order.process}
+        parts = (loader, port, self._line, observers, slots, self._pipe, pacemaker, processes)
+        world = self._world = build_world(order, policy, *parts)
+        last = pacemaker.chain
+        if last.epoch:  # the process before may not have said so
+            pacemaker.on_commit(last.epoch, last.digest)
+        world.start()
+        if order.life != BEGIN:
+            for proposal in order.proposals:
+                world.hear(decode_control(proposal))
+            self._pipe.say(UP)
+        self._member = world.member
+        return world.member
+
+    def _connect(self, port: ZenohPort, wiring: Wiring) -> bool:
+        """Open the links to the neighbours; whether that was before the run was stopped."""
+        port.link(wiring.node.below, wiring.node.above, wiring.roster, wiring.place.instances, lambda _: None)
+        while not port.connect():
+            if self._stopping.is_set():
+                return False
         return True
 
     def _until_told(self, port: ZenohPort) -> Mapping[str, str] | None:
@@ -332,18 +381,17 @@ class NodeLife:
         return None
 
     def _run(self, member: Member, port: ZenohPort) -> None:
-        world = member if isinstance(member, WorldMember) else None
         paused = False
         while not self._stopping.is_set():
             if self._inputs or self._words or self._ticks:
                 self._serve(member)
             if member.dismissed:
                 return
-            if world is not None:
-                self._serve_keeper(world)
-                if world.paused:
-                    world.go_on()
-                paused = world.paused
+            if self._world is not None:
+                self._serve_keeper(self._world)
+                if self._world.paused:
+                    self._world.resume()
+                paused = self._world.paused
             self._take_next(member, port.poll if self._words or paused else port.receive)
         self._compare_rest(member, port)
 
@@ -353,12 +401,12 @@ class NodeLife:
             self._serve(member)
             if member.dismissed:
                 return
-            if isinstance(member, WorldMember):
-                self._serve_keeper(member)
+            if self._world is not None:
+                self._serve_keeper(self._world)
             self._take_all(member, port)
-            if self._due and member.wired:
+            if self._due and member.runner is not None:
                 self._due = self._rate_hz is None  # the next turn may be due before this one is over
-                if member.poll():
+                if member.runner.poll():
                     continue
                 self._due = True
             self._take_next(member, port.poll if self._words else port.receive)
@@ -375,12 +423,14 @@ class NodeLife:
             return True
         if message is None:
             return False
-        member.step(message)
+        if member.runner is not None:
+            member.runner.step(message)
         return True
 
     def _compare_rest(self, member: Member, port: ZenohPort) -> None:
         """The run is over: what is still there is taken in no more, but may show that something was forged."""
-        if self.hurried or not member.wired or not member.staleness.barrier:
+        engine = member.engine
+        if self.hurried or engine is None or not member.staleness.barrier:
             return
         for _ in range(REST):
             try:
@@ -389,23 +439,24 @@ class NodeLife:
                 continue
             if message is None:
                 return
-            member.engine.compare(message)
+            engine.compare(message)
 
     def _serve(self, member: Member) -> None:
         """What has come beside the messages of epochs; of what anybody may say, not more than so much at once."""
+        take_word = member.take_word if self._world is None else self._world.take_word
         self._woken = False
         while self._inputs:
-            member.take_word(self._inputs.popleft())
+            take_word(self._inputs.popleft())
         for _ in range(WORDS_AT_ONCE):
             word = self._words.take()
             if word is None:
                 break
-            member.take_word(word)
+            take_word(word)
         if not self._ticks:
             return
         self._ticks = False
-        if isinstance(member, WorldMember):
-            member.tick()
+        if self._world is not None:
+            self._world.tick()
         else:
             member.join(self._order.request)
             member.fetch_again()
@@ -415,32 +466,30 @@ class NodeLife:
         if owner.roster.version != self._version:
             self._version = owner.roster.version
             self._pipe.beat(owner)
-        if world.pacemaker is None:
-            return
         if world.pacemaker.asked:
             world.end_soon()
         if world.pacemaker.done:
             self._pipe.finish(owner)
 
-    def _part(self, member: Member) -> int:
-        if member.dismissed:
+    def _part(self, member: Member | None) -> int:
+        if member is not None and member.dismissed:
             _log.info("%s", member.dismissed)
             self._pipe.say(CUT_OFF if member.again else DISMISSED, why=member.dismissed)
             return int(member.again)
         if self.hurried:
             return 1  # the run is not over: the node is lost, and has nothing to report
-        if not member.wired:
+        if member is None or member.runner is None:
             return 0
-        pacemaker = member.pacemaker
+        pacemaker = None if self._world is None else self._world.pacemaker
         if self._leaves and pacemaker is not None:
             self._epoch = pacemaker.chain.epoch
-        report = member.report(self._epoch)
+        report = member.runner.report(self._epoch)
         fields: dict[str, Value] = {
             "belief": report.belief,
             "policy": report.policy,
             "actions": report.actions,
             "metrics": dict(report.metrics),
-            "epoch": member.engine.epoch,
+            "epoch": member.runner.engine.epoch,
         }
         if pacemaker is not None:
             chain = pacemaker.chain

@@ -1,16 +1,20 @@
-"""From an order to a member of the run."""
+"""From an order to a member of the run, and what that has from the process's first instant on."""
 
 from __future__ import annotations
 
 import importlib
 import logging
+from collections.abc import Mapping
 from pathlib import Path
 
 from hierax.runtime.core.digest import DigestChain
 from hierax.runtime.core.staleness import Staleness
+from hierax.runtime.execution.checkpoints import Checkpoints
+from hierax.runtime.execution.log import Log
 from hierax.runtime.execution.member import Member
+from hierax.runtime.execution.observers import Observers
 from hierax.runtime.execution.output_folder import DIGESTS, open_probes, state_log
-from hierax.runtime.execution.runner import Log, Pacemaker
+from hierax.runtime.execution.pacemaker import Pacemaker
 from hierax.runtime.execution.world_member import WorldMember
 from hierax.runtime.launch.faults import plant
 from hierax.runtime.launch.frames import BEGIN, NodeOrder
@@ -18,6 +22,7 @@ from hierax.runtime.launch.steady import SteadyClock
 from hierax.runtime.launch.supervisor_pipe import SupervisorPipe
 from hierax.runtime.loading.allowance import Allowance
 from hierax.runtime.loading.node_loader import NodeLoader
+from hierax.runtime.owner.effects import OwnerPolicy
 from hierax.runtime.recovery.disk import MappedFile
 from hierax.runtime.recovery.slots import Slots
 from hierax.runtime.transport.control import OWNER, ControlLine
@@ -27,68 +32,97 @@ from hierax.schemas.control import Control, Dismiss, Order
 _log = logging.getLogger("hierax")
 
 
-def build_member(
-    order: NodeOrder,
-    loader: NodeLoader,
-    port: ZenohPort,
-    line: ControlLine,
-    pipe: SupervisorPipe,
-    epochs: EpochPublisher,
-) -> Member:
-    """The member that an order asks for.
+def open_observers(order: NodeOrder) -> Observers:
+    """The state log and the probes that an order names, open.
 
     Raises:
-        HieraxError: a probe, the output folder or the checkpoint cannot be opened.
+        HieraxError: one cannot be opened.
     """
-    member = _built(order, loader, port, line, pipe, epochs)
-    member.staleness = Staleness(order.staleness, order.exact)
-    member.alone = frozenset(order.alone)
+    output, again = order.output_path, order.life != BEGIN
+    probes = open_probes(order.probes, order.name, order.allowance, output, again)
+    return Observers(order.name, probes, state_log(output, order.name, again))
+
+
+def open_slots(order: NodeOrder) -> Slots:
+    """Where an order says that the node's checkpoints are, or the world's record.
+
+    Raises:
+        HieraxError: the file cannot be opened.
+    """
+    return Slots(MappedFile(Path(order.checkpoint), order.durability))
+
+
+def build_member(
+    order: NodeOrder, loader: NodeLoader, port: ZenohPort, line: ControlLine, observers: Observers, slots: Slots
+) -> Member:
+    """The member that an order asks for, if it is not the world's.
+
+    Raises:
+        HieraxError: the order's fault is none.
+    """
+
+    def report(word: Control) -> None:
+        line.tell(OWNER, word)
+
+    own = (order.name, order.process, loader.wiring, port, report, Checkpoints(slots), observers)
+    member = Member(*own, staleness=Staleness(order.staleness, order.exact), alone=frozenset(order.alone))
     if order.fault:
-        plant(member, order.fault)
+        plant(order.fault, member, None)
     return member
 
 
-def _built(
+def build_world(
     order: NodeOrder,
+    policy: OwnerPolicy,
     loader: NodeLoader,
     port: ZenohPort,
     line: ControlLine,
+    observers: Observers,
+    slots: Slots,
     pipe: SupervisorPipe,
-    epochs: EpochPublisher,
-) -> Member:
-    output, again = order.output_path, order.life != BEGIN
-    slots = _slots(order)
-    probes = open_probes(order.probes, order.name, order.allowance, output, again)
-    states = state_log(output, order.name, again)
-    if order.owner is None:
+    pacemaker: Pacemaker,
+    processes: Mapping[str, str],
+) -> WorldMember:
+    """The world's member, when the processes of the run are known; it has not started yet.
 
-        def say(word: Control) -> None:
-            line.tell(OWNER, word)
+    Raises:
+        HieraxError: there is no whole record, or the order's fault is none.
+    """
 
-        return Member(order.name, order.process, loader.wiring, port, say, slots, probes, states)
-
-    def tell(process: str, word: Order) -> None:
+    def send_order(process: str, word: Order) -> None:
         if isinstance(word, Dismiss):  # anybody could say it: a process that is kept here hears it from its keeper
             pipe.dismiss(process, word)
         else:
             line.tell(process, word)
 
-    roster_hash = b"" if order.roster is None else order.roster.content_hash()
-    return WorldMember(
+    world = WorldMember(
         order.name,
         order.process,
         loader.wiring,
         port,
-        tell,
+        send_order,
         pipe,
         slots,
-        Pacemaker(DigestChain(roster_hash), order.epochs, _Commits(order, epochs)),
-        order.owner,
+        pacemaker,
+        policy,
         SteadyClock(),
+        processes,
+        order.roster if order.life == BEGIN else None,
+        observers=observers,
+        staleness=Staleness(order.staleness, order.exact),
+        alone=frozenset(order.alone),
         on_uncertain_act=order.on_uncertain_act,
-        probes=probes,
-        states=states,
+        pauses=order.staleness is not None,  # in free running it has turns
     )
+    if order.fault:
+        plant(order.fault, world.member, world)
+    return world
+
+
+def pacemaker_of(order: NodeOrder, epochs: EpochPublisher) -> Pacemaker:
+    """The world's, which publishes the digests of its epochs, and writes them where that is wanted."""
+    roster_hash = b"" if order.roster is None else order.roster.content_hash()
+    return Pacemaker(DigestChain(roster_hash), order.epochs, _Commits(order, epochs))
 
 
 def preload(modules: tuple[str, ...], allowance: Allowance) -> None:
@@ -103,10 +137,6 @@ def _preload(module: str) -> None:
         importlib.import_module(module)
     except Exception as error:
         _log.info("%s cannot be imported yet: %s", module, error)
-
-
-def _slots(order: NodeOrder) -> Slots:
-    return Slots(MappedFile(Path(order.checkpoint), order.durability))
 
 
 class _Commits:

@@ -48,7 +48,7 @@ class Arrivals:
             return  # somebody says it who is not that process: a dismissal would be of one that has a place
         if members.is_dead(process) and not word.active:
             back = name in members.lost and (not word.request or process == members.processes.get(name))
-            self._effects.tell(process, Dismiss(f"{name}: it was cut off, and taken for lost", again=back))
+            self._effects.send_order(process, Dismiss(f"{name}: it was cut off, and taken for lost", again=back))
             return  # where it is dead, nobody hears that
         if word.active:
             self._on_active(word)
@@ -56,7 +56,7 @@ class Arrivals:
         if process in self._processes_of(name):
             return  # said twice
         if word.epoch != NEVER and members.was_undone(name, word.version):
-            self._effects.tell(process, Dismiss(f"{name}: {UNDONE}"))
+            self._effects.send_order(process, Dismiss(f"{name}: {UNDONE}"))
             return
         request = self._planning.queued(word.request)
         plan = self._planning.plan
@@ -65,7 +65,7 @@ class Arrivals:
         elif plan is not None and plan.request is not None and plan.request.key == word.request:
             return
         elif word.request or name not in members.roster.nodes:
-            self._effects.tell(process, Dismiss(f"{name}: nobody asks for it (any more)"))
+            self._effects.send_order(process, Dismiss(f"{name}: nobody asks for it (any more)"))
         elif name in members.lost:
             self._on_back(word)
 
@@ -88,7 +88,7 @@ class Arrivals:
         if members.comes_back(name):
             return
         if word.epoch != NEVER and word.version < members.born[name][0]:
-            self._effects.tell(process, Dismiss(f"{name}: another node has taken its place"))
+            self._effects.send_order(process, Dismiss(f"{name}: another node has taken its place"))
             return
         why = word.refusal or self._unsound(name, word.epoch, word.attempt)
         version = members.roster.version
@@ -122,7 +122,9 @@ class Arrivals:
         if word.refusal:
             self._planning.withdraw(request, word.refusal)
         elif word.epoch != NEVER and isinstance(request.change, Attach):
-            self._effects.tell(word.process, Dismiss("it has a checkpoint, and a node that is attached begins anew"))
+            self._effects.send_order(
+                word.process, Dismiss("it has a checkpoint, and a node that is attached begins anew")
+            )
         elif (word.name, word.request) not in newcomers:
             newcomers[word.name, word.request] = word.process
             self._planning.reconsider()
@@ -135,12 +137,12 @@ class Arrivals:
         in_force = members.processes.get(name)
         if name in members.lost and members.is_dead(process):  # it was cut off, and no keeper here can kill it
             why = f"{name}: it was cut off, and taken for lost in epoch {self._progress.epoch + 1}"
-            self._effects.tell(process, Dismiss(why, again=True))
+            self._effects.send_order(process, Dismiss(why, again=True))
         elif name in members.lost and (process not in known or process == in_force):
             members.end(name, process, "it was taken for lost")  # its keeper starts it anew, from its checkpoint
         elif process not in known:
             instead = "it is no part of the hierarchy" if in_force is None else "another process runs it"
-            self._effects.tell(process, Dismiss(f"{name}: {instead}"))
+            self._effects.send_order(process, Dismiss(f"{name}: {instead}"))
         elif process == in_force and (self._doubts.is_ahead(word) or self._doubts.is_astray(word)):
             self._doubts.hear(word)
 

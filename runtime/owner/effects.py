@@ -41,7 +41,7 @@ class OwnerEffects(ABC):
     """The other side of an owner. What it is asked to send may be lost: the owner asks again."""
 
     @abstractmethod
-    def tell(self, process: str, order: Order) -> None:
+    def send_order(self, process: str, order: Order) -> None:
         """Send an order to a process; the owner's own is one of them."""
 
     @abstractmethod

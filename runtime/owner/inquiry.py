@@ -81,7 +81,7 @@ class Inquiry:
 
     def _tell(self, names: list[str], processes: Mapping[str, str]) -> None:
         for name in names:
-            self._effects.tell(processes[name], AskStatus(self._number))
+            self._effects.send_order(processes[name], AskStatus(self._number))
 
     def _judge(self, epoch: int, attempt: int, roster: Roster, processes: Mapping[str, str]) -> None:
         silent = sorted(roster.nodes.keys() - self._answers.keys())
@@ -146,7 +146,7 @@ class Inquiry:
             if edge.upper in behind and edge.lower not in behind:
                 wanted.setdefault(edge.lower, set()).add(edge.upper)
         for sender, receivers in sorted(wanted.items()):
-            self._effects.tell(processes[sender], Resend(epoch, attempt, tuple(sorted(receivers))))
+            self._effects.send_order(processes[sender], Resend(epoch, attempt, tuple(sorted(receivers))))
 
     def _blame_link(
         self,

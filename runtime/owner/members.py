@@ -129,7 +129,7 @@ class Members:
         """A process cannot run a node; when its keeper says that it is gone, the node is given up."""
         self._effects.note(f"{name}: {why}; it cannot come back")
         self._refused[process] = why
-        self._effects.tell(process, Dismiss(why))
+        self._effects.send_order(process, Dismiss(why))
 
     # --- newcomers
 
@@ -145,7 +145,7 @@ class Members:
     def turn_away(self, key: str, why: str) -> None:
         """Send those away that are there for a request."""
         for name, of in [pair for pair in self.newcomers if pair[1] == key]:
-            self._effects.tell(self.newcomers.pop((name, of)), Dismiss(why))
+            self._effects.send_order(self.newcomers.pop((name, of)), Dismiss(why))
 
     def missing(self, names: tuple[str, ...], key: str) -> list[str]:
         """Those of a request's new nodes that have no process yet."""
@@ -202,7 +202,7 @@ class Members:
         for name, process in self._outlived:
             known = name in self.born
             why = f"another process runs it from epoch {self.born[name][1]} on" if known else "it is detached"
-            self._effects.tell(process, Dismiss(f"{name}: {why}"))
+            self._effects.send_order(process, Dismiss(f"{name}: {why}"))
         self._outlived.clear()
 
     def take_effect(self, plan: Plan, epoch: int) -> dict[str, str]:
@@ -251,7 +251,7 @@ class Members:
         self._undone[name] = (self.born[name][0], version)
         newcomer = self.newcomers.pop((name, ""), None)
         if newcomer is not None:
-            self._effects.tell(newcomer, Dismiss(f"{name}: {UNDONE}"))
+            self._effects.send_order(newcomer, Dismiss(f"{name}: {UNDONE}"))
         self.trial = None
         self.born[name] = trial.born
         self._on_loss.pop(name, None)

@@ -266,4 +266,4 @@ class Owner:
             self._told_s[word.name] = now
             alone, trial = tuple(sorted(self._members.alone)), self.trial
             tried = () if trial is None else (trial.name,)
-            self._effects.tell(word.process, Prepare(self.roster.plain(), alone, tried))
+            self._effects.send_order(word.process, Prepare(self.roster.plain(), alone, tried))

@@ -227,7 +227,7 @@ class Planning:
         self._tell_waiting(self.plan)
         same = Unchanged(roster.version, members.roster.version)
         for name in sorted(roster.nodes.keys() - waiting):  # so that they need not ask when the first message comes
-            self._effects.tell(processes[name], same)
+            self._effects.send_order(processes[name], same)
 
     # --- from the plan to the roster in force
 
@@ -271,7 +271,7 @@ class Planning:
         self._progress.begin()  # recorded first: a process that was told to go cannot be had back
         for name, process in gone.items():
             instead = "another process runs it" if name in plan.processes else "it is detached"
-            self._effects.tell(process, Dismiss(f"{name}: {instead} from epoch {first} on"))
+            self._effects.send_order(process, Dismiss(f"{name}: {instead} from epoch {first} on"))
         self.reconsider()
 
     def _tell_waiting(self, plan: Plan) -> None:
@@ -280,11 +280,13 @@ class Planning:
         epoch, attempt = self._progress.epoch, self._progress.last_attempt
         for name in sorted(plan.waiting):
             if plan.stage is Stage.PREPARE:
-                self._effects.tell(plan.processes[name], prepare)
+                self._effects.send_order(plan.processes[name], prepare)
             elif name in plan.states:
-                self._effects.tell(plan.processes[name], TakeOver(plan.version, epoch, attempt, plan.states[name]))
+                self._effects.send_order(
+                    plan.processes[name], TakeOver(plan.version, epoch, attempt, plan.states[name])
+                )
             else:
-                self._effects.tell(plan.replaced[name], HandOver(plan.version, epoch))
+                self._effects.send_order(plan.replaced[name], HandOver(plan.version, epoch))
 
     def _on_ready(self, plan: Plan, word: Ready) -> None:
         if plan.stage is not Stage.PREPARE or plan.processes.get(word.name) != word.process:

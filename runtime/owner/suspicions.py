@@ -56,7 +56,7 @@ class Suspicions:
         """A node says that it is where nobody else is: ask it."""
         self._number += 1
         self._asked[word.name] = self._number
-        self._effects.tell(word.process, AskStatus(self._number))
+        self._effects.send_order(word.process, AskStatus(self._number))
 
     def answer(self, status: Status) -> None:
         """What it says when it is asked."""

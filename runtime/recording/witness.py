@@ -49,13 +49,17 @@ class Witness(Watcher):
     """Tells a step for each epoch that a node completes.
 
     Args:
-        name, engine: the node's name; what gives its engine, which may not be there yet.
+        name, engine: the node's name; what gives its engine, None: it is not there yet.
         sink: where steps go.
-        roster: of the world: gives the roster in force; None for other nodes.
+        roster: of the world: gives the roster in force; None for other nodes, as it is before the run begins.
     """
 
     def __init__(
-        self, name: str, engine: Callable[[], Engine], sink: StepSink, roster: Callable[[], Roster] | None = None
+        self,
+        name: str,
+        engine: Callable[[], Engine | None],
+        sink: StepSink,
+        roster: Callable[[], Roster | None] | None = None,
     ) -> None:
         self._name = name
         self._engine = engine
@@ -91,9 +95,9 @@ class Witness(Watcher):
 
     def called(self, called: Called) -> None:
         """At the prediction the engine is still in its epoch; when that is told as completed, no more."""
-        if called.operator != "predict":
-            return
         engine = self._engine()
+        if called.operator != "predict" or engine is None:
+            return
         used: tuple[tuple[str, str, int, int], ...] = ()
         if isinstance(engine, StaleEngine):
             used = tuple((sender, kind, *when) for (sender, kind), when in sorted(engine.used.items()))
@@ -124,8 +128,10 @@ class Witness(Watcher):
         told = NodeStep(self._name, self._stream, self._number, *where, completed.digest, *states, *heard)
         self._sink.step(encode_step(told))
 
-    def _tell_roster(self, roster: Roster) -> None:
+    def _tell_roster(self, roster: Roster | None) -> None:
         now_s = time.monotonic()
+        if roster is None:
+            return
         if roster.version == self._told_version and now_s - self._told_s < ROSTER_EVERY_S:
             return
         self._told_version, self._told_s = roster.version, now_s

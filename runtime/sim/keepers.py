@@ -7,7 +7,7 @@ from random import Random
 
 from hierax.runtime.core.errors import HieraxError
 from hierax.runtime.execution.world_member import Supervision
-from hierax.runtime.sim.members import SimWorldMember, make_member
+from hierax.runtime.sim.members import occupy
 from hierax.runtime.sim.process import TICK_S, SimProcess, Surroundings
 from hierax.runtime.sim.storage import SimStorage
 from hierax.schemas.control import Census, Control, Lost
@@ -58,7 +58,7 @@ class Keepers(Supervision):
         token = f"{name}.{self._started[name]}"
         process = SimProcess(around, self, name, token, request, storage or SimStorage(self._disk_rng))
         around.processes[token] = process
-        process.member = make_member(around, process, self)
+        occupy(around, process, self)
         around.clock.schedule(self._rng.uniform(0.0, TICK_S), self._tick, process)
         around.journal.trace(f"{token} starts" + (f" for {request}" if request else ""))
         return process
@@ -80,8 +80,8 @@ class Keepers(Supervision):
         around.journal.trace(f"{process.token} dies at {process.at!r}")
         if not self._gone(process):
             return
-        if isinstance(process.member, SimWorldMember) and process.member.acting:
-            around.checker.uncertain.add(process.member.acting)
+        if process.acting:
+            around.checker.uncertain.add(process.acting)
         around.clock.schedule(self._rng.uniform(0.0, NOTICE_S), self._notice, process)
 
     def exited(self, process: SimProcess) -> None:

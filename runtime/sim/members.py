@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
-from typing import Any
+from collections.abc import Mapping
 
 from hierax.runtime.core.digest import DigestChain
+from hierax.runtime.core.elements import Elements
 from hierax.runtime.engine.effects import Committed
+from hierax.runtime.execution.checkpoints import Checkpoints
 from hierax.runtime.execution.member import Member
-from hierax.runtime.execution.runner import Pacemaker
+from hierax.runtime.execution.pacemaker import Pacemaker
+from hierax.runtime.execution.runner import NodeRunner
 from hierax.runtime.execution.world_member import Supervision, WorldMember, has_record, read_record
 from hierax.runtime.owner.effects import OwnerPolicy
 from hierax.runtime.recovery.slots import Slots
@@ -16,114 +19,139 @@ from hierax.runtime.sim.network import SimPort
 from hierax.runtime.sim.nodes import MODULE
 from hierax.runtime.sim.process import SimProcess, Surroundings
 from hierax.schemas.control import Census, Control, Prepare
+from hierax.schemas.roster import Roster
 
 
-def make_member(around: Surroundings, process: SimProcess, keeper: Supervision) -> Member:
-    """What runs in a process."""
-    port = SimPort(around.network, process)
-    slots = Slots(process.storage)
-    if not process.is_world:
-        return Member(process.name, process.token, process.wire, port, process.say, slots)
-    scenario = around.scenario
-    chain = DigestChain(scenario.roster.content_hash())
-    settings = OwnerPolicy(
-        modules=(MODULE,),
-        on_loss=scenario.on_loss,
-        rejoin_timeout_s=scenario.rejoin_timeout_s,
-        alone=scenario.alone,
-        epoch_deadline_s=scenario.epoch_deadline_s,
-        start_timeout_s=2.0,
-        answer_timeout_s=0.8,
-    )
-    return SimWorldMember(
-        around,
-        process,
-        process.name,
-        process.token,
-        process.wire,
-        port,
-        process.tell,
-        keeper,
-        slots,
-        Pacemaker(chain, scenario.epochs, process.publish, around.clock),
-        settings,
-        around.clock,
-        on_uncertain_act="repeat" if scenario.on_uncertain_act == "repeat" else "skip",
-    )
+def occupy(around: Surroundings, process: SimProcess, supervision: Supervision) -> None:
+    """Have a process run what it runs in production."""
+    if process.is_world:
+        process.world = SimWorld(around, process, supervision)
+    else:
+        parts = (process.wire, SimPort(around.network, process), process.say, Checkpoints(Slots(process.storage)))
+        process.member = Member(process.name, process.token, *parts)
 
 
 def link_first(around: Surroundings, process: SimProcess) -> None:
     """Have a process open its links before the run begins."""
-    if isinstance(process.member, SimWorldMember):
-        process.member.link()
-    else:
+    if process.member is not None:
         process.member.obey(Prepare(around.scenario.roster.plain(), around.scenario.alone))
+    elif isinstance(process.world, SimWorld):
+        process.world.link()
 
 
-class SimWorldMember(WorldMember):
-    """The world's member; the checker looks at what it is told and what it says.
+class SimWorld:
+    """What the world's process runs: it waits until its keeper says who lives, then it has a member.
 
-    Attributes:
-        acting: the epoch of the act under way; 0: there is none.
+    Args:
+        around: what the process stands in.
+        process: of the world.
+        supervision: of all processes.
     """
 
-    def __init__(self, around: Surroundings, sim_process: SimProcess, *arguments: Any, **options: Any) -> None:
-        super().__init__(*arguments, **options)
+    def __init__(self, around: Surroundings, process: SimProcess, supervision: Supervision) -> None:
         self._around = around
-        self._sim_process = sim_process
-        self._began = False
-        self.acting = 0
+        self._process = process
+        self._supervision = supervision
+        self._port = SimPort(around.network, process)
+        self._running: SimWorldMember | None = None
 
     def take_word(self, word: Control) -> None:
+        """The keeper's word, then those of all others; nobody hears anything before."""
         if isinstance(word, Census):
-            self._began = True
             self._begin(word.processes)
-        elif self._began:  # nobody hears anything before
-            super().take_word(word)
+        elif self._running is not None:
+            self._running.take_word(word)
 
     def tick(self) -> None:
-        if self._began:
-            super().tick()
+        """Time has passed."""
+        if self._running is not None:
+            self._running.tick()
 
     def link(self) -> None:
         """Open the links of the roster at the beginning."""
         roster = self._around.scenario.roster
-        above = tuple(sorted(edge.upper for edge in roster.edges if edge.lower == self.name))
-        self.port.link((), above, roster.version, roster.instances, self.linked)
+        above = tuple(sorted(edge.upper for edge in roster.edges if edge.lower == self._process.name))
+        self._port.link((), above, roster.version, roster.instances, lambda _: None)
 
-    def _begin(self, living: dict[str, str]) -> None:
+    def _begin(self, living: Mapping[str, str]) -> None:
         """Begin the run, or go on with it, with these processes."""
-        scenario, checker = self._around.scenario, self._around.checker
-        slots = Slots(self._sim_process.storage)
+        scenario, checker, process = self._around.scenario, self._around.checker, self._process
+        slots = Slots(process.storage)
+        roster: Roster | None = None
         if has_record(slots):
             record, _ = read_record(slots)
             checker.resumes(record.epoch, record.last_digest)
             if any(read.fault for read in slots.read()):
                 checker.uncertain.update((record.epoch, record.epoch + 1))
-            self.resume_run(living)
-            return
-        if self.process != f"{self.name}.1" and scenario.together:
-            self.link()
-        first = [f"{name}.1" for name in scenario.roster.nodes] if scenario.together else []
-        here = {token.rpartition(".")[0]: token for token in first if token in living}
-        self.begin_run(scenario.roster, {**here, self.name: self.process})
+        else:
+            roster = scenario.roster
+            if process.token != f"{process.name}.1" and scenario.together:
+                self.link()
+            first = [f"{name}.1" for name in roster.nodes] if scenario.together else []
+            here = {token.rpartition(".")[0]: token for token in first if token in living}
+            living = {**here, process.name: process.token}
+        self._running = SimWorldMember(self._around, process, self._port, self._supervision, slots, living, roster)
+        process.member = self._running.member
+        self._running.start()
+
+
+class SimWorldMember(WorldMember):
+    """The world's member; the checker looks at what it is told and what it says."""
+
+    def __init__(
+        self,
+        around: Surroundings,
+        process: SimProcess,
+        port: SimPort,
+        supervision: Supervision,
+        slots: Slots,
+        living: Mapping[str, str],
+        roster: Roster | None,
+    ) -> None:
+        scenario = around.scenario
+        policy = OwnerPolicy(
+            modules=(MODULE,),
+            on_loss=scenario.on_loss,
+            rejoin_timeout_s=scenario.rejoin_timeout_s,
+            alone=scenario.alone,
+            epoch_deadline_s=scenario.epoch_deadline_s,
+            start_timeout_s=2.0,
+            answer_timeout_s=0.8,
+        )
+        chain = DigestChain(scenario.roster.content_hash())
+        self._around = around
+        self._process = process
+        super().__init__(
+            process.name,
+            process.token,
+            process.wire,
+            port,
+            process.send_order,
+            supervision,
+            slots,
+            Pacemaker(chain, scenario.epochs, process.publish, around.clock),
+            policy,
+            around.clock,
+            living,
+            roster,
+            on_uncertain_act="repeat" if scenario.on_uncertain_act == "repeat" else "skip",
+        )
 
     def begin(self, epoch: int, attempt: int, version: int) -> None:
         turn = Turn(version, epoch, attempt)
-        base = self.engine.wiring.roster
-        owner = self.owner
+        base = self._runner.engine.wiring.roster
         self._around.journal.trace(f"owner begins {turn}")
-        self._around.checker.begins(base, turn, owner.roster, owner.processes)
-        self._sim_process.inspector.begin(turn)
+        self._around.checker.begins(base, turn, self.owner.roster, self.owner.processes)
+        self._process.inspector.begin(turn)
         super().begin(epoch, attempt, version)
 
-    def act(self, epoch: int, actions: Any) -> None:
-        self.acting = epoch
-        super().act(epoch, actions)
-        self.acting = 0
+    def act(self, runner: NodeRunner, epoch: int, actions: Elements) -> None:
+        self._process.acting = epoch
+        super().act(runner, epoch, actions)
+        self._process.acting = 0
 
     def committed(self, committed: Committed) -> None:
-        turn = self._sim_process.inspector.turn
+        turn = self._process.inspector.turn
         self._around.checker.commits(turn, self._around.states(turn))
-        self._sim_process.point("commit")
+        self._process.point("commit")
         super().committed(committed)

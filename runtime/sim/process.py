@@ -10,10 +10,11 @@ from typing import Any, Protocol
 
 from hierax.runtime.core.binding import Call
 from hierax.runtime.core.errors import ContradictionError, OperatorError
+from hierax.runtime.engine.engine import Engine
 from hierax.runtime.engine.table import ACTIONS, Action
 from hierax.runtime.engine.wiring import Place, Wiring
 from hierax.runtime.execution.member import Member
-from hierax.runtime.execution.world_member import WorldMember
+from hierax.runtime.execution.runner import NodeRunner
 from hierax.runtime.sim.checker import Checker
 from hierax.runtime.sim.clock import Clock
 from hierax.runtime.sim.forgery import forged
@@ -59,7 +60,7 @@ class Surroundings:
     def states(self, turn: Turn) -> Mapping[str, bytes]:
         """The states that the processes in force have now; where an attempt was foretold, of those in this one."""
         engines = {
-            process.name: process.member.engine
+            process.name: process.engine
             for process in self.processes.values()
             if self.checker.process_of(turn.version, process.name) == process.token
         }
@@ -83,6 +84,16 @@ class Attendant(Protocol):
         """The run cannot go on."""
 
 
+class Owning(Protocol):
+    """What the world's process runs beside its member."""
+
+    def take_word(self, word: Control) -> None:
+        """Somebody says something to the owner, or the owner to this process."""
+
+    def tick(self) -> None:
+        """Time has passed."""
+
+
 class SimProcess(Host):
     """One process of a node.
 
@@ -94,6 +105,9 @@ class SimProcess(Host):
         storage: of its checkpoints; its line's.
 
     Attributes:
+        member: that it runs; None: the world's, before the run has begun here.
+        world: of the world's process.
+        acting: the epoch of the world's act under way; 0: there is none.
         calls_left: at which call it dies; 0: it doesn't.
         torn: whether it dies in its next write.
         raises: whether the next operator or edge function raises of a node that fails alone.
@@ -101,14 +115,15 @@ class SimProcess(Host):
         at: the last call that it made.
     """
 
-    member: Member
-
     def __init__(
         self, around: Surroundings, attendant: Attendant, name: str, token: str, request: str, storage: SimStorage
     ) -> None:
         super().__init__(name, token)
         self.request = request
         self.storage = storage
+        self.member: Member | None = None
+        self.world: Owning | None = None
+        self.acting = 0
         self.alive = True
         self.calls_left = 0
         self.torn = False
@@ -129,6 +144,17 @@ class SimProcess(Host):
         self.inspector = Inspector(name, token, checker.violate, checker.process_of, self._starts, self._calls)
         storage.tears = self._tears
 
+    @property
+    def runner(self) -> NodeRunner | None:
+        """Of its node; None: no roster with it has come yet."""
+        return None if self.member is None else self.member.runner
+
+    @property
+    def engine(self) -> Engine:
+        """Of its node, when a roster with it has come."""
+        assert self.runner is not None
+        return self.runner.engine
+
     def point(self, what: str) -> None:
         """A call to the outside, or the return of one: the process may die here."""
         self.at = what
@@ -147,9 +173,10 @@ class SimProcess(Host):
         except ContradictionError as error:
             self._attendant.stop(str(error))
             return
-        if self.alive and self.member.dismissed:
-            self._around.journal.trace(f"{self.token} is dismissed: {self.member.dismissed}")
-            if self.member.again:
+        member = self.member
+        if self.alive and member is not None and member.dismissed:
+            self._around.journal.trace(f"{self.token} is dismissed: {member.dismissed}")
+            if member.again:
                 self.at = "dismissed"
                 self._attendant.died(self)
             else:
@@ -160,7 +187,7 @@ class SimProcess(Host):
         if not self.alive:
             return
         if self.frozen:
-            if self.busy and kind == "control":
+            if self.busy and kind == "control" and self.member is not None:
                 word = decode_control(data)
                 if isinstance(word, AskStatus):
                     status = self.member.status(word.inquiry, busy="observe")
@@ -195,7 +222,7 @@ class SimProcess(Host):
             self._around.network.say(self.token, world.token, word)
         self.point("said")
 
-    def tell(self, token: str, order: Order) -> None:
+    def send_order(self, token: str, order: Order) -> None:
         """The owner, which is in this process, says something to another one."""
         self.point(f"tell {type(order).__name__}")
         self._around.journal.trace(f"owner tells {token} {_short(order)}")
@@ -213,25 +240,27 @@ class SimProcess(Host):
 
     def _handle(self, kind: str, data: Any) -> None:
         self._take(kind, data)
-        if self.member.wired:
-            epoch, _ = place = (self.member.engine.epoch, self.member.engine.attempt)
+        if self.runner is not None:
+            epoch, _ = place = (self.engine.epoch, self.engine.attempt)
             if epoch != self._place[0]:
                 self._finished = self._place
             self._place = place
 
     def _take(self, kind: str, data: Any) -> None:
         if kind == "message":
-            if self.member.wired:
-                self._step(decode_message(data))
+            if self.runner is not None:
+                self._step(self.runner, decode_message(data))
         elif kind == "forged":
-            self._step_forged(*data)
+            if self.runner is not None:
+                self._step_forged(self.runner, *data)
         elif kind == "control":
             self._hear(decode_control(data))
         elif kind == "opened":
             opened, version = data
             opened(version)
         elif kind == "mended":
-            self.member.port.mended(data)
+            if self.member is not None:
+                self.member.mended(data)
         elif kind == "word":
             self._hear(data)
         else:
@@ -241,37 +270,39 @@ class SimProcess(Host):
         self._around.journal.count(*control_kind(word))
         if self.is_world:
             self._around.journal.trace(f"owner hears {_short(word)}")
-        self.member.take_word(word)
+        taking = self.member if self.world is None else self.world
+        if taking is not None:
+            taking.take_word(word)
 
     def _tick(self) -> None:
         self._ticks += 1
-        if isinstance(self.member, WorldMember):
-            self.member.tick()
-        elif not self.member.active or self._ticks % CHECK_TICKS == 0:
+        if self.world is not None:
+            self.world.tick()
+        elif self.member is not None and (not self.member.active or self._ticks % CHECK_TICKS == 0):
             self.member.join(self.request)
             self.member.fetch_again()
 
-    def _step(self, message: Message) -> None:
-        header, engine, journal = message.header, self.member.engine, self._around.journal
-        verdict = engine.judge(header)
+    def _step(self, runner: NodeRunner, message: Message) -> None:
+        header, journal = message.header, self._around.journal
+        verdict = runner.engine.judge(header)
         journal.count(MESSAGE, header.kind)
         journal.count(VERDICT, verdict.name)
-        self.member.step(message)
+        runner.step(message)
         if not self.forges or ACTIONS[verdict] is not Action.TAKE:
             return
         kind, self.forges = self.forges, ""
         for other in forged(kind, message):
             self._around.clock.schedule(self._rng.uniform(0.0, FORGED_S), self.take, "forged", (kind, other))
 
-    def _step_forged(self, kind: str, message: Message) -> None:
+    def _step_forged(self, runner: NodeRunner, kind: str, message: Message) -> None:
         """A message comes that somebody else has made of one that was taken in; a contradiction has to be noticed."""
-        header, engine = message.header, self.member.engine
+        header, engine = message.header, runner.engine
         self._around.journal.count(FAULT, kind)
         self._around.journal.trace(f"{self.token}: forged: {header}")
         known = ((engine.epoch, engine.attempt), self._finished)
         self._around.checker.excused |= kind == CONTRADICT
         self._around.checker.foretold |= kind == FORETELL
-        self._step(message)
+        self._step(runner, message)
         if kind == CONTRADICT and (header.epoch, header.attempt) in known:
             self._around.checker.violate(f"{self.token}: nobody notices that another message said something else")
 
@@ -293,14 +324,17 @@ class SimProcess(Host):
             self._starts(self.inspector.turn)
 
     def _starts(self, turn: Turn) -> None:
-        self._around.checker.starts(self.name, self.token, self.member.engine.state, turn)
+        self._around.checker.starts(self.name, self.token, self.engine.state, turn)
 
     def _calls(self, call: Call, epoch: int) -> None:
+        member = self.member
+        if member is None:
+            return
         told = call.subject.split("->")
-        if self._around.scenario.trials_fail and self.member.tried_now.intersection(told):
+        if self._around.scenario.trials_fail and member.tried_now.intersection(told):
             self._around.journal.count(FAULT, TRIAL)
             raise OperatorError(call.subject, call.operator, epoch, "it fails in its first epoch")
-        ends = [name for name in told if name in self.member.alone | self.member.tried_now] if self.raises else []
+        ends = [name for name in told if name in member.alone | member.tried_now] if self.raises else []
         if ends:
             self.raises = False
             self._around.journal.count(FAULT, RAISE)

@@ -17,8 +17,9 @@ from hierax.runtime.core.probe import Step
 from hierax.runtime.deployment.read import read_deployment
 from hierax.runtime.engine.effects import Completed
 from hierax.runtime.engine.wiring import Place, Wiring
+from hierax.runtime.execution.pacemaker import Pacemaker
 from hierax.runtime.execution.report import Report, make_report
-from hierax.runtime.execution.runner import NodeRunner, Pacemaker
+from hierax.runtime.execution.runner import NodeRunner, World
 from hierax.runtime.execution.single import run
 from hierax.runtime.loading.loader import extend_import_path
 from hierax.runtime.testing.node import wait_for
@@ -101,12 +102,12 @@ def run_hierarchy(
     place = Place(tasking=frozenset(edge.pair for edge in edges if edge.task is not None))
     runners: dict[str, NodeRunner] = {}
     for name, bound in hierarchy.bound.items():
-        runner = NodeRunner(None, network.open_port(name), pacemaker=pacemaker if name == world else None)
-        kept.watch(name, runner)
         its_edges = [edge for pair, edge in hierarchy.bound_edges.items() if name in pair]
-        runner.wire(Wiring(bound, its_edges, place))
-        runners[name] = runner
-    runners[world].start()
+        wiring = Wiring(bound, its_edges, place)
+        begins = World(pacemaker) if name == world else None
+        runners[name] = NodeRunner(wiring, network.open_port(name), world=begins)
+        kept.watch(name, runners[name])
+    runners[world].finish()
     while (receiver := network.next_receiver()) is not None:
         message = runners[receiver].port.receive()
         if message is not None:

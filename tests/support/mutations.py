@@ -15,6 +15,7 @@ from hierax.runtime.core.binding import Call
 from hierax.runtime.core.tick import Tick
 from hierax.runtime.engine.engine import Engine
 from hierax.runtime.execution.member import Member
+from hierax.runtime.execution.runner import NodeRunner
 from hierax.runtime.execution.world_member import WorldMember
 from hierax.runtime.owner.owner import Owner
 from hierax.runtime.owner.planning import Planning
@@ -52,7 +53,7 @@ def latest_roster_fetched() -> Iterator[None]:
         plan = self._planning.plan
         latest = plan.roster if plan is not None else self.roster
         if word.name in latest.nodes:
-            self._effects.tell(word.process, Prepare(latest.plain()))
+            self._effects.send_order(word.process, Prepare(latest.plain()))
 
     def receive(self: Engine, message: Message) -> None:
         header = message.header
@@ -105,10 +106,10 @@ def act_before_commit() -> Iterator[None]:
 def act_before_intent() -> Iterator[None]:
     """The world acts, and writes down afterwards that it was going to."""
 
-    def mutant(self: WorldMember, epoch: int, actions: Any) -> None:
-        if self.engine.node.act is None or not self._should_act(epoch):
+    def mutant(self: WorldMember, runner: NodeRunner, epoch: int, actions: Any) -> None:
+        if runner.engine.node.act is None or not self._should_act(epoch):
             return
-        super(WorldMember, self).act(epoch, actions)
+        runner.move(epoch, actions)
         self._intended = self._acted = epoch
         self.keep()
 
@@ -123,10 +124,10 @@ def instance_ignored() -> Iterator[None]:
 
     def on_fetch(self: Owner, word: Fetch) -> None:
         if word.version == self.roster.version and word.name in self.roster.nodes:
-            self._effects.tell(word.process, Prepare(self.roster.plain()))
+            self._effects.send_order(word.process, Prepare(self.roster.plain()))
 
     def mutant(self: Member, order: Prepare) -> None:
-        if self.wired:
+        if self.engine is not None:
             own: Any = dict(order.roster["instances"])
             self.engine.wiring.instance = own.get(self.name, 0)
         prepare(self, order)
@@ -196,9 +197,9 @@ def checkpoint_skipped() -> Iterator[None]:
     """Every other checkpoint is not written."""
     save = Member.save
 
-    def mutant(self: Member, epoch: int, attempt: int, start: bytes, now: bytes) -> None:
+    def mutant(self: Member, engine: Engine, epoch: int, attempt: int, start: bytes, now: bytes) -> None:
         if epoch % 2 == 0:
-            save(self, epoch, attempt, start, now)
+            save(self, engine, epoch, attempt, start, now)
 
     with patch.object(Member, "save", mutant):
         yield

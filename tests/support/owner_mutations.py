@@ -116,7 +116,7 @@ def as_now(go_on: Callable[..., None]) -> Callable[..., None]:
     """What is said to be unchanged is taken as it is now, not as in the version that is named."""
 
     def mutant(self: Member, order: Unchanged) -> None:
-        if self.wired:
+        if self.engine is not None:
             newest = max(self.engine.prepared, default=self.engine.wiring.roster)
             go_on(self, order._replace(earlier=newest if newest < order.version else order.earlier))
 
@@ -139,7 +139,8 @@ def handed_over_as_it_is(_: Any) -> Callable[..., None]:
     """The state of now is handed over, whichever epoch it is of."""
 
     def mutant(self: Member, order: HandOver) -> None:
-        self._say(State(self.name, order.version, self.engine.encoded_start))
+        if self.engine is not None:
+            self._report(State(self.name, order.version, self.engine.encoded_start))
 
     return mutant
 
@@ -161,7 +162,7 @@ def ready_before_linked(say_ready: Callable[..., None]) -> Callable[..., None]:
     """A process is ready when it has the roster, be its links open or not."""
 
     def mutant(self: Member, version: int) -> None:
-        if not isinstance(self, WorldMember):
+        if self._world is None:
             self._linked.add(version)
         say_ready(self, version)
 

@@ -26,7 +26,8 @@ from hierax.runtime.engine.effects import Saved
 from hierax.runtime.engine.stale import DRAIN, StaleEngine
 from hierax.runtime.engine.table import Phase, Verdict
 from hierax.runtime.engine.wiring import Place, Wiring
-from hierax.runtime.execution.runner import NodeRunner, Pacemaker
+from hierax.runtime.execution.pacemaker import Pacemaker
+from hierax.runtime.execution.runner import NodeRunner, World
 from hierax.runtime.transport.memory import MemoryNetwork
 from hierax.schemas.messages import CONTEXT, OBSERVATIONS, TASKS, Message
 
@@ -106,12 +107,11 @@ def run(
     pacemaker = Pacemaker(DigestChain(ROSTER_HASH), epochs, lambda _, digest: digests.append(digest))
     runners = {}
     for name, node in hierarchy.bound.items():
-        runner = make(None, network.open_port(name), (), None, pacemaker if name == hierarchy.world else None)
-        runner.staleness = staleness
-        runner.wire(Wiring(node, edges, place))
+        world = World(pacemaker) if name == hierarchy.world else None
+        runner = make(Wiring(node, edges, place), network.open_port(name), world=world, staleness=staleness)
         runner.port.mended = runner.engine.say_again
         runners[name] = runner
-    runners[hierarchy.world].start()
+    runners[hierarchy.world].finish()
     if staleness.free:
         take_turns(runners, pacemaker, random.Random(seed))
     while (name := network.next_receiver()) is not None:

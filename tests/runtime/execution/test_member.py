@@ -9,8 +9,11 @@ from support.hierarchies import MixingNode
 
 from hierax.runtime.core.binding import BoundNode, OperatorSetting
 from hierax.runtime.core.digest import encode_state
+from hierax.runtime.engine.engine import Engine
 from hierax.runtime.engine.wiring import Place, Wiring
-from hierax.runtime.execution.member import Member, read_checkpoint
+from hierax.runtime.execution.checkpoints import Checkpoints
+from hierax.runtime.execution.member import Member
+from hierax.runtime.execution.runner import NodeRunner
 from hierax.runtime.recovery.disk import MappedFile
 from hierax.runtime.recovery.slots import Slots
 from hierax.runtime.transport.memory import MemoryNetwork
@@ -30,9 +33,18 @@ def slots(tmp_path: Path) -> Slots:
 def newcomer(slots: Slots, said: list[Control]) -> Member:
     """A member that is wired, and has had no part in an epoch."""
     wiring = Wiring(BoundNode("n", NODE, (), (), OperatorSetting()), (), Place())
-    member = Member("n", "token", lambda _: wiring, MemoryNetwork().open_port("n"), said.append, slots)
-    member.wire(wiring, joins=True)
+    member = Member("n", "token", lambda _: wiring, MemoryNetwork().open_port("n"), said.append, Checkpoints(slots))
+    member.run(wiring, joins=True)
     return member
+
+
+def runner_of(member: Member) -> NodeRunner:
+    assert member.runner is not None
+    return member.runner
+
+
+def engine_of(member: Member) -> Engine:
+    return runner_of(member).engine
 
 
 def test_it_goes_on_from_the_attempt_that_counts(slots: Slots) -> None:
@@ -40,8 +52,8 @@ def test_it_goes_on_from_the_attempt_that_counts(slots: Slots) -> None:
     member = newcomer(slots, said)
     member.obey(TAKE_OVER)
     assert said == [Taken("n", 4, "")]
-    assert (member.engine.epoch, member.engine.attempt) == (7, 3)
-    found = read_checkpoint(slots)
+    assert (engine_of(member).epoch, engine_of(member).attempt) == (7, 3)
+    found = Checkpoints(slots).read()
     assert found is not None
     checkpoint, _ = found
     assert (checkpoint.epoch, checkpoint.attempt, checkpoint.roster, checkpoint.instance) == (7, 3, 4, 4)
@@ -61,7 +73,7 @@ def test_what_an_older_version_handed_over_comes_too_late(slots: Slots) -> None:
     member.obey(TAKE_OVER)
     member.obey(TakeOver(version=3, epoch=6, attempt=9, state=STATE))
     assert said == [Taken("n", 4, "")]
-    assert (member.engine.epoch, member.engine.attempt) == (7, 3)
+    assert (engine_of(member).epoch, engine_of(member).attempt) == (7, 3)
 
 
 def test_what_is_no_state_is_refused_and_nothing_is_kept(slots: Slots) -> None:
@@ -70,8 +82,8 @@ def test_what_is_no_state_is_refused_and_nothing_is_kept(slots: Slots) -> None:
     member.obey(TakeOver(version=4, epoch=7, attempt=3, state=b"\xc1"))
     assert isinstance(said[0], Taken)
     assert said[0].refusal.startswith("cannot take over the belief: ")
-    assert member.engine.epoch == 0
-    assert read_checkpoint(slots) is None
+    assert engine_of(member).epoch == 0
+    assert Checkpoints(slots).read() is None
 
 
 def test_a_version_that_changes_nothing_here_is_prepared_without_a_word(slots: Slots) -> None:
@@ -79,8 +91,8 @@ def test_a_version_that_changes_nothing_here_is_prepared_without_a_word(slots: S
     member = newcomer(slots, said)
     member.obey(Unchanged(1, 0))
     member.obey(Unchanged(2, 1))
-    assert member.engine.prepared == {1, 2}
-    first, second = member.engine.wiring_of(0), member.engine.wiring_of(2)
+    assert engine_of(member).prepared == {1, 2}
+    first, second = engine_of(member).wiring_of(0), engine_of(member).wiring_of(2)
     assert first is not None
     assert second is not None
     assert (second.roster, second.place.roster, second.node) == (2, 2, first.node)
@@ -91,7 +103,7 @@ def test_a_version_like_one_that_it_never_had_is_asked_for_when_a_message_of_it_
     said: list[Control] = []
     member = newcomer(slots, said)
     member.obey(Unchanged(5, 4))
-    assert member.engine.prepared == frozenset()
+    assert engine_of(member).prepared == frozenset()
     assert said == []
-    member.step(Message(Header(OBSERVATIONS, "other", "n", 1, roster=5), ()))
+    runner_of(member).step(Message(Header(OBSERVATIONS, "other", "n", 1, roster=5), ()))
     assert said == [Fetch("n", "token", 5)]

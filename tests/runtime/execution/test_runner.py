@@ -14,30 +14,34 @@ import pytest
 from support.hierarchies import MixingNode
 from support.toy_nodes import Counter, Keeper
 
-import hierax.runtime.execution.runner as runner_module
+import hierax.runtime.execution.pacemaker as pacemaker_module
 from hierax.runtime import NO_TICK, Node, Probe, Step, Tick, Value
 from hierax.runtime.core.binding import BoundNode, OperatorSetting
 from hierax.runtime.core.digest import DigestChain
 from hierax.runtime.core.errors import HierarchyError, HieraxError, OperatorError, ProbeError
 from hierax.runtime.engine.wiring import Place, Wiring
-from hierax.runtime.execution.runner import Log, NodeRunner, Pacemaker
+from hierax.runtime.execution.log import Log
+from hierax.runtime.execution.observers import Observers
+from hierax.runtime.execution.pacemaker import Pacemaker
+from hierax.runtime.execution.runner import NodeRunner, World
 from hierax.runtime.transport.memory import MemoryNetwork
 from hierax.schemas.messages import CONTEXT, Header, Message
 
 ROSTER_HASH = bytes(range(32))
 
 
-def alone(world: Node, limit: int | None, *probes: Probe) -> NodeRunner:
+def alone(world: Node, limit: int | None, *probes: Probe, states: Log | None = None) -> NodeRunner:
     """A hierarchy of nothing but a world, whose clock ticks whole seconds."""
     wiring = Wiring(BoundNode("w", world, (), (), OperatorSetting()), (), Place())
     ticks = count()
     pacemaker = Pacemaker(DigestChain(ROSTER_HASH), limit, lambda *_: None, clock=lambda: float(next(ticks)))
-    return NodeRunner(wiring, MemoryNetwork().open_port("w"), probes, None, pacemaker)
+    observers = Observers("w", probes, states)
+    return NodeRunner(wiring, MemoryNetwork().open_port("w"), observers, world=World(pacemaker))
 
 
 def pacemaker_of(runner: NodeRunner) -> Pacemaker:
-    assert runner.pacemaker is not None
-    return runner.pacemaker
+    assert runner.world is not None
+    return runner.world.pacemaker
 
 
 @pytest.mark.parametrize(
@@ -46,7 +50,7 @@ def pacemaker_of(runner: NodeRunner) -> Pacemaker:
 def test_it_ends_at_the_limit_or_when_the_world_has_finished(limit: int | None, last: int | None, epochs: int) -> None:
     keeper = Keeper()
     runner = alone(Counter(last=last), limit, keeper)
-    runner.start()
+    runner.finish()
     pacemaker = pacemaker_of(runner)
     assert pacemaker.done
     assert (pacemaker.chain.epoch, len(pacemaker.epochs_s)) == (epochs, epochs)
@@ -56,22 +60,22 @@ def test_it_ends_at_the_limit_or_when_the_world_has_finished(limit: int | None, 
 
 def test_each_epoch_is_timed_from_its_beginning_to_its_commit() -> None:
     runner = alone(Counter(), 3)
-    runner.start()
+    runner.finish()
     pacemaker = pacemaker_of(runner)
     assert list(pacemaker.epochs_s) == [1.0, 1.0, 1.0]
     assert (pacemaker.first_s, pacemaker.last_s, pacemaker.wall_s) == (0.0, 5.0, 5.0)
 
 
 def test_the_times_of_the_last_epochs_are_kept(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(runner_module, "EPOCHS_TIMED", 2)
+    monkeypatch.setattr(pacemaker_module, "EPOCHS_TIMED", 2)
     runner = alone(Counter(), 5)
-    runner.start()
+    runner.finish()
     assert len(pacemaker_of(runner).epochs_s) == 2
 
 
 def test_without_an_epoch_no_time_passes() -> None:
     runner = alone(Counter(), 0)
-    runner.start()
+    runner.finish()
     assert pacemaker_of(runner).wall_s == 0.0
 
 
@@ -87,7 +91,7 @@ def test_a_world_alone_tells_each_epoch_before_the_one_after_the_next() -> None:
 
     runner = alone(Watched(), 5)
     pacemaker_of(runner).on_commit = lambda epoch, _: told.append(epoch)
-    runner.start()
+    runner.finish()
     assert told == [1, 2, 3, 4, 5]
     assert seen == [(1, 0), (2, 0), (3, 1), (4, 2), (5, 3)]
 
@@ -112,7 +116,7 @@ def test_a_world_acts_once_an_epoch_after_its_prediction_and_before_the_commit()
         stop()
 
     pacemaker.stop = stopped  # type: ignore[method-assign]
-    runner.start()
+    runner.finish()
     expected = [[("predict", epoch), ("act", epoch, epoch - 1.0, (), "act"), ("commit",)] for epoch in (1, 2)]
     assert done == [each for epoch in expected for each in epoch]
 
@@ -135,10 +139,9 @@ def test_what_must_lack_no_epoch_is_written_before_anything_of_it_is_done(tmp_pa
             assert logged == list(range(1, tick.epoch + 1))
             done.append(("act", tick.epoch))
 
-    runner = alone(Acting(), 2, Seen(False), Seen(True))
-    runner.states = Log(log)
-    runner.start()
-    runner.close()
+    runner = alone(Acting(), 2, Seen(False), Seen(True), states=Log(log))
+    runner.finish()
+    runner.observers.close()
     assert [each for each in done if each[0] != "other"] == [("prompt", 1), ("act", 1), ("prompt", 2), ("act", 2)]
     assert [each for each in done if each[0] == "other"] == [("other", 1), ("other", 2)]
     assert done.index(("other", 1)) > done.index(("act", 1))
@@ -151,13 +154,13 @@ def test_an_epoch_whose_act_failed_is_not_committed() -> None:
 
     runner = alone(Acting(), 2)
     with pytest.raises(OperatorError, match=r"^w: act in epoch 1: RuntimeError: the gripper is stuck \("):
-        runner.start()
+        runner.finish()
     assert pacemaker_of(runner).chain.epoch == 0
 
 
 def test_what_is_refused_is_said_and_the_node_goes_on(caplog: pytest.LogCaptureFixture) -> None:
     runner = alone(Counter(), 1)
-    runner.start()
+    runner.finish()
     with caplog.at_level("INFO", logger="hierax"):
         runner.step(Message(Header(CONTEXT, "stranger", "w", 1, digest=bytes(32)), ()))
     assert [record.getMessage() for record in caplog.records] == [
@@ -195,16 +198,15 @@ class Closing(Keeper):
 def test_a_probe_that_raises_is_named_with_its_epoch() -> None:
     runner = alone(Counter(), 3, Faulty("record"))
     with pytest.raises(ProbeError, match=r"^w: record in epoch 1 of its probe Faulty: RuntimeError: disk full$"):
-        runner.start()
+        runner.finish()
 
 
 def test_a_probe_that_does_not_close_keeps_no_other_from_it(tmp_path: Path) -> None:
     probes = (Closing(), Faulty("close"), Closing())
-    runner = alone(Counter(), 1, *probes)
-    runner.states = Log(tmp_path / "states" / "w.msgpack")
-    runner.start()
+    runner = alone(Counter(), 1, *probes, states=Log(tmp_path / "states" / "w.msgpack"))
+    runner.finish()
     with pytest.raises(ProbeError, match=r"^w: close of its probe Faulty: RuntimeError: disk full$"):
-        runner.close()
+        runner.observers.close()
     assert [probe.closed for probe in probes if isinstance(probe, Closing)] == [True, True]
     assert (tmp_path / "states" / "w.msgpack").stat().st_size > 0
 
@@ -223,7 +225,7 @@ def test_metrics_that_are_no_figures_by_name_are_the_nodes_fault(metrics: Any, w
             return metrics  # type: ignore[no-any-return]
 
     runner = alone(Wrong(), 2)
-    runner.start()
+    runner.finish()
     with pytest.raises(OperatorError, match=rf"^w: metrics in epoch 2: .*{what}"):
         runner.report()
 
@@ -234,7 +236,7 @@ def test_a_world_that_cannot_tell_whether_it_has_finished_is_named() -> None:
             raise RuntimeError("no idea")
 
     with pytest.raises(OperatorError, match=r"^w: finished in epoch 0: RuntimeError: no idea$"):
-        alone(Unsure(), None).start()
+        alone(Unsure(), None).finish()
 
 
 def test_an_operator_that_exits_fails() -> None:
@@ -243,7 +245,7 @@ def test_an_operator_that_exits_fails() -> None:
             raise SystemExit(4)
 
     with pytest.raises(OperatorError, match=r"^w: predict in epoch 1: SystemExit: 4 \(\S+\.py:\d+, in predict\)$"):
-        alone(Exiting(), 1).start()
+        alone(Exiting(), 1).finish()
 
 
 @pytest.mark.parametrize(("given", "what"), [(None, "must give a mapping"), (KeyError("camera"), "raised KeyError")])

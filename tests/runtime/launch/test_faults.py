@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
@@ -11,6 +12,7 @@ from hierax.runtime.execution.member import Member
 from hierax.runtime.execution.world_member import WorldMember
 from hierax.runtime.launch import faults
 from hierax.runtime.launch.faults import INSTANTS, Fault, plant, read_faults
+from hierax.runtime.transport.port import Port
 
 
 def test_all_instants_can_be_named() -> None:
@@ -42,35 +44,39 @@ def test_faults_of_a_node_keep_their_order() -> None:
     assert read_faults(said) == {"arm": ["send.after:2", "save.before:9"], "world": ["keep.before:1"]}
 
 
-class _Engine:
-    """Calls a member as an engine does; the member's own methods only tell."""
+class _Process:
+    """Calls the parts of a process as an engine does; they only tell."""
 
-    def __init__(self, kind: type[Member], monkeypatch: pytest.MonkeyPatch) -> None:
+    def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
         self.told: list[str] = []
-        self.member: Any = kind.__new__(kind)
-        self.member.name = "node"
-        for name in ("save", "send", "keep", "committed"):
-            monkeypatch.setattr(kind, name, self._telling(name), raising=False)
-        monkeypatch.setattr(kind, "act", self._act)
+        port = SimpleNamespace(send=self._telling("send"))
+        self.member: Any = SimpleNamespace(name="node", port=port, save=self._telling("save"))
+        self.world: Any = SimpleNamespace(
+            keep=self._telling("keep"), committed=self._telling("committed"), act=self._act
+        )
         monkeypatch.setattr(faults.os, "kill", lambda pid, number: self.told.append("killed"))
 
     def _telling(self, name: str) -> Any:
-        return lambda member, *arguments: self.told.append(name)
+        return lambda *arguments: self.told.append(name)
 
     def _act(self, *arguments: Any) -> None:
-        self.member.keep()
+        self.world.keep()
         self.told.append("moved")
-        self.member.keep()
+        self.world.keep()
 
     def epoch(self) -> list[str]:
         """What happens in one."""
         self.told.clear()
-        member = self.member
-        member.keep()
-        member.send("up")
-        member.act(1, ())
-        member.committed(None)
+        self.world.keep()
+        self.member.port.send("up")
+        self.world.act(None, 1, ())
+        self.world.committed(None)
         return self.told.copy()
+
+
+def test_the_parts_have_what_faults_are_planted_at() -> None:
+    for part, names in ((WorldMember, ("keep", "committed", "act")), (Member, ("save",)), (Port, ("send",))):
+        assert all(callable(getattr(part, name)) for name in names)
 
 
 @pytest.mark.parametrize(
@@ -91,18 +97,18 @@ class _Engine:
     ],
 )
 def test_a_fault_strikes_at_its_instant_and_once(fault: str, second: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    engine = _Engine(WorldMember, monkeypatch)
-    plant(engine.member, fault)
+    process = _Process(monkeypatch)
+    plant(fault, process.member, process.world)
     usual = ["keep", "send", "keep", "moved", "keep", "committed"]
-    assert engine.epoch() == usual
-    assert engine.epoch() == second.split()
-    assert engine.epoch() == usual
+    assert process.epoch() == usual
+    assert process.epoch() == second.split()
+    assert process.epoch() == usual
 
 
 def test_a_node_has_no_instants_of_the_world(monkeypatch: pytest.MonkeyPatch) -> None:
-    engine = _Engine(Member, monkeypatch)
+    process = _Process(monkeypatch)
     with pytest.raises(HieraxError, match="only the world's process comes to 'commit', not 'node'"):
-        plant(engine.member, "commit.before:1")
-    plant(engine.member, "save.after:1")
-    engine.member.save()
-    assert engine.told == ["save", "killed"]
+        plant("commit.before:1", process.member, None)
+    plant("save.after:1", process.member, None)
+    process.member.save()
+    assert process.told == ["save", "killed"]

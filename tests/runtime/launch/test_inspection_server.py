@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from types import SimpleNamespace
 from typing import Any, cast
 
 import pytest
@@ -11,7 +10,9 @@ from support.engines import wiring
 
 from hierax.runtime.core.probe import Step
 from hierax.runtime.engine.effects import Completed
-from hierax.runtime.execution.member import Member
+from hierax.runtime.engine.engine import Engine
+from hierax.runtime.execution.observers import Observers
+from hierax.runtime.execution.runner import NodeRunner
 from hierax.runtime.launch import inspection_server as desks
 from hierax.runtime.launch.inspection_server import LEASE_S, InspectionServer
 from hierax.runtime.transport.inspection import InspectionEndpoint
@@ -40,15 +41,15 @@ class Room:
     """A desk, its window, and the time."""
 
     def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
-        def wire(roster: Roster) -> Any:
-            raise AssertionError("no roster comes here")
-
         self.now = 100.0
         self.busy = ""
         monkeypatch.setattr(desks.time, "monotonic", lambda: self.now)
         self.window = FakeWindow()
-        self.member = Member("mid", "token", wire, MemoryNetwork().open_port("mid"), lambda word: None, None)
-        self.inspection = InspectionServer(self.member, cast(InspectionEndpoint, self.window), lambda: self.busy)
+        self.observers = Observers("mid")
+        self.roster: Roster | None = None
+        window = cast(InspectionEndpoint, self.window)
+        seen = ("mid", "token", self.observers, lambda: self.roster)
+        self.inspection = InspectionServer(*seen, window, lambda: self.busy)
 
     def ask(self, look: str, **fields: Any) -> Any:
         self.window.asked.append({"look": look, **fields})
@@ -61,29 +62,34 @@ class Room:
 @pytest.fixture
 def room(monkeypatch: pytest.MonkeyPatch) -> Room:
     room = Room(monkeypatch)
-    room.member.wire(wiring())
+    NodeRunner(wiring(), MemoryNetwork().open_port("mid"), room.observers)
     return room
 
 
+def engine_of(room: Room) -> Engine:
+    assert room.observers.engine is not None
+    return room.observers.engine
+
+
 def test_a_meter_runs_while_somebody_asks(room: Room) -> None:
-    assert room.member.watchers == ()
-    assert not room.member.engine.events
+    assert room.observers.watchers == ()
+    assert not engine_of(room).events
     first = room.ask("meter")
     assert (first["process"], first["meter"]["epochs"]) == ("token", 0)
-    assert room.member.engine.events
+    assert engine_of(room).events
     for _ in range(3):
         room.now += LEASE_S - 1
         assert room.ask("meter")["meter"]["ns"] >= first["meter"]["ns"]
     room.now += LEASE_S + 1
     room.inspection.serve()
-    assert room.member.watchers == ()
-    assert not room.member.engine.events
+    assert room.observers.watchers == ()
+    assert not engine_of(room).events
 
 
 def test_copies_are_shown_while_somebody_wants_them(room: Room) -> None:
     mine, others = ["obs", "mid", "top"], ["obs", "low", "mid"]
     assert room.ask("echo", edges=[mine, others])["lease_s"] == LEASE_S
-    (copier,) = room.member.watchers
+    (copier,) = room.observers.watchers
     room.now += LEASE_S - 1
     room.ask("echo", edges=[["ctx", "mid", "low"]])
     assert cast(Any, copier).wanted == {("obs", "mid", "top"), ("ctx", "mid", "low")}
@@ -92,12 +98,12 @@ def test_copies_are_shown_while_somebody_wants_them(room: Room) -> None:
     assert cast(Any, copier).wanted == {("ctx", "mid", "low")}
     room.now += LEASE_S
     room.inspection.serve()
-    assert room.member.watchers == ()
+    assert room.observers.watchers == ()
 
 
 def test_steps_are_shown_while_somebody_wants_them(room: Room) -> None:
     assert room.ask("steps", every=2) == {"process": "token", "lease_s": LEASE_S, "roster": None}
-    (stepper,) = cast(Any, room.member.watchers)
+    (stepper,) = cast(Any, room.observers.watchers)
     assert stepper.every == 2
     for epoch in (1, 2):
         stepper.completed(Completed(Step(epoch, 0, 0.0, (), 1.0, (), (), "default", (), 1.0), b"", b""))
@@ -106,12 +112,12 @@ def test_steps_are_shown_while_somebody_wants_them(room: Room) -> None:
     assert room.window.shown == [("step", "mid", "mid")]
     room.now += LEASE_S + 1
     room.inspection.serve()
-    assert room.member.watchers == ()
+    assert room.observers.watchers == ()
 
 
 def test_the_worlds_steps_come_with_the_roster(room: Room) -> None:
     roster = Roster("mid", {"mid": Reference("a:B", {})}, ())
-    room.member.owner = SimpleNamespace(roster=roster)  # type: ignore[attr-defined]
+    room.roster = roster
     assert Roster.read(room.ask("steps", every=1)["roster"]) == roster
 
 
@@ -127,7 +133,7 @@ def test_what_a_node_is_busy_with_and_waits_for(room: Room) -> None:
 def test_the_state_before_the_first_epoch(room: Room) -> None:
     answer = room.ask("state")
     assert (answer["epoch"], answer["committed"], answer["below"], answer["above"]) == (0, True, ["low"], ["top"])
-    assert answer["belief"] == room.member.engine.state.belief
+    assert answer["belief"] == engine_of(room).state.belief
     assert room.ask("neighbours") == {"process": "token", "below": ["low"], "above": ["top"]}
 
 

@@ -56,7 +56,7 @@ class Owned(OwnerEffects):
         processes = options.pop("processes", {name: f"{name}.1" for name in CHAIN.nodes})
         self.owner = Owner(options.pop("roster", CHAIN), processes, self, lambda: self.now, settings, **options)
 
-    def tell(self, process: str, order: Order) -> None:
+    def send_order(self, process: str, order: Order) -> None:
         self.calls.append((process, order))
 
     def keep(self) -> None:

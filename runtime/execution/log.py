@@ -1,0 +1,82 @@
+"""A file as a stream of msgpack arrays, which outlives the process that writes it."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import BinaryIO
+
+import msgpack
+
+from hierax.runtime.core.errors import HieraxError
+from hierax.runtime.host.private_files import open_result
+from hierax.schemas.limits import MAX_MESSAGE_BYTES
+
+
+class Log:
+    """A file as a stream of msgpack arrays.
+
+    Args:
+        path: of the file.
+        append: go on behind what is there, but for an entry that was cut off; this is looked at when
+            something is written, as until then another process may still be writing.
+
+    Raises:
+        HieraxError: it cannot be written, now or later.
+    """
+
+    def __init__(self, path: Path, append: bool = False) -> None:
+        self._path = path
+        with self._mapped():
+            path.parent.mkdir(parents=True, exist_ok=True)
+            self._file: BinaryIO = os.fdopen(open_result(path, append), "ab" if append else "wb")
+            if not append:
+                self._file.truncate(0)
+        self._behind = append
+
+    def write(self, *fields: int | bytes) -> None:
+        """Append an array."""
+        try:  # not `_mapped`, as this runs in every epoch
+            if self._behind:
+                self._behind = False
+                os.truncate(self._path, _whole_bytes(self._path))
+            self._file.write(msgpack.packb(fields))
+        except OSError as error:
+            raise self._error(error) from error
+
+    def flush(self) -> None:
+        """Give what is buffered to the system: then it outlives the process."""
+        try:
+            self._file.flush()
+        except OSError as error:
+            raise self._error(error) from error
+
+    def close(self) -> None:
+        """Write out what is buffered."""
+        with self._mapped():
+            self._file.close()
+
+    @contextmanager
+    def _mapped(self) -> Iterator[None]:
+        try:
+            yield
+        except OSError as error:
+            raise self._error(error) from error
+
+    def _error(self, error: OSError) -> HieraxError:
+        return HieraxError(f"{self._path}: cannot be written: {error.strerror or error}")
+
+
+def _whole_bytes(path: Path) -> int:
+    """Up to where a stream of msgpack arrays holds whole ones."""
+    with path.open("rb") as file:
+        unpacker = msgpack.Unpacker(file, max_buffer_size=MAX_MESSAGE_BYTES)
+        whole = 0
+        try:
+            while True:
+                unpacker.skip()
+                whole = unpacker.tell()
+        except (msgpack.OutOfData, ValueError):
+            return whole

@@ -1,0 +1,115 @@
+"""Those who see what a node does: its state log, its probes, and watchers that come and go."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from contextlib import ExitStack
+
+from hierax.runtime.core.errors import ProbeError
+from hierax.runtime.core.probe import Probe
+from hierax.runtime.engine.effects import Completed
+from hierax.runtime.engine.engine import Engine
+from hierax.runtime.execution.log import Log
+from hierax.runtime.watch.watcher import Watcher
+
+
+class Observers:
+    """What a node's process has from its first instant on, before the node has an engine.
+
+    What must lack no epoch, wherever the process dies, is written before the checkpoint and what is sent: the state
+    log, and what prompt probes see. Other probes and watchers are served when nobody waits for this node.
+
+    Args:
+        name: of the node.
+        probes: of the node, open.
+        states: where of every completed epoch [epoch, attempt, state, digest] is written; None:
+            nowhere. The state is the encoding of (belief, policy, actions) that the digest is
+            taken over, so that anyone can take it again.
+
+    Attributes:
+        watchers: who sees what the node does.
+        engine: of the node; None: there is none yet.
+        last: the last epoch that it has completed; None: none yet.
+    """
+
+    def __init__(self, name: str, probes: Sequence[Probe] = (), states: Log | None = None) -> None:
+        self.watchers: tuple[Watcher, ...] = ()
+        self.engine: Engine | None = None
+        self.last: Completed | None = None
+        self._name = name
+        self._probes = probes
+        self._states = states
+
+    def follow(self, engine: Engine) -> None:
+        """See what this engine does."""
+        self.engine = engine
+        if self.watchers:  # one that comes at this moment, in another thread, finds the engine
+            engine.events = True
+
+    def watch(self, watcher: Watcher) -> None:
+        """Have a watcher see what the node does from now on; always called by the same thread."""
+        self._set_watchers((*self.watchers, watcher))
+
+    def unwatch(self, watcher: Watcher) -> None:
+        """Have it see nothing more; by the thread that calls `watch`."""
+        self._set_watchers(tuple(each for each in self.watchers if each is not watcher))
+
+    def _set_watchers(self, watchers: tuple[Watcher, ...]) -> None:
+        self.watchers = watchers  # replaced, never changed in place: the node's thread may be going through them
+        if self.engine is not None:
+            self.engine.events = bool(watchers)
+
+    def predicted(self, completed: Completed) -> None:
+        """The node is done with an epoch, and nothing of it has gone out yet.
+
+        Raises:
+            ProbeError: a probe raised.
+        """
+        if self._states is not None:
+            step = completed.step
+            self._states.write(step.epoch, step.attempt, completed.state, completed.digest)
+            self._states.flush()
+        for probe in self._probes:
+            if probe.prompt:
+                self._show(probe, completed)
+
+    def completed(self, completed: Iterable[Completed]) -> None:
+        """The node is done with these epochs, and nobody waits for it.
+
+        Raises:
+            ProbeError: a probe raised.
+        """
+        for each in completed:
+            self.last = each
+            for watcher in self.watchers:
+                watcher.completed(each)
+            for probe in self._probes:
+                if not probe.prompt:
+                    self._show(probe, each)
+
+    def close(self) -> None:
+        """Close the state log, all watchers and all probes.
+
+        Raises:
+            ProbeError: a probe raised.
+        """
+        if self._states is not None:
+            self._states.close()
+        for watcher in self.watchers:
+            watcher.close()
+        self._set_watchers(())
+        with ExitStack() as closing:  # one that raises keeps none from being closed
+            for probe in reversed(self._probes):
+                closing.callback(self._close, probe)
+
+    def _close(self, probe: Probe) -> None:
+        try:
+            probe.close()
+        except Exception as error:
+            raise ProbeError(self._name, probe, "close", error) from error
+
+    def _show(self, probe: Probe, completed: Completed) -> None:
+        try:
+            probe.record(completed.step)
+        except Exception as error:
+            raise ProbeError(self._name, probe, f"record in epoch {completed.step.epoch}", error) from error
