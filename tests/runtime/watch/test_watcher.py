@@ -105,10 +105,10 @@ def test_who_leaves_is_told_nothing_more(tmp_path) -> None:  # type: ignore[no-u
             runners.append(runner)
             runner.watch(first)
             runner.watch(second)
-            runner.unwatch(first)
+            runner.observers.unwatch(first)
 
     run(read_deployment(write(tmp_path)), epochs=1, seed=0, watch=watch)
     assert first.events == []
     assert second.events
-    runners[0].unwatch(second)
+    runners[0].observers.unwatch(second)
     assert not runners[0].engine.events
