@@ -187,9 +187,9 @@ def _pgmpy(network: Description) -> Update:
     return update
 
 
+# By name: what makes them, and up to how many nodes an update ends within seconds.
 RIVALS: Mapping[str, tuple[Rival, int]] = {
     "pyAgrum, lazy propagation": (_pyagrum("LazyPropagation"), 10**9),
     "pyAgrum, Shafer-Shenoy": (_pyagrum("ShaferShenoyInference"), 10**9),
     "pgmpy, belief propagation": (_pgmpy, 30),
 }
-"""By name: what makes them, and up to how many nodes an update ends within seconds."""

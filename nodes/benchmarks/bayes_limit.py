@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -80,30 +81,21 @@ def reference(network: Sequence[Mapping[str, Any]], evidence: Mapping[str, int])
     tables = {entry["id"]: np.array(entry.get("cpt", entry.get("prior")), np.longdouble) for entry in network}
     parents = {entry["id"]: entry["parents"][0] if entry["parents"] else "" for entry in network}
     own = {name: np.ones(table.shape[-1], np.longdouble) for name, table in tables.items()}
-    children: dict[str, list[str]] = {name: [] for name in tables}
-    for name, parent in parents.items():
-        if parent:
-            children[parent].append(name)
     for name, state in evidence.items():
-        own[name] = np.where(np.arange(len(own[name])) == state, own[name], 0)
-    sent: dict[str, Any] = {}
-    product = dict(own)
+        own[name] = np.eye(len(own[name]), dtype=np.longdouble)[state]
+    sent: dict[str, dict[str, Any]] = {name: {} for name in ("", *tables)}  # by parent, what its children tell it
+    product = {}
     for name in reversed(tables):
-        if parents[name]:
-            message = (tables[name] * product[name]).sum(axis=1)
-            sent[name] = message / message.max()
-            product[parents[name]] = product[parents[name]] * sent[name]
+        product[name] = math.prod(sent[name].values(), start=own[name])
+        message = (tables[name] * product[name]).sum(axis=-1)
+        sent[parents[name]][name] = message / message.max()
     support: dict[str, Any] = {}
     found = {}
-    for name in tables:
-        parent = parents[name]
-        if not parent:
-            support[name] = tables[name]
-        else:
-            rest = support[parent] * own[parent]
-            for sibling in children[parent]:
-                if sibling != name:
-                    rest = rest * sent[sibling]
+    for name, parent in parents.items():
+        support[name] = tables[name]
+        if parent:
+            siblings = (message for child, message in sent[parent].items() if child != name)
+            rest = math.prod(siblings, start=support[parent] * own[parent])
             rest = (rest[:, None] * tables[name]).sum(axis=0)
             support[name] = rest / rest.max()
         belief = support[name] * product[name]

@@ -25,18 +25,15 @@ from hierax.runtime.launch.supervisor import launch
 from hierax.runtime.watch.meter import EDGES, OBSERVE, PREDICT, Meter
 
 DEPLOYMENT = "tracking"
+# What is set of the deployment, by way. An object's own model is what it shows when no other object is there.
 WAYS = {
     "own model": ("occlusion=false",),
     "context, no physics": ("physics=false",),
     "context, no prior": ("prior=false",),
     "with all": (),
 }
-"""What is set of the deployment, by way. An object's own model is what it shows when no other object is there."""
-
 CONTEXT, OWN = "with all", "own model"
-STAGES = ("world", "arm", "spatial")
-"""Nodes whose time is told; each with the edge functions that run in it."""
-
+STAGES = ("world", "arm", "spatial")  # nodes whose time is told; each with the edge functions that run in it
 SPEED_KIND = "scattered"
 SPEED_OBJECTS = (1, 5)
 Tell = Callable[[str], None]
@@ -113,12 +110,9 @@ def generated(names: Sequence[str], seeds: int, frames: int, exact: bool, folder
     """Write scenes.
 
     Args:
-        names: of their kinds.
-        seeds: how many of each kind, from seed 0 on.
-        frames: of each.
+        names: of their kinds; seeds: how many of each kind, from seed 0 on; frames: of each.
         exact: whether start and camera are told as they are.
-        folder: where the datasets go.
-        told: told what is going on.
+        folder: where the datasets go; told: told what is going on.
 
     Raises:
         HieraxError: something cannot be written.
@@ -138,11 +132,8 @@ def bench_tracking(
     """Track scenes in several ways.
 
     Args:
-        scenes: which.
-        ways: of `WAYS`.
-        settings: further ones of the deployment, ``path=value``.
-        folder: where results files go.
-        told: told what is going on.
+        scenes: which; ways: of `WAYS`; settings: further ones of the deployment, ``path=value``.
+        folder: where results files go; told: told what is going on.
 
     Raises:
         HieraxError: a scene cannot be read, or a node failed.
@@ -157,25 +148,19 @@ def bench_tracking(
 def gains(rows: Sequence[Row]) -> list[Gain]:
     """Context against own models, where both ways were tracked and something was hidden."""
     shares = {(row.name, row.way): np.array(row.hidden_shares) for row in rows}
-    found = []
-    for name in dict.fromkeys(row.name for row in rows):
-        if (name, CONTEXT) in shares and (name, OWN) in shares:
-            differences = shares[name, CONTEXT] - shares[name, OWN]
-            known = differences[~np.isnan(differences)]
-            if len(known):
-                found.append(Gain(name, known.tolist()))
-    return found
+    both = [name for name, way in shares if way == OWN and (name, CONTEXT) in shares]
+    differences = {name: shares[name, CONTEXT] - shares[name, OWN] for name in both}
+    known = {name: each[~np.isnan(each)].tolist() for name, each in differences.items()}
+    return [Gain(name, each) for name, each in known.items() if each]
 
 
 def bench_speed(frames: int, rounds: int, settings: Sequence[str], folder: Path, told: Tell) -> list[Speed]:
     """Launch the deployment over Zenoh, each node a process, on scenes of one object and of several.
 
     Args:
-        frames: of each scene, read from disk ahead of time.
-        rounds: how often each is launched, in turn.
+        frames: of each scene, read from disk ahead of time; rounds: how often each is launched, in turn.
         settings: further ones of the deployment.
-        folder: where the datasets go.
-        told: told what is going on.
+        folder: where the datasets go; told: told what is going on.
 
     Raises:
         HieraxError: a process failed.

@@ -66,14 +66,14 @@ class Float64Sweep:
         Returns:
             The least likelihood that the evidence has not made 0; NaN or 0 where something has underflowed.
         """
-        likelihoods = self.likelihoods
         for size, base in self._plan.base.items():
-            np.multiply(base, evidence[size], out=likelihoods[size])
+            np.multiply(base, evidence[size], out=self.likelihoods[size])
         with np.errstate(all="ignore"):
             for step in reversed(self._steps):
                 self._gather(step)
-        least = [np.where(evidence[size] > 0, found, 1.0).min() for size, found in likelihoods.items()]
-        return float(np.min(least))
+        return float(
+            np.min([np.where(evidence[size] > 0, found, 1.0).min() for size, found in self.likelihoods.items()])
+        )
 
     def down(self, at_roots: Mapping[int, tuple[Places, Floats]]) -> float:
         """From the roots to the leaves, after `up`.

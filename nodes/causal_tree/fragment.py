@@ -31,6 +31,14 @@ from hierax.nodes.causal_tree.plan import Family, make_plan
 from hierax.nodes.causal_tree.sweep import Inputs, NothingLeftError, Sweep
 
 
+class Heard(NamedTuple):
+    """What others have told a part: values that are never changed."""
+
+    evidence: Sequence[Evidence]  # of all senders
+    slots: Mapping[Arrow, Floats]  # diagnostic support from below, by arrow
+    supports: Mapping[Arrow, Floats]  # causal support from above, by arrow
+
+
 class Upward(NamedTuple):
     """What a part tells those above it."""
 
@@ -45,14 +53,6 @@ class Whole(NamedTuple):
     causal: Mapping[Arrow, Floats]  # causal support, by arrow
     posterior: Floats  # shape (nodes, most states)
     impossible: str | None  # the node where the evidence shows to contradict itself; None where it does not
-
-
-class _Known(NamedTuple):
-    """What the last sweep up was of, and what it came to: a cache, of values that are never changed."""
-
-    evidence: Sequence[Evidence]
-    slots: Mapping[Arrow, Floats]
-    impossible: str | None
 
 
 class Fragment:
@@ -95,7 +95,7 @@ class Fragment:
         self._sweep = Sweep(self._plan)
         self._rooted = set(self._guests.values()) <= set(self._plan.roots)
         self._hard = {size: np.eye(size) for size in set(sizes)}
-        self._known: _Known | None = None
+        self._known: tuple[Heard, str | None] | None = None  # what the last sweep up was of, and what it came to
 
     def own_evidence(self, evidence: Mapping[str, Any]) -> dict[str, int | tuple[float, ...]]:
         """What of evidence concerns this part.
@@ -117,69 +117,50 @@ class Fragment:
 
     def supports(self, messages: Messages) -> dict[str, dict[str, Floats]]:
         """What of causal support concerns this part: about arrows from its nodes to other parts'."""
-        sizes = {arrow: self._plan.sizes[guest] for arrow, guest in self._guests.items()}
-        given = by_arrow(messages)
-        return by_child({arrow: checked(given[arrow], sizes[arrow], arrow[1]) for arrow in given if arrow in sizes})
+        given, guests, sizes = by_arrow(messages), self._guests, self._plan.sizes
+        mine = [arrow for arrow in given if arrow in guests]
+        return by_child({arrow: checked(given[arrow], sizes[guests[arrow]], arrow[1]) for arrow in mine})
 
-    def diagnostic(
-        self, evidence: Iterable[Evidence], slots: Mapping[Arrow, Floats], supports: Mapping[Arrow, Floats]
-    ) -> Upward:
-        """What goes up.
-
-        Args:
-            evidence: of all senders; slots: diagnostic support from below, by arrow.
-            supports: causal support from above, by arrow, of the last epoch; for polytrees.
-        """
-        evidence = tuple(evidence)
-        if self._rooted:
-            impossible = self._up(evidence, slots)
-            sent = {arrow: self._towards(guest, impossible) for arrow, guest in self._guests.items()}
-            return Upward(by_child(sent), impossible, True)
-        impossible = self._swept(evidence, slots, supports)
+    def diagnostic(self, heard: Heard) -> Upward:
+        """What goes up; the supports, of the last epoch, are for polytrees."""
+        impossible = self._up(heard) if self._rooted else self._swept(heard)
         sent = {}
         for arrow, guest in self._guests.items():
             told = impossible
-            if impossible is not None:  # the support that came down along this arrow is no part of what goes up
-                told = self._swept(evidence, slots, {each: supports[each] for each in supports if each != arrow})
+            if (
+                impossible is not None and not self._rooted
+            ):  # what came down along this arrow is no part of what goes up
+                told = self._swept(heard._replace(supports=_without(heard.supports, arrow)))
             sent[arrow] = self._towards(guest, told)
-        return Upward(by_child(sent), impossible, False)
+        return Upward(by_child(sent), impossible, self._rooted)
 
-    def all(
-        self, evidence: Iterable[Evidence], slots: Mapping[Arrow, Floats], supports: Mapping[Arrow, Floats]
-    ) -> Whole:
-        """What goes down, and the posteriors; arguments as in `diagnostic`."""
-        evidence = tuple(evidence)
-        impossible = self._swept(evidence, slots, supports)
+    def all(self, heard: Heard) -> Whole:
+        """What goes down, and the posteriors."""
+        impossible = self._swept(heard)
         if impossible is not None:
-            causal = {arrow: self._causal_alone(evidence, slots, supports, arrow) for arrow in slots}
+            causal = {arrow: self._causal_alone(heard, arrow) for arrow in heard.slots}
             return Whole(causal, np.zeros((len(self.names), max(self.sizes))), impossible)
         by_parent: dict[str, list[Arrow]] = {}
-        for arrow in slots:
+        for arrow in heard.slots:
             by_parent.setdefault(arrow[1], []).append(arrow)
         causal = {}
         for parent, arrows in by_parent.items():
-            outside = self._without_slots(evidence, parent)
-            rest = _each_without(_stacked([unpacked(slots[arrow]) for arrow in arrows]))
+            outside = self._without_slots(heard.evidence, parent)
+            rest = _each_without(_stacked([unpacked(heard.slots[arrow]) for arrow in arrows]))
             sent = packed(multiply(outside.at(None), rest))
             causal.update({arrow: np.ascontiguousarray(sent[..., place]) for place, arrow in enumerate(arrows)})
         return Whole(causal, self._posterior(), None)
 
-    def _causal_alone(
-        self,
-        evidence: Sequence[Evidence],
-        slots: Mapping[Arrow, Floats],
-        supports: Mapping[Arrow, Floats],
-        arrow: Arrow,
-    ) -> Floats:
+    def _causal_alone(self, heard: Heard, arrow: Arrow) -> Floats:
         """The causal support of one arrow, where there is a contradiction that may come from what it leaves out."""
-        others = {each: slots[each] for each in slots if each != arrow}
-        parent = self._numbers[arrow[1]]
-        if self._swept(evidence, others, supports) is not None:
-            return packed(ones(self._plan.sizes[parent]))
-        own = [unpacked(others[each]) for each in others if each[1] == arrow[1]]
-        found = self._without_slots(evidence, arrow[1])
-        for each in own:
-            found = multiply(found, each)
+        others = _without(heard.slots, arrow)
+        parent = arrow[1]
+        if self._swept(heard._replace(slots=others)) is not None:
+            return packed(ones(len(self.states[parent])))
+        found = self._without_slots(heard.evidence, parent)
+        for each in others:
+            if each[1] == parent:
+                found = multiply(found, unpacked(others[each]))
         return packed(found)
 
     def _without_slots(self, evidence: Sequence[Evidence], name: str) -> ExtendedFloats:
@@ -190,15 +171,12 @@ class Fragment:
                 found = multiply(found, extended(self._vector(name, each[name])))
         return found
 
-    def _swept(
-        self, evidence: Sequence[Evidence], slots: Mapping[Arrow, Floats], supports: Mapping[Arrow, Floats]
-    ) -> str | None:
+    def _swept(self, heard: Heard) -> str | None:
         """Sweep; the node where what is known contradicts itself, if it does."""
-        told = {self._guests[arrow]: unpacked(message) for arrow, message in supports.items()}
+        told = {self._guests[arrow]: unpacked(message) for arrow, message in heard.supports.items()}
         if not self._rooted:
-            self._known = None
-            return self._try(self._inputs(evidence, slots, told), {})
-        impossible = self._up(evidence, slots)
+            return self._try(self._inputs(heard, told), {})
+        impossible = self._up(heard)
         if impossible is not None:
             return impossible
         was_extended = self._sweep.is_extended
@@ -207,12 +185,12 @@ class Fragment:
             self._known = None
         return contradicts
 
-    def _up(self, evidence: Sequence[Evidence], slots: Mapping[Arrow, Floats]) -> str | None:
+    def _up(self, heard: Heard) -> str | None:
         """Sweep up, without causal support; if that is not what was done last."""
         known = self._known
-        if known is None or known.slots is not slots or not _same(known.evidence, evidence):
-            known = self._known = _Known(evidence, slots, self._try(self._inputs(evidence, slots, {}), None))
-        return known.impossible
+        if known is None or not _same(known[0], heard):
+            known = self._known = heard, self._try(self._inputs(heard, {}), None)
+        return known[1]
 
     def _try(self, inputs: Inputs | None, at_roots: Inputs | None) -> str | None:
         """Sweep up, down or both."""
@@ -225,15 +203,13 @@ class Fragment:
             return self._shown[error.variable]
         return None
 
-    def _inputs(
-        self, evidence: Sequence[Evidence], slots: Mapping[Arrow, Floats], told: Mapping[int, ExtendedFloats]
-    ) -> Inputs:
-        """By variable, the product of all that comes to it from elsewhere."""
+    def _inputs(self, heard: Heard, told: Mapping[int, ExtendedFloats]) -> Inputs:
+        """By variable, the product of what is told of it, its slots and the evidence."""
         factors = dict(told)
-        for (_, parent), message in slots.items():
+        for (_, parent), message in heard.slots.items():
             _take_in(factors, self._numbers[parent], unpacked(message))
         alone: dict[int, Floats] = {}
-        for each in evidence:
+        for each in heard.evidence:
             for name, seen in each.items():
                 variable, vector = self._numbers[name], self._vector(name, seen)
                 if variable in alone:
@@ -249,9 +225,8 @@ class Fragment:
             if size in inputs:
                 others, theirs = inputs[size]
                 columns = np.concatenate([others, columns])
-                values = ExtendedFloats(
-                    np.hstack([theirs.fraction, values.fraction]), np.hstack([theirs.exponent, values.exponent])
-                )
+                fractions = np.hstack([theirs.fraction, values.fraction])
+                values = ExtendedFloats(fractions, np.hstack([theirs.exponent, values.exponent]))
             inputs[size] = (columns, values)
         return inputs
 
@@ -290,9 +265,14 @@ class Fragment:
         return found
 
 
-def _same(one: Sequence[Evidence], other: Sequence[Evidence]) -> bool:
-    """Whether they are the same objects: values are never changed."""
-    return len(one) == len(other) and all(map(operator.is_, one, other))
+def _same(one: Heard, other: Heard) -> bool:
+    """Whether evidence and slots are the same objects."""
+    same_slots = one.slots is other.slots and len(one.evidence) == len(other.evidence)
+    return same_slots and all(map(operator.is_, one.evidence, other.evidence))
+
+
+def _without(messages: Mapping[Arrow, Floats], arrow: Arrow) -> dict[Arrow, Floats]:
+    return {each: messages[each] for each in messages if each != arrow}
 
 
 def _take_in(factors: dict[int, ExtendedFloats], variable: int, factor: ExtendedFloats) -> None:
@@ -301,9 +281,7 @@ def _take_in(factors: dict[int, ExtendedFloats], variable: int, factor: Extended
 
 
 def _stacked(columns: Sequence[ExtendedFloats]) -> ExtendedFloats:
-    return ExtendedFloats(
-        np.stack([c.fraction for c in columns], axis=1), np.stack([c.exponent for c in columns], axis=1)
-    )
+    return ExtendedFloats(*(np.stack(parts, axis=1) for parts in zip(*columns, strict=True)))
 
 
 def _each_without(factors: ExtendedFloats) -> ExtendedFloats:

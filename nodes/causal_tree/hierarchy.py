@@ -41,14 +41,13 @@ def as_deployment(
         parts = {str(name): (str(name),) for name in network.variables}
     held = _held(network, parts)
     needed = epochs_needed(network)
-    below: dict[str, set[str]] = {part: set() for part in parts}
-    for name, variable in network.variables.items():
-        for parent in variable.parents:
-            if held[parent] != held[name]:
-                below[held[parent]].add(held[name])
-    pairs = sorted((lower, upper) for upper, lowers in below.items() for lower in lowers)
+    arrows = ((held[name], held[parent]) for name, each in network.variables.items() for parent in each.parents)
+    pairs = sorted({(lower, upper) for lower, upper in arrows if lower != upper})
+    sorter: TopologicalSorter[str] = TopologicalSorter()
+    for lower, upper in pairs:
+        sorter.add(upper, lower)
     try:
-        TopologicalSorter(below).prepare()
+        sorter.prepare()
     except CycleError as error:
         circle = ", ".join(sorted(set(error.args[1])))
         raise NetworkError(f"arrows between the parts {circle} go round in a circle") from None

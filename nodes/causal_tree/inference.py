@@ -54,12 +54,9 @@ class Inference:
         self._sweep = Sweep(self._plan)
         self._sizes = np.array(self._plan.sizes, np.intp)
         self._given = False
-        sizes = self._plan.members
-        # the rows of all sizes one after the other, and which of them is whose
-        rows = np.concatenate([sizes[size] for size in sizes])
-        places = np.empty(len(rows), np.intp)
-        places[rows] = np.arange(len(rows))
-        self._one_order = places if len(sizes) == 1 else None
+        # whose the rows of all sizes are, one size after the other; and where each one's is
+        places = np.argsort(np.concatenate(list(self._plan.members.values())))
+        self._one_order = places if len(self._plan.members) == 1 else None
         self._places = places.tolist()
 
     def update(self, evidence: Evidence) -> dict[Name, Floats]:

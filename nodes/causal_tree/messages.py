@@ -11,8 +11,8 @@ from hierax.nodes.causal_tree.extended_floats import ExtendedFloats, Floats, shi
 
 Arrow = tuple[str, str]  # a child and its parent
 Messages = Mapping[str, Mapping[str, Floats]]  # by child, then by parent
+# By node, the number of the state that it is in without doubt, or likelihoods.
 Evidence = Mapping[str, int | tuple[float, ...]]
-"""By node, the number of the state that it is in without doubt, or likelihoods."""
 
 NOTHING: Messages = {}
 

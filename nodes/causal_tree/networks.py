@@ -55,9 +55,8 @@ def random_tree(nodes: int, states: int, seed: int) -> list[dict[str, Any]]:
     for number in range(nodes):
         rows = random.dirichlet(np.ones(states), states if number else None).tolist()
         parents = [f"n{random.integers(number)}"] if number else []
-        description.append(
-            {"id": f"n{number}", "states": states, "parents": parents, "cpt" if number else "prior": rows}
-        )
+        numbers = {"cpt" if number else "prior": rows}
+        description.append({"id": f"n{number}", "states": states, "parents": parents, **numbers})
     return description
 
 
@@ -76,16 +75,16 @@ def likelihoods(network: Network, name: Name, value: object) -> Floats:
         raise EvidenceError("there is no such node", name)
     variable = network.variables[name]
     count = len(variable.states)
-    if isinstance(value, (list, tuple, np.ndarray)):
-        vector = np.asarray(value)
-        if vector.shape != (count,) or vector.dtype.kind not in "iufb":
-            raise EvidenceError(f"expected {count} likelihoods, one for each state, got {value!r:.60}", name)
-        if not (vector.min() >= 0 and vector.max() < np.inf):
-            raise EvidenceError(f"expected finite numbers of at least 0, got {value!r:.60}", name)
-        return vector.astype(np.float64)
-    hard = np.zeros(count)
-    hard[_state(variable, value)] = 1.0
-    return hard
+    if not isinstance(value, (list, tuple, np.ndarray)):
+        hard = np.zeros(count)
+        hard[_state(variable, value)] = 1.0
+        return hard
+    vector = np.asarray(value)
+    if vector.shape != (count,) or vector.dtype.kind not in "iufb":
+        raise EvidenceError(f"expected {count} likelihoods, one for each state, got {value!r:.60}", name)
+    if not (vector.min() >= 0 and vector.max() < np.inf):
+        raise EvidenceError(f"expected finite numbers of at least 0, got {value!r:.60}", name)
+    return vector.astype(np.float64)
 
 
 def sampled(network: Network, random: np.random.Generator) -> dict[Name, int]:

@@ -23,7 +23,7 @@ import numpy as np
 
 from hierax.nodes.causal_tree.errors import ImpossibleEvidence
 from hierax.nodes.causal_tree.extended_floats import Floats
-from hierax.nodes.causal_tree.fragment import Fragment
+from hierax.nodes.causal_tree.fragment import Fragment, Heard
 from hierax.nodes.causal_tree.messages import NOTHING, Arrow, Messages, by_arrow, by_child
 from hierax.nodes.causal_tree.network import Network
 from hierax.nodes.causal_tree.network_graph import part_things
@@ -102,7 +102,7 @@ class Part(Node):
                 below[seen["from"]] = self._fragment.slots(seen["diagnostic"])
         age = min((seen["age"] for seen in observations), default=belief["age"])
         sensed = {**belief, "age": age, "evidence": evidence, "below": below}
-        found = self._fragment.diagnostic(evidence.values(), self._merged_below(below), _merged(belief["above"]))
+        found = self._fragment.diagnostic(self._heard(sensed))
         if found.certain:
             self._judge(found.impossible, age)
         return {**sensed, "diagnostic": found.messages}
@@ -161,8 +161,7 @@ class Part(Node):
 
     def _updated(self, belief: dict[str, Any], age: int) -> Value:
         """The belief with all that follows from its slots."""
-        evidence, below = belief["evidence"], self._merged_below(belief["below"])
-        found = self._fragment.all(evidence.values(), below, _merged(belief["above"]))
+        found = self._fragment.all(self._heard(belief))
         self._judge(found.impossible, age)
         return {
             **belief,
@@ -175,11 +174,11 @@ class Part(Node):
             "impossible": found.impossible or "",
         }
 
-    def _merged_below(self, below: Mapping[str, Messages]) -> dict[Arrow, Floats]:
-        """The slots by arrow; of the same belief, the same object."""
-        if self._merged[0] is not below:
-            self._merged = (below, _merged(below))
-        return self._merged[1]
+    def _heard(self, belief: Value) -> Heard:
+        """What a belief's slots hold; of the same slots, the same object."""
+        if self._merged[0] is not belief["below"]:
+            self._merged = (belief["below"], _merged(belief["below"]))
+        return Heard(tuple(belief["evidence"].values()), self._merged[1], _merged(belief["above"]))
 
     def _judge(self, node: str | None, age: int) -> None:
         """Refuse evidence that contradicts itself at a node, once that has settled."""

@@ -185,6 +185,7 @@ def _group(entries: Sequence[Placed], sizes: Sequence[int], columns: Places) -> 
     order = np.argsort(tops, kind="stable") if (np.diff(tops) < 0).any() else None
     ordered = tops if order is None else tops[order]
     targets, starts = np.unique(ordered, return_index=True)
+    first, last = int(targets[0]), int(targets[-1])
     return Group(
         table=_stacked(entries, (sizes[top], *(sizes[other] for other in others))),
         others=tuple(Block(sizes[other], slice(at, at + count)) for other, at in zip(others, firsts, strict=True)),
@@ -192,7 +193,7 @@ def _group(entries: Sequence[Placed], sizes: Sequence[int], columns: Places) -> 
         tops=tops,
         order=order,
         starts=None if len(targets) == count else starts,
-        targets=_as_slice(targets),
+        targets=slice(first, last + 1) if last - first + 1 == len(targets) else targets,
         nodes=tuple(family.members[-1] for _, _, family in entries),
     )
 
@@ -204,8 +205,3 @@ def _stacked(entries: Sequence[Placed], shape: tuple[int, ...]) -> Floats:
         axis = family.members.index(top)
         table[place] = family.table if axis == 0 else np.moveaxis(family.table, axis, 0)
     return np.ascontiguousarray(np.moveaxis(table, 0, -1))
-
-
-def _as_slice(columns: Places) -> slice | Places:
-    first, last = int(columns[0]), int(columns[-1])
-    return slice(first, last + 1) if last - first + 1 == len(columns) else columns

@@ -194,7 +194,11 @@ class WordNode(_HypothesesNode):
 
 
 class _Place:
-    """A place in the words of a vocabulary, checked; places count from 1."""
+    """An edge function of a place in words, checked.
+
+    Args:
+        words: the vocabulary; letter: the place, from 1.
+    """
 
     def __init__(self, words: Sequence[str], letter: int) -> None:
         letters_at(words, letter)
@@ -203,11 +207,7 @@ class _Place:
 
 
 class LetterEvidence(_Place):
-    """φ from a letter node to the word: η·M·L, its diagnostic part as one over the words.
-
-    Args:
-        words: the vocabulary; letter: the place, from 1.
-    """
+    """φ from a letter node to the word: η·M·L, its diagnostic part as one over the words."""
 
     def __call__(self, belief: Value, tick: Tick = NO_TICK) -> Elements:
         """One observation, signed with the letter node's name."""
@@ -216,11 +216,7 @@ class LetterEvidence(_Place):
 
 
 class WordSupport(_Place):
-    """ϱ from the word to a letter node: η·(c ∘ all parts but the letter's own)·M.
-
-    Args:
-        words: the vocabulary; letter: the place, from 1.
-    """
+    """ϱ from the word to a letter node: η·(c ∘ all parts but the letter's own)·M."""
 
     def __call__(self, belief: Value, tick: Tick = NO_TICK) -> Elements:
         """One context element: what the rest of the word expects at the place, by letter.

@@ -32,6 +32,7 @@ _HOME_TILT_RAD = np.radians(15.0)
 _HOME_M = np.array([0.30, 0.0, 0.38])
 
 _CAMERA_M = np.array([-0.083, 0.0, -0.065])
+_CAMERA_AXES = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
 _CAMERA_TILT_RAD = np.radians(20.0)
 
 _DAMPING = 1e-5
@@ -80,13 +81,6 @@ def gripper_down(position_m: Array, yaw_rad: float = 0.0, tilt_rad: float = 0.0)
     return make_pose(turn @ np.diag([1.0, -1.0, -1.0]), np.asarray(position_m, dtype=np.float64))
 
 
-def _mount() -> Floats:
-    """gripper_from_camera: behind the hand, leaning over to the fingers, whose tips are just out of its view."""
-    axes = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
-    lean = exp_so3(np.array([0.0, _CAMERA_TILT_RAD, 0.0]))
-    return make_pose(lean @ axes, _CAMERA_M)
-
-
 def _chain(joints: Floats) -> tuple[list[Floats], Floats]:
     """The frames of the joints, each turning about its z, and the gripper's, all in the world."""
     pose = np.eye(4)
@@ -116,7 +110,8 @@ def _error(gripper: Floats, joints: Floats) -> tuple[Floats, Floats]:
     return error, np.concatenate((np.cross(axes, arms), axes), axis=1).T
 
 
-GRIPPER_FROM_CAMERA = _mount()
+# Behind the hand, leaning over to the fingers, whose tips are just out of its view.
+GRIPPER_FROM_CAMERA = make_pose(exp_so3(np.array([0.0, _CAMERA_TILT_RAD, 0.0])) @ _CAMERA_AXES, _CAMERA_M)
 HOME_GRIPPER = gripper_down(_HOME_M, tilt_rad=_HOME_TILT_RAD)  # world_from_gripper where the camera overlooks the table
 HOME_RAD = joints_for(HOME_GRIPPER, REST_RAD, 300)[0]
 CAMERA_FROM_GRIPPER = invert(GRIPPER_FROM_CAMERA)

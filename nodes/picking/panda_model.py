@@ -11,6 +11,7 @@ import os
 from pathlib import Path
 from xml.etree import ElementTree
 
+import numpy as np
 import pybullet_data
 
 from hierax.nodes.tracking.errors import DataError
@@ -60,15 +61,9 @@ def _with_boxes(link: ElementTree.Element, side: float) -> None:
     """Put the boxes of a finger in the place of its mesh."""
     for collision in link.findall("collision"):
         link.remove(collision)
-    for low, high in FINGER_BOXES_M:
-        middle = [(a + b) / 2 for a, b in zip(low, high, strict=True)]
-        middle[1] *= side
-        size = [b - a for a, b in zip(low, high, strict=True)]
+    for low, high in np.array(FINGER_BOXES_M):
+        box = ((low + high) / 2 * (1, side, 1), high - low)
+        middle, size = (" ".join(f"{number:.9f}" for number in each) for each in box)
         collision = ElementTree.SubElement(link, "collision")
-        ElementTree.SubElement(collision, "origin", rpy="0 0 0", xyz=_numbers(middle))
-        geometry = ElementTree.SubElement(collision, "geometry")
-        ElementTree.SubElement(geometry, "box", size=_numbers(size))
-
-
-def _numbers(numbers: list[float]) -> str:
-    return " ".join(f"{number:.9f}" for number in numbers)
+        ElementTree.SubElement(collision, "origin", rpy="0 0 0", xyz=middle)
+        ElementTree.SubElement(ElementTree.SubElement(collision, "geometry"), "box", size=size)
