@@ -41,7 +41,11 @@ _FIXED = struct.Struct("<BBH")
 
 
 def check_array(array: np.ndarray[Any, Any]) -> None:
-    """Raise `SchemaError` if an array cannot travel: by its dtype (say, of objects), mask, dimensions or size."""
+    """Refuse an array that cannot travel.
+
+    Raises:
+        SchemaError: its dtype (objects, strings, records, dates), mask, dimensions or size.
+    """
     if _code(array) not in _DTYPES:
         raise SchemaError(f"an array of dtype {array.dtype} cannot be sent; use a number or bool dtype")
     if isinstance(array, np.ma.MaskedArray):

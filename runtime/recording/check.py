@@ -111,9 +111,8 @@ class Checker:
         self._rosters: dict[int, Roster] = {}
         self._seats: dict[tuple[int, str], _Seat] = {}
         self._logs: dict[str, _PortLog] = {}
-        self._messages: dict[Attempt, dict[Line, tuple[int, bytes]]] = {}
+        self._messages: dict[Attempt, dict[Line, tuple[int, bytes]]] = {}  # in the order in which they began
         self._times: dict[Attempt, float] = {}
-        self._order: deque[Attempt] = deque()
         self._waiting: deque[NodeStep] = deque()
         self._bytes = 0
         self._held: list[MessageSummary] = []
@@ -141,10 +140,7 @@ class Checker:
         """A message along an edge."""
         header = glance(data)
         when = header.when
-        if when not in self._messages:
-            self._messages[when] = {}
-            self._order.append(when)
-        known = self._messages[when]
+        known = self._messages.setdefault(when, {})
         content = crc32(memoryview(data)[header.payload_at :])  # what is in the extensions may change
         before = known.get(header.line)
         self._since[header.roster] = min(header.epoch, self._since.get(header.roster, header.epoch))
@@ -309,10 +305,8 @@ class Checker:
         return self._seats[key]
 
     def _forget(self, oldest: int) -> None:
-        while self._order and self._order[0][0] < oldest:
-            when = self._order.popleft()
-            self._messages.pop(when, None)
-            self._times.pop(when, None)
+        while (when := next(iter(self._messages), None)) is not None and when[0] < oldest:
+            del self._messages[when], self._times[when]
 
     def _break(self, rule: str, when: Attempt, what: str) -> None:
         if len(self.violations) < SHOWN:

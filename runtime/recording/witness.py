@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
 from secrets import token_hex
 from typing import Protocol
 
@@ -35,14 +34,7 @@ class StepSink(Protocol):
         """Take an encoded roster."""
 
 
-@dataclass
-class _Begun:
-    """What is known of an epoch before it is completed."""
-
-    roster: int
-    instance: int
-    start: bytes
-    used: tuple[tuple[str, str, int, int], ...]
+_Used = tuple[tuple[str, str, int, int], ...]
 
 
 class Witness(Watcher):
@@ -71,7 +63,7 @@ class Witness(Watcher):
         self._fresh = True
         self._resumed = False
         self._passages: list[Passage] = []
-        self._begun: dict[tuple[int, int], _Begun] = {}
+        self._begun: dict[tuple[int, int], tuple[int, int, bytes, _Used]] = {}  # roster, instance, start and inputs
         self._chain = (0, b"")
         self._told_version = -1
         self._told_s = 0.0
@@ -98,13 +90,13 @@ class Witness(Watcher):
         engine = self._engine()
         if called.operator != "predict" or engine is None:
             return
-        used: tuple[tuple[str, str, int, int], ...] = ()
+        used: _Used = ()
         if isinstance(engine, StaleEngine):
             used = tuple((sender, kind, *when) for (sender, kind), when in sorted(engine.used.items()))
         wiring = engine.wiring
         start = engine.encoded_start if self._fresh else b""
         self._fresh = False
-        self._begun[called.epoch, called.attempt] = _Begun(wiring.roster, wiring.instance, start, used)
+        self._begun[called.epoch, called.attempt] = (wiring.roster, wiring.instance, start, used)
         while len(self._begun) > _KEPT:
             del self._begun[next(iter(self._begun))]
 
@@ -122,9 +114,10 @@ class Witness(Watcher):
         self._resumed = False
         self._last = step.epoch
         passages, self._passages = self._passages, []
-        where = (step.epoch, step.attempt, begun.roster, begun.instance, step.time_s)
-        states = (completed.state, b"" if self._roster is not None else _encoded(step.sensed), begun.start)
-        heard = (begun.used, tuple(passages), self._chain[1] if self._chain[0] == step.epoch else b"")
+        roster, instance, start, used = begun
+        where = (step.epoch, step.attempt, roster, instance, step.time_s)
+        states = (completed.state, b"" if self._roster is not None else _encoded(step.sensed), start)
+        heard = (used, tuple(passages), self._chain[1] if self._chain[0] == step.epoch else b"")
         told = NodeStep(self._name, self._stream, self._number, *where, completed.digest, *states, *heard)
         self._sink.step(encode_step(told))
 

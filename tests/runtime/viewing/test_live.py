@@ -45,6 +45,7 @@ def test_a_launch_is_seen_until_it_ends(tmp_path: Path, monkeypatch: pytest.Monk
         if not attached and whole("world", "camera", "motion") >= 5:
             attached.append(Command(tmp_path, "attach", str(write(tmp_path, SNIPPET, "second.yaml"))))
         if whole("world", "camera", "motion", "second") >= 3 and launch.process.poll() is None:
+            attached[0].end()  # else the launch may be gone before it has answered
             os.kill(launch.process.pid, signal.SIGINT)
             launch.end()
         return False
@@ -53,7 +54,6 @@ def test_a_launch_is_seen_until_it_ends(tmp_path: Path, monkeypatch: pytest.Monk
         until(lambda: bool(known_runs()), "the launch runs")
         with LaunchClient(known_runs()[0].endpoint) as client:
             assert show_launch(client, ViewPresenter(canvas), Allowance(("hierax.nodes.servo",)), over) > 15
-        attached[0].end()
         assert attached[0].process.returncode == 0, attached[0].err
         last = max(epoch for epoch, things in canvas.drawn.items() if "velocity_m_s/second/believed" in things)
         graph = canvas.drawn[last]["hierarchy"].thing
