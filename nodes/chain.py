@@ -24,7 +24,7 @@ class Relay(Node):
     """Keeps the level that it observes, or that its context gives."""
 
     def initial_belief(self) -> Value:
-        """No level."""
+        """There is no level yet."""
         return {"level": 0.0}
 
     def observe(self, observations: Elements, belief: Value) -> Value:
@@ -37,12 +37,12 @@ class Relay(Node):
 
 
 def count(belief: Value) -> Elements:
-    """φ of the counter."""
+    """φ of the counter: half of what it has counted."""
     return ({"level": 0.5 * belief["count"]},)
 
 
 def level(belief: Value) -> Elements:
-    """φ and ϱ of a relay."""
+    """φ and ϱ of a relay: its level."""
     return ({"level": belief["level"]},)
 
 

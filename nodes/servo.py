@@ -110,7 +110,7 @@ class CameraNode(Node):
     """N₁: where the object is in the camera's eyes. Belief: ``position`` x, in metres."""
 
     def initial_belief(self) -> Value:
-        """x = 0."""
+        """The object is believed to be at x = 0."""
         return {"position": 0.0}
 
     def observe(self, observations: Elements, belief: Value) -> Value:
@@ -137,7 +137,7 @@ class MotionNode(Node):
     """N₂: how the object moves. Belief: ``position`` x in metres, ``velocity`` v in m/s."""
 
     def initial_belief(self) -> Value:
-        """⟨0, 0⟩: at rest."""
+        """The object rests at the start: ⟨0, 0⟩."""
         return {"position": 0.0, "velocity": 0.0}
 
     def observe(self, observations: Elements, belief: Value) -> Value:

@@ -62,7 +62,7 @@ class Row:
     hidden_shares: Sequence[float]
 
     def plain(self) -> dict[str, Json]:
-        """As plain JSON."""
+        """The row as plain JSON."""
         hidden = [None if np.isnan(share) else share for share in self.hidden_shares]
         told = {"stage_ms": self.stage_ms, "hidden_shares": hidden}
         return {"scene": self.name, "way": self.way, **self.score.plain(), **told}
@@ -76,7 +76,7 @@ class Gain:
     differences: Sequence[float]  # one for each seed
 
     def plain(self) -> dict[str, Json]:
-        """As plain JSON; the spread is the standard deviation over the seeds."""
+        """The gain as plain JSON; the spread is the standard deviation over the seeds."""
         known = np.array(self.differences)
         spread = float(known.std(ddof=1)) if len(known) > 1 else None
         figures = {
@@ -102,7 +102,7 @@ class Speed:
         return float(np.median(self.rounds))
 
     def plain(self) -> dict[str, Json]:
-        """As plain JSON."""
+        """The speed as plain JSON."""
         return {**asdict(self), "epochs_hz": self.epochs_hz}
 
 

@@ -41,7 +41,7 @@ def extended(values: Floats) -> ExtendedFloats:
 
 
 def ones(*shape: int) -> ExtendedFloats:
-    """All 1."""
+    """An array that is 1 everywhere."""
     return ExtendedFloats(np.full(shape, 0.5), np.ones(shape, np.int64))
 
 
@@ -69,7 +69,7 @@ def greatest(values: ExtendedFloats, axis: int) -> Exponents:
 
 
 def as_float64(values: ExtendedFloats, axis: int) -> Floats:
-    """As float64, scaled by a power of 2 so that the greatest along the axis is from 0.5 to below 1.
+    """The numbers as float64, scaled by a power of 2 so that the greatest along the axis is from 0.5 to below 1.
 
     What is smaller by more than float64 can hold becomes 0.
     """
@@ -108,6 +108,6 @@ def products(values: ExtendedFloats, starts: Places) -> ExtendedFloats:
 
 
 def _settled(fraction: Floats, exponent: Exponents) -> ExtendedFloats:
-    """With the fractions brought back to where they belong."""
+    """The same numbers, with fractions that are 0 or from 0.5 to below 1."""
     settled, shift = np.frexp(fraction)
     return ExtendedFloats(settled, exponent + shift)

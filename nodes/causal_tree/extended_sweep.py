@@ -48,7 +48,7 @@ class Product(NamedTuple):
 
     @staticmethod
     def of(values: ExtendedFloats) -> Product:
-        """One factor each."""
+        """Products of one factor each."""
         zero = values.fraction == 0
         rest = ExtendedFloats(np.where(zero, 0.5, values.fraction), np.where(zero, 1, values.exponent))
         return Product(rest, zero * 1)
@@ -91,7 +91,7 @@ class ExtendedSweep:
         self._supports: dict[int, ExtendedFloats] = {}
 
     def up(self, inputs: Inputs) -> None:
-        """From the leaves to the roots.
+        """Sweep from the leaves to the roots.
 
         Raises:
             NothingLeftError: the evidence is impossible. Without that, none of what follows can be.
@@ -116,7 +116,7 @@ class ExtendedSweep:
         self._messages.reverse()
 
     def down(self, at_roots: Inputs) -> None:
-        """From the roots to the leaves, after `up`.
+        """Sweep from the roots to the leaves, after `up`.
 
         Args:
             at_roots: further likelihoods of roots.

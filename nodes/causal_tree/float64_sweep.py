@@ -58,7 +58,7 @@ class Float64Sweep:
         return self._least_log2 > FLOOR_LOG2 / 2
 
     def up(self, evidence: Mapping[int, Floats]) -> float:
-        """From the leaves to the roots.
+        """Sweep from the leaves to the roots.
 
         Args:
             evidence: by number of states, likelihoods of at most 1; shape (size, columns). 0 means 0.
@@ -76,7 +76,7 @@ class Float64Sweep:
         )
 
     def down(self, at_roots: Mapping[int, tuple[Places, Floats]]) -> float:
-        """From the roots to the leaves, after `up`.
+        """Sweep from the roots to the leaves, after `up`.
 
         Args:
             at_roots: further likelihoods of roots, by number of states: columns, and numbers of at most 1.
@@ -172,7 +172,7 @@ class Float64Sweep:
             np.multiply(likelihood, support, out=belief)
 
     def _spread_to_several(self, step: _Step) -> None:
-        """Where a family has several others: to each, summed over the states of the rest."""
+        """Messages to the others of a family that has several: each is summed over the states of the rest."""
         table = step.group.table
         from_top = np.add.reduce(table * along(step.at_tops, 0, table.ndim), axis=0)
         for other, support in enumerate(step.supports):

@@ -204,7 +204,7 @@ class Fragment:
         return None
 
     def _inputs(self, heard: Heard, told: Mapping[int, ExtendedFloats]) -> Inputs:
-        """By variable, the product of what is told of it, its slots and the evidence."""
+        """The product of what is told of a variable, its slots and the evidence, for each that has any."""
         factors = dict(told)
         for (_, parent), message in heard.slots.items():
             _take_in(factors, self._numbers[parent], unpacked(message))
@@ -243,7 +243,7 @@ class Fragment:
         return found
 
     def _vector(self, name: str, seen: int | Sequence[float]) -> Floats:
-        """Likelihoods."""
+        """Evidence of a node as likelihoods."""
         if isinstance(seen, int):
             hard: Floats = self._hard[len(self.states[name])][seen]
             return hard
@@ -285,7 +285,7 @@ def _stacked(columns: Sequence[ExtendedFloats]) -> ExtendedFloats:
 
 
 def _each_without(factors: ExtendedFloats) -> ExtendedFloats:
-    """For each column, the product of the others."""
+    """The product of all other columns, for each column."""
     apart = Product.of(factors)
     joined = products(apart.rest, np.zeros(1, np.intp))
     return Product(joined, apart.zeros.sum(axis=1, keepdims=True)).without(apart)

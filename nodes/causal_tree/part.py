@@ -141,12 +141,12 @@ class Part(Node):
         return self._updated(kept, 0)
 
     def posteriors(self, belief: Value) -> dict[str, Floats]:
-        """By node, P(state | evidence); all 0 where the evidence contradicts itself."""
+        """The posteriors P(state | evidence) by node; all 0 where the evidence contradicts itself."""
         sizes = self._fragment.sizes
         return {name: row[:size] for name, row, size in zip(self.nodes, belief["posterior"], sizes, strict=True)}
 
     def metrics(self, belief: Value) -> Mapping[str, float]:
-        """Of a small part, the posteriors, as ``node=state``; and whether the evidence contradicts itself."""
+        """The posteriors of a small part, as ``node=state``; and whether the evidence contradicts itself."""
         found = {} if self._settle == 1 else {"impossible": float(bool(belief["impossible"]))}
         if len(self.nodes) <= SHOWN_NODES:
             for name, row in self.posteriors(belief).items():

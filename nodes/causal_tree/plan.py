@@ -78,7 +78,7 @@ class Plan:
 
     @cached_property
     def below(self) -> Mapping[int, Sequence[tuple[int, int]]]:
-        """By variable, the places (group, family) of the families whose top it is."""
+        """The places (group, family) of the families that have a variable for their top, by variable."""
         found: dict[int, list[tuple[int, int]]] = {}
         for number, group in enumerate(self.groups):
             members = self.members[group.top_size]

@@ -45,7 +45,7 @@ class Sweep:
         return self._last is self._extended
 
     def up(self, inputs: Inputs) -> None:
-        """From the leaves to the roots.
+        """Sweep from the leaves to the roots.
 
         Args:
             inputs: likelihoods; of columns that are not named, ones.
@@ -63,7 +63,7 @@ class Sweep:
         self._extended.up(inputs)
 
     def down(self, at_roots: Inputs = NO_INPUTS) -> None:
-        """From the roots to the leaves, after `up`.
+        """Sweep from the roots to the leaves, after `up`.
 
         Args:
             at_roots: further likelihoods of roots, which `up` had not.
@@ -83,7 +83,7 @@ class Sweep:
         self._extended.down(at_roots)
 
     def posteriors(self, size: int) -> Floats:
-        """Of all variables with so many states, after `down`; shape (columns, size)."""
+        """The posteriors of all variables with so many states, after `down`; shape (columns, size)."""
         beliefs = self._last.float64_belief(size)
         shares: Floats = np.divide(beliefs, np.add.reduce(beliefs, axis=0)).T
         return shares
@@ -131,7 +131,7 @@ class Sweep:
         return plain
 
     def _place(self, variable: int) -> tuple[int, int]:
-        """Its number of states, and its column in the array of that size."""
+        """A variable's number of states, and its column in the array of that size."""
         return self._plan.sizes[variable], int(self._plan.columns[variable])
 
 

@@ -143,7 +143,7 @@ class PixelLetterNode(LetterNode):
         return {**sign, **super().show(step, before)}
 
     def _log_likelihood(self, name: str, pixels: Picture) -> float:
-        """Of the pixels given the letter, up to a constant."""
+        """The logarithm of p(pixels | letter), up to a constant."""
         templates, priors = _templates(name, pixels.shape[0])
         # whole numbers: signs at the same distance come out equal to the bit
         squares = ((templates - pixels.astype(np.int32)) ** 2).sum(axis=(1, 2), dtype=np.int64)

@@ -81,7 +81,7 @@ def disturbed(pose: Floats, shift_m: Floats, turn_rad: Floats) -> Floats:
 
 
 def _free_spot(rng: np.random.Generator, places: list[Place], number: int, side: float) -> Floats:
-    """Where a cube has room however the cubes are turned; the third close to the first."""
+    """A place where a cube has room however the cubes are turned; the third is close to the first."""
     others = [place for place in places if not (place.below or (number == 3 and place.id == 1))]
     for _ in range(_TRIES):
         spot = rng.uniform(_CORNER_M, _FAR_CORNER_M)

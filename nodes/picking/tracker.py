@@ -35,7 +35,7 @@ class PickArm(CommandedNode, ArmNode):
     """
 
     def initial_belief(self) -> Value:
-        """That of `ArmNode`; nothing is known of the hand yet, and nothing corrected."""
+        """The belief of `ArmNode`; nothing is known of the hand yet, and nothing corrected."""
         return {**super().initial_belief(), "hand": None, "joints_from_camera": np.eye(4), "grips": False}
 
     def observe(self, observations: Elements, belief: Value) -> Value:
@@ -64,7 +64,7 @@ class PickSpatial(CommandedNode, SpatialNode):
     """
 
     def initial_belief(self) -> Value:
-        """That of `SpatialNode`; nothing is known of the hand yet."""
+        """The belief of `SpatialNode`; nothing is known of the hand yet."""
         return {**super().initial_belief(), "hand": None, "hand_before": None}
 
     def observe(self, observations: Elements, belief: Value, tick: Tick = NO_TICK) -> Value:
