@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from hierax.runtime.commands.options import Format, OutputFormat, Settings
+from hierax.runtime.commands.options import Format, OutputFormat, Overrides
 from hierax.runtime.core.errors import HieraxError
 
 if TYPE_CHECKING:
@@ -48,7 +48,7 @@ def tracking(
         Path | None,
         typer.Option(metavar="DIR", help="Folder for scenes and poses; by default one that goes.", show_default=False),
     ] = None,
-    settings: Settings = None,
+    settings: Overrides = None,
     output_format: OutputFormat = Format.text,
 ) -> int:
     """Track scenes with and without context, physics and prior, beside the truth."""

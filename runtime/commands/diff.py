@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from hierax.runtime.commands.errors import FAILED, OK, CommandError
-from hierax.runtime.commands.options import Format, OutputFormat, Settings, Trust
+from hierax.runtime.commands.options import Format, OutputFormat, Overrides, Trust
 from hierax.runtime.commands.recordings import (
     First,
     Last,
@@ -49,7 +49,7 @@ def diff(
             show_default=False,
         ),
     ] = None,
-    settings: Settings = None,
+    overrides: Overrides = None,
     trust: Trust = False,
     output_format: OutputFormat = Format.text,
 ) -> int:
@@ -61,7 +61,7 @@ def diff(
     from hierax.runtime.recording.diff import compare
 
     recording = recording_of(file)
-    epochs = _other(recording, other, first, last, world, settings or (), trust)
+    epochs = _other(recording, other, first, last, world, overrides or (), trust)
     with redirect_stdout(sys.stderr):
         comparison = compare(recording.epochs(first, last), epochs, tolerance)
     if not comparison.epochs:
@@ -79,7 +79,7 @@ def _other(
     first: int,
     last: int | None,
     world: WorldMode | None,
-    settings: Iterable[str],
+    overrides: Iterable[str],
     trust: bool,
 ) -> Iterable[EpochView]:
     from hierax.runtime.deployment.read import read_deployment
@@ -87,12 +87,12 @@ def _other(
     from hierax.runtime.recording.deployments import allowance_of, in_place_of
     from hierax.runtime.recording.replay import Replay, has_actuators
 
-    settings = list(settings)
+    overrides = list(overrides)
     if _is_recording(other):
-        if settings or world is not None:
+        if overrides or world is not None:
             raise CommandError("--set and --world: only with a deployment as the other run")
         return recording_of(Path(other)).epochs(first, last)
-    deployment = read_deployment(other, settings)
+    deployment = read_deployment(other, overrides)
     extend_import_path(deployment.import_paths)
     rosters = recording.rosters()
     if not rosters:

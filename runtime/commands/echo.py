@@ -18,11 +18,8 @@ if TYPE_CHECKING:
     from hierax.runtime.tools.echoes import Echo, Edge
     from hierax.runtime.transport.launch_client import LaunchClient, LaunchStatus
 
-ASK_AGAIN_S = 1.5
-"""Well within the time for which nodes show copies when they are asked."""
-
-QUEUE_SIZE = 10_000
-"""How many messages wait to be printed; of more than that, new ones are left out."""
+ASK_AGAIN_S = 1.5  # well within the time for which nodes show copies when they are asked
+QUEUE_SIZE = 10_000  # how many messages wait to be printed; of more than that, new ones are left out
 
 
 def echo(

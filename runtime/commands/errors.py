@@ -17,8 +17,7 @@ FAILED = 1
 USAGE = 2
 BUG = 3
 
-TRACEBACK_VARIABLE = "HIERAX_TRACEBACK"
-"""Set to anything, expected failures show where in the code they arose, too."""
+TRACEBACK_VARIABLE = "HIERAX_TRACEBACK"  # set to anything, expected failures show where in the code they arose, too
 
 
 class CommandError(HieraxError):

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from hierax.runtime.commands.options import File, Settings
+from hierax.runtime.commands.options import File, Overrides
 
 if TYPE_CHECKING:
     from hierax.runtime.deployment import Deployment
@@ -26,7 +26,7 @@ class GraphFormat(str, Enum):
 
 def graph(
     file: File,
-    settings: Settings = None,
+    overrides: Overrides = None,
     output_format: Annotated[
         GraphFormat, typer.Option("--format", help="Tables, JSON, or source of a Mermaid flowchart.")
     ] = GraphFormat.text,
@@ -35,7 +35,7 @@ def graph(
     from hierax.runtime.commands.show import print_json
     from hierax.runtime.deployment.read import read_deployment
 
-    deployment = read_deployment(file, settings or ())
+    deployment = read_deployment(file, overrides or ())
     if output_format is GraphFormat.json:
         print_json(graph_json(deployment))
     elif output_format is GraphFormat.mermaid:

@@ -8,15 +8,11 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from hierax.runtime.commands.options import Format, OutputFormat
-from hierax.runtime.commands.which import Connect, Run, client_of, nodes_here
+from hierax.runtime.commands.which import Connect, NodeArgument, Run, client_of
 
 if TYPE_CHECKING:
     from hierax.runtime.execution.plain import Json
     from hierax.runtime.transport.launch_client import Answer, LaunchStatus
-
-NodeArgument = Annotated[
-    str, typer.Argument(metavar="NODE", help="A node's name.", show_default=False, autocompletion=nodes_here)
-]
 
 
 def inspect(

@@ -4,40 +4,25 @@ from __future__ import annotations
 
 import functools
 import sys
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from hierax.runtime.commands.errors import OK, CommandError
-from hierax.runtime.commands.options import (
-    Epochs,
-    Format,
-    Output,
-    OutputFormat,
-    Overwrite,
-    Seed,
-    Settings,
-    Trust,
-    deployments_here,
-)
-from hierax.runtime.commands.recordings import (
-    Check,
-    Exclude,
-    MaxDuration,
-    MaxSize,
-    RecordFile,
-    claimed_file,
-    selection_of,
-    tell_ending,
-    tell_violations,
-)
+from hierax.runtime.commands.options import RunOptions, Trust, deployments_here
+from hierax.runtime.commands.recordings import claimed_file, selection_of, tell_ending, tell_violations
 
 if TYPE_CHECKING:
-    from hierax.runtime.launch.recorder_process import Wanted
+    from hierax.runtime.launch.recorder_process import RecordingRequest
+    from hierax.runtime.launch.run_file import Run
 
 
-def launch(
+@dataclass(kw_only=True)
+class LaunchOptions(RunOptions):
+    """The options of ``hierax launch``."""
+
     file: Annotated[
         str | None,
         typer.Argument(
@@ -46,12 +31,7 @@ def launch(
             show_default=False,
             autocompletion=deployments_here,
         ),
-    ] = None,
-    epochs: Epochs = None,
-    seed: Seed = 0,
-    settings: Settings = None,
-    output_format: OutputFormat = Format.text,
-    output: Output = None,
+    ] = None
     state: Annotated[
         Path | None,
         typer.Option(
@@ -60,7 +40,7 @@ def launch(
             help="A folder for the nodes' checkpoints; it stays, for --resume. By default it goes with the run.",
             show_default=False,
         ),
-    ] = None,
+    ] = None
     resume: Annotated[
         Path | None,
         typer.Option(
@@ -69,7 +49,7 @@ def launch(
             help="Go on with the run whose checkpoints are in this folder, at its next epoch.",
             show_default=False,
         ),
-    ] = None,
+    ] = None
     host: Annotated[
         str | None,
         typer.Option(
@@ -78,14 +58,8 @@ def launch(
             help="An address of this machine at which processes on others may join; by default none may.",
             show_default=False,
         ),
-    ] = None,
-    trust: Trust = False,
-    record: RecordFile = None,
-    check: Check = False,
-    exclude: Exclude = None,
-    max_size: MaxSize = None,
-    max_duration: MaxDuration = None,
-    overwrite: Overwrite = False,
+    ] = None
+    trust: Trust = False
     faults: Annotated[
         list[str] | None,
         typer.Option(
@@ -95,60 +69,62 @@ def launch(
             "node's next one. For tests.",
             hidden=True,
         ),
-    ] = None,
-) -> int:
+    ] = None
+
+
+def launch(options: LaunchOptions) -> int:
     """Run a deployment with each node in a process of its own, over Zenoh."""
     from hierax.runtime.commands.run_deployment import run_deployment
-    from hierax.runtime.deployment.secrets import completed
     from hierax.runtime.launch import supervisor
     from hierax.runtime.launch.faults import read_faults
-    from hierax.runtime.launch.recorder_process import Wanted
-    from hierax.runtime.launch.run_file import read_run
+    from hierax.runtime.launch.recorder_process import RecordingRequest
     from hierax.runtime.watch import telemetry
 
     telemetry.wanted()  # what is wrong there is told once, not by every process
-    run = None
-    if resume is not None:
-        if file is not None or state is not None:
-            raise CommandError("--resume: the run knows its deployment file and folder; give neither")
-        state, run = resume, read_run(resume, trust)
-        file, settings, seed = run.deployment, completed(run.settings, settings or ()), run.seed
-        epochs = run.epochs if epochs is None else epochs
-        output = output or (Path(run.output) if run.output else None)
-    elif trust:
-        raise CommandError("--trust: only with --resume; a deployment file that you name is yours to judge")
-    if file is None:
+    run = _resumed(options)
+    if options.file is None:
         raise CommandError("expected a deployment file, or --resume DIR")
-    selection = selection_of(exclude, max_size, max_duration, record is not None)
-    with claimed_file(record, overwrite) as target:
-        wanted = Wanted(target, check, selection) if target is not None or check else None
+    output, state = options.output, options.state
+    selection = selection_of(options.exclude, options.max_size, options.max_duration, options.record is not None)
+    with claimed_file(options.record, options.overwrite) as target:
+        recording = RecordingRequest(target, options.check, selection) if target or options.check else None
         runner = functools.partial(
             supervisor.launch,
-            tell=lambda what: print(f"hierax: {what}", file=sys.stderr, flush=True),
+            notify=lambda what: print(f"hierax: {what}", file=sys.stderr, flush=True),
             state=None if state is None else state.absolute(),
-            run=run,
-            host=host,
-            settings=tuple(settings or ()),
-            faults=read_faults(faults or ()),
-            record=wanted,
+            resumed=run,
+            host=options.host,
+            overrides=tuple(options.overrides or ()),
+            faults=read_faults(options.faults or ()),
+            recording=recording,
         )
-        code = run_deployment(
-            runner,
-            file,
-            settings or (),
-            epochs=epochs,
-            seed=seed,
-            output=output,
-            output_format=output_format,
-            overwrite=overwrite,
-            goes_on=run is not None and output is not None and output.absolute() == Path(run.output).absolute(),
-        )
-    return code if wanted is None else max(code, _tell(wanted))
+        goes_on = run is not None and output is not None and output.absolute() == Path(run.output).absolute()
+        code = run_deployment(runner, options.file, options, goes_on)
+    return code if recording is None else max(code, _print_outcome(recording))
 
 
-def _tell(wanted: Wanted) -> int:
+def _resumed(options: LaunchOptions) -> Run | None:
+    """The run that is resumed, whose own options are taken over where others are not given; None: a new one begins."""
+    from hierax.runtime.deployment.secrets import completed
+    from hierax.runtime.launch.run_file import read_run
+
+    if options.resume is None:
+        if options.trust:
+            raise CommandError("--trust: only with --resume; a deployment file that you name is yours to judge")
+        return None
+    if options.file is not None or options.state is not None:
+        raise CommandError("--resume: the run knows its deployment file and folder; give neither")
+    run = read_run(options.resume, options.trust)
+    options.file, options.state, options.seed = run.deployment, options.resume, run.seed
+    options.overrides = list(completed(run.settings, options.overrides or ()))
+    options.epochs = run.epochs if options.epochs is None else options.epochs
+    options.output = options.output or (Path(run.output) if run.output else None)
+    return run
+
+
+def _print_outcome(recording: RecordingRequest) -> int:
     """Say what is wrong with a recording or a check; the exit code."""
-    if wanted.failure:
-        raise CommandError(wanted.failure)
-    code = OK if wanted.file is None or wanted.ending is None else tell_ending(wanted.file, wanted.ending)
-    return max(code, tell_violations(wanted.violations))
+    if recording.failure:
+        raise CommandError(recording.failure)
+    code = OK if recording.file is None or recording.ending is None else tell_ending(recording.file, recording.ending)
+    return max(code, tell_violations(recording.violations))

@@ -16,7 +16,7 @@ from hierax.runtime.commands.options import Format, OutputFormat
 if TYPE_CHECKING:
     from pathlib import Path
 
-    from hierax.runtime.tools.logs import Entry, Wanted
+    from hierax.runtime.tools.logs import Entry, LogFilter
 
 POLL_S = 0.2
 
@@ -86,33 +86,33 @@ def logs(
     output_format: OutputFormat = Format.text,
 ) -> int:
     """Show the log of a launch: of all its processes, in order of time. JSON is one object a line."""
-    from hierax.runtime.tools.logs import Wanted, find_folder, line, read_pattern, read_since
+    from hierax.runtime.tools.logs import LogFilter, find_folder, line, read_pattern, read_since
 
-    wanted = Wanted(
+    log_filter = LogFilter(
         nodes=tuple(node or ()),
         level=level.value.upper(),
         since=None if since is None else read_since(since, datetime.now(timezone.utc)),
         pattern=None if grep is None else read_pattern(grep),
     )
-    for entry in _entries(find_folder(run), wanted, follow):
+    for entry in _entries(find_folder(run), log_filter, follow):
         print(json.dumps(entry) if output_format is Format.json else line(entry), flush=follow)
     return 0
 
 
-def _entries(folder: Path, wanted: Wanted, follow: bool) -> Iterator[Entry]:
+def _entries(folder: Path, log_filter: LogFilter, follow: bool) -> Iterator[Entry]:
     from hierax.runtime.core.errors import HieraxError
     from hierax.runtime.host.run_folder import is_alive
     from hierax.runtime.loading.nearest import did_you_mean
     from hierax.runtime.tools.logs import Reader
 
     reader = Reader(folder)
-    unknown = [name for name in wanted.nodes if name not in reader.names]
+    unknown = [name for name in log_filter.nodes if name not in reader.names]
     if unknown and not follow:  # else it may come yet
         known = did_you_mean(unknown[0], reader.names, "there are those of")
         raise HieraxError(f"--node: there is no log of {unknown[0]!r} in run {folder.name}{known}")
     while True:
         goes_on = follow and is_alive(folder)
-        yield from filter(wanted, reader.read())
+        yield from filter(log_filter, reader.read())
         if not goes_on:
             return
         time.sleep(POLL_S)

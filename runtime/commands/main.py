@@ -5,7 +5,8 @@ from __future__ import annotations
 import functools
 from collections.abc import Callable, Sequence
 from importlib.metadata import EntryPoint, entry_points
-from typing import Annotated
+from inspect import Signature, signature
+from typing import Annotated, get_type_hints
 
 import typer
 
@@ -89,10 +90,20 @@ def _options(
 
 
 def _register(command: Callable[..., int], group: typer.Typer, name: str = "") -> None:
-    @functools.wraps(command)
-    def guarded(*arguments: object, **options: object) -> None:
-        raise typer.Exit(exit_code(lambda: command(*arguments, **options)))
+    """Make a command of a function; where it takes ``options``, a dataclass, their fields are its arguments."""
+    options = get_type_hints(command, include_extras=True).get("options")
 
+    @functools.wraps(command)
+    def guarded(*arguments: object, **given: object) -> None:
+        if options is not None:
+            arguments, given = (options(**given),), {}
+        raise typer.Exit(exit_code(lambda: command(*arguments, **given)))
+
+    if options is not None:
+        hints = get_type_hints(options, include_extras=True)
+        fields = [each.replace(annotation=hints[each.name]) for each in signature(options).parameters.values()]
+        guarded.__signature__ = Signature(fields)  # type: ignore[attr-defined]
+        guarded.__annotations__ = hints
     group.command(name or command.__name__)(guarded)
 
 

@@ -12,23 +12,19 @@ import typer
 
 from hierax.runtime.commands.errors import CommandError
 from hierax.runtime.commands.options import Format, OutputFormat, Trust
-from hierax.runtime.commands.which import Connect, Run, client_at, client_of, endpoint_of, known_run, nodes_here
+from hierax.runtime.commands.which import Connect, NodeArgument, Run, client_at, endpoint_of, known_run
 
 if TYPE_CHECKING:
     from hierax.runtime.deployment import Deployment
     from hierax.runtime.deployment.deployment import RestartPolicy
     from hierax.runtime.launch.here import AttachedHere
     from hierax.runtime.launch.run_file import Running
-    from hierax.runtime.transport.launch_client import LaunchClient
     from hierax.schemas.changes import Attach, Change
 
 _LOOPBACK = re.compile(r"[a-z]+/(127\.|localhost|\[::1\])")
 
-TIMEOUT_S = 120.0
-"""How long a change may take: new processes import what they need, and the epoch under way must end."""
-
-WAIT_S = 60.0
-"""How long `ps --wait` waits."""
+TIMEOUT_S = 120.0  # how long a change may take: new processes import what they need, and the epoch under way must end
+WAIT_S = 60.0  # how long `ps --wait` waits
 
 LOOK_S = 0.1
 
@@ -43,9 +39,6 @@ DeploymentFile = Annotated[
 ]
 Source = Annotated[
     str, typer.Argument(metavar="SOURCE", help="A YAML snippet with nodes and edges.", show_default=False)
-]
-NodeArgument = Annotated[
-    str, typer.Argument(metavar="NODE", help="A node's name.", show_default=False, autocompletion=nodes_here)
 ]
 
 
@@ -89,15 +82,14 @@ def attach(
             "--here: give the launch's deployment file by --deployment, as no launch of yours answers there: what runs "
             "here is what that file and SOURCE name; or --trust, to run whatever the launch names"
         )
-    with client_at(endpoint) as client:
-        file = _deployment(client, deployment)
-        change = read_attach(source, file)
-        restarts = read_restarts(source, file, attached=True)
-        what = f"attached {', '.join(change.nodes)}"
-        if not here:
-            return _print_epoch(_change(client, change, restarts), what, output_format)
-        named = _here(source, change, own, trust, endpoint, host)
-        offer = _change(client, change, restarts, here=True, host=named.host)
+    file = _deployment(endpoint, deployment)
+    change = read_attach(source, file)
+    restarts = read_restarts(source, file, attached=True)
+    what = f"attached {', '.join(change.nodes)}"
+    if not here:
+        return _print_epoch(_change(endpoint, change, restarts), what, output_format)
+    named = _here(source, change, own, trust, endpoint, host)
+    offer = _change(endpoint, change, restarts, here=True, host=named.host)
     return _run_here(offer, restarts, what, named, output_format)
 
 
@@ -111,8 +103,8 @@ def detach(
     """Detach a node from a hierarchy that runs, and print the epoch at which it took effect."""
     from hierax.schemas.changes import Detach
 
-    with client_of(run, connect) as client:
-        return _print_epoch(_change(client, Detach(node, cascade), {}), f"detached {node}", output_format)
+    answer = _change(endpoint_of(run, connect), Detach(node, cascade), {})
+    return _print_epoch(answer, f"detached {node}", output_format)
 
 
 def replace(
@@ -126,10 +118,10 @@ def replace(
     """Let another class or other parameters take a node's place and belief, and print the epoch."""
     from hierax.runtime.deployment.snippet import read_replace, read_restarts
 
-    with client_of(run, connect) as client:
-        file = _deployment(client, deployment)
-        answer = _change(client, read_replace(source, node, file), read_restarts(source, file))
-        return _print_epoch(answer, f"replaced {node}", output_format)
+    endpoint = endpoint_of(run, connect)
+    file = _deployment(endpoint, deployment)
+    answer = _change(endpoint, read_replace(source, node, file), read_restarts(source, file))
+    return _print_epoch(answer, f"replaced {node}", output_format)
 
 
 def ps(
@@ -196,15 +188,13 @@ def _runs(run: str | None, connect: str | None) -> tuple[list[dict[str, Any]], l
     from hierax.runtime.transport.port import TransportError
 
     if run is not None or connect is not None:
-        with client_of(run, connect) as client:
-            return [client.ask({"ask": "ps"})], []
+        return [_ask(endpoint_of(run, connect), {"ask": "ps"})], []
     found: list[dict[str, Any]] = []
     silent: list[str] = []
 
     def look(running: Running) -> None:
         try:
-            with client_at(running.endpoint, running) as client:
-                found.append(client.ask({"ask": "ps"}))
+            found.append(_ask(running.endpoint, {"ask": "ps"}))
         except TransportError:
             if running.alive:  # else it is over since it was listed
                 silent.append(f"{running.run} ({running.hierarchy}, process {running.pid})")
@@ -228,10 +218,10 @@ def _print_runs(runs: Sequence[Mapping[str, Any]]) -> None:
         print_table({"node": {}, "state": {}, "pid": right, "instance": right, "restarts": right}, rows)
 
 
-def _deployment(client: LaunchClient, file: str | None) -> Deployment:
+def _deployment(endpoint: str, file: str | None) -> Deployment:
     from hierax.runtime.deployment.read import read_deployment
 
-    said = client.ask({"ask": "ps"})
+    said = _ask(endpoint, {"ask": "ps"})
     return read_deployment(file or said["file"], said["settings"])
 
 
@@ -268,12 +258,18 @@ def _here(
     return AttachedHere(change.nodes, allowance, trust, import_paths, endpoint, host or "", settings)
 
 
+def _ask(endpoint: str, question: Mapping[str, Any]) -> dict[str, Any]:
+    """Ask a launch in a session for that alone: one that is held is cut off where this machine has no time for it."""
+    with client_at(endpoint) as client:
+        return client.ask(dict(question), TIMEOUT_S)
+
+
 def _change(
-    client: LaunchClient, change: Change, restarts: Mapping[str, RestartPolicy], here: bool = False, host: str = ""
+    endpoint: str, change: Change, restarts: Mapping[str, RestartPolicy], here: bool = False, host: str = ""
 ) -> dict[str, Any]:
     policies = {name: vars(policy) for name, policy in restarts.items()}
     question = {"ask": "change", "change": change.plain(), "restarts": policies, "here": here, "host": host}
-    return client.ask(question, TIMEOUT_S)
+    return _ask(endpoint, question)
 
 
 def _print_epoch(answer: Mapping[str, Any], what: str, output_format: Format) -> int:
@@ -293,17 +289,16 @@ def _run_here(
     here: AttachedHere,
     output_format: Format,
 ) -> int:
-    from hierax.runtime.launch.local_keeper import keep
+    from hierax.runtime.launch.attached_processes import run_attached
 
     request = offer.get("request")
     if not isinstance(request, str):
         raise CommandError(f"the launch at {here.endpoint} gave no order, and no reason")
 
     def await_change() -> None:
-        with client_at(here.endpoint) as client:
-            _print_epoch(client.ask({"ask": "await", "request": request}, TIMEOUT_S), what, output_format)
+        _print_epoch(_ask(here.endpoint, {"ask": "await", "request": request}), what, output_format)
 
     def say(line: str) -> None:
         print(f"hierax: {line}", file=sys.stderr, flush=True)
 
-    return keep(offer.get("orders"), request, here, restarts, await_change, say)
+    return run_attached(offer.get("orders"), request, here, restarts, await_change, say)

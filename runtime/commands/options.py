@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 import glob
+from dataclasses import dataclass
 from enum import Enum
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
-LARGEST = 2**63 - 1
-"""What a message can carry."""
+from hierax.runtime.commands.recordings import Check, Exclude, MaxDuration, MaxSize, RecordFile
+
+LARGEST = 2**63 - 1  # what a message can carry
 
 
 class Format(str, Enum):
@@ -45,7 +47,7 @@ File = Annotated[
         autocompletion=deployments_here,
     ),
 ]
-Settings = Annotated[
+Overrides = Annotated[
     list[str] | None,
     typer.Option(
         "--set",
@@ -85,3 +87,26 @@ Output = Annotated[
         show_default=False,
     ),
 ]
+
+
+@dataclass(kw_only=True)
+class DeploymentOptions:
+    """How a deployment is run, whatever runs it: ``run``, ``launch`` or ``view``."""
+
+    epochs: Epochs = None  # how many; None: what the file says
+    seed: Seed = 0  # of all random numbers
+    overrides: Overrides = None  # of values of the file
+    overwrite: Overwrite = False  # whether what another run has left is replaced
+
+
+@dataclass(kw_only=True)
+class RunOptions(DeploymentOptions):
+    """What ``run`` and ``launch`` have in common."""
+
+    output_format: OutputFormat = Format.text  # of the report
+    output: Output = None  # folder for the states, digests, the report and what probes write; None: nothing is written
+    record: RecordFile = None  # the file of the recording; None: there is none
+    check: Check = False  # whether the formal order is checked
+    exclude: Exclude = None  # what is left out of the recording, and how long it may be
+    max_size: MaxSize = None  # likewise
+    max_duration: MaxDuration = None  # likewise

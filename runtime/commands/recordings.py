@@ -20,8 +20,7 @@ if TYPE_CHECKING:
     from hierax.runtime.recording.selection import Selection
     from hierax.runtime.recording.writing import Target
 
-SHOWN = 10
-"""How many gaps or violations are listed."""
+SHOWN = 10  # how many gaps or violations are listed
 
 SHOWN_CHARS = 400
 

@@ -6,12 +6,13 @@ import sys
 import time
 from collections.abc import Awaitable, Iterable, Iterator, Mapping, Sequence
 from contextlib import redirect_stdout
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from hierax.runtime.commands.errors import FAILED, OK, CommandError
-from hierax.runtime.commands.options import Format, OutputFormat, Settings, Trust
+from hierax.runtime.commands.options import Format, OutputFormat, Overrides, Trust
 from hierax.runtime.commands.recordings import (
     First,
     Last,
@@ -29,25 +30,27 @@ if TYPE_CHECKING:
     from hierax.runtime.recording.replay import Replay, ReplayedEpoch
 
 
-def replay(
-    file: RecordingFile,
+@dataclass(kw_only=True)
+class ReplayOptions:
+    """The options of ``hierax replay``."""
+
+    file: RecordingFile
     node: Annotated[
         str | None,
         typer.Option("--node", metavar="NAME", help="This node alone, on its recorded inputs.", show_default=False),
-    ] = None,
+    ] = None
     world: Annotated[
         WorldMode,
         typer.Option(
             "--world", help="The world gives what it gave, or, one without actuators, is done again like the others."
         ),
-    ] = WorldMode.recorded,
-    first: First = 1,
-    last: Last = None,
+    ] = WorldMode.recorded
+    first: First = 1
+    last: Last = None
     speed: Annotated[
-        float,
-        typer.Option("--speed", min=0.0, metavar="S", help="S times as fast as it was; 0: as fast as it goes."),
-    ] = 0.0,
-    settings: Settings = None,
+        float, typer.Option("--speed", min=0.0, metavar="S", help="S times as fast as it was; 0: as fast as it goes.")
+    ] = 0.0
+    overrides: Overrides = None
     classes: Annotated[
         list[str] | None,
         typer.Option(
@@ -56,64 +59,61 @@ def replay(
             help="Another class in a node's place. May be given several times.",
             show_default=False,
         ),
-    ] = None,
+    ] = None
     verify: Annotated[
         bool,
         typer.Option(
             "--verify", help="Compare every result and digest with the recording; exit code 1 where one differs."
         ),
-    ] = False,
-    tolerance: Tolerance = 0.0,
-    trust: Trust = False,
-    output_format: OutputFormat = Format.text,
-) -> int:
+    ] = False
+    tolerance: Tolerance = 0.0
+    trust: Trust = False
+    output_format: OutputFormat = Format.text
+
+
+def replay(options: ReplayOptions) -> int:
     """Do a recording again, in this process: whole, from an epoch on, or one node on its recorded inputs."""
     from hierax.runtime.commands.show import print_json, print_report
     from hierax.runtime.loading.allowance import module_of
     from hierax.runtime.loading.loader import extend_import_path
-    from hierax.runtime.recording.deployments import (
-        allowance_of,
-        check_classes,
-        other_settings,
-        recorded_deployment,
-    )
+    from hierax.runtime.recording.deployments import allowance_of, check_classes, other_settings, recorded_deployment
     from hierax.runtime.recording.diff import compare
     from hierax.runtime.recording.replay import Replay, check_node
 
-    recording = recording_of(file)
+    recording = recording_of(options.file)
     info = recording.info
-    allowance = allowance_of(recording, trust)
+    allowance = allowance_of(recording, options.trust)
     extend_import_path(tuple(info.import_paths))
-    replaced = _classes(classes or ())
+    replaced = _classes(options.classes or ())
     if replaced:
         check_classes(recording.rosters(), replaced)
-    if node is not None:
-        check_node(recording, node)
+    if options.node is not None:
+        check_node(recording, options.node)
     named = [module_of(target) for target in replaced.values()]
-    if settings:
-        named += recorded_deployment(info, settings).modules
+    if options.overrides:
+        named += recorded_deployment(info, options.overrides).modules
     replaying = Replay(
         recording,
         allowance.with_modules(named),
-        node=node,
-        world=world is WorldMode.again,
-        rewrite=other_settings(info, settings or (), replaced),
-        first=first,
-        last=last,
+        node=options.node,
+        world=options.world is WorldMode.again,
+        rewrite=other_settings(info, options.overrides or (), replaced),
+        first=options.first,
+        last=options.last,
         wait=wait,
     )
-    epochs = _Paced(replaying, speed)
+    epochs = _Paced(replaying, options.speed)
     comparison: Comparison | None = None
     with redirect_stdout(sys.stderr):  # what a node prints must not mix with the report
-        if verify:
-            comparison = compare(recording.epochs(first, last), epochs, tolerance)
+        if options.verify:
+            comparison = compare(recording.epochs(options.first, options.last), epochs, options.tolerance)
         else:
             for _ in epochs:
                 pass
     if not epochs.times_s:
-        raise CommandError(f"{file}: there is no epoch to replay{_range(first, last)}")
-    report = epochs.report(file.name)
-    if output_format is Format.json:
+        raise CommandError(f"{options.file}: there is no epoch to replay{_range(options.first, options.last)}")
+    report = epochs.report(options.file.name)
+    if options.output_format is Format.json:
         print_json({**report.plain(), "verify": None if comparison is None else comparison_json(comparison)})
     else:
         print_report(report)

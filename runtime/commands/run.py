@@ -2,23 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from hierax.runtime.commands.options import Epochs, File, Format, Output, OutputFormat, Overwrite, Seed, Settings
-from hierax.runtime.commands.recordings import (
-    Check,
-    Exclude,
-    MaxDuration,
-    MaxSize,
-    RecordFile,
-    claimed_file,
-    selection_of,
-    tell_ending,
-    tell_violations,
-)
+from hierax.runtime.commands.options import File, RunOptions
+from hierax.runtime.commands.recordings import claimed_file, selection_of, tell_ending, tell_violations
 
 if TYPE_CHECKING:
     from hierax.runtime.deployment import Deployment
@@ -27,11 +18,11 @@ if TYPE_CHECKING:
     from hierax.runtime.recording.in_process import InProcess
 
 
-def run(
-    file: File,
-    epochs: Epochs = None,
-    seed: Seed = 0,
-    settings: Settings = None,
+@dataclass(kw_only=True)
+class SingleRunOptions(RunOptions):
+    """The options of ``hierax run``."""
+
+    file: File
     at: Annotated[
         list[str] | None,
         typer.Option(
@@ -41,16 +32,10 @@ def run(
             "EPOCH:replace:NODE:FILE. May be given several times.",
             show_default=False,
         ),
-    ] = None,
-    output_format: OutputFormat = Format.text,
-    output: Output = None,
-    record: RecordFile = None,
-    check: Check = False,
-    exclude: Exclude = None,
-    max_size: MaxSize = None,
-    max_duration: MaxDuration = None,
-    overwrite: Overwrite = False,
-) -> int:
+    ] = None
+
+
+def run(options: SingleRunOptions) -> int:
     """Run a deployment in this process: the deterministic mode."""
     from hierax.runtime.commands.run_deployment import run_deployment
     from hierax.runtime.deployment.schedule import read_schedule
@@ -58,42 +43,29 @@ def run(
     from hierax.runtime.execution.breaker import Breaker
     from hierax.runtime.recording.in_process import InProcess
 
-    selection = selection_of(exclude, max_size, max_duration, record is not None)
+    overrides, recorded = options.overrides or (), options.record is not None
+    selection = selection_of(options.exclude, options.max_size, options.max_duration, recorded)
     taking: list[InProcess] = []
 
-    def run_scheduled(deployment: Deployment, **options: Any) -> Report:
-        schedule = read_schedule(at or (), deployment)
-        if record is not None or check:
-            taking.append(InProcess(deployment, seed, settings or (), target, check, selection))
+    def run_scheduled(deployment: Deployment, **given: Any) -> Report:
+        schedule = read_schedule(options.at or (), deployment)
+        if recorded or options.check:
+            taking.append(InProcess(deployment, options.seed, overrides, target, options.check, selection))
         try:
             recording = taking[0] if taking else None
             return single.run(
-                deployment,
-                schedule=schedule,
-                watch=_spans(deployment),
-                record=recording,
-                breaker=Breaker(),
-                **options,
+                deployment, schedule=schedule, watch=_spans(deployment), record=recording, breaker=Breaker(), **given
             )
         finally:
             for each in taking:
                 each.finish()
 
-    with claimed_file(record, overwrite) as target:
-        code = run_deployment(
-            run_scheduled,
-            file,
-            settings or (),
-            epochs=epochs,
-            seed=seed,
-            output=output,
-            output_format=output_format,
-            overwrite=overwrite,
-        )
-    return max([code, *(_tell(each, record) for each in taking)])
+    with claimed_file(options.record, options.overwrite) as target:
+        code = run_deployment(run_scheduled, options.file, options)
+    return max([code, *(_print_outcome(each, options.record) for each in taking)])
 
 
-def _tell(taking: InProcess, file: Path | None) -> int:
+def _print_outcome(taking: InProcess, file: Path | None) -> int:
     """Say what is wrong with a recording or a check; the exit code."""
     code = 0 if file is None or taking.ending is None else tell_ending(file, taking.ending)
     return code if taking.checker is None else max(code, tell_violations(taking.checker.close()))

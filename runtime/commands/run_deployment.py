@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import sys
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager, nullcontext, redirect_stdout
 from dataclasses import replace
 from pathlib import Path
@@ -12,7 +12,7 @@ from typing import Any
 
 from hierax.runtime.commands.ctrl_c import INTERRUPTED
 from hierax.runtime.commands.errors import OK, CommandError, interrupted
-from hierax.runtime.commands.options import Format
+from hierax.runtime.commands.options import Format, RunOptions
 from hierax.runtime.commands.show import print_json, print_report
 from hierax.runtime.core.errors import HieraxError
 from hierax.runtime.deployment.read import read_deployment
@@ -23,28 +23,16 @@ from hierax.runtime.host.private_files import write_result
 from hierax.runtime.loading.loader import extend_import_path
 from hierax.runtime.watch.prints import named_lines
 
-Runner = Callable[..., Report]
-"""`hierax.runtime.execution.single.run` or `hierax.runtime.launch.supervisor.launch`."""
+Runner = Callable[..., Report]  # `hierax.runtime.execution.single.run` or `hierax.runtime.launch.supervisor.launch`
 
 
-def run_deployment(
-    runner: Runner,
-    file: str,
-    settings: Sequence[str],
-    *,
-    epochs: int | None,
-    seed: int,
-    output: Path | None,
-    output_format: Format,
-    overwrite: bool = False,
-    goes_on: bool = False,
-) -> int:
+def run_deployment(runner: Runner, file: str, options: RunOptions, goes_on: bool = False) -> int:
     """Read a deployment, run it, print its report.
 
     Args:
         runner: does it.
-        file, settings, epochs, seed, output, output_format: as the command line has them.
-        overwrite: whether what another run has left in the output folder, or where probes write, is replaced.
+        file: of the deployment, or the name of a shipped one.
+        options: as the command line has them.
         goes_on: whether the run that is there is resumed.
 
     Returns:
@@ -53,16 +41,18 @@ def run_deployment(
     Raises:
         HieraxError: the file is wrong, the output folder cannot be made, or the run failed.
     """
-    deployment = read_deployment(file, settings)
-    deployment = replace(deployment, probes=tuple(replace(each, overwrite=overwrite) for each in deployment.probes))
+    deployment = read_deployment(file, options.overrides or ())
+    probes = tuple(replace(each, overwrite=options.overwrite) for each in deployment.probes)
+    deployment = replace(deployment, probes=probes)
     extend_import_path(deployment.import_paths)
-    limit = deployment.epochs if epochs is None else epochs
+    limit = deployment.epochs if options.epochs is None else options.epochs
+    output = options.output
     code = OK
-    with nullcontext() if output is None else claimed_output(output, overwrite, goes_on):
+    with nullcontext() if output is None else claimed_output(output, options.overwrite, goes_on):
         try:
             # what a node prints must not mix with the report
             with _progress(deployment.name, limit) as progress, redirect_stdout(named_lines(sys.stderr, _who)):
-                report = runner(deployment, epochs=limit, seed=seed, output=output, progress=progress)
+                report = runner(deployment, epochs=limit, seed=options.seed, output=output, progress=progress)
         except Interrupted as broken:
             report, code = broken.report, INTERRUPTED
         except HieraxError as error:
@@ -72,7 +62,7 @@ def run_deployment(
             raise explained from error
         if output is not None:
             _write_summary(output / SUMMARY, report)
-    if output_format is Format.json:
+    if options.output_format is Format.json:
         print_json(report.plain())
     else:
         print_report(report)

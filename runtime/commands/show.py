@@ -17,8 +17,7 @@ if TYPE_CHECKING:
 
     from hierax.runtime.execution.report import Report
 
-PIPE_COLUMNS = 200
-"""Width of tables that are not printed on a terminal."""
+PIPE_COLUMNS = 200  # width of tables that are not printed on a terminal
 
 SHOWN_CHARS = 60
 SHOWN_ITEMS = 8

@@ -14,14 +14,12 @@ from hierax.runtime.commands.options import LARGEST, Format, OutputFormat
 if TYPE_CHECKING:
     from hierax.runtime.sim.campaign import Summary
 
-SHOWN = 10
-"""How many violations are shown as text."""
+SHOWN = 10  # how many violations are shown as text
 
 ENOUGH = 1000
 """Of so many seeds, with all faults, each kind of order, word, message, verdict, change and fault has to be reached."""
 
-TRACE_LINES = 80
-"""How many of a failing simulation's last events are shown."""
+TRACE_LINES = 80  # how many of a failing simulation's last events are shown
 
 
 def sim(

@@ -25,8 +25,7 @@ WIDE, NARROW = 140, 100
 """Widths of a terminal, from which columns have space between them, and below which some are left out."""
 
 _UNITS = ((1e6, "s"), (1e3, "ms"), (1.0, "µs"))
-_WAITED_FOR = 3
-"""How many of those that a node waits for are named in its row."""
+_WAITED_FOR = 3  # how many of those that a node waits for are named in its row
 
 
 def top(

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from hierax.runtime.commands.options import File, Format, OutputFormat, Settings
+from hierax.runtime.commands.options import File, Format, OutputFormat, Overrides
 
 if TYPE_CHECKING:
     from hierax.runtime.deployment import Deployment
@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 def validate(
     file: File,
-    settings: Settings = None,
+    overrides: Overrides = None,
     dry: Annotated[
         bool,
         typer.Option(
@@ -34,7 +34,7 @@ def validate(
     from hierax.runtime.deployment.read import read_deployment
     from hierax.runtime.loading.loader import extend_import_path
 
-    deployment = read_deployment(file, settings or ())
+    deployment = read_deployment(file, overrides or ())
     roster = deployment.roster
     extend_import_path(deployment.import_paths)
     try:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, contextmanager, redirect_stdout
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -12,7 +13,7 @@ import typer
 
 from hierax.runtime.commands.errors import CommandError
 from hierax.runtime.commands.membership import DeploymentFile
-from hierax.runtime.commands.options import Epochs, Overwrite, Seed, Settings, Trust
+from hierax.runtime.commands.options import DeploymentOptions, Trust
 from hierax.runtime.commands.which import Connect, Run
 
 if TYPE_CHECKING:
@@ -25,7 +26,10 @@ RECORDING_SUFFIX = ".mcap"
 Show = Callable[["ViewPresenter"], None]
 
 
-def view(
+@dataclass(kw_only=True)
+class ViewOptions(DeploymentOptions):
+    """The options of ``hierax view``."""
+
     source: Annotated[
         str | None,
         typer.Argument(
@@ -34,26 +38,23 @@ def view(
             "in this process. None: the launch that runs on this machine.",
             show_default=False,
         ),
-    ] = None,
-    run: Run = None,
-    connect: Connect = None,
+    ] = None
+    run: Run = None
+    connect: Connect = None
     first: Annotated[
         int, typer.Option("--from", min=1, metavar="EPOCH", help="Of a recording: the first epoch to show.")
-    ] = 1,
+    ] = 1
     last: Annotated[
         int | None,
         typer.Option("--to", min=1, metavar="EPOCH", help="Of a recording: the last epoch.", show_default=False),
-    ] = None,
-    epochs: Epochs = None,
-    seed: Seed = 0,
-    settings: Settings = None,
-    native: Annotated[bool, typer.Option("--native", help="In a window of Rerun's, in place of a browser.")] = False,
+    ] = None
+    native: Annotated[bool, typer.Option("--native", help="In a window of Rerun's, in place of a browser.")] = False
     save: Annotated[
         Path | None,
         typer.Option(
             "--save", metavar="FILE.rrd", help="Into a file, for `rerun FILE.rrd`; no viewer.", show_default=False
         ),
-    ] = None,
+    ] = None
     port: Annotated[
         int | None,
         typer.Option(
@@ -64,32 +65,33 @@ def view(
             help="Of the page, on this machine's loopback; by default 9090, or a free one where that is taken.",
             show_default=False,
         ),
-    ] = None,
-    deployment_file: DeploymentFile = None,
-    trust: Trust = False,
-    opens: Annotated[bool, typer.Option("--open", help="Open the page in a browser.")] = False,
+    ] = None
+    deployment_file: DeploymentFile = None
+    trust: Trust = False
+    opens: Annotated[bool, typer.Option("--open", help="Open the page in a browser.")] = False
     memory: Annotated[
-        str,
-        typer.Option("--memory", metavar="SIZE", help="How much the viewer keeps; what is older is dropped."),
-    ] = "1GiB",
-    overwrite: Overwrite = False,
-) -> int:
+        str, typer.Option("--memory", metavar="SIZE", help="How much the viewer keeps; what is older is dropped.")
+    ] = "1GiB"
+
+
+def view(options: ViewOptions) -> int:
     """See what the nodes believe: of a launch that runs, a recording, or a run in this process."""
     _require_rerun()
-    if native and save is not None:
+    source = options.source
+    if options.native and options.save is not None:
         raise CommandError("--native and --save: give one of them")
-    if source is not None and not (run is connect is deployment_file is None):
+    if source is not None and not (options.run is options.connect is options.deployment_file is None):
         raise CommandError("give a file, or say which launch is meant: not both")
     if source is None:
-        deployment, hierarchy, show = _of_launch(run, connect, deployment_file, trust)
+        deployment, hierarchy, show = _of_launch(options)
     elif source.endswith(RECORDING_SUFFIX):
-        deployment, hierarchy, show = _of_recording(Path(source), first, last, trust)
+        deployment, hierarchy, show = _of_recording(Path(source), options)
     else:
-        deployment, hierarchy, show = _of_deployment(source, settings, epochs, seed)
+        deployment, hierarchy, show = _of_deployment(source, options)
     from hierax.runtime.viewing.viewer import stream_of
 
     stream = stream_of(hierarchy)
-    with _viewer(stream, native, save, port, memory, opens, overwrite) as place:
+    with _viewer(stream, options) as place:
         _say(f"seen at {place.name}")
         endless = source is None
         try:
@@ -110,26 +112,28 @@ Source = tuple["Deployment | None", str, Show]
 """The deployment as far as it is known, the hierarchy's name, and what shows it."""
 
 
-def _of_deployment(source: str, settings: Settings, epochs: int | None, seed: int) -> Source:
+def _of_deployment(source: str, options: ViewOptions) -> Source:
     from hierax.runtime.deployment.read import read_deployment
     from hierax.runtime.viewing.single_run import run_seen
 
-    deployment = read_deployment(source, settings or ())
+    deployment = read_deployment(source, options.overrides or ())
 
     def show(presenter: ViewPresenter) -> None:
         with redirect_stdout(sys.stderr):
-            run_seen(deployment, presenter, epochs=epochs, seed=seed)
+            run_seen(deployment, presenter, epochs=options.epochs, seed=options.seed)
 
     return deployment, deployment.name, show
 
 
-def _of_recording(file: Path, first: int, last: int | None, trust: bool) -> Source:
+def _of_recording(file: Path, options: ViewOptions) -> Source:
     from hierax.runtime.recording.deployments import allowance_of, recorded_deployment
     from hierax.runtime.recording.reading import Recording
     from hierax.runtime.viewing.recorded_run import show_recording
 
     recording = Recording.open(file)
-    allowance = allowance_of(recording, trust)
+    allowance = allowance_of(recording, options.trust)
+
+    first, last = options.first, options.last
 
     def show(presenter: ViewPresenter) -> None:
         if not show_recording(recording, presenter, allowance, first, last):
@@ -141,7 +145,7 @@ def _of_recording(file: Path, first: int, last: int | None, trust: bool) -> Sour
     return recorded_deployment(recording.info), recording.info.hierarchy, show
 
 
-def _of_launch(run: str | None, connect: str | None, file: str | None, trust: bool) -> Source:
+def _of_launch(options: ViewOptions) -> Source:
     from hierax.runtime.commands.which import client_at, endpoint_of, known_run
     from hierax.runtime.core.errors import HieraxError
     from hierax.runtime.deployment.read import read_deployment
@@ -149,7 +153,7 @@ def _of_launch(run: str | None, connect: str | None, file: str | None, trust: bo
     from hierax.runtime.loading.allowance import ANYTHING
     from hierax.runtime.viewing.live import show_launch
 
-    endpoint = endpoint_of(run, connect)
+    endpoint, file = endpoint_of(options.run, options.connect), options.deployment_file
     running = known_run(endpoint)
     deployment: Deployment | None = None
     try:
@@ -160,12 +164,12 @@ def _of_launch(run: str | None, connect: str | None, file: str | None, trust: bo
     except HieraxError as error:
         _say(f"the layout is not that of the deployment, whose file cannot be read any more: {error}")
 
-    if deployment is None and not trust:
+    if deployment is None and not options.trust:
         raise CommandError(
             "no more is known of that launch than it says itself: give its deployment file by --deployment, as what "
             "is loaded here is what that file names; or --trust, to load whatever the launch names"
         )
-    allowance = ANYTHING if deployment is None or trust else deployment.allowance
+    allowance = ANYTHING if deployment is None or options.trust else deployment.allowance
 
     def show(presenter: ViewPresenter) -> None:
         with client_at(endpoint, running) as client, redirect_stdout(sys.stderr):
@@ -195,14 +199,14 @@ def _require_rerun() -> None:
         raise CommandError("hierax view needs Rerun, the extra [view]: pip install 'hierax[view]'")
 
 
-def _viewer(
-    stream: Stream, native: bool, save: Path | None, port: int | None, memory: str, opens: bool, overwrite: bool
-) -> AbstractContextManager[Place]:
+def _viewer(stream: Stream, options: ViewOptions) -> AbstractContextManager[Place]:
     from hierax.runtime.viewing.viewer import file, web_viewer, window
 
-    if save is not None:
-        return file(stream, save, overwrite)
-    return window(stream, memory) if native else web_viewer(stream, port, memory, opens)
+    if options.save is not None:
+        return file(stream, options.save, options.overwrite)
+    if options.native:
+        return window(stream, options.memory)
+    return web_viewer(stream, options.port, options.memory, options.opens)
 
 
 def _presenter(deployment: Deployment | None, stream: Stream) -> ViewPresenter:

@@ -137,3 +137,8 @@ def keys_here() -> list[str]:
     from hierax.runtime.tools.echoes import edges_of, short_key
 
     return sorted({short_key(edge) for client, status in _clients() for edge in edges_of(client.edges(status))})
+
+
+NodeArgument = Annotated[
+    str, typer.Argument(metavar="NODE", help="A node's name.", show_default=False, autocompletion=nodes_here)
+]

@@ -165,7 +165,7 @@ class WorldMember(World, OwnerEffects):
             OperatorError: an operator failed.
         """
         if not self._resumes:
-            self.keep()  # so that nothing was sent yet where the only record turns out to be damaged
+            self.write_record()  # so that nothing was sent yet where the only record turns out to be damaged
             self._proceed()
         elif self.pacemaker.may_begin(self._runner.engine):
             self.owner.take_back(self.member.process)
@@ -231,7 +231,7 @@ class WorldMember(World, OwnerEffects):
         else:
             self._send_order(process, order)
 
-    def keep(self) -> None:
+    def write_record(self) -> None:
         self._slots.write(encode_world(self._record()))
 
     def begin(self, epoch: int, attempt: int, version: int) -> None:
@@ -243,7 +243,7 @@ class WorldMember(World, OwnerEffects):
             pacemaker.chain.roster_hash = engine.wiring.place.roster_hash
             self._roster_bytes = b""
         self._runner.drain(pacemaker.limit == epoch or self.owner.drains)
-        self.keep()
+        self.write_record()
         try:
             if engine.phase is Phase.DONE:
                 engine.begin(attempt)
@@ -275,7 +275,7 @@ class WorldMember(World, OwnerEffects):
         self.owner.committed(committed.epoch)
         if self._pauses and not runner.engine.node.above:
             self.paused = True
-            self.keep()  # nobody hears of a commit that a crash could undo
+            self.write_record()  # nobody hears of a commit that a crash could undo
         else:
             self._proceed()
 
@@ -286,10 +286,10 @@ class WorldMember(World, OwnerEffects):
         if runner.engine.node.act is None or not self._should_act(epoch):
             return
         self._intended = epoch
-        self.keep()
+        self.write_record()
         runner.move(epoch, actions)
         self._acted = epoch
-        self.keep()
+        self.write_record()
 
     def settle(self) -> bool:
         if not self._own_orders and not self._own_failures:
@@ -355,7 +355,7 @@ class WorldMember(World, OwnerEffects):
             if its_turn or not self._runner.staleness.free:
                 self.owner.proceed()
         elif self.pacemaker.done:
-            self.keep()
+            self.write_record()
             self.owner.finish()
 
 

@@ -1,4 +1,4 @@
-"""A node's process as its keeper sees it."""
+"""A node's process as its supervisor sees it."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ import time
 from collections import deque
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from enum import Enum
 from typing import Any
 
 import anyio
@@ -21,11 +22,20 @@ from hierax.runtime.launch.frames import CUT_OFF, DISMISSED, FAILED, REPORT, UP,
 from hierax.runtime.launch.overheard import Overheard, Overhearing
 from hierax.schemas.values import Value
 
-CLOSED = -1
-"""A child's handle when the child is gone."""
+CLOSED = -1  # a child's handle when the child is gone
+END_TIMEOUT_S = 1.5  # how long processes may take to end when the run is broken off
 
-END_TIMEOUT_S = 1.5
-"""How long processes may take to end when the run is broken off."""
+
+class ProcessState(Enum):
+    """Where a process is on its way through a run; a supervisor knows of each the one state that it is in."""
+
+    STARTING = "it has not linked to its neighbours yet"
+    UP = "it and its neighbours hear each other, or it has offered itself to the owner"
+    LEAVING = "it has said its last word, and exits"
+    ENDED = "it has ended, and all that it has said is taken in"
+    RESTARTING = "it has ended, and another process is to come in its place"
+    ELSEWHERE = "another supervisor has started it"
+    CUT_OFF = "another supervisor has started it, and it cannot be reached"
 
 
 class NodeFailedError(HieraxError):
@@ -42,43 +52,31 @@ class NodeFailedError(HieraxError):
 
 @dataclass
 class Child:
-    """A node's process and what it has said.
+    """A node's process and what it has said."""
 
-    Attributes:
-        order: what it was started with.
-        process: its process.
-        handle: a file descriptor that stands for it; signals go through it, as it never means
-            another process, and as asyncio's own way competes with its wait for the exit code.
-        overheard: what it prints, and programs that it has started.
-        up: set when it and its neighbours hear each other, or it has offered itself to the owner.
-        heard: set when all that it had to say is taken in and it has ended.
-        report: its last word.
-        failure: why it cannot go on.
-        final: whether the run cannot, either.
-        dismissed: why the owner has told it to go.
-        culprit: why its keeper has killed it.
-    """
-
-    order: NodeOrder
-    process: anyio.abc.Process
+    order: NodeOrder  # what it was started with
+    process: anyio.abc.Process  # its process
+    # A file descriptor that stands for it; signals go through it, as it never means another process, and as asyncio's
+    # own way competes with its wait for the exit code.
     handle: int
-    overheard: Overheard
-    up: anyio.Event = field(default_factory=anyio.Event)
-    heard: anyio.Event = field(default_factory=anyio.Event)
-    report: dict[str, Value] | None = None
-    failure: NodeFailedError | None = None
-    final: bool = False
-    dismissed: str = ""
-    culprit: str = ""
+    overheard: Overheard  # what it prints, and programs that it has started
+    state: ProcessState = ProcessState.STARTING  # where it is on its way
+    came_up: bool = False  # whether it has ever been `ProcessState.UP`
+    ended: anyio.Event = field(default_factory=anyio.Event)  # set when it is `ProcessState.ENDED`
+    report: dict[str, Value] | None = None  # its last word
+    failure: NodeFailedError | None = None  # why it cannot go on
+    final: bool = False  # whether the run cannot, either
+    dismissed: str = ""  # why the owner has told it to go
+    culprit: str = ""  # why its supervisor has killed it
 
     @property
     def name(self) -> str:
-        """Of its node."""
+        """The name of its node."""
         return self.order.name
 
     @property
     def token(self) -> str:
-        """Of the process."""
+        """The token of the process."""
         return self.order.process
 
     @property
@@ -90,8 +88,9 @@ class Child:
         """Take in what the process says of itself; whether it was that."""
         status = value["status"]
         if status == UP:
-            self.up.set()
-        elif status == REPORT:
+            self.state, self.came_up = ProcessState.UP, True
+            return True
+        if status == REPORT:
             self.report = dict(value)
         elif status == FAILED:
             self.failure = NodeFailedError(value["message"], value["where"])
@@ -102,9 +101,10 @@ class Child:
             self.culprit = value["why"]
         else:
             return False
+        self.state = ProcessState.LEAVING
         return True
 
-    async def tell(self, value: Value) -> bool:
+    async def send(self, value: Value) -> bool:
         """Send it a command; whether it listens."""
         assert self.process.stdin is not None
         try:
@@ -180,7 +180,7 @@ async def start_child(order: NodeOrder, overhearing: Overhearing) -> Child:
     finally:
         os.close(overheard.writing)
     child = Child(order, process, _handle_of(process.pid), overheard)
-    await child.tell(order.plain())
+    await child.send(order.plain())
     return child
 
 

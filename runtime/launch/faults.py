@@ -37,17 +37,11 @@ INSTANTS = tuple(f"{place}.{side}" for place in PLACES for side in ("before", "a
 
 
 class Fault(NamedTuple):
-    """An instant, and at which time that it comes the process dies.
+    """An instant, and at which time that it comes the process dies."""
 
-    Attributes:
-        place: one of `PLACES`.
-        before: whether it is before what happens there.
-        number: from 1.
-    """
-
-    place: str
-    before: bool
-    number: int
+    place: str  # one of `PLACES`
+    before: bool  # whether it is before what happens there
+    number: int  # from 1
 
     @staticmethod
     def read(text: str) -> Fault:
@@ -123,7 +117,7 @@ def _plant_at_record(world: WorldMember, fault: Fault, strike: Callable[[], None
         nonlocal acts, records
         acts, records = begins, 0
 
-    def on_keep() -> None:
+    def on_record() -> None:
         nonlocal records
         records += acts
         if records == RECORDS[fault.place]:
@@ -131,7 +125,7 @@ def _plant_at_record(world: WorldMember, fault: Fault, strike: Callable[[], None
 
     _wrap(world, "act", True, lambda: on_act(True))
     _wrap(world, "act", False, lambda: on_act(False))
-    _wrap(world, "keep", fault.before, on_keep)
+    _wrap(world, "write_record", fault.before, on_record)
 
 
 def _wrap(part: Any, name: str, before: bool, then: Callable[[], None]) -> None:

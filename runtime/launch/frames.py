@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import struct
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
 from hierax.runtime.execution.world_member import OnUncertainAct
@@ -23,111 +23,64 @@ from hierax.schemas.values import Value, decode_value, encode_value
 
 _LENGTH = struct.Struct("<I")
 
-STOP = "stop"
-"""Command: finish, report, exit. What is no command is a control message for the roster's owner, as bytes."""
-FINISH = "finish"
-"""Command to the world: the epoch under way is the last one."""
+STOP = "stop"  # command: finish, report, exit. What is no command is a control message for the roster's owner, as bytes
+FINISH = "finish"  # command to the world: the epoch under way is the last one
 _LEAVE = "leave"
 
-UP = "up"
-"""Status: every neighbour hears this node and is heard."""
-FINISHED = "finished"
-"""Status of the world: the last epoch is committed; the roster, and its processes."""
-REPORT = "report"
-"""Status: the node's final state; the last one before its process exits."""
-FAILED = "failed"
-"""Status: the node cannot go on."""
-DISMISSED = "dismissed"
-"""Status: the owner has told the process to exit, and why; the last one."""
+UP = "up"  # status: every neighbour hears this node and is heard
+FINISHED = "finished"  # status of the world: the last epoch is committed; the roster, and its processes
+REPORT = "report"  # status: the node's final state; the last one before its process exits
+FAILED = "failed"  # status: the node cannot go on
+DISMISSED = "dismissed"  # status: the owner has told the process to exit, and why; the last one
 CUT_OFF = "cut off"
 """Status: the process was taken for lost, and exits so that another one comes in its place; the last one."""
-ANSWER = "answer"
-"""Status of the world: what became of a change that somebody asked for."""
-END = "end"
-"""Status of the world: a process hangs, and is to be killed."""
-DISMISS = "dismiss"
-"""Status of the world: a process has no place any more, and is to be told so."""
-HALT = "halt"
-"""Status of the world: the run cannot go on, and why."""
-BEAT = "beat"
-"""Status of the world, again and again and when its roster changes: the epoch, and the roster's processes."""
-MISSES = "misses"
-"""Status: the link to a process broke, and it has not come back."""
-NOTE = "note"
-"""Status of the world: people should know."""
+ANSWER = "answer"  # status of the world: what became of a change that somebody asked for
+END = "end"  # status of the world: a process hangs, and is to be killed
+DISMISS = "dismiss"  # status of the world: a process has no place any more, and is to be told so
+HALT = "halt"  # status of the world: the run cannot go on, and why
+BEAT = "beat"  # status of the world, again and again and when its roster changes: the epoch, and the roster's processes
+MISSES = "misses"  # status: the link to a process broke, and it has not come back
+NOTE = "note"  # status of the world: people should know
 
 BEGIN, COME_BACK, NEWCOMER, TO_REPORT = "begin", "come back", "newcomer", "to report"
 """How a process comes into a run: with it, in the place of a lost one, for a change of the roster, or after its end."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class NodeOrder:
-    """All that a node's process has to know.
+    """All that a node's process has to know."""
 
-    Attributes:
-        name: of the node.
-        process: the process's token.
-        life: `BEGIN`, `COME_BACK`, `NEWCOMER` or `TO_REPORT`.
-        request: of a newcomer, the change that it is started for.
-        deployment, run: what the keys begin with.
-        roster: of a process that begins with the run, who else there is.
-        modules: from which code may be loaded, as `hierax.runtime.loading.allowance.Allowance` has them.
-        preload: those that are imported before anything else.
-        seed: of the run.
-        epochs: how many; None: until the world has finished.
-        staleness: how old inputs from above may be, in epochs; None: free running.
-        exact: whether they are exactly so old.
-        rate_hz: in free running, how often at most the node takes part in an epoch; None: as it can.
-        hub: endpoint of the supervisor, through which the processes find one another.
-        host: address of the process's machine at which others may link; empty: this machine's processes only.
-        settings: Zenoh's own.
-        low_latency: whether the processes' links are low-latency ones.
-        output: folder for states and probes; empty: none.
-        probes: of this node.
-        import_paths: where modules of the deployment's own are looked for.
-        checkpoint: path of the node's checkpoint, without the slot's ending.
-        durability: of the checkpoint.
-        owner: of the world's process: what the deployment says on recovery.
-        on_uncertain_act: of the world's process.
-        processes: of the world's process: those of the other nodes that live.
-        proposals: of the world's process that comes back: control messages for the owner.
-        alone: the nodes of `roster` that fail alone.
-        fault: where the process kills itself, as `hierax.runtime.launch.faults` has it; empty: nowhere.
-        recorded: whether somebody records the run, who has to hear the process from its first message on.
-        elsewhere: whether another than the launch's own keeper keeps the process: its dismissal comes over Zenoh.
-    """
-
-    name: str
-    process: str
-    life: str
-    request: str
-    deployment: str
-    run: str
-    roster: Roster | None
-    modules: tuple[str, ...]
-    preload: tuple[str, ...]
-    seed: int
-    epochs: int | None
-    staleness: int | None
-    exact: bool
-    rate_hz: float | None
-    hub: str
-    host: str
-    settings: Value
-    low_latency: bool
-    output: str
-    probes: tuple[ProbeSpec, ...]
-    import_paths: tuple[str, ...]
-    checkpoint: str
-    durability: Durability
-    owner: OwnerPolicy | None
-    on_uncertain_act: OnUncertainAct
-    processes: Mapping[str, str]
-    proposals: tuple[bytes, ...]
-    alone: tuple[str, ...] = ()
-    fault: str = ""
-    recorded: bool = False
-    elsewhere: bool = False
+    name: str  # of the node
+    process: str  # the process's token
+    life: str  # `BEGIN`, `COME_BACK`, `NEWCOMER` or `TO_REPORT`
+    request: str = ""  # of a newcomer, the change that it is started for
+    deployment: str  # what the keys begin with
+    run: str  # likewise
+    roster: Roster | None = None  # of a process that begins with the run, who else there is
+    modules: tuple[str, ...]  # from which code may be loaded, as `hierax.runtime.loading.allowance.Allowance` has them
+    preload: tuple[str, ...]  # those that are imported before anything else
+    seed: int  # of the run
+    epochs: int | None  # how many; None: until the world has finished
+    staleness: int | None  # how old inputs from above may be, in epochs; None: free running
+    exact: bool  # whether they are exactly so old
+    rate_hz: float | None = None  # in free running, how often at most the node takes part in an epoch; None: as it can
+    hub: str  # endpoint of the supervisor, through which the processes find one another
+    host: str  # address of the process's machine at which others may link; empty: this machine's processes only
+    settings: Value  # Zenoh's own
+    low_latency: bool  # whether the processes' links are low-latency ones
+    output: str = ""  # folder for states and probes; empty: none
+    probes: tuple[ProbeSpec, ...] = ()  # of this node
+    import_paths: tuple[str, ...]  # where modules of the deployment's own are looked for
+    checkpoint: str  # path of the node's checkpoint, without the slot's ending
+    durability: Durability  # of the checkpoint
+    owner: OwnerPolicy | None = None  # of the world's process: what the deployment says on recovery
+    on_uncertain_act: OnUncertainAct = "repeat"  # of the world's process
+    processes: Mapping[str, str] = field(default_factory=dict)  # of the world's: those of other nodes that live
+    proposals: tuple[bytes, ...] = ()  # of the world's process that comes back: control messages for the owner
+    alone: tuple[str, ...] = ()  # the nodes of `roster` that fail alone
+    fault: str = ""  # where the process kills itself, as `hierax.runtime.launch.faults` has it; empty: nowhere
+    recorded: bool = False  # whether somebody records the run, who has to hear the process from its first message on
+    elsewhere: bool = False  # whether who attaches the node starts the process: its dismissal comes over Zenoh
 
     @property
     def allowance(self) -> Allowance:

@@ -1,8 +1,7 @@
 """Orders of a launch on another machine: what of them counts here, and what is decided on this machine alone.
 
-Whoever answers at an endpoint says what is to be started. So of an order no more is taken
-over than what the run is and how its epochs go; what runs, and all that touches this
-machine, comes from what its user has named.
+Whoever answers at an endpoint says what is to be started. So of an order no more is taken over than what the run is and
+how its epochs go; what runs, and all that touches this machine, comes from what its user has named.
 """
 
 from __future__ import annotations
@@ -23,25 +22,15 @@ from hierax.schemas.values import Value
 
 @dataclass(frozen=True)
 class AttachedHere:
-    """What the user of this machine has named.
+    """What the user of this machine has named."""
 
-    Attributes:
-        nodes: which are asked for.
-        allowance: which code may be loaded.
-        trusts: whether what the launch allows may be loaded, too.
-        import_paths: where modules are looked for.
-        endpoint: of the launch.
-        host: this machine's address for the others; empty: the launch is on this machine.
-        settings: Zenoh's own.
-    """
-
-    nodes: Mapping[str, Reference]
-    allowance: Allowance
-    trusts: bool
-    import_paths: Sequence[str]
-    endpoint: str
-    host: str
-    settings: Value
+    nodes: Mapping[str, Reference]  # which are asked for
+    allowance: Allowance  # which code may be loaded
+    trusts: bool  # whether what the launch allows may be loaded, too
+    import_paths: Sequence[str]  # where modules are looked for
+    endpoint: str  # of the launch
+    host: str  # this machine's address for the others; empty: the launch is on this machine
+    settings: Value  # Zenoh's own
 
 
 def read_orders(orders: Value, request: str, here: AttachedHere, folder: Path) -> list[NodeOrder]:
@@ -80,7 +69,6 @@ def _local(order: Mapping[str, Any], request: str, here: AttachedHere, folder: P
         request=request,
         deployment=_name(order, "deployment"),
         run=_name(order, "run"),
-        roster=None,
         modules=allowance.modules,
         preload=(module_of(reference.target),),
         seed=_field(order, "seed", int),
@@ -92,15 +80,9 @@ def _local(order: Mapping[str, Any], request: str, here: AttachedHere, folder: P
         host=here.host,
         settings=here.settings,
         low_latency=_field(order, "low_latency", bool),
-        output="",
-        probes=(),
         import_paths=tuple(here.import_paths),
         checkpoint=str(folder / name),
         durability="host" if order.get("durability") == "host" else "process",
-        owner=None,
-        on_uncertain_act="repeat",
-        processes={},
-        proposals=(),
         recorded=_field(order, "recorded", bool),
         elsewhere=True,
     )

@@ -30,11 +30,8 @@ from hierax.schemas.messages import CONTEXT, OBSERVATIONS, TASKS
 from hierax.schemas.roster import Roster
 from hierax.schemas.values import Value
 
-LEASE_S = 5.0
-"""How long a watcher stays after the last question that needs it."""
-
-MAX_EDGES = 4096
-"""How many edges are echoed at most."""
+LEASE_S = 5.0  # how long a watcher stays after the last question that needs it
+MAX_EDGES = 4096  # how many edges are echoed at most
 
 _KINDS = (OBSERVATIONS, TASKS, CONTEXT)
 
@@ -42,14 +39,14 @@ _PAGE_BYTES = os.sysconf("SC_PAGE_SIZE")
 
 
 class InspectionServer:
-    """Answers the questions at a node's window.
+    """Answers the questions that a node is asked.
 
     Args:
         name: of the node.
         process: the process's token.
         observers: of the node.
         roster: gives the roster in force where this is the world's process and the run has begun; else None.
-        window: of the node.
+        endpoint: where they come in.
         busy: the operator that the node's thread is in, as ``OPERATOR of SUBJECT``; empty: in none.
     """
 
@@ -59,14 +56,14 @@ class InspectionServer:
         process: str,
         observers: Observers,
         roster: Callable[[], Roster | None],
-        window: InspectionEndpoint,
+        endpoint: InspectionEndpoint,
         busy: Callable[[], str],
     ) -> None:
         self._name = name
         self._process = process
         self._observers = observers
         self._roster = roster
-        self._window = window
+        self._endpoint = endpoint
         self._busy = busy
         self._meter: Meter | None = None
         self._copier: Copier | None = None
@@ -84,11 +81,11 @@ class InspectionServer:
 
     def serve(self) -> None:
         """Answer what was asked, and give up what nobody asks for any more."""
-        for question, reply in self._window.questions():
+        for question, reply in self._endpoint.questions():
             reply(self._answer(question))
         if self._stepper is not None:
             for data in self._stepper.take():
-                self._window.show(STEP, self._name, self._name, data)
+                self._endpoint.show(STEP, self._name, self._name, data)
         self._expire(time.monotonic())
 
     def _answer(self, question: Value) -> Value:
@@ -164,7 +161,7 @@ class InspectionServer:
             if sender == self._name and known:
                 self._wanted[kind, sender, receiver] = until_s
         if self._wanted and self._copier is None:
-            self._copier = Copier(self._window.show)
+            self._copier = Copier(self._endpoint.show)
             self._observers.watch(self._copier)
         if self._copier is not None:
             self._copier.wanted = frozenset(self._wanted)

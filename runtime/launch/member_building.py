@@ -90,7 +90,7 @@ def build_world(
     """
 
     def send_order(process: str, word: Order) -> None:
-        if isinstance(word, Dismiss):  # anybody could say it: a process that is kept here hears it from its keeper
+        if isinstance(word, Dismiss):  # anybody could say it: who is started here hears it from the supervisor
             pipe.dismiss(process, word)
         else:
             line.tell(process, word)

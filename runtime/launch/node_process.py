@@ -1,8 +1,8 @@
-"""A node in a process of its own; started by a keeper, never by hand.
+"""A node in a process of its own; started by a supervisor, never by hand.
 
-Two threads do the work. One is the node's (`hierax.runtime.launch.life`): it receives,
+Two threads do the work. One is the node's (`hierax.runtime.launch.node_worker`): it receives,
 runs the engine and sends, with nothing else on its way. The other has the event loop:
-it greets neighbours until they answer, and listens to the keeper.
+it greets neighbours until they answer, and listens to the supervisor.
 """
 
 from __future__ import annotations
@@ -22,18 +22,15 @@ import anyio.to_thread
 
 from hierax.runtime.host.streams import own_output
 from hierax.runtime.launch.frames import FINISH, STOP, Frames, NodeOrder, epoch_of_leave
-from hierax.runtime.launch.life import NodeLife
+from hierax.runtime.launch.node_worker import NodeWorker
 from hierax.runtime.watch.logs import QUIET, log_console, log_node, tell_left_out
 from hierax.runtime.watch.prints import Console, console_stream, name_prints
 from hierax.schemas.control import Census, decode_control
 from hierax.schemas.values import Value
 
 TICK_S = 0.05
-STUCK_S = 1.0
-"""How long an operator may go on when the process is to end."""
-
-BUG = 3
-"""Exit code where a process ends with a traceback."""
+STUCK_S = 1.0  # how long an operator may go on when the process is to end
+BUG = 3  # exit code where a process ends with a traceback
 
 _log = logging.getLogger("hierax")
 
@@ -82,78 +79,78 @@ async def _main(orders: int, status: int, console: Console) -> int:
     if not commands:
         return 0
     order = NodeOrder.read(commands.pop(0))
-    life = NodeLife(order, status, _wait_in_event_loop)
-    log_node(order.run, order.name, life.when)
+    worker = NodeWorker(order, status, _wait_in_event_loop)
+    log_node(order.run, order.name, worker.when)
     name_prints(order.name, console)
     _log.info("process %d of %s: %s", os.getpid(), order.name, order.life)
     code = 0
     async with anyio.create_task_group() as tasks:
-        tasks.start_soon(_obey, life, orders, frames, commands)
-        tasks.start_soon(_obey_signals, life)
-        tasks.start_soon(_tick, life)
-        tasks.start_soon(_take_turns, life)
-        code = await anyio.to_thread.run_sync(life.live, abandon_on_cancel=True)
+        tasks.start_soon(_obey, worker, orders, frames, commands)
+        tasks.start_soon(_obey_signals, worker)
+        tasks.start_soon(_tick, worker)
+        tasks.start_soon(_take_turns, worker)
+        code = await anyio.to_thread.run_sync(worker.run, abandon_on_cancel=True)
         tasks.cancel_scope.cancel()
-    if not life.hurried:
-        life.close()
+    if not worker.hurried:
+        worker.close()
     return code
 
 
-async def _obey(life: NodeLife, orders: int, frames: Frames, commands: list[Value]) -> None:
+async def _obey(worker: NodeWorker, orders: int, frames: Frames, commands: list[Value]) -> None:
     """Stop when the supervisor says so, at once when it is gone."""
     while True:
         for command in commands:
             if command == STOP:
-                life.stop()
+                worker.stop()
             elif command == FINISH:
-                life.finish()
+                worker.finish()
             elif isinstance(command, dict):
-                life.leave(epoch_of_leave(command))
+                worker.leave(epoch_of_leave(command))
             else:
                 word = decode_control(command)
                 if isinstance(word, Census):
-                    life.begin(word.processes)
+                    worker.begin(word.processes)
                 else:
-                    life.post(word)
+                    worker.post(word)
         commands = await _next_frames(orders, frames)
         if not commands:
-            await _end(life)
+            await _end(worker)
 
 
-async def _obey_signals(life: NodeLife) -> None:
+async def _obey_signals(worker: NodeWorker) -> None:
     with anyio.open_signal_receiver(signal.SIGTERM) as signals:
         async for _ in signals:
             break
-    await _end(life)
+    await _end(worker)
 
 
-async def _end(life: NodeLife) -> None:
+async def _end(worker: NodeWorker) -> None:
     """Stop, and do not wait for long."""
-    life.hurried = True
-    life.stop()
+    worker.hurried = True
+    worker.stop()
     await anyio.sleep(STUCK_S)
-    busy = life.busy()
+    busy = worker.busy()
     if busy:
         _log.warning("%s did not come to its end; the process exits", busy)
     _exit(1)
 
 
-async def _tick(life: NodeLife) -> None:
+async def _tick(worker: NodeWorker) -> None:
     while True:
-        life.greet()
-        life.tick()
+        worker.greet()
+        worker.tick()
         await anyio.sleep(TICK_S)
 
 
-async def _take_turns(life: NodeLife) -> None:
-    period_s = life.period_s
+async def _take_turns(worker: NodeWorker) -> None:
+    period_s = worker.period_s
     if period_s is None:
         return
     due_s = anyio.current_time()
     while True:
         due_s = max(due_s + period_s, anyio.current_time())
         await anyio.sleep_until(due_s)
-        life.take_turn()
+        worker.take_turn()
 
 
 async def _next_frames(orders: int, frames: Frames) -> list[Value]:

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import Any
 
 from hierax.runtime.core.errors import HieraxError
 from hierax.runtime.deployment import Deployment
@@ -26,52 +27,56 @@ from hierax.schemas.roster import Reference, Roster
 ANSWER_TIMEOUT_S = 5.0
 
 
+@dataclass(frozen=True)
+class LaunchOptions:
+    """What the user decides on a launch, beside its deployment."""
+
+    seed: int  # of all random numbers
+    epochs: int | None  # how many; None: until the world has finished
+    state: Path  # folder of the checkpoints
+    output: Path | None = None  # folder for the states, digests and what probes write; None: nothing is written
+    host: str | None = None  # address of this machine at which processes on others may join; None: none may
+    overrides: Sequence[str] = ()  # with which the deployment file was read, for those who read it again
+    # By node, where its first process kills itself, its second one, and so on; see `hierax.runtime.launch.faults`.
+    faults: Mapping[str, Sequence[str]] = field(default_factory=dict)
+
+
 class Orders:
     """Makes the orders of one run.
 
     Args:
         deployment: what is run.
-        run_id: of the run.
-        seed: of the run.
-        epochs: how many; None: until the world has finished.
-        output: folder for states and probes; None: none.
-        state: folder of the checkpoints.
-        host: address at which processes on other machines may join; None: none may.
-        settings: with which the deployment file was read.
-        faults: by node, where its first process kills itself, its second one, and so on.
+        run_id: the identification of the run.
+        hub: endpoint of the supervisor.
+        options: of the launch.
+        resumed: go on with this run, whose checkpoints are in the folder of the state; None: begin.
+
+    Raises:
+        HieraxError: what was written of the run is of another version.
 
     Attributes:
-        hub: endpoint of the supervisor; set when it is known.
+        overrides: with which the deployment file was read; of secret ones the paths alone.
         resumed_after: the last epoch that was committed before the run was resumed.
         recorders: the processes that record the run, or have; 0: one on another machine.
+        resumes: whether the run goes on with one that was written down.
     """
 
     def __init__(
-        self,
-        deployment: Deployment,
-        run_id: str,
-        seed: int,
-        epochs: int | None,
-        output: Path | None,
-        state: Path,
-        host: str | None,
-        settings: Sequence[str] = (),
-        faults: Mapping[str, Sequence[str]] | None = None,
+        self, deployment: Deployment, run_id: str, hub: str, options: LaunchOptions, resumed: Run | None = None
     ) -> None:
         self.deployment = deployment
         self.run_id = run_id
-        self.seed = seed
-        self.output = output
-        self.hub = ""
+        self.hub = hub
+        self.options = options
+        self.overrides = public_settings(options.overrides, deployment.zenoh)
         self.resumed_after = 0
         self.recorders: set[int] = set()
-        self.host = host
-        self.settings = public_settings(settings, deployment.zenoh)
-        self._epochs = epochs
-        self._state = state
+        self.resumes = resumed is not None
         self._policies = dict(deployment.restarts)
         self._lineages: dict[str, str] = {}
-        self._faults = {name: deque(each) for name, each in (faults or {}).items()}
+        self._faults = {name: deque(each) for name, each in options.faults.items()}
+        if resumed is not None:
+            self._take_up(resumed)
 
     def order(
         self,
@@ -107,32 +112,31 @@ class Orders:
             roster=None if life == COME_BACK or request else deployment.roster,
             modules=deployment.modules,
             preload=() if reference is None else (module_of(reference.target),),
-            seed=self.seed,
-            epochs=self._epochs,
+            seed=self.options.seed,
+            epochs=self.options.epochs,
             staleness=deployment.staleness.epochs,
             exact=deployment.staleness.exact,
             rate_hz=deployment.rates_hz.get(name),
             hub=self.hub,
-            host=self.host or "",
+            host=self.options.host or "",
             settings=deployment.zenoh,
             low_latency=deployment.low_latency,
-            output="" if self.output is None else str(self.output),
+            output="" if self.options.output is None else str(self.options.output),
             probes=deployment.probes,
             import_paths=tuple(deployment.import_paths),
-            checkpoint=str(self._state / lineage),
+            checkpoint=str(self.options.state / lineage),
             durability=deployment.durability,
-            owner=self._settings() if is_world else None,
+            owner=self._owner_policy() if is_world else None,
             on_uncertain_act=deployment.on_uncertain_act,
             processes=dict(processes or {}) if is_world else {},
             alone=tuple(sorted(name for name, policy in deployment.restarts.items() if policy.fails_alone)),
-            proposals=(),
             fault=self._next_fault(name),
             recorded=self._is_recorded(),
         )
 
     def anew(self, order: NodeOrder, token: str) -> NodeOrder:
         """The order of the process that comes in the place of one that was killed before the run had begun."""
-        return replace(order, process=token, fault=self._next_fault(order.name), recorded=self._is_recorded())
+        return self._renewed(order, token)
 
     def has_begun(self, world: str) -> bool:
         """Whether a process of the world's that is dead has begun the run: only with a record is anything sent.
@@ -155,25 +159,27 @@ class Orders:
     def _record(self) -> Path:
         """Where the world's record is."""
         world = self.deployment.roster.world
-        return self._state / self._lineages.get(world, world)
+        return self.options.state / self._lineages.get(world, world)
 
     def again(
         self, order: NodeOrder, token: str, processes: Mapping[str, str], proposals: Iterable[bytes]
     ) -> NodeOrder:
         """The order of the process that comes in the place of another."""
         is_world = order.owner is not None
-        return replace(
+        return self._renewed(
             order,
-            process=token,
+            token,
             life=COME_BACK,
             request="",
             roster=None,
-            owner=self._settings() if is_world else None,
+            owner=self._owner_policy() if is_world else None,
             processes=dict(processes),
             proposals=tuple(proposals) if is_world else (),
-            fault=self._next_fault(order.name),
-            recorded=self._is_recorded(),
         )
+
+    def _renewed(self, order: NodeOrder, token: str, **changes: Any) -> NodeOrder:
+        fault, recorded = self._next_fault(order.name), self._is_recorded()
+        return replace(order, process=token, fault=fault, recorded=recorded, **changes)
 
     def to_report(self, order: NodeOrder, token: str, roster: Roster) -> NodeOrder:
         """The order of a process that comes when the run is over, in the place of one that died before its report."""
@@ -199,41 +205,39 @@ class Orders:
         self._policies.update(policies)
         for name in policies:
             self._lineages[name] = f"{name}@{request}"
-        self.keep()
+        self.save()
 
-    def keep(self) -> None:
+    def save(self) -> None:
         """Write down, beside the checkpoints, what it takes to go on with the run."""
         run = Run(
             deployment=str(self.deployment.path.resolve()),
-            settings=self.settings,
-            seed=self.seed,
-            epochs=self._epochs,
-            output="" if self.output is None else str(self.output.absolute()),
+            settings=self.overrides,
+            seed=self.options.seed,
+            epochs=self.options.epochs,
+            output="" if self.options.output is None else str(self.options.output.absolute()),
             lineages=self._lineages,
             restarts={name: vars(policy) for name, policy in self._policies.items()},
         )
-        write_run(self._state, run)
+        write_run(self.options.state, run)
 
-    def take_up(self, run: Run) -> None:
-        """Go on with a run that was written down.
-
-        Raises:
-            HieraxError: what was written is of another version.
-        """
+    def _take_up(self, run: Run) -> None:
         self._lineages = dict(run.lineages)
         try:
             self._policies = {name: RestartPolicy(**fields) for name, fields in run.restarts.items()}
         except TypeError as error:
-            raise HieraxError(f"{self._state}: its restarts are not of this version: {error}") from error
+            raise HieraxError(f"{self.options.state}: its restarts are not of this version: {error}") from error
 
-    def known_roster(self) -> Roster:
-        """The roster of the run that is resumed.
+    def roster(self) -> Roster:
+        """The roster with which the run begins, or goes on.
 
         Raises:
             HieraxError: there is nothing to resume, or its roster names code that the deployment does not allow.
         """
+        if not self.resumes:
+            return self.deployment.roster
         path = self._record
-        never = f"{self._state}: there is nothing to resume: the run was ended before its first epoch; launch it anew"
+        why = "the run was ended before its first epoch; launch it anew"
+        never = f"{self.options.state}: there is nothing to resume: {why}"
         if not Path(f"{path}.0").exists():
             raise HieraxError(never)
         with MappedFile(path, self.deployment.durability) as storage:
@@ -242,7 +246,7 @@ class Orders:
                 raise HieraxError(never)
             record, _ = read_record(slots)
         self.resumed_after = record.epoch - 1
-        if self._epochs is not None and self.resumed_after >= self._epochs:
+        if self.options.epochs is not None and self.resumed_after >= self.options.epochs:
             raise HieraxError(f"{self.over}; a greater number of --epochs goes on")
         recorded = decode_roster(record.roster)
         self.deployment.allowance.check_all(recorded)
@@ -251,7 +255,8 @@ class Orders:
     @property
     def over(self) -> str:
         """Why a run cannot be resumed that has come to its end."""
-        return f"{self._state}: there is nothing to resume: the run is over, it has done {self.resumed_after} epochs"
+        done = f"the run is over, it has done {self.resumed_after} epochs"
+        return f"{self.options.state}: there is nothing to resume: {done}"
 
     def _next_fault(self, name: str) -> str:
         left = self._faults.get(name)
@@ -263,12 +268,12 @@ class Orders:
         Args:
             from_start: whether it begins with the run.
         """
-        return RunInfo.of(self.deployment, self.run_id, "launch", self.seed, self.settings, from_start)
+        return RunInfo.of(self.deployment, self.run_id, "launch", self.options.seed, self.overrides, from_start)
 
     def _is_recorded(self) -> bool:
         return any(not pid or Path(f"/proc/{pid}").exists() for pid in self.recorders)
 
-    def _settings(self) -> OwnerPolicy:
+    def _owner_policy(self) -> OwnerPolicy:
         deployment = self.deployment
         return OwnerPolicy(
             modules=deployment.modules,

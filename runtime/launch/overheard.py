@@ -1,6 +1,6 @@
 """What libraries in C and programs print that a node starts: named, and in a log.
 
-A node's process has a pipe at its descriptors 1 and 2, which its keeper reads.
+A node's process has a pipe at its descriptors 1 and 2, which its supervisor reads.
 """
 
 from __future__ import annotations
@@ -15,11 +15,8 @@ import anyio
 from hierax.runtime.watch.logs import OUTPUT, LaunchLog, log_of_run
 from hierax.runtime.watch.prints import Console, Lines
 
-CHANNEL = "output"
-"""The logger's name in such entries."""
-
-PIPE_BYTES = 1 << 20
-"""What is printed waits for a keeper that is stopped, up to here; where there may be so much."""
+CHANNEL = "output"  # the logger's name in such entries
+PIPE_BYTES = 1 << 20  # what is printed waits for a supervisor that is stopped, up to here; where there may be so much
 
 READ_BYTES = 1 << 16
 
@@ -44,7 +41,7 @@ class Overhearing:
 
     def of(self, name: str) -> Overheard:
         """A pipe for a node's process."""
-        return Overheard(Lines(name, self._out, lambda line: self._keep(name, line)))
+        return Overheard(Lines(name, self._out, lambda line: self._write(name, line)))
 
     def close(self) -> None:
         """No process says anything any more."""
@@ -53,7 +50,7 @@ class Overhearing:
         if self._log is not None:
             self._log.close()
 
-    def _keep(self, name: str, line: str) -> None:
+    def _write(self, name: str, line: str) -> None:
         if self._log is None:  # most nodes say nothing in this way
             self._log = log_of_run(self._run, f"{OUTPUT}{os.getpid()}", self._epoch)
         self._log.tell(line, name, CHANNEL)

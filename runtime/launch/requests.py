@@ -2,38 +2,32 @@
 
 from __future__ import annotations
 
-from collections.abc import AsyncIterator, Callable, Iterable, Mapping
+from collections.abc import AsyncIterator, Callable, Mapping
 from contextlib import asynccontextmanager
-from dataclasses import dataclass, field
 from secrets import token_hex
-from typing import TYPE_CHECKING, Any, get_args, get_type_hints
+from typing import Any, get_args, get_type_hints
 
 import anyio
 import anyio.from_thread
 
 from hierax.runtime.core.errors import HieraxError
 from hierax.runtime.deployment.deployment import RestartPolicy
-from hierax.runtime.launch.child import Child
-from hierax.runtime.launch.frames import NEWCOMER, NodeOrder
+from hierax.runtime.launch.child import ProcessState
+from hierax.runtime.launch.frames import NEWCOMER
+from hierax.runtime.launch.roster_supervisor import RosterSupervisor
 from hierax.runtime.loading.allowance import NotAllowedError, Refusals
 from hierax.runtime.loading.nearest import did_you_mean
 from hierax.runtime.transport.hub import Hub
+from hierax.runtime.transport.queries import Reply
 from hierax.schemas.changes import Attach, Change, new_nodes, read_change
-from hierax.schemas.control import Propose, encode_control
+from hierax.schemas.control import Propose
 from hierax.schemas.errors import SchemaError, shown
 from hierax.schemas.values import Value
 
-if TYPE_CHECKING:
-    from hierax.runtime.launch.process_supervisor import ProcessSupervisor
-
-Reply = Callable[[Value], None]
-
-PS, CHANGE, AWAIT, RECORD = "ps", "change", "await", "record"
-"""What can be asked for; see `Requests`."""
+PS, CHANGE, AWAIT, RECORD = "ps", "change", "await", "record"  # what can be asked for; see `Requests`
 
 
-MAX_CHANGES = 8
-"""How many changes may be under way at once."""
+MAX_CHANGES = 8  # how many changes may be under way at once
 
 MAX_NEWCOMERS = 16
 """How many processes of nodes that are not in force yet they may need together; a single one may need
@@ -41,57 +35,37 @@ MAX_NEWCOMERS = 16
 
 MAX_NEW_NODES = 64
 
-MAX_QUESTIONS = 64
-"""How many questions are answered at once."""
+MAX_QUESTIONS = 64  # how many questions are answered at once
+
+_SHOWN = {
+    ProcessState.ENDED: "restarting",
+    ProcessState.RESTARTING: "restarting",
+    ProcessState.ELSEWHERE: "elsewhere",
+    ProcessState.CUT_OFF: "cut off",
+}
+"""What `ps` calls the states of processes; all others are those of one that runs."""
 
 LONGEST_S = 1e9
 MAX_PID = 1 << 22
-
-REMEMBERED = 1024
-"""Of how many changes it is remembered what became of them."""
-
-
-@dataclass
-class Asked:
-    """A change that was asked for.
-
-    Attributes:
-        policies: of the nodes that are new in it.
-        proposal: what the owner is told.
-        done: set when the owner has answered.
-        answer: what became of it, as a reply.
-    """
-
-    policies: Mapping[str, RestartPolicy]
-    proposal: bytes
-    done: anyio.Event = field(default_factory=anyio.Event)
-    answer: dict[str, Value] = field(default_factory=dict)
 
 
 class Requests:
     """Answers queries; each is a map, as is the reply.
 
-    ``{"ask": "ps"}`` is answered with what runs. ``{"ask": "change", "change", "restarts",
-    "here"}`` is answered with ``{"epoch"}``, the first one under the changed roster when it
-    is committed, or ``{"refusal"}``. With ``here`` the processes of new nodes are kept by
-    who asks: the answer is ``{"request", "orders"}``, what they are to be started with, and
-    ``{"ask": "await", "request"}`` is answered in the end. ``{"ask": "record", "pid"}`` says
-    that a process, 0 for one on another machine, is about to record; the answer is the fields
-    of a `RunInfo`.
+    ``{"ask": "ps"}`` is answered with what runs. ``{"ask": "change", "change", "restarts", "here"}`` is answered with
+    ``{"epoch"}``, the first one under the changed roster when it is committed, or ``{"refusal"}``. With ``here`` the
+    processes of new nodes are kept by who asks: the answer is ``{"request", "orders"}``, what they are to be started
+    with, and ``{"ask": "await", "request"}`` is answered in the end. ``{"ask": "record", "pid"}`` says that a process,
+    0 for one on another machine, is about to record; the answer is the fields of a `RunInfo`.
     """
 
-    def __init__(self, keeping: ProcessSupervisor) -> None:
-        self._keeping = keeping
-        self._asked: dict[str, Asked] = {}
+    def __init__(self, processes: RosterSupervisor) -> None:
+        self._processes = processes
+        self._changes = processes.changes
         self._refusals = Refusals()
-        self._begun = 0
-        self._coming = 0
+        self._beginning = 0
+        self._newcomers = 0
         self._questions = 0
-
-    @property
-    def proposals(self) -> Iterable[bytes]:
-        """What the owner has not answered yet."""
-        return [asked.proposal for asked in self._asked.values() if not asked.done.is_set()]
 
     @asynccontextmanager
     async def served(self, hub: Hub) -> AsyncIterator[None]:
@@ -108,7 +82,7 @@ class Requests:
             hub.serve(on_query)
 
             def on_gone(name: str, token: str) -> None:
-                portal.start_task_soon(self._keeping.on_gone, name, token)
+                portal.start_task_soon(self._processes.on_gone, name, token)
 
             hub.watch(on_gone)
             try:
@@ -117,31 +91,12 @@ class Requests:
                 hub.stop_serving()
                 await portal.stop(cancel_remaining=True)
 
-    def policies(self, request: str) -> Mapping[str, RestartPolicy]:
-        """Of the nodes that are new in a change that is asked for."""
-        asked = self._asked.get(request)
-        return {} if asked is None else asked.policies
-
-    def answer(self, request: str, epoch: int, refusal: str) -> None:
-        """What became of a change."""
-        asked = self._asked.get(request)
-        if asked is None or asked.done.is_set():
-            return
-        asked.answer = {"refusal": refusal} if refusal else {"epoch": epoch}
-        if not refusal:
-            self._keeping.adopt(request, asked.policies)
-        asked.done.set()
-
-    def failed(self, child: Child) -> None:
-        """The process of a node that is not in the roster yet has ended."""
-        self.answer(child.order.request, 0, str(child.failure or f"{child.name}: its process has ended"))
-
     async def _handle(self, query: Value, reply: Reply) -> None:
         try:
             reply(await self._answer(query))
         except (HieraxError, SchemaError) as error:
             if isinstance(error, NotAllowedError) and self._refusals.is_new(str(error)):
-                self._keeping.note(f"a change is refused: {error}")
+                self._processes.notify(f"a change is refused: {error}")
             reply({"refusal": str(error)})
         finally:
             self._questions -= 1
@@ -153,12 +108,12 @@ class Requests:
         if not isinstance(ask, str) or ask not in (PS, CHANGE, AWAIT, RECORD):
             raise SchemaError(f"expected one of {PS}, {CHANGE}, {AWAIT}, {RECORD}, got {shown(ask)}", "question.ask")
         if ask == PS:
-            return self._tell_all()
+            return self._status()
         if ask == RECORD:
-            self._keeping.orders.recorders.add(_pid_of(query))
-            return self._keeping.orders.info(from_start=False).plain()
+            self._processes.orders.recorders.add(_pid_of(query))
+            return self._processes.orders.info(from_start=False).plain()
         if ask == AWAIT:
-            return await self._wait(_text_of(query, "request"))
+            return await self._changes.wait(_text_of(query, "request"))
         return await self._change_if_room(query)
 
     async def _change_if_room(self, query: dict[str, Any]) -> Value:
@@ -167,28 +122,28 @@ class Requests:
         new = len(new_nodes(change))
         if new > MAX_NEW_NODES:
             raise HieraxError(f"a change of {new} new nodes: at most {MAX_NEW_NODES} come at once")
-        waiting = sum(not asked.done.is_set() for asked in self._asked.values())
-        coming = sum(len(asked.policies) for asked in self._asked.values() if not asked.done.is_set())
-        if waiting + self._begun >= MAX_CHANGES:
-            raise HieraxError(f"{waiting + self._begun} changes are under way, and no more may be at once; try again")
-        if coming + self._coming and coming + self._coming + new > MAX_NEWCOMERS:
-            raise HieraxError(f"{coming + self._coming} processes of new nodes are coming up; try again")
-        self._begun += 1
-        self._coming += new
+        under_way = len(self._changes.unanswered) + self._beginning
+        coming = sum(len(change.policies) for change in self._changes.unanswered) + self._newcomers
+        if under_way >= MAX_CHANGES:
+            raise HieraxError(f"{under_way} changes are under way, and no more may be at once; try again")
+        if coming and coming + new > MAX_NEWCOMERS:
+            raise HieraxError(f"{coming} processes of new nodes are coming up; try again")
+        self._beginning += 1
+        self._newcomers += new
         try:
             request = await self._begin(change, query)
         finally:
-            self._begun -= 1
-            self._coming -= new
-        return request if isinstance(request, dict) else await self._wait(request)
+            self._beginning -= 1
+            self._newcomers -= new
+        return request if isinstance(request, dict) else await self._changes.wait(request)
 
     async def _begin(self, change: Change, query: dict[str, Any]) -> Value:
         """Ask the owner for a change; gives the request, or the whole answer where others keep the processes."""
-        keeping = self._keeping
+        processes = self._processes
         here, host = query.get("here", False), query.get("host", "")
         if not isinstance(here, bool) or not isinstance(host, str):
             raise SchemaError("expected true or false, and an address", "question.here, question.host")
-        keeping.orders.deployment.allowance.check_all(change)
+        processes.orders.deployment.allowance.check_all(change)
         await self._check(change)
         policies = {name: _policy_of(query, name) for name in new_nodes(change)}
         request = token_hex(4)
@@ -199,36 +154,31 @@ class Requests:
             {name: float(policy.rejoin_timeout_s) for name, policy in policies.items()},
             tuple(sorted(name for name, policy in policies.items() if policy.fails_alone)),
         )
-        self._forget_oldest()
-        self._asked[request] = Asked(policies, encode_control(proposal))
+        self._changes.add(proposal, policies)
         orders = [
-            keeping.orders.order(name, token_hex(8), NEWCOMER, request=request, reference=reference)
+            processes.orders.order(name, token_hex(8), NEWCOMER, request=request, reference=reference)
             for name, reference in new_nodes(change).items()
         ]
         if here:
-            orders = [keeping.orders.elsewhere(order, host) for order in orders]
+            orders = [processes.orders.elsewhere(order, host) for order in orders]
         else:
-            await self._start(orders)
-        await keeping.tell_owner(proposal)
+            for order in orders:
+                await processes.start(order)
+        await processes.send_to_owner(proposal)
         if here:
             return {"request": request, "orders": [order.plain() for order in orders]}
         return request
-
-    def _forget_oldest(self) -> None:
-        done = [request for request, asked in self._asked.items() if asked.done.is_set()]
-        for request in done[: max(len(done) - REMEMBERED, 0)]:
-            del self._asked[request]
 
     async def _check(self, change: Change) -> None:
         """What the owner would refuse, before processes are started for it."""
         try:
             self._check_names(change)
         except HieraxError:
-            await self._keeping.hear_members()  # what is known here may be older than the last change
+            await self._processes.hear_members()  # what is known here may be older than the last change
             self._check_names(change)
 
     def _check_names(self, change: Change) -> None:
-        members = self._keeping.members
+        members = self._processes.members
         if isinstance(change, Attach):
             taken = sorted(change.nodes.keys() & members.keys())
             if taken:
@@ -239,45 +189,28 @@ class Requests:
             known = did_you_mean(change.name, members, "the nodes are")
             raise HieraxError(f"cannot {change.plain()['change']} {change.name!r}: there is no such node{known}")
 
-    async def _start(self, orders: Iterable[NodeOrder]) -> None:
-        for order in orders:
-            await self._keeping.start(order)
-
-    async def _wait(self, request: str) -> Value:
-        asked = self._asked.get(request)
-        if asked is None:
-            raise HieraxError(f"this launch knows of no change {request!r}")
-        await asked.done.wait()
-        return asked.answer
-
-    def _tell_all(self) -> Value:
-        keeping = self._keeping
-        deployment = keeping.orders.deployment
+    def _status(self) -> Value:
+        processes = self._processes
+        deployment = processes.orders.deployment
         nodes = {}
-        for name, token in sorted(keeping.members.items()):
-            child = keeping.child(token)
+        for name, token in sorted(processes.members.items()):
+            child = processes.child(token)
             nodes[name] = {
                 "process": token,
                 "pid": None if child is None else child.process.pid,
-                "state": self._state(token),
-                "restarts": keeping.restarts_of(name),
-                "instance": keeping.instances.get(name, 0),
+                "state": _SHOWN.get(processes.state(token), "running"),
+                "restarts": processes.restarts_of(name),
+                "instance": processes.instances.get(name, 0),
             }
         return {
             "hierarchy": deployment.name,
-            "run": keeping.orders.run_id,
+            "run": processes.orders.run_id,
             "file": str(deployment.path),
-            "settings": list(keeping.orders.settings),
-            "epoch": keeping.epoch,
-            "roster": keeping.version,
+            "settings": list(processes.orders.overrides),
+            "epoch": processes.epoch,
+            "roster": processes.version,
             "nodes": nodes,
         }
-
-    def _state(self, token: str) -> str:
-        child = self._keeping.child(token)
-        if child is not None:
-            return "running" if child.alive else "restarting"
-        return "cut off" if self._keeping.cut_off(token) else "elsewhere"
 
 
 def _policy_of(query: Mapping[str, Any], name: str) -> RestartPolicy:

@@ -22,52 +22,32 @@ _KINDS: Mapping[type, Sequence[str]] = {
     dict: ("lineages", "restarts"),
 }
 _TEMPORARY = Path("/tmp")
-_PROBE = ".probe"
-"""Written to see that it can be."""
+_PROBE = ".probe"  # written to see that it can be
 
 
 @dataclass(frozen=True)
 class Run:
-    """What it takes to go on with a run, beside its checkpoints.
+    """What it takes to go on with a run, beside its checkpoints."""
 
-    Attributes:
-        deployment: path of the file.
-        settings: with which it was read; of secret ones the paths alone.
-        seed: of the run.
-        epochs: how many; None: until the world has finished.
-        output: folder; empty: none.
-        lineages: by node that was attached or replaced, the name of its checkpoint.
-        restarts: by node, the fields of its `RestartPolicy`.
-    """
-
-    deployment: str
-    settings: Sequence[str]
-    seed: int
-    epochs: int | None
-    output: str
-    lineages: Mapping[str, str]
-    restarts: Mapping[str, Mapping[str, Any]]
+    deployment: str  # path of the file
+    settings: Sequence[str]  # with which it was read; of secret ones the paths alone
+    seed: int  # of the run
+    epochs: int | None  # how many; None: until the world has finished
+    output: str  # folder; empty: none
+    lineages: Mapping[str, str]  # by node that was attached or replaced, the name of its checkpoint
+    restarts: Mapping[str, Mapping[str, Any]]  # by node, the fields of its `RestartPolicy`
 
 
 @dataclass(frozen=True)
 class Running:
-    """A launch that runs.
+    """A launch that runs."""
 
-    Attributes:
-        run: its identification, by which commands name it.
-        hierarchy: its name.
-        endpoint: where its supervisor is reached.
-        pid: of the supervisor.
-        deployment: path of the file.
-        settings: with which it was read; of secret ones the paths alone.
-    """
-
-    run: str
-    hierarchy: str
-    endpoint: str
-    pid: int
-    deployment: str
-    settings: Sequence[str]
+    run: str  # its identification, by which commands name it
+    hierarchy: str  # its name
+    endpoint: str  # where its supervisor is reached
+    pid: int  # of the supervisor
+    deployment: str  # path of the file
+    settings: Sequence[str]  # with which it was read; of secret ones the paths alone
 
     @property
     def alive(self) -> bool:

@@ -6,8 +6,7 @@ import threading
 import time
 from collections.abc import Callable
 
-GAP_S = 0.5
-"""Who looks at the clock again and again, and has not for so long, was stopped itself, or had no processor."""
+GAP_S = 0.5  # who looks at the clock again and again, and has not for so long, was stopped itself, or had no processor
 
 
 class SteadyClock:

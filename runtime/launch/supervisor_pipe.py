@@ -1,4 +1,4 @@
-"""What a node's process says to its keeper."""
+"""What a node's process says to its supervisor."""
 
 from __future__ import annotations
 
@@ -14,10 +14,10 @@ from hierax.schemas.values import Value
 
 
 class SupervisorPipe(Supervision):
-    """The process's end of the pipe; and, in the world's process, how the roster's owner reaches the keeper.
+    """The process's end of the pipe; and, in the world's process, how the roster's owner reaches the supervisor.
 
     Args:
-        status: file descriptor on which the keeper listens.
+        status: file descriptor on which the supervisor listens.
         on_gone: called when it does not listen any more.
     """
 
@@ -51,7 +51,7 @@ class SupervisorPipe(Supervision):
         self.say(ANSWER, request=request, epoch=epoch, refusal=refusal)
 
     def dismiss(self, process: str, word: Dismiss) -> None:
-        """A process is no part of the hierarchy any more: its keeper, or this one for it, is to tell it."""
+        """A process is no part of the hierarchy any more: its supervisor, or this one for it, is to tell it."""
         self.say(DISMISS, process=process, why=word.why, again=word.again)
 
     def beat(self, owner: Owner) -> None:

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from hierax.runtime.owner.effects import OwnerEffects, OwnerPolicy
-from hierax.runtime.owner.epoch_progress import EpochProgress
-from hierax.runtime.owner.members import UNDONE, Members
+from hierax.runtime.owner.context import OwnerContext, OwnerPart
+from hierax.runtime.owner.members import UNDONE
 from hierax.runtime.owner.plan import Request
 from hierax.runtime.owner.planning import Planning
 from hierax.runtime.owner.suspicions import Suspicions
@@ -12,33 +11,19 @@ from hierax.schemas.changes import Attach
 from hierax.schemas.control import NEVER, Dismiss, Join
 
 
-class Arrivals:
+class Arrivals(OwnerPart):
     """Says who may come in.
 
     Args:
-        members: who takes part.
-        progress: of the epochs.
+        context: of the owner.
         planning: what is done about those who may.
-        doubts: of what those who take part say.
-        effects: of the owner.
-        settings: of the deployment.
+        suspicions: of what those who take part say.
     """
 
-    def __init__(
-        self,
-        members: Members,
-        progress: EpochProgress,
-        planning: Planning,
-        doubts: Suspicions,
-        effects: OwnerEffects,
-        settings: OwnerPolicy,
-    ) -> None:
-        self._members = members
-        self._progress = progress
+    def __init__(self, context: OwnerContext, planning: Planning, suspicions: Suspicions) -> None:
+        super().__init__(context)
         self._planning = planning
-        self._doubts = doubts
-        self._effects = effects
-        self._overlaps = settings.overlaps
+        self._suspicions = suspicions
 
     def hear(self, word: Join) -> None:
         """A process is there."""
@@ -105,7 +90,7 @@ class Arrivals:
         last, last_attempt = self._progress.epoch, self._progress.last_attempt
         if epoch == NEVER and last >= self._members.born[name][1]:
             return f"it has no checkpoint, and its node has taken part in epoch {last}"
-        if self._overlaps and epoch <= last:
+        if self._policy.overlaps and epoch <= last:
             return ""  # where epochs overlap a node may be behind
         has_part = self._members.born[name][1] <= last  # else it holds the state that it came with, of no attempt
         if epoch == last and attempt != last_attempt and has_part:
@@ -135,16 +120,16 @@ class Arrivals:
         members = self._members
         known = self._processes_of(name)
         in_force = members.processes.get(name)
-        if name in members.lost and members.is_dead(process):  # it was cut off, and no keeper here can kill it
+        if name in members.lost and members.is_dead(process):  # it was cut off, and no supervisor here can kill it
             why = f"{name}: it was cut off, and taken for lost in epoch {self._progress.epoch + 1}"
             self._effects.send_order(process, Dismiss(why, again=True))
         elif name in members.lost and (process not in known or process == in_force):
-            members.end(name, process, "it was taken for lost")  # its keeper starts it anew, from its checkpoint
+            members.end(name, process, "it was taken for lost")  # its supervisor starts it anew, from its checkpoint
         elif process not in known:
             instead = "it is no part of the hierarchy" if in_force is None else "another process runs it"
             self._effects.send_order(process, Dismiss(f"{name}: {instead}"))
-        elif process == in_force and (self._doubts.is_ahead(word) or self._doubts.is_astray(word)):
-            self._doubts.hear(word)
+        elif process == in_force and (self._suspicions.is_ahead(word) or self._suspicions.is_astray(word)):
+            self._suspicions.hear(word)
 
     def _runs_another(self, name: str, process: str) -> bool:
         """Whether a process is counted on for another node than it says."""

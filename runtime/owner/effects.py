@@ -8,33 +8,24 @@ from dataclasses import dataclass, field
 
 from hierax.schemas.control import Order
 
-RESTART, DETACH, STOP = "restart", "detach", "stop"
-"""What follows when a node does not come back."""
+RESTART, DETACH, STOP = "restart", "detach", "stop"  # what follows when a node does not come back
 
 
 @dataclass(frozen=True)
 class OwnerPolicy:
-    """What the deployment says.
+    """What the deployment says."""
 
-    Attributes:
-        modules: from which code may be loaded.
-        on_loss: by node, `RESTART`, `DETACH` or `STOP`; `RESTART` where it says nothing.
-        rejoin_timeout_s: by node, how long a lost one may take to come back.
-        alone: the nodes that are detached when an operator or edge function of theirs raises.
-        epoch_deadline_s: how long an epoch may take before it is asked who waits for whom; None: for ever.
-        start_timeout_s: how long a new node's process may take to come up.
-        answer_timeout_s: how long a process may take to answer the owner.
-        overlaps: whether epochs overlap (a staleness): the roster changes after a drained epoch.
-    """
-
-    modules: tuple[str, ...] = ()
+    modules: tuple[str, ...] = ()  # from which code may be loaded
+    # By node, `RESTART`, `DETACH` or `STOP`; `RESTART` where it says nothing.
     on_loss: Mapping[str, str] = field(default_factory=dict)
+    # By node, how long a lost one may take to come back.
     rejoin_timeout_s: Mapping[str, float] = field(default_factory=dict)
-    alone: tuple[str, ...] = ()
+    alone: tuple[str, ...] = ()  # the nodes that are detached when an operator or edge function of theirs raises
+    # How long an epoch may take before it is asked who waits for whom; None: for ever.
     epoch_deadline_s: float | None = None
-    start_timeout_s: float = 30.0
-    answer_timeout_s: float = 5.0
-    overlaps: bool = False
+    start_timeout_s: float = 30.0  # how long a new node's process may take to come up
+    answer_timeout_s: float = 5.0  # how long a process may take to answer the owner
+    overlaps: bool = False  # whether epochs overlap (a staleness): the roster changes after a drained epoch
 
 
 class OwnerEffects(ABC):
@@ -45,7 +36,7 @@ class OwnerEffects(ABC):
         """Send an order to a process; the owner's own is one of them."""
 
     @abstractmethod
-    def keep(self) -> None:
+    def write_record(self) -> None:
         """Write the world's record, with the owner's highest version, before anything else goes out."""
 
     @abstractmethod
@@ -58,7 +49,7 @@ class OwnerEffects(ABC):
 
     @abstractmethod
     def end(self, name: str, process: str, why: str) -> None:
-        """Have its keeper kill a process that hangs, and treat it as lost."""
+        """Have its supervisor kill a process that hangs, and treat it as lost."""
 
     @abstractmethod
     def stop(self, why: str) -> None:

@@ -71,4 +71,4 @@ class EpochProgress:
     def tick(self) -> None:
         """Time has passed."""
         if self.running and not self._members.lost:
-            self._inquiry.tick(self.epoch + 1, self.attempt, self._members.roster, self._members.processes)
+            self._inquiry.tick(self.epoch + 1, self.attempt)

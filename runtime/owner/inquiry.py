@@ -5,17 +5,15 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 
 from hierax.runtime.owner.effects import OwnerEffects, OwnerPolicy
+from hierax.runtime.owner.members import Members
 from hierax.schemas.control import AskStatus, Resend, Status
-from hierax.schemas.roster import Roster
 
-ANSWER_S = 0.2
-"""How long a process that is well may take to say what it waits for."""
+ANSWER_S = 0.2  # how long a process that is well may take to say what it waits for
 
 ASK_AGAIN_S = 0.1
 """After which time those are asked once more who have not answered: a question may be lost with a link."""
 
-RESENDS = 3
-"""How often what is missing is sent again before its link is taken for dead."""
+RESENDS = 3  # how often what is missing is sent again before its link is taken for dead
 
 
 class Inquiry:
@@ -23,22 +21,18 @@ class Inquiry:
 
     Args:
         effects: of the owner.
-        end: has a process killed: its node's name, its token, and why.
         clock: seconds.
-        settings: of the deployment.
+        policy: what the deployment says.
+        members: who takes part.
     """
 
     def __init__(
-        self,
-        effects: OwnerEffects,
-        end: Callable[[str, str, str], None],
-        clock: Callable[[], float],
-        settings: OwnerPolicy,
+        self, effects: OwnerEffects, clock: Callable[[], float], policy: OwnerPolicy, members: Members
     ) -> None:
         self._effects = effects
-        self._end = end
         self._clock = clock
-        self._deadline_s = settings.epoch_deadline_s
+        self._members = members
+        self._deadline_s = policy.epoch_deadline_s
         self._began_s = 0.0
         self._asked_s: float | None = None
         self._insisted = False
@@ -57,36 +51,36 @@ class Inquiry:
         if status.inquiry == self._number:
             self._answers[status.name] = status
 
-    def tick(self, epoch: int, attempt: int, roster: Roster, processes: Mapping[str, str]) -> None:
+    def tick(self, epoch: int, attempt: int) -> None:
         """Time has passed in an attempt."""
         now = self._clock()
         if self._deadline_s is None or now - self._began_s <= self._deadline_s:
             return
         if self._asked_s is None:
-            self._ask(now, roster, processes)
-        elif self._answers.keys() != roster.nodes.keys() and not self._insisted:
+            self._ask(now)
+        elif self._answers.keys() != self._members.roster.nodes.keys() and not self._insisted:
             if now - self._asked_s > ASK_AGAIN_S:
                 self._insisted = True
-                self._tell(sorted(roster.nodes.keys() - self._answers.keys()), processes)
-        elif now - self._asked_s > ANSWER_S or self._answers.keys() == roster.nodes.keys():
+                self._send_question(sorted(self._members.roster.nodes.keys() - self._answers.keys()))
+        elif now - self._asked_s > ANSWER_S or self._answers.keys() == self._members.roster.nodes.keys():
             self._asked_s = None
-            self._judge(epoch, attempt, roster, processes)
+            self._judge(epoch, attempt)
 
-    def _ask(self, now: float, roster: Roster, processes: Mapping[str, str]) -> None:
+    def _ask(self, now: float) -> None:
         self._asked_s = now
         self._number += 1
         self._answers = {}
         self._insisted = False
-        self._tell(sorted(roster.nodes), processes)
+        self._send_question(sorted(self._members.roster.nodes))
 
-    def _tell(self, names: list[str], processes: Mapping[str, str]) -> None:
+    def _send_question(self, names: list[str]) -> None:
         for name in names:
-            self._effects.send_order(processes[name], AskStatus(self._number))
+            self._effects.send_order(self._members.processes[name], AskStatus(self._number))
 
-    def _judge(self, epoch: int, attempt: int, roster: Roster, processes: Mapping[str, str]) -> None:
-        silent = sorted(roster.nodes.keys() - self._answers.keys())
+    def _judge(self, epoch: int, attempt: int) -> None:
+        silent = sorted(self._members.roster.nodes.keys() - self._answers.keys())
         busy = sorted(name for name, status in self._answers.items() if status.busy)
-        place = (epoch, attempt, roster.version)
+        place = (epoch, attempt, self._members.roster.version)
         waiting = {
             name: status.waits_for
             for name, status in sorted(self._answers.items())
@@ -103,13 +97,13 @@ class Inquiry:
             return
         self._note(epoch, silent, busy, waiting)
         if silent or busy:
-            self._blame(epoch, silent, busy, processes)
+            self._blame(epoch, silent, busy)
         elif self._resends < RESENDS:
             self._resends += 1
-            self._send_again(epoch, attempt, roster, waiting, behind, processes)
+            self._send_again(epoch, attempt, waiting, behind)
         else:
             self._resends = 0
-            self._blame_link(roster, waiting, behind, processes)
+            self._blame_link(waiting, behind)
 
     def _note(
         self, epoch: int, silent: list[str], busy: list[str], waiting: Mapping[str, tuple[tuple[str, str], ...]]
@@ -123,45 +117,33 @@ class Inquiry:
         ]
         self._effects.note(f"epoch {epoch} is past its deadline of {self._deadline_s:g} s: {'; '.join(parts)}")
 
-    def _blame(self, epoch: int, silent: list[str], busy: list[str], processes: Mapping[str, str]) -> None:
+    def _blame(self, epoch: int, silent: list[str], busy: list[str]) -> None:
         self._began_s = self._clock()
         for name in silent or busy:
             why = "it does not answer" if name in silent else f"it is in {self._answers[name].busy}"
-            self._end(name, processes[name], f"{why} in epoch {epoch}, past the deadline")
+            self._members.end(name, self._members.processes[name], f"{why} in epoch {epoch}, past the deadline")
 
     def _send_again(
-        self,
-        epoch: int,
-        attempt: int,
-        roster: Roster,
-        waiting: Mapping[str, tuple[tuple[str, str], ...]],
-        behind: list[str],
-        processes: Mapping[str, str],
+        self, epoch: int, attempt: int, waiting: Mapping[str, tuple[tuple[str, str], ...]], behind: list[str]
     ) -> None:
         wanted: dict[str, set[str]] = {}
         for name, slots in waiting.items():
             for sender, _ in slots:
                 wanted.setdefault(sender, set()).add(name)
-        for edge in roster.edges:
+        for edge in self._members.roster.edges:
             if edge.upper in behind and edge.lower not in behind:
                 wanted.setdefault(edge.lower, set()).add(edge.upper)
         for sender, receivers in sorted(wanted.items()):
-            self._effects.send_order(processes[sender], Resend(epoch, attempt, tuple(sorted(receivers))))
+            self._effects.send_order(self._members.processes[sender], Resend(epoch, attempt, tuple(sorted(receivers))))
 
-    def _blame_link(
-        self,
-        roster: Roster,
-        waiting: Mapping[str, tuple[tuple[str, str], ...]],
-        behind: list[str],
-        processes: Mapping[str, str],
-    ) -> None:
+    def _blame_link(self, waiting: Mapping[str, tuple[tuple[str, str], ...]], behind: list[str]) -> None:
         """What is sent again and again does not arrive: the upper end of the link is taken for lost."""
         self._began_s = self._clock()
         missing = {(sender, name) for name, slots in waiting.items() for sender, _ in slots}
         uppers = sorted(
             edge.upper
-            for edge in roster.edges
+            for edge in self._members.roster.edges
             if edge.pair in missing or edge.pair[::-1] in missing or (edge.upper in behind and edge.lower not in behind)
         )
         for name in uppers[:1]:
-            self._end(name, processes[name], "a link to it carries nothing")
+            self._members.end(name, self._members.processes[name], "a link to it carries nothing")

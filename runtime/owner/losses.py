@@ -2,50 +2,32 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import replace
 
-from hierax.runtime.owner.effects import DETACH, OwnerEffects, OwnerPolicy
-from hierax.runtime.owner.epoch_progress import EpochProgress
-from hierax.runtime.owner.members import Members
+from hierax.runtime.owner.context import OwnerContext, OwnerPart
+from hierax.runtime.owner.effects import DETACH
 from hierax.runtime.owner.plan import Request
 from hierax.runtime.owner.planning import Planning
 from hierax.runtime.owner.roster_changes import Undo
 from hierax.schemas.changes import Detach
-from hierax.schemas.control import Census, Failed, Lost
+from hierax.schemas.control import Failed, Lost
 from hierax.schemas.roster import Roster
 
 
-class Losses:
+class Losses(OwnerPart):
     """Takes in who is lost, and does what the deployment says of it.
 
     Args:
-        members: who takes part.
-        progress: of the epochs.
+        context: of the owner.
         planning: what is done about it.
-        effects: of the owner.
-        clock: seconds.
-        settings: of the deployment.
     """
 
-    def __init__(
-        self,
-        members: Members,
-        progress: EpochProgress,
-        planning: Planning,
-        effects: OwnerEffects,
-        clock: Callable[[], float],
-        settings: OwnerPolicy,
-    ) -> None:
-        self._members = members
-        self._progress = progress
+    def __init__(self, context: OwnerContext, planning: Planning) -> None:
+        super().__init__(context)
         self._planning = planning
-        self._effects = effects
-        self._clock = clock
-        self._answer_timeout_s = settings.answer_timeout_s
 
     def hear(self, word: Lost) -> None:
-        """A keeper says that a process is gone for good; where it names none, that no other comes for a node."""
+        """A supervisor says that a process is gone for good; where it names none, that no other comes for a node."""
         name, process = word.name, word.process
         if not process:
             if self._stays_away(name):
@@ -91,17 +73,11 @@ class Losses:
             self._planning.redo(self._planning.plan)
         self._planning.ask(Request("", Undo(name, before), self._clock()))
 
-    def count(self, word: Census) -> None:
-        """The keeper's processes, for an owner that is new: what of them is missing is lost."""
-        for name, process in sorted(self._members.processes.items()):
-            if name in word.processes and word.processes[name] != process and name not in self._members.lost:
-                self._on_lost(name, process, restarts=True)
-
     def tick(self) -> None:
         """Time has passed."""
         now = self._clock()
         for (name, process), since in list(self._members.ended.items()):
-            if now - since > self._answer_timeout_s:  # its keeper is cut off as well
+            if now - since > self._policy.answer_timeout_s:  # its supervisor is cut off as well
                 del self._members.ended[name, process]
                 self._on_lost(name, process, restarts=True)
         for name in list(self._members.lost):

@@ -15,8 +15,7 @@ UNDONE = "it had failed in its first epoch, and what it had replaced goes on"
 
 Tried = tuple[str, Roster, str, Born, bool]
 
-REMEMBERED = 1024
-"""How many dead processes are remembered, so that what comes late does no harm."""
+REMEMBERED = 1024  # how many dead processes are remembered, so that what comes late does no harm
 
 
 class Members:
@@ -28,10 +27,10 @@ class Members:
         born: by node; None: all were there at the beginning.
         effects: of the owner.
         clock: seconds.
-        settings: of the deployment.
+        policy: what the deployment says.
         tried: of a node whose first epoch under the roster is under way, its name, the roster before it, and the
             process and birth of what it has replaced, and whether that fails alone.
-        alone: the nodes that fail alone; None: as the settings say.
+        alone: the nodes that fail alone; None: as the policy says.
 
     Attributes:
         roster: in force.
@@ -53,7 +52,7 @@ class Members:
         born: Mapping[str, Born] | None,
         effects: OwnerEffects,
         clock: Callable[[], float],
-        settings: OwnerPolicy,
+        policy: OwnerPolicy,
         tried: Tried | None = None,
         alone: Iterable[str] | None = None,
     ) -> None:
@@ -65,10 +64,10 @@ class Members:
         self.ended: dict[tuple[str, str], float] = {}
         self._effects = effects
         self._clock = clock
-        self.alone = frozenset(settings.alone if alone is None else alone)
+        self.alone = frozenset(policy.alone if alone is None else alone)
         self.failures: dict[str, str] = {}
-        self._on_loss = dict(settings.on_loss)
-        self._rejoin_timeout_s = dict(settings.rejoin_timeout_s)
+        self._on_loss = dict(policy.on_loss)
+        self._rejoin_timeout_s = dict(policy.rejoin_timeout_s)
         self._given_up: set[str] = set()
         self._dead: OrderedDict[str, None] = OrderedDict()
         self._refused: dict[str, str] = {}
@@ -107,7 +106,7 @@ class Members:
         return self._heard_s.get(process, -inf)
 
     def is_dead(self, process: str) -> bool:
-        """Whether a keeper has said that it is."""
+        """Whether a supervisor has said that it is."""
         return process in self._dead
 
     def died(self, name: str, process: str) -> str:
@@ -121,12 +120,12 @@ class Members:
         return self._refused.pop(process, "")
 
     def end(self, name: str, process: str, why: str) -> None:
-        """Have a process killed; it is lost when its keeper says so, or says nothing."""
+        """Have a process killed; it is lost when its supervisor says so, or says nothing."""
         self.ended.setdefault((name, process), self._clock())
         self._effects.end(name, process, why)
 
     def send_away(self, name: str, process: str, why: str) -> None:
-        """A process cannot run a node; when its keeper says that it is gone, the node is given up."""
+        """A process cannot run a node; when its supervisor says that it is gone, the node is given up."""
         self._effects.note(f"{name}: {why}; it cannot come back")
         self._refused[process] = why
         self._effects.send_order(process, Dismiss(why))

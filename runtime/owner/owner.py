@@ -9,6 +9,7 @@ from hierax.runtime.core.errors import HieraxError
 from hierax.runtime.loading.allowance import Allowance, NotAllowedError, Refusals
 from hierax.runtime.owner.answers import OVER, Answers
 from hierax.runtime.owner.arrivals import Arrivals
+from hierax.runtime.owner.context import OwnerContext, OwnerPart
 from hierax.runtime.owner.effects import OwnerEffects, OwnerPolicy
 from hierax.runtime.owner.epoch_progress import EpochProgress
 from hierax.runtime.owner.inquiry import Inquiry
@@ -21,7 +22,6 @@ from hierax.runtime.owner.suspicions import Suspicions
 from hierax.schemas.changes import read_change
 from hierax.schemas.control import (
     NEVER,
-    Census,
     Control,
     Failed,
     Fetch,
@@ -37,13 +37,12 @@ from hierax.schemas.control import (
 from hierax.schemas.errors import SchemaError
 from hierax.schemas.roster import Roster
 
-FETCH_S = 0.02
-"""How often a process is told the roster at most, when it asks for it."""
+FETCH_S = 0.02  # how often a process is told the roster at most, when it asks for it
 
 __all__ = ["MAX_TRIES", "OVER", "Owner"]
 
 
-class Owner:
+class Owner(OwnerPart):
     """Owns the roster of a run; lives beside the world's engine.
 
     Args:
@@ -51,7 +50,7 @@ class Owner:
         processes: of its nodes; one without is lost.
         effects: called with all that is to be done.
         clock: seconds, never going back.
-        settings: of the deployment.
+        policy: what the deployment says.
         epoch: the last one committed.
         attempt: the last one of the epoch after that; NEVER: none was begun.
         highest: the highest version that was ever prepared.
@@ -68,7 +67,7 @@ class Owner:
         processes: Mapping[str, str],
         effects: OwnerEffects,
         clock: Callable[[], float],
-        settings: OwnerPolicy,
+        policy: OwnerPolicy,
         *,
         epoch: int = 0,
         attempt: int = NEVER,
@@ -79,23 +78,19 @@ class Owner:
         tried: Tried | None = None,
         alone: Iterable[str] | None = None,
     ) -> None:
-        self._effects = effects
-        self._told_s: dict[str, float] = {}
-        self._clock = clock
-        self._settings = settings
-        self._refusals = Refusals()
-        members = Members(roster, processes, born, effects, clock, settings, tried, alone)
-        self._inquiry = Inquiry(effects, members.end, clock, settings)
+        members = Members(roster, processes, born, effects, clock, policy, tried, alone)
+        self._inquiry = Inquiry(effects, clock, policy, members)
         progress = EpochProgress(
             members, self._inquiry, effects, epoch=epoch, attempt=attempt, settled=settled, last_attempt=last_attempt
         )
-        self._members = members
-        self._progress = progress
-        self._answers = Answers(members, effects)
-        self._planning = Planning(members, progress, self._answers, effects, self.proceed, clock, settings, highest)
-        self._doubts = Suspicions(members, progress, effects)
-        self._arrivals = Arrivals(members, progress, self._planning, self._doubts, effects, settings)
-        self._losses = Losses(members, progress, self._planning, effects, clock, settings)
+        context = OwnerContext(effects, clock, policy, members, progress, Answers(members, effects))
+        super().__init__(context)
+        self._planning = Planning(context, self.proceed, highest)
+        self._suspicions = Suspicions(context)
+        self._arrivals = Arrivals(context, self._planning, self._suspicions)
+        self._losses = Losses(context, self._planning)
+        self._refusals = Refusals()
+        self._told_s: dict[str, float] = {}
 
     @property
     def roster(self) -> Roster:
@@ -169,13 +164,13 @@ class Owner:
         plan = self._planning.plan
         if not self._members.lost:
             ready = plan is not None and plan.stage is Stage.READY
-            if plan is not None and ready and (progress.drained or not self._settings.overlaps):
+            if plan is not None and ready and (progress.drained or not self._policy.overlaps):
                 self._planning.take_effect(plan)
             elif plan is None or ready or plan.stage is Stage.PREPARE:
                 progress.drains = ready
                 progress.begin()
         if not progress.running:
-            self._effects.keep()  # nobody hears of a commit that a crash could undo
+            self._effects.write_record()  # nobody hears of a commit that a crash could undo
         self._members.dismiss_outlived()
         self._answers.tell(progress.epoch)
 
@@ -196,7 +191,7 @@ class Owner:
         self._planning.finish(OVER)
 
     def hear(self, word: Control) -> None:
-        """Take in what a process, a keeper or a user says."""
+        """Take in what a process, a supervisor or a user says."""
         if isinstance(word, (Join, Ready, Fetch)):
             self._members.hear(word.process)
         if self._progress.over:
@@ -214,11 +209,9 @@ class Owner:
             self._on_fetch(word)
         elif isinstance(word, Status):
             self._inquiry.hear(word)
-            self._doubts.answer(word)
+            self._suspicions.answer(word)
         elif isinstance(word, Propose):
             self._on_propose(word)
-        elif isinstance(word, Census):
-            self._losses.count(word)
 
     def tick(self) -> None:
         """Time has passed."""
@@ -239,7 +232,7 @@ class Owner:
         version = self.highest + 1
         try:
             change = read_change(word.change)
-            Allowance(self._settings.modules).check_all(change)
+            Allowance(self._policy.modules).check_all(change)
             apply(self.roster, change, version, lambda _: version)
         except (HieraxError, SchemaError) as error:
             if isinstance(error, NotAllowedError) and self._refusals.is_new(str(error)):

@@ -25,44 +25,28 @@ Born = tuple[int, int, str]
 
 @dataclass(frozen=True)
 class Trial:
-    """A node that has replaced another one, until its first epoch is committed.
+    """A node that has replaced another one, until its first epoch is committed."""
 
-    Attributes:
-        name: of the node.
-        before: the roster that was in force before.
-        process: of what it has replaced, which waits; empty: it has died.
-        born: of that.
-        alone, on_loss, rejoin_timeout_s: what held for that; None where nothing was said.
-    """
-
-    name: str
-    before: Roster
-    process: str
-    born: Born
-    alone: bool
-    on_loss: str | None
-    rejoin_timeout_s: float | None
+    name: str  # of the node
+    before: Roster  # the roster that was in force before
+    process: str  # of what it has replaced, which waits; empty: it has died
+    born: Born  # of that
+    alone: bool  # what held for that; None where nothing was said
+    on_loss: str | None  # likewise
+    rejoin_timeout_s: float | None  # likewise
 
 
 @dataclass
 class Request:
-    """A change that somebody asked for.
+    """A change that somebody asked for."""
 
-    Attributes:
-        key: by which the answer is told apart; empty: the owner itself asks.
-        change: what is wanted.
-        since_s: when it was asked for.
-        on_loss, rejoin_timeout_s, alone: of its new nodes, as `OwnerPolicy` has them.
-        tries: how often a plan with it had to be dropped.
-    """
-
-    key: str
-    change: Change | Undo
-    since_s: float
-    on_loss: Mapping[str, str] = field(default_factory=dict)
-    rejoin_timeout_s: Mapping[str, float] = field(default_factory=dict)
-    alone: tuple[str, ...] = ()
-    tries: int = 0
+    key: str  # by which the answer is told apart; empty: the owner itself asks
+    change: Change | Undo  # what is wanted
+    since_s: float  # when it was asked for
+    on_loss: Mapping[str, str] = field(default_factory=dict)  # of its new nodes, as `OwnerPolicy` has them
+    rejoin_timeout_s: Mapping[str, float] = field(default_factory=dict)  # likewise
+    alone: tuple[str, ...] = ()  # likewise
+    tries: int = 0  # how often a plan with it had to be dropped
 
     @property
     def new_nodes(self) -> tuple[str, ...]:
@@ -72,31 +56,18 @@ class Request:
 
 @dataclass
 class Plan:
-    """A version that is prepared.
+    """A version that is prepared."""
 
-    Attributes:
-        roster: what will be.
-        processes: by node.
-        request: the change in it; None: there is none, or only those along with it.
-        along: lost nodes that are detached with it.
-        back: nodes that come back.
-        waiting: nodes of which an answer is missing.
-        urgent: the epoch under way cannot end without it.
-        since_s: when its stage began.
-        told_s: when those that are waited for were last told.
-        replaced: by node that is replaced, its old process.
-    """
-
-    roster: Roster
-    processes: Mapping[str, str]
-    request: Request | None
-    along: tuple[Request, ...]
-    back: frozenset[str]
-    waiting: set[str]
-    urgent: bool
-    since_s: float
-    told_s: float
-    replaced: Mapping[str, str]
+    roster: Roster  # what will be
+    processes: Mapping[str, str]  # by node
+    request: Request | None  # the change in it; None: there is none, or only those along with it
+    along: tuple[Request, ...]  # lost nodes that are detached with it
+    back: frozenset[str]  # nodes that come back
+    waiting: set[str]  # nodes of which an answer is missing
+    urgent: bool  # the epoch under way cannot end without it
+    since_s: float  # when its stage began
+    told_s: float  # when those that are waited for were last told
+    replaced: Mapping[str, str]  # by node that is replaced, its old process
     stage: Stage = Stage.PREPARE
     states: dict[str, bytes] = field(default_factory=dict)
 

@@ -7,34 +7,23 @@ from collections.abc import Callable
 from dataclasses import replace
 
 from hierax.runtime.core.errors import HieraxError
-from hierax.runtime.owner.answers import Answers
-from hierax.runtime.owner.effects import OwnerEffects, OwnerPolicy
-from hierax.runtime.owner.epoch_progress import EpochProgress
-from hierax.runtime.owner.members import Members
+from hierax.runtime.owner.context import OwnerContext, OwnerPart
 from hierax.runtime.owner.plan import Plan, Request, Stage
 from hierax.runtime.owner.roster_changes import Undo, apply, removed, touched
 from hierax.schemas.changes import Detach, Replace
 from hierax.schemas.control import Dismiss, HandOver, Prepare, Ready, State, Taken, TakeOver, Unchanged
 from hierax.schemas.roster import Roster
 
-TELL_AGAIN_S = 0.1
-"""How often those that are waited for are told again."""
-
-MAX_TRIES = 5
-"""How often a change is planned anew because a process died meanwhile."""
+TELL_AGAIN_S = 0.1  # how often those that are waited for are told again
+MAX_TRIES = 5  # how often a change is planned anew because a process died meanwhile
 
 
-class Planning:
+class Planning(OwnerPart):
     """Makes one plan after the other, and has it take effect.
 
     Args:
-        members: who takes part.
-        progress: of the epochs.
-        answers: for those who ask for changes.
-        effects: of the owner.
+        context: of the owner.
         proceed: to be called when nothing is planned any more, as an epoch may wait for that.
-        clock: seconds.
-        settings: of the deployment.
         highest: the highest version that was ever prepared.
 
     Attributes:
@@ -43,27 +32,12 @@ class Planning:
         queue: what is asked for, and is not in the plan.
     """
 
-    def __init__(
-        self,
-        members: Members,
-        progress: EpochProgress,
-        answers: Answers,
-        effects: OwnerEffects,
-        proceed: Callable[[], None],
-        clock: Callable[[], float],
-        settings: OwnerPolicy,
-        highest: int,
-    ) -> None:
-        self.highest = max(highest, members.roster.version)
+    def __init__(self, context: OwnerContext, proceed: Callable[[], None], highest: int) -> None:
+        super().__init__(context)
+        self.highest = max(highest, self._members.roster.version)
         self.plan: Plan | None = None
         self.queue: deque[Request] = deque()
-        self._members = members
-        self._progress = progress
-        self._answers = answers
-        self._effects = effects
         self._proceed = proceed
-        self._clock = clock
-        self._settings = settings
         self._states: dict[str, bytes] = {}
         self._states_of = 0
 
@@ -111,7 +85,7 @@ class Planning:
         now = self._clock()
         for request in list(self.queue):
             missing = self._missing(request)
-            if now - request.since_s > self._settings.start_timeout_s and missing:
+            if now - request.since_s > self._policy.start_timeout_s and missing:
                 self.withdraw(request, f"no process for {', '.join(missing)} came up in time (start_timeout_s)")
         if self.plan is not None:
             self._hurry(self.plan, now)
@@ -205,7 +179,7 @@ class Planning:
         self, roster: Roster, request: Request | None, along: tuple[Request, ...], back: frozenset[str]
     ) -> None:
         self.highest = roster.version
-        self._effects.keep()  # the number is used from now on, whatever becomes of it
+        self._effects.write_record()  # the number is used from now on, whatever becomes of it
         now = self._clock()
         members = self._members
         gone = removed(members.roster, roster)
@@ -224,7 +198,7 @@ class Planning:
         waiting = set(touched(members.roster, roster)) | {roster.world}
         urgent = bool(members.lost) or (request is not None and isinstance(request.change, Undo))
         self.plan = Plan(roster, processes, request, along, back, waiting, urgent, now, now, replaced)
-        self._tell_waiting(self.plan)
+        self._send_to_waiting(self.plan)
         same = Unchanged(roster.version, members.roster.version)
         for name in sorted(roster.nodes.keys() - waiting):  # so that they need not ask when the first message comes
             self._effects.send_order(processes[name], same)
@@ -254,7 +228,7 @@ class Planning:
             self._states = {}
             plan.since_s = self._clock()
             plan.waiting = set(plan.replaced)
-            self._tell_waiting(plan)
+            self._send_to_waiting(plan)
             return
         away = self._members.lost.keys() - plan.back - {plan.undone}
         if away & plan.roster.nodes.keys():
@@ -274,7 +248,7 @@ class Planning:
             self._effects.send_order(process, Dismiss(f"{name}: {instead} from epoch {first} on"))
         self.reconsider()
 
-    def _tell_waiting(self, plan: Plan) -> None:
+    def _send_to_waiting(self, plan: Plan) -> None:
         plan.told_s = self._clock()
         prepare = Prepare(plan.roster.plain(), self._members.alone_in(plan), self._members.tried_in(plan))
         epoch, attempt = self._progress.epoch, self._progress.last_attempt
@@ -304,7 +278,7 @@ class Planning:
         if word.name in plan.replaced and word.name not in plan.states:
             plan.states[word.name] = self._states[word.name] = word.state
             self._states_of = plan.version
-            self._tell_waiting(plan)
+            self._send_to_waiting(plan)
 
     def _check_same(self, word: State) -> None:
         """A state that is said again says the same, also when it was handed on long ago."""
@@ -362,17 +336,17 @@ class Planning:
         """Tell those again that are waited for; who takes too long is to blame."""
         if plan.stage is Stage.READY:
             return
-        if now - plan.since_s > self._settings.answer_timeout_s:
+        if now - plan.since_s > self._policy.answer_timeout_s:
             silent = self._silent(plan)
             if plan.request is not None and plan.request.key:
                 named = ", ".join(silent)
-                self._drop(plan, f"no answer from {named} within {self._settings.answer_timeout_s:g} s")
+                self._drop(plan, f"no answer from {named} within {self._policy.answer_timeout_s:g} s")
                 return
             plan.since_s = now
             for name in silent:
                 self._members.end(name, plan.processes[name], "it does not answer the roster's owner")
         elif now - plan.told_s > TELL_AGAIN_S:
-            self._tell_waiting(plan)
+            self._send_to_waiting(plan)
 
     def _silent(self, plan: Plan) -> list[str]:
         """Who is to blame: who says nothing at all; the others may only wait for its end of a link."""

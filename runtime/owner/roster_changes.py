@@ -24,15 +24,10 @@ class ChangeError(HieraxError):
 
 @dataclass(frozen=True)
 class Undo:
-    """What a node has replaced takes its place again, with its process. Nobody asks for it: it follows on a failure.
+    """What a node has replaced takes its place again, with its process. Nobody asks for it: it follows on a failure."""
 
-    Attributes:
-        name: of the node.
-        before: the roster before it was replaced.
-    """
-
-    name: str
-    before: Roster
+    name: str  # of the node
+    before: Roster  # the roster before it was replaced
 
 
 def apply(roster: Roster, change: Change | Undo, version: int, instances: Callable[[str], int]) -> Roster:
@@ -50,8 +45,7 @@ def apply(roster: Roster, change: Change | Undo, version: int, instances: Callab
         A valid roster. Nodes that are neither new nor replaced keep their instances.
 
     Raises:
-        ChangeError: it cannot be done, or the result would be no hierarchy; the reason,
-            and the nearest valid name.
+        ChangeError: it cannot be done, or the result would be no hierarchy; the reason, and the nearest valid name.
     """
     if isinstance(change, Attach):
         return _attach(roster, change, version, instances)
@@ -62,28 +56,11 @@ def apply(roster: Roster, change: Change | Undo, version: int, instances: Callab
     return _replace(roster, change, version, instances)
 
 
-def restarted(roster: Roster, instances: Mapping[str, int], version: int) -> Roster:
-    """The roster with new processes for some of its nodes; its content stays.
-
-    Args:
-        roster: a valid one.
-        instances: their numbers, by node.
-        version: of the new roster; higher than the old one's.
-
-    Raises:
-        ChangeError: there is no node of that name, with the nearest one.
-    """
-    for name in sorted(instances):
-        _check_known(name, roster, f"cannot restart {name!r}")
-    return _successor(roster, version, roster.nodes, roster.edges, instances)
-
-
 def touched(old: Roster, new: Roster) -> frozenset[str]:
     """The nodes that must be ready for a roster before it takes effect.
 
-    A node of `new` is touched if it is new itself, or if of what its engine is made of
-    anything is another: its class and parameters, its instance, its neighbours, their
-    instances, or one of its edges.
+    A node of `new` is touched if it is new itself, or if of what its engine is made of anything is another: its class
+    and parameters, its instance, its neighbours, their instances, or one of its edges.
     """
     before, after = _joints(old), _joints(new)
     return frozenset(name for name, joint in after.items() if before.get(name) != joint)

@@ -6,31 +6,22 @@ whether that is so, as anybody may have said it in its name.
 
 from __future__ import annotations
 
-from hierax.runtime.owner.effects import OwnerEffects
-from hierax.runtime.owner.epoch_progress import EpochProgress
-from hierax.runtime.owner.members import Members
+from hierax.runtime.owner.context import OwnerContext, OwnerPart
 from hierax.schemas.control import AskStatus, Join, Status
 
-FIRST_INQUIRY = 1 << 40
-"""The numbers of these inquiries are no others' numbers."""
-
-MAX_REPEATS = 100
-"""How often an epoch is begun again because a node was moved on; then the run ends."""
+FIRST_INQUIRY = 1 << 40  # the numbers of these inquiries are no others' numbers
+MAX_REPEATS = 100  # how often an epoch is begun again because a node was moved on; then the run ends
 
 
-class Suspicions:
+class Suspicions(OwnerPart):
     """Has an epoch begun again whose attempt a node has left; ends the run where that does not help.
 
     Args:
-        members: who takes part.
-        progress: of the epochs.
-        effects: of the owner.
+        context: of the owner.
     """
 
-    def __init__(self, members: Members, progress: EpochProgress, effects: OwnerEffects) -> None:
-        self._members = members
-        self._progress = progress
-        self._effects = effects
+    def __init__(self, context: OwnerContext) -> None:
+        super().__init__(context)
         self._number = FIRST_INQUIRY
         self._asked: dict[str, int] = {}
         self._lies: dict[str, int] = {}

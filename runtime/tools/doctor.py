@@ -19,15 +19,13 @@ from hierax.runtime.tools.finding import FINE, NOTE, WRONG, Finding
 from hierax.runtime.tools.packages import check_packages
 
 OLDEST_PYTHON = (3, 10)
-NEWEST_PYTHON = (3, 11)
-"""The versions that hierax is tested with."""
+NEWEST_PYTHON = (3, 11)  # the versions that hierax is tested with
 
 FREE_SHARED_BYTES = 64 << 20
 FREE_MEMORY_BYTES = 512 << 20
 OPEN_FILES = 1024
 PROCESSES = 1024
-BUSY_LOAD = 2.0
-"""How many programs may want each core before times say little."""
+BUSY_LOAD = 2.0  # how many programs may want each core before times say little
 
 LOOP_TIMEOUT_S = 10.0
 

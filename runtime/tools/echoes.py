@@ -13,14 +13,9 @@ from hierax.runtime.core.errors import HieraxError
 from hierax.runtime.loading.nearest import did_you_mean
 from hierax.schemas.messages import CONTEXT, OBSERVATIONS, TASKS, Message
 
-Edge = tuple[str, str, str]
-"""Kind, sender and receiver."""
-
-WINDOW = 100
-"""Over how many messages, the last ones, a rate is taken."""
-
-SHORTEST_S = 0.1
-"""Over a shorter time than this none is: messages may come in bursts."""
+Edge = tuple[str, str, str]  # kind, sender and receiver
+WINDOW = 100  # over how many messages, the last ones, a rate is taken
+SHORTEST_S = 0.1  # over a shorter time than this none is: messages may come in bursts
 
 
 def short_key(edge: Edge) -> str:
@@ -59,19 +54,12 @@ def chosen(pattern: str, edges: Sequence[Edge]) -> list[Edge]:
 
 
 class Echo(NamedTuple):
-    """A message that somebody sees.
+    """A message that somebody sees."""
 
-    Attributes:
-        message: decoded.
-        size: bytes on the wire.
-        rate_hz: how often messages with this key have come of late; None where there are too few to say.
-        missed: epochs between the last message with this key and this one of which none came here.
-    """
-
-    message: Message
-    size: int
-    rate_hz: float | None
-    missed: int
+    message: Message  # decoded
+    size: int  # bytes on the wire
+    rate_hz: float | None  # how often messages with this key have come of late; None where there are too few to say
+    missed: int  # epochs between the last message with this key and this one of which none came here
 
 
 @dataclass

@@ -8,16 +8,9 @@ FINE, NOTE, WRONG = "fine", "note", "wrong"
 
 
 class Finding(NamedTuple):
-    """What was found in one place.
+    """What was found in one place."""
 
-    Attributes:
-        check: what was looked at.
-        state: `FINE`, `NOTE` (worth knowing) or `WRONG`.
-        what: what is there.
-        mend: what to do about it; empty where nothing is to be done.
-    """
-
-    check: str
-    state: str
-    what: str
-    mend: str = ""
+    check: str  # what was looked at
+    state: str  # `FINE`, `NOTE` (worth knowing) or `WRONG`
+    what: str  # what is there
+    mend: str = ""  # what to do about it; empty where nothing is to be done

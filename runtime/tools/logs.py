@@ -80,20 +80,13 @@ def read_pattern(text: str) -> re.Pattern[str]:
 
 
 @dataclass(frozen=True)
-class Wanted:
-    """Which entries of a log are shown.
+class LogFilter:
+    """Which entries of a log are shown."""
 
-    Attributes:
-        nodes: of these alone; empty: of all.
-        level: from this one on.
-        since: not from before; None: from the beginning.
-        pattern: found in message, logger's name or traceback; None: anything.
-    """
-
-    nodes: Sequence[str] = ()
-    level: str = "DEBUG"
-    since: datetime | None = None
-    pattern: re.Pattern[str] | None = None
+    nodes: Sequence[str] = ()  # of these alone; empty: of all
+    level: str = "DEBUG"  # from this one on
+    since: datetime | None = None  # not from before; None: from the beginning
+    pattern: re.Pattern[str] | None = None  # found in message, logger's name or traceback; None: anything
 
     def __call__(self, entry: Entry) -> bool:
         """Whether an entry is."""

@@ -17,23 +17,14 @@ NS_PER_S = 1e9
 
 @dataclass(frozen=True)
 class NodeRates:
-    """What a node did between two looks.
+    """What a node did between two looks."""
 
-    Attributes:
-        epochs: how many it has completed; a node that was started again in between counts from there.
-        interval_s: how long it was watched.
-        work_s: time spent, by `hierax.runtime.watch.meter.WORK`.
-        waiting_s: time waited, by whom it waited for; the empty name where nobody can be named.
-        cpu_s: processor time of its process.
-        epochs_s: durations of its last epochs.
-    """
-
-    epochs: int
-    interval_s: float
-    work_s: Mapping[str, float]
-    waiting_s: Mapping[str, float]
-    cpu_s: float
-    epochs_s: Sequence[float]
+    epochs: int  # how many it has completed; a node that was started again in between counts from there
+    interval_s: float  # how long it was watched
+    work_s: Mapping[str, float]  # time spent, by `hierax.runtime.watch.meter.WORK`
+    waiting_s: Mapping[str, float]  # time waited, by whom it waited for; the empty name where nobody can be named
+    cpu_s: float  # processor time of its process
+    epochs_s: Sequence[float]  # durations of its last epochs
 
     @staticmethod
     def between(before: Answer | None, after: Answer) -> NodeRates:

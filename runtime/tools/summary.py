@@ -10,11 +10,8 @@ import numpy as np
 from hierax.runtime.execution.plain import HEAD_BYTES, statistics
 from hierax.schemas.values import Value
 
-SMALL_ARRAY = 16
-"""Arrays of so many elements are shown whole."""
-
-SHOWN_ITEMS = 20
-"""Of longer lists and maps, the first ones are shown as text."""
+SMALL_ARRAY = 16  # arrays of so many elements are shown whole
+SHOWN_ITEMS = 20  # of longer lists and maps, the first ones are shown as text
 
 _LINE_CHARS = 100
 _INDENT = "  "

@@ -13,11 +13,8 @@ from hierax.schemas.errors import SchemaError
 from hierax.schemas.keys import Keys
 from hierax.schemas.limits import MAX_STATE_BYTES
 
-OWNER = "owner"
-"""The owner's address among the control keys; a process's is its token."""
-
-SUPERVISOR = "keeper"
-"""The supervisor's address among them."""
+OWNER = "owner"  # the owner's address among the control keys; a process's is its token
+SUPERVISOR = "keeper"  # the supervisor's address among them
 
 _log = logging.getLogger("hierax")
 

@@ -20,11 +20,8 @@ from hierax.schemas.keys import Keys
 from hierax.schemas.limits import MAX_NUMBER
 from hierax.schemas.values import Value, decode_value, encode_value
 
-INTRODUCE_S = 0.3
-"""How long it takes at most until everybody has heard of everybody."""
-
-LEAVE_S = 1.0
-"""How long processes that are kept elsewhere may take to go when the run is over."""
+INTRODUCE_S = 0.3  # how long it takes at most until everybody has heard of everybody
+LEAVE_S = 1.0  # how long processes that are kept elsewhere may take to go when the run is over
 
 LOOK_AGAIN_S = 0.02
 

@@ -12,8 +12,7 @@ from hierax.runtime.transport.queries import Reply, answer_questions
 from hierax.schemas.keys import Keys
 from hierax.schemas.values import Value
 
-QUESTIONS = 64
-"""How many questions wait at a node; of more than that, the oldest are not answered."""
+QUESTIONS = 64  # how many questions wait at a node; of more than that, the oldest are not answered
 
 _log = logging.getLogger("hierax")
 

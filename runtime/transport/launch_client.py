@@ -1,9 +1,8 @@
 """The client of a launch: asks its supervisor and its nodes, and listens to what they show.
 
-Nothing of the run goes through here, and nothing waits for it. Tools do not subscribe to
-the keys of edges: what is put there waits for slow receivers, and a tool that its user
-has stopped would hold the run up. A node shows copies, which are dropped where they
-cannot go at once (`hierax.runtime.transport.inspection`).
+Nothing of the run goes through here, and nothing waits for it. Tools do not subscribe to the keys of edges: what is put
+there waits for slow receivers, and a tool that its user has stopped would hold the run up. A node shows copies, which
+are dropped where they cannot go at once (`hierax.runtime.transport.inspection`).
 """
 
 from __future__ import annotations
@@ -27,11 +26,8 @@ from hierax.schemas.errors import SchemaError, shown
 from hierax.schemas.keys import Keys
 from hierax.schemas.values import Value
 
-FIND_TIMEOUT_S = 5.0
-"""How long it may take until the launch's session has heard of the client's."""
-
-FOUND_TIMEOUT_S = 2.0
-"""How long supervisors may take to say which runs they supervise."""
+FIND_TIMEOUT_S = 5.0  # how long it may take until the launch's session has heard of the client's
+FOUND_TIMEOUT_S = 2.0  # how long supervisors may take to say which runs they supervise
 
 NODES_TIMEOUT_S = 2.0
 LOOK_AGAIN_S = 0.02
@@ -46,21 +42,13 @@ class AnswerError(HieraxError):
 
 @dataclass(frozen=True)
 class LaunchStatus:
-    """A launch, as its supervisor describes it.
+    """A launch, as its supervisor describes it."""
 
-    Attributes:
-        hierarchy: the name of the hierarchy.
-        run: the identification of the run.
-        epoch: the last one committed, as far as the supervisor has heard.
-        roster: the version in force.
-        nodes: by name: ``process``, ``pid``, ``state``, ``restarts``, ``instance``.
-    """
-
-    hierarchy: str
-    run: str
-    epoch: int
-    roster: int
-    nodes: Mapping[str, Mapping[str, Any]]
+    hierarchy: str  # the name of the hierarchy
+    run: str  # the identification of the run
+    epoch: int  # the last one committed, as far as the supervisor has heard
+    roster: int  # the version in force
+    nodes: Mapping[str, Mapping[str, Any]]  # by name: ``process``, ``pid``, ``state``, ``restarts``, ``instance``
 
     @staticmethod
     def read(answer: Answer) -> LaunchStatus:

@@ -10,11 +10,8 @@ import numpy as np
 from hierax.runtime.transport.port import Port, TransportError
 from hierax.schemas.messages import Header, Message, decode_message, encode_message
 
-Lane = tuple[str, str]
-"""Sender and kind: what of one receiver's messages stays in order."""
-
-QUEUE_SIZE = 1024
-"""How many messages a lane holds at most."""
+Lane = tuple[str, str]  # sender and kind: what of one receiver's messages stays in order
+QUEUE_SIZE = 1024  # how many messages a lane holds at most
 
 
 class MemoryNetwork:

@@ -40,8 +40,7 @@ class Port(ABC):
     def receive(self) -> Message | None:
         """The next message.
 
-        A port in a process of its own waits for it; one in a network in memory gives None
-        where nothing is on its way.
+        A port in a process of its own waits for it; one in a network in memory gives None where nothing is on its way.
 
         Returns:
             None when the port was interrupted or closed.

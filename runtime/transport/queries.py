@@ -12,8 +12,7 @@ from hierax.schemas.errors import SchemaError
 from hierax.schemas.limits import MAX_QUESTION_BYTES
 from hierax.schemas.values import Value, decode_value, encode_value
 
-Reply = Callable[[Value], None]
-"""Sends the answer to a question; any thread may call it."""
+Reply = Callable[[Value], None]  # sends the answer to a question; any thread may call it
 
 _log = logging.getLogger("hierax")
 

@@ -1,16 +1,14 @@
 """The handshake on the real keys that makes sure nothing is lost; no input or output.
 
-What is put on a Zenoh key before its subscriber is known at the sender is lost in
-silence, and a liveliness token says only that a process is there. So the two ends of
-an edge say hello to each other on every key of the edge, again and again, each time
-with what they have heard of the other, until both have heard all: from then on the
-keys carry whatever is put on them, until the link breaks. Then it is done anew.
+What is put on a Zenoh key before its subscriber is known at the sender is lost in silence, and a liveliness token says
+only that a process is there. So the two ends of an edge say hello to each other on every key of the edge, again and
+again, each time with what they have heard of the other, until both have heard all: from then on the keys carry whatever
+is put on them, until the link breaks. Then it is done anew.
 
-Each end has a mark: its process's token, and how often its link broke. A greeting
-holds the mark of who sends it, and that of who it was heard from. What is said to
-another mark counts for nothing: it may be older than the break, or for a process that
-was killed. A mark that is another than before is itself a break, which the one end has
-noticed and the other may not have.
+Each end has a mark: its process's token, and how often its link broke. A greeting holds the mark of who sends it, and
+that of who it was heard from. What is said to another mark counts for nothing: it may be older than the break, or for a
+process that was killed. A mark that is another than before is itself a break, which the one end has noticed and the
+other may not have.
 """
 
 from __future__ import annotations
@@ -22,11 +20,8 @@ from hierax.schemas.errors import SchemaError
 from hierax.schemas.messages import CONTEXT, HELLO, OBSERVATIONS, TASKS, Header, Message
 
 UP = (OBSERVATIONS,)
-DOWN = (TASKS, CONTEXT)
-"""The kinds of messages along an edge, by direction."""
-
-UNKNOWN = ""
-"""The mark of a neighbour that was not heard of yet."""
+DOWN = (TASKS, CONTEXT)  # the kinds of messages along an edge, by direction
+UNKNOWN = ""  # the mark of a neighbour that was not heard of yet
 
 
 class Handshake:

@@ -18,16 +18,12 @@ from hierax.schemas.errors import SchemaError
 from hierax.schemas.keys import Keys
 from hierax.schemas.values import Value
 
-CHANNEL_SIZE = 4096
-"""How many samples wait for the thread that takes them in; when it is full, their senders wait."""
-
-QUEUE_BYTES = 512 << 20
-"""How much may wait for the disk; what is more is dropped, counted and named."""
+CHANNEL_SIZE = 4096  # how many samples wait for the thread that takes them in; when it is full, their senders wait
+QUEUE_BYTES = 512 << 20  # how much may wait for the disk; what is more is dropped, counted and named
 
 ANSWER_TIMEOUT_S = 2.0
 
-BATCH_BYTES = 16 << 20
-"""With so much there is nothing to wait for."""
+BATCH_BYTES = 16 << 20  # with so much there is nothing to wait for
 
 _log = logging.getLogger("hierax")
 
@@ -83,21 +79,13 @@ class StepPublisher:
 
 
 class Sample(NamedTuple):
-    """What came on a key.
+    """What came on a key."""
 
-    Attributes:
-        time_ns: when, since 1970.
-        key: on which one.
-        data: the bytes; of a liveliness token empty.
-        is_token: whether it is about a process's liveliness token.
-        is_up: of a token, whether it appeared; else it is gone.
-    """
-
-    time_ns: int
-    key: str
-    data: bytes
-    is_token: bool = False
-    is_up: bool = False
+    time_ns: int  # when, since 1970
+    key: str  # on which one
+    data: bytes  # the bytes; of a liveliness token empty
+    is_token: bool = False  # whether it is about a process's liveliness token
+    is_up: bool = False  # of a token, whether it appeared; else it is gone
 
 
 class BusTap:
@@ -183,16 +171,16 @@ class BusTap:
             except zenoh.ZError:
                 break  # the session is closed
             if sample is not None:
-                self._keep(Sample(time.time_ns(), str(sample.key_expr), sample.payload.to_bytes()))
+                self._add(Sample(time.time_ns(), str(sample.key_expr), sample.payload.to_bytes()))
         with self._changed:
             self._closed = True
             self._changed.notify()
 
     def _on_token(self, sample: zenoh.Sample) -> None:
         is_up = sample.kind == zenoh.SampleKind.PUT
-        self._keep(Sample(time.time_ns(), str(sample.key_expr), b"", True, is_up))
+        self._add(Sample(time.time_ns(), str(sample.key_expr), b"", True, is_up))
 
-    def _keep(self, heard: Sample) -> None:
+    def _add(self, heard: Sample) -> None:
         size = len(heard.data)
         with self._changed:
             if self._waiting + size > self._queue_bytes and self._queue:

@@ -24,14 +24,9 @@ from hierax.schemas.values import encode_value
 
 _log = logging.getLogger("hierax")
 
-QUEUE_SIZE = 256
-"""How many messages wait in a port; when it is full, the senders wait."""
-
-LOOKS = 60
-"""How often a port looks for a message before it sleeps: some fifty microseconds' worth."""
-
-INTERRUPT = "interrupt"
-"""Kind of the key on which a process wakes up its own port."""
+QUEUE_SIZE = 256  # how many messages wait in a port; when it is full, the senders wait
+LOOKS = 60  # how often a port looks for a message before it sleeps: some fifty microseconds' worth
+INTERRUPT = "interrupt"  # kind of the key on which a process wakes up its own port
 
 
 Lane = tuple[str, str]
@@ -40,17 +35,11 @@ Lane = tuple[str, str]
 
 @dataclass
 class Link:
-    """The links of one version of the roster.
+    """The links of one version of the roster."""
 
-    Attributes:
-        rendezvous: the handshakes.
-        opened: told when they are done.
-        told: whether it was.
-    """
-
-    rendezvous: Rendezvous
-    opened: Callable[[int], None]
-    told: bool = False
+    rendezvous: Rendezvous  # the handshakes
+    opened: Callable[[int], None]  # told when they are done
+    told: bool = False  # whether it was
 
 
 class ZenohPort(Port):

@@ -18,8 +18,7 @@ import zenoh
 
 from hierax.runtime.transport.port import TransportError
 
-LOOPBACK = "tcp/127.0.0.1:0"
-"""Where a session listens unless told otherwise: a free port that no other machine reaches."""
+LOOPBACK = "tcp/127.0.0.1:0"  # where a session listens unless told otherwise: a free port that no other machine reaches
 
 ZenohConfig: TypeAlias = "str | Mapping[str, Any] | None"
 """Zenoh's own configuration: the path of a JSON5 file, JSON5 text in braces, or a map."""
@@ -42,15 +41,13 @@ CLOSE_TIMEOUT_S = 1.0
 POOL_BYTES = 16 << 20
 """What each session that sends large messages has in shared memory, and locks, as do those that receive from it."""
 
-LOCKED_BYTES = 4 * POOL_BYTES
-"""What a process may have to lock: its own pool and those of some neighbours."""
+LOCKED_BYTES = 4 * POOL_BYTES  # what a process may have to lock: its own pool and those of some neighbours
 
 _QUOTED_LINE = re.compile(r"\s*\d*\s*\|")
 _QUOTED_TEXT = re.compile(r"(invalid (?:type|value): \w+) (?:`[^`]*`|\"(?:\\.|[^\"\\])*\")")
 
 _SHARED_MEMORY = Path("/dev/shm")
-_IPC_LOCK = 14
-"""The capability with which limits on locked memory do not count."""
+_IPC_LOCK = 14  # the capability with which limits on locked memory do not count
 
 _LOW_LATENCY = "transport/unicast/lowlatency"
 _BATCH = "transport/link/tx/batch_size"

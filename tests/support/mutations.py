@@ -111,7 +111,7 @@ def act_before_intent() -> Iterator[None]:
             return
         runner.move(epoch, actions)
         self._intended = self._acted = epoch
-        self.keep()
+        self.write_record()
 
     with patch.object(WorldMember, "act", mutant):
         yield
@@ -274,18 +274,18 @@ def commit_not_recorded() -> Iterator[None]:
 
     def mutant(self: Owner) -> None:
         effects: Any = self._effects
-        keep, effects.keep = effects.keep, lambda: None
+        write, effects.write_record = effects.write_record, lambda: None
         begin = effects.begin
 
         def begins(*arguments: Any) -> None:
-            effects.keep = keep
+            effects.write_record = write
             begin(*arguments)
 
         effects.begin = begins
         try:
             proceed(self)
         finally:
-            del effects.begin, effects.keep
+            del effects.begin, effects.write_record
 
     with patch.object(Owner, "proceed", mutant):
         yield

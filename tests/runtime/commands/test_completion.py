@@ -23,7 +23,7 @@ def completed(words: str, folder: Path) -> list[str]:
     command = [
         sys.executable,
         "-c",
-        "import sys; sys.argv = ['hierax']; from hierax.runtime.commands.main import entry; entry()",
+        "import sys; sys.argv = ['hierax']; from hierax.runtime.commands.entry import entry; entry()",
     ]
     done = subprocess.run(command, cwd=folder, env=environment, capture_output=True, text=True, timeout=60, check=False)
     return done.stdout.split()

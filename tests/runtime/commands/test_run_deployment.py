@@ -11,10 +11,12 @@ from typing import Any
 import pytest
 from support.deployments import write
 
-from hierax.runtime.commands import run_deployment as running
 from hierax.runtime.commands.main import main
+from hierax.runtime.commands.options import Format, RunOptions
+from hierax.runtime.commands.run_deployment import run_deployment
 from hierax.runtime.core.errors import HieraxError
 from hierax.runtime.deployment import Deployment, DeploymentError
+from hierax.runtime.execution.output_folder import SUMMARY
 from hierax.runtime.execution.report import NodeReport, Report, make_report
 
 
@@ -37,8 +39,8 @@ class FakeRunner:
 
 
 def run(runner: FakeRunner, path: Path, **options: Any) -> int:
-    settings = {"epochs": None, "seed": 0, "output": None, "output_format": running.Format.json, **options}
-    return running.run_deployment(runner, str(path), (), **settings)
+    given = RunOptions(**{"output_format": Format.json, **options})
+    return run_deployment(runner, str(path), given)
 
 
 def test_options_reach_the_runner(tmp_path: Path) -> None:
@@ -72,7 +74,7 @@ def test_the_output_folder_is_made_and_has_a_summary(tmp_path: Path, capsys: pyt
     runner = FakeRunner()
     run(runner, write(tmp_path), output=output)
     assert runner.called["output"] == output
-    summary = json.loads((output / running.SUMMARY).read_text())
+    summary = json.loads((output / SUMMARY).read_text())
     assert summary == {**json.loads(capsys.readouterr().out), "start_s": 0.5}
 
 

@@ -52,7 +52,7 @@ class _Process:
         port = SimpleNamespace(send=self._telling("send"))
         self.member: Any = SimpleNamespace(name="node", port=port, save=self._telling("save"))
         self.world: Any = SimpleNamespace(
-            keep=self._telling("keep"), committed=self._telling("committed"), act=self._act
+            write_record=self._telling("keep"), committed=self._telling("committed"), act=self._act
         )
         monkeypatch.setattr(faults.os, "kill", lambda pid, number: self.told.append("killed"))
 
@@ -60,14 +60,14 @@ class _Process:
         return lambda *arguments: self.told.append(name)
 
     def _act(self, *arguments: Any) -> None:
-        self.world.keep()
+        self.world.write_record()
         self.told.append("moved")
-        self.world.keep()
+        self.world.write_record()
 
     def epoch(self) -> list[str]:
         """What happens in one."""
         self.told.clear()
-        self.world.keep()
+        self.world.write_record()
         self.member.port.send("up")
         self.world.act(None, 1, ())
         self.world.committed(None)
@@ -75,7 +75,7 @@ class _Process:
 
 
 def test_the_parts_have_what_faults_are_planted_at() -> None:
-    for part, names in ((WorldMember, ("keep", "committed", "act")), (Member, ("save",)), (Port, ("send",))):
+    for part, names in ((WorldMember, ("write_record", "committed", "act")), (Member, ("save",)), (Port, ("send",))):
         assert all(callable(getattr(part, name)) for name in names)
 
 

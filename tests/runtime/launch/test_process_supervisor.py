@@ -1,77 +1,74 @@
-"""What the keeper knows of processes that are kept elsewhere."""
+"""Processes are started, listened to until their end, and ended, alike for a launch and for who attaches to one."""
 
 from __future__ import annotations
 
-from typing import Any, cast
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
 
 import anyio
+import anyio.abc
+from support.deployments import write
 
-from hierax.runtime.launch.frames import BEAT
-from hierax.runtime.launch.orders import Orders
+from hierax.runtime.deployment.deployment import RestartPolicy
+from hierax.runtime.deployment.read import read_deployment
+from hierax.runtime.launch.child import Child, ProcessState
+from hierax.runtime.launch.frames import BEGIN, NodeOrder
+from hierax.runtime.launch.orders import LaunchOptions, Orders
+from hierax.runtime.launch.overheard import Overhearing
 from hierax.runtime.launch.process_supervisor import ProcessSupervisor
-from hierax.schemas.control import Control, Lost
 
 
-class Deployment:
-    """With a world."""
+class Noting(ProcessSupervisor):
+    """Notes what happens."""
 
-    name = "toys"
+    def __init__(self, tasks: anyio.abc.TaskGroup) -> None:
+        super().__init__(tasks, Overhearing("0", lambda: 0), lambda name: RestartPolicy(), print, print)
+        self.ends: list[tuple[str, ProcessState, str]] = []
+        self.ended = anyio.Event()
 
-    class roster:  # noqa: N801 - as an attribute
-        world = "world"
+    def _take(self, child: Child, value: dict[str, Any]) -> None:
+        raise AssertionError(value)
 
-
-class FewOrders:
-    """Of that deployment."""
-
-    run_id = "0"
-    deployment = Deployment
-
-
-def keeper() -> ProcessSupervisor:
-    """One without processes of its own."""
-
-    def fail(why: Exception) -> None:
-        raise why
-
-    return ProcessSupervisor(cast(Orders, FewOrders()), lambda what: None, fail)
+    async def _on_end(self, child: Child) -> None:
+        self.ends.append((child.name, child.state, str(child.last_words)))
+        self.ended.set()
 
 
-def beat(processes: dict[str, str], nodes: tuple[str, ...]) -> dict[str, Any]:
-    """What the world's process says."""
-    numbers = dict.fromkeys(nodes, 0)
-    return {"status": BEAT, "epoch": 1, "version": 1, "instances": numbers, "processes": processes}
+def order(folder: Path) -> NodeOrder:
+    """An order of the toy deployment's world."""
+    deployment = read_deployment(write(folder))
+    orders = Orders(deployment, "0", "tcp/127.0.0.1:1", LaunchOptions(0, 1, folder))
+    return orders.order("world", "w", BEGIN)
 
 
-def test_a_lost_node_that_is_kept_elsewhere_is_still_known_when_the_world_is_new() -> None:
+def test_a_process_that_ends_by_itself_is_heard_of_with_its_last_words(tmp_path: Path) -> None:
     async def main() -> None:
-        keeping = keeper()
-        keeping._take_from_world(beat({"world": "w", "top": "t"}, ("world", "top")))
-        keeping._take_from_world(beat({"world": "w2"}, ("world", "top")))
-        assert keeping.members == {"world": "w2", "top": "t"}
-        keeping._take_from_world(beat({"world": "w2"}, ("world",)))
-        assert keeping.members == {"world": "w2"}, "it was detached"
+        async with anyio.create_task_group() as tasks:
+            supervisor = Noting(tasks)
+            child = await supervisor.start(replace(order(tmp_path), modules=("nothing",)))
+            assert (child.state, supervisor.child("w"), supervisor.children) == (ProcessState.STARTING, child, [child])
+            with anyio.fail_after(60):
+                await supervisor.ended.wait()
+            ((name, state, why),) = supervisor.ends
+            assert (name, state) == ("world", ProcessState.ENDED)
+            assert "support" in why
+            await supervisor.close()
+        supervisor.close_output()
 
     anyio.run(main)
 
 
-def test_a_process_that_goes_before_its_place_is_known_here_is_told_of() -> None:
-    told: list[Control] = []
-
+def test_a_process_that_is_ended_is_nobody_s_loss(tmp_path: Path) -> None:
     async def main() -> None:
-        keeping = keeper()
-        keeping.hears_of = lambda token: False
-
-        async def tell(word: Control) -> None:
-            told.append(word)
-
-        async def hear() -> None:
-            keeping._take_from_world(beat({"world": "w", "top": "t"}, ("world", "top")))
-
-        keeping.tell_owner = tell  # type: ignore[method-assign]
-        keeping.hear_members = hear  # type: ignore[method-assign]
-        keeping._take_from_world(beat({"world": "w"}, ("world",)))
-        await keeping.on_gone("top", "t")
+        async with anyio.create_task_group() as tasks:
+            supervisor = Noting(tasks)
+            child = await supervisor.start(order(tmp_path))
+            with anyio.fail_after(60):
+                await supervisor.end_all()
+                await child.ended.wait()
+            assert (child.state, child.alive, supervisor.ends) == (ProcessState.ENDED, False, [])
+            await supervisor.close()
+        supervisor.close_output()
 
     anyio.run(main)
-    assert told == [Lost("top", "t", True)]

@@ -22,7 +22,7 @@ from hierax.runtime.core.errors import HieraxError
 from hierax.runtime.deployment.read import read_deployment
 from hierax.runtime.host.run_folder import run_folder
 from hierax.runtime.host.seal import NOT_OURS
-from hierax.runtime.launch.orders import Orders
+from hierax.runtime.launch.orders import LaunchOptions, Orders
 from hierax.runtime.launch.run_file import read_run
 from hierax.runtime.loading.allowance import NotAllowedError
 from hierax.runtime.recovery.disk import MappedFile
@@ -159,8 +159,8 @@ def state_of(folder: Path) -> tuple[Path, Orders]:
     deployment = read_deployment(file)
     state = folder / "state"
     state.mkdir(mode=0o700)
-    orders = Orders(deployment, "5163af85", 3, 9, None, state, None)
-    orders.keep()
+    orders = Orders(deployment, "5163af85", "", LaunchOptions(3, 9, state))
+    orders.save()
     return state, orders
 
 
@@ -189,7 +189,8 @@ def test_a_folder_of_another_user_or_machine_is_refused(tmp_path: Path, monkeypa
 
 
 def test_the_worlds_record_names_no_code_that_the_deployment_does_not(tmp_path: Path) -> None:
-    state, orders = state_of(tmp_path)
+    state, begun = state_of(tmp_path)
+    orders = Orders(begun.deployment, "5163af86", "", begun.options, read_run(state))
     roster = orders.deployment.roster
     for changed in (roster, replace(roster, nodes={**roster.nodes, "left": Reference("subprocess:run")})):
         storage = MappedFile(state / "world", "process")
@@ -199,10 +200,10 @@ def test_the_worlds_record_names_no_code_that_the_deployment_does_not(tmp_path: 
             Slots(storage).write(encode_world(record))
         storage.close()
         if changed is roster:
-            assert orders.known_roster() == roster
+            assert orders.roster() == roster
             continue
         with pytest.raises(NotAllowedError, match=r"^nodes\.left\.class: 'subprocess:run' may not be loaded"):
-            orders.known_roster()
+            orders.roster()
 
 
 def test_trust_is_for_what_is_resumed(capsys: pytest.CaptureFixture[str]) -> None:

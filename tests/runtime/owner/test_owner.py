@@ -59,7 +59,7 @@ class Owned(OwnerEffects):
     def send_order(self, process: str, order: Order) -> None:
         self.calls.append((process, order))
 
-    def keep(self) -> None:
+    def write_record(self) -> None:
         self.calls.append(("keep", self.owner.highest))
 
     def begin(self, epoch: int, attempt: int, version: int) -> None:

@@ -11,7 +11,7 @@ import pytest
 
 from hierax.runtime.core.errors import HieraxError
 from hierax.runtime.host.run_folder import begin_run
-from hierax.runtime.tools.logs import Reader, Wanted, find_folder, line, read_pattern, read_since
+from hierax.runtime.tools.logs import LogFilter, Reader, find_folder, line, read_pattern, read_since
 
 NOW = datetime(2030, 1, 2, 3, 4, 5, tzinfo=timezone.utc)
 NO_PROCESS = 2**22 - 1
@@ -85,24 +85,24 @@ def test_a_file_that_is_put_aside_is_read_to_its_end() -> None:
 
 
 @pytest.mark.parametrize(
-    ("wanted", "seconds"),
+    ("log_filter", "seconds"),
     [
-        (Wanted(), [1, 2, 3, 4]),
-        (Wanted(nodes=("world",)), [2]),
-        (Wanted(level="WARNING"), [3, 4]),
-        (Wanted(since=NOW + timedelta(seconds=3)), [3, 4]),
-        (Wanted(pattern=re.compile("slip+ed|KeyError")), [3, 4]),
-        (Wanted(nodes=("arm", "world"), level="ERROR"), [4]),
+        (LogFilter(), [1, 2, 3, 4]),
+        (LogFilter(nodes=("world",)), [2]),
+        (LogFilter(level="WARNING"), [3, 4]),
+        (LogFilter(since=NOW + timedelta(seconds=3)), [3, 4]),
+        (LogFilter(pattern=re.compile("slip+ed|KeyError")), [3, 4]),
+        (LogFilter(nodes=("arm", "world"), level="ERROR"), [4]),
     ],
 )
-def test_filters(wanted: Wanted, seconds: list[int]) -> None:
+def test_filters(log_filter: LogFilter, seconds: list[int]) -> None:
     entries = [
         entry(1),
         entry(2, "world"),
         entry(3, level="WARNING", message="slipped"),
         entry(4, level="ERROR", exception="Traceback\nKeyError: 3"),
     ]
-    assert [entries.index(each) + 1 for each in filter(wanted, entries)] == seconds
+    assert [entries.index(each) + 1 for each in filter(log_filter, entries)] == seconds
 
 
 @pytest.mark.parametrize(

@@ -1,4 +1,4 @@
-"""A node's life in a process of its own: load, connect, run, report."""
+"""The work of a node in a process of its own: load, connect, run, report."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from hierax.runtime.execution.member import Member
 from hierax.runtime.execution.observers import Observers
 from hierax.runtime.execution.pacemaker import Pacemaker
 from hierax.runtime.execution.world_member import WorldMember
-from hierax.runtime.launch.backlog import Backlog
+from hierax.runtime.launch.control_queue import ControlQueue
 from hierax.runtime.launch.frames import (
     BEGIN,
     CUT_OFF,
@@ -64,30 +64,24 @@ from hierax.schemas.messages import Message
 from hierax.schemas.roster import Roster
 from hierax.schemas.values import Value
 
-IDLE_S = 0.5
-"""How long a node may get no further before it asks whether it is still part of the hierarchy."""
-
-WORDS_AT_ONCE = 64
-"""How many control messages are taken in between two messages of an epoch."""
-
-REST = 10_000
-"""How many messages are looked at when the run is over."""
+IDLE_S = 0.5  # how long a node may get no further before it asks whether it is still part of the hierarchy
+WORDS_AT_ONCE = 64  # how many control messages are taken in between two messages of an epoch
+REST = 10_000  # how many messages are looked at when the run is over
 
 RECORDER_TIMEOUT_S = 10.0
 """How long a process waits for a recorder that is said to be there; then it goes on unheard, which is a gap."""
 
-BEAT_S = 0.2
-"""How often the world's process says that it lives."""
+BEAT_S = 0.2  # how often the world's process says that it lives
 
 _log = logging.getLogger("hierax")
 
 
-class NodeLife:
+class NodeWorker:
     """One node, from its order to its report.
 
     Args:
-        order: from the keeper.
-        status: file descriptor on which the keeper listens.
+        order: from the supervisor.
+        status: file descriptor on which the supervisor listens.
         wait: drives async operators.
     """
 
@@ -100,12 +94,12 @@ class NodeLife:
         self._member: Member | None = None
         self._world: WorldMember | None = None
         self._inspection: InspectionServer | None = None
-        self._teller: StepPublisher
+        self._publisher: StepPublisher
         self._witness: Witness | None = None
         self._recorded = False
         self._thread = 0
         self._inputs: deque[Control] = deque()
-        self._words = Backlog()
+        self._words = ControlQueue()
         self._woken = False
         self._processes: Mapping[str, str] | None = None
         self._clock = SteadyClock()
@@ -156,7 +150,7 @@ class NodeLife:
         self._wake()
 
     def post(self, control: Control) -> None:
-        """What the keeper says to the member, or to the owner; never lost."""
+        """What the supervisor says to the member, or to the owner; never lost."""
         self._inputs.append(control)
         self._wake()
 
@@ -178,8 +172,8 @@ class NodeLife:
             self._inspection.serve()
         if member is None:
             return
-        if self._teller.heard != self._recorded:
-            self._be_recorded(member.observers, self._teller.heard)
+        if self._publisher.heard != self._recorded:
+            self._be_recorded(member.observers, self._publisher.heard)
         now = time.monotonic()
         if self._world is not None:
             self._watch_world(self._world, now)
@@ -223,7 +217,7 @@ class NodeLife:
 
     # --- the node's thread
 
-    def live(self) -> int:
+    def run(self) -> int:
         """All of it.
 
         Returns:
@@ -231,7 +225,7 @@ class NodeLife:
         """
         self._thread = threading.get_ident()
         try:
-            return self._live()
+            return self._load_and_run()
         except (HieraxError, SchemaError) as error:
             place = error.where if isinstance(error, LoadError) else ""
             message = str(error)
@@ -246,7 +240,7 @@ class NodeLife:
             )
             return 1
 
-    def _live(self) -> int:
+    def _load_and_run(self) -> int:
         order = self._order
         extend_import_path(order.import_paths)
         preload(order.preload, order.allowance)
@@ -264,8 +258,8 @@ class NodeLife:
         if is_world:
             self._owners_line = ControlLine(session, keys, OWNER, get_args(Word), self.hear, most_bytes)
         observers, slots = open_observers(order), open_slots(order)
-        self._teller = StepPublisher(session, keys, order.name)
-        if order.recorded and self._teller.wait(RECORDER_TIMEOUT_S):
+        self._publisher = StepPublisher(session, keys, order.name)
+        if order.recorded and self._publisher.wait(RECORDER_TIMEOUT_S):
             self._be_recorded(observers, True)
         if telemetry.wanted():
             observers.watch(telemetry.open_spans(order.deployment, order.run, order.name))
@@ -300,7 +294,7 @@ class NodeLife:
         elif wanted:
             is_world = self._order.owner is not None
             self._witness = Witness(
-                self._order.name, lambda: observers.engine, self._teller, self._roster if is_world else None
+                self._order.name, lambda: observers.engine, self._publisher, self._roster if is_world else None
             )
             observers.watch(self._witness)
 
@@ -367,7 +361,7 @@ class NodeLife:
         return True
 
     def _until_told(self, port: ZenohPort) -> Mapping[str, str] | None:
-        """Wait until the keeper says that all are up, and which process runs which node; None: it says stop.
+        """Wait until the supervisor says that all are up, and which process runs which node; None: it says stop.
 
         Meanwhile greetings are answered: a process that was killed before the run has begun is started anew.
         """
@@ -388,7 +382,7 @@ class NodeLife:
             if member.dismissed:
                 return
             if self._world is not None:
-                self._serve_keeper(self._world)
+                self._serve_supervisor(self._world)
                 if self._world.paused:
                     self._world.resume()
                 paused = self._world.paused
@@ -402,7 +396,7 @@ class NodeLife:
             if member.dismissed:
                 return
             if self._world is not None:
-                self._serve_keeper(self._world)
+                self._serve_supervisor(self._world)
             self._take_all(member, port)
             if self._due and member.runner is not None:
                 self._due = self._rate_hz is None  # the next turn may be due before this one is over
@@ -461,7 +455,7 @@ class NodeLife:
             member.join(self._order.request)
             member.fetch_again()
 
-    def _serve_keeper(self, world: WorldMember) -> None:
+    def _serve_supervisor(self, world: WorldMember) -> None:
         owner = world.owner
         if owner.roster.version != self._version:
             self._version = owner.roster.version

@@ -8,14 +8,11 @@ from collections import deque
 from hierax.schemas.control import Control
 from hierax.schemas.limits import MAX_STATE_BYTES
 
-MAX_WORDS = 1024
-"""How many control messages wait at most; what is more is lost, and said again by who means it."""
-
-MAX_BYTES = MAX_STATE_BYTES + (1 << 20)
-"""How many bytes they had on the wire, together."""
+MAX_WORDS = 1024  # how many control messages wait at most; what is more is lost, and said again by who means it
+MAX_BYTES = MAX_STATE_BYTES + (1 << 20)  # how many bytes they had on the wire, together
 
 
-class Backlog:
+class ControlQueue:
     """Control messages in the order in which they came; any thread may put and take."""
 
     def __init__(self) -> None:

@@ -1,4 +1,4 @@
-"""The end of a launch that a signal breaks off: what was committed until then is reported.
+"""The graceful end of a launch that a signal breaks off: what was committed until then is reported.
 
 The world is asked to end with the epoch under way. Where that does not come to its end in time, it is given up. Then
 the world says which epoch was the last one, and every node what it was after it. Who does not answer is killed, and
@@ -7,7 +7,6 @@ its checkpoint speaks for it.
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from pathlib import Path
 
 import anyio
@@ -20,71 +19,65 @@ from hierax.runtime.execution.checkpoints import Checkpoints
 from hierax.runtime.execution.world_member import read_record
 from hierax.runtime.launch.child import Child
 from hierax.runtime.launch.frames import FINISH, NodeOrder, leave
-from hierax.runtime.launch.process_supervisor import ProcessSupervisor
+from hierax.runtime.launch.process_supervisor import Notify
+from hierax.runtime.launch.roster_supervisor import RosterSupervisor
 from hierax.runtime.recovery.disk import MappedFile
 from hierax.runtime.recovery.slots import Slots
 from hierax.schemas.errors import SchemaError
 
-EPOCH_S = 0.7
-"""How long the epoch under way may take to come to its end."""
-
-ANSWER_S = 0.15
-"""How long the world's process, and then all others, may take to tell what they have come to."""
-
-KILLED_S = 5.0
-"""How long a process that was killed may take to be gone: until then it holds its checkpoint, which speaks for it."""
-
-CLOSE_S = 0.35
-"""How long who has told may take to close probes and files, and to end."""
+EPOCH_S = 0.7  # how long the epoch under way may take to come to its end
+ANSWER_S = 0.15  # how long the world's process, and then all others, may take to tell what they have come to
+KILLED_S = 5.0  # how long one that was killed may take to be gone: until then it holds its checkpoint
+CLOSE_S = 0.35  # how long who has told may take to close probes and files, and to end
 
 _ASK_AGAIN_S = 0.1
 _POLL_S = 0.005
 
 
-class EarlyEnd:
+class GracefulEnd:
     """Ends the run of a launch.
 
     Args:
-        keeping: of its processes.
+        processes: those of the launch.
         deployment: that is launched.
-        say: tells people.
+        notify: tells people what happens.
 
     Attributes:
         epoch: the last one committed; None: it is not known.
         unreported: nodes whose state after it is not known, and why.
     """
 
-    def __init__(self, keeping: ProcessSupervisor, deployment: Deployment, say: Callable[[str], None]) -> None:
-        self._keeping = keeping
+    def __init__(self, processes: RosterSupervisor, deployment: Deployment, notify: Notify) -> None:
+        self._processes = processes
         self._world = deployment.roster.world
         self._barrier = deployment.staleness.barrier
-        self._say = say
+        self._notify = notify
         self.epoch: int | None = None
         self.unreported: dict[str, str] = {}
 
     async def finish_epoch(self) -> None:
         """Have the epoch under way be the last one, and wait for its end; not for long."""
         with anyio.move_on_after(EPOCH_S):
-            while not self._keeping.finished.is_set():
-                await self._keeping.current[self._world].tell(FINISH)  # another process, if it has just died
+            while not self._processes.finished.is_set():
+                await self._processes.current[self._world].send(FINISH)  # another process, if it has just died
                 with anyio.move_on_after(_ASK_AGAIN_S):
-                    await self._keeping.finished.wait()
+                    await self._processes.finished.wait()
 
     async def collect(self) -> None:
         """Have every process tell what it was after the last epoch, and end those that don't."""
-        self._keeping.ending = True
-        worlds = [child for child in self._keeping.present if child.name == self._world]
+        self._processes.ending = True
+        worlds = [child for child in self._processes.present if child.name == self._world]
         await self._ask(worlds, None)
         for child in worlds:
             if child.report is None:
                 self._recall_world(child)
             if child.report is not None:
                 self.epoch = int(child.report["run"][0])
-        await self._ask([child for child in self._keeping.present if child.name != self._world], self.epoch)
+        await self._ask([child for child in self._processes.present if child.name != self._world], self.epoch)
 
     def recall(self) -> None:
         """Take from their checkpoints what processes did not tell; they have ended."""
-        for child in self._keeping.present:
+        for child in self._processes.present:
             if child.report is None and self.epoch is not None:
                 self._recall(child, self.epoch)
 
@@ -94,13 +87,13 @@ class EarlyEnd:
         except (HieraxError, SchemaError) as error:
             self.unreported[child.name] = str(error)
         else:
-            self._say(f"{child.name}: its process did not answer; its checkpoint tells its state, and no metrics")
+            self._notify(f"{child.name}: its process did not answer; its checkpoint tells its state, and no metrics")
 
     async def _ask(self, children: list[Child], epoch: int | None) -> None:
         for child in children:
-            await child.tell(leave(epoch))
+            await child.send(leave(epoch))
         with anyio.move_on_after(ANSWER_S):
-            while any(child.report is None and not child.heard.is_set() for child in children):
+            while any(child.report is None and not child.ended.is_set() for child in children):
                 await anyio.sleep(_POLL_S)
         for child in children:
             if child.report is None:
@@ -108,7 +101,7 @@ class EarlyEnd:
         with anyio.move_on_after(KILLED_S):
             for child in children:
                 if child.report is None:
-                    await child.heard.wait()
+                    await child.ended.wait()
 
     def _recall_world(self, child: Child) -> None:
         try:

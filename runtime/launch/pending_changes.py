@@ -1,0 +1,79 @@
+"""The changes of a launch's roster that were asked for, and what became of them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+
+import anyio
+
+from hierax.runtime.core.errors import HieraxError
+from hierax.runtime.deployment.deployment import RestartPolicy
+from hierax.schemas.control import Propose, encode_control
+from hierax.schemas.values import Value
+
+REMEMBERED = 1024  # of how many changes it is remembered what became of them
+
+
+@dataclass
+class PendingChange:
+    """A change that was asked for."""
+
+    policies: Mapping[str, RestartPolicy]  # what is done when the processes of its new nodes end
+    proposal: bytes  # what the owner is told
+    done: anyio.Event = field(default_factory=anyio.Event)  # set when the owner has answered
+    answer: dict[str, Value] = field(default_factory=dict)  # what became of it, as a reply
+
+
+class PendingChanges:
+    """Changes by request: those that the owner has not answered yet, and the last ones that it has."""
+
+    def __init__(self) -> None:
+        self._changes: dict[str, PendingChange] = {}
+
+    @property
+    def unanswered(self) -> list[PendingChange]:
+        """Those that the owner has not answered yet."""
+        return [change for change in self._changes.values() if not change.done.is_set()]
+
+    @property
+    def proposals(self) -> Sequence[bytes]:
+        """What the owner is told of them."""
+        return [change.proposal for change in self.unanswered]
+
+    def add(self, proposal: Propose, policies: Mapping[str, RestartPolicy]) -> None:
+        """Remember a change that the owner is going to be told."""
+        answered = [request for request, change in self._changes.items() if change.done.is_set()]
+        for request in answered[: max(len(answered) - REMEMBERED, 0)]:
+            del self._changes[request]
+        self._changes[proposal.request] = PendingChange(policies, encode_control(proposal))
+
+    def policies(self, request: str) -> Mapping[str, RestartPolicy]:
+        """What is done when the processes of a change's new nodes end."""
+        change = self._changes.get(request)
+        return {} if change is None else change.policies
+
+    def answer(self, request: str, epoch: int, refusal: str) -> Mapping[str, RestartPolicy] | None:
+        """Take in what became of a change: the first epoch under it, or why it is refused.
+
+        Returns:
+            The policies of its new nodes; None: it is none that waits for an answer.
+        """
+        change = self._changes.get(request)
+        if change is None or change.done.is_set():
+            return None
+        change.answer = {"refusal": refusal} if refusal else {"epoch": epoch}
+        change.done.set()
+        return change.policies
+
+    async def wait(self, request: str) -> Value:
+        """The answer to a change, once there is one.
+
+        Raises:
+            HieraxError: there is no such change.
+        """
+        change = self._changes.get(request)
+        if change is None:
+            raise HieraxError(f"this launch knows of no change {request!r}")
+        await change.done.wait()
+        return change.answer

@@ -1,0 +1,358 @@
+"""The processes of a launch's roster: what they say, and what follows when one ends before its time."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from secrets import token_hex
+from typing import Any
+
+import anyio
+import anyio.abc
+import anyio.to_thread
+
+from hierax.runtime.deployment.deployment import RestartPolicy
+from hierax.runtime.launch.child import Child, NodeFailedError, ProcessState, Restarts
+from hierax.runtime.launch.frames import (
+    ANSWER,
+    BEAT,
+    DISMISS,
+    END,
+    FINISHED,
+    HALT,
+    MISSES,
+    NEWCOMER,
+    NOTE,
+    STOP,
+    NodeOrder,
+)
+from hierax.runtime.launch.orders import Orders
+from hierax.runtime.launch.overheard import Overhearing
+from hierax.runtime.launch.pending_changes import PendingChanges
+from hierax.runtime.launch.process_supervisor import Fail, Notify, ProcessSupervisor
+from hierax.runtime.launch.steady import SteadyClock
+from hierax.runtime.owner.effects import DETACH
+from hierax.runtime.transport.hub import Hub
+from hierax.schemas.control import Census, Control, Dismiss, Lost, encode_control
+from hierax.schemas.roster import Roster
+
+BEAT_S = 0.2  # how often the world's process says something
+POLL_S = 0.01  # how often it is looked whether all processes are up
+
+COMES_BACK_S = 0.5
+"""How long a process that was started elsewhere may be gone: where the hub was stopped, all seem to be for a moment."""
+
+SILENCE_S = 1.0  # how long the world's process may say nothing, beyond the epoch's deadline
+
+
+class RosterSupervisor(ProcessSupervisor):
+    """Has a process run for every node of a launch's roster: starts them, and others in their place.
+
+    Args:
+        tasks: in which everything runs.
+        orders: what the processes are started with.
+        hub: reaches processes that were started elsewhere.
+        notify: tells people what happens.
+        fail: called with why the run cannot go on.
+
+    Attributes:
+        orders: likewise.
+        changes: those that others have asked for.
+        begun: set when the run has begun: the world has recorded that, or goes on with a record.
+        finished: set when the world has committed its last epoch.
+        current: the last process of each node that was started here.
+        members: the processes of the roster in force, by node, as the world said last.
+        epoch: the last one committed, likewise.
+        version: of the roster, likewise.
+        instances: by node, its number in the roster, likewise.
+    """
+
+    def __init__(self, tasks: anyio.abc.TaskGroup, orders: Orders, hub: Hub, notify: Notify, fail: Fail) -> None:
+        super().__init__(tasks, Overhearing(orders.run_id, lambda: self.epoch), orders.policy, notify, fail)
+        self.orders = orders
+        self.changes = PendingChanges()
+        self.begun = anyio.Event()
+        self.finished = anyio.Event()
+        self.current: dict[str, Child] = {}
+        self.members: Mapping[str, str] = {}
+        self.epoch = 0
+        self.version = 0
+        self.instances: Mapping[str, int] = {}
+        self._hub = hub
+        self._world = orders.deployment.roster.world
+        self._unreachable: set[str] = set()
+        self._last_roster: Roster | None = None
+        self._heard_s = 0.0
+        self._told: Child | None = None
+        self._clock = SteadyClock()
+        self._beat = anyio.Event()
+
+    def state(self, token: str) -> ProcessState:
+        """Where a process is on its way."""
+        child = self.child(token)
+        if child is not None:
+            return child.state
+        return ProcessState.CUT_OFF if token in self._unreachable else ProcessState.ELSEWHERE
+
+    async def start(self, order: NodeOrder) -> Child:
+        child = await super().start(order)
+        if order.life != NEWCOMER:
+            self.current[child.name] = child
+        return child
+
+    async def begin(self, timeout_s: float) -> list[str]:
+        """Wait until all processes are up, and have the world begin the run with those that there are then.
+
+        Until it has, a process that is killed is started anew, and shakes hands anew.
+
+        Args:
+            timeout_s: how long they may take.
+
+        Returns:
+            The nodes that were not up in time.
+        """
+        clock = SteadyClock()
+        patience = clock() + timeout_s
+        while True:
+            late = [name for name, child in self.current.items() if self._is_late(child)]
+            if not late and self.begun.is_set():
+                return []
+            if not late and self._told is not self.current[self._world]:
+                self._told = self.current[self._world]
+                await self.send_to_owner(Census({name: child.token for name, child in self.current.items()}))
+            if clock() > patience:
+                return late or [self._world]
+            await anyio.sleep(POLL_S)
+
+    def _is_late(self, child: Child) -> bool:
+        if self.begun.is_set():
+            return not child.came_up and child.state is not ProcessState.ENDED
+        return child.state is not ProcessState.UP
+
+    @property
+    def present(self) -> list[Child]:
+        """The processes of the roster in force that were started here."""
+        return [child for child in self.children if self.members.get(child.name) == child.token]
+
+    # --- what the processes say
+
+    def _take(self, child: Child, value: dict[str, Any]) -> None:
+        status = value["status"]
+        if status == MISSES:
+            self._tasks.start_soon(anyio.to_thread.run_sync, self._hub.introduce, value["process"])
+        elif self.current.get(self._world) is not child:
+            return
+        elif status == BEAT:
+            self._heard_s = self._clock()
+            self.begun.set()
+            self.epoch = value["epoch"]
+            self.version = value["version"]
+            self.instances = value["instances"]
+            self._on_members({**self._elsewhere(), **value["processes"]})
+            self._beat.set()
+            self._beat = anyio.Event()
+        elif status == FINISHED:
+            self._on_members(value["processes"])
+            self._last_roster = Roster.read(value["roster"])
+            self.finished.set()
+        elif status == NOTE:
+            self.notify(value["what"])
+        elif status == ANSWER:
+            self._on_answer(value["request"], value["epoch"], value["refusal"])
+        elif status == END:
+            self._kill(value["name"], value["process"], value["why"])
+        elif status == DISMISS:
+            self._tasks.start_soon(self._dismiss, value["process"], Dismiss(value["why"], value["again"]))
+        elif status == HALT:
+            culprit = self.current.get(value["why"].partition(":")[0])
+            self._fail((culprit and culprit.failure) or NodeFailedError(value["why"]))
+
+    def _elsewhere(self) -> dict[str, str]:
+        """The processes started elsewhere of nodes in force: a new process of the world's names none that is lost."""
+        members = self.members.items()
+        return {name: token for name, token in members if name in self.instances and self.child(token) is None}
+
+    def _on_members(self, members: Mapping[str, str]) -> None:
+        self.members = members
+        for name, token in members.items():
+            child = self.child(token)
+            if child is None:
+                continue
+            if child.alive:
+                self.current[name] = child
+            elif child.ended.is_set() and child.report is None and not (self._comes_back(name) or self._runs(name)):
+                # the world's process has died before it could say that this one was taken in
+                self.current[name] = child
+                self._tasks.start_soon(self._on_end, child)
+
+    def _on_answer(self, request: str, epoch: int, refusal: str) -> None:
+        """The owner says what has become of a change; where it is in force, its new nodes are kept as it says."""
+        policies = self.changes.answer(request, epoch, refusal)
+        if policies is not None and not refusal:
+            self.orders.adopt(request, policies)
+            self._restarts.update({name: Restarts(policy) for name, policy in policies.items()})
+
+    # --- processes that end
+
+    def _kill(self, name: str, token: str, why: str) -> None:
+        """Kill a process that hangs; that it ends is noticed as always."""
+        self.notify(f"{name}: its process is killed: {why}")
+        child = self.child(token)
+        if child is not None and child.alive:
+            child.culprit = why
+            child.kill()
+        else:
+            self._tasks.start_soon(self.send_to_owner, Lost(name, token, True))
+
+    async def _dismiss(self, process: str, word: Dismiss) -> None:
+        """Tell a process that it has no place any more; over Zenoh where it was started elsewhere."""
+        child = self.child(process)
+        if child is None:
+            self._hub.dismiss(process, word.why, word.again)
+        elif child.alive and child.name != self._world:  # that one nobody dismisses
+            await child.send(encode_control(word))
+
+    async def _on_end(self, child: Child) -> None:
+        name = child.name
+        if child.final:
+            self._fail(child.last_words)
+            return
+        if child.dismissed:
+            self.notify(f"{name}: its process exits: {child.dismissed}")
+            await self.send_to_owner(Lost(name, child.token, False))
+            return
+        if self.current.get(name) is not child:
+            await self.send_to_owner(Lost(name, child.token, True))
+            await anyio.sleep(2 * BEAT_S)  # it may have been taken in just now
+            if self.current.get(name) is not child:
+                self._on_answer(child.order.request, 0, str(child.failure or f"{name}: its process has ended"))
+                return
+        child.state = ProcessState.RESTARTING
+        try:
+            await self._replace(child)
+        finally:
+            child.state = ProcessState.ENDED
+
+    async def _replace(self, child: Child) -> None:
+        """Have another process come in the place of one that has ended, or end the run."""
+        name = child.name
+        failure = child.last_words
+        if not (child.came_up or child.was_killed or self._restarts[name].count or child.order.request):
+            self._fail(failure)
+            return
+        begun = await self._has_begun()
+        delay_s = self._restarts[name].delay_s(child)
+        may_lack = begun and name != self._world and self._policy_of(child).on_loss == DETACH
+        if delay_s is None and not may_lack:
+            self._fail(failure)
+            return
+        self.notify(f"{failure}" + ("" if delay_s is None else "; it is started again"))
+        if begun and name != self._world:
+            await self.send_to_owner(Lost(name, child.token, delay_s is not None))
+        if delay_s is not None:
+            await anyio.sleep(delay_s)
+            await self._restart(child)
+
+    async def _has_begun(self) -> bool:
+        """Whether the run has begun; where the world was told to begin, and has not said so yet, that is waited for."""
+        world = self._told
+        while world is not None and not self.begun.is_set():
+            if world.ended.is_set() and self._told is world:  # all that it said is taken in
+                self._told = None
+                if self.orders.has_begun(world.token):
+                    self.begun.set()
+            if self._told is not world:
+                break
+            await anyio.sleep(POLL_S)
+        return self.begun.is_set()
+
+    async def _restart(self, child: Child) -> None:
+        name = child.name
+        if self.ending:
+            return
+        token = token_hex(8)
+        if not self.begun.is_set():
+            self.members = {**self.members, name: token}
+            again = await self.start(self.orders.anew(child.order, token))
+            for proposal in self.changes.proposals if name == self._world else ():
+                await again.send(proposal)
+            return
+        if self._last_roster is not None and name != self._world:  # nothing is left to do but to report
+            self.members = {**self.members, name: token}
+            again = await self.start(self.orders.to_report(child.order, token, self._last_roster))
+            await again.send(STOP)
+            return
+        living = self._living()
+        await self.start(self.orders.again(child.order, token, living, self.changes.proposals))
+        self._heard_s = self._clock()
+        if name == self._world:
+            await self._send_deaths(living)
+
+    async def _send_deaths(self, living: Mapping[str, str]) -> None:
+        """Tell a new process of the world's who has died since its order was written, or for good."""
+        for process in living:
+            child = self.child(process)
+            if child is not None and not child.alive:
+                await self.send_to_owner(Lost(child.name, process, True))
+        for name, token in self.members.items():
+            is_there = self._runs(name) or self.state(token) is ProcessState.ELSEWHERE
+            if name != self._world and not self._comes_back(name) and not is_there:
+                await self.send_to_owner(Lost(name, "", False))
+
+    def _runs(self, name: str) -> bool:
+        """Whether the last process of a node that was started here lives."""
+        child = self.current.get(name)
+        return child is not None and child.alive
+
+    def _comes_back(self, name: str) -> bool:
+        """Whether another process of a node is to be started."""
+        child = self.current.get(name)
+        return child is not None and child.state is ProcessState.RESTARTING
+
+    def _policy_of(self, child: Child) -> RestartPolicy:
+        """What is done when a process ends; of one whose change is not committed yet, as that has it."""
+        return self.changes.policies(child.order.request).get(child.name, self._policy(child.name))
+
+    def _living(self) -> dict[str, str]:
+        """The processes that live, as far as is known here: of those started elsewhere, whether they are heard of."""
+        here = [child.token for child in self.children if child.alive and child.name != self._world]
+        there = [token for token in self.members.values() if self.state(token) is ProcessState.ELSEWHERE]
+        return {token: token for token in (*here, *there)}
+
+    async def watch_world(self) -> None:
+        """Watch the world's process, which watches the others."""
+        deadline_s = self.orders.deployment.epoch_deadline_s
+        self._heard_s = self._clock()
+        if deadline_s is None:
+            return
+        while True:
+            await anyio.sleep(SILENCE_S / 5)
+            world = self.current[self._world]
+            if world.alive and self._clock() - self._heard_s > max(deadline_s, SILENCE_S):
+                self._heard_s = self._clock()
+                self._kill(self._world, world.token, "it does not answer")
+
+    # --- processes that were started elsewhere, and the owner
+
+    async def on_gone(self, name: str, token: str) -> None:
+        """A process is gone, or cut off; of one that was started here its end is noticed more surely."""
+        if self.state(token) is not ProcessState.ELSEWHERE:
+            return
+        await anyio.sleep(COMES_BACK_S)
+        if self.members.get(name) != token:
+            await self.hear_members()  # what is known here may be older than its place in the roster
+        if self._hub.hears_of(token) or token in self._unreachable or self.members.get(name) != token:
+            return
+        self._unreachable.add(token)
+        self.notify(f"{name}: its process, kept elsewhere, is gone or cannot be reached")
+        await self.send_to_owner(Lost(name, token, True))
+
+    async def send_to_owner(self, word: Control) -> None:
+        """Send the owner a word; what a process that has ended did not take in, the next one has in its order."""
+        if self._runs(self._world):
+            await self.current[self._world].send(encode_control(word))
+
+    async def hear_members(self) -> None:
+        """Wait until the world has said anew who there is."""
+        with anyio.move_on_after(SILENCE_S):
+            for _ in range(2):  # the first may have been on its way
+                await self._beat.wait()
