@@ -39,7 +39,7 @@ _SHARES = {RAISE: 0.5, STRAY: 0.3, FORETELL: 0.3, CONTRADICT: 0.16}
 """Faults that are drawn apart from the others, as they end runs, or need a node that fails alone: in how many seeds."""
 
 _OF_WORLD = {
-    WORLD: 1.0, TORN: 0.3, DAMAGE: 0.3, PAUSE: 0.2, SLOW: 0.2, PARTITION: 0.1, STRAY: 0.6, CONTRADICT: 0.3
+    WORLD: 1.0, TORN: 0.3, DAMAGE: 0.3, PAUSE: 0.2, SLOW: 0.2, PARTITION: 0.1, STRAY: 0.5, CONTRADICT: 0.3
 }  # fmt: skip
 """How often a fault befalls the world's process; else it is any other's."""
 
@@ -267,17 +267,7 @@ def _breaks(rng: Random, names: list[str], span_s: float, only: bool) -> tuple[F
 
 def _fault(rng: Random, kind: str, names: list[str], span_s: float) -> Fault:
     at_s = rng.uniform(0.0, span_s)
-    share = {
-        WORLD: 1.0,
-        TORN: 0.3,
-        DAMAGE: 0.3,
-        PAUSE: 0.2,
-        SLOW: 0.2,
-        PARTITION: 0.1,
-        STRAY: 0.5,
-        CONTRADICT: 0.3,
-    }.get(kind, 0.0)
-    name = WORLD_NAME if rng.random() < share else rng.choice(names)
+    name = WORLD_NAME if rng.random() < _OF_WORLD.get(kind, 0.0) else rng.choice(names)
     if kind in (CRASH, WORLD, TORN, DAMAGE, RAISE, *FORGED):
         return Fault(kind, at_s, name, rng.randint(1, 25))
     if kind in OF_MESSAGES:
