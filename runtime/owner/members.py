@@ -76,7 +76,7 @@ class Members:
         self.trial = None if tried is None else self._trial(*tried)
         self._outlived: list[tuple[str, str]] = []
         self._undone: dict[str, tuple[int, int]] = {}
-        for name in roster.nodes.keys() - self.processes.keys():
+        for name in sorted(roster.nodes.keys() - self.processes.keys()):
             self.lose(name)
 
     @property
