@@ -407,6 +407,17 @@ def test_a_checkpoint_of_an_attempt_that_was_not_committed_is_refused() -> None:
     assert prepares(owned.hear(join("high.3", 3, attempt=2)))
 
 
+def test_those_that_are_missing_when_it_begins_are_given_up_in_the_order_of_their_names() -> None:
+    names = [f"n{index}" for index in range(8)]
+    roster = Roster("world", dict.fromkeys(["world", *names], NODE), tuple(RosterEdge("world", name) for name in names))
+    settings = OwnerPolicy(on_loss=dict.fromkeys(names, "detach"), rejoin_timeout_s=dict.fromkeys(names, 1.0))
+    owned = Owned(settings, roster=roster, processes={"world": "world.1"})
+    owned.now = 1.5
+    owned.owner.tick()
+    given_up = [call[1].partition(":")[0] for call in owned.calls if call[0] == "note" and "detached" in call[1]]
+    assert given_up == names
+
+
 def test_a_checkpoint_of_an_attempt_that_nobody_has_begun_says_that_somebody_else_spoke() -> None:
     owned = Owned(epoch=3, last_attempt=2)
     owned.proceed()
