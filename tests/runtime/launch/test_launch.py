@@ -21,7 +21,6 @@ TESTS = Path(__file__).parents[2]
 TIMEOUT_S = 60.0
 ENDED_S = 30.0
 """Less than any deadline; how quick it is, `make interrupts` shows."""
-"""How many times longer things take where other programs want the cores as well."""
 
 
 def hierax(*arguments: str) -> subprocess.CompletedProcess[str]:
