@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Callable
+from typing import NoReturn
 
 from hierax.runtime.core.errors import ContradictionError, HieraxError, OperatorError
 from hierax.runtime.core.staleness import BARRIER, Staleness
@@ -21,6 +22,7 @@ from hierax.schemas.control import (
     NEVER,
     AskStatus,
     Control,
+    Dismiss,
     Failed,
     Fetch,
     HandOver,
@@ -227,9 +229,12 @@ class Member(Host):
             self._report(self.status(order.inquiry))
         elif isinstance(order, Resend):
             self._resend(order)
-        else:
+        elif isinstance(order, Dismiss):
             self.dismissed = order.why
             self.again = order.again
+        else:
+            unheard: NoReturn = order  # mypy finds an order that nobody obeys
+            raise TypeError(unheard)
 
     def _resend(self, order: Resend) -> None:
         engine = self.engine

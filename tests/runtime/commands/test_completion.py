@@ -25,7 +25,7 @@ def completed(words: str, folder: Path) -> list[str]:
         "-c",
         "import sys; sys.argv = ['hierax']; from hierax.runtime.commands.entry import entry; entry()",
     ]
-    done = subprocess.run(command, cwd=folder, env=environment, capture_output=True, text=True, timeout=60, check=False)
+    done = subprocess.run(command, cwd=folder, env=environment, capture_output=True, text=True, timeout=60, check=True)
     return done.stdout.split()
 
 
