@@ -205,11 +205,11 @@ class StaleEngine(Engine):
     def _is_satisfied(self) -> bool:
         return all(self._choose(slot) is not None for slot in self.wiring.above)
 
-    def _moves_on(self, epoch: int) -> bool:
+    def moves_on(self, epoch: int) -> bool:
         # where a process was lost, epochs may have gone on without this node
         if self._is_rewired:
             return epoch > self.epoch
-        return super()._moves_on(epoch)
+        return super().moves_on(epoch)
 
     def _takes_up(self, header: Header) -> bool:
         # in the middle of an epoch, too: what it waits for may have been lost with a process

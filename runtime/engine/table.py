@@ -27,9 +27,9 @@ fits decides:
 
     verdict          when                                               action
     ---------------  -------------------------------------------------  ------
-    OLD_ROSTER       of an older roster                                 REFUSE
     AHEAD            further ahead than can be, in roster, epoch or     REFUSE
                      attempt
+    OLD_ROSTER       of an older roster                                 REFUSE
     NEW_ROSTER       of a roster that this node does not have yet       HOLD
     FOREIGN          not for this node, or along no edge of its roster  REFUSE
     OTHER_INSTANCE   not from the instance that the roster names        REFUSE
@@ -38,9 +38,12 @@ fits decides:
                      DONE (of any epoch, for a node that joins)
     AGAIN            observations of a later attempt of this epoch      TAKE
     LATE             of an epoch or attempt that is past                DROP
-    EARLY            of an epoch or attempt that is still to come       HOLD
+    EARLY            of an epoch, attempt or half that is still to      HOLD
+                     come
     DOUBLE           already in hand                                    DROP
     CURRENT          anything else                                      TAKE
+
+The rows are `ROWS`, which the engine executes.
 
 HOLD keeps the message until its time comes, a bounded number for each sender and kind, and
 bounded bytes; of more than that, the furthest ahead are refused. REFUSE and DROP change nothing;
@@ -54,7 +57,12 @@ was the sender's: the engine raises a `ContradictionError`, which ends the run.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from enum import Enum
+from typing import NamedTuple, Protocol
+
+from hierax.runtime.engine.wiring import Slot, Wiring
+from hierax.schemas.messages import CONTEXT, Header
 
 
 class _Quick(Enum):
@@ -97,20 +105,120 @@ class Action(_Quick):
     REFUSE = "refuse"
 
 
-ACTIONS = {
-    Verdict.OLD_ROSTER: Action.REFUSE,
-    Verdict.AHEAD: Action.REFUSE,
-    Verdict.NEW_ROSTER: Action.HOLD,
-    Verdict.FOREIGN: Action.REFUSE,
-    Verdict.OTHER_INSTANCE: Action.REFUSE,
-    Verdict.INCOMPLETE: Action.REFUSE,
-    Verdict.NEXT: Action.TAKE,
-    Verdict.AGAIN: Action.TAKE,
-    Verdict.LATE: Action.DROP,
-    Verdict.EARLY: Action.HOLD,
-    Verdict.DOUBLE: Action.DROP,
-    Verdict.CURRENT: Action.TAKE,
-}
+class Standing(Protocol):
+    """Where a node stands, as far as it matters for a message's verdict."""
+
+    name: str
+    epoch: int
+    attempt: int
+    phase: Phase
+    wiring: Wiring
+
+    def is_ahead(self, epoch: int, attempt: int, roster: int) -> bool:
+        """Whether these are further ahead than can be."""
+
+    def moves_on(self, epoch: int) -> bool:
+        """Whether observations of this epoch make the node begin it."""
+
+    def awaits(self, slot: Slot) -> bool:
+        """Whether the half of the epoch under way needs a message of this sender and kind."""
+
+    def has(self, slot: Slot) -> bool:
+        """Whether that message is in hand."""
+
+
+class Row(NamedTuple):
+    """A row of the table.
+
+    Attributes:
+        verdict: of a message that fits this row, and none before it.
+        when: what it fits, as the table has it.
+        action: what is done with the message.
+        fits: whether it does, of where the node stands, the message's header, and its sender and kind.
+    """
+
+    verdict: Verdict
+    when: str
+    action: Action
+    fits: Callable[[Standing, Header, Slot], bool]
+
+
+def _is_foreign(at: Standing, header: Header, slot: Slot) -> bool:
+    return header.receiver != at.name or not (slot in at.wiring.below or slot in at.wiring.above)
+
+
+def _is_of_another_instance(at: Standing, header: Header, slot: Slot) -> bool:
+    below = at.wiring.below
+    return header.instance != (below[slot] if slot in below else at.wiring.above[slot])
+
+
+def _is_again(at: Standing, header: Header, slot: Slot) -> bool:
+    return slot in at.wiring.below and header.epoch == at.epoch > 0 and header.attempt > at.attempt
+
+
+def _is_early(at: Standing, header: Header, slot: Slot) -> bool:
+    if (header.epoch, header.attempt) != (at.epoch, at.attempt):
+        return True  # what is past is LATE
+    return at.phase is Phase.SENSE and not at.awaits(slot)  # what comes for PREDICT is ahead of SENSE
+
+
+ROWS = (
+    Row(
+        Verdict.AHEAD,
+        "further ahead than can be, in roster, epoch or attempt",
+        Action.REFUSE,
+        lambda at, header, _: at.is_ahead(header.epoch, header.attempt, header.roster),
+    ),
+    Row(
+        Verdict.OLD_ROSTER,
+        "of an older roster",
+        Action.REFUSE,
+        lambda at, header, _: header.roster < at.wiring.roster,
+    ),
+    Row(
+        Verdict.NEW_ROSTER,
+        "of a roster that this node does not have yet",
+        Action.HOLD,
+        lambda at, header, _: header.roster > at.wiring.roster,
+    ),
+    Row(Verdict.FOREIGN, "not for this node, or along no edge of its roster", Action.REFUSE, _is_foreign),
+    Row(
+        Verdict.OTHER_INSTANCE,
+        "not from the instance that the roster names",
+        Action.REFUSE,
+        _is_of_another_instance,
+    ),
+    Row(
+        Verdict.INCOMPLETE,
+        "context, but without its sender's digest",
+        Action.REFUSE,
+        lambda _, header, slot: header.kind == CONTEXT and not header.digest,
+    ),
+    Row(
+        Verdict.NEXT,
+        "observations of the next epoch, and this one is DONE (of any epoch, for a node that joins)",
+        Action.TAKE,
+        lambda at, header, slot: slot in at.wiring.below and at.moves_on(header.epoch),
+    ),
+    Row(Verdict.AGAIN, "observations of a later attempt of this epoch", Action.TAKE, _is_again),
+    Row(
+        Verdict.LATE,
+        "of an epoch or attempt that is past",
+        Action.DROP,
+        lambda at, header, _: (header.epoch, header.attempt) < (at.epoch, at.attempt),
+    ),
+    Row(Verdict.EARLY, "of an epoch, attempt or half that is still to come", Action.HOLD, _is_early),
+    Row(
+        Verdict.DOUBLE,
+        "already in hand",
+        Action.DROP,
+        lambda at, _, slot: at.has(slot) or not at.awaits(slot),  # what came for SENSE is behind PREDICT
+    ),
+    Row(Verdict.CURRENT, "anything else", Action.TAKE, lambda *_: True),
+)
+"""The table."""
+
+ACTIONS = {row.verdict: row.action for row in ROWS}
 
 HELD_MESSAGES = 8
 """How many messages of one sender and kind are held at most."""

@@ -194,7 +194,7 @@ MUTATIONS: dict[str, Mutation] = {
     "version taken up when it is prepared": instead(Engine, "prepare", taken_up_at_once),
     "contradiction overlooked": instead(Engine, "_check_same", lambda _: nothing),
     "contradiction of the epoch before overlooked": instead(Engine, "_turn", before_forgotten),
-    "what is far ahead accepted": instead(Engine, "_is_ahead", lambda _: no),
+    "what is far ahead accepted": instead(Engine, "is_ahead", lambda _: no),
     "stranger heard": instead(Engine, "receive", stranger_heard),
     "one slot": instead(Slots, "write", one_slot),
     "no checksum": lambda: patch.object(slots, "crc32", lambda *_: 0),

@@ -4,18 +4,24 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from functools import wraps
+from random import Random
 from typing import Any
 from unittest.mock import patch
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 from support.engines import DIGEST, EPOCH, INSTANCES, ROSTER, Solo, message, wiring
+from support.engines import other as second
 from support.hierarchies import MixingNode
 from support.recording import Acted, Completed, Lacked, Output, Refused, Sent, of, sent, steps, verdicts
 
 from hierax.runtime.core.digest import DigestChain
 from hierax.runtime.core.errors import ContradictionError, OperatorError
+from hierax.runtime.engine import table
 from hierax.runtime.engine.effects import Committed
+from hierax.runtime.engine.engine import Engine
 from hierax.runtime.engine.table import (
     ACTIONS,
     ATTEMPTS_AHEAD,
@@ -24,11 +30,12 @@ from hierax.runtime.engine.table import (
     HELD_MESSAGES,
     HELD_SLOTS,
     ROSTERS_AHEAD,
+    ROWS,
     Action,
     Phase,
     Verdict,
 )
-from hierax.schemas.messages import CONTEXT, HELLO, OBSERVATIONS, TASKS
+from hierax.schemas.messages import CONTEXT, HELLO, OBSERVATIONS, TASKS, Message
 
 REFUSED: list[tuple[Verdict, str, dict[str, Any]]] = [
     (Verdict.OLD_ROSTER, OBSERVATIONS, {"roster": ROSTER - 1}),
@@ -164,9 +171,9 @@ def test_a_double_that_says_something_else_is_an_error_that_names_both_ends(kind
         solo.take(message(OBSERVATIONS, 2))
     sender = "low" if kind == OBSERVATIONS else "top"
     wanted = rf"mid: two {kind} messages from {sender} of epoch 1, attempt 0 say different things: .* name of {sender} "
-    for other in (message(kind, text="again"), message(kind, time_s=0.25)):
+    for forged in (message(kind, text="again"), message(kind, time_s=0.25)):
         with pytest.raises(ContradictionError, match=wanted):
-            solo.take(other)
+            solo.take(forged)
     assert solo.take(message(kind)) == []
 
 
@@ -364,3 +371,44 @@ def test_after_an_operator_raised_its_inputs_are_not_taken_again(operator: str, 
         with pytest.raises(ContradictionError, match="somebody else speaks in the name"):
             solo.take(message(kind, text="another"))
     assert results(solo.epoch(attempt=1)) == results(Solo().epoch(attempt=1))
+
+
+def test_the_table_that_is_told_is_the_one_that_is_executed() -> None:
+    told: list[list[str]] = []
+    lines = (table.__doc__ or "").partition("---------------  ---")[2].splitlines()[1:]
+    for line in lines[: lines.index("")]:
+        verdict, when, action = line[4:21].strip(), line[21:72].strip(), line[72:].strip()
+        if verdict:
+            told.append([verdict, when, action])
+        else:
+            told[-1][1] += f" {when}"
+    assert told == [[row.verdict.name, row.when, row.action.name] for row in ROWS]
+
+
+class ByTable(Engine):
+    """Takes nothing in by the quick way."""
+
+    def receive(self, message: Message) -> None:
+        self._receive_by_table(message)
+
+
+@settings(max_examples=150)
+@given(seed=st.integers(0, 2**32))
+def test_the_quick_way_is_the_tables(seed: int) -> None:
+    """Any messages in any order: right ones, and such as differ from them in any field."""
+    rng = Random(seed)
+    quick, slow = (Solo(wiring(below=("low", "low2"), above=("top", "top2"))) for _ in range(2))
+    slow.engine = ByTable(slow.engine.wiring, slow.recorder)
+    for _ in range(60):
+        make = rng.choice((message, second))
+        epoch = quick.engine.epoch + rng.choice((0, 0, 0, 1, 1, 2, -1))
+        change: dict[str, Any] = {"attempt": quick.engine.attempt + rng.choice((0, 0, 0, 0, 1, -1))}
+        wrong = {"roster": ROSTER + rng.choice((-1, 1)), "instance": 3, "receiver": "top", "digest": b"", "sender": "x"}
+        if rng.random() < 0.15:
+            field = rng.choice(sorted(wrong))
+            change[field] = wrong[field]
+        if epoch < 0 or change["attempt"] < 0:
+            continue
+        each = make(rng.choice(EPOCH), epoch, **change)
+        assert repr(quick.take(each)) == repr(slow.take(each))  # states have arrays in them
+        assert quick.engine.waits_for == slow.engine.waits_for
