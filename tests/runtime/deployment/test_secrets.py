@@ -9,10 +9,10 @@ from hierax.runtime.core.errors import HieraxError
 from hierax.runtime.deployment.secrets import (
     completed,
     is_secret,
+    public_setting,
     public_settings,
     public_text,
     secret_values,
-    told,
     usable,
 )
 
@@ -85,5 +85,5 @@ def test_settings_are_kept_without_secret_values_and_completed_again() -> None:
 
 
 def test_errors_name_a_secret_setting_without_its_value() -> None:
-    assert told(f"zenoh.transport.auth.usrpwd.password={WORD}") == "zenoh.transport.auth.usrpwd.password=…"
-    assert told("noise=1") == "noise=1"
+    assert public_setting(f"zenoh.transport.auth.usrpwd.password={WORD}") == "zenoh.transport.auth.usrpwd.password=…"
+    assert public_setting("noise=1") == "noise=1"
