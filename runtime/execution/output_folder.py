@@ -93,6 +93,11 @@ def state_log(output: Path | None, name: str, append: bool = False) -> Log | Non
     return None if output is None else Log(output / STATES / f"{name}.msgpack", append)
 
 
+def digest_log(output: Path | None, append: bool = False) -> Log | None:
+    """Where a run's digests go; behind what is there, where the world's process is not the first one."""
+    return None if output is None else Log(output / DIGESTS, append)
+
+
 def open_probes(
     specs: Sequence[ProbeSpec], name: str, allowance: Allowance, output: Path | None, again: bool = False
 ) -> tuple[Probe, ...]:

@@ -25,9 +25,8 @@ from hierax.runtime.engine.wiring import Wiring
 from hierax.runtime.execution.breaker import Breaker
 from hierax.runtime.execution.checkpoints import taken_over
 from hierax.runtime.execution.free import run_freely
-from hierax.runtime.execution.log import Log
 from hierax.runtime.execution.observers import Observers
-from hierax.runtime.execution.output_folder import DIGESTS, open_probes, state_log, write_roster
+from hierax.runtime.execution.output_folder import digest_log, open_probes, state_log, write_roster
 from hierax.runtime.execution.pacemaker import Pacemaker
 from hierax.runtime.execution.report import Interrupted, NodeReport, Report, make_report
 from hierax.runtime.execution.runner import Host, NodeRunner, World
@@ -95,7 +94,7 @@ def run(
     """
     if output is not None:
         write_roster(output, deployment.roster)
-    digests = None if output is None else Log(output / DIGESTS)
+    digests = digest_log(output)
 
     def on_commit(epoch: int, digest: bytes) -> None:
         if digests is not None:

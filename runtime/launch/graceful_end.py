@@ -16,6 +16,7 @@ from hierax.runtime.core.errors import HieraxError
 from hierax.runtime.core.process import ActiveNode
 from hierax.runtime.deployment import Deployment
 from hierax.runtime.execution.checkpoints import Checkpoints
+from hierax.runtime.execution.output_folder import digest_log
 from hierax.runtime.execution.world_member import read_record
 from hierax.runtime.launch.child import Child
 from hierax.runtime.launch.frames import FINISH, NodeOrder, leave
@@ -23,6 +24,7 @@ from hierax.runtime.launch.process_supervisor import Notify
 from hierax.runtime.launch.roster_supervisor import RosterSupervisor
 from hierax.runtime.recovery.disk import MappedFile
 from hierax.runtime.recovery.slots import Slots
+from hierax.schemas.checkpoint import WorldRecord
 from hierax.schemas.errors import SchemaError
 
 EPOCH_S = 0.7  # how long the epoch under way may take to come to its end
@@ -107,6 +109,7 @@ class GracefulEnd:
         try:
             with _slots(child.order) as storage:
                 record, saved = read_record(Slots(storage))
+            _write_digest(child.order, record)
         except (HieraxError, SchemaError) as error:
             self.unreported[child.name] = str(error)
             return
@@ -135,6 +138,18 @@ def _slots(order: NodeOrder) -> MappedFile:
     if not Path(f"{path}.0").exists():
         raise HieraxError("its process did not answer, and has kept no checkpoint yet")
     return MappedFile(path, order.durability)
+
+
+def _write_digest(order: NodeOrder, record: WorldRecord) -> None:
+    """Write the last epoch's digest, as a next process of the world's would: this one may have ended before it could.
+
+    Raises:
+        HieraxError: it cannot be written.
+    """
+    log = digest_log(order.output_path, append=True) if record.epoch > 1 else None
+    if log is not None:
+        log.write(record.epoch - 1, record.last_digest)
+        log.close()
 
 
 def _fields(state: ActiveNode) -> dict[str, object]:

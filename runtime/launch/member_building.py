@@ -10,10 +10,9 @@ from pathlib import Path
 from hierax.runtime.core.digest import DigestChain
 from hierax.runtime.core.staleness import Staleness
 from hierax.runtime.execution.checkpoints import Checkpoints
-from hierax.runtime.execution.log import Log
 from hierax.runtime.execution.member import Member
 from hierax.runtime.execution.observers import Observers
-from hierax.runtime.execution.output_folder import DIGESTS, open_probes, state_log
+from hierax.runtime.execution.output_folder import digest_log, open_probes, state_log
 from hierax.runtime.execution.pacemaker import Pacemaker
 from hierax.runtime.execution.world_member import WorldMember
 from hierax.runtime.launch.faults import plant
@@ -143,9 +142,8 @@ class _Commits:
     """What is done with the digest of each committed epoch: it is published, and written where wanted."""
 
     def __init__(self, order: NodeOrder, epochs: EpochPublisher) -> None:
-        output = order.output_path
         self._epochs = epochs
-        self._log = None if output is None else Log(output / DIGESTS, append=order.life != BEGIN)
+        self._log = digest_log(order.output_path, append=order.life != BEGIN)
 
     def __call__(self, epoch: int, digest: bytes) -> None:
         self._epochs.publish(epoch, digest)
