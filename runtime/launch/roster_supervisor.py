@@ -41,6 +41,9 @@ POLL_S = 0.01  # how often it is looked whether all processes are up
 COMES_BACK_S = 0.5
 """How long a process that was started elsewhere may be gone: where the hub was stopped, all seem to be for a moment."""
 
+BEGINS_S = 5.0
+"""How long the world's process, once it was told to begin, may take to say that it has, where a signal ends the run."""
+
 SILENCE_S = 1.0  # how long the world's process may say nothing, beyond the epoch's deadline
 
 
@@ -122,6 +125,12 @@ class RosterSupervisor(ProcessSupervisor):
             if clock() > patience:
                 return late or [self._world]
             await anyio.sleep(POLL_S)
+
+    async def is_under_way(self) -> bool:
+        """Whether the run has begun, all processes being started: then there is, or soon will be, what to report."""
+        with anyio.move_on_after(BEGINS_S):
+            return await self._has_begun()
+        return False
 
     def _is_late(self, child: Child) -> bool:
         if self.begun.is_set():

@@ -137,6 +137,7 @@ class Supervisor:
         self._print = notify
         self._broken = anyio.Event()
         self._why: Exception | None = None
+        self._are_started = False
         self._start_s: float | None = None
         self._signals = 0
         self._graceful: GracefulEnd | None = None
@@ -232,6 +233,7 @@ class Supervisor:
             await self._processes.start(self._orders.order(name, tokens[name], life, processes=others))
             if self._broken.is_set():
                 return
+        self._are_started = True
 
     async def _until_finished(self, begun_s: float) -> None:
         """Wait for the processes to come up, then for the world to finish."""
@@ -315,7 +317,7 @@ class Supervisor:
         """A signal has come: the run ends with the epoch under way, or with the one before it."""
         if self._broken.is_set() or self._processes.ending:
             return  # it comes to its end already
-        if self._start_s is not None:
+        if self._are_started and await self._processes.is_under_way():
             self._graceful = GracefulEnd(self._processes, self._deployment, self._notify)
             await self._graceful.finish_epoch()
         self._break(_Interruption())

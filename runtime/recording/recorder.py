@@ -5,6 +5,7 @@ from __future__ import annotations
 import logging
 from dataclasses import replace
 from pathlib import Path
+from typing import NamedTuple
 
 import msgpack
 
@@ -23,7 +24,19 @@ from hierax.schemas.values import decode_value, encode_value
 INDEX_BYTES = 64 << 10
 """What the index at a file's end takes at most, where it has no more than some hundred channels."""
 
+HELD_BYTES = 64 << 20
+"""How much may wait, in a recording that joins a run, for its first whole epoch; with more, all is written."""
+
 _log = logging.getLogger("hierax")
+
+
+class _Entry(NamedTuple):
+    """What came on a key, as it is written."""
+
+    heard: Sample
+    what: str
+    epoch: int
+    data: bytes
 
 
 class Recorder:
@@ -63,6 +76,8 @@ class Recorder:
         self._barrier = barrier
         self._versions: set[int] = set()
         self._messages = 0
+        self._held: list[_Entry] | None = None if from_start else []
+        self._held_bytes = 0
 
     def take(self, heard: Sample) -> None:
         """Take in what came on a key. Raises `RecordingError` if the file cannot be written."""
@@ -77,10 +92,14 @@ class Recorder:
             return
         if epoch < 0 or not self.ledger.wants(epoch) or self._is_left_out(heard.key):
             return
-        self._messages += 1
-        if self._file is not None:
-            self._file.add(heard.key, topic.what, heard.time_ns, epoch, data)
-            self._keep_bounds(self._file, heard.time_ns, epoch, len(data))
+        entry = _Entry(heard, topic.what, epoch, data)
+        if self._held is None:
+            self._write(entry)
+            return
+        self._held.append(entry)
+        self._held_bytes += len(data)
+        if self.ledger.first or self._held_bytes > HELD_BYTES:
+            self._write_held()
 
     def drop(self, key: str, data: bytes) -> None:
         """Something was heard on a key, but there was no room for it; `data` is its beginning."""
@@ -110,6 +129,7 @@ class Recorder:
     def finish(self, last: int | None = None) -> Ending:
         """Nothing more comes after the run's last epoch, if that is known; `RecordingError` if it cannot be written."""
         ledger = self.ledger
+        self._write_held()
         if self.cut and last is not None and ledger.cut is not None:
             last = min(last, ledger.cut)
         ledger.cut = None
@@ -121,6 +141,23 @@ class Recorder:
         if self._file is not None:
             self._file.close(ending)
         return ending
+
+    def _write(self, entry: _Entry) -> None:
+        self._messages += 1
+        if self._file is not None:
+            self._file.add(entry.heard.key, entry.what, entry.heard.time_ns, entry.epoch, entry.data)
+            self._keep_bounds(self._file, entry.heard.time_ns, entry.epoch, len(entry.data))
+
+    def _write_held(self) -> None:
+        """Until every node has told of an epoch, it is not known with which one the recording begins.
+
+        The epoch before that one is written, too: in it the nodes told the states with which this one begins.
+        """
+        held, self._held = self._held, None
+        first = self.ledger.first - 1 if self._barrier else 0
+        for entry in held or ():
+            if (not entry.epoch or entry.epoch >= first) and self.ledger.wants(entry.epoch):
+                self._write(entry)
 
     def _is_left_out(self, key: str) -> bool:
         if key not in self._patterns:
@@ -145,7 +182,7 @@ class Recorder:
         if longest_s is not None and time_ns - self._begun_ns > longest_s * 1e9:
             self.cut = f"--max-duration {longest_s:g} s"
         if self.cut:
-            self.ledger.cut = self._newest
+            self.ledger.cut = max(self._newest, self.ledger.first)  # one whole epoch there is in any case
 
     def _is_near(self, file: McapFile, most: int) -> bool:
         """Whether the epoch that begins and another one might be too much for the file."""

@@ -145,6 +145,12 @@ def test_a_node_that_has_just_died_has_its_part_in_the_report(tmp_path: Path) ->
     assert report["nodes"]["camera"]["belief"] == run["nodes"]["camera"]["belief"]
 
 
+def test_a_launch_that_has_only_just_begun_is_reported(tmp_path: Path) -> None:
+    with Launched(tmp_path, "servo", *ENDLESS) as launch:
+        launch.until_epoch(1)
+        same(reported(launch, signal.SIGINT))
+
+
 def test_what_was_broken_off_can_be_resumed(tmp_path: Path) -> None:
     with Launched(tmp_path, "servo", *ENDLESS) as launch:
         launch.until_epoch(20)

@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+from pathlib import Path
+
 import pytest
 from support.flawed import DEPLOYMENT
 from support.recorded import record_file
 
 from hierax.runtime.recording.reading import Entry, Recording
-from hierax.runtime.recording.recorder import Recorder
+from hierax.runtime.recording.recorder import Recorder, open_recorder
+from hierax.runtime.recording.selection import Selection
 from hierax.runtime.recording.topics import MESSAGE, STEP
 from hierax.runtime.transport.steps import Sample
 
@@ -83,3 +87,21 @@ def test_so_many_epochs_are_recorded_and_no_more(recording: Recording) -> None:
     assert recorder.ledger.complete or recorder.ledger.ended
     ending = recorder.finish()
     assert ending.last - ending.first == 2
+
+
+def test_what_comes_before_the_first_whole_epoch_takes_no_room(recording: Recording, tmp_path: Path) -> None:
+    """A node may be told late that somebody records; until then the others fill no file."""
+    late, most = 7, 72_000
+    info = replace(recording.info, from_start=False)
+    recorder = open_recorder(info, tmp_path / "part.mcap", False, Selection(max_bytes=most))
+    for entry in recording.entries():
+        if entry.topic.what != STEP or entry.topic.names != ("high",) or entry.epoch >= late:
+            recorder.take(heard(entry))
+    ending = recorder.finish()
+    assert (ending.first, ending.lost) == (late + 1, 0)
+    assert recorder.cut
+    assert late < ending.last < 12
+    part = Recording.open(tmp_path / "part.mcap")
+    assert part.path.stat().st_size <= most
+    assert min(entry.epoch for entry in part.entries(MESSAGE)) == late
+    assert [epoch.lacking for epoch in part.epochs(ending.first)] == [()] * (ending.last - late)
