@@ -22,7 +22,6 @@ from hierax.runtime.commands.recordings import (
     print_comparison,
     recording_of,
 )
-from hierax.runtime.commands.replay import wait
 
 if TYPE_CHECKING:
     from hierax.runtime.recording.diff import EpochView
@@ -102,7 +101,7 @@ def _other(
     allowance = deployment.allowance  # what the recording names besides, after changes, is another matter
     if trust or recording.info.is_ours:
         allowance = allowance_of(recording, trust).with_modules(deployment.modules)
-    return Replay(recording, allowance, world=again, rewrite=rewrite, first=first, last=last, wait=wait).epochs()
+    return Replay(recording, allowance, world=again, rewrite=rewrite, first=first, last=last).epochs()
 
 
 def _is_recording(name: str) -> bool:

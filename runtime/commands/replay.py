@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import sys
 import time
-from collections.abc import Awaitable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import redirect_stdout
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -27,7 +27,8 @@ from hierax.runtime.commands.recordings import (
 if TYPE_CHECKING:
     from hierax.runtime.execution.report import Report
     from hierax.runtime.recording.diff import Comparison
-    from hierax.runtime.recording.replay import Replay, ReplayedEpoch
+    from hierax.runtime.recording.replay import Replay
+    from hierax.runtime.recording.replayed_epoch import ReplayedEpoch
 
 
 @dataclass(kw_only=True)
@@ -76,19 +77,16 @@ def replay(options: ReplayOptions) -> int:
     from hierax.runtime.commands.show import print_json, print_report
     from hierax.runtime.loading.allowance import module_of
     from hierax.runtime.loading.loader import extend_import_path
-    from hierax.runtime.recording.deployments import allowance_of, check_classes, other_settings, recorded_deployment
+    from hierax.runtime.recording.deployments import allowance_of, check_names, other_settings, recorded_deployment
     from hierax.runtime.recording.diff import compare
-    from hierax.runtime.recording.replay import Replay, check_node
+    from hierax.runtime.recording.replay import Replay
 
     recording = recording_of(options.file)
     info = recording.info
     allowance = allowance_of(recording, options.trust)
     extend_import_path(tuple(info.import_paths))
     replaced = _classes(options.classes or ())
-    if replaced:
-        check_classes(recording.rosters(), replaced)
-    if options.node is not None:
-        check_node(recording, options.node)
+    check_names(recording, [*replaced, *([] if options.node is None else [options.node])])
     named = [module_of(target) for target in replaced.values()]
     if options.overrides:
         named += recorded_deployment(info, options.overrides).modules
@@ -100,7 +98,6 @@ def replay(options: ReplayOptions) -> int:
         rewrite=other_settings(info, options.overrides or (), replaced),
         first=options.first,
         last=options.last,
-        wait=wait,
     )
     epochs = _Paced(replaying, options.speed)
     comparison: Comparison | None = None
@@ -112,7 +109,7 @@ def replay(options: ReplayOptions) -> int:
                 pass
     if not epochs.times_s:
         raise CommandError(f"{options.file}: there is no epoch to replay{_range(options.first, options.last)}")
-    report = epochs.report(options.file.name)
+    report = epochs.report()
     if options.output_format is Format.json:
         print_json({**report.plain(), "verify": None if comparison is None else comparison_json(comparison)})
     else:
@@ -147,7 +144,7 @@ class _Paced:
             yield epoch
             done_s = time.perf_counter()
 
-    def report(self, name: str) -> Report:
+    def report(self) -> Report:
         """What the replay has come to: the live nodes after its last epoch."""
         from hierax.runtime.core.binding import metrics_of
         from hierax.runtime.execution.report import NodeReport, make_report
@@ -155,14 +152,12 @@ class _Paced:
         assert self._last is not None
         epoch, states = self._last.epoch, self._replay.states
         nodes = {
-            node: NodeReport(*state, metrics_of(node, self._replay.wiring(node).node.node, state.belief, epoch))
+            node: NodeReport(*state, metrics_of(node, self._replay.wirings[node].node.node, state.belief, epoch))
             for node, state in sorted(states.items())
         }
-        total_s = sum(self.times_s)
-        seed = self._replay.seed
-        return make_report(
-            self._replay.hierarchy, "replay", seed, len(self.times_s), self._last.digest, total_s, self.times_s, nodes
-        )
+        info, times_s = self._replay.recording.info, self.times_s
+        digest, total_s = self._last.digest, sum(times_s)
+        return make_report(info.hierarchy, "replay", info.seed, len(times_s), digest, total_s, times_s, nodes)
 
 
 def _classes(texts: Sequence[str]) -> Mapping[str, str]:
@@ -179,13 +174,3 @@ def _range(first: int, last: int | None) -> str:
     if first == 1 and last is None:
         return ""
     return f" from {first}" + ("" if last is None else f" to {last}")
-
-
-def wait(awaitable: Awaitable[Any]) -> Any:
-    """Drive an async operator."""
-    import anyio
-
-    async def waiting() -> Any:
-        return await awaitable
-
-    return anyio.run(waiting)

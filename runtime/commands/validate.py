@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Awaitable
 from contextlib import redirect_stdout
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -60,10 +59,11 @@ def validate(
 def _check(deployment: Deployment) -> None:
     """All that can be told without calling more than the initial beliefs."""
     from hierax.runtime.core.binding import OperatorSetting
+    from hierax.runtime.host.waiting import wait_for
     from hierax.runtime.loading.loader import LoadError, build_hierarchy, build_probe, check_initial_belief
     from hierax.runtime.loading.spelling import misspelt_operators
 
-    hierarchy = build_hierarchy(deployment.roster, OperatorSetting(wait=_wait), deployment.allowance)
+    hierarchy = build_hierarchy(deployment.roster, OperatorSetting(wait=wait_for), deployment.allowance)
     for name, node in hierarchy.nodes.items():
         for what in misspelt_operators(type(node)):
             raise LoadError(what, f"nodes.{name}.class")
@@ -76,12 +76,3 @@ def _dry_run(deployment: Deployment) -> int:
     from hierax.runtime.execution.dry import run_dry
 
     return run_dry(deployment)
-
-
-def _wait(awaitable: Awaitable[Any]) -> Any:
-    import anyio
-
-    async def wait() -> Any:
-        return await awaitable
-
-    return anyio.run(wait)

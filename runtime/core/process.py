@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 from types import MappingProxyType
 from typing import NamedTuple
 
-from hierax.runtime.core.binding import Call, epoch_time_s
+from hierax.runtime.core.binding import BoundNode, Call, epoch_time_s
 from hierax.runtime.core.elements import Elements, Value
 from hierax.runtime.core.hierarchy import Hierarchy
 
@@ -56,40 +56,56 @@ class ActiveHierarchy:
         return replace(self, states=MappingProxyType({**self.states, name: state}))
 
 
-def sensing_update(active: ActiveHierarchy, name: str, epoch: int, time_s: float) -> ActiveHierarchy:
-    """Definition 4 for one node: s ← τ(O, s), O the observations of all nodes below. N₀ senses nothing."""
-    hierarchy = active.hierarchy
-    if name == hierarchy.world:
-        return active
-    observations: Elements = ()
-    for lower in hierarchy.below(name):
-        sense = hierarchy.bound_edges[lower, name].sense
-        observations += _apply(sense, epoch, time_s, active.states[lower].belief)
-    state = active.states[name]
-    bound = hierarchy.bound[name]
+def sense(bound: BoundNode, state: ActiveNode, observations: Elements, epoch: int, time_s: float) -> ActiveNode:
+    """Definition 4 for one node and the observations of all nodes below it: s ← τ(O, s). N₀ senses nothing."""
+    if not bound.below:
+        return state
     belief = bound.observe(epoch, time_s, observations, state.belief)
     if belief is None:
         bound.accept_none(bound.observe, epoch)
-    return active.with_state(name, state._replace(belief=belief))
+    return state._replace(belief=belief)
 
 
-def prediction_update(active: ActiveHierarchy, name: str, epoch: int, time_s: float) -> ActiveHierarchy:
-    """Definition 5 for one node: π from the tasks, a from the belief before γ, then s ← γ(C, a, s)."""
-    hierarchy = active.hierarchy
-    bound = hierarchy.bound[name]
-    state = active.states[name]
-    tasks: Elements = ()
-    context: Elements = ()
-    for upper in bound.above:
-        edge = hierarchy.bound_edges[name, upper]
-        tasks += _apply(edge.task, epoch, time_s, active.states[upper].actions)
-        context += _apply(edge.context, epoch, time_s, active.states[upper].belief)
+def predict(
+    bound: BoundNode, state: ActiveNode, tasks: Elements, context: Elements, epoch: int, time_s: float
+) -> ActiveNode:
+    """Definition 5 for one node and what comes from above: π ← λ(T), a ← π(s), then s ← γ(C, a, s)."""
     policy = bound.choose(epoch, time_s, tasks) if bound.above else state.policy
     actions = bound.policies[policy].elements(epoch, time_s, state.belief)
     belief = bound.predict(epoch, time_s, context, actions, state.belief)
     if belief is None:
         bound.accept_none(bound.predict, epoch)
-    return active.with_state(name, ActiveNode(belief, policy, actions))
+    return ActiveNode(belief, policy, actions)
+
+
+def apply(function: Call | None, epoch: int, time_s: float, argument: Value) -> Elements:
+    """What an edge function gives; None is the function to the empty set."""
+    return () if function is None else function.elements(epoch, time_s, argument)
+
+
+def sensing_update(active: ActiveHierarchy, name: str, epoch: int, time_s: float) -> ActiveHierarchy:
+    """Definition 4 in a hierarchy: the observations are what the sense functions make of the beliefs below."""
+    hierarchy = active.hierarchy
+    if name == hierarchy.world:
+        return active
+    observations: Elements = ()
+    for lower in hierarchy.below(name):
+        edge = hierarchy.bound_edges[lower, name]
+        observations += apply(edge.sense, epoch, time_s, active.states[lower].belief)
+    return active.with_state(name, sense(hierarchy.bound[name], active.states[name], observations, epoch, time_s))
+
+
+def prediction_update(active: ActiveHierarchy, name: str, epoch: int, time_s: float) -> ActiveHierarchy:
+    """Definition 5 in a hierarchy: tasks and context are what the edges make of actions and beliefs above."""
+    hierarchy = active.hierarchy
+    tasks: Elements = ()
+    context: Elements = ()
+    for upper in hierarchy.above(name):
+        edge = hierarchy.bound_edges[name, upper]
+        tasks += apply(edge.task, epoch, time_s, active.states[upper].actions)
+        context += apply(edge.context, epoch, time_s, active.states[upper].belief)
+    bound, state = hierarchy.bound[name], active.states[name]
+    return active.with_state(name, predict(bound, state, tasks, context, epoch, time_s))
 
 
 def update(
@@ -122,10 +138,6 @@ def update(
     for name in prediction:
         active = prediction_update(active, name, epoch, time_s)
     return replace(active, epoch=epoch)
-
-
-def _apply(function: Call | None, epoch: int, time_s: float, argument: Value) -> Elements:
-    return () if function is None else function.elements(epoch, time_s, argument)
 
 
 def _check_order(hierarchy: Hierarchy, upward: Sequence[str]) -> None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import tempfile
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -15,7 +15,7 @@ from hierax.runtime.loading.allowance import ANYTHING, Allowance
 from hierax.runtime.loading.nearest import did_you_mean
 from hierax.runtime.recording.info import RecordingError, RunInfo
 from hierax.runtime.recording.reading import Recording
-from hierax.runtime.recording.replay import Rewrite, rewriting
+from hierax.runtime.recording.replay import Rewrite
 from hierax.schemas.roster import Reference, Roster
 
 
@@ -82,10 +82,31 @@ def in_place_of(recorded: Roster, deployment: Deployment) -> Rewrite:
     return rewritten
 
 
-def check_classes(rosters: Mapping[int, Roster], classes: Mapping[str, str]) -> None:
-    """See that there are the nodes that get another class; `RecordingError` names the nearest one of one that lacks."""
-    names = {name for roster in rosters.values() for name in roster.nodes}
-    for name in classes:
-        if name not in names:
-            nearest = did_you_mean(name, names, "the nodes are")
-            raise RecordingError(f"--with {name}: there is no node {name!r}{nearest}")
+def rewriting(old: Roster, new: Roster) -> Rewrite:
+    """What puts new classes, parameters and edge functions in the place of old ones, wherever these are.
+
+    Args:
+        old, new: two rosters of one deployment file, read with other settings.
+    """
+    nodes = {name: (old.nodes[name], new.nodes[name]) for name in old.nodes.keys() & new.nodes.keys()}
+    new_edges = {edge.pair: edge for edge in new.edges}
+    edges = {edge.pair: (edge, new_edges[edge.pair]) for edge in old.edges if edge.pair in new_edges}
+
+    def rewrite(roster: Roster) -> Roster:
+        changed: Mapping[str, Reference] = {
+            name: nodes[name][1] if name in nodes and nodes[name][0] == reference else reference
+            for name, reference in roster.nodes.items()
+        }
+        joined = tuple(edges[e.pair][1] if e.pair in edges and edges[e.pair][0] == e else e for e in roster.edges)
+        return Roster(roster.world, changed, joined, roster.version, roster.instances)
+
+    return rewrite
+
+
+def check_names(recording: Recording, names: Iterable[str]) -> None:
+    """See that a recording has nodes of these names; `RecordingError` says which one is nearest to one that lacks."""
+    known = {name for roster in recording.rosters().values() for name in roster.nodes}
+    for name in names:
+        if name not in known:
+            nearest = did_you_mean(name, known, "the nodes are")
+            raise RecordingError(f"{recording.path}: there is no node {name!r}{nearest}")

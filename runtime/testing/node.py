@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Awaitable, Callable, Sequence
+from collections.abc import Callable, Sequence
 from functools import partial
 from typing import Any, NamedTuple
-
-import anyio
 
 from hierax.runtime.core.binding import BoundNode, Call, OperatorSetting, epoch_time_s, is_finished, metrics_of
 from hierax.runtime.core.difference import difference
@@ -14,6 +12,7 @@ from hierax.runtime.core.elements import Elements, Value
 from hierax.runtime.core.errors import HieraxError, OperatorError
 from hierax.runtime.core.node import Node, World
 from hierax.runtime.core.probe import Step
+from hierax.runtime.host.waiting import wait_for
 from hierax.schemas.errors import SchemaError
 from hierax.schemas.values import decode_value, encode_value
 
@@ -239,12 +238,3 @@ def _same_steps(expected: Sequence[Step], got: Sequence[Step], what: str) -> Non
             if encode_value(mine) != encode_value(others):
                 where = difference(mine, others)
                 raise AssertionError(f"{what} gave another {field} in epoch {one.epoch} ({where}): it keeps something")
-
-
-def wait_for(awaitable: Awaitable[Any]) -> Any:
-    """Drives an async operator, in an event loop of its own."""
-
-    async def wait() -> Any:
-        return await awaitable
-
-    return anyio.run(wait)

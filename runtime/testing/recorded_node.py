@@ -14,14 +14,15 @@ from hierax.runtime.core.errors import HieraxError
 from hierax.runtime.core.hierarchy import neighbours_above, neighbours_below
 from hierax.runtime.core.node import Node
 from hierax.runtime.core.probe import Step
-from hierax.runtime.core.process import ActiveNode
+from hierax.runtime.core.process import ActiveNode, predict, sense
+from hierax.runtime.host.waiting import wait_for
 from hierax.runtime.loading.allowance import Allowance
 from hierax.runtime.loading.loader import build_node, extend_import_path
 from hierax.runtime.loading.nearest import did_you_mean
 from hierax.runtime.recording.deployments import allowance_of
 from hierax.runtime.recording.reading import Recording
 from hierax.runtime.recording.trace import EpochTrace
-from hierax.runtime.testing.node import Input, wait_for
+from hierax.runtime.testing.node import Input
 from hierax.schemas.messages import CONTEXT, OBSERVATIONS, TASKS
 from hierax.schemas.roster import Reference, Roster
 from hierax.schemas.values import encode_value
@@ -62,15 +63,13 @@ class Recorded:
         """
         made = build_node(self.reference, f"nodes.{self.name}", self.allowance) if node is None else node
         bound = BoundNode(self.name, made, self.below, self.above, OperatorSetting(self.seed, wait_for))
-        belief, policy = self.start.belief, self.start.policy
+        state = self.start
         steps: list[Step] = []
         for epoch, time_s, observations, tasks, context in self.inputs:
-            sensed = bound.observe(epoch, time_s, observations, belief) if self.below else belief
-            if self.above:
-                policy = bound.choose(epoch, time_s, tasks)
-            actions = bound.policies[policy].elements(epoch, time_s, sensed)
-            belief = bound.predict(epoch, time_s, context, actions, sensed)
-            steps.append(Step(epoch, 0, time_s, observations, sensed, tasks, context, policy, actions, belief))
+            sensed = sense(bound, state, observations, epoch, time_s)
+            state = predict(bound, sensed, tasks, context, epoch, time_s)
+            done = (state.policy, state.actions, state.belief)
+            steps.append(Step(epoch, 0, time_s, observations, sensed.belief, tasks, context, *done))
         return steps
 
     def check(self, node: Node | None = None) -> list[Step]:

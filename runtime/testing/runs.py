@@ -21,8 +21,8 @@ from hierax.runtime.execution.pacemaker import Pacemaker
 from hierax.runtime.execution.report import Report, make_report
 from hierax.runtime.execution.runner import NodeRunner, World
 from hierax.runtime.execution.single import run
+from hierax.runtime.host.waiting import wait_for
 from hierax.runtime.loading.loader import extend_import_path
-from hierax.runtime.testing.node import wait_for
 from hierax.runtime.transport.memory import MemoryNetwork
 from hierax.runtime.watch.watcher import Watcher
 

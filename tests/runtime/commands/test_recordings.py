@@ -109,7 +109,7 @@ def test_a_recording_that_was_cut_off_is_used_and_said(folder: Path, capsys: Cap
         (["replay", "a.mcap", "--from", "50"], "a.mcap: there is no epoch to replay from 50"),
         (["replay", "a.mcap", "--set", "gian=1"], "--set gian=1: there is no 'gian'; did you mean 'gain'?"),
         (["replay", "a.mcap", "--with", "low"], "--with low: expected NODE=package.module:Class"),
-        (["replay", "a.mcap", "--with", "x=a:B"], "--with x: there is no node 'x'; the nodes are high, low, world"),
+        (["replay", "a.mcap", "--with", "x=a:B"], "a.mcap: there is no node 'x'; the nodes are high, low, world"),
         (["diff", "a.mcap", "b.mcap"], "b.mcap: there is no such recording"),
         (["diff", "a.mcap", "a.mcap", "--set", "x=1"], "--set and --world: only with a deployment as the other run"),
         (["diff", "a.mcap", "a.mcap", "--from", "50"], "a.mcap and a.mcap: there is no epoch that both have"),

@@ -2,19 +2,25 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import pytest
 from support.flawed import DEPLOYMENT
 from support.recorded import record_file
 
+from hierax.runtime.core.binding import BoundNode, OperatorSetting
 from hierax.runtime.core.errors import HieraxError
+from hierax.runtime.core.process import ActiveHierarchy, ActiveNode, predict, sense, update
 from hierax.runtime.deployment.locating import shipped
-from hierax.runtime.recording.deployments import allowance_of, other_settings
+from hierax.runtime.loading.loader import build_hierarchy
+from hierax.runtime.recording.deployments import allowance_of, check_names, other_settings, recorded_deployment
 from hierax.runtime.recording.diff import compare
 from hierax.runtime.recording.info import RecordingError
 from hierax.runtime.recording.reading import Recording
-from hierax.runtime.recording.replay import Replay, check_node
+from hierax.runtime.recording.replay import Replay
+from hierax.schemas.values import encode_value
 
 QUICK = dict.fromkeys(shipped(), ()) | {"tracking": ("frames=3", "cubes=2"), "pick": ("frames=3",)}
 """Settings with which a deployment takes little time."""
@@ -134,4 +140,26 @@ def test_the_recorded_deployment_needs_no_file(flawed: Path, tmp_path: Path) -> 
 def test_a_node_that_is_not_there_is_named(flawed: Path, tmp_path: Path) -> None:
     recording, _ = record_file(tmp_path / "run.mcap", flawed, epochs=1)
     with pytest.raises(RecordingError, match="there is no node 'hihg'; did you mean 'high'"):
-        check_node(recording, "hihg")
+        check_names(recording, ["hihg"])
+
+
+def test_a_replay_is_the_formal_process_model(flawed: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    recording, _ = record_file(tmp_path / "run.mcap", flawed)
+    deployment = recorded_deployment(recording.info)
+    setting = OperatorSetting(recording.info.seed)
+    active = ActiveHierarchy.initial(build_hierarchy(deployment.roster, setting, deployment.allowance))
+    updated: list[str] = []
+    for core in (sense, predict):
+
+        def counted(bound: BoundNode, *given: Any, core: Callable[..., ActiveNode] = core) -> ActiveNode:
+            updated.append(f"{core.__name__} {bound.name}")
+            return core(bound, *given)
+
+        monkeypatch.setattr(f"hierax.runtime.recording.replay.{core.__name__}", counted)
+    order = active.hierarchy.order
+    for replayed in Replay(recording, allowance_of(recording), world=True).epochs():
+        assert updated == [*(f"sense {name}" for name in order), *(f"predict {name}" for name in reversed(order))]
+        updated.clear()
+        active = update(active)
+        assert encode_value(replayed.states) == encode_value({name: active.states[name] for name in replayed.states})
+    assert active.epoch == 12
