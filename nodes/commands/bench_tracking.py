@@ -28,14 +28,13 @@ def tracking(
     exact: Annotated[bool, typer.Option("--exact", help="Generated scenes tell start and camera as they are.")] = False,
     scene: Annotated[
         Path | None,
-        typer.Option(metavar="DIR", help="A scene in the BOP format, in place of generated ones.", show_default=False),
+        typer.Option(metavar="DIR", help="A scene in the BOP format, in place of generated ones."),
     ] = None,
     truth: Annotated[
         Path | None,
         typer.Option(
             metavar="DIR",
             help="Folder of its scene_gt.json of all frames; by default DATASET/truth/000001, or else the scene.",
-            show_default=False,
         ),
     ] = None,
     table: Annotated[bool, typer.Option("--table", help="The scene's plane z = 0 carries the objects.")] = False,
@@ -46,7 +45,7 @@ def tracking(
     rounds: Annotated[int, typer.Option(min=1, help="How often each is launched, with --speed.")] = 3,
     keep: Annotated[
         Path | None,
-        typer.Option(metavar="DIR", help="Folder for scenes and poses; by default one that goes.", show_default=False),
+        typer.Option(metavar="DIR", help="Folder for scenes and poses; by default one that goes."),
     ] = None,
     settings: Overrides = None,
     output_format: OutputFormat = Format.text,

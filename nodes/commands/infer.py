@@ -21,7 +21,6 @@ def infer(
         typer.Argument(
             metavar="NETWORK",
             help="A causal tree or polytree: JSON, YAML, or BIF (with pyAgrum).",
-            show_default=False,
         ),
     ],
     evidence: Annotated[
@@ -32,7 +31,6 @@ def infer(
             metavar="NAME=STATE",
             help="What is known of a node: a state's name or its number from 0, or likelihoods, one for each state, "
             "such as rain=[0.2,0.7]. May be given several times.",
-            show_default=False,
         ),
     ] = None,
     output_format: OutputFormat = Format.text,

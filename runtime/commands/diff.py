@@ -32,9 +32,7 @@ def diff(
     file: RecordingFile,
     other: Annotated[
         str,
-        typer.Argument(
-            metavar="OTHER", help="A recording, a deployment file, or the name of a shipped one.", show_default=False
-        ),
+        typer.Argument(metavar="OTHER", help="A recording, a deployment file, or the name of a shipped one."),
     ],
     first: First = 1,
     last: Last = None,
@@ -45,7 +43,6 @@ def diff(
             "--world",
             help="With a deployment: its world is done again, or gives what was recorded. By default again, "
             "unless it has actuators.",
-            show_default=False,
         ),
     ] = None,
     overrides: Overrides = None,

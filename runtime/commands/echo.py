@@ -28,15 +28,12 @@ def echo(
         typer.Argument(
             metavar="KEY",
             help="KIND/FROM/TO, where KIND is obs, task or ctx; * stands for any name, ** for all that is left.",
-            show_default=False,
             autocompletion=keys_here,
         ),
     ],
     run: Run = None,
     connect: Connect = None,
-    count: Annotated[
-        int | None, typer.Option("--count", "-n", min=1, help="End after so many messages.", show_default=False)
-    ] = None,
+    count: Annotated[int | None, typer.Option("--count", "-n", min=1, help="End after so many messages.")] = None,
     full: Annotated[bool, typer.Option("--full", help="In JSON, arrays with all their elements.")] = False,
     output_format: OutputFormat = Format.text,
 ) -> int:

@@ -28,7 +28,6 @@ class LaunchOptions(RunOptions):
         typer.Argument(
             metavar="FILE",
             help="A deployment file, or the name of a shipped deployment; none with --resume.",
-            show_default=False,
             autocompletion=deployments_here,
         ),
     ] = None
@@ -38,7 +37,6 @@ class LaunchOptions(RunOptions):
             "--state",
             metavar="DIR",
             help="A folder for the nodes' checkpoints; it stays, for --resume. By default it goes with the run.",
-            show_default=False,
         ),
     ] = None
     resume: Annotated[
@@ -47,7 +45,6 @@ class LaunchOptions(RunOptions):
             "--resume",
             metavar="DIR",
             help="Go on with the run whose checkpoints are in this folder, at its next epoch.",
-            show_default=False,
         ),
     ] = None
     host: Annotated[
@@ -56,7 +53,6 @@ class LaunchOptions(RunOptions):
             "--host",
             metavar="ADDRESS",
             help="An address of this machine at which processes on others may join; by default none may.",
-            show_default=False,
         ),
     ] = None
     trust: Trust = False

@@ -34,12 +34,9 @@ DeploymentFile = Annotated[
         "--deployment",
         metavar="FILE",
         help="The launch's deployment file, where it has another path on this machine.",
-        show_default=False,
     ),
 ]
-Source = Annotated[
-    str, typer.Argument(metavar="SOURCE", help="A YAML snippet with nodes and edges.", show_default=False)
-]
+Source = Annotated[str, typer.Argument(metavar="SOURCE", help="A YAML snippet with nodes and edges.")]
 
 
 def attach(
@@ -48,7 +45,6 @@ def attach(
         typer.Argument(
             metavar="SOURCE",
             help="A YAML snippet with nodes and edges, or the name of a node of the deployment file.",
-            show_default=False,
         ),
     ],
     run: Run = None,
@@ -59,9 +55,7 @@ def attach(
     ] = False,
     host: Annotated[
         str | None,
-        typer.Option(
-            "--host", metavar="ADDRESS", help="With --here: this machine's address for the others.", show_default=False
-        ),
+        typer.Option("--host", metavar="ADDRESS", help="With --here: this machine's address for the others."),
     ] = None,
     trust: Trust = False,
     output_format: OutputFormat = Format.text,
@@ -134,7 +128,6 @@ def ps(
             metavar="EPOCH|NODE",
             help="First wait until a launch has committed this epoch, or has this node: a minute at most, and not for "
             "one that is over.",
-            show_default=False,
         ),
     ] = None,
     output_format: OutputFormat = Format.text,

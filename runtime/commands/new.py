@@ -11,9 +11,7 @@ from hierax.runtime.commands.options import Format, OutputFormat
 
 
 def new(
-    name: Annotated[
-        Path, typer.Argument(metavar="NAME", help="The project's name, or the path of its folder.", show_default=False)
-    ],
+    name: Annotated[Path, typer.Argument(metavar="NAME", help="The project's name, or the path of its folder.")],
     output_format: OutputFormat = Format.text,
 ) -> int:
     """Begin a project: a folder with a node, a deployment file that runs at once, and tests. Overwrites nothing."""

@@ -43,7 +43,6 @@ File = Annotated[
     typer.Argument(
         metavar="FILE",
         help="A deployment file, or the name of a shipped deployment.",
-        show_default=False,
         autocompletion=deployments_here,
     ),
 ]
@@ -54,7 +53,6 @@ Overrides = Annotated[
         metavar="PATH=VALUE",
         help="Change a value of the file: a name in its parameters, or a path such as "
         "nodes.arm.parameters.gain. The value is read as YAML. May be given several times.",
-        show_default=False,
     ),
 ]
 OutputFormat = Annotated[Format, typer.Option("--format", help="How the result is printed.")]
@@ -66,7 +64,6 @@ Epochs = Annotated[
         max=LARGEST,
         metavar="N",
         help="How many epochs; by default what the file says, or until the world has finished.",
-        show_default=False,
     ),
 ]
 Seed = Annotated[int, typer.Option("--seed", min=0, max=LARGEST, metavar="S", help="Of all random numbers.")]
@@ -84,7 +81,6 @@ Output = Annotated[
         "--output",
         metavar="DIR",
         help="A folder for states, digests, the report and what probes write; made where it lacks.",
-        show_default=False,
     ),
 ]
 

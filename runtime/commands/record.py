@@ -17,14 +17,10 @@ from hierax.runtime.commands.which import Connect, Run, client_of
 
 
 def record(
-    output: Annotated[
-        Path, typer.Option("-o", "--output", metavar="FILE", help="The MCAP file.", show_default=False, dir_okay=False)
-    ],
+    output: Annotated[Path, typer.Option("-o", "--output", metavar="FILE", help="The MCAP file.", dir_okay=False)],
     hierarchy: Annotated[
         str | None,
-        typer.Argument(
-            metavar="LAUNCH", help="Its hierarchy's name, or its run, as `hierax ps` lists them.", show_default=False
-        ),
+        typer.Argument(metavar="LAUNCH", help="Its hierarchy's name, or its run, as `hierax ps` lists them."),
     ] = None,
     run: Run = None,
     connect: Connect = None,
@@ -34,12 +30,11 @@ def record(
             "--host",
             metavar="ADDRESS",
             help="With --connect: this machine's address for the others.",
-            show_default=False,
         ),
     ] = None,
     epochs: Annotated[
         int | None,
-        typer.Option("--epochs", min=1, max=LARGEST, metavar="N", help="Stop after N epochs.", show_default=False),
+        typer.Option("--epochs", min=1, max=LARGEST, metavar="N", help="Stop after N epochs."),
     ] = None,
     exclude: Exclude = None,
     max_size: MaxSize = None,

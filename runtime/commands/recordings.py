@@ -24,13 +24,13 @@ SHOWN = 10  # how many gaps or violations are listed
 
 SHOWN_CHARS = 400
 
-RecordingFile = Annotated[Path, typer.Argument(metavar="FILE", help="A recording.", show_default=False, dir_okay=False)]
+RecordingFile = Annotated[Path, typer.Argument(metavar="FILE", help="A recording.", dir_okay=False)]
 First = Annotated[
     int, typer.Option("--from", min=1, metavar="K", help="The first epoch; by default the first that can be done.")
 ]
 Last = Annotated[
     int | None,
-    typer.Option("--to", min=1, metavar="K", help="The last epoch; by default the last one.", show_default=False),
+    typer.Option("--to", min=1, metavar="K", help="The last epoch; by default the last one."),
 ]
 Tolerance = Annotated[
     float,
@@ -47,7 +47,6 @@ RecordFile = Annotated[
         "--record",
         metavar="FILE",
         help="Record the run into this MCAP file. Exit code 1 if something said is not in it.",
-        show_default=False,
         dir_okay=False,
     ),
 ]
@@ -58,7 +57,6 @@ Exclude = Annotated[
         metavar="KEY-PATTERN",
         help="Leave out of the recording what comes on such keys: KIND/FROM/TO or steps/NODE, with * for any, as in "
         "obs/camera/*. May be given several times.",
-        show_default=False,
     ),
 ]
 MaxSize = Annotated[
@@ -67,7 +65,6 @@ MaxSize = Annotated[
         "--max-size",
         metavar="SIZE",
         help="End the recording with the last whole epoch before it is larger, such as 500MB; the run goes on.",
-        show_default=False,
     ),
 ]
 MaxDuration = Annotated[
@@ -76,7 +73,6 @@ MaxDuration = Annotated[
         "--max-duration",
         metavar="TIME",
         help="End the recording after this time, such as 90s, 15m or 2h; the run goes on.",
-        show_default=False,
     ),
 ]
 Check = Annotated[

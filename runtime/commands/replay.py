@@ -38,7 +38,7 @@ class ReplayOptions:
     file: RecordingFile
     node: Annotated[
         str | None,
-        typer.Option("--node", metavar="NAME", help="This node alone, on its recorded inputs.", show_default=False),
+        typer.Option("--node", metavar="NAME", help="This node alone, on its recorded inputs."),
     ] = None
     world: Annotated[
         WorldMode,
@@ -58,7 +58,6 @@ class ReplayOptions:
             "--with",
             metavar="NODE=MODULE:CLASS",
             help="Another class in a node's place. May be given several times.",
-            show_default=False,
         ),
     ] = None
     verify: Annotated[

@@ -30,7 +30,6 @@ class SingleRunOptions(RunOptions):
             metavar="EPOCH:CHANGE",
             help="Change the roster at the start of an epoch: EPOCH:attach:FILE, EPOCH:detach:NODE[:cascade] or "
             "EPOCH:replace:NODE:FILE. May be given several times.",
-            show_default=False,
         ),
     ] = None
 

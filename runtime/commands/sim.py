@@ -26,19 +26,15 @@ def sim(
     seeds: Annotated[str, typer.Option(metavar="A:B", help="Which seeds: from A to before B; or one.")] = "0:1000",
     faults: Annotated[
         str | None,
-        typer.Option(
-            metavar="KIND,…", help="Kinds of faults; by default all. 'none': only changes.", show_default=False
-        ),
+        typer.Option(metavar="KIND,…", help="Kinds of faults; by default all. 'none': only changes."),
     ] = None,
     epochs: Annotated[
         int | None,
-        typer.Option(
-            min=1, max=LARGEST, metavar="N", help="In each simulation; by default the seed decides.", show_default=False
-        ),
+        typer.Option(min=1, max=LARGEST, metavar="N", help="In each simulation; by default the seed decides."),
     ] = None,
     jobs: Annotated[
         int | None,
-        typer.Option(min=1, metavar="N", help="Processes; by default one for each core.", show_default=False),
+        typer.Option(min=1, metavar="N", help="Processes; by default one for each core."),
     ] = None,
     trace: Annotated[bool, typer.Option("--trace", help="Print all events of a single seed.")] = False,
     output_format: OutputFormat = Format.text,

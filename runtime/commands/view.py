@@ -36,7 +36,6 @@ class ViewOptions(DeploymentOptions):
             metavar="FILE",
             help="A recording (.mcap); or a deployment file, or the name of a shipped deployment, which is then run "
             "in this process. None: the launch that runs on this machine.",
-            show_default=False,
         ),
     ] = None
     run: Run = None
@@ -46,14 +45,12 @@ class ViewOptions(DeploymentOptions):
     ] = 1
     last: Annotated[
         int | None,
-        typer.Option("--to", min=1, metavar="EPOCH", help="Of a recording: the last epoch.", show_default=False),
+        typer.Option("--to", min=1, metavar="EPOCH", help="Of a recording: the last epoch."),
     ] = None
     native: Annotated[bool, typer.Option("--native", help="In a window of Rerun's, in place of a browser.")] = False
     save: Annotated[
         Path | None,
-        typer.Option(
-            "--save", metavar="FILE.rrd", help="Into a file, for `rerun FILE.rrd`; no viewer.", show_default=False
-        ),
+        typer.Option("--save", metavar="FILE.rrd", help="Into a file, for `rerun FILE.rrd`; no viewer."),
     ] = None
     port: Annotated[
         int | None,
@@ -63,7 +60,6 @@ class ViewOptions(DeploymentOptions):
             max=65535,
             metavar="PORT",
             help="Of the page, on this machine's loopback; by default 9090, or a free one where that is taken.",
-            show_default=False,
         ),
     ] = None
     deployment_file: DeploymentFile = None

@@ -32,7 +32,6 @@ Run = Annotated[
         "--run",
         metavar="RUN",
         help="Which launch: its identification, or how that begins, or its hierarchy's name; `hierax ps` lists them.",
-        show_default=False,
         autocompletion=_runs_here,
     ),
 ]
@@ -42,7 +41,6 @@ Connect = Annotated[
         "--connect",
         metavar="ENDPOINT",
         help="The launch on another machine: the endpoint that `hierax launch --host` prints.",
-        show_default=False,
     ),
 ]
 
@@ -139,6 +137,4 @@ def keys_here() -> list[str]:
     return sorted({short_key(edge) for client, status in _clients() for edge in edges_of(client.edges(status))})
 
 
-NodeArgument = Annotated[
-    str, typer.Argument(metavar="NODE", help="A node's name.", show_default=False, autocompletion=nodes_here)
-]
+NodeArgument = Annotated[str, typer.Argument(metavar="NODE", help="A node's name.", autocompletion=nodes_here)]
