@@ -4,71 +4,48 @@ from __future__ import annotations
 
 import functools
 import sys
-from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from hierax.runtime.commands.errors import OK, CommandError
-from hierax.runtime.commands.options import RunOptions, Trust, deployments_here
+from hierax.runtime.commands.options import RunOptions, deployments_here, offers
 from hierax.runtime.commands.recordings import claimed_file, selection_of, tell_ending, tell_violations
 
 if TYPE_CHECKING:
     from hierax.runtime.launch.recorder_process import RecordingRequest
     from hierax.runtime.launch.run_file import Run
 
-
-@dataclass(kw_only=True)
-class LaunchOptions(RunOptions):
-    """The options of ``hierax launch``."""
-
-    file: Annotated[
-        str | None,
-        typer.Argument(
-            metavar="FILE",
-            help="A deployment file, or the name of a shipped deployment; none with --resume.",
-            autocompletion=deployments_here,
-        ),
-    ] = None
-    state: Annotated[
-        Path | None,
-        typer.Option(
-            "--state",
-            metavar="DIR",
-            help="A folder for the nodes' checkpoints; it stays, for --resume. By default it goes with the run.",
-        ),
-    ] = None
-    resume: Annotated[
-        Path | None,
-        typer.Option(
-            "--resume",
-            metavar="DIR",
-            help="Go on with the run whose checkpoints are in this folder, at its next epoch.",
-        ),
-    ] = None
-    host: Annotated[
-        str | None,
-        typer.Option(
-            "--host",
-            metavar="ADDRESS",
-            help="An address of this machine at which processes on others may join; by default none may.",
-        ),
-    ] = None
-    trust: Trust = False
-    faults: Annotated[
-        list[str] | None,
-        typer.Option(
-            "--fault",
-            metavar="NODE:INSTANT:N",
-            help="Have a node's process kill itself the N-th time it comes to an instant; its next process takes the "
-            "node's next one. For tests.",
-            hidden=True,
-        ),
-    ] = None
+LaunchedFile = Annotated[
+    str | None,
+    typer.Argument(
+        metavar="FILE",
+        help="A deployment file, or the name of a shipped deployment; none with --resume.",
+        autocompletion=deployments_here,
+    ),
+]
 
 
-def launch(options: LaunchOptions) -> int:
+@offers(
+    "epochs",
+    "seed",
+    "overrides",
+    "overwrite",
+    "output_format",
+    "output",
+    "record",
+    "check",
+    "exclude",
+    "max_size",
+    "max_duration",
+    "state",
+    "resume",
+    "host",
+    "faults",
+    "trust",
+)
+def launch(options: RunOptions, file: LaunchedFile = None) -> int:
     """Run a deployment with each node in a process of its own, over Zenoh."""
     from hierax.runtime.commands.run_deployment import run_deployment
     from hierax.runtime.launch import supervisor
@@ -77,8 +54,9 @@ def launch(options: LaunchOptions) -> int:
     from hierax.runtime.watch import telemetry
 
     telemetry.wanted()  # what is wrong there is told once, not by every process
-    run = _resumed(options)
-    if options.file is None:
+    run = _resumed(file, options)
+    file = file if run is None else run.deployment
+    if file is None:
         raise CommandError("expected a deployment file, or --resume DIR")
     output, state = options.output, options.state
     selection = selection_of(options.exclude, options.max_size, options.max_duration, options.record is not None)
@@ -95,11 +73,11 @@ def launch(options: LaunchOptions) -> int:
             recording=recording,
         )
         goes_on = run is not None and output is not None and output.absolute() == Path(run.output).absolute()
-        code = run_deployment(runner, options.file, options, goes_on)
+        code = run_deployment(runner, file, options, goes_on)
     return code if recording is None else max(code, _print_outcome(recording))
 
 
-def _resumed(options: LaunchOptions) -> Run | None:
+def _resumed(file: str | None, options: RunOptions) -> Run | None:
     """The run that is resumed, whose own options are taken over where others are not given; None: a new one begins."""
     from hierax.runtime.deployment.secrets import completed
     from hierax.runtime.launch.run_file import read_run
@@ -108,10 +86,10 @@ def _resumed(options: LaunchOptions) -> Run | None:
         if options.trust:
             raise CommandError("--trust: only with --resume; a deployment file that you name is yours to judge")
         return None
-    if options.file is not None or options.state is not None:
+    if file is not None or options.state is not None:
         raise CommandError("--resume: the run knows its deployment file and folder; give neither")
     run = read_run(options.resume, options.trust)
-    options.file, options.state, options.seed = run.deployment, options.resume, run.seed
+    options.state, options.seed = options.resume, run.seed
     options.overrides = list(completed(run.settings, options.overrides or ()))
     options.epochs = run.epochs if options.epochs is None else options.epochs
     options.output = options.output or (Path(run.output) if run.output else None)

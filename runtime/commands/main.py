@@ -5,7 +5,7 @@ from __future__ import annotations
 import functools
 from collections.abc import Callable, Sequence
 from importlib.metadata import EntryPoint, entry_points
-from inspect import Signature, signature
+from inspect import Parameter, Signature, signature
 from typing import Annotated, get_type_hints
 
 import typer
@@ -23,6 +23,7 @@ from hierax.runtime.commands.launch import launch
 from hierax.runtime.commands.logs import logs
 from hierax.runtime.commands.membership import attach, detach, ps, replace
 from hierax.runtime.commands.new import new
+from hierax.runtime.commands.options import RunOptions
 from hierax.runtime.commands.record import record
 from hierax.runtime.commands.replay import replay
 from hierax.runtime.commands.run import run
@@ -90,19 +91,21 @@ def _options(
 
 
 def _register(command: Callable[..., int], group: typer.Typer, name: str = "") -> None:
-    """Make a command of a function; where it takes ``options``, a dataclass, their fields are its arguments."""
-    options = get_type_hints(command, include_extras=True).get("options")
+    """Make a command of a function; those of `RunOptions` that it offers are arguments beside its own."""
+    offered = getattr(command, "offers", ())
 
     @functools.wraps(command)
-    def guarded(*arguments: object, **given: object) -> None:
-        if options is not None:
-            arguments, given = (options(**given),), {}
-        raise typer.Exit(exit_code(lambda: command(*arguments, **given)))
+    def guarded(**given: object) -> None:
+        if offered:
+            given["options"] = RunOptions(**{name: given.pop(name) for name in offered})  # type: ignore[arg-type]
+        raise typer.Exit(exit_code(lambda: command(**given)))
 
-    if options is not None:
-        hints = get_type_hints(options, include_extras=True)
-        fields = [each.replace(annotation=hints[each.name]) for each in signature(options).parameters.values()]
-        guarded.__signature__ = Signature(fields)  # type: ignore[attr-defined]
+    if offered:
+        hints = get_type_hints(RunOptions, include_extras=True) | get_type_hints(command, include_extras=True)
+        every = signature(command).parameters | signature(RunOptions).parameters
+        names = [name for name in (*signature(command).parameters, *offered) if name != "options"]
+        own = [every[name].replace(annotation=hints[name], kind=Parameter.KEYWORD_ONLY) for name in names]
+        guarded.__signature__ = Signature(own)  # type: ignore[attr-defined]
         guarded.__annotations__ = hints
     group.command(name or command.__name__)(guarded)
 

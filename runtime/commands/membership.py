@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from hierax.runtime.commands.errors import CommandError
-from hierax.runtime.commands.options import Format, OutputFormat, Trust
+from hierax.runtime.commands.options import DeploymentFile, Format, OutputFormat, Trust
 from hierax.runtime.commands.which import Connect, NodeArgument, Run, client_at, endpoint_of, known_run
 
 if TYPE_CHECKING:
@@ -28,14 +28,6 @@ WAIT_S = 60.0  # how long `ps --wait` waits
 
 LOOK_S = 0.1
 
-DeploymentFile = Annotated[
-    str | None,
-    typer.Option(
-        "--deployment",
-        metavar="FILE",
-        help="The launch's deployment file, where it has another path on this machine.",
-    ),
-]
 Source = Annotated[str, typer.Argument(metavar="SOURCE", help="A YAML snippet with nodes and edges.")]
 
 

@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 import glob
+from collections.abc import Callable
 from dataclasses import dataclass
 from enum import Enum
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, TypeVar
 
 import typer
 
-from hierax.runtime.commands.recordings import Check, Exclude, MaxDuration, MaxSize, RecordFile
+from hierax.runtime.commands.recordings import Exclude, First, Last, MaxDuration, MaxSize, Tolerance, WorldMode
+from hierax.runtime.commands.which import Connect, Run
 
 LARGEST = 2**63 - 1  # what a message can carry
 
@@ -56,17 +58,6 @@ Overrides = Annotated[
     ),
 ]
 OutputFormat = Annotated[Format, typer.Option("--format", help="How the result is printed.")]
-Epochs = Annotated[
-    int | None,
-    typer.Option(
-        "--epochs",
-        min=1,
-        max=LARGEST,
-        metavar="N",
-        help="How many epochs; by default what the file says, or until the world has finished.",
-    ),
-]
-Seed = Annotated[int, typer.Option("--seed", min=0, max=LARGEST, metavar="S", help="Of all random numbers.")]
 Trust = Annotated[
     bool,
     typer.Option("--trust", help="Load and run, as yourself, whatever code is named by who is not known to be you."),
@@ -75,34 +66,159 @@ Overwrite = Annotated[
     bool,
     typer.Option("--overwrite", help="Replace the output or recording of another run; of other files none is touched."),
 ]
-Output = Annotated[
-    Path | None,
+DeploymentFile = Annotated[
+    str | None,
     typer.Option(
-        "--output",
-        metavar="DIR",
-        help="A folder for states, digests, the report and what probes write; made where it lacks.",
+        "--deployment",
+        metavar="FILE",
+        help="The launch's deployment file, where it has another path on this machine.",
     ),
 ]
 
 
 @dataclass(kw_only=True)
-class DeploymentOptions:
-    """How a deployment is run, whatever runs it: ``run``, ``launch`` or ``view``."""
+class RunOptions:
+    """All options of ``run``, ``launch``, ``replay`` and ``view``; what a command lacks stays at its default."""
 
-    epochs: Epochs = None  # how many; None: what the file says
-    seed: Seed = 0  # of all random numbers
-    overrides: Overrides = None  # of values of the file
-    overwrite: Overwrite = False  # whether what another run has left is replaced
+    epochs: Annotated[
+        int | None,
+        typer.Option(
+            "--epochs",
+            min=1,
+            max=LARGEST,
+            metavar="N",
+            help="How many epochs; by default what the file says, or until the world has finished.",
+        ),
+    ] = None
+    seed: Annotated[int, typer.Option("--seed", min=0, max=LARGEST, metavar="S", help="Of all random numbers.")] = 0
+    overrides: Overrides = None
+    overwrite: Overwrite = False
+    trust: Trust = False
+    output_format: OutputFormat = Format.text
+    output: Annotated[
+        Path | None,
+        typer.Option(
+            "--output",
+            metavar="DIR",
+            help="A folder for states, digests, the report and what probes write; made where it lacks.",
+        ),
+    ] = None
+    record: Annotated[
+        Path | None,
+        typer.Option(
+            "--record",
+            metavar="FILE",
+            help="Record the run into this MCAP file. Exit code 1 if something said is not in it.",
+            dir_okay=False,
+        ),
+    ] = None
+    check: Annotated[
+        bool, typer.Option("--check", help="Check the formal order while it runs. Exit code 1 where it is broken.")
+    ] = False
+    exclude: Exclude = None
+    max_size: MaxSize = None
+    max_duration: MaxDuration = None
+    first: First = 1
+    last: Last = None
+    at: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--at",
+            metavar="EPOCH:CHANGE",
+            help="Change the roster at the start of an epoch: EPOCH:attach:FILE, EPOCH:detach:NODE[:cascade] or "
+            "EPOCH:replace:NODE:FILE. May be given several times.",
+        ),
+    ] = None
+    state: Annotated[
+        Path | None,
+        typer.Option(
+            "--state",
+            metavar="DIR",
+            help="A folder for the nodes' checkpoints; it stays, for --resume. By default it goes with the run.",
+        ),
+    ] = None
+    resume: Annotated[
+        Path | None,
+        typer.Option(
+            "--resume",
+            metavar="DIR",
+            help="Go on with the run whose checkpoints are in this folder, at its next epoch.",
+        ),
+    ] = None
+    host: Annotated[
+        str | None,
+        typer.Option(
+            "--host",
+            metavar="ADDRESS",
+            help="An address of this machine at which processes on others may join; by default none may.",
+        ),
+    ] = None
+    faults: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--fault",
+            metavar="NODE:INSTANT:N",
+            help="Have a node's process kill itself the N-th time it comes to an instant; its next process takes the "
+            "node's next one. For tests.",
+            hidden=True,
+        ),
+    ] = None
+    run: Run = None
+    connect: Connect = None
+    native: Annotated[bool, typer.Option("--native", help="In a window of Rerun's, in place of a browser.")] = False
+    save: Annotated[
+        Path | None, typer.Option("--save", metavar="FILE.rrd", help="Into a file, for `rerun FILE.rrd`; no viewer.")
+    ] = None
+    port: Annotated[
+        int | None,
+        typer.Option(
+            "--port",
+            min=1,
+            max=65535,
+            metavar="PORT",
+            help="Of the page, on this machine's loopback; by default 9090, or a free one where that is taken.",
+        ),
+    ] = None
+    deployment_file: DeploymentFile = None
+    opens: Annotated[bool, typer.Option("--open", help="Open the page in a browser.")] = False
+    memory: Annotated[
+        str, typer.Option("--memory", metavar="SIZE", help="How much the viewer keeps; what is older is dropped.")
+    ] = "1GiB"
+    node: Annotated[
+        str | None, typer.Option("--node", metavar="NAME", help="This node alone, on its recorded inputs.")
+    ] = None
+    world: Annotated[
+        WorldMode,
+        typer.Option(
+            "--world", help="The world gives what it gave, or, one without actuators, is done again like the others."
+        ),
+    ] = WorldMode.recorded
+    speed: Annotated[
+        float, typer.Option("--speed", min=0.0, metavar="S", help="S times as fast as it was; 0: as fast as it goes.")
+    ] = 0.0
+    classes: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--with", metavar="NODE=MODULE:CLASS", help="Another class in a node's place. May be given several times."
+        ),
+    ] = None
+    verify: Annotated[
+        bool,
+        typer.Option(
+            "--verify", help="Compare every result and digest with the recording; exit code 1 where one differs."
+        ),
+    ] = False
+    tolerance: Tolerance = 0.0
 
 
-@dataclass(kw_only=True)
-class RunOptions(DeploymentOptions):
-    """What ``run`` and ``launch`` have in common."""
+Command = TypeVar("Command", bound=Callable[..., int])
 
-    output_format: OutputFormat = Format.text  # of the report
-    output: Output = None  # folder for the states, digests, the report and what probes write; None: nothing is written
-    record: RecordFile = None  # the file of the recording; None: there is none
-    check: Check = False  # whether the formal order is checked
-    exclude: Exclude = None  # what is left out of the recording, and how long it may be
-    max_size: MaxSize = None  # likewise
-    max_duration: MaxDuration = None  # likewise
+
+def offers(*names: str) -> Callable[[Command], Command]:
+    """Say which of the `RunOptions` a command offers on its command line."""
+
+    def offering(command: Command) -> Command:
+        vars(command)["offers"] = names
+        return command
+
+    return offering

@@ -41,15 +41,6 @@ Tolerance = Annotated[
         help="Numbers are alike that differ by no more than T, or than this share of the greater one. 0: to the bit.",
     ),
 ]
-RecordFile = Annotated[
-    Path | None,
-    typer.Option(
-        "--record",
-        metavar="FILE",
-        help="Record the run into this MCAP file. Exit code 1 if something said is not in it.",
-        dir_okay=False,
-    ),
-]
 Exclude = Annotated[
     list[str] | None,
     typer.Option(
@@ -74,9 +65,6 @@ MaxDuration = Annotated[
         metavar="TIME",
         help="End the recording after this time, such as 90s, 15m or 2h; the run goes on.",
     ),
-]
-Check = Annotated[
-    bool, typer.Option("--check", help="Check the formal order while it runs. Exit code 1 where it is broken.")
 ]
 
 

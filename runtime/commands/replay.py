@@ -6,23 +6,11 @@ import sys
 import time
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import redirect_stdout
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, Annotated
-
-import typer
+from typing import TYPE_CHECKING
 
 from hierax.runtime.commands.errors import FAILED, OK, CommandError
-from hierax.runtime.commands.options import Format, OutputFormat, Overrides, Trust
-from hierax.runtime.commands.recordings import (
-    First,
-    Last,
-    RecordingFile,
-    Tolerance,
-    WorldMode,
-    comparison_json,
-    print_comparison,
-    recording_of,
-)
+from hierax.runtime.commands.options import Format, RunOptions, offers
+from hierax.runtime.commands.recordings import RecordingFile, WorldMode, comparison_json, print_comparison, recording_of
 
 if TYPE_CHECKING:
     from hierax.runtime.execution.report import Report
@@ -31,47 +19,10 @@ if TYPE_CHECKING:
     from hierax.runtime.recording.replayed_epoch import ReplayedEpoch
 
 
-@dataclass(kw_only=True)
-class ReplayOptions:
-    """The options of ``hierax replay``."""
-
-    file: RecordingFile
-    node: Annotated[
-        str | None,
-        typer.Option("--node", metavar="NAME", help="This node alone, on its recorded inputs."),
-    ] = None
-    world: Annotated[
-        WorldMode,
-        typer.Option(
-            "--world", help="The world gives what it gave, or, one without actuators, is done again like the others."
-        ),
-    ] = WorldMode.recorded
-    first: First = 1
-    last: Last = None
-    speed: Annotated[
-        float, typer.Option("--speed", min=0.0, metavar="S", help="S times as fast as it was; 0: as fast as it goes.")
-    ] = 0.0
-    overrides: Overrides = None
-    classes: Annotated[
-        list[str] | None,
-        typer.Option(
-            "--with",
-            metavar="NODE=MODULE:CLASS",
-            help="Another class in a node's place. May be given several times.",
-        ),
-    ] = None
-    verify: Annotated[
-        bool,
-        typer.Option(
-            "--verify", help="Compare every result and digest with the recording; exit code 1 where one differs."
-        ),
-    ] = False
-    tolerance: Tolerance = 0.0
-    trust: Trust = False
-    output_format: OutputFormat = Format.text
-
-
-def replay(options: ReplayOptions) -> int:
+@offers(
+    "node", "world", "speed", "classes", "verify", "tolerance", "first", "last", "overrides", "trust", "output_format"
+)
+def replay(file: RecordingFile, options: RunOptions) -> int:
     """Do a recording again, in this process: whole, from an epoch on, or one node on its recorded inputs."""
     from hierax.runtime.commands.show import print_json, print_report
     from hierax.runtime.loading.allowance import module_of
@@ -80,7 +31,7 @@ def replay(options: ReplayOptions) -> int:
     from hierax.runtime.recording.diff import compare
     from hierax.runtime.recording.replay import Replay
 
-    recording = recording_of(options.file)
+    recording = recording_of(file)
     info = recording.info
     allowance = allowance_of(recording, options.trust)
     extend_import_path(tuple(info.import_paths))
@@ -107,7 +58,7 @@ def replay(options: ReplayOptions) -> int:
             for _ in epochs:
                 pass
     if not epochs.times_s:
-        raise CommandError(f"{options.file}: there is no epoch to replay{_range(options.first, options.last)}")
+        raise CommandError(f"{file}: there is no epoch to replay{_range(options.first, options.last)}")
     report = epochs.report()
     if options.output_format is Format.json:
         print_json({**report.plain(), "verify": None if comparison is None else comparison_json(comparison)})

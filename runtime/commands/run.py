@@ -2,13 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Any
 
-import typer
-
-from hierax.runtime.commands.options import File, RunOptions
+from hierax.runtime.commands.options import File, RunOptions, offers
 from hierax.runtime.commands.recordings import claimed_file, selection_of, tell_ending, tell_violations
 
 if TYPE_CHECKING:
@@ -18,23 +15,21 @@ if TYPE_CHECKING:
     from hierax.runtime.recording.in_process import InProcess
 
 
-@dataclass(kw_only=True)
-class SingleRunOptions(RunOptions):
-    """The options of ``hierax run``."""
-
-    file: File
-    at: Annotated[
-        list[str] | None,
-        typer.Option(
-            "--at",
-            metavar="EPOCH:CHANGE",
-            help="Change the roster at the start of an epoch: EPOCH:attach:FILE, EPOCH:detach:NODE[:cascade] or "
-            "EPOCH:replace:NODE:FILE. May be given several times.",
-        ),
-    ] = None
-
-
-def run(options: SingleRunOptions) -> int:
+@offers(
+    "epochs",
+    "seed",
+    "overrides",
+    "overwrite",
+    "output_format",
+    "output",
+    "record",
+    "check",
+    "exclude",
+    "max_size",
+    "max_duration",
+    "at",
+)
+def run(file: File, options: RunOptions) -> int:
     """Run a deployment in this process: the deterministic mode."""
     from hierax.runtime.commands.run_deployment import run_deployment
     from hierax.runtime.deployment.schedule import read_schedule
@@ -60,7 +55,7 @@ def run(options: SingleRunOptions) -> int:
                 each.finish()
 
     with claimed_file(options.record, options.overwrite) as target:
-        code = run_deployment(run_scheduled, options.file, options)
+        code = run_deployment(run_scheduled, file, options)
     return max([code, *(_print_outcome(each, options.record) for each in taking)])
 
 

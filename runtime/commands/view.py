@@ -5,16 +5,13 @@ from __future__ import annotations
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, contextmanager, redirect_stdout
-from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from hierax.runtime.commands.errors import CommandError
-from hierax.runtime.commands.membership import DeploymentFile
-from hierax.runtime.commands.options import DeploymentOptions, Trust
-from hierax.runtime.commands.which import Connect, Run
+from hierax.runtime.commands.options import RunOptions, offers
 
 if TYPE_CHECKING:
     from hierax.runtime.deployment import Deployment
@@ -25,55 +22,36 @@ RECORDING_SUFFIX = ".mcap"
 
 Show = Callable[["ViewPresenter"], None]
 
-
-@dataclass(kw_only=True)
-class ViewOptions(DeploymentOptions):
-    """The options of ``hierax view``."""
-
-    source: Annotated[
-        str | None,
-        typer.Argument(
-            metavar="FILE",
-            help="A recording (.mcap); or a deployment file, or the name of a shipped deployment, which is then run "
-            "in this process. None: the launch that runs on this machine.",
-        ),
-    ] = None
-    run: Run = None
-    connect: Connect = None
-    first: Annotated[
-        int, typer.Option("--from", min=1, metavar="EPOCH", help="Of a recording: the first epoch to show.")
-    ] = 1
-    last: Annotated[
-        int | None,
-        typer.Option("--to", min=1, metavar="EPOCH", help="Of a recording: the last epoch."),
-    ] = None
-    native: Annotated[bool, typer.Option("--native", help="In a window of Rerun's, in place of a browser.")] = False
-    save: Annotated[
-        Path | None,
-        typer.Option("--save", metavar="FILE.rrd", help="Into a file, for `rerun FILE.rrd`; no viewer."),
-    ] = None
-    port: Annotated[
-        int | None,
-        typer.Option(
-            "--port",
-            min=1,
-            max=65535,
-            metavar="PORT",
-            help="Of the page, on this machine's loopback; by default 9090, or a free one where that is taken.",
-        ),
-    ] = None
-    deployment_file: DeploymentFile = None
-    trust: Trust = False
-    opens: Annotated[bool, typer.Option("--open", help="Open the page in a browser.")] = False
-    memory: Annotated[
-        str, typer.Option("--memory", metavar="SIZE", help="How much the viewer keeps; what is older is dropped.")
-    ] = "1GiB"
+Shown = Annotated[
+    str | None,
+    typer.Argument(
+        metavar="FILE",
+        help="A recording (.mcap); or a deployment file, or the name of a shipped deployment, which is then run in "
+        "this process. None: the launch that runs on this machine.",
+    ),
+]
 
 
-def view(options: ViewOptions) -> int:
+@offers(
+    "epochs",
+    "seed",
+    "overrides",
+    "overwrite",
+    "run",
+    "connect",
+    "native",
+    "save",
+    "port",
+    "deployment_file",
+    "opens",
+    "memory",
+    "first",
+    "last",
+    "trust",
+)
+def view(options: RunOptions, source: Shown = None) -> int:
     """See what the nodes believe: of a launch that runs, a recording, or a run in this process."""
     _require_rerun()
-    source = options.source
     if options.native and options.save is not None:
         raise CommandError("--native and --save: give one of them")
     if source is not None and not (options.run is options.connect is options.deployment_file is None):
@@ -108,7 +86,7 @@ Source = tuple["Deployment | None", str, Show]
 """The deployment as far as it is known, the hierarchy's name, and what shows it."""
 
 
-def _of_deployment(source: str, options: ViewOptions) -> Source:
+def _of_deployment(source: str, options: RunOptions) -> Source:
     from hierax.runtime.deployment.read import read_deployment
     from hierax.runtime.viewing.single_run import run_seen
 
@@ -121,7 +99,7 @@ def _of_deployment(source: str, options: ViewOptions) -> Source:
     return deployment, deployment.name, show
 
 
-def _of_recording(file: Path, options: ViewOptions) -> Source:
+def _of_recording(file: Path, options: RunOptions) -> Source:
     from hierax.runtime.recording.deployments import allowance_of, recorded_deployment
     from hierax.runtime.recording.reading import Recording
     from hierax.runtime.viewing.recorded_run import show_recording
@@ -141,7 +119,7 @@ def _of_recording(file: Path, options: ViewOptions) -> Source:
     return recorded_deployment(recording.info), recording.info.hierarchy, show
 
 
-def _of_launch(options: ViewOptions) -> Source:
+def _of_launch(options: RunOptions) -> Source:
     from hierax.runtime.commands.which import client_at, endpoint_of, known_run
     from hierax.runtime.core.errors import HieraxError
     from hierax.runtime.deployment.read import read_deployment
@@ -195,7 +173,7 @@ def _require_rerun() -> None:
         raise CommandError("hierax view needs Rerun, the extra [view]: pip install 'hierax[view]'")
 
 
-def _viewer(stream: Stream, options: ViewOptions) -> AbstractContextManager[Place]:
+def _viewer(stream: Stream, options: RunOptions) -> AbstractContextManager[Place]:
     from hierax.runtime.viewing.viewer import file, web_viewer, window
 
     if options.save is not None:
