@@ -36,7 +36,7 @@ class Attach:
     edges: tuple[RosterEdge, ...] = ()
 
     def plain(self) -> Value:
-        """As a value."""
+        """Give it as a value."""
         return {
             "change": "attach",
             "nodes": plain_nodes(self.nodes),
@@ -45,7 +45,7 @@ class Attach:
 
     @staticmethod
     def read(value: Value) -> Attach:
-        """From a value. Raises `SchemaError` if it is no `Attach`; says which field and what was expected."""
+        """Read it from a value. Raises `SchemaError` if it is no `Attach`; says which field and what was expected."""
         fields = read_mapping(value, {"change", "nodes", "edges"}, "change")
         return Attach(read_nodes(fields["nodes"], "change.nodes"), read_edges(fields["edges"], "change.edges"))
 
@@ -63,12 +63,12 @@ class Detach:
     cascade: bool = False
 
     def plain(self) -> Value:
-        """As a value."""
+        """Give it as a value."""
         return {"change": "detach", "name": self.name, "cascade": self.cascade}
 
     @staticmethod
     def read(value: Value) -> Detach:
-        """From a value. Raises `SchemaError` if it is no `Detach`; says which field and what was expected."""
+        """Read it from a value. Raises `SchemaError` if it is no `Detach`; says which field and what was expected."""
         fields = read_mapping(value, {"change", "name", "cascade"}, "change")
         if not isinstance(fields["cascade"], bool):
             raise SchemaError(f"expected true or false, got {shown(fields['cascade'])}", "change.cascade")
@@ -90,13 +90,13 @@ class Replace:
     edges: tuple[RosterEdge, ...] | None = None
 
     def plain(self) -> Value:
-        """As a value."""
+        """Give it as a value."""
         edges = None if self.edges is None else [plain_edge(edge) for edge in self.edges]
         return {"change": "replace", "name": self.name, "reference": self.reference.plain(), "edges": edges}
 
     @staticmethod
     def read(value: Value) -> Replace:
-        """From a value. Raises `SchemaError` if it is no `Replace`; says which field and what was expected."""
+        """Read it from a value. Raises `SchemaError` if it is no `Replace`; says which field and what was expected."""
         fields = read_mapping(value, {"change", "name", "reference", "edges"}, "change")
         name, reference = (
             read_name(fields["name"], "change.name"),

@@ -41,7 +41,7 @@ class Keys:
         return f"hierax/{self.deployment}/{self.run}"
 
     def edge(self, kind: str, sender: str, receiver: str) -> str:
-        """Where `sender` puts messages of `kind` for `receiver`."""
+        """The key where `sender` puts messages of `kind` for `receiver`."""
         return f"{self.root}/{kind}/{sender}/{receiver}"
 
     def inbox(self, receiver: str) -> str:
@@ -53,34 +53,34 @@ class Keys:
         return f"{self.root}/alive/{name}/{instance}"
 
     def control(self, address: str) -> str:
-        """Where a process, by its token, or the roster's owner is told something."""
+        """The key where a process, by its token, or the roster's owner is told something."""
         return f"{self.root}/control/{address}"
 
     def look(self, name: str) -> str:
-        """Where a node answers those who look at it."""
+        """The key where a node answers those who look at it."""
         return f"{self.root}/look/{name}"
 
     def seen(self, kind: str, sender: str, receiver: str) -> str:
-        """Where a node shows copies of what it sends, while somebody wants to see them."""
+        """The key where a node shows copies of what it sends, while somebody wants to see them."""
         return f"{self.root}/seen/{kind}/{sender}/{receiver}"
 
     @property
     def epochs(self) -> str:
-        """Where the world publishes the digest of each committed epoch."""
+        """The key where the world publishes the digest of each committed epoch."""
         return f"{self.root}/epochs"
 
     def steps(self, name: str) -> str:
-        """Where a node tells whoever records what it did in each epoch."""
+        """The key where a node tells whoever records what it did in each epoch."""
         return f"{self.root}/steps/{name}"
 
     @property
     def roster(self) -> str:
-        """Where the world tells whoever records the roster."""
+        """The key where the world tells whoever records the roster."""
         return f"{self.root}/roster"
 
     @property
     def notes(self) -> str:
-        """Where a keeper tells whoever records what happens to processes."""
+        """The key where a supervisor tells whoever records what happens to processes."""
         return f"{self.root}/notes"
 
     @property

@@ -29,7 +29,7 @@ MAX_STATE_BYTES = 64 * 1024 * 1024
 """A control message that does."""
 
 MAX_QUESTION_BYTES = 1024 * 1024
-"""A question to a node or a keeper."""
+"""A question to a node or a supervisor."""
 
 MAX_NAME_CHARS = 128
 MAX_TEXT_CHARS = 4096

@@ -22,7 +22,7 @@ FUNCTIONS = ("sense", "task", "context")
 
 @dataclass(frozen=True)
 class Reference:
-    """Code by name.
+    """Names code.
 
     Attributes:
         target: ``package.module:name``, a class or function.
@@ -33,12 +33,12 @@ class Reference:
     parameters: Mapping[str, Value] = field(default_factory=dict)
 
     def plain(self) -> Value:
-        """As a value."""
+        """Give it as a value."""
         return {"target": self.target, "parameters": dict(self.parameters)}
 
     @staticmethod
     def read(value: Value, where: str) -> Reference:
-        """From a value. Raises `SchemaError` if it is no reference."""
+        """Read it from a value. Raises `SchemaError` if it is no reference."""
         fields = read_mapping(value, {"target", "parameters"}, where)
         target, parameters = fields["target"], fields["parameters"]
         if not isinstance(target, str) or target.count(":") != 1:
@@ -73,7 +73,7 @@ class RosterEdge:
 
     @property
     def name(self) -> str:
-        """``lower->upper``."""
+        """Its name, as ``lower->upper``."""
         return f"{self.lower}->{self.upper}"
 
     @property
@@ -122,7 +122,7 @@ class Roster:
 
     @staticmethod
     def read(value: Value) -> Roster:
-        """From a value. Raises `SchemaError` if it is no roster; says which field and what was expected."""
+        """Read it from a value. Raises `SchemaError` if it is no roster; says which field and what was expected."""
         fields = read_mapping(value, {"world", "nodes", "edges", "version", "instances"}, "roster")
         instances = fields["instances"]
         nodes, edges = read_nodes(fields["nodes"], "roster.nodes"), read_edges(fields["edges"], "roster.edges")

@@ -50,7 +50,7 @@ class Row:
         return float(np.median(self.ratios))
 
     def plain(self) -> dict[str, Json]:
-        """As plain JSON."""
+        """Give it as plain JSON."""
         low, high = float(self.ratios.min()), float(self.ratios.max())
         return {
             "name": self.name,

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from hierax.runtime.commands.errors import CommandError
 from hierax.runtime.commands.options import Format, OutputFormat
-from hierax.runtime.commands.recordings import RecordingFile, recording_of, tell_violations
+from hierax.runtime.commands.recordings import RecordingFile, recording_of, report_violations
 
 
 def check(file: RecordingFile, output_format: OutputFormat = Format.text) -> int:
@@ -29,4 +29,4 @@ def check(file: RecordingFile, output_format: OutputFormat = Format.text) -> int
         )
     elif not violations:
         print(f"{file}: {checker.epochs} epochs, {checker.checked} steps of nodes: the formal order is kept")
-    return tell_violations(violations)
+    return report_violations(violations)

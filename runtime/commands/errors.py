@@ -25,7 +25,7 @@ class CommandError(HieraxError):
 
 
 def exit_code(command: Callable[[], int]) -> int:
-    """Do a command; say on standard error what failed.
+    """Run a command, and say on standard error what failed.
 
     Returns:
         What the command returned; 1 for an expected failure, told in one line; 3 for a
@@ -59,7 +59,7 @@ def exit_code(command: Callable[[], int]) -> int:
 
 
 def interrupted() -> int:
-    """Say so; the exit code."""
+    """Say that it was interrupted, and return the exit code."""
     _say("interrupted")
     return INTERRUPTED
 

@@ -11,7 +11,7 @@ import typer
 
 from hierax.runtime.commands.errors import OK, CommandError
 from hierax.runtime.commands.options import RunOptions, deployments_here, offers
-from hierax.runtime.commands.recordings import claimed_file, selection_of, tell_ending, tell_violations
+from hierax.runtime.commands.recordings import claimed_file, report_ending, report_violations, selection_of
 
 if TYPE_CHECKING:
     from hierax.runtime.launch.recorder_process import RecordingRequest
@@ -100,5 +100,5 @@ def _print_outcome(recording: RecordingRequest) -> int:
     """Say what is wrong with a recording or a check; the exit code."""
     if recording.failure:
         raise CommandError(recording.failure)
-    code = OK if recording.file is None or recording.ending is None else tell_ending(recording.file, recording.ending)
-    return max(code, tell_violations(recording.violations))
+    code = OK if recording.file is None or recording.ending is None else report_ending(recording.file, recording.ending)
+    return max(code, report_violations(recording.violations))

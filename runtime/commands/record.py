@@ -12,7 +12,7 @@ import typer
 
 from hierax.runtime.commands.errors import CommandError
 from hierax.runtime.commands.options import LARGEST, Format, OutputFormat, Overwrite
-from hierax.runtime.commands.recordings import Exclude, MaxDuration, MaxSize, claimed_file, selection_of, tell_ending
+from hierax.runtime.commands.recordings import Exclude, MaxDuration, MaxSize, claimed_file, report_ending, selection_of
 from hierax.runtime.commands.which import Connect, Run, client_of
 
 
@@ -65,4 +65,4 @@ def record(
     else:
         count = max(ending.last - ending.first + 1, 0) if ending.first else 0
         print(f"{output}: {count} epochs, {ending.first} to {ending.last}, {ending.messages} messages")
-    return tell_ending(output, ending)
+    return report_ending(output, ending)

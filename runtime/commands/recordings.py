@@ -120,7 +120,7 @@ def recording_of(path: Path) -> Recording:
     return recording
 
 
-def tell_ending(file: Path, ending: Ending) -> int:
+def report_ending(file: Path, ending: Ending) -> int:
     """Say what a recording lacks.
 
     Returns:
@@ -141,7 +141,7 @@ def tell_ending(file: Path, ending: Ending) -> int:
     return FAILED
 
 
-def tell_violations(violations: Sequence[Any]) -> int:
+def report_violations(violations: Sequence[Any]) -> int:
     """Say where the formal order is broken.
 
     Returns:

@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from hierax.runtime.commands.options import File, RunOptions, offers
-from hierax.runtime.commands.recordings import claimed_file, selection_of, tell_ending, tell_violations
+from hierax.runtime.commands.recordings import claimed_file, report_ending, report_violations, selection_of
 
 if TYPE_CHECKING:
     from hierax.runtime.deployment import Deployment
@@ -61,8 +61,8 @@ def run(file: File, options: RunOptions) -> int:
 
 def _print_outcome(taking: InProcess, file: Path | None) -> int:
     """Say what is wrong with a recording or a check; the exit code."""
-    code = 0 if file is None or taking.ending is None else tell_ending(file, taking.ending)
-    return code if taking.checker is None else max(code, tell_violations(taking.checker.close()))
+    code = 0 if file is None or taking.ending is None else report_ending(file, taking.ending)
+    return code if taking.checker is None else max(code, report_violations(taking.checker.close()))
 
 
 def _spans(deployment: Deployment) -> Watch | None:

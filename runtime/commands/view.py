@@ -190,7 +190,7 @@ def _presenter(deployment: Deployment | None, stream: Stream) -> ViewPresenter:
 
     canvas = RerunCanvas(stream)
     if deployment is None:
-        return ViewPresenter(canvas, tell=_say)
+        return ViewPresenter(canvas, notify=_say)
     extend_import_path(deployment.import_paths)
     spec = deployment.view
     together = None if spec.show is None else load_function(spec.show, "view.show", deployment.allowance)

@@ -1,47 +1,111 @@
-"""Where two values differ, for errors about values that should be the same."""
+"""Where two values differ."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import Any
+from collections.abc import Iterator, Sequence
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from hierax.runtime.core.elements import Value
+from hierax.schemas.errors import SchemaError
 from hierax.schemas.values import encode_value
+
+ABSENT = "(absent)"
+"""Stands for a value on the side where there is none."""
+
+
+class Unlike(NamedTuple):
+    """The first place where two values differ: the field's path, such as ``belief.pose[3]``, and what is there."""
+
+    path: str
+    a: Value
+    b: Value
+
+
+def first_unlike(a: Value, b: Value, path: str, tolerance: float = 0.0) -> Unlike | None:
+    """The first place where two values differ; None: nowhere.
+
+    Numbers are alike that differ by no more than the tolerance, or by no more than this share of the greater one; 0: to
+    the bit. `path` is what the values are called.
+    """
+    if tolerance == 0.0 and _encoded(a) == _encoded(b):
+        return None
+    return next(_walk(a, b, path, tolerance), None)
 
 
 def difference(expected: Value, got: Value, names: Sequence[str] = (), where: str = "") -> str:
-    """The first place where two values differ, and both values there; empty where they are equal.
+    """The first place where two values differ, and both values there, for an error; empty where they are equal.
 
     Args:
         expected, got: the values.
-        names: what the entries of `expected`, a tuple, are called.
+        names: what the entries of both, which are tuples then, are called.
         where: what the whole is called.
     """
-    if isinstance(expected, dict) and isinstance(got, dict) and list(expected) == list(got):
-        pairs = [(f"{where}.{key}".lstrip("."), expected[key], got[key]) for key in expected]
-    elif isinstance(expected, (tuple, list)) and isinstance(got, (tuple, list)) and len(expected) == len(got):
-        labels = names if len(names) == len(expected) else [f"{where}[{index}]" for index in range(len(expected))]
-        pairs = list(zip(labels, expected, got, strict=True))
+    pairs = zip(names, expected, got, strict=True) if names else ((where, expected, got),)
+    found = next(filter(None, (first_unlike(one, other, path) for path, one, other in pairs)), None)
+    return "" if found is None else f"{found.path.lstrip('. ') or 'value'}: {found.a!r:.60}, then {found.b!r:.60}"
+
+
+def _walk(a: Value, b: Value, path: str, tolerance: float) -> Iterator[Unlike]:
+    if isinstance(a, np.ndarray) and isinstance(b, np.ndarray):
+        yield from _walk_arrays(a, b, path, tolerance)
+    elif isinstance(a, dict) and isinstance(b, dict):
+        for key in [*a, *(key for key in b if key not in a)]:
+            yield from _walk(a.get(key, ABSENT), b.get(key, ABSENT), f"{path}.{key}", tolerance)
+        if list(a) != list(b) and a.keys() == b.keys() and tolerance == 0.0:
+            yield Unlike(f"{path} (order of keys)", list(a), list(b))
+    elif isinstance(a, (tuple, list)) and isinstance(b, (tuple, list)):
+        for index in range(max(len(a), len(b))):
+            left, right = (value[index] if index < len(value) else ABSENT for value in (a, b))
+            yield from _walk(left, right, f"{path}[{index}]", tolerance)
+    elif not _alike(a, b, tolerance):
+        yield Unlike(path, a, b)
+
+
+def _walk_arrays(a: np.ndarray[Any, Any], b: np.ndarray[Any, Any], path: str, tolerance: float) -> Iterator[Unlike]:
+    if a.shape != b.shape or (tolerance == 0.0 and a.dtype != b.dtype):
+        yield Unlike(f"{path} (array)", _described(a), _described(b))
+        return
+    if tolerance and a.dtype.kind in "fciub" and b.dtype.kind in "fciub":
+        near = np.isclose(a.astype(_wide(a)), b.astype(_wide(b)), rtol=tolerance, atol=tolerance, equal_nan=True)
+        different = ~near
     else:
-        return "" if encode_value(expected) == encode_value(got) else _told(expected, got, where)
-    return next(filter(None, (difference(one, other, (), path) for path, one, other in pairs)), "")
+        different = _bits(a) != _bits(b)
+        different = different.any(axis=-1)
+    places = np.argwhere(different)
+    for place in places[:1]:
+        at = tuple(int(index) for index in place)
+        where = "".join(f"[{index}]" for index in at)
+        rest = f" (and {len(places) - 1} more of {a.size})" if len(places) > 1 else ""
+        yield Unlike(f"{path}{where}{rest}", a[at].item(), b[at].item())
 
 
-def _told(expected: Value, got: Value, where: str) -> str:
-    if isinstance(expected, np.ndarray) and isinstance(got, np.ndarray):
-        if (expected.dtype, expected.shape) != (got.dtype, got.shape):
-            shown = [f"{each.dtype} {each.shape}" for each in (expected, got)]
-            return f"{where or 'array'}: {shown[0]}, then {shown[1]}"
-        index = tuple(int(each[0]) for each in np.nonzero(_unequal(expected, got)))
-        place = ", ".join(map(str, index))
-        return f"{where or 'array'}[{place}]: {expected[index].item()!r}, then {got[index].item()!r}"
-    return f"{where or 'value'}: {expected!r:.60}, then {got!r:.60}"
+def _bits(array: np.ndarray[Any, Any]) -> np.ndarray[Any, Any]:
+    """The bytes of each element, in one further dimension."""
+    flat = np.ascontiguousarray(array).reshape(-1)
+    return flat.view(np.uint8).reshape(*array.shape, array.dtype.itemsize)
 
 
-def _unequal(one: np.ndarray[Any, Any], other: np.ndarray[Any, Any]) -> np.ndarray[Any, Any]:
-    """Where two arrays have other bytes."""
-    raw = [np.ascontiguousarray(each).view(np.uint8).reshape(*each.shape, each.itemsize) for each in (one, other)]
-    unequal: np.ndarray[Any, Any] = (raw[0] != raw[1]).any(axis=-1)
-    return unequal
+def _wide(array: np.ndarray[Any, Any]) -> Any:
+    return np.complex128 if array.dtype.kind == "c" else np.float64
+
+
+def _described(array: np.ndarray[Any, Any]) -> str:
+    return f"{array.dtype} {'×'.join(map(str, array.shape)) or 'scalar'}"
+
+
+def _alike(a: Value, b: Value, tolerance: float) -> bool:
+    numbers = all(isinstance(value, (int, float)) and not isinstance(value, bool) for value in (a, b))
+    if tolerance and numbers:
+        return bool(np.isclose(float(a), float(b), rtol=tolerance, atol=tolerance, equal_nan=True))
+    if isinstance(a, np.ndarray) or isinstance(b, np.ndarray):
+        return False
+    return type(a) is type(b) and _encoded(a) == _encoded(b)
+
+
+def _encoded(value: Value) -> bytes | str:
+    try:
+        return encode_value(value)
+    except SchemaError:  # ABSENT is a text, and everything else a value; a belief in the middle of an epoch need not be
+        return repr(value)

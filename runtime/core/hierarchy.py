@@ -106,7 +106,7 @@ class Hierarchy:
 
     @property
     def world_node(self) -> World:
-        """N₀."""
+        """The node N₀."""
         return require_world(self.world, self.nodes[self.world])
 
 

@@ -106,7 +106,7 @@ class Image(_Thing):
 
 @dataclass(frozen=True, eq=False)
 class Depth(_Thing):
-    """How far away it is what each pixel shows.
+    """A picture that says how far away each pixel is.
 
     Attributes:
         metres: (h, w); 0 where nothing is.
@@ -120,7 +120,7 @@ class Depth(_Thing):
 
 @dataclass(frozen=True, eq=False)
 class Labels(_Thing):
-    """What each pixel belongs to.
+    """A picture that says what each pixel belongs to.
 
     Attributes:
         labels: (h, w), 0 to 255; 0 is nothing.

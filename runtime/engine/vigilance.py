@@ -53,8 +53,5 @@ def _encoded(value: Value) -> bytes:
 
 
 def _told(what: str, value: Value, before: bytes) -> str:
-    try:
-        where = difference(decode_value(before), value, (), what)
-    except SchemaError as error:
-        where = str(error)
+    where = difference(decode_value(before), value, (), what)
     return f"changed the {what} that it was given ({where}); make a copy, or a new value"

@@ -54,7 +54,7 @@ def _call_other_policies(runner: NodeRunner) -> int:
 
 
 class _Counter(Watcher):
-    """Counts calls."""
+    """Counts the calls of operators."""
 
     calls = 0
 

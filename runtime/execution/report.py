@@ -27,7 +27,7 @@ class NodeReport:
     metrics: Mapping[str, float]
 
     def plain(self) -> Json:
-        """As plain JSON."""
+        """Give it as plain JSON."""
         return {
             "belief": plain(self.belief),
             "policy": self.policy,
@@ -79,7 +79,7 @@ class Report:
         return self.epochs / self.wall_s if self.wall_s > 0 else None
 
     def plain(self) -> Json:
-        """As plain JSON; what only a run that was broken off has to say stands in no other."""
+        """Give it as plain JSON; what only a run that was broken off has to say stands in no other."""
         broken: Json = {"interrupted": True, "unreported": sorted(self.unreported)} if self.interrupted else {}
         return {
             "hierarchy": self.hierarchy,

@@ -52,7 +52,7 @@ def seal(what: str, content: Mapping[str, Any]) -> str:
 
 
 def seal_or_warn(what: str, content: Mapping[str, Any]) -> str:
-    """As `seal`; empty where nothing can be sealed, which is told once."""
+    """Seal as `seal` does; empty where nothing can be sealed, which is told once."""
     try:
         return seal(what, content)
     except NoKeyError as error:

@@ -37,7 +37,7 @@ INSTANTS = tuple(f"{place}.{side}" for place in PLACES for side in ("before", "a
 
 
 class Fault(NamedTuple):
-    """An instant, and at which time that it comes the process dies."""
+    """The instant at which a process dies, and how often it comes there before."""
 
     place: str  # one of `PLACES`
     before: bool  # whether it is before what happens there
@@ -45,7 +45,7 @@ class Fault(NamedTuple):
 
     @staticmethod
     def read(text: str) -> Fault:
-        """From ``INSTANT:N``.
+        """Read a fault from ``INSTANT:N``.
 
         Raises:
             HieraxError: that is none.
@@ -60,7 +60,7 @@ class Fault(NamedTuple):
 
 
 def read_faults(texts: Iterable[str]) -> dict[str, list[str]]:
-    """By node, its faults in order, from ``NODE:INSTANT:N``.
+    """Read faults from ``NODE:INSTANT:N``, and give those of each node in their order.
 
     Raises:
         HieraxError: one is no fault.
@@ -99,7 +99,7 @@ def plant(text: str, member: Member, world: WorldMember | None) -> None:
 
 
 class _Countdown:
-    """Kills the process at the n-th call."""
+    """Kills the process when it has been called a number of times."""
 
     def __init__(self, number: int) -> None:
         self._left = number

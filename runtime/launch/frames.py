@@ -89,11 +89,11 @@ class NodeOrder:
 
     @property
     def output_path(self) -> Path | None:
-        """The output folder."""
+        """The output folder; None where there is none."""
         return Path(self.output) if self.output else None
 
     def plain(self) -> Value:
-        """As a value."""
+        """Give it as a value."""
         return {
             **self.__dict__,
             "roster": None if self.roster is None else self.roster.plain(),
@@ -103,7 +103,7 @@ class NodeOrder:
 
     @staticmethod
     def read(value: Value) -> NodeOrder:
-        """From a value; it comes from our own supervisor, so only the roster is checked in full."""
+        """Read an order from a value; it comes from our own supervisor, so only the roster is checked in full."""
         probes = tuple(
             ProbeSpec(node, Reference.read(ref, f"probes.{node}"), may) for node, ref, may in value["probes"]
         )

@@ -72,11 +72,11 @@ class InspectionServer:
         self._stepper: Stepper | None = None
         self._stepped_s = 0.0
         self._looks: Mapping[str, Callable[[Mapping[str, Any]], dict[str, Value]]] = {
-            "meter": self._tell_times,
-            "state": self._tell_state,
-            "neighbours": self._tell_neighbours,
+            "meter": self._answer_times,
+            "state": self._answer_state,
+            "neighbours": self._answer_neighbours,
             "echo": self._echo,
-            "steps": self._tell_steps,
+            "steps": self._answer_steps,
         }
 
     def serve(self) -> None:
@@ -98,7 +98,7 @@ class InspectionServer:
         except SchemaError as error:
             return {"refusal": str(error)}
 
-    def _tell_times(self, question: Mapping[str, Any]) -> dict[str, Value]:
+    def _answer_times(self, question: Mapping[str, Any]) -> dict[str, Value]:
         self._metered_s = time.monotonic()
         if self._meter is None:
             self._meter = Meter()
@@ -118,7 +118,7 @@ class InspectionServer:
             "meter": self._meter.read(busy.partition(" of ")[0], waits[0][0] if waits else ""),
         }
 
-    def _tell_state(self, question: Mapping[str, Any]) -> dict[str, Value]:
+    def _answer_state(self, question: Mapping[str, Any]) -> dict[str, Value]:
         engine, last = self._observers.engine, self._observers.last
         if engine is None:
             return {"epoch": 0, "refusal": "the node's process is still coming into the run"}
@@ -150,7 +150,7 @@ class InspectionServer:
             "digest": last.digest,
         }
 
-    def _tell_neighbours(self, question: Mapping[str, Any]) -> dict[str, Value]:
+    def _answer_neighbours(self, question: Mapping[str, Any]) -> dict[str, Value]:
         engine = self._observers.engine
         return {side: [] if engine is None else list(getattr(engine.node, side)) for side in ("below", "above")}
 
@@ -167,7 +167,7 @@ class InspectionServer:
             self._copier.wanted = frozenset(self._wanted)
         return {"lease_s": LEASE_S}
 
-    def _tell_steps(self, question: Mapping[str, Any]) -> dict[str, Value]:
+    def _answer_steps(self, question: Mapping[str, Any]) -> dict[str, Value]:
         every = question.get("every")
         if type(every) is not int or every < 1:
             raise SchemaError(f"expected a whole number from 1, got {shown(every)}", "every")

@@ -23,7 +23,7 @@ import anyio.to_thread
 from hierax.runtime.host.streams import own_output
 from hierax.runtime.launch.frames import FINISH, STOP, Frames, NodeOrder, epoch_of_leave
 from hierax.runtime.launch.node_worker import NodeWorker
-from hierax.runtime.watch.logs import QUIET, log_console, log_node, tell_left_out
+from hierax.runtime.watch.logs import QUIET, log_console, log_node, report_left_out
 from hierax.runtime.watch.prints import Console, console_stream, name_prints
 from hierax.schemas.control import Census, decode_control
 from hierax.schemas.values import Value
@@ -62,7 +62,7 @@ def main() -> None:
 def _exit(code: int) -> NoReturn:
     """End the process, and the programs that its node has started and left running."""
     try:
-        tell_left_out()
+        report_left_out()
         sys.stdout.flush()
         sys.stderr.flush()
         if os.getpgrp() == os.getpid():

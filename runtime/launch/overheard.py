@@ -22,7 +22,7 @@ READ_BYTES = 1 << 16
 
 
 class Overhearing:
-    """Of all processes that somebody keeps.
+    """Takes in what the processes of one supervisor print.
 
     Args:
         run: its identification.
@@ -57,7 +57,7 @@ class Overhearing:
 
 
 class Overheard:
-    """What one process prints.
+    """Takes in what one process prints.
 
     Args:
         lines: take it.

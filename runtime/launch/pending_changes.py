@@ -26,7 +26,7 @@ class PendingChange:
 
 
 class PendingChanges:
-    """Changes by request: those that the owner has not answered yet, and the last ones that it has."""
+    """Keeps changes by request: those that the owner has not answered yet, and the last ones that it has."""
 
     def __init__(self) -> None:
         self._changes: dict[str, PendingChange] = {}

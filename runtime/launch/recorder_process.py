@@ -36,7 +36,7 @@ class RecordingRequest:
 
     @property
     def file(self) -> Path | None:
-        """Which is written."""
+        """The file that is written; None where there is none."""
         return None if self.target is None else self.target.path
 
 

@@ -10,7 +10,7 @@ GAP_S = 0.5  # who looks at the clock again and again, and has not for so long, 
 
 
 class SteadyClock:
-    """Seconds; to be asked every now and then, within `GAP_S`.
+    """Gives seconds; it has to be asked again and again, within `GAP_S`.
 
     Where a process was stopped, or its machine was asleep, it must not blame others for the time that has passed
     meanwhile: they may have said all they had to.

@@ -69,7 +69,7 @@ class Answers:
             self.owe(key, born[names[0]][1], names)
         return bool(names)
 
-    def tell(self, committed: int) -> None:
+    def report(self, committed: int) -> None:
         """Tell those whose first epoch is committed and recorded."""
         if not self._owed:
             return

@@ -47,7 +47,7 @@ class Inquiry:
         self._resends = 0
 
     def hear(self, status: Status) -> None:
-        """An answer."""
+        """Take in an answer."""
         if status.inquiry == self._number:
             self._answers[status.name] = status
 

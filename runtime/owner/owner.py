@@ -94,27 +94,27 @@ class Owner(OwnerPart):
 
     @property
     def roster(self) -> Roster:
-        """In force."""
+        """The roster in force."""
         return self._members.roster
 
     @property
     def processes(self) -> Mapping[str, str]:
-        """By node in force; of a lost one, the process that it had."""
+        """The processes by node in force; of a lost node, the one that it had."""
         return self._members.processes
 
     @property
     def epoch(self) -> int:
-        """The last one committed."""
+        """The last epoch that is committed."""
         return self._progress.epoch
 
     @property
     def attempt(self) -> int:
-        """Of the epoch after that, the last one begun; NEVER: none was."""
+        """The attempt begun last of the epoch after that; NEVER: none was."""
         return self._progress.attempt
 
     @property
     def last_attempt(self) -> int:
-        """The one of the last epoch committed that was."""
+        """Which attempt of the last epoch was committed."""
         return self._progress.last_attempt
 
     @property
@@ -172,7 +172,7 @@ class Owner(OwnerPart):
         if not progress.running:
             self._effects.write_record()  # nobody hears of a commit that a crash could undo
         self._members.dismiss_outlived()
-        self._answers.tell(progress.epoch)
+        self._answers.report(progress.epoch)
 
     def committed(self, epoch: int) -> None:
         """An epoch is committed; `proceed` or `finish` follows."""
@@ -187,7 +187,7 @@ class Owner(OwnerPart):
         """The last epoch is committed and recorded: what is still asked for comes too late."""
         self._progress.over = True
         self._members.dismiss_outlived()
-        self._answers.tell(self.epoch)
+        self._answers.report(self.epoch)
         self._planning.finish(OVER)
 
     def hear(self, word: Control) -> None:
@@ -246,7 +246,7 @@ class Owner(OwnerPart):
         if self._answers.repeat(key):
             return
         if self._answers.owe_what_was_made(key):
-            self._answers.tell(self.epoch)
+            self._answers.report(self.epoch)
         else:
             self._answers.give(key, 0, OVER)
 

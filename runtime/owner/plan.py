@@ -90,7 +90,7 @@ class Plan:
 
     @property
     def version(self) -> int:
-        """Of its roster."""
+        """The version of its roster."""
         return self.roster.version
 
     def is_for(self, name: str, key: str) -> bool:

@@ -58,7 +58,7 @@ class Suspicions(OwnerPart):
             self._bring_back(status)
             return
         if not self.is_ahead(status):
-            self._tell_of_lie(status.name)
+            self._report_lie(status.name)
             return
         progress = self._progress
         where = f"epoch {status.epoch}, attempt {status.attempt}, roster version {status.version}"
@@ -85,7 +85,7 @@ class Suspicions(OwnerPart):
             why = f"it waits in {where}, and attempt {self._progress.last_attempt} counts"
             self._members.end(status.name, self._members.processes[status.name], why)
 
-    def _tell_of_lie(self, name: str) -> None:
+    def _report_lie(self, name: str) -> None:
         """The first time, the second, the fourth, the eighth, …: it may be said any number of times."""
         count = self._lies[name] = self._lies.get(name, 0) + 1
         if count & (count - 1) == 0:

@@ -11,10 +11,10 @@ from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from typing import NamedTuple, Protocol
 
+from hierax.runtime.core.difference import ABSENT, first_unlike
 from hierax.runtime.core.elements import Elements, Value
 from hierax.runtime.core.hierarchy import neighbours_above, neighbours_below
 from hierax.runtime.core.process import ActiveNode
-from hierax.runtime.recording.unlike import ABSENT, first_unlike
 from hierax.schemas.messages import CONTEXT, OBSERVATIONS, TASKS
 from hierax.schemas.roster import Roster
 

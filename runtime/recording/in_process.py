@@ -25,7 +25,7 @@ from hierax.schemas.values import encode_value
 
 @dataclass(frozen=True)
 class _Sink:
-    """Where one node's steps and rosters go."""
+    """Takes one node's steps and rosters."""
 
     step: Callable[[bytes], None]
     roster: Callable[[bytes], None]

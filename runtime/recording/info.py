@@ -107,12 +107,12 @@ class RunInfo:
         return Staleness(self.staleness, self.exact)
 
     def plain(self) -> dict[str, Any]:
-        """As a value."""
+        """Give it as a value."""
         return asdict(self)
 
     @staticmethod
     def read(plain: Mapping[str, Any]) -> RunInfo:
-        """From a value, but for fields of later versions. Raises `RecordingError` if its format or a field is wrong."""
+        """Read it from a value, but for later fields. Raises `RecordingError` if its format or a field is wrong."""
         if plain.get("format") not in READ:
             read = " and ".join(map(str, READ))
             raise RecordingError(f"format {plain.get('format')!r:.20}; this version reads formats {read}")
@@ -163,12 +163,12 @@ class Ending:
     left_out: Mapping[str, int] = field(default_factory=dict)
 
     def plain(self) -> dict[str, Any]:
-        """As a value."""
+        """Give it as a value."""
         return asdict(self)
 
     @staticmethod
     def read(plain: Mapping[str, Any]) -> Ending:
-        """From a value. Raises `RecordingError` if a field lacks or is something else."""
+        """Read it from a value. Raises `RecordingError` if a field lacks or is something else."""
         unreadable = "what it says of its end cannot be read"
         try:
             given = {each.name: plain[each.name] for each in fields(Ending) if each.name in plain}

@@ -106,7 +106,7 @@ class Replay:
     # --- an epoch
 
     def _do(self, recorded: EpochTrace, before: EpochTrace | None) -> ReplayedEpoch | None:
-        """An epoch again; None: the world, done again, has finished before it."""
+        """Do an epoch again; None: the world, done again, has finished before it."""
         roster = self._roster(recorded.roster)
         replayed = ReplayedEpoch(recorded, roster, recorded.time_s)
         live = self.live(roster)
@@ -151,7 +151,7 @@ class Replay:
             self._exchange.give(replayed, (OBSERVATIONS, name, upper), given)
 
     def _predict(self, replayed: ReplayedEpoch, name: str, time_s: float) -> bytes:
-        """A node's prediction; its digest."""
+        """Do a node's prediction, and give its digest."""
         epoch, wiring, sensed = replayed.epoch, self.wirings[name], self.states[name]
         node = wiring.node
         tasks = self._exchange.elements(replayed.recorded, TASKS, wiring.tasking, name)

@@ -46,7 +46,7 @@ class ReplayedEpoch:
 
     @property
     def epoch(self) -> int:
-        """Its number."""
+        """The number of the epoch."""
         return self.recorded.epoch
 
     @property
@@ -154,6 +154,6 @@ class Exchange:
 
 
 def _when_used(recorded: EpochTrace, line: Line) -> Attempt:
-    """Of which epoch and attempt the message was that a line's receiver used."""
+    """The epoch and attempt of the message that a line's receiver used."""
     kind, sender, receiver = line
     return (recorded.used_of(receiver) or {}).get((sender, kind), (recorded.epoch, recorded.attempt))

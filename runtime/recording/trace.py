@@ -91,7 +91,7 @@ class EpochTrace:
 
     @property
     def time_s(self) -> float | None:
-        """Its time; None: nobody told."""
+        """The time of the epoch; None: nobody told."""
         for trace in self.nodes.values():
             return trace.step.time_s
         for attempts in self.lines.values():

@@ -82,7 +82,7 @@ class Witness(Watcher):
     def sent(self, message: Message) -> None:
         header = message.header
         if self._roster is not None and header.roster != self._told_version:
-            self._tell_roster(self._roster())
+            self._publish_roster(self._roster())
         self._passages.append(Passage(True, header.kind, header.receiver, header.epoch, header.attempt))
 
     def called(self, called: Called) -> None:
@@ -109,7 +109,7 @@ class Witness(Watcher):
         if begun is None:
             return  # the epoch was begun before anybody recorded
         if self._roster is not None:
-            self._tell_roster(self._roster())
+            self._publish_roster(self._roster())
         self._number += max(step.epoch - self._last, 1) if self._resumed else 1
         self._resumed = False
         self._last = step.epoch
@@ -121,7 +121,7 @@ class Witness(Watcher):
         told = NodeStep(self._name, self._stream, self._number, *where, completed.digest, *states, *heard)
         self._sink.step(encode_step(told))
 
-    def _tell_roster(self, roster: Roster | None) -> None:
+    def _publish_roster(self, roster: Roster | None) -> None:
         now_s = time.monotonic()
         if roster is None:
             return

@@ -49,7 +49,7 @@ class Summary:
     stopped: int = 0
 
     def add(self, result: Result) -> None:
-        """Count one more."""
+        """Count one more simulation."""
         self.seeds += 1
         self.tally.update(result.tally)
         self.epochs += result.epochs
@@ -69,7 +69,7 @@ class Summary:
         return [f"{group} {kind}" for group, kinds in self.kinds.items() for kind, count in kinds.items() if not count]
 
     def plain(self) -> dict[str, Json]:
-        """As JSON."""
+        """Give it as JSON."""
         return {
             "seeds": self.seeds,
             "violations": [{"seed": seed, "what": what} for seed, what in sorted(self.violations)],

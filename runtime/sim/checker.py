@@ -100,7 +100,7 @@ class Checker:
         return len(self._ends) - 1
 
     def violate(self, what: str) -> None:
-        """Something is wrong.
+        """Note that something is wrong.
 
         Raises:
             ViolationError: always.
@@ -269,7 +269,7 @@ class Checker:
             self.violate(f"{sorted(staying - roster.nodes.keys())} went, and nobody asked for that")
 
     def _after(self, epoch: int) -> End:
-        """How an epoch ended that is committed, be it told already or not."""
+        """The end of an epoch that is committed, be it told already or not."""
         return self._candidates[epoch] if epoch in self._candidates else self._ends[epoch]
 
     def _start(self, turn: Turn, base: int, roster: Roster) -> Start:

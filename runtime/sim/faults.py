@@ -41,7 +41,7 @@ class FaultInjector:
         self._keepers = keepers
 
     def befall(self, fault: Fault) -> None:
-        """A fault happens."""
+        """Make a fault happen."""
         around = self._around
         around.journal.trace(f"fault: {fault}")
         if fault.kind in OF_MESSAGES:

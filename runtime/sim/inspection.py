@@ -85,7 +85,7 @@ class Inspector:
         return bare
 
     def acts(self) -> None:
-        """The world acts: all that comes from above must be in hand."""
+        """Note that the world acts: all that comes from above must be in hand."""
         if self.heard != self.turn:
             self._violated(f"{self.name}: acts in {self.turn} before it has heard from above")
 

@@ -56,5 +56,5 @@ class Journal:
             self._lines.append(f"{self._now():9.4f} {what}")
 
     def count(self, group: str, kind: str) -> None:
-        """Something occurred."""
+        """Count that something occurred."""
         self.tally[group, kind] += 1

@@ -52,7 +52,7 @@ class Host(ABC):
 
     @abstractmethod
     def take(self, kind: str, data: Any) -> None:
-        """Something comes in."""
+        """Take in what comes."""
 
 
 class SimPort(Port):

@@ -101,11 +101,11 @@ class Proposal:
 
     @property
     def on_loss(self) -> Mapping[str, str]:
-        """By node that is new, what follows when it does not come back."""
+        """What follows for each node that is new when it does not come back."""
         return dict.fromkeys(self.new_nodes, "detach") if self.alone else {}
 
     def word(self) -> Propose:
-        """As it is said to the owner."""
+        """The proposal as it is sent to the owner."""
         rejoin_s = dict.fromkeys(self.on_loss, REJOIN_S)
         return Propose(self.key, self.change.plain(), dict(self.on_loss), rejoin_s, tuple(self.on_loss))
 
@@ -148,7 +148,7 @@ class Scenario:
 
     @property
     def last_s(self) -> float:
-        """When all faults are over, and all changes asked for."""
+        """The time at which all faults are over, and all changes asked for."""
         ends = [fault.at_s + fault.for_s for fault in self.faults] + [each.at_s for each in self.proposals]
         return max(ends, default=0.0)
 

@@ -19,7 +19,7 @@ SHORTEST_S = 0.1  # over a shorter time than this none is: messages may come in 
 
 
 def short_key(edge: Edge) -> str:
-    """``KIND/FROM/TO``."""
+    """An edge and kind as ``KIND/FROM/TO``."""
     return "/".join(edge)
 
 
@@ -80,7 +80,7 @@ class Counter:
         self._lanes: dict[Edge, _Lane] = {}
 
     def take(self, message: Message, size: int) -> Echo:
-        """One more message."""
+        """Take in one more message."""
         kind, sender, receiver, epoch = message.header[:4]
         lane = self._lanes.setdefault((kind, sender, receiver), _Lane(deque(maxlen=WINDOW)))
         lane.times_s.append(self._clock())

@@ -68,7 +68,7 @@ def read_since(text: str, now: datetime) -> datetime:
 
 
 def read_pattern(text: str) -> re.Pattern[str]:
-    """A regular expression.
+    """Read a regular expression.
 
     Raises:
         HieraxError: it is none.

@@ -44,7 +44,7 @@ class NodeRates:
 
     @property
     def epochs_per_s(self) -> float:
-        """How many epochs it does."""
+        """How many epochs it does in a second."""
         return self.epochs / self.interval_s if self.interval_s > 0 else 0.0
 
     def shares(self) -> dict[str, float]:

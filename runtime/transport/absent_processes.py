@@ -26,11 +26,11 @@ class AbsentProcesses:
         self._since: dict[str, tuple[float, int]] = {}
 
     def gone(self, process: str) -> None:
-        """Its liveliness token is not there any more; any thread may say so."""
+        """Note that its liveliness token is not there any more; any thread may say so."""
         self._since[process] = (self._clock(), 0)
 
     def came(self, process: str) -> None:
-        """Its liveliness token is there."""
+        """Note that its liveliness token is there."""
         self._since.pop(process, None)
 
     def due(self) -> list[str]:

@@ -76,9 +76,9 @@ class Hub:
             name, token = str(sample.key_expr).split("/")[-2:]
             if sample.kind == zenoh.SampleKind.DELETE:
                 self._living.discard(token)
-                tell = self._on_gone
-                if tell is not None:
-                    tell(name, token)
+                gone = self._on_gone
+                if gone is not None:
+                    gone(name, token)
             else:
                 self._living.add(token)
 

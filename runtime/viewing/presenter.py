@@ -75,7 +75,7 @@ class ViewPresenter:
     Args:
         layout: of the views; None: one by what they hold.
         together: shows what needs several nodes; None: nothing.
-        tell: is given what the user should know, a line each.
+        notify: is given what the user should know, a line each.
     """
 
     def __init__(
@@ -83,12 +83,12 @@ class ViewPresenter:
         canvas: Canvas,
         layout: Layout | None = None,
         together: Together | None = None,
-        tell: Callable[[str], None] = lambda _: None,
+        notify: Callable[[str], None] = lambda _: None,
     ) -> None:
         self._canvas = canvas
         self._layout = layout
         self._together = together
-        self._tell = tell
+        self._notify = notify
         self._roster: Roster | None = None
         self._views: dict[str, View] = {}
         self._arranged: tuple[View, ...] = ()
@@ -136,7 +136,7 @@ class ViewPresenter:
         for number in sorted(self._epochs):
             self._close(number)
         self._arrange()
-        self._tell_unknown()
+        self._report_unknown()
 
     def _before(self, name: str, step: Step, start: Value) -> Value:
         """The belief that the epoch began in: that of the last one that the node has done."""
@@ -183,7 +183,7 @@ class ViewPresenter:
             self._arrange()
             self._whole += 1
             if self._whole >= TELL_AFTER_EPOCHS:
-                self._tell_unknown()
+                self._report_unknown()
 
     def _close(self, number: int) -> None:
         assert self._roster is not None
@@ -205,12 +205,12 @@ class ViewPresenter:
             raise ShowError(f"{where}: {type(error).__name__}: {error}", "view.show") from error
         return placed(TOGETHER, things, where)
 
-    def _tell_unknown(self) -> None:
+    def _report_unknown(self) -> None:
         """Say once which views of the layout nothing is shown in."""
         if not self._told:
             self._told = True
             for name in unknown_names(self._views, self._layout):
-                self._tell(f"view.layout: nothing is shown in {name!r}{did_you_mean(name, self._views)}")
+                self._notify(f"view.layout: nothing is shown in {name!r}{did_you_mean(name, self._views)}")
 
     def _arrange(self) -> None:
         """Lay out the views, where there are others than before: what the user has moved stays otherwise."""

@@ -45,7 +45,7 @@ class _Clock:
 
 
 class _Seen(Watcher):
-    """Shows one node."""
+    """Shows what one node does."""
 
     def __init__(self, name: str, runner: NodeRunner, presenter: ViewPresenter, clock: _Clock) -> None:
         self._name = name

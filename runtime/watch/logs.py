@@ -96,7 +96,7 @@ def log_node(run: str, node: str, when: When) -> None:
         root.setLevel(min(root.level or logging.WARNING, logging.INFO))
 
 
-def tell_left_out() -> None:
+def report_left_out() -> None:
     """Say, at the end, how many records were left out of which none like it has told since."""
     for level, text, count in _throttle.take_left_out():
         _LOG.log(level, "%d more like this were left out: %s", count, text, extra={"throttled": True})

@@ -34,7 +34,7 @@ _BY_LINES = 1
 
 
 class Console:
-    """Where people read. Somebody who does not read holds nobody up for longer than `PATIENCE_S`.
+    """Writes where people read. Somebody who does not read holds nobody up for longer than `PATIENCE_S`.
 
     Args:
         descriptor: of the terminal, file or pipe; it has to stay open.
@@ -46,7 +46,7 @@ class Console:
         self._waiting = b""
         self._left_out = 0
 
-    def tell(self, line: bytes) -> None:
+    def write(self, line: bytes) -> None:
         """Write a line, with its end."""
         if self._waiting:
             if not self._is_read(0.0):
@@ -115,12 +115,12 @@ class Lines(io.RawIOBase):
             lines, rest = [*lines, rest], b""
         self._begun[:] = rest
         for line in lines:
-            self._console.tell(self._prefix + line + b"\n")
+            self._console.write(self._prefix + line + b"\n")
             self._log(line.decode(errors=_ERRORS))
         return len(data)
 
     def end(self) -> None:
-        """Nothing more comes: what was begun is a line."""
+        """Take it that nothing more comes: what was begun is a line."""
         if self._begun:
             self.write(b"\n")
 

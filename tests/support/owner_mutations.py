@@ -129,7 +129,7 @@ def dismissed_first(take_effect: Callable[..., dict[str, str]]) -> Callable[...,
     def mutant(self: Members, *arguments: Any) -> dict[str, str]:
         gone = take_effect(self, *arguments)
         for name, process in gone.items():
-            self._effects.tell(process, Dismiss(f"{name}: it goes"))
+            self._effects.send_order(process, Dismiss(f"{name}: it goes"))
         return gone
 
     return mutant

@@ -9,12 +9,12 @@ import pytest
 from support.flawed import DEPLOYMENT, FLAW, OPERATORS
 from support.recorded import record_file
 
+from hierax.runtime.core.difference import ABSENT, Unlike, first_unlike
 from hierax.runtime.deployment.read import read_deployment
 from hierax.runtime.recording.deployments import allowance_of, in_place_of
 from hierax.runtime.recording.diff import compare
 from hierax.runtime.recording.reading import Recording
 from hierax.runtime.recording.replay import Replay
-from hierax.runtime.recording.unlike import ABSENT, Unlike, first_unlike
 
 FLAWS = [(subject, operator) for subject, operators in OPERATORS.items() for operator in operators]
 EPOCH = 7

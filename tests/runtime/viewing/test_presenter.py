@@ -116,7 +116,7 @@ def test_views_are_laid_out_again_only_where_there_are_others() -> None:
 
 def test_a_slip_in_the_layout_is_told_once() -> None:
     told: list[str] = []
-    _, shown = presenter("world", layout=((("levle",),),), tell=told.append)
+    _, shown = presenter("world", layout=((("levle",),),), notify=told.append)
     for number in range(1, 60):
         shown.step("world", Level(), step(number, 1.0))
     shown.close()
