@@ -117,23 +117,26 @@ class Live:
     Args:
         folder: for its files; other launches are not seen from within.
         namespace: network namespace that it runs in; empty: this one.
+        pace_s: what the world waits in each epoch; the less, the more of the processor goes into epochs.
         options: of ``hierax launch``.
     """
 
-    def __init__(self, folder: Path, *options: str, namespace: str = "") -> None:
+    def __init__(self, folder: Path, *options: str, namespace: str = "", pace_s: float = 0.003) -> None:
         self.folder = folder
         self.namespace = namespace
         self.file = folder / "live.yaml"
         self._stop = folder / "stop"
         self.file.write_text(DEPLOYMENT.format(stop=self._stop), encoding="utf-8")
         self._programs: list[Program] = []
+        self._client: LaunchClient | None = None
+        self._pace_s = pace_s
         self.launch = self.start("launch", str(self.file), "--format", "json", *options, namespace=namespace)
         until(lambda: list((folder / "hierax").glob("*.json")), "the launch")
         until(lambda: self.epoch > 0, "the first epoch")
 
     def start(self, *arguments: str, namespace: str = "") -> Program:
         """Start a command."""
-        program = Program(arguments, {**environment(self.folder), PACE_S: "0.003"}, namespace)
+        program = Program(arguments, {**environment(self.folder), PACE_S: str(self._pace_s)}, namespace)
         self._programs.append(program)
         return program
 
@@ -167,8 +170,8 @@ class Live:
     def run(self) -> dict[str, Any]:
         """What ``hierax ps`` tells of it."""
         if not self.namespace:
-            with LaunchClient(self.endpoint) as client:
-                return client.ask({"ask": "ps"})
+            self._client = self._client or LaunchClient(self.endpoint)
+            return self._client.ask({"ask": "ps"})
         runs = json.loads(self.hierax("ps", "--format", "json").stdout)["runs"]
         return dict(runs[0])
 
@@ -210,6 +213,8 @@ class Live:
 
     def close(self) -> None:
         """End what is left."""
+        if self._client is not None:
+            self._client.close()
         for program in reversed(self._programs):
             program.kill()
 

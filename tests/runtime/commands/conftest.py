@@ -10,7 +10,7 @@ from support.live import Live
 
 @pytest.fixture(scope="module")
 def running(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Live]:
-    live = Live(tmp_path_factory.mktemp("live"))
+    live = Live(tmp_path_factory.mktemp("live"), pace_s=0.01)
     yield live
     live.close()
 

@@ -17,7 +17,7 @@ BULKY = "support.live_nodes:Bulky"
 
 @pytest.fixture
 def live(tmp_path: Path) -> Iterator[Live]:
-    launch = Live(tmp_path)
+    launch = Live(tmp_path, pace_s=0.01)
     yield launch
     launch.close()
 
@@ -53,7 +53,7 @@ def test_what_comes_too_early_for_a_replacement_is_a_line_in_its_log_and_none_on
 def test_a_world_by_itself_is_joined_and_left(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     alone = DEPLOYMENT[: DEPLOYMENT.index("  low: ")]
     monkeypatch.setattr("support.live.DEPLOYMENT", alone)
-    live = Live(tmp_path)
+    live = Live(tmp_path, pace_s=0.01)
     try:
         top = live.snippet("top", "world")
         schedule = [f"{live.change('attach', top)}:attach:{top}"]
@@ -66,7 +66,7 @@ def test_a_world_by_itself_is_joined_and_left(tmp_path: Path, monkeypatch: pytes
 
 
 def test_low_latency_links_hand_over_short_beliefs_and_say_what_is_too_long(tmp_path: Path) -> None:
-    live = Live(tmp_path, "--set", "low_latency=true")
+    live = Live(tmp_path, "--set", "low_latency=true", pace_s=0.01)
     try:
         top, other = live.snippet("top", "high"), live.snippet("top", generation=1)
         schedule = [

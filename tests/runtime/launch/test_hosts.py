@@ -75,7 +75,7 @@ class Far:
 
     def __init__(self, hosts: Hosts, folder: Path, policy: str) -> None:
         self.hosts = hosts
-        self.live = Live(folder, "--host", ADDRESSES[0], namespace=hosts.names[0])
+        self.live = Live(folder, "--host", ADDRESSES[0], namespace=hosts.names[0], pace_s=0.01)
         endpoint = self.live.launch.says("others join with --connect").split()[-1]
         self.path = self.live.snippet("top", "high", policy=policy)
         options = ("--connect", endpoint, "--here", "--host", ADDRESSES[1], "--deployment", str(self.live.file))

@@ -26,7 +26,7 @@ def start(tmp_path: Path) -> Iterator[Start]:
     started: list[Live] = []
 
     def begin(*options: str) -> Live:
-        started.append(Live(tmp_path, *options))
+        started.append(Live(tmp_path, *options, pace_s=0.01))
         return started[-1]
 
     yield begin
