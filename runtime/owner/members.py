@@ -238,7 +238,8 @@ class Members:
         elif self.trial is not None and self.trial.name not in self.roster.nodes:
             self.end_trial()
         waits = "" if self.trial is None else self.trial.process
-        return {name: process for name, process in old.items() if process not in (self.processes.get(name), waits)}
+        gone = sorted(old.items())  # whoever came back, and in which order, the same are told first
+        return {name: process for name, process in gone if process not in (self.processes.get(name), waits)}
 
     def was_undone(self, name: str, version: int) -> bool:
         """Whether a node had failed in its place under a version, and what it had replaced goes on."""

@@ -7,61 +7,24 @@ was the same.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
-from typing import NamedTuple, Protocol
+from typing import NamedTuple
 
 from hierax.runtime.core.difference import ABSENT, first_unlike
 from hierax.runtime.core.elements import Elements, Value
 from hierax.runtime.core.hierarchy import neighbours_above, neighbours_below
-from hierax.runtime.core.process import ActiveNode
+from hierax.runtime.recording.replayed_epoch import ReplayedEpoch
+from hierax.runtime.recording.trace import EpochTrace
 from hierax.schemas.messages import CONTEXT, OBSERVATIONS, TASKS
 from hierax.schemas.roster import Roster
-
-Slot = tuple[str, str]
-Attempt = tuple[int, int]
 
 LINE_OPERATORS = {OBSERVATIONS: "sense", TASKS: "task", CONTEXT: "context"}
 """By kind of message, the edge function that gives it."""
 
 
-class EpochView(Protocol):
-    """An epoch as it can be compared, recorded or replayed; None stands for what is not known."""
-
-    @property
-    def epoch(self) -> int:
-        """Its number."""
-
-    @property
-    def roster(self) -> Roster:
-        """Under which it was done."""
-
-    @property
-    def order(self) -> tuple[str, ...]:
-        """The nodes from below to above."""
-
-    @property
-    def time_s(self) -> float | None:
-        """Its time."""
-
-    @property
-    def digest(self) -> bytes:
-        """The run's; empty: not known."""
-
-    def start_of(self, name: str) -> ActiveNode | None:
-        """A node's state at its beginning, where that does not follow from the epoch before."""
-
-    def used_of(self, name: str) -> Mapping[Slot, Attempt] | None:
-        """By sender and kind, of which epoch and attempt a node's inputs were."""
-
-    def sensed_of(self, name: str) -> tuple[Value] | None:
-        """A node's belief after `observe`, in a tuple."""
-
-    def state_of(self, name: str) -> ActiveNode | None:
-        """A node's state after it."""
-
-    def elements(self, kind: str, sender: str, receiver: str) -> Elements | None:
-        """What a message held."""
+EpochView = EpochTrace | ReplayedEpoch
+"""An epoch as it can be compared, recorded or replayed."""
 
 
 class Difference(NamedTuple):

@@ -154,11 +154,6 @@ class BusTap:
         except (zenoh.ZError, SchemaError):
             return None
 
-    def wake(self) -> None:
-        """Make `wait` return."""
-        with self._changed:
-            self._changed.notify()
-
     def close(self) -> None:
         """Hear nothing more; what was heard can still be asked for."""
         close_session(self._session)
