@@ -39,10 +39,11 @@ class Unchanged(NamedTuple):
 
 
 class HandOver(NamedTuple):
-    """Owner to the process that is replaced: say the state after an epoch."""
+    """Owner to the process that is replaced: say the state after the attempt of an epoch that counts."""
 
     version: int
     epoch: int
+    attempt: int
 
 
 class TakeOver(NamedTuple):

@@ -30,6 +30,12 @@ from hierax.schemas.errors import SchemaError
 from hierax.schemas.messages import CONTEXT, NO_EXTENSIONS, OBSERVATIONS, TASKS, Header, Message
 from hierax.schemas.values import encode_value
 
+AFTER = "after"
+"""The header's extension of observations: which attempt of the epoch before counts, where that is not the first one."""
+
+KEPT_ATTEMPTS = 8
+"""Of how many attempts of an epoch, which other ones came after, the states at the end are kept until the next one."""
+
 _NOTHING: Mapping[Slot, int] = {}
 _NO_MESSAGES: Mapping[Slot, Message] = {}
 SLOT_FIELDS = 7
@@ -78,6 +84,8 @@ class Engine:
         self._observations: Elements = ()
         self._sensed: Value = None
         self._vigilance: Vigilance | None = None
+        self._after = 0
+        self._superseded: dict[int, tuple[ActiveNode, bytes]] = {}
         self.digest = NO_DIGEST
         self.time_s = 0.0
         self._wire(wiring)
@@ -157,6 +165,7 @@ class Engine:
         """
         if self._world is None or self.phase is not Phase.DONE:
             raise ValueError(f"{self.name}: only a world that is done with an epoch begins the next one")
+        self._after = self.attempt
         self._turn(self.epoch + 1, attempt)
         self._begin(self._world)
 
@@ -236,11 +245,15 @@ class Engine:
         if verdict is Verdict.CURRENT:
             self._take(slot, message)
         elif verdict is Verdict.NEXT:
+            self._after = _attempt_before(header)
+            if not self._joins:
+                self.go_back_to(self._after)
             self._turn(epoch, attempt)
             self._take(slot, message)
         elif verdict in _PERHAPS_AGAIN and self._is_again(slot, message):
             return
         elif verdict is Verdict.AGAIN:
+            self._after = _attempt_before(header)  # this process may not have begun the epoch before
             self._undo(attempt)
             self._take(slot, message)
         elif verdict is Verdict.NEW_ROSTER and self._takes_up(header):
@@ -250,6 +263,21 @@ class Engine:
             self._effects.refused(header, verdict)
         elif ACTIONS[verdict] is Action.HOLD:
             self._hold(message, verdict)
+
+    def go_back_to(self, attempt: int) -> None:
+        """Have the state after the attempt of the last epoch that counts, where somebody has had another one done.
+
+        Raises:
+            ContradictionError: this process has not done the one that counts.
+        """
+        if attempt == self.attempt:
+            return
+        if attempt not in self._superseded:
+            what = f"it has done attempt {self.attempt} of epoch {self.epoch}, and attempt {attempt} counts"
+            raise ContradictionError(f"{self.name}: {what}: somebody else speaks in the name of a node below it")
+        self.attempt = attempt
+        self._state, self._encoded_now = self._superseded[attempt]
+        self._effects.save(self.epoch, attempt, self._encoded_start, self._encoded_now)
 
     def judge(self, header: Header) -> Verdict:
         """What a message with this header is to the node now."""
@@ -356,16 +384,19 @@ class Engine:
         """An epoch begins: the last one was committed."""
         if self._fresh:  # a process without a checkpoint has never taken part in an epoch: its start is the initial one
             self._fresh = False
-            self._effects.save(epoch - 1, 0, self._encoded_now, self._encoded_now)
+            self._effects.save(epoch - 1, self._after, self._encoded_now, self._encoded_now)
         self._joins = False
         self._heard_before, self._told_before = self._heard, self._told
         self._start = self._state
         self._encoded_start = self._encoded_now
         self.epoch = epoch
+        self._superseded.clear()
         self._restart(attempt)
 
     def _undo(self, attempt: int) -> None:
-        """The epoch is done again, from its start."""
+        """The epoch is done again, from its start; nobody but the world knows yet which attempt will count."""
+        if self.phase is Phase.DONE and len(self._superseded) < KEPT_ATTEMPTS:
+            self._superseded[self.attempt] = (self._state, self._encoded_now)
         self._state = self._start
         self._encoded_now = self._encoded_start
         self._restart(attempt)
@@ -521,7 +552,7 @@ class Engine:
         header = Header(
             kind, self.name, receiver, self.epoch, self.attempt, wiring.roster, wiring.instance, self.time_s, digest
         )
-        if self._extends:
+        if self._after or self._extends:
             header = header._replace(extensions=self._extensions(kind))
         message = Message(header, elements)
         self._sent[receiver, kind] = message
@@ -531,7 +562,7 @@ class Engine:
 
     def _extensions(self, kind: str) -> Mapping[str, Value]:
         """What a message's header says beside its fields."""
-        return NO_EXTENSIONS
+        return {AFTER: self._after} if self._after and kind == OBSERVATIONS else NO_EXTENSIONS
 
     def _called(self, call: Call, result: Value) -> None:
         """Where somebody watches, or it is looked at whether operators leave alone what they are given."""
@@ -554,6 +585,12 @@ class Engine:
         except SchemaError as error:
             operator = "take_over" if self.epoch else "initial_belief"
             raise OperatorError(self.name, operator, self.epoch, f"its belief: {error}") from error
+
+
+def _attempt_before(header: Header) -> int:
+    """Which attempt of the epoch before counts, by observations."""
+    counts = header.extensions.get(AFTER, 0)
+    return counts if type(counts) is int else 0
 
 
 def _union(inbox: Mapping[Slot, Message], senders: Sequence[str], kind: str) -> Elements:

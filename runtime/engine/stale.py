@@ -284,5 +284,9 @@ class StaleEngine(Engine):
     def _said(self, message: Message) -> bytes:
         return super()._said(message) + bytes([DRAIN in message.header.extensions])
 
+    def go_back_to(self, attempt: int) -> None:
+        """Epochs overlap: a node may be done with one that is begun again."""
+        return
+
     def _extensions(self, kind: str) -> Mapping[str, Value]:
         return {DRAIN: True} if self.drains and kind == OBSERVATIONS else {}

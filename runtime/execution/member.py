@@ -420,6 +420,7 @@ class Member(Host):
         if engine is None:
             return
         if engine.epoch == order.epoch and engine.phase is Phase.DONE:
+            engine.go_back_to(order.attempt)
             self._report(State(self.name, order.version, engine.encoded))
         elif engine.epoch == order.epoch + 1:
             self._report(State(self.name, order.version, engine.encoded_start))

@@ -167,6 +167,7 @@ class _Trial:
         before: the roster before it.
         loader: of what was replaced.
         start: the state that it had.
+        attempt: of the last epoch that it has done.
         alone: whether it fails alone.
     """
 
@@ -174,6 +175,7 @@ class _Trial:
     before: Roster
     loader: NodeLoader
     start: ActiveNode
+    attempt: int
     alone: bool
 
 
@@ -284,8 +286,9 @@ class _Nodes(Host):
             if isinstance(change, Detach) and change.name in self._failed and change.name not in self._roster.nodes:
                 continue
             if isinstance(change, Replace) and change.name in self.runners:
-                name, start = change.name, self.runners[change.name].engine.state
-                self._trials[name] = _Trial(epoch, self._roster, self._loaders[name], start, name in self._alone)
+                name, engine = change.name, self.runners[change.name].engine
+                was = (self._loaders[name], engine.state, engine.attempt)
+                self._trials[name] = _Trial(epoch, self._roster, *was, name in self._alone)
             self._alone = (self._alone - new_nodes(change).keys()) | alone
             self._apply(epoch, change)
 
@@ -355,7 +358,7 @@ class _Nodes(Host):
                 state = taken_over(wiring.node, self.runners[name].engine.encoded)
             except HieraxError as error:
                 raise ChangeError(f"cannot replace {name!r}: {error}") from error
-            saved = Saved(epoch - 1, 0, state, state)
+            saved = Saved(epoch - 1, self.runners[name].engine.attempt, state, state)
             self._close(name)
         self.runners[name] = self._run_node(name, wiring, saved, again=replaces, joins=saved is None)
 
@@ -365,7 +368,7 @@ class _Nodes(Host):
         self._alone = self._alone - {name} | ({name} if trial.alone else set())
         self._close(name)
         self._loaders[name] = trial.loader
-        saved = Saved(trial.epoch - 1, 0, trial.start, trial.start)
+        saved = Saved(trial.epoch - 1, trial.attempt, trial.start, trial.start)
         self.runners[name] = self._run_node(name, trial.loader.wiring(self._roster), saved, again=True)
 
     def _close(self, name: str) -> None:

@@ -386,7 +386,7 @@ def read_record(slots: Slots) -> tuple[WorldRecord, Saved]:
         _log.warning("record: %s; using that of epoch %d", faults, record.epoch)
         record = _safest(record)
     state = ActiveNode(*decode_state(record.state))
-    return record, Saved(record.epoch - 1, 0, state, state)
+    return record, Saved(record.epoch - 1, record.last_attempt, state, state)
 
 
 def _safest(record: WorldRecord) -> WorldRecord:

@@ -484,6 +484,7 @@ class NodeWorker:
             "actions": report.actions,
             "metrics": dict(report.metrics),
             "epoch": member.runner.engine.epoch,
+            "attempt": member.runner.engine.attempt,
         }
         if pacemaker is not None:
             chain = pacemaker.chain

@@ -327,7 +327,7 @@ class Supervisor:
         world = reports.get(self._deployment.roster.world, {})
         epochs, digest, wall_s, epochs_s = world.get("run", (0, NO_DIGEST, 0.0, ()))  # it was killed before it began
         if self._deployment.staleness.barrier and self._graceful is None:
-            _check_epochs(reports, epochs)
+            _check_epochs(reports, epochs, world.get("attempt", 0))
         nodes = {
             name: NodeReport(said["belief"], said["policy"], said["actions"], said["metrics"])
             for name, said in sorted(reports.items())
@@ -346,13 +346,14 @@ class Supervisor:
         )
 
 
-def _check_epochs(reports: Mapping[str, Mapping[str, Value]], epochs: int) -> None:
-    """Every node ends with the last epoch of the run.
+def _check_epochs(reports: Mapping[str, Mapping[str, Value]], epochs: int, attempt: int) -> None:
+    """Every node ends with the last epoch of the run, and with the attempt of it that counts.
 
     Raises:
         NodeFailedError: one does not; something that it was sent is not from the world.
     """
     for name, said in sorted(reports.items()):
-        if said["epoch"] != epochs:
-            what = f"{name} ends in epoch {said['epoch']}, and the run in epoch {epochs}"
+        if (said["epoch"], said["attempt"]) != (epochs, attempt):
+            ends = f"{name} ends with attempt {said['attempt']} of epoch {said['epoch']}"
+            what = f"{ends}, and the run with attempt {attempt} of epoch {epochs}"
             raise NodeFailedError(f"{what}: somebody else has sent observations in the name of a node below it")

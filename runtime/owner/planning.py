@@ -260,7 +260,7 @@ class Planning(OwnerPart):
                     plan.processes[name], TakeOver(plan.version, epoch, attempt, plan.states[name])
                 )
             else:
-                self._effects.send_order(plan.replaced[name], HandOver(plan.version, epoch))
+                self._effects.send_order(plan.replaced[name], HandOver(plan.version, epoch, attempt))
 
     def _on_ready(self, plan: Plan, word: Ready) -> None:
         if plan.stage is not Stage.PREPARE or plan.processes.get(word.name) != word.process:

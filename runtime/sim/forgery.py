@@ -19,12 +19,13 @@ def forged(kind: str, message: Message) -> list[Message]:
         message: one that was taken in.
 
     Returns:
-        All of the kind that can be made of it; what is foretold is what will be said, as nothing else will.
+        All of the kind that can be made of it; what is foretold is what will be said, and something else.
     """
     header = message.header
     if kind == FORETELL:
         attempt = header.attempt + 1
-        return [Message(header._replace(attempt=attempt), tagged_as_of(message.payload, header.epoch, attempt))]
+        said = tagged_as_of(message.payload, header.epoch, attempt)
+        return [Message(header._replace(attempt=attempt), payload) for payload in (said, (*said, "forged"))]
     if kind == CONTRADICT:
         headers = [header]
     elif header.kind == OBSERVATIONS:

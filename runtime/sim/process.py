@@ -291,7 +291,8 @@ class SimProcess(Host):
         if not self.forges or ACTIONS[verdict] is not Action.TAKE:
             return
         kind, self.forges = self.forges, ""
-        for other in forged(kind, message):
+        others = forged(kind, message)
+        for other in [self._rng.choice(others)] if kind == FORETELL else others:
             self._around.clock.schedule(self._rng.uniform(0.0, FORGED_S), self.take, "forged", (kind, other))
 
     def _step_forged(self, runner: NodeRunner, kind: str, message: Message) -> None:

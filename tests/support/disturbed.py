@@ -386,7 +386,8 @@ class Network:
             return
         epoch, attempt, state = self._record
         self._tentative = None
-        self._sites[name] = self._site(name, Saved(epoch - 1, 0, state, state))
+        counts = self.epochs[epoch - 2].attempt if epoch > 1 else 0
+        self._sites[name] = self._site(name, Saved(epoch - 1, counts, state, state))
         self._begin(epoch, attempt + 1)
 
     def _prepare(self, hierarchy: Hierarchy) -> int:

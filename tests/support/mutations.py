@@ -317,6 +317,13 @@ def last_message_said_again() -> Iterator[None]:
         yield
 
 
+@contextmanager
+def attempt_kept_that_does_not_count() -> Iterator[None]:
+    """Who has done an attempt that nobody has begun goes on from there."""
+    with patch.object(Engine, "go_back_to", lambda self, attempt: None):
+        yield
+
+
 MUTATIONS = {
     **owner_mutations.MUTATIONS,
     "stale attempt accepted": stale_attempt_accepted,
@@ -334,6 +341,7 @@ MUTATIONS = {
     "attempt number reused": attempt_reused,
     "version number reused": version_reused,
     "commit told before it is recorded": commit_not_recorded,
+    "attempt kept that does not count": attempt_kept_that_does_not_count,
     "one end of a mended link says again": one_end_says_again,
     "one message of a mended link said again": last_message_said_again,
 }

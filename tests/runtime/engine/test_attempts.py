@@ -7,8 +7,10 @@ from support.engines import EPOCH, Solo, encoded, message, other, wiring
 from support.hierarchies import mark
 from support.recording import Completed, Kept, Sent, of, plain, sent, steps
 
+from hierax.runtime.core.errors import ContradictionError
 from hierax.runtime.core.process import ActiveNode
 from hierax.runtime.engine.effects import Saved
+from hierax.runtime.engine.engine import AFTER
 from hierax.runtime.engine.table import Phase, Verdict
 from hierax.schemas.messages import CONTEXT, OBSERVATIONS, TASKS
 
@@ -31,10 +33,31 @@ def test_the_next_epoch_begins_with_any_attempt_of_it(attempt: int) -> None:
     solo = Solo()
     solo.epoch(1, attempt=2)
     done = solo.engine.state
-    solo.take(message(OBSERVATIONS, 2, attempt=attempt))
+    up = [each.header for each in sent(solo.take(message(OBSERVATIONS, 2, attempt=attempt, extensions={AFTER: 2})))]
     assert (solo.engine.epoch, solo.engine.attempt, solo.engine.phase) == (2, attempt, Phase.PREDICT)
     assert solo.engine.start is solo.engine.state is done
+    assert [header.extensions for header in up if header.kind == OBSERVATIONS] == [{AFTER: 2}]
     assert [step.epoch for step in steps(solo.take(*(message(kind, 2, attempt=attempt) for kind in EPOCH[1:])))] == [2]
+
+
+@pytest.mark.parametrize("says", [{}, {AFTER: 1}, {AFTER: "x"}])
+def test_an_attempt_that_nobody_has_begun_is_noticed_when_another_one_counts(says: dict[str, object]) -> None:
+    solo = Solo()
+    solo.take(message(OBSERVATIONS, 1))
+    solo.take(message(OBSERVATIONS, 1, "forged", attempt=2), *(message(kind, 1, attempt=2) for kind in EPOCH[1:]))
+    with pytest.raises(ContradictionError, match=r"it has done attempt 2 of epoch 1, and attempt [01] counts"):
+        solo.take(message(OBSERVATIONS, 2, extensions=says))
+
+
+def test_an_attempt_that_nobody_has_begun_is_undone_when_the_one_before_counts() -> None:
+    plain_solo, solo = mixing(), mixing()
+    for each in (plain_solo, solo):
+        each.epoch(1)
+    solo.take(message(OBSERVATIONS, 1, "forged", attempt=2), *(message(kind, 1, attempt=2) for kind in EPOCH[1:]))
+    assert solo.engine.encoded != plain_solo.engine.encoded
+    (kept,) = of(Kept, solo.take(message(OBSERVATIONS, 2)))
+    assert (kept.epoch, kept.attempt, kept.now) == (1, 0, plain_solo.engine.encoded)
+    assert solo.engine.encoded_start == plain_solo.engine.encoded
 
 
 def test_the_next_epoch_is_none_before_this_one_is_done() -> None:
@@ -161,7 +184,7 @@ def test_a_node_goes_on_where_it_was_saved() -> None:
 def test_who_has_finished_an_epoch_can_do_it_again_or_the_next_one(change: dict[str, int], start: str) -> None:
     solo = saved_solo()
     policy = {"start": "p1", "now": "p2"}[start]
-    solo.take(message(OBSERVATIONS, **change))
+    solo.take(message(OBSERVATIONS, **change, extensions={AFTER: 2} if change["epoch"] == 5 else {}))
     assert encoded(solo.engine.start) == encoded(state(start, policy))
     (kept,) = of(Kept, solo.take(message(TASKS, **change), message(CONTEXT, **change)))
     assert (kept.epoch, kept.attempt) == (change["epoch"], change.get("attempt", 0))

@@ -10,7 +10,7 @@ from support.recording import Acted, Completed, Kept, Recorder, Sent, of, sent, 
 
 from hierax.runtime.core.process import ActiveNode
 from hierax.runtime.engine.effects import Called, Committed
-from hierax.runtime.engine.engine import Engine
+from hierax.runtime.engine.engine import AFTER, Engine
 from hierax.runtime.engine.table import Phase
 from hierax.schemas.messages import CONTEXT, OBSERVATIONS, TASKS, encode_message
 from hierax.schemas.values import decode_value, encode_value
@@ -126,7 +126,7 @@ def test_what_is_kept_is_the_state_at_the_start_and_now() -> None:
     solo = mixing()
     states = [solo.engine.encoded]
     for epoch, attempt in ((1, 0), (2, 1), (2, 2), (3, 0)):
-        kept = of(Kept, solo.epoch(epoch, attempt=attempt))[-1]
+        kept = of(Kept, solo.epoch(epoch, attempt=attempt, extensions={AFTER: 2} if epoch == 3 else {}))[-1]
         assert (kept.epoch, kept.attempt) == (epoch, attempt)
         assert kept.start == states[epoch - 1]
         assert ActiveNode(*decode_value(kept.now)).policy == solo.engine.state.policy

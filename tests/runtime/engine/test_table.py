@@ -21,7 +21,7 @@ from hierax.runtime.core.digest import DigestChain
 from hierax.runtime.core.errors import ContradictionError, OperatorError
 from hierax.runtime.engine import table
 from hierax.runtime.engine.effects import Committed
-from hierax.runtime.engine.engine import Engine
+from hierax.runtime.engine.engine import AFTER, Engine
 from hierax.runtime.engine.table import (
     ACTIONS,
     ATTEMPTS_AHEAD,
@@ -392,6 +392,14 @@ class ByTable(Engine):
         self._receive_by_table(message)
 
 
+def _taken(solo: Solo, each: Message) -> str:
+    """What an engine makes of a message; as text, as states have arrays in them."""
+    try:
+        return repr(solo.take(each))
+    except ContradictionError as error:  # it was held until another attempt counted
+        return str(error)
+
+
 @settings(max_examples=150)
 @given(seed=st.integers(0, 2**32))
 def test_the_quick_way_is_the_tables(seed: int) -> None:
@@ -409,6 +417,7 @@ def test_the_quick_way_is_the_tables(seed: int) -> None:
             change[field] = wrong[field]
         if epoch < 0 or change["attempt"] < 0:
             continue
-        each = make(rng.choice(EPOCH), epoch, **change)
-        assert repr(quick.take(each)) == repr(slow.take(each))  # states have arrays in them
+        each = make(rng.choice(EPOCH), epoch, **change, extensions={AFTER: quick.engine.attempt})
+        taken = [_taken(solo, each) for solo in (quick, slow)]
+        assert taken[0] == taken[1]
         assert quick.engine.waits_for == slow.engine.waits_for

@@ -123,10 +123,13 @@ def test_a_dismissal_of_a_process_that_is_kept_elsewhere_is_asked_about(live: Li
 
 
 def test_an_attempt_that_nobody_has_begun_is_refused_or_overtaken(live: Live, stranger: Stranger) -> None:
-    """Far ahead it is refused; near by the epoch is begun again, after it: the digests stay as they are."""
-    for attempt in (10**9, 7):
+    """Far ahead it is refused; near by the epoch is begun again, after it, or what was done is undone, as it does not
+    count; the digests stay as they are.
+    """
+    for attempt, forged in ((10**9, ()), (7, ()), (5, ("forged",)), (6, ("forged",))):
         seen = stranger.next(OBSERVATIONS, "low", "high")
-        stranger.send(Message(seen.header._replace(attempt=seen.header.attempt + attempt), seen.payload))
+        payload = (*seen.payload, *forged)
+        stranger.send(Message(seen.header._replace(attempt=seen.header.attempt + attempt), payload))
         stranger.send(Message(seen.header._replace(attempt=attempt, epoch=10**12), seen.payload))
         live.goes_on()
     report = live.ends()

@@ -226,7 +226,7 @@ def replaced() -> Owned:
     owned = begun()
     owned.hear(propose(Replace("high", OTHER)), join("high.2", request="c1"))
     owned.ready(1, "high.2", "low.1", "world.1")
-    assert owned.commit() == [("high.1", HandOver(1, 1)), ("keep", 1)]
+    assert owned.commit() == [("high.1", HandOver(1, 1, 0)), ("keep", 1)]
     return owned
 
 
@@ -346,7 +346,7 @@ def test_nothing_is_replaced_in_the_midst_of_an_epoch() -> None:
     assert calls[0] == ("begin", 1, 1, 1)
     assert "low.2" in prepares(calls), "now its turn has come"
     assert owned.ready(2, "high.2", "low.2", "world.1") == [], "between two epochs"
-    assert owned.commit()[0] == ("low.1", HandOver(2, 1))
+    assert owned.commit()[0] == ("low.1", HandOver(2, 1, 1))
     assert owned.hear(State("low", 2, b"state")) == [("low.2", TakeOver(2, 1, 1, b"state"))], "after attempt 1"
 
 
@@ -356,7 +356,7 @@ def test_a_replace_goes_along_with_a_recovery_when_no_epoch_runs() -> None:
     owned.hear(propose(Replace("low", OTHER)), join("low.2", request="c1"))
     owned.commit()
     assert sorted(prepares(owned.hear(join("high.2", 1)))) == ["high.2", "low.2", "world.1"]
-    assert owned.ready(1, "high.2", "low.2", "world.1") == [("low.1", HandOver(1, 1))]
+    assert owned.ready(1, "high.2", "low.2", "world.1") == [("low.1", HandOver(1, 1, 0))]
 
 
 def test_a_crash_is_a_new_instance_and_a_new_attempt() -> None:
