@@ -33,8 +33,8 @@ class RestartPolicy:
         restart_policy: after which end another process is started: ``never``; ``on-failure``, an exit code other than 0
             or a signal; ``always``.
         max_restarts: how many within the window; the next end of the process is its last. 0: no limit.
-        restart_delay_s: from the end of the process to the first restart within the window; doubled for each further
-            one.
+        restart_delay_s: from the end of the process to a restart, doubled for each one within the window; a node's very
+            first one is at once.
         max_restart_delay_s: what it is doubled up to.
         restart_window_s: restarts before so many seconds count no more; None: all count.
         rejoin_timeout_s: how long the epoch is held for a lost node, back-off included.

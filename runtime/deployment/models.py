@@ -115,7 +115,7 @@ class RestartModel(_Model):
     restart_delay_s: NotNegative = Field(
         default=RestartPolicy.restart_delay_s,
         alias="restart_delay",
-        description="before the first restart; twice as long before each further one within restart_window",
+        description="before a restart, doubled for each one within restart_window; a node's very first one is at once",
     )
     max_restart_delay_s: NotNegative = Field(
         default=RestartPolicy.max_restart_delay_s,

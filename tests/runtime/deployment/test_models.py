@@ -61,6 +61,6 @@ def test_fields_by_path() -> None:
     assert field_names(("nodes",)) == ()
     assert field_names(("nodes", "world", "parameters")) == ()
     assert field_meaning(("world",)) == "which node is the external world"
-    assert field_meaning(("nodes", "world", "restart_delay")).startswith("before the first restart")
+    assert field_meaning(("nodes", "world", "restart_delay")).startswith("before a restart, doubled")
     assert field_meaning(("nodes", "world", "class")).startswith("module:name")
     assert field_meaning(("nodes", "world", "other")) == ""
