@@ -6,7 +6,7 @@ INSTALLED := $(VENV)/.installed
 RUNS := $(VENV)/.runs
 CHECKED := .build/checked
 
-.PHONY: demo test check docs model sim mutations kills changes fuzz rival tutorial interrupts clean test-quick format junk
+.PHONY: demo test check docs sweep model sim mutations kills changes fuzz rival tutorial interrupts clean test-quick format junk
 
 # what runs, recordings included, and what tests need besides: the viewer alone is some hundreds of megabytes
 $(RUNS): pyproject.toml
@@ -35,12 +35,17 @@ format: $(INSTALLED)
 	$(BIN)/ruff check --fix .
 	$(BIN)/ruff format .
 
+# those tests that could go on for ever, with more examples than in the suite (tests/support/sweep.py)
+sweep: $(INSTALLED)
+	HIERAX_SWEEP=1 $(BIN)/python -m pytest --numprocesses 2 tests/model tests/schemas/test_hostile_bytes.py \
+		tests/runtime/engine tests/runtime/sim tests/runtime/launch
+
 # docs/model.md; Debian's spin is installed where it is missing, if root may
 model: $(INSTALLED)
 	@command -v spin > /dev/null || test "$$(id -u)" != 0 || ! command -v apt-get > /dev/null || \
 		{ apt-get update -qq && apt-get install -y -qq spin > /dev/null; }
 	@command -v spin > /dev/null && command -v gcc > /dev/null || { echo "the model needs spin and gcc" >&2; exit 1; }
-	$(BIN)/python -m pytest tests/model
+	HIERAX_SWEEP=1 $(BIN)/python -m pytest tests/model
 
 # docs/simulation.md: 20 000 seeds under simulated faults, some five minutes on two idle cores
 sim: $(INSTALLED)

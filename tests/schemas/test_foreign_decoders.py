@@ -92,7 +92,8 @@ def javascript_library(request: pytest.FixtureRequest, tmp_path_factory: pytest.
     library = prefix / "node_modules" / "@msgpack" / "msgpack"
     if not (library / "package.json").exists():
         prefix.mkdir(parents=True, exist_ok=True)
-        command = [npm, "install", "--prefix", str(prefix), "--no-audit", "--no-fund", NPM_PACKAGE]
+        quickly = ("--fetch-retries=1", "--fetch-retry-mintimeout=1000", "--fetch-timeout=20000")
+        command = [npm, "install", "--prefix", str(prefix), "--no-audit", "--no-fund", *quickly, NPM_PACKAGE]
         done = subprocess.run(command, capture_output=True, text=True, timeout=120, check=False)
         if done.returncode != 0:  # no registry, no certificate, no right to it: not ours to judge
             pytest.skip(f"npm cannot install {NPM_PACKAGE}: {done.stderr.strip()[:300]}")

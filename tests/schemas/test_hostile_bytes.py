@@ -14,6 +14,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from support.golden import encoded
 from support.strategies import messages, randoms, values
+from support.sweep import examples
 from support.tagged import text
 
 from hierax.schemas.errors import SchemaError
@@ -32,7 +33,7 @@ HEADS = (
     *(head + b"\xff\xff" for head in (b"\xc5", b"\xc8", b"\xda", b"\xdc", b"\xde")),
     *(b"\xd6\xff" + bytes(4), b"\xd4\x01\x00", b"\xd5\x02\x00\x00", b"\xc7\x04\xff" + bytes(4)),
 )
-patient = settings(max_examples=80)
+patient = settings(max_examples=examples(25, 80))
 
 
 @pytest.fixture(autouse=True, scope="module")
@@ -118,7 +119,7 @@ def test_mutated_values(value: Any, rng: random.Random) -> None:
 
 @pytest.mark.parametrize("data", VALID, ids=list(encoded()))
 def test_mutated_golden_files(data: bytes) -> None:
-    for seed in range(200):
+    for seed in range(examples(60, 200)):
         rng = random.Random(seed)
         try:
             survives(mutated(rng, data, rng.choice(VALID)))

@@ -10,6 +10,7 @@ from hypothesis import currently_in_test_context, given, note, settings
 from hypothesis import strategies as st
 from support.disturbed import Faults, Network, formal_run
 from support.hierarchies import random_hierarchy
+from support.sweep import examples
 
 from hierax.runtime.core.binding import OperatorSetting
 
@@ -19,8 +20,9 @@ seeds = st.integers(0, 2**32)
 doublings = st.sampled_from([0.0, 0.2, 0.5])
 
 
-def patient(examples: int) -> settings:
-    return settings(max_examples=examples)
+def patient(many: int) -> settings:
+    """So many in a sweep, and a third of them in the suite."""
+    return settings(max_examples=examples(many // 3, many))
 
 
 def check(hierarchy_seed: int, seed: int, faults: Faults, epochs: int = EPOCHS, nodes: int | None = None) -> Network:
