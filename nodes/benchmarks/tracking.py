@@ -14,6 +14,7 @@ import numpy as np
 from hierax.nodes.tracking.datasets.bop import read_results
 from hierax.nodes.tracking.datasets.truth import read_truth
 from hierax.nodes.tracking.evaluation.scoring import ObjectErrors, Score, object_errors, score
+from hierax.nodes.tracking.generator.kinds import IMPRECISE
 from hierax.nodes.tracking.generator.scenes import write_scene
 from hierax.runtime.core.errors import HieraxError
 from hierax.runtime.deployment import Deployment
@@ -202,7 +203,8 @@ def _track(scene: Scene, way: str, settings: Sequence[str], folder: Path) -> _Tr
     poses = folder / f"{scene.name}-{scene.seed}-{way.replace(' ', '-').replace(',', '')}.poses.csv"
     changes = [f"scene={scene.folder}", f"table={str(scene.table).lower()}", f"output={poses}", *WAYS[way], *settings]
     stage_ms = _stages_ms(read_deployment(DEPLOYMENT, changes))
-    return _Tracked(object_errors(read_results(poses), read_truth(scene.truth)), stage_ms)
+    displaced = scene.name == IMPRECISE
+    return _Tracked(object_errors(read_results(poses), read_truth(scene.truth), displaced), stage_ms)
 
 
 def _row(name: str, way: str, tracked: Sequence[_Tracked]) -> Row:

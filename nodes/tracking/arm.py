@@ -11,7 +11,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from hierax.nodes.tracking.display import arm_things
-from hierax.nodes.tracking.errors import check_positive
+from hierax.nodes.tracking.errors import check_between, check_positive
 from hierax.nodes.tracking.estimation.profiles import smoothed
 from hierax.nodes.tracking.estimation.tracked import (
     NO_CONTROLS,
@@ -73,6 +73,8 @@ class ArmNode(Node):
         found_score: a lost object is found again at this score.
         patience: images in a row without support until an object is lost.
         prior: false: an image corrects poses as if nothing were known of them but where to look.
+        model_tolerance_mm: standard deviation of where edges are beside their models', in each axis; None: the first
+            image that shows enough of an object tells.
 
     Raises:
         ValueError: ids are doubled or out of range, a pose is no 4 × 4 matrix, or an option is out of range.
@@ -93,6 +95,7 @@ class ArmNode(Node):
         found_score: float = 0.7,
         patience: int = 10,
         prior: bool = True,
+        model_tolerance_mm: float | None = None,
     ) -> None:
         check_positive(start_m=start_m, start_rad=start_rad, motion_m=motion_m, motion_rad=motion_rad)
         check_positive(camera_m=camera_m, camera_rad=camera_rad, error_px=error_px)
@@ -103,7 +106,11 @@ class ArmNode(Node):
         start = diagonal_covariance(start_m, start_rad)
         self._objects = tuple(first_belief(item, start) for item in objects)
         check_ids(self._objects)
-        self._options = Options(diagonal_covariance(motion_m, motion_rad), error_px, sure_score)
+        if model_tolerance_mm is not None:
+            check_between(0, 10, "millimetres", model_tolerance_mm=model_tolerance_mm)
+        tolerance = None if model_tolerance_mm is None else model_tolerance_mm / 1000.0
+        motion = diagonal_covariance(motion_m, motion_rad)
+        self._options = Options(motion, error_px, sure_score, tolerance=tolerance)
         self._camera = np.diag(1.0 / np.diag(diagonal_covariance(camera_m, camera_rad)))
         self._kept_score = kept_score
         self._found_score = found_score

@@ -144,6 +144,11 @@ class Looks(TypedDict):
     parts: Annotated[NDArray[np.int64], Is(("p",), "int64", "parts of edges, ascending")]
     hits: Annotated[NDArray[np.float32], Is(("p", 2), "float32", "frames found and looked for, older ones fading")]
     encoding: Annotated[Array, Is((2,), "float64", "what it told of light's encoding")]
+    tolerance: float | None  # standard deviation of where edges are beside its model's, m; None: nobody knows yet
+    judged: int  # for how many images more that is not asked again
+    bent: Annotated[NDArray[np.int64], Is(("b",), "int64", "numbers of edges, ascending")]
+    bends: Annotated[Floats, Is(("b", 3), "float64", "m, object's frame")]  # where they are beside the model's
+    slack: Annotated[Floats, Is(("b", 3, 3), "float64", "m², object's frame")]  # covariance of that
 
 
 class TrackedObject(TypedDict):

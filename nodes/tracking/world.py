@@ -52,14 +52,19 @@ def seen(belief: SceneBelief | SimBelief, tick: Tick = NO_TICK) -> tuple[Picture
 
 
 def arm(
-    scene: str | None = None, cubes: int = len(SCENE), method: str = "robust", prior: bool = True, **options: Any
+    scene: str | None = None,
+    cubes: int = len(SCENE),
+    method: str = "robust",
+    prior: bool = True,
+    model_tolerance_mm: float | None = None,
+    **options: Any,
 ) -> ArmNode | PaperArmNode:
     """The arm node with the objects' first poses and nothing of their shapes.
 
     Args:
         scene, cubes: as for `world`.
         method: how images correct poses: ``robust`` or, by line segments and solvePnP, ``paper``.
-        prior: false: what was predicted of a pose does not count, where the method would have it count.
+        prior, model_tolerance_mm: as for `ArmNode`, where the method has them.
         options: further ones of `ArmNode` or `PaperArmNode`.
 
     Raises:
@@ -68,7 +73,7 @@ def arm(
     if method not in _ARMS:
         raise ValueError(f"method is {method!r}; expected one of {', '.join(_ARMS)}")
     if method == "robust":
-        options["prior"] = prior
+        options |= {"prior": prior, "model_tolerance_mm": model_tolerance_mm}
     return _ARMS[method](_first_objects(scene, cubes)[0], **options)
 
 

@@ -20,6 +20,7 @@ from hierax.nodes.tracking.estimation.stages import (
     STRANGE_WEIGHT,
     Matches,
     Search,
+    Seen,
     Stage,
     chosen_near,
     normal_equations,
@@ -65,6 +66,7 @@ class Aligned(NamedTuple):
     told: Floats
     stage: Stage  # the last one
     matches: Matches  # there
+    off: Floats  # (n,) of each line, how far its edge is off as a whole, pixels along its normal
     supported: NDArray[np.bool_]  # (n,) of each line, whether its hypothesis supports the pose
 
 
@@ -74,6 +76,10 @@ class _State(NamedTuple):
     poses: Floats
     shift: Floats
     own: Floats
+    off: Floats  # (n,) of each control point, how far its edge is off as a whole, pixels along its normal
+
+    def seen(self, stage: Stage, intrinsics: Array) -> Seen:
+        return seen_from(self.poses, stage, self.off[stage.lines.rows], intrinsics)
 
 
 def align(
@@ -88,12 +94,15 @@ def align(
     Returns:
         The corrected poses; None where no control point is in the image.
     """
-    state = _State(start.poses, np.eye(4), np.broadcast_to(np.eye(4), start.poses.shape))
+    whole = np.broadcast_to(np.eye(4), start.poses.shape)
+    state = _State(start.poses, np.eye(4), whole, np.zeros(len(controls.owners)))
     stage: Stage | None = None
     for reach, scales in zip(search.reach_px, search.scale_px, strict=True):
         stage = read_stage(image, controls, state.poses, intrinsics, memory, reach, search)
         if stage is None:
             return None
+        if search.voted:
+            state = _voted(state, stage, search, intrinsics)
         for scale in np.linspace(*scales, search.iterations):
             state = _step(state, start, stage, scale, intrinsics, search)
     assert stage is not None
@@ -103,9 +112,27 @@ def align(
     return _judged(state, start, stage, ends, intrinsics, search)
 
 
+def _voted(state: _State, stage: Stage, search: Search, intrinsics: Array) -> _State:
+    """Each edge where most of its control points have a peak at the same distance, the nearer ones rather."""
+    reach = (stage.profiles.places.shape[1] - 1) // 2
+    seen = state.seen(stage, intrinsics)
+    votes = np.zeros((len(stage.spread), 4 * reach + 1))
+    away = stage.profiles.places - seen.moved[:, None]
+    rows, columns = np.nonzero(np.abs(away) < reach)
+    weight = stage.controls.visible[rows] * np.exp(-STRANGE_WEIGHT * stage.strange[rows, columns])
+    np.add.at(votes, (stage.edges[rows], np.rint(2.0 * (away[rows, columns] + reach)).astype(np.intp)), weight)
+    for _ in range(2):  # peaks are a pixel wide
+        votes = np.apply_along_axis(np.convolve, 1, votes, (0.5, 1.0, 0.5), "same")
+    places = np.linspace(-reach, reach, votes.shape[1])
+    best = places[(votes * (1.0 - (places / (1.5 * reach)) ** 2)).argmax(axis=1)]
+    off = state.off.copy()
+    off[stage.lines.rows] = np.where(stage.loose, best, 0.0)[stage.edges]
+    return state._replace(off=off)
+
+
 def _fine_scale(state: _State, stage: Stage, intrinsics: Array, search: Search) -> Floats:
     """(n,) where Tukey's weight ends for each control point in the end, by how far its object's residuals spread."""
-    seen = seen_from(state.poses, stage.controls, stage.lines, intrinsics)
+    seen = state.seen(stage, intrinsics)
     sizes = np.abs(chosen_near(seen, stage, search.support_px).pixels)
     scales = np.full(len(state.poses), search.fine_px[1])
     for at, view in enumerate(views_of(stage.controls.owners, len(scales))):
@@ -120,7 +147,7 @@ def offsets_at(aligned: Aligned, poses: Floats, intrinsics: Array) -> Floats:
     """(n,) of each line the pixels along the normal from where other poses, near by, put it to its hypothesis."""
     stage = aligned.stage
     places = stage.profiles.places[np.arange(len(stage.numbers)), aligned.matches.columns]
-    offsets: Floats = places.astype(np.float64) - seen_from(poses, stage.controls, stage.lines, intrinsics).moved
+    offsets: Floats = places.astype(np.float64) - seen_from(poses, stage, aligned.off, intrinsics).moved
     return offsets
 
 
@@ -128,42 +155,50 @@ def _step(
     state: _State, start: Start, stage: Stage, scale: Floats | float, intrinsics: Array, search: Search
 ) -> _State:
     """One Gauss-Newton step of all objects and the camera."""
-    seen = seen_from(state.poses, stage.controls, stage.lines, intrinsics)
+    seen = state.seen(stage, intrinsics)
     matches = chosen_near(seen, stage, scale)
     weights = weights_of(stage, matches, scale, search)
-    blocks, gradients = normal_equations(state.poses, stage, seen, matches.pixels, weights, intrinsics)
+    said = normal_equations(state.poses, stage, seen, matches, weights, intrinsics)
+    blocks, gradients = said.blocks, said.gradients
     twists = log_many(np.concatenate((state.shift[None], state.own)))
     shift, own = twists[0], twists[1:]
     count = len(start.poses)
     information = blocks[:, 6:, 6:] + start.information
     slope = gradients[:, 6:] + (start.information @ own[:, :, None])[..., 0]
+    steps = np.zeros((count + 1, 6))
     if start.camera is None:
-        steps = -solved(information, slope[..., None])[..., 0]
-        moved = exp_many(steps)
-        return _State(state.poses @ moved, state.shift, state.own @ moved)
-    size = 6 * (count + 1)
-    whole = np.zeros((size, size))
-    right = np.zeros(size)
-    whole[:6, :6] = blocks[:, :6, :6].sum(axis=0) + start.camera
-    right[:6] = gradients[:, :6].sum(axis=0) + start.camera @ shift
-    for at in range(count):
-        view = slice(6 * at + 6, 6 * at + 12)
-        whole[view, view] = information[at]
-        whole[:6, view] = blocks[at, :6, 6:]
-        whole[view, :6] = blocks[at, 6:, :6]
-        right[view] = slope[at]
-    moved = exp_many(-solved(whole, right).reshape(count + 1, 6))
-    return _State(moved[0] @ state.poses @ moved[1:], moved[0] @ state.shift, state.own @ moved[1:])
+        steps[1:] = -solved(information, slope[..., None])[..., 0]
+    else:
+        size = 6 * (count + 1)
+        whole = np.zeros((size, size))
+        right = np.zeros(size)
+        whole[:6, :6] = blocks[:, :6, :6].sum(axis=0) + start.camera
+        right[:6] = gradients[:, :6].sum(axis=0) + start.camera @ shift
+        for at in range(count):
+            view = slice(6 * at + 6, 6 * at + 12)
+            whole[view, view] = information[at]
+            whole[:6, view] = blocks[at, :6, 6:]
+            whole[view, :6] = blocks[at, 6:, :6]
+            right[view] = slope[at]
+        steps = -solved(whole, right).reshape(count + 1, 6)
+    off = state.off.copy()
+    of_edges = seen.off[np.searchsorted(stage.edges, np.arange(len(stage.spread)))]
+    found = said.off(np.concatenate((np.broadcast_to(steps[0], (count, 6)), steps[1:]), axis=1))
+    of_edges[said.edges] = np.where(stage.loose[said.edges], found, 0.0)
+    off[stage.lines.rows] = of_edges[stage.edges]
+    moved = exp_many(steps)
+    return _State(moved[0] @ state.poses @ moved[1:], moved[0] @ state.shift, state.own @ moved[1:], off)
 
 
 def _judged(state: _State, start: Start, stage: Stage, scale: Floats, intrinsics: Array, search: Search) -> Aligned:
     """The poses with their information and scores."""
-    seen = seen_from(state.poses, stage.controls, stage.lines, intrinsics)
+    seen = state.seen(stage, intrinsics)
     matches = chosen_near(seen, stage, search.support_px)
     supported = (np.abs(matches.pixels) < search.support_px) & (matches.strange < _STRANGE)
     weights = weights_of(stage, matches, scale, search)
     moved = -stage.contrasts[np.arange(len(weights)), matches.columns].astype(np.float64)
-    blocks, slopes = normal_equations(state.poses, stage, seen, matches.pixels, weights, intrinsics, moved)
+    said = normal_equations(state.poses, stage, seen, matches, weights, intrinsics, moved)
+    blocks, slopes = said.blocks, said.gradients
     tone = Tone(blocks[:, 12, :12], blocks[:, 12, 12], slopes[:, 12])
     blocks, slopes = blocks[:, :12, :12], slopes[:, :12]
     owners, count = stage.controls.owners, len(start.poses)
@@ -186,6 +221,7 @@ def _judged(state: _State, start: Start, stage: Stage, scale: Floats, intrinsics
         told_by(tone, blocks, slopes),
         stage,
         matches,
+        seen.off,
         supported,
     )
 

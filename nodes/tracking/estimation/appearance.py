@@ -27,6 +27,11 @@ NOTHING: Looks = {
     "parts": np.zeros(0, dtype=np.int64),
     "hits": np.zeros((0, 2), dtype=np.float32),
     "encoding": UNTOLD,
+    "tolerance": None,
+    "judged": 0,
+    "bent": np.zeros(0, dtype=np.int64),
+    "bends": np.zeros((0, 3)),
+    "slack": np.zeros((0, 3, 3)),
 }
 
 _LEAST_SPREAD = 64.0  # variance of a colour that never changed: noise and the softness of the reading, grey levels²
@@ -50,6 +55,8 @@ class Memory(NamedTuple):
     apart: Singles  # (n,) 0 to 1, how far the edge stands alone, see `hierax.nodes.tracking.estimation.crowding`
     # (n,) how far light's encoding moves edges, the same for all; see `hierax.nodes.tracking.estimation.gamma_bias`
     factor: Singles
+    # (n, 3, 3) covariance of where its edge is beside the model's, m², see `hierax.nodes.tracking.estimation.bending`
+    slack: Floats
 
 
 def recalled(objects: list[Looks], controls: Controls, channels: int) -> Memory:
@@ -71,7 +78,8 @@ def recalled(objects: list[Looks], controls: Controls, channels: int) -> Memory:
         known[:, 1] &= creases[view]
         colours[view] = slots["colours"][place]
         precision[view] = np.where(known, 1.0 / (_LEAST_SPREAD + slots["spread"][place]), 0.0)
-    return Memory(colours, precision, trust, np.ones(count, dtype=np.float32), np.zeros(count, dtype=np.float32))
+    ones, zeros = np.ones(count, dtype=np.float32), np.zeros(count, dtype=np.float32)
+    return Memory(colours, precision, trust, ones, zeros, np.zeros((count, 3, 3)))
 
 
 def _trust(slots: Looks, parts: NDArray[np.int64]) -> Singles:
@@ -123,8 +131,9 @@ def sought(slots: Looks, parts: NDArray[np.int64], found: NDArray[np.bool_]) -> 
 
 
 def only_found(slots: Looks) -> Looks:
-    """What is remembered of an object in another light: which parts of its edges are found."""
-    return {**NOTHING, "parts": slots["parts"], "hits": slots["hits"]}
+    """What is remembered of an object in another light: where its edges are, and which parts of them are found."""
+    model: Looks = {**NOTHING, "tolerance": slots["tolerance"], "bent": slots["bent"]}
+    return {**model, "bends": slots["bends"], "slack": slots["slack"], "parts": slots["parts"], "hits": slots["hits"]}
 
 
 def measured(slots: Looks, edges: NDArray[np.int64], offsets: Floats) -> Looks:

@@ -10,6 +10,7 @@ import numpy as np
 from hierax.nodes.tracking.estimation import gamma_bias
 from hierax.nodes.tracking.estimation.alignment import Aligned, Start, align
 from hierax.nodes.tracking.estimation.appearance import Memory, only_found, recalled
+from hierax.nodes.tracking.estimation.bending import slack_of
 from hierax.nodes.tracking.estimation.crowding import apartness
 from hierax.nodes.tracking.estimation.fusion import Fused, Prior, fuse
 from hierax.nodes.tracking.estimation.profiles import Image
@@ -76,6 +77,7 @@ def task_of(image: Image, objects: Sequence[TrackedObject], prior: Prior, intrin
     memory = memory._replace(
         factor=np.full(len(controls.owners), factor[0], dtype=np.float32),
         apart=apartness(controls, predicted, intrinsics).astype(np.float32),
+        slack=slack_of([item["slots"] for item in objects], controls),
     )
     free = prior._replace(motion_scale=np.maximum(prior.motion_scale, _LEAST_FREEDOM))
     calm = float(free.motion_scale.max()) <= _LEAST_FREEDOM and float(prior.covariance[:, :3, :3].max()) < _SETTLED_M**2

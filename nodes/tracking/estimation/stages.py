@@ -6,6 +6,7 @@ from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from hierax.nodes.tracking.estimation.appearance import Memory, strangeness
 from hierax.nodes.tracking.estimation.gamma_bias import contrasts
@@ -39,6 +40,9 @@ class Search(NamedTuple):
     noise_px: float = 1.5
     blur_power: float = 4.0  # how strongly blurred peaks lose weight
     support_px: float = 1.5  # how near a hypothesis must be in the end to support a control point
+    # whether each edge as a whole is looked for first: so far beside the model's it may be that none of its control
+    # points is near
+    voted: bool = False
 
 
 class Stage(NamedTuple):
@@ -51,6 +55,9 @@ class Stage(NamedTuple):
     numbers: Indices  # (n,) of the edges, different for different objects
     controls: Controls  # of the lines
     memory: Memory  # beside them
+    edges: Indices  # (n,) on which of the edges that are seen each line is, from 0 on
+    spread: Floats  # of each of those, the standard deviation of how far it is off as a whole, pixels
+    loose: NDArray[np.bool_]  # and whether its object's model is imprecise: then it is matched where it is found to be
 
 
 class Seen(NamedTuple):
@@ -58,6 +65,24 @@ class Seen(NamedTuple):
 
     points: Floats
     moved: Floats
+    off: Floats  # (n,) how far the edge of each is off as a whole besides, pixels along the normal
+
+
+class Equations(NamedTuple):
+    """What control points say of twists, when how far each edge is off as a whole is solved for at once."""
+
+    blocks: Floats  # (m, 12, 12), or (m, 13, 13): of each object's, over (camera, own) twists
+    gradients: Floats  # (m, 12), or (m, 13)
+    edges: Indices  # (e,) numbers of the edges as `Stage.edges` has them; of each its owner, and what says how far
+    owners: Indices
+    shared: Floats  # (e, 12)
+    pulls: Floats  # (e,)
+    wholes: Floats  # (e,)
+
+    def off(self, twists: Floats) -> Floats:
+        """(e,) pixels by which each edge is off as a whole after (camera, own) twists (m, 12)."""
+        found: Floats = -(self.pulls + np.einsum("ek,ek->e", self.shared, twists[self.owners])) / self.wholes
+        return found
 
 
 class Matches(NamedTuple):
@@ -78,17 +103,42 @@ def read_stage(
     profiles = read_profiles(image, lines, numbers, reach, search.contrast)
     strange, contrast = strangeness(memory, profiles), contrasts(profiles)
     profiles = profiles._replace(places=profiles.places + memory.factor[:, None] * contrast)
-    return Stage(lines, profiles, strange, contrast, numbers, only(controls, lines.rows), memory)
+    shown = only(controls, lines.rows)
+    edges = np.cumsum(np.diff(numbers, prepend=numbers[0]) != 0)
+    spread = _spread(shown, poses, lines, memory, edges, intrinsics)
+    loose = np.bincount(edges, weights=memory.slack[:, 0, 0]) > 0.0
+    return Stage(lines, profiles, strange, contrast, numbers, shown, memory, edges, spread, loose)
 
 
-def seen_from(poses: Floats, controls: Controls, lines: Lines, intrinsics: Array) -> Seen:
-    points = placed(poses, controls.owners, controls.points)
-    return Seen(points, np.einsum("nk,nk->n", pixels_of(points, intrinsics) - lines.pixels, lines.normals))
+def _spread(
+    controls: Controls, poses: Floats, lines: Lines, memory: Memory, edges: Indices, intrinsics: Array
+) -> Floats:
+    """Of each edge the standard deviation of how far it is off as a whole, by its kind and by what is not known of the
+    object's model, pixels."""
+    variance = np.where(controls.kinds == CREASE, _CREASE_PX, _OUTLINE_PX) ** 2
+    loose = np.nonzero(memory.slack.any(axis=(1, 2)))[0]
+    if len(loose):
+        moves = moves_of(poses, controls, lines, loose, intrinsics)
+        variance[loose] += np.einsum("ni,nij,nj->n", moves, memory.slack[loose], moves)
+    spread: Floats = np.sqrt(np.bincount(edges, weights=variance) / np.bincount(edges))
+    return spread
+
+
+def moves_of(poses: Floats, controls: Controls, lines: Lines, rows: Indices, intrinsics: Array) -> Floats:
+    """(n, 3) pixels along the normal for every metre in the object's frame, of some lines."""
+    points, owners = controls.points[rows], controls.owners[rows]
+    return _jacobian(poses, points, owners, lines.normals[rows], placed(poses, owners, points), intrinsics)[:, 6:9]
+
+
+def seen_from(poses: Floats, stage: Stage, off: Floats, intrinsics: Array) -> Seen:
+    points = placed(poses, stage.controls.owners, stage.controls.points)
+    moved = np.einsum("nk,nk->n", pixels_of(points, intrinsics) - stage.lines.pixels, stage.lines.normals)
+    return Seen(points, moved, off)
 
 
 def chosen_near(seen: Seen, stage: Stage, scale: Floats | float) -> Matches:
     """Of each line the hypothesis that is near, as `scale` (pixels) has it, and not strange."""
-    off = stage.profiles.places - seen.moved.astype(np.float32)[:, None]
+    off = stage.profiles.places - (seen.moved + seen.off).astype(np.float32)[:, None]
     scales = np.broadcast_to(scale, seen.moved.shape)
     cost = off * off * (1.0 / (scales * scales)).astype(np.float32)[:, None]
     columns = (cost + np.float32(STRANGE_WEIGHT) * stage.strange).argmin(axis=1)
@@ -132,37 +182,40 @@ def normal_equations(
     poses: Floats,
     stage: Stage,
     seen: Seen,
-    residuals: Floats,
+    matches: Matches,
     weights: Floats,
     intrinsics: Array,
     further: Floats | None = None,
-) -> tuple[Floats, Floats]:
-    """Of each object the (12, 12) matrix and the (12,) gradient over (camera, own) twists.
+) -> Equations:
+    """What weighted control points say of poses.
 
-    With `further`, (n,) how one more unknown, common to all, moves residuals, (13, 13) and (13,).
+    With `further`, (n,) how one more unknown, common to all, moves residuals, that is one more column.
     """
     used, count = weights > 0, len(poses)
     points, owners = stage.controls.points[used], stage.controls.owners[used]
+    residuals, weights = (matches.pixels - seen.off)[used], weights[used]
     jacobian = _jacobian(poses, points, owners, stage.lines.normals[used], seen.points[used], intrinsics)
     if further is not None:
         jacobian = np.concatenate((jacobian, further[used, None]), axis=1)
-    weighted = jacobian * weights[used, None]
+    weighted = jacobian * weights[:, None]
     blocks, gradients = np.zeros((count, *jacobian.shape[1:] * 2)), np.zeros((count, jacobian.shape[1]))
     for at, view in enumerate(views_of(owners, count)):
         blocks[at] = jacobian[view].T @ weighted[view]
-        gradients[at] = weighted[view].T @ residuals[used][view]
-    if len(owners):
-        # How far an edge is off as a whole is one more unknown of each edge, solved for at once.
-        starts = np.nonzero(np.diff(stage.numbers[used], prepend=-1))[0]
-        shared = np.add.reduceat(weighted, starts)
-        own = np.add.reduceat(weights[used] * residuals[used], starts)
-        spread = np.where(stage.controls.kinds[used][starts] == CREASE, _CREASE_PX, _OUTLINE_PX)
-        whole = np.add.reduceat(weights[used], starts) + 1.0 / spread**2
-        scaled = shared / whole[:, None]
-        for at, view in enumerate(views_of(owners[starts], count)):
-            blocks[at] -= shared[view].T @ scaled[view]
-            gradients[at] -= scaled[view].T @ own[view]
-    return blocks, gradients
+        gradients[at] = weighted[view].T @ residuals[view]
+    if not len(owners):
+        none = np.zeros(0, dtype=np.intp)
+        return Equations(blocks, gradients, none, none, np.zeros((0, 12)), np.zeros(0), np.zeros(0))
+    edges = stage.edges[used]
+    starts = np.nonzero(np.diff(edges, prepend=-1))[0]
+    edges, owners = edges[starts], owners[starts]
+    shared = np.add.reduceat(weighted, starts)
+    pulls = np.add.reduceat(weights * residuals, starts)
+    wholes = np.add.reduceat(weights, starts) + 1.0 / stage.spread[edges] ** 2
+    scaled = shared / wholes[:, None]
+    for at, view in enumerate(views_of(owners, count)):
+        blocks[at] -= shared[view].T @ scaled[view]
+        gradients[at] -= scaled[view].T @ pulls[view]
+    return Equations(blocks, gradients, edges, owners, shared[:, :12], pulls, wholes)
 
 
 def _jacobian(

@@ -7,6 +7,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from hierax.nodes.tracking.estimation.appearance import NOTHING
+from hierax.nodes.tracking.estimation.bending import bent
 from hierax.nodes.tracking.math.batched import invert_many, log_many
 from hierax.nodes.tracking.math.geometry import NO_POSES, Floats, invert
 from hierax.nodes.tracking.schema import (
@@ -120,7 +121,7 @@ def imagined(item: TrackedObject, expected: ExpectedObject, camera: Floats) -> T
         expected: its entry in the context, see `hierax.nodes.tracking.render.SegmentedDepth`.
         camera: (4, 4) world_from_camera.
     """
-    controls = expected["controls"]
+    controls = bent(expected["controls"], item["slots"])
     half = _DASH_M / 2.0 * controls["tangents"]
     return {
         **item,
@@ -129,7 +130,10 @@ def imagined(item: TrackedObject, expected: ExpectedObject, camera: Floats) -> T
         "covariance": expected["covariance"],
         "support": expected["support"],
         "stands": expected["stands"],
-        "others": tuple({**other, "pose": invert(camera) @ other["pose"]} for other in expected["others"]),
+        "others": tuple(
+            {**other, "pose": invert(camera) @ other["pose"], "controls": bent(other["controls"], item["slots"])}
+            for other in expected["others"]
+        ),
         "controls": controls,
         "edges": np.stack((controls["points"] - half, controls["points"] + half), axis=1),
     }

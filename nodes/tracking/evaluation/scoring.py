@@ -21,7 +21,7 @@ import numpy as np
 from hierax.nodes.tracking.datasets.bop import Result, read_results
 from hierax.nodes.tracking.datasets.truth import TruePose, read_truth
 from hierax.nodes.tracking.errors import DataError
-from hierax.nodes.tracking.math.geometry import Array, Floats, pose_error
+from hierax.nodes.tracking.math.geometry import Array, Floats, exp_se3, invert, log_se3, pose_error
 
 LIMITS = ((2.0, 2.0), (5.0, 5.0), (10.0, 5.0))  # millimetres and degrees within which a pose is right
 LEAST_VISIBLE = 0.1  # what is seen less of an object does not count
@@ -109,11 +109,15 @@ class Score(NamedTuple):
         return plain
 
 
-def object_errors(results: Iterable[Result], truth: Mapping[int, Sequence[TruePose]]) -> list[ObjectErrors]:
+def object_errors(
+    results: Iterable[Result], truth: Mapping[int, Sequence[TruePose]], displaced: bool = False
+) -> list[ObjectErrors]:
     """Each true object's errors, by its number.
 
     Args:
         results: poses that were given, of one scene; truth: by frame, as `read_truth` gives it.
+        displaced: whether models are imprecise: each may lie beside its object by a displacement that is the same in
+            all frames, the median of what was given.
     """
     given = {(result.obj_id, result.im_id): result.pose for result in results}
     true: dict[int, list[tuple[int, TruePose]]] = {}
@@ -123,9 +127,15 @@ def object_errors(results: Iterable[Result], truth: Mapping[int, Sequence[TruePo
     found = []
     for obj_id in sorted(true):
         errors = np.full((len(true[obj_id]), 2), np.nan)
+        beside = [
+            log_se3(invert(pose.pose) @ given[obj_id, frame])
+            for frame, pose in true[obj_id]
+            if (obj_id, frame) in given
+        ]
+        off = exp_se3(np.median(beside, axis=0)) if displaced and beside else np.eye(4)
         for at, (frame, pose) in enumerate(true[obj_id]):
             if (obj_id, frame) in given:
-                errors[at] = pose_error(given[obj_id, frame], pose.pose)
+                errors[at] = pose_error(given[obj_id, frame], pose.pose @ off)
         frames = np.array([frame for frame, _ in true[obj_id]])
         visible = np.array([pose.visible for _, pose in true[obj_id]])
         found.append(ObjectErrors(obj_id, frames, errors[:, 0] * 1000.0, np.degrees(errors[:, 1]), visible))
@@ -192,10 +202,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
     )
     parser.add_argument("poses", type=Path, metavar="POSES.csv", help="a BOP results file")
     parser.add_argument("truth", type=Path, metavar="TRUTH_DIR", help="folder with scene_gt.json of all frames")
+    parser.add_argument("--displaced", action="store_true", help="models may lie beside their objects, the same always")
     parser.add_argument("--format", choices=("text", "json"), default="text", help="how the figures are printed")
     options = parser.parse_args(arguments)
     try:
-        found = object_errors(read_results(options.poses), read_truth(options.truth))
+        found = object_errors(read_results(options.poses), read_truth(options.truth), options.displaced)
     except DataError as error:
         print(f"error: {error}", file=sys.stderr)
         return 1

@@ -16,9 +16,11 @@ from hierax.nodes.tracking.generator.things import (
     greys,
     random_box,
     random_mesh,
+    random_wedge,
     scattered,
     stacked,
 )
+from hierax.nodes.tracking.generator.worn import worn
 from hierax.nodes.tracking.math.geometry import Floats
 from hierax.nodes.tracking.simworld.light import Lamp
 from hierax.nodes.tracking.simworld.raster import visible_shares
@@ -29,6 +31,7 @@ SIZE = (640, 480)
 FOCAL_PX = 610.0
 INTRINSICS = np.array([FOCAL_PX, FOCAL_PX, 318.4, 241.2])
 
+IMPRECISE = "imprecise"  # the kind whose models lie beside the objects
 _CANDIDATES = 40
 _LOOKS = 6
 _COARSE = 4  # candidates are looked at in pictures that are smaller by this
@@ -123,6 +126,21 @@ def _low_contrast(rng: np.random.Generator, frames: int) -> Film:
     level = round(grey)
     wood = Wood((level, level - 1, level - 3), 0.5, int(rng.integers(1, 1000)))
     return _still_life(rng, frames, boxes, _swing(rng, 32.0), _mostly_seen, wood)
+
+
+def _imprecise(rng: np.random.Generator, frames: int) -> Film:
+    """Boxes and a wedge from near by, of which the models tell sides, edges and size a little wrong."""
+    paints = colours(rng, 5)
+    drawn = [random_wedge(rng, paints[0]), *(random_box(rng, paint) for paint in paints[1:])]
+    made = [item._replace(shape=worn(item.shape, rng)) for item in drawn]
+    swing = _swing(rng, 38.0)
+    swing = swing._replace(radius_m=(0.75 * swing.radius_m[0], 0.75 * swing.radius_m[1]))
+    shown = _still_life(rng, frames, lambda: scattered(made, rng, 0.13, 0.015), swing, _mostly_seen)
+    told = [
+        thing._replace(shape=thing.shape._replace(mesh=item.shape.mesh))
+        for thing, item in zip(shown.things, drawn, strict=True)
+    ]
+    return replace(shown, things=told)
 
 
 def _pushed(rng: np.random.Generator, frames: int) -> Film:
@@ -220,5 +238,6 @@ KINDS: dict[str, Callable[[np.random.Generator, int], Film]] = {
     "tower": _tower,
     "approach": _approach,
     "low-contrast": _low_contrast,
+    IMPRECISE: _imprecise,
     "pushed": _pushed,
 }

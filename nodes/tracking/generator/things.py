@@ -54,11 +54,21 @@ def flat_box(rng: np.random.Generator, colour: tuple[int, int, int], width_m: fl
 
 def random_mesh(rng: np.random.Generator, colour: tuple[int, int, int]) -> Item:
     """A wedge or an angle piece, lying or upright."""
-    width, depth, length = rng.uniform(0.055, 0.095), rng.uniform(0.045, 0.075), rng.uniform(0.04, 0.09)
+    width, depth, length = _sizes(rng)
     if rng.random() < 0.5:
         return Item(wedge(width, depth, length, rng.uniform(0.3, 0.7)), _LYING, colour)
     lying = rng.random() < 0.5
     return Item(angle_piece(width, depth, rng.uniform(0.018, 0.028), length), _LYING if lying else _UPRIGHT, colour)
+
+
+def random_wedge(rng: np.random.Generator, colour: tuple[int, int, int]) -> Item:
+    """A wedge, lying."""
+    width, depth, length = _sizes(rng)
+    return Item(wedge(width, depth, length, rng.uniform(0.3, 0.7)), _LYING, colour)
+
+
+def _sizes(rng: np.random.Generator) -> tuple[float, float, float]:
+    return rng.uniform(0.055, 0.095), rng.uniform(0.045, 0.075), rng.uniform(0.04, 0.09)
 
 
 def colours(rng: np.random.Generator, count: int) -> list[tuple[int, int, int]]:

@@ -7,7 +7,7 @@ pulled farther than its prediction allows, is then looked for alone.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -15,6 +15,7 @@ import numpy as np
 from hierax.nodes.tracking.estimation import gamma_bias
 from hierax.nodes.tracking.estimation.alignment import Aligned, offsets_at
 from hierax.nodes.tracking.estimation.appearance import measured, moved, remembered, sought
+from hierax.nodes.tracking.estimation.bending import bent_after
 from hierax.nodes.tracking.estimation.fusion import SURPRISED, Prior
 from hierax.nodes.tracking.estimation.joint_alignment import (
     FAMILIAR_MOTION_SCALE,
@@ -32,6 +33,7 @@ from hierax.nodes.tracking.math.batched import exp_many, inverse, invert_many, l
 from hierax.nodes.tracking.math.geometry import NO_POSES, Array, Floats
 from hierax.nodes.tracking.model.controls import EDGE_SLOTS
 from hierax.nodes.tracking.schema import Looks, TrackedObject
+from hierax.nodes.tracking.search.imprecision import with_models_judged
 from hierax.nodes.tracking.search.multistart import Found, Looking, in_turn
 from hierax.nodes.tracking.search.reacquisition import look_elsewhere
 
@@ -56,6 +58,8 @@ class Options(NamedTuple):
     sure_score: float  # an object that scores less is also looked for farther away
     certain_score: float = 0.95  # so is one that was found again just now and scores less than this
     falling: Floats | None = None  # as `motion`, falling over included; None: the same
+    # standard deviation of where edges are beside their models', m; None: each model's is learned
+    tolerance: float | None = None
 
 
 class Estimate(NamedTuple):
@@ -102,13 +106,15 @@ def associate(
         best, found = again, _found(again, task.start.poses)
         doubtful = _doubtful(found, objects, options)
     shift = exp_many(best.fused.shift[None])[0]
+    found, judged = with_models_judged(task, best, objects, found, options.tolerance)
+    doubtful = _doubtful(found, objects, options) if judged else doubtful
     searched = sorted((at for at in doubtful if in_turn(objects[at])), key=lambda at: objects[at]["failed_searches"])
     searched = sorted(searched[:_SEARCHED_AT_ONCE])
     if searched:
         falling = np.broadcast_to(options.motion if options.falling is None else options.falling, (len(objects), 6, 6))
         elsewhere = look_elsewhere(Looking(task, objects, shift, falling), found, searched)
         found = _if_expected(elsewhere, found, prior, shift @ task.start.poses)
-    learned = _learned(best.aligned, found, task, objects, doubtful)
+    learned = _learned(best.aligned, found, task, objects, doubtful, judged)
     failed_searches = [
         item["failed_searches"] + 1 if at in doubtful else max(0, item["failed_searches"] - 1)
         for at, item in enumerate(objects)
@@ -176,7 +182,12 @@ def _is_still(item: TrackedObject, motion_scale: float) -> bool:
 
 
 def _learned(
-    aligned: Aligned, found: Found, task: Task, objects: Sequence[TrackedObject], doubtful: list[int]
+    aligned: Aligned,
+    found: Found,
+    task: Task,
+    objects: Sequence[TrackedObject],
+    doubtful: list[int],
+    judged: Mapping[int, Looks],
 ) -> list[Looks]:
     """What is remembered of the looks of those objects that are surely where they were expected."""
     controls, profiles = aligned.stage.controls, aligned.stage.profiles
@@ -186,19 +197,23 @@ def _learned(
     places = controls.slots[:, 0]
     learned = []
     for at, item in enumerate(objects):
-        known = item["slots"]
-        if at in doubtful or found.scores[at] < LEARNED_SCORE:
+        known = judged.get(at, {**item["slots"], "judged": max(0, item["slots"]["judged"] - 1)})
+        if at in doubtful or found.scores[at] < LEARNED_SCORE or (at in judged and known["tolerance"]):
             learned.append(known)
             continue
+        known = bent_after(known, aligned, at, found.poses[at], task.intrinsics)
         chosen = np.nonzero(sure & (controls.owners == at))[0]
         every = np.nonzero(seen & (controls.owners == at))[0]
-        near = sure[every] & (np.abs(offsets[every]) < _FOUND_PX)
+        loose = float(bool(known["tolerance"]))
+        near = sure[every] & (np.abs(offsets[every] - loose * aligned.off[every]) < _FOUND_PX)
         known = sought(known, places[every], near)
         columns = aligned.matches.columns[chosen]
         colours = np.stack((profiles.inside[chosen, columns], profiles.outside[chosen, columns]), axis=1)
         known = remembered(known, controls, chosen, colours)
         still = _is_still(item, found.motion_scale[at])
-        known = measured(known, places[chosen] // EDGE_SLOTS, offsets[chosen]) if still else moved(known)
+        exact = still and not known["tolerance"]
+        known = measured(known, places[chosen] // EDGE_SLOTS, offsets[chosen]) if exact else known
+        known = known if still else moved(known)
         told = gamma_bias.remembered(known["encoding"], aligned.told[at], task.gamma[0])
         learned.append({**known, "encoding": told})
     return learned

@@ -14,6 +14,7 @@ import numpy as np
 
 from hierax.nodes.tracking.estimation.alignment import Aligned, Start
 from hierax.nodes.tracking.estimation.appearance import recalled
+from hierax.nodes.tracking.estimation.bending import slack_of
 from hierax.nodes.tracking.estimation.joint_alignment import Task
 from hierax.nodes.tracking.estimation.profiles import lines_of
 from hierax.nodes.tracking.estimation.stages import Search
@@ -132,8 +133,9 @@ def _candidates(looking: Looking, found: Found, sought: Sequence[int]) -> tuple[
         owners += [at] * (len(seen) - len(owners))
     candidates = _Candidates._make(np.array(column) for column in zip(*rows, strict=True))
     controls = gathered(seen)
-    memory = recalled([objects[at]["slots"] for at in owners], controls, task.image.shape[2])
-    memory = memory._replace(factor=np.full(len(controls.owners), task.memory.factor[0], dtype=np.float32))
+    looks = [objects[at]["slots"] for at in owners]
+    factor = np.full(len(controls.owners), task.memory.factor[0], dtype=np.float32)
+    memory = recalled(looks, controls, task.image.shape[2])._replace(factor=factor, slack=slack_of(looks, controls))
     return candidates, task._replace(controls=controls, memory=memory)
 
 

@@ -35,6 +35,21 @@ def test_shares_need_both_distance_and_angle() -> None:
     assert found.astray == pytest.approx(1 / 6)
 
 
+def test_a_displaced_model_is_judged_beside_its_displacement() -> None:
+    rng = np.random.default_rng(5)
+    true = [make_pose(exp_so3(rng.normal(size=3)), rng.normal(size=3)) for _ in range(9)]
+    off = make_pose(exp_so3(np.array([0.0, 0.05, 0.02])), np.array([0.004, -0.003, 0.001]))
+    given = [pose @ off for pose in true]
+    given[4] = true[4] @ make_pose(np.eye(3), np.array([0.03, 0.0, 0.0]))
+    results = [Result(1, at, 1, 1.0, pose, 0.0) for at, pose in enumerate(given)]
+    truth = {at: [TruePose(1, pose, 1.0)] for at, pose in enumerate(true)}
+    (beside,) = object_errors(results, truth, displaced=True)
+    assert np.delete(beside.distance_mm, 4).max() < 1e-6
+    assert beside.distance_mm[4] == pytest.approx(np.linalg.norm([26.0, 3.0, 1.0]), rel=0.01)
+    (exact,) = object_errors(results, truth)
+    assert exact.distance_mm[0] == pytest.approx(np.sqrt(26.0))
+
+
 def test_what_is_nearly_hidden_is_not_counted_and_bands_are_apart() -> None:
     visible = [1.0, 0.95, 0.6, 0.4, 0.2, 0.05, 0.0]
     found = score([course([1.0, 9.0, 1.0, 9.0, 1.0, 90.0, 90.0], visible=visible)])

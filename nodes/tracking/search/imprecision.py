@@ -1,0 +1,104 @@
+"""How far an object's model may be wrong, judged by the first image that shows enough of it.
+
+That image is explained with an exact model and with imprecise ones, whose edges are looked for one by one before the
+pose is refitted; the likelihoods say which it is.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from hierax.nodes.tracking.estimation.alignment import Aligned, Start, align
+from hierax.nodes.tracking.estimation.bending import bent_after
+from hierax.nodes.tracking.estimation.joint_alignment import Explained, Task
+from hierax.nodes.tracking.estimation.likelihood import explains
+from hierax.nodes.tracking.estimation.stages import Search
+from hierax.nodes.tracking.imagery.controls import POINTS_MAX
+from hierax.nodes.tracking.math.batched import exp_many, inverse, invert_many, log_many, only
+from hierax.nodes.tracking.schema import LOST, Looks, TrackedObject
+from hierax.nodes.tracking.search.multistart import Found, squared
+
+TOLERANCES_M = (0.0, 0.0007, 0.002)  # standard deviations of where edges may be beside a model's
+_LEAST_SHOWN = 30.0  # control points that should be seen of an object whose model is judged
+_DOING_WELL = 0.85  # score of an exact model that is not judged again
+_IMAGES = 15  # how often one that does not do so well is
+_RATHER = 2.5  # nats by which a model is rather imprecise than exact, before any image of it
+
+
+class _Tried(NamedTuple):
+    """One alternative of one object."""
+
+    worth: float  # nats
+    tolerance: float
+    aligned: Aligned  # of all objects that were tried with it
+    at: int  # which of those it is
+
+
+def with_models_judged(
+    task: Task, best: Explained, objects: Sequence[TrackedObject], found: Found, given: float | None
+) -> tuple[Found, dict[int, Looks]]:
+    """What is found of objects whose models had not been judged, and what is then known of their edges.
+
+    Args:
+        task: the image; best: how exact models explain it; objects: all of them; found: what was found that way.
+        given: the tolerance in metres, None where it is to be learned.
+    """
+    asked = [
+        at
+        for at, item in enumerate(objects)
+        if found.shown[at] >= _LEAST_SHOWN and _is_asked(item, found.scores[at], given)
+    ]
+    tolerances = TOLERANCES_M if given is None else (given,)
+    if not asked or tolerances == (0.0,):
+        return found, {at: {**objects[at]["slots"], "tolerance": 0.0} for at in asked}
+    tried: dict[int, list[_Tried]] = {at: [] for at in asked}
+    start = Start(exp_many(best.fused.shift[None])[0] @ task.start.poses, inverse(task.prior.spread()))
+    for tolerance in tolerances:
+        rows = asked if tolerance else list(range(len(objects)))
+        aligned = _aligned(task, rows, start, tolerance) if tolerance else best.aligned
+        if aligned is None:
+            continue
+        away = log_many(invert_many(start.poses[rows]) @ aligned.poses)
+        worth = explains(aligned) - 0.5 * squared(away, start.information[rows])
+        for number, at in enumerate(rows):
+            if at in tried:
+                tried[at].append(_Tried(float(worth[number]), tolerance, aligned, number))
+    after, looks = found.copied(), {}
+    for at, alternatives in tried.items():
+        first = max(alternatives, key=lambda each: each.worth + _RATHER * (each.tolerance > 0.0), default=None)
+        if first is None or (first.worth < 0.0 and given is None):
+            continue
+        known: Looks = {**objects[at]["slots"], "tolerance": first.tolerance, "judged": _IMAGES}
+        if first.tolerance > 0.0:
+            pose, blocks = first.aligned.poses[first.at], first.aligned.blocks[first.at, 6:, 6:]
+            after.poses[at], after.covariance[at] = pose, inverse(start.information[at] + blocks)
+            after.scores[at], after.gains[at] = first.aligned.scores[first.at], first.aligned.gains[first.at]
+            known = bent_after(known, first.aligned, first.at, pose, task.intrinsics)
+        looks[at] = known
+    return after, looks
+
+
+def _is_asked(item: TrackedObject, score: float, given: float | None) -> bool:
+    """Whether an object's model is judged in this image: at once; one that does not do well as exact, now and then.
+
+    Where nobody knows where the object is, its pose is to be found first.
+    """
+    looks = item["slots"]
+    if item["others"] or item["status"] == LOST:
+        return False
+    if looks["tolerance"] is None:
+        return True
+    return given is None and looks["tolerance"] == 0.0 and score < _DOING_WELL and looks["judged"] == 0
+
+
+def _aligned(task: Task, asked: Sequence[int], start: Start, tolerance: float) -> Aligned | None:
+    """Some objects, each alone, with models that are as imprecise as that."""
+    places = task.controls.rows_of(asked, POINTS_MAX)
+    memory = only(task.memory, np.concatenate(places))
+    memory = memory._replace(slack=np.tile(tolerance**2 * np.eye(3), (len(memory.trust), 1, 1)))
+    search = Search(noise_px=task.search.noise_px, voted=True)
+    begin = Start(start.poses[asked], start.information[asked])
+    return align(task.image, task.controls.of(places), begin, task.intrinsics, memory, search)
