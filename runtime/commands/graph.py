@@ -77,14 +77,10 @@ def graph_json(deployment: Deployment) -> Json:
 
 
 def depths(roster: Roster) -> Mapping[str, int]:
-    """How many edges lie on the longest way from the world to each node, in an order from below to above."""
-    from hierax.runtime.core.graph import topological_order
+    """How far the nodes of a roster are from the world, as `hierax.runtime.core.graph.depths` has it."""
+    from hierax.runtime.core import graph
 
-    pairs = [(edge.lower, edge.upper) for edge in roster.edges]
-    found: dict[str, int] = {}
-    for name in topological_order(roster.nodes, pairs):
-        found[name] = max((found[lower] + 1 for lower, upper in pairs if upper == name), default=0)
-    return found
+    return graph.depths(roster.nodes, [edge.pair for edge in roster.edges])
 
 
 def mermaid(roster: Roster) -> str:

@@ -58,6 +58,14 @@ def topological_order(names: Iterable[str], pairs: Iterable[Pair]) -> tuple[str,
     return tuple(order)
 
 
+def depths(names: Iterable[str], pairs: Sequence[Pair]) -> dict[str, int]:
+    """How many edges lie on the longest way from the world to each node, in an order from below to above."""
+    found: dict[str, int] = {}
+    for name in topological_order(names, pairs):
+        found[name] = max((found[lower] + 1 for lower, upper in pairs if upper == name), default=0)
+    return found
+
+
 def _checked_names(names: Iterable[str]) -> list[str]:
     try:
         return sorted(check_name(name, "node's name") for name in names)

@@ -6,9 +6,7 @@ import gc
 import logging
 import sys
 import threading
-import time
-from collections import deque
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from types import FrameType
 from typing import get_args
 
@@ -42,8 +40,9 @@ from hierax.runtime.launch.member_building import (
     pacemaker_of,
     preload,
 )
-from hierax.runtime.launch.steady import SteadyClock
+from hierax.runtime.launch.node_loop import NodeLoop
 from hierax.runtime.launch.supervisor_pipe import SupervisorPipe
+from hierax.runtime.launch.world_watch import WorldWatch
 from hierax.runtime.loading.loader import LoadError, extend_import_path
 from hierax.runtime.loading.node_loader import NodeLoader
 from hierax.runtime.owner.effects import OwnerPolicy
@@ -60,24 +59,17 @@ from hierax.runtime.watch.logs import QUIET
 from hierax.schemas.control import AskStatus, Control, Dismiss, Offered, Word, decode_control
 from hierax.schemas.errors import SchemaError
 from hierax.schemas.keys import Keys
-from hierax.schemas.messages import Message
 from hierax.schemas.roster import Roster
 from hierax.schemas.values import Value
 
-IDLE_S = 0.5  # how long a node may get no further before it asks whether it is still part of the hierarchy
-WORDS_AT_ONCE = 64  # how many control messages are taken in between two messages of an epoch
-REST = 10_000  # how many messages are looked at when the run is over
-
 RECORDER_TIMEOUT_S = 10.0
 """How long a process waits for a recorder that is said to be there; then it goes on unheard, which is a gap."""
-
-BEAT_S = 0.2  # how often the world's process says that it lives
 
 _log = logging.getLogger("hierax")
 
 
 class NodeWorker:
-    """One node, from its order to its report.
+    """Takes one node from its order to its report.
 
     Args:
         order: from the supervisor.
@@ -98,20 +90,9 @@ class NodeWorker:
         self._witness: Witness | None = None
         self._recorded = False
         self._thread = 0
-        self._inputs: deque[Control] = deque()
-        self._words = ControlQueue()
-        self._woken = False
+        self._words = ControlQueue(self._wake)
+        self._loop: NodeLoop | None = None
         self._processes: Mapping[str, str] | None = None
-        self._clock = SteadyClock()
-        self._ticks = False
-        self._ticked_s = self._moved_s = time.monotonic()
-        self._place: tuple[object, ...] = ()
-        self._beaten_s = 0.0
-        self._version = -1
-        self._rate_hz = order.rate_hz
-        self._due = True
-        self._stuck: tuple[int, str] = (0, "")
-        self._stuck_s = 0.0
         self._leaves = False
         self._epoch: int | None = None
         # then the session is not closed: what still comes from its peers would be reported as errors
@@ -151,8 +132,7 @@ class NodeWorker:
 
     def post(self, control: Control) -> None:
         """What the supervisor says to the member, or to the owner; never lost."""
-        self._inputs.append(control)
-        self._wake()
+        self._words.post(control)
 
     def hear(self, control: Control, size: int) -> None:
         """What came over Zenoh for the member, or for the owner, and its bytes; lost where too much waits."""
@@ -161,9 +141,6 @@ class NodeWorker:
             self._line.tell(OWNER, member.status(control.inquiry, self.busy()))
         elif not self._words.put(control, size):
             _log.warning("%s: dropped %s: too much waits", self._order.name, type(control).__name__)
-        elif not self._woken:
-            self._woken = True
-            self._wake()
 
     def tick(self) -> None:
         """Time has passed."""
@@ -174,33 +151,18 @@ class NodeWorker:
             return
         if self._publisher.heard != self._recorded:
             self._be_recorded(member.observers, self._publisher.heard)
-        now = time.monotonic()
-        if self._world is not None:
-            self._watch_world(self._world, now)
-        elif member.active and now - max(self._when_moved(member, now), self._ticked_s) < IDLE_S:
-            return
-        if not self._ticks:
-            self._ticked_s = now
-            self._ticks = True
-            self._wake()
-
-    def _when_moved(self, member: Member, now: float) -> float:
-        """When the node has got further in its epochs; what others send it may be of no use."""
-        engine = member.engine
-        place = () if engine is None else (engine.epoch, engine.attempt, engine.phase)
-        if place != self._place:
-            self._place, self._moved_s = place, now
-        return self._moved_s
+        if self._loop is not None:
+            self._loop.tick()
 
     def take_turn(self) -> None:
         """In free running: the node's next turn is due."""
-        self._due = True
-        self._wake()
+        if self._loop is not None:
+            self._loop.take_turn()
 
     @property
     def period_s(self) -> float | None:
         """In free running, from one turn to the next; None: as it can."""
-        return None if self._rate_hz is None else 1 / self._rate_hz
+        return None if self._order.rate_hz is None else 1 / self._order.rate_hz
 
     def greet(self) -> None:
         """Greet the neighbours that have not answered."""
@@ -218,11 +180,7 @@ class NodeWorker:
     # --- the node's thread
 
     def run(self) -> int:
-        """All of it.
-
-        Returns:
-            The exit code of the process.
-        """
+        """Do all of it, and return the exit code of the process."""
         self._thread = threading.get_ident()
         try:
             return self._load_and_run()
@@ -275,8 +233,7 @@ class NodeWorker:
             else:
                 member = self._begin(loader, port, observers, slots)
             if self._member is not None:
-                loop = self._run_freely if order.staleness is None else self._run
-                loop(self._member, port)
+                self._run(self._member, port)
             if self._leaves:  # nobody waits for what probes do at their end
                 return self._part(member)
         finally:
@@ -299,7 +256,7 @@ class NodeWorker:
             observers.watch(self._witness)
 
     def _roster(self) -> Roster | None:
-        """In force, as the world's process knows it."""
+        """The roster in force, as the world's process knows it."""
         return None if self._world is None else self._world.owner.roster
 
     def _begin(self, loader: NodeLoader, port: ZenohPort, observers: Observers, slots: Slots) -> Member:
@@ -375,95 +332,12 @@ class NodeWorker:
         return None
 
     def _run(self, member: Member, port: ZenohPort) -> None:
-        paused = False
-        while not self._stopping.is_set():
-            if self._inputs or self._words or self._ticks:
-                self._serve(member)
-            if member.dismissed:
-                return
-            if self._world is not None:
-                self._serve_supervisor(self._world)
-                if self._world.paused:
-                    self._world.resume()
-                paused = self._world.paused
-            self._take_next(member, port.poll if self._words or paused else port.receive)
-        self._compare_rest(member, port)
-
-    def _run_freely(self, member: Member, port: ZenohPort) -> None:
-        """As `_run`, but the node takes its turns when they are due, on the newest of what has come."""
-        while not self._stopping.is_set():
-            self._serve(member)
-            if member.dismissed:
-                return
-            if self._world is not None:
-                self._serve_supervisor(self._world)
-            self._take_all(member, port)
-            if self._due and member.runner is not None:
-                self._due = self._rate_hz is None  # the next turn may be due before this one is over
-                if member.runner.poll():
-                    continue
-                self._due = True
-            self._take_next(member, port.poll if self._words else port.receive)
-
-    def _take_all(self, member: Member, port: ZenohPort) -> None:
-        while self._take_next(member, port.poll):
-            continue
-
-    def _take_next(self, member: Member, receive: Callable[[], Message | None]) -> bool:
-        try:
-            message = receive()
-        except SchemaError as error:
-            _log.warning("%s: dropped what is no message of ours: %s", self._order.name, error)
-            return True
-        if message is None:
-            return False
-        if member.runner is not None:
-            member.runner.step(message)
-        return True
-
-    def _compare_rest(self, member: Member, port: ZenohPort) -> None:
-        """The run is over: what is still there is taken in no more, but may show that something was forged."""
-        engine = member.engine
-        if self.hurried or engine is None or not member.staleness.barrier:
-            return
-        for _ in range(REST):
-            try:
-                message = port.poll()
-            except SchemaError:
-                continue
-            if message is None:
-                return
-            engine.compare(message)
-
-    def _serve(self, member: Member) -> None:
-        """What has come beside the messages of epochs; of what anybody may say, not more than so much at once."""
-        take_word = member.take_word if self._world is None else self._world.take_word
-        self._woken = False
-        while self._inputs:
-            take_word(self._inputs.popleft())
-        for _ in range(WORDS_AT_ONCE):
-            word = self._words.take()
-            if word is None:
-                break
-            take_word(word)
-        if not self._ticks:
-            return
-        self._ticks = False
-        if self._world is not None:
-            self._world.tick()
-        else:
-            member.join(self._order.request)
-            member.fetch_again()
-
-    def _serve_supervisor(self, world: WorldMember) -> None:
-        owner = world.owner
-        if owner.roster.version != self._version:
-            self._version = owner.roster.version
-            self._pipe.beat(owner)
-        if world.pacemaker.asked:
-            world.end_soon()
-        if world.pacemaker.done:
-            self._pipe.finish(owner)
+        order, world = self._order, self._world
+        watch = None if world is None else WorldWatch(order, self._pipe, world, self.busy)
+        self._loop = loop = NodeLoop(order, member, watch, port, self._words, self._stopping)
+        loop.run()
+        if not (self.hurried or member.dismissed):
+            loop.compare_rest()
 
     def _part(self, member: Member | None) -> int:
         if member is not None and member.dismissed:
@@ -491,23 +365,6 @@ class NodeWorker:
             fields["run"] = [chain.epoch, chain.digest, pacemaker.wall_s, np.array(pacemaker.epochs_s)]
         self._pipe.say(REPORT, **fields)
         return 0
-
-    # --- helpers of both
-
-    def _watch_world(self, world: WorldMember, now: float) -> None:
-        """The world's process says that it lives; and when it hangs in an operator, as nobody else watches that."""
-        if now - self._beaten_s >= BEAT_S:
-            self._beaten_s = now
-            self._pipe.beat(world.owner)
-        state, steady_s = (world.owner.epoch, self.busy()), self._clock()
-        if not state[1] or state != self._stuck:
-            self._stuck, self._stuck_s = state, steady_s
-            return
-        deadline_s = self._order.owner.epoch_deadline_s if self._order.owner is not None else None
-        if deadline_s is not None and steady_s - self._stuck_s > deadline_s:
-            self._stuck_s = steady_s
-            why = f"it is in {state[1]} in epoch {state[0] + 1}, past the deadline"
-            self._pipe.end(self._order.name, self._order.process, why)
 
     def _wake(self) -> None:
         if self._port is not None:

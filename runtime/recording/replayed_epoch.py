@@ -124,7 +124,7 @@ class Exchange:
         """
         found: Elements = ()
         for sender in senders:
-            given = self._used(recorded, (kind, sender, receiver))
+            given = self.given(recorded, (kind, sender, receiver))
             if given is None:
                 epoch, attempt = _when_used(recorded, (kind, sender, receiver))
                 what = f"the {kind} message {sender} -> {receiver} of epoch {epoch}, attempt {attempt}, is not recorded"
@@ -135,11 +135,12 @@ class Exchange:
     def digest(self, recorded: EpochTrace, name: str, state: bytes) -> bytes:
         """A node's digest, of its encoded state and what came from above; empty where that is not known."""
         pairs = [edge.pair for edge in recorded.roster.edges]
-        used = [self._used(recorded, (CONTEXT, upper, name)) for upper in neighbours_above(name, pairs)]
+        used = [self.given(recorded, (CONTEXT, upper, name)) for upper in neighbours_above(name, pairs)]
         above = [b"" if given is None else given.digest for given in used]
         return node_digest(state, above) if all(above) else b""
 
-    def _used(self, recorded: EpochTrace, line: Line) -> Given | None:
+    def given(self, recorded: EpochTrace, line: Line) -> Given | None:
+        """What the receiver of a line used in an epoch; None: it is not recorded."""
         given = self._lines.get(line, {}).get(_when_used(recorded, line))
         if not isinstance(given, bytes):
             return given

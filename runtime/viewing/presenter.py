@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 
 from hierax.runtime.core.binding import metrics_of
 from hierax.runtime.core.elements import Value
-from hierax.runtime.core.graph import topological_order
+from hierax.runtime.core.graph import depths
 from hierax.runtime.core.node import Node
 from hierax.runtime.core.probe import Step
 from hierax.runtime.core.showing import Graph, Things, colour_of
@@ -224,11 +224,8 @@ class ViewPresenter:
 def hierarchy_graph(roster: Roster, figures: Mapping[str, str]) -> Graph:
     """The hierarchy, the world at the bottom, each node with some figures of its belief, if there is a text of them."""
     pairs = [(edge.lower, edge.upper) for edge in roster.edges]
-    depths: dict[str, int] = {}
-    for name in topological_order(roster.nodes, pairs):
-        depths[name] = max((depths[lower] + 1 for lower, upper in pairs if upper == name), default=0)
     rows: dict[int, list[str]] = {}
-    for name, depth in depths.items():
+    for name, depth in depths(roster.nodes, pairs).items():
         rows.setdefault(depth, []).append(name)
     across, up = _APART
     places = {
@@ -236,5 +233,5 @@ def hierarchy_graph(roster: Roster, figures: Mapping[str, str]) -> Graph:
         for depth, row in rows.items()
         for at, name in enumerate(row)
     }
-    texts = {name: "\n".join(filter(None, (name, figures.get(name, "")))) for name in depths}
+    texts = {name: "\n".join(filter(None, (name, figures.get(name, "")))) for name in places}
     return Graph(texts, pairs, places, {roster.world: colour_of(7)})

@@ -9,14 +9,12 @@ from hierax.runtime.core.hierarchy import neighbours_above, neighbours_below
 from hierax.runtime.core.probe import Step
 from hierax.runtime.loading.allowance import Allowance
 from hierax.runtime.recording.reading import Recording
-from hierax.runtime.recording.trace import EpochTrace, Line
+from hierax.runtime.recording.replayed_epoch import Exchange
+from hierax.runtime.recording.trace import EpochTrace
 from hierax.runtime.viewing.presenter import ViewPresenter
 from hierax.runtime.viewing.shown_nodes import ShownNodes
 from hierax.schemas.messages import CONTEXT, OBSERVATIONS, TASKS
 from hierax.schemas.roster import Roster
-
-MESSAGES_KEPT = 64
-"""Where epochs overlap: of each line, as a later epoch may have used them."""
 
 
 def show_recording(
@@ -27,7 +25,7 @@ def show_recording(
     Raises `HieraxError` if the file is damaged, a node cannot or may not
     be loaded, or what it shows cannot be shown.
     """
-    playing = _Playing(presenter, allowance)
+    playing = _Playing(presenter, allowance, Exchange(recording.info.how_stale.barrier))
     shown = 0
     for trace in recording.epochs(first, last):
         playing.epoch(trace)
@@ -39,11 +37,11 @@ def show_recording(
 class _Playing:
     """Makes steps of a recording's epochs."""
 
-    def __init__(self, presenter: ViewPresenter, allowance: Allowance) -> None:
+    def __init__(self, presenter: ViewPresenter, allowance: Allowance, exchange: Exchange) -> None:
         self._presenter = presenter
+        self._exchange = exchange
         self._nodes = ShownNodes(allowance)
         self._roster: Roster | None = None
-        self._lines: dict[Line, dict[tuple[int, int], bytes]] = {}
         self._beliefs: dict[str, tuple[int, Value]] = {}
         self._committed = (0, 0)
 
@@ -53,7 +51,7 @@ class _Playing:
         if self._roster is None or roster.version != self._roster.version:
             self._roster = roster
             self._presenter.set_roster(roster)
-        self._remember(trace)
+        self._exchange.recall(trace)
         epoch, heard_ns = self._committed
         self._committed = (trace.epoch, trace.heard_ns)
         if epoch == trace.epoch - 1 and heard_ns and trace.heard_ns and trace.time_s is not None:
@@ -93,18 +91,5 @@ class _Playing:
 
     def _inputs(self, trace: EpochTrace, name: str, kind: str, senders: tuple[str, ...]) -> Elements:
         """What a node was given along all edges, in the order of their other ends' names; what lacks is left out."""
-        used = trace.used_of(name) or {}
-        found = (self._given((kind, sender, name), used.get((sender, kind)), trace) for sender in senders)
-        return tuple(chain.from_iterable(found))
-
-    def _given(self, line: Line, used: tuple[int, int] | None, trace: EpochTrace) -> Elements:
-        data = self._lines.get(line, {}).get(used or (trace.epoch, trace.attempt))
-        return () if data is None else trace.message(data).payload
-
-    def _remember(self, trace: EpochTrace) -> None:
-        for line, attempts in trace.lines.items():
-            kept = self._lines.setdefault(line, {})
-            for attempt, data in attempts.items():
-                kept[trace.epoch, attempt] = data
-            for old in sorted(kept)[:-MESSAGES_KEPT]:
-                del kept[old]
+        found = (self._exchange.given(trace, (kind, sender, name)) for sender in senders)
+        return tuple(chain.from_iterable(each.elements for each in found if each is not None))

@@ -1,0 +1,143 @@
+"""What a node's thread does while the run goes on: message by message, and what comes beside them."""
+
+from __future__ import annotations
+
+import logging
+import threading
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+from hierax.runtime.execution.member import Member
+from hierax.runtime.launch.control_queue import ControlQueue
+from hierax.runtime.launch.frames import NodeOrder
+from hierax.runtime.launch.world_watch import WorldWatch
+from hierax.runtime.transport.zenoh_port import ZenohPort
+from hierax.schemas.errors import SchemaError
+from hierax.schemas.messages import Message
+
+IDLE_S = 0.5  # how long a node may get no further before it asks whether it is still part of the hierarchy
+REST = 10_000  # how many messages are looked at when the run is over
+
+_log = logging.getLogger("hierax")
+
+
+@dataclass
+class NodeLoop:
+    """Takes messages in until the node's process is to stop, or its member is dismissed."""
+
+    order: NodeOrder  # of the process
+    member: Member  # of the run
+    watch: WorldWatch | None  # of the world, if this is its process
+    port: ZenohPort  # of the node
+    words: ControlQueue  # what others say to the member, or to the owner
+    stopping: threading.Event  # set when it is to stop
+    _ticks: bool = False
+    _ticked_s: float = field(default_factory=time.monotonic)
+    _moved_s: float = field(default_factory=time.monotonic)
+    _place: tuple[object, ...] = ()
+    _due: bool = True
+
+    # --- called by another thread
+
+    def tick(self) -> None:
+        """Time has passed."""
+        now = time.monotonic()
+        if self.watch is not None:
+            self.watch.tick(now)
+        elif self.member.active and now - max(self._when_moved(now), self._ticked_s) < IDLE_S:
+            return
+        if not self._ticks:
+            self._ticked_s = now
+            self._ticks = True
+            self.words.wake()
+
+    def take_turn(self) -> None:
+        """In free running: the node's next turn is due."""
+        self._due = True
+        self.words.wake()
+
+    def _when_moved(self, now: float) -> float:
+        """When the node has got further in its epochs; what others send it may be of no use."""
+        engine = self.member.engine
+        place = () if engine is None else (engine.epoch, engine.attempt, engine.phase)
+        if place != self._place:
+            self._place, self._moved_s = place, now
+        return self._moved_s
+
+    # --- the node's thread
+
+    def run(self) -> None:
+        """Take in what comes, until it is over."""
+        if self.order.staleness is None:
+            self._run_freely()
+        else:
+            self._run_in_step()
+
+    def _run_in_step(self) -> None:
+        watch, paused = self.watch, False
+        while not self.stopping.is_set():
+            if self.words or self._ticks:
+                self._serve()
+            if self.member.dismissed:
+                return
+            if watch is not None:
+                paused = watch.serve()
+            self._take_next(self.port.poll if self.words or paused else self.port.receive)
+
+    def _run_freely(self) -> None:
+        """As in step, but the node takes its turns when they are due, on the newest of what has come."""
+        while not self.stopping.is_set():
+            self._serve()
+            if self.member.dismissed:
+                return
+            if self.watch is not None:
+                self.watch.serve()
+            while self._take_next(self.port.poll):
+                continue
+            if self._due and self.member.runner is not None:
+                self._due = self.order.rate_hz is None  # the next turn may be due before this one is over
+                if self.member.runner.poll():
+                    continue
+                self._due = True
+            self._take_next(self.port.poll if self.words else self.port.receive)
+
+    def _take_next(self, receive: Callable[[], Message | None]) -> bool:
+        try:
+            message = receive()
+        except SchemaError as error:
+            _log.warning("%s: dropped what is no message of ours: %s", self.order.name, error)
+            return True
+        if message is None:
+            return False
+        if self.member.runner is not None:
+            self.member.runner.step(message)
+        return True
+
+    def compare_rest(self) -> None:
+        """The run is over: what is still there is taken in no more, but may show that something was forged."""
+        engine = self.member.engine
+        if engine is None or not self.member.staleness.barrier:
+            return
+        for _ in range(REST):
+            try:
+                message = self.port.poll()
+            except SchemaError:
+                continue
+            if message is None:
+                return
+            engine.compare(message)
+
+    def _serve(self) -> None:
+        """Take in what has come beside the messages of epochs."""
+        take_word = self.member.take_word if self.watch is None else self.watch.world.take_word
+        for word in self.words.taken():
+            take_word(word)
+        if not self._ticks:
+            return
+        self._ticks = False
+        if self.watch is not None:
+            self.watch.world.tick()
+        else:
+            self.member.join(self.order.request)
+            self.member.fetch_again()
