@@ -1,4 +1,4 @@
-"""What a roster's owner, the nodes' processes and their keepers say to one another.
+"""What a roster's owner, the nodes' processes and their supervisors say to one another.
 
 Each is a msgpack array of its name and its fields. A *process* is a token that no two
 processes share; a node's name stays the same when its process is another one.
@@ -166,7 +166,7 @@ class Failed(NamedTuple):
 
 
 class Lost(NamedTuple):
-    """Keeper to owner: a process has died; whether another one will come in its place."""
+    """Supervisor to owner: a process has died; whether another one will come in its place."""
 
     name: str
     process: str
@@ -174,7 +174,7 @@ class Lost(NamedTuple):
 
 
 class Census(NamedTuple):
-    """Keeper to the world's process, or to an owner that is new: the processes that it keeps, which are up."""
+    """Supervisor to the world's process, or to an owner that is new: the processes that it keeps, which are up."""
 
     processes: dict[str, str]
 
@@ -195,13 +195,13 @@ class Propose(NamedTuple):
 
 
 Offered = Prepare | Unchanged | HandOver | TakeOver | AskStatus | Resend
-"""What a process is told by the owner on its own key; a dismissal comes by way of its keeper."""
+"""What a process is told by the owner on its own key; a dismissal comes by way of its supervisor."""
 
 Order = Offered | Dismiss
 """What a process is told by the owner."""
 
 Word = Join | Ready | State | Taken | Fetch | Status | Failed
-"""What a process says to the owner on the owner's key; the rest comes by way of the keeper."""
+"""What a process says to the owner on the owner's key; the rest comes by way of the supervisor."""
 
 Control = Order | Word | Lost | Census | Propose
 """Every kind of control message."""

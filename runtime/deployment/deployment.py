@@ -25,7 +25,7 @@ Operators that may take longer (a training step, a large model) need another one
 class RestartPolicy:
     """What is done when a node's process ends or cannot be reached.
 
-    The keeper of a process restarts it by the first five; the roster's owner waits for it by
+    The supervisor of a process restarts it by the first five; the roster's owner waits for it by
     the last two. The defaults start a process that was killed again at once, as far as
     anybody can see, and give up on one that falls over again and again within some seconds.
 
@@ -38,8 +38,8 @@ class RestartPolicy:
         max_restart_delay_s: what it is doubled up to.
         restart_window_s: restarts before so many seconds count no more; None: all count.
         rejoin_timeout_s: how long the epoch is held for a lost node, back-off included.
-        on_loss: what follows then. ``restart``: it is waited for as long as its keeper may restart it, then the run is
-            stopped; ``detach``: it is detached, and what only it joins to the world; ``stop``: the run is stopped.
+        on_loss: what follows then. ``restart``: it is waited for as long as its supervisor may restart it, then the run
+            is stopped; ``detach``: it is detached, and what only it joins to the world; ``stop``: the run is stopped.
     """
 
     restart_policy: Literal["never", "on-failure", "always"] = "on-failure"

@@ -124,7 +124,7 @@ class Member(Host):
 
     @property
     def engine(self) -> Engine | None:
-        """Of the node; None: no roster with it has come yet."""
+        """The engine of the node; None: no roster with it has come yet."""
         return None if self.runner is None else self.runner.engine
 
     @property
@@ -338,7 +338,7 @@ class Member(Host):
         engine = self.engine
         newer = engine is not None and version > engine.wiring.roster
         if engine is not None and newer and engine.begun and roster.instance(self.name) != engine.wiring.instance:
-            self.join()  # another process runs it, if that is so: the owner says it, by way of the keeper
+            self.join()  # another process runs it, if that is so: the owner says it, by way of the supervisor
             return
         if self._is_far(version):
             _log.warning("%s: refused version %d of the roster: further ahead than can be", self.name, version)

@@ -61,7 +61,7 @@ def build_member(
     """
 
     def report(word: Control) -> None:
-        line.tell(OWNER, word)
+        line.send(OWNER, word)
 
     own = (order.name, order.process, loader.wiring, port, report, Checkpoints(slots), observers)
     member = Member(*own, staleness=Staleness(order.staleness, order.exact), alone=frozenset(order.alone))
@@ -92,7 +92,7 @@ def build_world(
         if isinstance(word, Dismiss):  # anybody could say it: who is started here hears it from the supervisor
             pipe.dismiss(process, word)
         else:
-            line.tell(process, word)
+            line.send(process, word)
 
     world = WorldMember(
         order.name,

@@ -138,7 +138,7 @@ class NodeWorker:
         """What came over Zenoh for the member, or for the owner, and its bytes; lost where too much waits."""
         member = self._member
         if isinstance(control, AskStatus) and member is not None:  # answered also while the thread is in an operator
-            self._line.tell(OWNER, member.status(control.inquiry, self.busy()))
+            self._line.send(OWNER, member.status(control.inquiry, self.busy()))
         elif not self._words.put(control, size):
             _log.warning("%s: dropped %s: too much waits", self._order.name, type(control).__name__)
 

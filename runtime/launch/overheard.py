@@ -53,7 +53,7 @@ class Overhearing:
     def _write(self, name: str, line: str) -> None:
         if self._log is None:  # most nodes say nothing in this way
             self._log = log_of_run(self._run, f"{OUTPUT}{os.getpid()}", self._epoch)
-        self._log.tell(line, name, CHANNEL)
+        self._log.write(line, name, CHANNEL)
 
 
 class Overheard:

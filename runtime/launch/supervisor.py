@@ -202,7 +202,7 @@ class Supervisor:
         return isinstance(self._why, _Interruption)
 
     def _notify(self, what: str) -> None:
-        self._log.tell(what)
+        self._log.write(what)
         self._print(what)
         self._hub.note(what)
 

@@ -127,7 +127,7 @@ class Recording:
         return dict(sorted(digests.items()))
 
     def faults(self) -> Iterator[Fault]:
-        """What happened to processes: those that came and went, and what their keeper said."""
+        """What happened to processes: those that came and went, and what their supervisor said."""
         for entry in self.entries(TOKEN, NOTE):
             yield self._read(entry, entry.fault)
 

@@ -199,7 +199,7 @@ class Checker:
         digest = formal_digest(active, self._after(turn.epoch - 1).digest, start.roster.content_hash())
         self._candidates[turn.epoch] = End(turn.epoch, start.roster, active.states, digest)
 
-    def tells(self, epoch: int, digest: bytes) -> None:
+    def publishes(self, epoch: int, digest: bytes) -> None:
         """The digest of a committed epoch is published."""
         end = self._candidates.pop(epoch, None)
         if end is None or epoch != self.told + 1:
@@ -214,7 +214,7 @@ class Checker:
     def resumes(self, epoch: int, digest: bytes) -> None:
         """The world's new process goes on with an epoch, after this digest of the last one."""
         if self.told + 1 == epoch - 1 and epoch - 1 in self._candidates:  # it was recorded, and nobody was told
-            self.tells(epoch - 1, digest)
+            self.publishes(epoch - 1, digest)
         if epoch != self.told + 1 and not self.excused:
             self.violate(f"the world goes on with epoch {epoch}, {self.told} was the last that was told")
         self._candidates = {}

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from hierax.runtime.sim.journal import FAULT
-from hierax.runtime.sim.keepers import Keepers
 from hierax.runtime.sim.process import SimProcess, Surroundings
 from hierax.runtime.sim.scenario import (
     BREAK,
@@ -20,6 +19,7 @@ from hierax.runtime.sim.scenario import (
     WORLD,
     Fault,
 )
+from hierax.runtime.sim.supervisor import SimSupervisor
 
 UNHEARD_S = 0.1
 """How long until a process that is cut off is missed."""
@@ -33,12 +33,12 @@ class FaultInjector:
 
     Args:
         around: what the processes stand in.
-        keepers: of the processes.
+        supervisor: of the processes.
     """
 
-    def __init__(self, around: Surroundings, keepers: Keepers) -> None:
+    def __init__(self, around: Surroundings, supervisor: SimSupervisor) -> None:
         self._around = around
-        self._keepers = keepers
+        self._supervisor = supervisor
 
     def befall(self, fault: Fault) -> None:
         """Make a fault happen."""
@@ -66,7 +66,7 @@ class FaultInjector:
             process.forges = kind
         elif kind == DAMAGE:
             around.checker.excused |= process.storage.damage()
-            self._keepers.died(process)
+            self._supervisor.died(process)
         elif kind in (HANG, PAUSE):
             process.freeze()
             process.busy = kind == HANG
@@ -79,12 +79,12 @@ class FaultInjector:
         elif kind == PARTITION:
             around.network.cut.add(process.token)
             around.clock.schedule(fault.for_s, self._heal, process.token)
-            if fault.number:  # its keeper is cut off as well: that it is not heard of is all there is
+            if fault.number:  # its supervisor is cut off as well: that it is not heard of is all there is
                 around.clock.schedule(UNHEARD_S, self._miss, process)
 
     def _miss(self, process: SimProcess) -> None:
         if process.token in self._around.network.cut:
-            self._keepers.miss(process)
+            self._supervisor.miss(process)
 
     def _heal(self, token: str) -> None:
         self._around.journal.trace(f"{token} is joined again")

@@ -40,7 +40,7 @@ def link_first(around: Surroundings, process: SimProcess) -> None:
 
 
 class SimWorld:
-    """What the world's process runs: it waits until its keeper says who lives, then it has a member.
+    """What the world's process runs: it waits until its supervisor says who lives, then it has a member.
 
     Args:
         around: what the process stands in.
@@ -56,7 +56,7 @@ class SimWorld:
         self._running: SimWorldMember | None = None
 
     def take_word(self, word: Control) -> None:
-        """The keeper's word, then those of all others; nobody hears anything before."""
+        """The supervisor's word, then those of all others; nobody hears anything before."""
         if isinstance(word, Census):
             self._begin(word.processes)
         elif self._running is not None:

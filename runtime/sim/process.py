@@ -146,12 +146,12 @@ class SimProcess(Host):
 
     @property
     def runner(self) -> NodeRunner | None:
-        """Of its node; None: no roster with it has come yet."""
+        """The runner of its node; None: no roster with it has come yet."""
         return None if self.member is None else self.member.runner
 
     @property
     def engine(self) -> Engine:
-        """Of its node, when a roster with it has come."""
+        """The engine of its node, when a roster with it has come."""
         assert self.runner is not None
         return self.runner.engine
 
@@ -224,17 +224,17 @@ class SimProcess(Host):
 
     def send_order(self, token: str, order: Order) -> None:
         """The owner, which is in this process, says something to another one."""
-        self.point(f"tell {type(order).__name__}")
-        self._around.journal.trace(f"owner tells {token} {_short(order)}")
+        self.point(f"send {type(order).__name__}")
+        self._around.journal.trace(f"owner sends {token} {_short(order)}")
         if isinstance(order, Prepare):
             self._around.checker.prepared(Roster.read(order.roster))
         self._around.network.say(self.token, token, order)
-        self.point("told")
+        self.point("sent")
 
     def publish(self, epoch: int, digest: bytes) -> None:
         """The world's process tells everybody of an epoch."""
         self.point("publish")
-        self._around.checker.tells(epoch, digest)
+        self._around.checker.publishes(epoch, digest)
 
     # --- what it is told
 

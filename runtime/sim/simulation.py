@@ -11,11 +11,11 @@ from hierax.runtime.sim.checker import Checker, ViolationError
 from hierax.runtime.sim.clock import Clock
 from hierax.runtime.sim.faults import FaultInjector
 from hierax.runtime.sim.journal import CHANGE, Journal, Tally
-from hierax.runtime.sim.keepers import Keepers
 from hierax.runtime.sim.members import link_first
 from hierax.runtime.sim.network import Network
 from hierax.runtime.sim.process import Surroundings
 from hierax.runtime.sim.scenario import BREAK, Proposal, Scenario
+from hierax.runtime.sim.supervisor import SimSupervisor
 from hierax.schemas.errors import SchemaError
 
 AFTER_S = 20.0
@@ -69,15 +69,15 @@ def simulate(scenario: Scenario, trace: list[str] | None = None) -> Result:
             import traceback
 
             trace.extend(traceback.format_exc().splitlines())
-    around, keepers = simulation.around, simulation.keepers
+    around, supervisor = simulation.around, simulation.supervisor
     return Result(
         scenario.seed,
         violation,
         around.checker.told,
         around.journal.tally,
         around.clock.now,
-        keepers.stopped,
-        keepers.answers,
+        supervisor.stopped,
+        supervisor.answers,
     )
 
 
@@ -86,7 +86,7 @@ class Simulation:
 
     Attributes:
         around: what the processes stand in.
-        keepers: of the processes.
+        supervisor: of the processes.
     """
 
     def __init__(self, scenario: Scenario, trace: list[str] | None) -> None:
@@ -97,7 +97,7 @@ class Simulation:
         self._scenario = scenario
         self.around = Surroundings(scenario, clock, journal, checker, network)
         network.hosts = self.around.processes
-        self.keepers = Keepers(self.around)
+        self.supervisor = SimSupervisor(self.around)
 
     def run(self) -> None:
         """Let everything happen.
@@ -107,7 +107,7 @@ class Simulation:
         """
         scenario, around = self._scenario, self.around
         self._start()
-        injector = FaultInjector(around, self.keepers)
+        injector = FaultInjector(around, self.supervisor)
         for fault in scenario.faults:
             around.clock.schedule(fault.at_s, injector.befall, fault)
         for proposal in scenario.proposals:
@@ -117,19 +117,19 @@ class Simulation:
         events = 0
         while not self._done():
             events += 1
-            if self.keepers.stopped:
+            if self.supervisor.stopped:
                 if not around.checker.excused:
-                    around.checker.violate(f"the run gave up: {self.keepers.stopped}")
+                    around.checker.violate(f"the run gave up: {self.supervisor.stopped}")
                 return
             if around.clock.now > limit_s or events > MAX_EVENTS or not around.clock.step():
                 around.checker.violate(self._stuck(limit_s))
-        around.checker.finishes(self.keepers.answers)
+        around.checker.finishes(self.supervisor.answers)
         for proposal in scenario.proposals:
-            if self.keepers.answers[proposal.key].startswith("epoch "):
+            if self.supervisor.answers[proposal.key].startswith("epoch "):
                 around.journal.count(CHANGE, type(proposal.change).__name__)
 
     def _start(self) -> None:
-        processes = [self.keepers.start(name) for name in sorted(self._scenario.roster.nodes)]
+        processes = [self.supervisor.start(name) for name in sorted(self._scenario.roster.nodes)]
         if self._scenario.together:
             self.around.network.at_once = True
             for process in processes:
@@ -137,25 +137,25 @@ class Simulation:
             self.around.network.at_once = False
         for process in processes:
             if process.is_world:
-                self.keepers.begin(process)
+                self.supervisor.begin(process)
 
     def _done(self) -> bool:
         scenario = self._scenario
-        return self.around.checker.told >= scenario.epochs and len(self.keepers.answers) == len(scenario.proposals)
+        return self.around.checker.told >= scenario.epochs and len(self.supervisor.answers) == len(scenario.proposals)
 
     def _stuck(self, limit_s: float) -> str:
-        unanswered = sorted({proposal.key for proposal in self._scenario.proposals} - self.keepers.answers.keys())
+        unanswered = sorted({proposal.key for proposal in self._scenario.proposals} - self.supervisor.answers.keys())
         asked = f", {', '.join(unanswered)} are not answered" if unanswered else ""
         return f"after {limit_s:.1f} s, all faults long over, epoch {self.around.checker.told} is the last{asked}"
 
     def _propose(self, proposal: Proposal) -> None:
         """Ask for a change, until there is an answer."""
         around = self.around
-        if proposal.key in self.keepers.answers or self.keepers.stopped:
+        if proposal.key in self.supervisor.answers or self.supervisor.stopped:
             return
         for name in proposal.new_nodes:
             if not any(each.name == name and each.request == proposal.key for each in around.processes.values()):
-                self.keepers.start(name, proposal.key)
+                self.supervisor.start(name, proposal.key)
         world = around.world
         if world is not None:
             around.network.say("user", world.token, proposal.word())

@@ -48,7 +48,7 @@ class ControlLine:
         self._heard = heard
         self._subscriber: Any = session.declare_subscriber(keys.control(address), self._on_sample)
 
-    def tell(self, address: str, control: Control) -> None:
+    def send(self, address: str, control: Control) -> None:
         """Send a message; any thread may call it."""
         try:
             data = encode_control(control)

@@ -38,7 +38,7 @@ LAUNCH_FILE = f"_{LAUNCH}"
 """Its file's name, which no node's can have."""
 
 OUTPUT = "_output-"
-"""How the name of a file begins in which a keeper writes what libraries and programs of its nodes print."""
+"""How the name of a file begins in which a supervisor writes what libraries and programs of its nodes print."""
 
 LEVEL_VARIABLE = "HIERAX_LOG"
 """From which level on records go to the console; below INFO also to the files."""
@@ -181,7 +181,7 @@ class LaunchLog:
         self._run = run
         self._epoch = epoch
 
-    def tell(self, message: str, node: str = LAUNCH, logger: str = "hierax.launch") -> None:
+    def write(self, message: str, node: str = LAUNCH, logger: str = "hierax.launch") -> None:
         """Write a line."""
         if self._handler is None:
             return
@@ -192,7 +192,7 @@ class LaunchLog:
     def close(self, message: str = "") -> None:
         """Write a last line, if there is one to be written."""
         if message:
-            self.tell(message)
+            self.write(message)
         if self._handler is not None:
             self._handler.close()
 
@@ -221,5 +221,5 @@ def begin_log(
         tell(f"{run_folder(run)}: there will be no logs: {getattr(error, 'strerror', None) or error}")
         return LaunchLog(None, run, epoch)
     log = LaunchLog(open_log(folder / LOGS, LAUNCH_FILE), run, epoch)
-    log.tell(f"{hierarchy} is launched from {about['deployment']}")
+    log.write(f"{hierarchy} is launched from {about['deployment']}")
     return log

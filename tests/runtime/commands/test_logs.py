@@ -20,7 +20,7 @@ def logged(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> str:
     folder = begin_run("aaaa1111", {"pid": 2**22 - 1, "hierarchy": "toys"})
     log = LaunchLog(open_log(folder / "logs", LAUNCH_FILE), "aaaa1111", lambda: 5)
     for what in ("toys is launched", "arm: its process ended by signal SIGKILL"):
-        log.tell(what)
+        log.write(what)
     log.close("the run is over")
     return "aaaa1111"
 

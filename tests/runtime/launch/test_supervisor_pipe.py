@@ -1,4 +1,4 @@
-"""What two threads of the world's process say to the keeper: the roster that is told last is the one in force."""
+"""What two threads of the world's process say to the supervisor: the roster that is told last is the one in force."""
 
 from __future__ import annotations
 

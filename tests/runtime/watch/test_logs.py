@@ -121,7 +121,7 @@ def test_where_nothing_can_be_written_a_node_goes_on(tmp_path: Path, capsys: pyt
 def test_a_launch_has_a_folder_and_a_log(tmp_path: Path) -> None:
     told: list[str] = []
     log = begin_log("aa", "toys", tmp_path / "toys.yaml", told.append, lambda: 9)
-    log.tell("arm: its process ended by signal SIGKILL; it is started again")
+    log.write("arm: its process ended by signal SIGKILL; it is started again")
     log.close("the run is over")
     assert [entry["message"] for entry in entries("aa", "_launch")] == [
         f"toys is launched from {tmp_path}/toys.yaml",

@@ -1,4 +1,4 @@
-"""Who keeps simulated processes: starts them, notices their deaths, and tells the owner."""
+"""The supervisor of simulated processes: starts them, notices their deaths, and reports these to the owner."""
 
 from __future__ import annotations
 
@@ -22,8 +22,8 @@ UNREACHED_S = 0.1
 """After which time it is tried again where a process is cut off."""
 
 
-class Keepers(Supervision):
-    """Of all processes.
+class SimSupervisor(Supervision):
+    """Supervises all processes of a simulation.
 
     Args:
         around: what the processes stand in.
@@ -71,10 +71,10 @@ class Keepers(Supervision):
             self.stop(str(error))
         kept = {each.name for each in self._around.processes.values() if not self._is_newcomer(each)}
         for name in sorted(self._final - kept):
-            self.tell_owner(Lost(name, "", restarts=False))  # this one has not heard it
+            self.send_to_owner(Lost(name, "", restarts=False))  # this one has not heard it
 
     def died(self, process: SimProcess) -> None:
-        """A process is dead; its keeper finds out and starts another one."""
+        """A process is dead; its supervisor finds out and starts another one."""
         around = self._around
         self._final.discard(process.name)
         around.journal.trace(f"{process.token} dies at {process.at!r}")
@@ -87,18 +87,18 @@ class Keepers(Supervision):
     def exited(self, process: SimProcess) -> None:
         """A process was dismissed: it is not started again."""
         self._gone(process)
-        self.tell_owner(Lost(process.name, process.token, restarts=False))
+        self.send_to_owner(Lost(process.name, process.token, restarts=False))
         if not self._is_newcomer(process):
             self._final.add(process.name)
 
     def miss(self, process: SimProcess) -> None:
-        """A process is not heard of, and its keeper neither."""
+        """A process is not heard of, and its supervisor neither."""
         if process.alive and not process.is_world:
             self._around.checker.lost(process.name)
-            self.tell_owner(Lost(process.name, process.token, restarts=True))
+            self.send_to_owner(Lost(process.name, process.token, restarts=True))
 
-    def tell_owner(self, word: Control) -> None:
-        """What keepers say is not lost while the world's process lives, and is on their list when it doesn't."""
+    def send_to_owner(self, word: Control) -> None:
+        """What a supervisor says is not lost while the world's process lives, and is on their list when it doesn't."""
         world = self._around.world
         if world is not None:
             self._around.clock.schedule(0.0, world.take, "word", word)
@@ -119,9 +119,9 @@ class Keepers(Supervision):
             self._around.clock.schedule(TICK_S, self._tick, process)
 
     def _notice(self, process: SimProcess) -> None:
-        self._around.journal.trace(f"keeper: {process.token} is dead")
+        self._around.journal.trace(f"supervisor: {process.token} is dead")
         restarts = self._restarts(process.name)
-        self.tell_owner(Lost(process.name, process.token, restarts))
+        self.send_to_owner(Lost(process.name, process.token, restarts))
         if restarts:
             self._around.clock.schedule(self._rng.uniform(0.0, RESTART_S), self._restart, process)
         else:
@@ -167,10 +167,10 @@ class Keepers(Supervision):
         self.answers.setdefault(request, refusal or f"epoch {epoch}")
 
     def _kill(self, name: str, token: str, why: str) -> None:
-        """Its keeper ends a process, when it can reach it."""
+        """End a process, when it can be reached."""
         process = self._around.processes.get(token)
         if process is None:  # it was told before, but that may have been to another owner
-            self.tell_owner(Lost(name, token, self._restarts(name)))
+            self.send_to_owner(Lost(name, token, self._restarts(name)))
         elif token in self._around.network.cut:
             self._around.clock.schedule(UNREACHED_S, self._kill, name, token, why)
         else:
