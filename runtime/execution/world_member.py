@@ -64,6 +64,18 @@ class Supervision:
         """Tell whoever asked for a change what became of it."""
         return
 
+    def begins(self, epoch: int, attempt: int, version: int) -> None:
+        """An attempt is begun under a version of the roster; nothing of it is recorded yet."""
+        return
+
+    def acts(self, epoch: int) -> None:
+        """The world is about to act in this epoch; 0: it has acted, and that is recorded."""
+        return
+
+    def commits(self) -> None:
+        """An epoch is committed; nobody was told yet."""
+        return
+
 
 class WorldMember(World, OwnerEffects):
     """The world's process in a run that may change: its member, its record, and the roster's owner.
@@ -236,6 +248,7 @@ class WorldMember(World, OwnerEffects):
 
     def begin(self, epoch: int, attempt: int, version: int) -> None:
         engine, pacemaker = self._runner.engine, self.pacemaker
+        self._supervision.begins(epoch, attempt, version)
         if engine.phase is Phase.DONE:
             pacemaker.start()
         if version != engine.wiring.roster:
@@ -285,11 +298,17 @@ class WorldMember(World, OwnerEffects):
     def act(self, runner: NodeRunner, epoch: int, actions: Elements) -> None:
         if runner.engine.node.act is None or not self._should_act(epoch):
             return
+        self._supervision.acts(epoch)
         self._intended = epoch
         self.write_record()
         runner.move(epoch, actions)
         self._acted = epoch
         self.write_record()
+        self._supervision.acts(0)
+
+    def committed(self, committed: Committed) -> None:
+        self._supervision.commits()
+        super().committed(committed)
 
     def settle(self) -> bool:
         if not self._own_orders and not self._own_failures:

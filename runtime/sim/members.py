@@ -5,13 +5,10 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 from hierax.runtime.core.digest import DigestChain
-from hierax.runtime.core.elements import Elements
-from hierax.runtime.engine.effects import Committed
 from hierax.runtime.execution.checkpoints import Checkpoints
 from hierax.runtime.execution.member import Member
 from hierax.runtime.execution.pacemaker import Pacemaker
-from hierax.runtime.execution.runner import NodeRunner
-from hierax.runtime.execution.world_member import Supervision, WorldMember, has_record, read_record
+from hierax.runtime.execution.world_member import OnUncertainAct, Supervision, WorldMember, has_record, read_record
 from hierax.runtime.owner.effects import OwnerPolicy
 from hierax.runtime.recovery.slots import Slots
 from hierax.runtime.sim.inspection import Turn
@@ -39,8 +36,10 @@ def link_first(around: Surroundings, process: SimProcess) -> None:
         process.world.link()
 
 
-class SimWorld:
+class SimWorld(Supervision):
     """What the world's process runs: it waits until its supervisor says who lives, then it has a member.
+
+    The checker looks at what that is told and what it says.
 
     Args:
         around: what the process stands in.
@@ -53,7 +52,7 @@ class SimWorld:
         self._process = process
         self._supervision = supervision
         self._port = SimPort(around.network, process)
-        self._running: SimWorldMember | None = None
+        self._running: WorldMember | None = None
 
     def take_word(self, word: Control) -> None:
         """The supervisor's word, then those of all others; nobody hears anything before."""
@@ -90,25 +89,12 @@ class SimWorld:
             first = [f"{name}.1" for name in roster.nodes] if scenario.together else []
             here = {token.rpartition(".")[0]: token for token in first if token in living}
             living = {**here, process.name: process.token}
-        self._running = SimWorldMember(self._around, process, self._port, self._supervision, slots, living, roster)
+        self._running = self._member(slots, living, roster)
         process.member = self._running.member
         self._running.start()
 
-
-class SimWorldMember(WorldMember):
-    """The world's member; the checker looks at what it is told and what it says."""
-
-    def __init__(
-        self,
-        around: Surroundings,
-        process: SimProcess,
-        port: SimPort,
-        supervision: Supervision,
-        slots: Slots,
-        living: Mapping[str, str],
-        roster: Roster | None,
-    ) -> None:
-        scenario = around.scenario
+    def _member(self, slots: Slots, living: Mapping[str, str], roster: Roster | None) -> WorldMember:
+        process, scenario, clock = self._process, self._around.scenario, self._around.clock
         policy = OwnerPolicy(
             modules=(MODULE,),
             on_loss=scenario.on_loss,
@@ -118,40 +104,37 @@ class SimWorldMember(WorldMember):
             start_timeout_s=2.0,
             answer_timeout_s=0.8,
         )
-        chain = DigestChain(scenario.roster.content_hash())
-        self._around = around
-        self._process = process
-        super().__init__(
-            process.name,
-            process.token,
-            process.wire,
-            port,
-            process.send_order,
-            supervision,
-            slots,
-            Pacemaker(chain, scenario.epochs, process.publish, around.clock),
-            policy,
-            around.clock,
-            living,
-            roster,
-            on_uncertain_act="repeat" if scenario.on_uncertain_act == "repeat" else "skip",
-        )
+        pacemaker = Pacemaker(DigestChain(scenario.roster.content_hash()), scenario.epochs, process.publish, clock)
+        own = (process.name, process.token, process.wire, self._port, process.send_order, self, slots)
+        uncertain: OnUncertainAct = "repeat" if scenario.on_uncertain_act == "repeat" else "skip"
+        return WorldMember(*own, pacemaker, policy, clock, living, roster, on_uncertain_act=uncertain)
 
-    def begin(self, epoch: int, attempt: int, version: int) -> None:
-        turn = Turn(version, epoch, attempt)
-        base = self._runner.engine.wiring.roster
+    # --- what the member calls
+
+    def begins(self, epoch: int, attempt: int, version: int) -> None:
+        running, turn = self._running, Turn(version, epoch, attempt)
+        assert running is not None
         self._around.journal.trace(f"owner begins {turn}")
-        self._around.checker.begins(base, turn, self.owner.roster, self.owner.processes)
+        base = self._process.engine.wiring.roster
+        self._around.checker.begins(base, turn, running.owner.roster, running.owner.processes)
         self._process.inspector.begin(turn)
-        super().begin(epoch, attempt, version)
 
-    def act(self, runner: NodeRunner, epoch: int, actions: Elements) -> None:
+    def acts(self, epoch: int) -> None:
         self._process.acting = epoch
-        super().act(runner, epoch, actions)
-        self._process.acting = 0
 
-    def committed(self, committed: Committed) -> None:
+    def commits(self) -> None:
         turn = self._process.inspector.turn
         self._around.checker.commits(turn, self._around.states(turn))
         self._process.point("commit")
-        super().committed(committed)
+
+    def end(self, name: str, process: str, why: str) -> None:
+        self._supervision.end(name, process, why)
+
+    def stop(self, why: str) -> None:
+        self._supervision.stop(why)
+
+    def note(self, what: str) -> None:
+        self._supervision.note(what)
+
+    def answer(self, request: str, epoch: int, refusal: str) -> None:
+        self._supervision.answer(request, epoch, refusal)
