@@ -66,3 +66,8 @@ def interrupted() -> int:
 
 def _say(line: str) -> None:
     print(line, file=sys.stderr, flush=True)
+
+
+def notify(what: str) -> None:
+    """Tell people something on standard error while a command goes on."""
+    _say(f"hierax: {what}")

@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import functools
-import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from hierax.runtime.commands.errors import OK, CommandError
+from hierax.runtime.commands.errors import OK, CommandError, notify
 from hierax.runtime.commands.options import RunOptions, deployments_here, offers
 from hierax.runtime.commands.recordings import claimed_file, report_ending, report_violations, selection_of
 
@@ -64,7 +63,7 @@ def launch(options: RunOptions, file: LaunchedFile = None) -> int:
         recording = RecordingRequest(target, options.check, selection) if target or options.check else None
         runner = functools.partial(
             supervisor.launch,
-            notify=lambda what: print(f"hierax: {what}", file=sys.stderr, flush=True),
+            notify=notify,
             state=None if state is None else state.absolute(),
             resumed=run,
             host=options.host,

@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import re
-import sys
 import time
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from hierax.runtime.commands.errors import CommandError
+from hierax.runtime.commands.errors import CommandError, notify
 from hierax.runtime.commands.options import DeploymentFile, Format, OutputFormat, Trust
 from hierax.runtime.commands.which import Connect, NodeArgument, Run, client_at, endpoint_of, known_run
 
@@ -283,7 +282,4 @@ def _run_here(
     def await_change() -> None:
         _print_epoch(_ask(here.endpoint, {"ask": "await", "request": request}), what, output_format)
 
-    def say(line: str) -> None:
-        print(f"hierax: {line}", file=sys.stderr, flush=True)
-
-    return run_attached(offer.get("orders"), request, here, restarts, await_change, say)
+    return run_attached(offer.get("orders"), request, here, restarts, await_change, notify)

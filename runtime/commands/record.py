@@ -4,13 +4,12 @@ from __future__ import annotations
 
 import os
 import signal
-import sys
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
-from hierax.runtime.commands.errors import CommandError
+from hierax.runtime.commands.errors import CommandError, notify
 from hierax.runtime.commands.options import LARGEST, Format, OutputFormat, Overwrite
 from hierax.runtime.commands.recordings import Exclude, MaxDuration, MaxSize, claimed_file, report_ending, selection_of
 from hierax.runtime.commands.which import Connect, Run, client_of
@@ -58,7 +57,7 @@ def record(
         )
         for number in (signal.SIGINT, signal.SIGTERM):
             signal.signal(number, lambda *_: recording.stop())
-        print(f"hierax: recording {info.hierarchy}, run {info.run}; Ctrl-C ends it", file=sys.stderr, flush=True)
+        notify(f"recording {info.hierarchy}, run {info.run}; Ctrl-C ends it")
         ending = recording.record()
     if output_format is Format.json:
         print_json({"file": str(output), "hierarchy": info.hierarchy, "run": info.run, **ending.plain()})

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from hierax.runtime.commands.errors import FAILED, OK, CommandError
+from hierax.runtime.commands.errors import FAILED, OK, CommandError, notify
 
 if TYPE_CHECKING:
     from hierax.runtime.recording.diff import Comparison
@@ -116,7 +116,7 @@ def recording_of(path: Path) -> Recording:
 
     recording = Recording.open(path)
     if recording.loss:
-        print(f"hierax: {path}: {recording.loss}", file=sys.stderr, flush=True)
+        notify(f"{path}: {recording.loss}")
     return recording
 
 
@@ -128,15 +128,15 @@ def report_ending(file: Path, ending: Ending) -> int:
     """
     for pattern, count in ending.left_out.items():
         if not count:
-            print(f"hierax: --exclude {pattern}: nothing came on such a key", file=sys.stderr, flush=True)
+            notify(f"--exclude {pattern}: nothing came on such a key")
     if ending.cut:
-        print(f"hierax: {file}: it ends with epoch {ending.last} ({ending.cut})", file=sys.stderr, flush=True)
+        notify(f"{file}: it ends with epoch {ending.last} ({ending.cut})")
     for gap in ending.cut_short[:SHOWN]:
-        print(f"hierax: cut short by its sender's death: {gap}", file=sys.stderr, flush=True)
+        notify(f"cut short by its sender's death: {gap}")
     if not ending.lost:
         return OK
     for gap in ending.gaps[:SHOWN]:
-        print(f"hierax: not recorded: {gap}", file=sys.stderr)
+        notify(f"not recorded: {gap}")
     print(f"error: {file}: {ending.lost} things that were said in the run are not in it", file=sys.stderr, flush=True)
     return FAILED
 
@@ -150,7 +150,7 @@ def report_violations(violations: Sequence[Any]) -> int:
     if not violations:
         return OK
     for violation in violations[:SHOWN]:
-        print(f"hierax: {violation}", file=sys.stderr)
+        notify(str(violation))
     several = f"{len(violations)} times" if len(violations) > 1 else "once"
     print(f"error: the formal order is broken {several}", file=sys.stderr, flush=True)
     return FAILED

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from hierax.runtime.commands.ctrl_c import INTERRUPTED
-from hierax.runtime.commands.errors import OK, CommandError, interrupted
+from hierax.runtime.commands.errors import OK, CommandError, interrupted, notify
 from hierax.runtime.commands.options import Format, RunOptions
 from hierax.runtime.commands.show import print_json, print_report
 from hierax.runtime.core.errors import HieraxError
@@ -68,7 +68,7 @@ def run_deployment(runner: Runner, file: str, options: RunOptions, goes_on: bool
         print_report(report)
     if code == INTERRUPTED:
         for name, why in report.unreported.items():
-            print(f"hierax: {name}: its state after epoch {report.epochs} is not told: {why}", file=sys.stderr)
+            notify(f"{name}: its state after epoch {report.epochs} is not told: {why}")
         return interrupted()
     return code
 

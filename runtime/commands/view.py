@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from hierax.runtime.commands.errors import CommandError
+from hierax.runtime.commands.errors import CommandError, notify
 from hierax.runtime.commands.options import RunOptions, offers
 
 if TYPE_CHECKING:
@@ -66,19 +66,19 @@ def view(options: RunOptions, source: Shown = None) -> int:
 
     stream = stream_of(hierarchy)
     with _viewer(stream, options) as place:
-        _say(f"seen at {place.name}")
+        notify(f"seen at {place.name}")
         endless = source is None
         try:
             with _explained(deployment):
                 show(_presenter(deployment, stream))
             if place.until_closed is not None:
                 endless = True
-                _say("that is all; Ctrl-C ends the viewer")
+                notify("that is all; Ctrl-C ends the viewer")
                 place.until_closed()
         except KeyboardInterrupt:
             if not endless:
                 raise
-            _say("no longer looking")
+            notify("no longer looking")
     return 0
 
 
@@ -114,7 +114,7 @@ def _of_recording(file: Path, options: RunOptions) -> Source:
             why = f": {recording.loss}" if recording.loss else ""
             raise CommandError(f"{file}: there is no committed epoch in it from {first} to {last or 'its end'}{why}")
         if recording.loss:
-            _say(f"{file}: {recording.loss}")
+            notify(f"{file}: {recording.loss}")
 
     return recorded_deployment(recording.info), recording.info.hierarchy, show
 
@@ -136,7 +136,7 @@ def _of_launch(options: RunOptions) -> Source:
         elif file is not None:
             deployment = read_deployment(file)
     except HieraxError as error:
-        _say(f"the layout is not that of the deployment, whose file cannot be read any more: {error}")
+        notify(f"the layout is not that of the deployment, whose file cannot be read any more: {error}")
 
     if deployment is None and not options.trust:
         raise CommandError(
@@ -190,12 +190,8 @@ def _presenter(deployment: Deployment | None, stream: Stream) -> ViewPresenter:
 
     canvas = RerunCanvas(stream)
     if deployment is None:
-        return ViewPresenter(canvas, notify=_say)
+        return ViewPresenter(canvas, notify=notify)
     extend_import_path(deployment.import_paths)
     spec = deployment.view
     together = None if spec.show is None else load_function(spec.show, "view.show", deployment.allowance)
-    return ViewPresenter(canvas, spec.layout, together, _say)
-
-
-def _say(line: str) -> None:
-    print(f"hierax: {line}", file=sys.stderr, flush=True)
+    return ViewPresenter(canvas, spec.layout, together, notify)

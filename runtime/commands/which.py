@@ -51,6 +51,7 @@ def endpoint_of(run: str | None, connect: str | None) -> str:
     Raises:
         CommandError: there is none, or several; or an option is wrong.
     """
+    from hierax.runtime.host.run_folder import meant
     from hierax.runtime.launch.run_file import known_runs
     from hierax.runtime.loading.nearest import did_you_mean
 
@@ -59,26 +60,16 @@ def endpoint_of(run: str | None, connect: str | None) -> str:
             raise CommandError(f"--connect: expected an endpoint such as tcp/192.168.1.2:40123, got {connect!r}")
         return connect
     runs = known_runs()
-    meant = runs if run is None else called(run, runs)
-    if len(meant) > 1:
+    found = runs if run is None else meant(run, runs, lambda each: (each.run, each.hierarchy))
+    if len(found) > 1:
         which = "" if run is None else f" of {run!r}"
-        raise CommandError(f"several launches{which} run on this machine, say which with --run: {_listed(meant)}")
-    if meant:
-        return meant[0].endpoint
+        raise CommandError(f"several launches{which} run on this machine, say which with --run: {_listed(found)}")
+    if found:
+        return found[0].endpoint
     if run is None:
         raise CommandError("no launch runs on this machine")
     near = did_you_mean(run, [name for each in runs for name in (each.run, each.hierarchy)], "there are")
     raise CommandError(f"no launch {run!r} runs on this machine{near}")
-
-
-def called(which: str, runs: Sequence[Running]) -> list[Running]:
-    """The launches that are meant by an identification, by a hierarchy's name, or by how an identification begins."""
-    ways = (
-        [each for each in runs if each.run == which],
-        [each for each in runs if each.hierarchy == which],
-        [each for each in runs if which and each.run.startswith(which)],
-    )
-    return next((found for found in ways if found), [])
 
 
 def _listed(runs: Sequence[Running]) -> str:

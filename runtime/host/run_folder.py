@@ -5,9 +5,9 @@ from __future__ import annotations
 import json
 import os
 import shutil
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 from hierax.runtime.host.private_files import UnsafeFileError, private_folder, read_private, write_private
 
@@ -16,6 +16,8 @@ KEPT_RUNS = 20
 
 LOGS = "logs"
 ABOUT = "about.json"
+
+Run = TypeVar("Run")
 
 
 def runs_folder() -> Path:
@@ -81,12 +83,30 @@ def about_run(folder: Path) -> dict[str, Any]:
 def is_alive(folder: Path) -> bool:
     """Whether the launch may still run: there is a process with its supervisor's number."""
     pid = about_run(folder).get("pid")
-    if not isinstance(pid, int) or pid <= 0:
-        return False
+    return isinstance(pid, int) and pid > 0 and is_process(pid)
+
+
+def is_process(pid: int) -> bool:
+    """Whether this user has a process of this number."""
     try:
         os.kill(pid, 0)
-    except ProcessLookupError:
-        return False
-    except OSError:  # another user's by now
+    except OSError:  # there is none, or it is another user's by now
         return False
     return True
+
+
+def meant(which: str, runs: Sequence[Run], names: Callable[[Run], tuple[str, str]]) -> list[Run]:
+    """Those that are meant by an identification, by a hierarchy's name, or by how an identification begins.
+
+    Args:
+        which: what a user has called it.
+        runs: among these.
+        names: gives the identification and the hierarchy's name of each.
+    """
+    named = [(each, *names(each)) for each in runs]
+    ways = (
+        [each for each, run, _ in named if run == which],
+        [each for each, _, hierarchy in named if hierarchy == which],
+        [each for each, run, _ in named if which and run.startswith(which)],
+    )
+    return next(filter(None, ways), [])

@@ -11,7 +11,7 @@ from typing import Any
 
 from hierax.runtime.core.errors import HieraxError
 from hierax.runtime.host.private_files import UnsafeFileError, private_folder, read_private, write_private
-from hierax.runtime.host.run_folder import runs_folder
+from hierax.runtime.host.run_folder import is_process, runs_folder
 from hierax.runtime.host.seal import NOT_OURS, STATE, is_sealed, seal_or_warn
 
 _RUN = "run.json"
@@ -52,13 +52,7 @@ class Running:
     @property
     def alive(self) -> bool:
         """Whether the supervisor's process is still there."""
-        try:
-            os.kill(self.pid, 0)
-        except ProcessLookupError:
-            return False
-        except PermissionError:
-            return True
-        return True
+        return is_process(self.pid)
 
 
 def write_run(state: Path, run: Run) -> None:

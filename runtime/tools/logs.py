@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from hierax.runtime.core.errors import HieraxError
-from hierax.runtime.host.run_folder import LOGS, about_run, is_alive, known_folders
+from hierax.runtime.host.run_folder import LOGS, about_run, is_alive, known_folders, meant
 from hierax.runtime.loading.nearest import did_you_mean
 from hierax.runtime.watch.logs import LAUNCH, LAUNCH_FILE, OUTPUT, SUFFIX
 
@@ -34,21 +34,13 @@ def find_folder(run: str | None) -> Path:
     folders = known_folders()
     if not folders:
         raise HieraxError("no launch has left a log on this machine")
-    meant = folders if run is None else _called(run, folders)
-    if not meant:
+    found = folders
+    if run is not None:
+        found = meant(run, folders, lambda folder: (folder.name, str(about_run(folder).get("hierarchy", ""))))
+    if not found:
         names = {name for each in folders for name in (each.name, about_run(each).get("hierarchy")) if name}
         raise HieraxError(f"--run: there is no log of a launch {run!r}{did_you_mean(str(run), names, 'there are')}")
-    return next(filter(is_alive, meant), meant[0])
-
-
-def _called(which: str, folders: Sequence[Path]) -> list[Path]:
-    """Those that are meant by an identification, by a hierarchy's name, or by how an identification begins."""
-    ways = (
-        [each for each in folders if each.name == which],
-        [each for each in folders if about_run(each).get("hierarchy") == which],
-        [each for each in folders if which and each.name.startswith(which)],
-    )
-    return next((found for found in ways if found), [])
+    return next(filter(is_alive, found), found[0])
 
 
 def read_since(text: str, now: datetime) -> datetime:
