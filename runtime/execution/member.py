@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Callable
+from dataclasses import dataclass
 from typing import NoReturn
 
 from hierax.runtime.core.errors import ContradictionError, HieraxError, OperatorError
@@ -53,22 +54,29 @@ MAX_PREPARED = 64
 _log = logging.getLogger("hierax")
 
 
+@dataclass(frozen=True)
+class Seat:
+    """What a node's process has for its member, the world's or another one's."""
+
+    name: str  # of the node
+    process: str  # the process's token
+    wire: Callable[[Roster], Wiring]  # makes the wiring of a roster's version; loads what it names
+    port: Port  # of the node
+    observers: Observers | None = None  # of the node; None: nobody observes it yet
+    staleness: Staleness = BARRIER  # of the deployment
+    alone: frozenset[str] = frozenset()  # the nodes that fail alone, until a roster comes that says otherwise
+
+
 class Member(Host):
     """A node's process, as far as it is no matter of processes.
 
     It has a runner from when a roster with its node has come.
 
     Args:
-        name: of the node.
-        process: the process's token.
-        wire: makes the wiring of a roster's version; loads what it names.
-        port: of the node.
+        seat: what the process has for it.
         report: tells the roster's owner something; it may be lost, then it is told again.
         checkpoints: of the node.
-        observers: of the node.
         world: at the world's node; None at others.
-        staleness: of the deployment.
-        alone: the nodes that fail alone, until a roster comes that says otherwise.
 
     Attributes:
         runner: of the node; None: no roster with it has come yet.
@@ -79,34 +87,23 @@ class Member(Host):
     """
 
     def __init__(
-        self,
-        name: str,
-        process: str,
-        wire: Callable[[Roster], Wiring],
-        port: Port,
-        report: Callable[[Control], None],
-        checkpoints: Checkpoints,
-        observers: Observers | None = None,
-        *,
-        world: World | None = None,
-        staleness: Staleness = BARRIER,
-        alone: frozenset[str] = frozenset(),
+        self, seat: Seat, report: Callable[[Control], None], checkpoints: Checkpoints, world: World | None = None
     ) -> None:
-        self.name = name
-        self.process = process
-        self.port = port
-        self.observers = Observers(name) if observers is None else observers
-        self.staleness = staleness
+        self.name = seat.name
+        self.process = seat.process
+        self.port = seat.port
+        self.observers = Observers(seat.name) if seat.observers is None else seat.observers
+        self.staleness = seat.staleness
         self.runner: NodeRunner | None = None
         self.dismissed = ""
         self.again = False
         self._world = world
-        self.alone = alone
+        self.alone = seat.alone
         self.tried = frozenset[str]()
         self._alone_in: dict[int, tuple[frozenset[str], frozenset[str]]] = {}
         self._tried_in: int | None = None
         self._failure: Failed | None = None
-        self._wire_roster = wire
+        self._wire_roster = seat.wire
         self._report = report
         self._checkpoints = checkpoints
         self._saved: Saved | None = None
@@ -117,7 +114,7 @@ class Member(Host):
         self._linked: set[int] = set()
         self._fetched: set[int] = set()
         self._refusals = Refusals()
-        port.mended = self.mended
+        seat.port.on_mended(self.mended)
         self._resent: tuple[tuple[int, int], int] = ((0, 0), 0)
         self._rosters: dict[int, Roster] = {}
         self._taken = b""

@@ -10,20 +10,16 @@ from hierax.runtime.core.digest import DigestChain
 from hierax.runtime.core.elements import Elements
 from hierax.runtime.core.errors import HieraxError, OperatorError
 from hierax.runtime.core.process import ActiveNode
-from hierax.runtime.core.staleness import BARRIER, Staleness
 from hierax.runtime.engine.effects import Committed, Saved
 from hierax.runtime.engine.table import Phase
-from hierax.runtime.engine.wiring import Wiring
 from hierax.runtime.execution.checkpoints import Checkpoints, never_whole, newest_whole
-from hierax.runtime.execution.member import Member
-from hierax.runtime.execution.observers import Observers
+from hierax.runtime.execution.member import Member, Seat
 from hierax.runtime.execution.pacemaker import Pacemaker
 from hierax.runtime.execution.runner import NodeRunner, World
 from hierax.runtime.owner.effects import OwnerEffects, OwnerPolicy
 from hierax.runtime.owner.members import Tried
 from hierax.runtime.owner.owner import Owner
 from hierax.runtime.recovery.slots import Slots
-from hierax.runtime.transport.port import Port
 from hierax.schemas.checkpoint import (
     Place,
     WorldRecord,
@@ -83,7 +79,7 @@ class WorldMember(World, OwnerEffects):
     Nothing is sent and nothing is written before `start`.
 
     Args:
-        name, process, wire, port, observers, staleness, alone: as `Member` has them.
+        seat: what the process has for its member.
         send_order: sends an order to another process; it may be lost.
         supervision: of the run's processes.
         slots: of the world's record.
@@ -107,10 +103,7 @@ class WorldMember(World, OwnerEffects):
 
     def __init__(
         self,
-        name: str,
-        process: str,
-        wire: Callable[[Roster], Wiring],
-        port: Port,
+        seat: Seat,
         send_order: Callable[[str, Order], None],
         supervision: Supervision,
         slots: Slots,
@@ -120,15 +113,11 @@ class WorldMember(World, OwnerEffects):
         processes: Mapping[str, str],
         roster: Roster | None,
         *,
-        observers: Observers | None = None,
-        staleness: Staleness = BARRIER,
-        alone: frozenset[str] = frozenset(),
         on_uncertain_act: OnUncertainAct = "repeat",
         pauses: bool = False,
     ) -> None:
         super().__init__(pacemaker)
-        own = (name, process, wire, port, self._hear_own, Checkpoints(slots), observers)
-        self.member = Member(*own, world=self, staleness=staleness, alone=alone)
+        self.member = Member(seat, self._hear_own, Checkpoints(slots), self)
         self._send_order = send_order
         self._supervision = supervision
         self._slots = slots
@@ -144,7 +133,7 @@ class WorldMember(World, OwnerEffects):
         self._pauses = pauses
         self._resumes = roster is None
         if roster is not None:
-            self._runner = self.member.run(wire(roster))
+            self._runner = self.member.run(seat.wire(roster))
             self.owner = Owner(roster, processes, self, clock, policy)
             return
         record, saved = read_record(slots)
@@ -152,7 +141,7 @@ class WorldMember(World, OwnerEffects):
         self._intended, self._acted = record.intended, record.acted
         recorded = decode_processes(record.processes)
         living = set(processes.values())
-        self._runner = self.member.run(wire(roster), saved)
+        self._runner = self.member.run(seat.wire(roster), saved)
         pacemaker.chain = DigestChain(roster.content_hash(), record.epoch - 1, record.last_digest)
         self.owner = Owner(
             roster,

@@ -10,7 +10,7 @@ from pathlib import Path
 from hierax.runtime.core.digest import DigestChain
 from hierax.runtime.core.staleness import Staleness
 from hierax.runtime.execution.checkpoints import Checkpoints
-from hierax.runtime.execution.member import Member
+from hierax.runtime.execution.member import Member, Seat
 from hierax.runtime.execution.observers import Observers
 from hierax.runtime.execution.output_folder import digest_log, open_probes, state_log
 from hierax.runtime.execution.pacemaker import Pacemaker
@@ -63,11 +63,15 @@ def build_member(
     def report(word: Control) -> None:
         line.send(OWNER, word)
 
-    own = (order.name, order.process, loader.wiring, port, report, Checkpoints(slots), observers)
-    member = Member(*own, staleness=Staleness(order.staleness, order.exact), alone=frozenset(order.alone))
+    member = Member(_seat(order, loader, port, observers), report, Checkpoints(slots))
     if order.fault:
         plant(order.fault, member, None)
     return member
+
+
+def _seat(order: NodeOrder, loader: NodeLoader, port: ZenohPort, observers: Observers) -> Seat:
+    staleness, alone = Staleness(order.staleness, order.exact), frozenset(order.alone)
+    return Seat(order.name, order.process, loader.wiring, port, observers, staleness, alone)
 
 
 def build_world(
@@ -95,10 +99,7 @@ def build_world(
             line.send(process, word)
 
     world = WorldMember(
-        order.name,
-        order.process,
-        loader.wiring,
-        port,
+        _seat(order, loader, port, observers),
         send_order,
         pipe,
         slots,
@@ -107,9 +108,6 @@ def build_world(
         SteadyClock(),
         processes,
         order.roster if order.life == BEGIN else None,
-        observers=observers,
-        staleness=Staleness(order.staleness, order.exact),
-        alone=frozenset(order.alone),
         on_uncertain_act=order.on_uncertain_act,
         pauses=order.staleness is not None,  # in free running it has turns
     )

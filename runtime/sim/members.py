@@ -6,7 +6,7 @@ from collections.abc import Mapping
 
 from hierax.runtime.core.digest import DigestChain
 from hierax.runtime.execution.checkpoints import Checkpoints
-from hierax.runtime.execution.member import Member
+from hierax.runtime.execution.member import Member, Seat
 from hierax.runtime.execution.pacemaker import Pacemaker
 from hierax.runtime.execution.world_member import OnUncertainAct, Supervision, WorldMember, has_record, read_record
 from hierax.runtime.owner.effects import OwnerPolicy
@@ -24,8 +24,8 @@ def occupy(around: Surroundings, process: SimProcess, supervision: Supervision) 
     if process.is_world:
         process.world = SimWorld(around, process, supervision)
     else:
-        parts = (process.wire, SimPort(around.network, process), process.say, Checkpoints(Slots(process.storage)))
-        process.member = Member(process.name, process.token, *parts)
+        seat = Seat(process.name, process.token, process.wire, SimPort(around.network, process))
+        process.member = Member(seat, process.say, Checkpoints(Slots(process.storage)))
 
 
 def link_first(around: Surroundings, process: SimProcess) -> None:
@@ -105,7 +105,8 @@ class SimWorld(Supervision):
             answer_timeout_s=0.8,
         )
         pacemaker = Pacemaker(DigestChain(scenario.roster.content_hash()), scenario.epochs, process.publish, clock)
-        own = (process.name, process.token, process.wire, self._port, process.send_order, self, slots)
+        seat = Seat(process.name, process.token, process.wire, self._port)
+        own = (seat, process.send_order, self, slots)
         uncertain: OnUncertainAct = "repeat" if scenario.on_uncertain_act == "repeat" else "skip"
         return WorldMember(*own, pacemaker, policy, clock, living, roster, on_uncertain_act=uncertain)
 

@@ -146,7 +146,7 @@ def _tells_of(break_link: BreakLink) -> Callable[[Mapping[str, Port]], None]:
     def check(ports: Mapping[str, Port]) -> None:
         mended: list[tuple[str, str]] = []
         for name, port in ports.items():
-            port.mended = partial(lambda name, neighbour: mended.append((name, neighbour)), name)
+            port.on_mended(partial(lambda name, neighbour: mended.append((name, neighbour)), name))
         break_link(ports, "left", "top")
         patience = time.monotonic() + TIMEOUT_S
         while len(mended) < 2 and time.monotonic() < patience:

@@ -18,14 +18,17 @@ class Port(ABC):
 
     Of messages with one sender, receiver and kind none is lost, doubled or overtaken
     while both ends are open and the link between them holds. Nothing is promised on the order of others.
-
-    Attributes:
-        mended: called with a neighbour's name when the link to its process broke and is there again, in both
-            directions, by the thread that receives, out of `receive`. What was sent since the break, or shortly
-            before it, may be lost; both ends are told.
     """
 
     mended: Callable[[str], None] = staticmethod(lambda neighbour: None)
+
+    def on_mended(self, call: Callable[[str], None]) -> None:
+        """Have something called with a neighbour's name when the link to its process broke and is there again.
+
+        It is there in both directions then. The thread that receives calls, out of `receive`. What was sent since the
+        break, or shortly before it, may be lost; both ends are told.
+        """
+        self.mended = call
 
     @abstractmethod
     def send(self, message: Message) -> None:

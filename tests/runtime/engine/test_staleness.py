@@ -109,7 +109,7 @@ def run(
     for name, node in hierarchy.bound.items():
         world = World(pacemaker) if name == hierarchy.world else None
         runner = make(Wiring(node, edges, place), network.open_port(name), world=world, staleness=staleness)
-        runner.port.mended = runner.engine.say_again
+        runner.port.on_mended(runner.engine.say_again)
         runners[name] = runner
     runners[hierarchy.world].finish()
     if staleness.free:

@@ -12,7 +12,7 @@ from hierax.runtime.core.digest import encode_state
 from hierax.runtime.engine.engine import Engine
 from hierax.runtime.engine.wiring import Place, Wiring
 from hierax.runtime.execution.checkpoints import Checkpoints
-from hierax.runtime.execution.member import Member
+from hierax.runtime.execution.member import Member, Seat
 from hierax.runtime.execution.runner import NodeRunner
 from hierax.runtime.recovery.disk import MappedFile
 from hierax.runtime.recovery.slots import Slots
@@ -33,7 +33,9 @@ def slots(tmp_path: Path) -> Slots:
 def newcomer(slots: Slots, said: list[Control]) -> Member:
     """A member that is wired, and has had no part in an epoch."""
     wiring = Wiring(BoundNode("n", NODE, (), (), OperatorSetting()), (), Place())
-    member = Member("n", "token", lambda _: wiring, MemoryNetwork().open_port("n"), said.append, Checkpoints(slots))
+    member = Member(
+        Seat("n", "token", lambda _: wiring, MemoryNetwork().open_port("n")), said.append, Checkpoints(slots)
+    )
     member.run(wiring, joins=True)
     return member
 

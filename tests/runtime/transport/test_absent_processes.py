@@ -44,7 +44,7 @@ def test_a_link_that_breaks_alone_is_made_again_and_both_ends_are_told() -> None
     ending = threading.Event()
 
     def receive(name: str) -> None:
-        ports[name].mended = lambda neighbour: mended.append((name, neighbour))
+        ports[name].on_mended(lambda neighbour: mended.append((name, neighbour)))
         while not ending.is_set():
             message = ports[name].receive()
             if message is not None:
