@@ -15,6 +15,7 @@ from __future__ import annotations
 import os
 import time
 from collections.abc import Callable, Mapping
+from dataclasses import dataclass
 from typing import Any
 
 from hierax.runtime.engine.stale import StaleEngine
@@ -38,33 +39,19 @@ _KINDS = (OBSERVATIONS, TASKS, CONTEXT)
 _PAGE_BYTES = os.sysconf("SC_PAGE_SIZE")
 
 
+@dataclass(eq=False, repr=False)
 class InspectionServer:
-    """Answers the questions that a node is asked.
+    """Answers the questions that a node is asked."""
 
-    Args:
-        name: of the node.
-        process: the process's token.
-        observers: of the node.
-        roster: gives the roster in force where this is the world's process and the run has begun; else None.
-        endpoint: where they come in.
-        busy: the operator that the node's thread is in, as ``OPERATOR of SUBJECT``; empty: in none.
-    """
+    name: str  # of the node
+    process: str  # the process's token
+    observers: Observers  # of the node
+    # Gives the roster in force where this is the world's process and the run has begun; else None.
+    roster: Callable[[], Roster | None]
+    endpoint: InspectionEndpoint  # where they come in
+    busy: Callable[[], str]  # the operator that the node's thread is in, as ``OPERATOR of SUBJECT``; empty: in none
 
-    def __init__(
-        self,
-        name: str,
-        process: str,
-        observers: Observers,
-        roster: Callable[[], Roster | None],
-        endpoint: InspectionEndpoint,
-        busy: Callable[[], str],
-    ) -> None:
-        self._name = name
-        self._process = process
-        self._observers = observers
-        self._roster = roster
-        self._endpoint = endpoint
-        self._busy = busy
+    def __post_init__(self) -> None:
         self._meter: Meter | None = None
         self._copier: Copier | None = None
         self._wanted: dict[Edge, float] = {}
@@ -81,11 +68,11 @@ class InspectionServer:
 
     def serve(self) -> None:
         """Answer what was asked, and give up what nobody asks for any more."""
-        for question, reply in self._endpoint.questions():
+        for question, reply in self.endpoint.questions():
             reply(self._answer(question))
         if self._stepper is not None:
             for data in self._stepper.take():
-                self._endpoint.show(STEP, self._name, self._name, data)
+                self.endpoint.show(STEP, self.name, self.name, data)
         self._expire(time.monotonic())
 
     def _answer(self, question: Value) -> Value:
@@ -94,7 +81,7 @@ class InspectionServer:
         if look is None:
             return {"refusal": f"expected a map with 'look' as one of {', '.join(self._looks)}"}
         try:
-            return {"process": self._process, **look(question)}
+            return {"process": self.process, **look(question)}
         except SchemaError as error:
             return {"refusal": str(error)}
 
@@ -102,9 +89,9 @@ class InspectionServer:
         self._metered_s = time.monotonic()
         if self._meter is None:
             self._meter = Meter()
-            self._observers.watch(self._meter)
-        busy = self._busy()
-        engine = self._observers.engine
+            self.observers.watch(self._meter)
+        busy = self.busy()
+        engine = self.observers.engine
         waits = () if engine is None else engine.waits_for
         ready = engine is None or engine.phase is Phase.DONE  # for the next epoch, and nobody owes it anything
         return {
@@ -119,7 +106,7 @@ class InspectionServer:
         }
 
     def _answer_state(self, question: Mapping[str, Any]) -> dict[str, Value]:
-        engine, last = self._observers.engine, self._observers.last
+        engine, last = self.observers.engine, self.observers.last
         if engine is None:
             return {"epoch": 0, "refusal": "the node's process is still coming into the run"}
         node = engine.node
@@ -151,18 +138,18 @@ class InspectionServer:
         }
 
     def _answer_neighbours(self, question: Mapping[str, Any]) -> dict[str, Value]:
-        engine = self._observers.engine
+        engine = self.observers.engine
         return {side: [] if engine is None else list(getattr(engine.node, side)) for side in ("below", "above")}
 
     def _echo(self, question: Mapping[str, Any]) -> dict[str, Value]:
         until_s = time.monotonic() + LEASE_S
         for kind, sender, receiver in _edges_of(question):
             known = (kind, sender, receiver) in self._wanted or len(self._wanted) < MAX_EDGES
-            if sender == self._name and known:
+            if sender == self.name and known:
                 self._wanted[kind, sender, receiver] = until_s
         if self._wanted and self._copier is None:
-            self._copier = Copier(self._endpoint.show)
-            self._observers.watch(self._copier)
+            self._copier = Copier(self.endpoint.show)
+            self.observers.watch(self._copier)
         if self._copier is not None:
             self._copier.wanted = frozenset(self._wanted)
         return {"lease_s": LEASE_S}
@@ -174,24 +161,24 @@ class InspectionServer:
         self._stepped_s = time.monotonic()
         if self._stepper is None:
             self._stepper = Stepper()
-            self._observers.watch(self._stepper)
+            self.observers.watch(self._stepper)
         self._stepper.every = every
-        roster = self._roster()
+        roster = self.roster()
         return {"lease_s": LEASE_S, "roster": None if roster is None else roster.plain()}
 
     def _expire(self, now: float) -> None:
         if self._stepper is not None and now - self._stepped_s > LEASE_S:
-            self._observers.unwatch(self._stepper)
+            self.observers.unwatch(self._stepper)
             self._stepper = None
         if self._meter is not None and now - self._metered_s > LEASE_S:
-            self._observers.unwatch(self._meter)
+            self.observers.unwatch(self._meter)
             self._meter = None
         if self._copier is None:
             return
         self._wanted = {edge: until_s for edge, until_s in self._wanted.items() if until_s > now}
         self._copier.wanted = frozenset(self._wanted)
         if not self._wanted:
-            self._observers.unwatch(self._copier)
+            self.observers.unwatch(self._copier)
             self._copier = None
 
 

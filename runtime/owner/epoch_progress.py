@@ -2,20 +2,17 @@
 
 from __future__ import annotations
 
+from dataclasses import KW_ONLY, dataclass
+
 from hierax.runtime.owner.effects import OwnerEffects
 from hierax.runtime.owner.inquiry import Inquiry
 from hierax.runtime.owner.members import Members
 from hierax.schemas.control import NEVER
 
 
+@dataclass(eq=False, repr=False)
 class EpochProgress:
     """The epochs of a run.
-
-    Args:
-        members: who takes part.
-        inquiry: of attempts that do not end.
-        effects: of the owner.
-        epoch, attempt, settled, last_attempt: as `Owner` has them.
 
     Attributes:
         epoch: the last one committed.
@@ -28,36 +25,28 @@ class EpochProgress:
         over: whether it was the last one of the run.
     """
 
-    def __init__(
-        self,
-        members: Members,
-        inquiry: Inquiry,
-        effects: OwnerEffects,
-        *,
-        epoch: int,
-        attempt: int,
-        settled: bool,
-        last_attempt: int,
-    ) -> None:
-        self.epoch = epoch
-        self.attempt = attempt
-        self.last_attempt = last_attempt
+    members: Members  # who takes part
+    inquiry: Inquiry  # of attempts that do not end
+    effects: OwnerEffects  # of the owner
+    _: KW_ONLY
+    epoch: int
+    attempt: int
+    settled: bool
+    last_attempt: int
+
+    def __post_init__(self) -> None:
         self.running = False
-        self.settled = settled
         self.drains = False
         self.drained = False
         self.over = False
-        self._skips = attempt != NEVER  # of the next epoch the first attempt may have been begun and forgotten
-        self._members = members
-        self._inquiry = inquiry
-        self._effects = effects
+        self._skips = self.attempt != NEVER  # of the next epoch the first attempt may have been begun and forgotten
 
     def begin(self) -> None:
         """Begin the next epoch, or begin it again."""
         self.running = True
         self.attempt += 1
-        self._inquiry.start()
-        self._effects.begin(self.epoch + 1, self.attempt, self._members.roster.version)
+        self.inquiry.start()
+        self.effects.begin(self.epoch + 1, self.attempt, self.members.roster.version)
 
     def committed(self, epoch: int) -> None:
         """An epoch is committed."""
@@ -70,5 +59,5 @@ class EpochProgress:
 
     def tick(self) -> None:
         """Time has passed."""
-        if self.running and not self._members.lost:
-            self._inquiry.tick(self.epoch + 1, self.attempt)
+        if self.running and not self.members.lost:
+            self.inquiry.tick(self.epoch + 1, self.attempt)

@@ -9,6 +9,7 @@ from __future__ import annotations
 import time
 from collections import deque
 from collections.abc import Callable, Mapping
+from dataclasses import dataclass
 
 from hierax.runtime.recording.info import Gap
 from hierax.runtime.recording.trace import Attempt, Line
@@ -20,13 +21,9 @@ PATIENCE_S = 30.0
 KEPT_GAPS = 1000
 
 
+@dataclass(eq=False, repr=False)
 class Ledger:
     """Keeps account of one recording.
-
-    Args:
-        from_start: whether it begins with the run; else with the first epoch that all nodes have told of.
-        epochs: how many are wanted; None: all.
-        clock: seconds.
 
     Attributes:
         last: the last epoch whose commit was recorded.
@@ -35,12 +32,11 @@ class Ledger:
             meanwhile.
     """
 
-    def __init__(
-        self, from_start: bool, epochs: int | None = None, clock: Callable[[], float] = time.monotonic
-    ) -> None:
-        self._from_start = from_start
-        self._epochs = epochs
-        self._clock = clock
+    from_start: bool  # whether it begins with the run; else with the first epoch that all nodes have told of
+    epochs: int | None = None  # how many are wanted; None: all
+    clock: Callable[[], float] = time.monotonic  # seconds
+
+    def __post_init__(self) -> None:
         self._bits: dict[Line, int] = {}
         self._heard: dict[Attempt, int] = {}
         self._missing: dict[Attempt, int] = {}
@@ -61,7 +57,7 @@ class Ledger:
     @property
     def first(self) -> int:
         """The first epoch that is recorded as a whole; 0: not known yet."""
-        if self._from_start:
+        if self.from_start:
             return 1
         told = [self._first.get(name, 0) for name in self._expected]
         return max(told) + 1 if told and min(told) > 0 else 0
@@ -97,7 +93,7 @@ class Ledger:
         bit = self._bit(line)
         when = (epoch, attempt)
         if when not in self._heard:
-            self._ages.append((self._clock(), when))
+            self._ages.append((self.clock(), when))
             self._forget()
         self._heard[when] = self._heard.get(when, 0) | bit
         if when in self._missing:
@@ -129,7 +125,7 @@ class Ledger:
     def number(self, name: str, stream: str, number: int, epoch: int) -> None:
         """A node has told its step of this number, whether or not it was recorded."""
         last_stream, last = self._streams.get(name, ("", 0))
-        if name not in self._streams and not self._from_start:
+        if name not in self._streams and not self.from_start:
             last = number - 1  # somebody else may have recorded before
         elif stream != last_stream:
             last = 0
@@ -139,8 +135,8 @@ class Ledger:
             self.add(Gap(epoch, f"steps of {name} before this one", number - last - 1))
         self._streams[name] = (stream, max(number, last))
         self._first.setdefault(name, epoch)
-        if self._epochs is not None and self.cut is None and self.first:
-            self.cut = self.first + self._epochs - 1
+        if self.epochs is not None and self.cut is None and self.first:
+            self.cut = self.first + self.epochs - 1
 
     def add(self, gap: Gap) -> None:
         """Something is known to lack."""
@@ -162,7 +158,7 @@ class Ledger:
             self._report(when, first)
         self._missing.clear()
         silent = sorted(self._expected - self._first.keys())
-        if silent and (self._from_start or self._first):
+        if silent and (self.from_start or self._first):
             self.add(Gap(self.last, f"all steps of {', '.join(silent)}", len(silent)))
         return tuple(self._gaps), self._lost
 
@@ -177,7 +173,7 @@ class Ledger:
             self._missing.pop(when, None)
 
     def _forget(self) -> None:
-        oldest_s = self._clock() - PATIENCE_S
+        oldest_s = self.clock() - PATIENCE_S
         while len(self._ages) > 1 and self._ages[0][0] < oldest_s:
             _, when = self._ages.popleft()
             self._heard.pop(when, None)

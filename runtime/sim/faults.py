@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 from hierax.runtime.sim.journal import FAULT
 from hierax.runtime.sim.process import SimProcess, Surroundings
 from hierax.runtime.sim.scenario import (
@@ -28,21 +30,16 @@ _WAITING = (TORN, RAISE, *FORGED)
 """Those that befall a process at its next write, call or message, and count then."""
 
 
+@dataclass(eq=False, repr=False)
 class FaultInjector:
-    """Makes faults happen.
+    """Makes faults happen."""
 
-    Args:
-        around: what the processes stand in.
-        supervisor: of the processes.
-    """
-
-    def __init__(self, around: Surroundings, supervisor: SimSupervisor) -> None:
-        self._around = around
-        self._supervisor = supervisor
+    around: Surroundings  # what the processes stand in
+    supervisor: SimSupervisor  # of the processes
 
     def befall(self, fault: Fault) -> None:
         """Make a fault happen."""
-        around = self._around
+        around = self.around
         around.journal.trace(f"fault: {fault}")
         if fault.kind in OF_MESSAGES:
             around.network.faults.append(fault)
@@ -53,7 +50,7 @@ class FaultInjector:
             self._befall_process(fault, candidates[fault.number % len(candidates)])
 
     def _befall_process(self, fault: Fault, process: SimProcess) -> None:
-        kind, around = fault.kind, self._around
+        kind, around = fault.kind, self.around
         if kind not in _WAITING:
             around.journal.count(FAULT, kind)
         if kind in (CRASH, WORLD):
@@ -66,7 +63,7 @@ class FaultInjector:
             process.forges = kind
         elif kind == DAMAGE:
             around.checker.excused |= process.storage.damage()
-            self._supervisor.died(process)
+            self.supervisor.died(process)
         elif kind in (HANG, PAUSE):
             process.freeze()
             process.busy = kind == HANG
@@ -83,10 +80,10 @@ class FaultInjector:
                 around.clock.schedule(UNHEARD_S, self._miss, process)
 
     def _miss(self, process: SimProcess) -> None:
-        if process.token in self._around.network.cut:
-            self._supervisor.miss(process)
+        if process.token in self.around.network.cut:
+            self.supervisor.miss(process)
 
     def _heal(self, token: str) -> None:
-        self._around.journal.trace(f"{token} is joined again")
-        self._around.network.cut.discard(token)
-        self._around.network.open_links()
+        self.around.journal.trace(f"{token} is joined again")
+        self.around.network.cut.discard(token)
+        self.around.network.open_links()

@@ -10,6 +10,7 @@ said that it observed last. So nothing of the engine's own bookkeeping is relied
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 from hierax.runtime.core.binding import BoundNode, Call
@@ -27,38 +28,26 @@ class Turn(NamedTuple):
     attempt: int
 
 
+@dataclass(eq=False, repr=False)
 class Inspector:
     """Looks at all that goes into one process's operators.
 
     Attributes:
         turn: that the node is in.
         heard: the last one in which it had all from above.
-
-    Args:
-        name, process: of the node, and of its process.
-        violated: told what is wrong.
-        process_of: the process that runs a node under a version.
-        starts: called when a node begins a turn, before its first operator.
-        calls: called before each operator and edge function, with the epoch; what it raises, that one raises.
     """
 
-    def __init__(
-        self,
-        name: str,
-        process: str,
-        violated: Callable[[str], None],
-        process_of: Callable[[int, str], str | None],
-        starts: Callable[[Turn], None],
-        calls: Callable[[Call, int], None],
-    ) -> None:
-        self.name = name
-        self.process = process
+    name: str  # of the node, and of its process
+    process: str  # of the node, and of its process
+    violated: Callable[[str], None]  # told what is wrong
+    process_of: Callable[[int, str], str | None]  # the process that runs a node under a version
+    starts: Callable[[Turn], None]  # called when a node begins a turn, before its first operator
+    # Called before each operator and edge function, with the epoch; what it raises, that one raises.
+    calls: Callable[[Call, int], None]
+
+    def __post_init__(self) -> None:
         self.turn = Turn(-1, 0, -1)
         self.heard = self.turn
-        self._violated = violated
-        self._process_of = process_of
-        self._starts = starts
-        self.calls = calls
 
     def begin(self, turn: Turn) -> None:
         """The world is told to begin."""
@@ -74,20 +63,20 @@ class Inspector:
         turns = {Turn(*tag[3:]) for tag in tags}
         what = f"observations in epoch {epoch} under version {version}"
         if len(turns) != 1:
-            self._violated(f"{self.name}: its {what} are of {sorted(turns)}")
+            self.violated(f"{self.name}: its {what} are of {sorted(turns)}")
         else:
             (turn,) = turns
             if turn.version < version or turn.epoch != epoch or turn[1:] <= self.turn[1:]:
-                self._violated(f"{self.name}: its {what} are of {turn}; the last were of {self.turn}")
+                self.violated(f"{self.name}: its {what} are of {turn}; the last were of {self.turn}")
             self.turn = turn
         self._check(tags, senders, what)
-        self._starts(self.turn)
+        self.starts(self.turn)
         return bare
 
     def acts(self) -> None:
         """Note that the world acts: all that comes from above must be in hand."""
         if self.heard != self.turn:
-            self._violated(f"{self.name}: acts in {self.turn} before it has heard from above")
+            self.violated(f"{self.name}: acts in {self.turn} before it has heard from above")
 
     def given(self, elements: Elements, senders: tuple[str, ...], what: str) -> Elements:
         """Look at what came from above."""
@@ -100,13 +89,13 @@ class Inspector:
     def _check(self, tags: list[Any], senders: tuple[str, ...], what: str) -> None:
         names = [tag[1] for tag in tags]
         if sorted(names) != sorted(senders):
-            self._violated(f"{self.name}: {what} came from {names}, expected {sorted(senders)}")
+            self.violated(f"{self.name}: {what} came from {names}, expected {sorted(senders)}")
         for _, sender, process, *turn in tags:
             if Turn(*turn) != self.turn:
-                self._violated(f"{self.name}: {what} from {sender} are of {Turn(*turn)}, expected {self.turn}")
-            right = self._process_of(self.turn.version, sender)
+                self.violated(f"{self.name}: {what} from {sender} are of {Turn(*turn)}, expected {self.turn}")
+            right = self.process_of(self.turn.version, sender)
             if process != right:
-                self._violated(f"{self.name}: {what} from {sender} are of process {process}, expected {right}")
+                self.violated(f"{self.name}: {what} from {sender} are of process {process}, expected {right}")
 
 
 def tagged_as_of(elements: Elements, epoch: int, attempt: int) -> Elements:

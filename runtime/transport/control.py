@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Callable
+from dataclasses import dataclass
 from typing import Any
 
 import zenoh
@@ -19,34 +20,21 @@ SUPERVISOR = "keeper"  # the supervisor's address among them
 _log = logging.getLogger("hierax")
 
 
+@dataclass(eq=False, repr=False)
 class ControlLine:
-    """Control messages of one process.
+    """Control messages of one process."""
 
-    Args:
-        session: an open session.
-        keys: of the run.
-        address: where this end is reached.
-        accepts: the kinds of messages that are for this end; others are refused, and logged.
-        heard: called with each message and its size in bytes, in a thread of Zenoh's: it must not take long.
-        most_bytes: how long a message the session's links carry; None: any. A longer one is not sent, and logged.
-    """
+    session: zenoh.Session  # an open session
+    keys: Keys  # of the run
+    address: str  # where this end is reached
+    accepts: tuple[type, ...]  # the kinds of messages that are for this end; others are refused, and logged
+    # Called with each message and its size in bytes, in a thread of Zenoh's: it must not take long.
+    heard: Callable[[Control, int], None]
+    # How long a message the session's links carry; None: any. A longer one is not sent, and logged.
+    most_bytes: int | None = None
 
-    def __init__(
-        self,
-        session: zenoh.Session,
-        keys: Keys,
-        address: str,
-        accepts: tuple[type, ...],
-        heard: Callable[[Control, int], None],
-        most_bytes: int | None = None,
-    ) -> None:
-        self._session = session
-        self._most_bytes = most_bytes
-        self._keys = keys
-        self._address = address
-        self._accepts = accepts
-        self._heard = heard
-        self._subscriber: Any = session.declare_subscriber(keys.control(address), self._on_sample)
+    def __post_init__(self) -> None:
+        self._subscriber: Any = self.session.declare_subscriber(self.keys.control(self.address), self._on_sample)
 
     def send(self, address: str, control: Control) -> None:
         """Send a message; any thread may call it."""
@@ -55,13 +43,13 @@ class ControlLine:
         except SchemaError as error:
             _log.warning("not sent: %s for %s: %s", type(control).__name__, address, error)
             return
-        if self._most_bytes is not None and len(data) > self._most_bytes:
+        if self.most_bytes is not None and len(data) > self.most_bytes:
             what = f"{type(control).__name__} of {len(data)} bytes"
-            _log.warning("not sent: %s for %s; low-latency links carry at most %d", what, address, self._most_bytes)
+            _log.warning("not sent: %s for %s; low-latency links carry at most %d", what, address, self.most_bytes)
             return
         try:
-            self._session.put(
-                self._keys.control(address),
+            self.session.put(
+                self.keys.control(address),
                 data,
                 congestion_control=zenoh.CongestionControl.DROP,
                 priority=zenoh.Priority.INTERACTIVE_HIGH,
@@ -79,7 +67,7 @@ class ControlLine:
         except SchemaError as error:
             _log.warning("dropped what is no control message: %s", error)
             return
-        if isinstance(control, self._accepts):
-            self._heard(control, size)
+        if isinstance(control, self.accepts):
+            self.heard(control, size)
         else:
-            _log.warning("refused %s for %s: nobody says that there", type(control).__name__, self._address)
+            _log.warning("refused %s for %s: nobody says that there", type(control).__name__, self.address)

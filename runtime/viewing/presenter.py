@@ -69,26 +69,16 @@ class _Epoch:
     figures: dict[str, str] = field(default_factory=dict)
 
 
+@dataclass(eq=False, repr=False)
 class ViewPresenter:
-    """Puts what nodes show on a canvas.
+    """Puts what nodes show on a canvas."""
 
-    Args:
-        layout: of the views; None: one by what they hold.
-        together: shows what needs several nodes; None: nothing.
-        notify: is given what the user should know, a line each.
-    """
+    canvas: Canvas
+    layout: Layout | None = None  # of the views; None: one by what they hold
+    together: Together | None = None  # shows what needs several nodes; None: nothing
+    notify: Callable[[str], None] = lambda _: None  # is given what the user should know, a line each
 
-    def __init__(
-        self,
-        canvas: Canvas,
-        layout: Layout | None = None,
-        together: Together | None = None,
-        notify: Callable[[str], None] = lambda _: None,
-    ) -> None:
-        self._canvas = canvas
-        self._layout = layout
-        self._together = together
-        self._notify = notify
+    def __post_init__(self) -> None:
         self._roster: Roster | None = None
         self._views: dict[str, View] = {}
         self._arranged: tuple[View, ...] = ()
@@ -155,9 +145,9 @@ class ViewPresenter:
         paths = frozenset(thing.path for thing in things)
         gone = self._shown.get(source, frozenset()) - paths
         if gone:
-            self._canvas.clear(epoch, time_s, sorted(gone))
+            self.canvas.clear(epoch, time_s, sorted(gone))
         self._shown[source] = paths
-        self._canvas.draw(epoch, time_s, things)
+        self.canvas.draw(epoch, time_s, things)
 
     def _know(self, view: View, source: str) -> None:
         known = self._views.setdefault(view.name, view)
@@ -192,8 +182,8 @@ class ViewPresenter:
         for gone in [name for name in self._beliefs if name not in self._roster.nodes]:
             del self._beliefs[gone]
             self._show(gone, number, epoch.time_s, ())
-        if self._together is not None and epoch.steps.keys() >= self._roster.nodes.keys():
-            self._show(TOGETHER, number, epoch.time_s, self._shown_together(self._together, number, epoch.steps))
+        if self.together is not None and epoch.steps.keys() >= self._roster.nodes.keys():
+            self._show(TOGETHER, number, epoch.time_s, self._shown_together(self.together, number, epoch.steps))
         graph = hierarchy_graph(self._roster, {**self._figures, **epoch.figures})
         self._show(HIERARCHY, number, epoch.time_s, [Placed(View(HIERARCHY, Kind.GRAPH), HIERARCHY, HIERARCHY, graph)])
 
@@ -209,8 +199,8 @@ class ViewPresenter:
         """Say once which views of the layout nothing is shown in."""
         if not self._told:
             self._told = True
-            for name in unknown_names(self._views, self._layout):
-                self._notify(f"view.layout: nothing is shown in {name!r}{did_you_mean(name, self._views)}")
+            for name in unknown_names(self._views, self.layout):
+                self.notify(f"view.layout: nothing is shown in {name!r}{did_you_mean(name, self._views)}")
 
     def _arrange(self) -> None:
         """Lay out the views, where there are others than before: what the user has moved stays otherwise."""
@@ -218,7 +208,7 @@ class ViewPresenter:
         if views == self._arranged:
             return
         self._arranged = views
-        self._canvas.arrange(arranged(self._views, self._layout))
+        self.canvas.arrange(arranged(self._views, self.layout))
 
 
 def hierarchy_graph(roster: Roster, figures: Mapping[str, str]) -> Graph:
