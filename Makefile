@@ -6,7 +6,7 @@ INSTALLED := $(VENV)/.installed
 RUNS := $(VENV)/.runs
 CHECKED := .build/checked
 
-.PHONY: demo test check docs sweep model sim mutations kills changes fuzz rival tutorial interrupts clean test-quick format junk
+.PHONY: demo test check docs sweep model sim mutations kills changes fuzz rival generator_b tutorial interrupts clean test-quick format junk
 
 # what runs, recordings included, and what tests need besides: the viewer alone is some hundreds of megabytes
 $(RUNS): pyproject.toml
@@ -86,6 +86,12 @@ rival: $(INSTALLED)
 	mkdir -p .build/visp_rival
 	g++ -O2 -std=c++17 -I/usr/include/$$(gcc -dumpmachine) -I/usr/include/opencv4 benchmarks/visp_rival/tracker.cpp \
 		-o .build/visp_rival/tracker -lvisp_mbt -lvisp_klt -lvisp_me -lvisp_vision -lvisp_io -lvisp_core
+
+# docs/scenes.md: MuJoCo for benchmarks/generator_b, and what it draws with; installed where it is missing, if root may
+generator_b: $(INSTALLED)
+	@ldconfig -p | grep -q libEGL_mesa || test "$$(id -u)" != 0 || ! command -v apt-get > /dev/null || \
+		{ apt-get update -qq && apt-get install -y -qq --no-install-recommends libegl1 libgl1 libgl1-mesa-dri > /dev/null; }
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable ".[bench]"
 
 # mypy and the import contracts follow the namespace through an installed copy
 check: $(INSTALLED)

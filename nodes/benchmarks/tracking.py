@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import subprocess
+import sys
 import time
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from itertools import product
 from pathlib import Path
 from typing import NamedTuple
@@ -13,8 +15,9 @@ import numpy as np
 
 from hierax.nodes.tracking.datasets.bop import read_results
 from hierax.nodes.tracking.datasets.truth import read_truth
+from hierax.nodes.tracking.evaluation.beliefs import judge
 from hierax.nodes.tracking.evaluation.scoring import ObjectErrors, Score, object_errors, score
-from hierax.nodes.tracking.generator.kinds import IMPRECISE
+from hierax.nodes.tracking.generator.kinds import IMPRECISE, KINDS
 from hierax.nodes.tracking.generator.scenes import write_scene
 from hierax.runtime.core.errors import HieraxError
 from hierax.runtime.deployment import Deployment
@@ -23,7 +26,9 @@ from hierax.runtime.execution.plain import Json
 from hierax.runtime.execution.runner import NodeRunner
 from hierax.runtime.execution.single import run
 from hierax.runtime.launch.supervisor import launch
+from hierax.runtime.loading.allowance import module_of
 from hierax.runtime.watch.meter import EDGES, OBSERVE, PREDICT, Meter
+from hierax.schemas.roster import ProbeSpec, Reference
 
 DEPLOYMENT = "tracking"
 # What is set of the deployment, by way. An object's own model is what it shows when no other object is there.
@@ -38,6 +43,65 @@ STAGES = ("world", "arm", "spatial")  # nodes whose time is told; each with the 
 SPEED_KIND = "scattered"
 SPEED_OBJECTS = (1, 5)
 Tell = Callable[[str], None]
+GENERATOR_B = Path("benchmarks/generator_b")  # in a checkout; no part of the package, and nothing is fitted to it
+_BELIEFS = "hierax.nodes.tracking.evaluation.beliefs:Beliefs"
+
+
+class GeneratorA:
+    """The generator that is part of the package."""
+
+    def kinds(self) -> list[str]:
+        """Kinds of scenes that it makes."""
+        return list(KINDS)
+
+    def write(self, out: Path, kind: str, seed: int, frames: int, exact: bool) -> Path:
+        """Write a scene; its folder."""
+        return write_scene(out, kind, seed, frames, exact)
+
+
+@dataclass(frozen=True)
+class Program:
+    """A generator that is a program of its own: a Python file, or a folder with ``__main__.py``.
+
+    ``PROGRAM --kinds`` prints the kinds of scenes that it makes, ``PROGRAM OUT --kind K --seed N --frames N [--exact]``
+    writes one as `write_scene` does, and prints its folder.
+    """
+
+    path: Path  # the program
+
+    def kinds(self) -> list[str]:
+        """Kinds of scenes that it makes. Raises `HieraxError` where it fails."""
+        return self._run("--kinds").split()
+
+    def write(self, out: Path, kind: str, seed: int, frames: int, exact: bool) -> Path:
+        """Write a scene; its folder. Raises `HieraxError` where the program fails."""
+        numbers = (f"--seed={seed}", f"--frames={frames}")
+        return Path(self._run(str(out), f"--kind={kind}", *numbers, *(["--exact"] if exact else [])).strip())
+
+    def _run(self, *arguments: str) -> str:
+        done = subprocess.run([sys.executable, str(self.path), *arguments], capture_output=True, text=True, check=False)
+        if done.returncode:
+            last = (done.stderr.strip().splitlines() or [f"exit code {done.returncode}"])[-1]
+            raise HieraxError(f"{self.path}: {last.removeprefix('error: ')}")
+        return done.stdout
+
+
+Generator = GeneratorA | Program
+
+
+def generator(name: str) -> Generator:
+    """A generator of scenes: A, the package's; B, the checkout's, which is another hand's; or a program's path.
+
+    Raises:
+        HieraxError: there is no such program.
+    """
+    if name == "A":
+        return GeneratorA()
+    path = GENERATOR_B if name == "B" else Path(name)
+    if not path.exists():
+        hint = "; B is part of a checkout, to be run from there" if name == "B" else ""
+        raise HieraxError(f"{path}: no such program; expected A, B or the path of a generator{hint}")
+    return Program(path)
 
 
 @dataclass(frozen=True)
@@ -107,22 +171,24 @@ class Speed:
         return {**asdict(self), "epochs_hz": self.epochs_hz}
 
 
-def generated(names: Sequence[str], seeds: int, frames: int, exact: bool, folder: Path, told: Tell) -> list[Scene]:
+def generated(
+    by: Generator, names: Sequence[str], seeds: int, frames: int, exact: bool, folder: Path, told: Tell
+) -> list[Scene]:
     """Write scenes.
 
     Args:
-        names: of their kinds; seeds: how many of each kind, from seed 0 on; frames: of each.
+        by: what writes them; names: of their kinds; seeds: how many of each kind, from seed 0 on; frames: of each.
         exact: whether start and camera are told as they are.
         folder: where the datasets go; told: told what is going on.
 
     Raises:
-        HieraxError: something cannot be written.
+        HieraxError: something cannot be written, or the generator failed.
     """
     scenes = []
     for name, seed in product(names, range(seeds)):
         told(f"{name}, seed {seed}: drawing {frames} frames")
         out = folder / f"{name}-{seed}{'-exact' if exact else ''}-{frames}"
-        scene = write_scene(out, name, seed, frames, exact)
+        scene = by.write(out, name, seed, frames, exact)
         scenes.append(Scene(name, seed, scene, out / "truth" / scene.name, True))
     return scenes
 
@@ -134,7 +200,7 @@ def bench_tracking(
 
     Args:
         scenes: which; ways: of `WAYS`; settings: further ones of the deployment, ``path=value``.
-        folder: where results files go; told: told what is going on.
+        folder: where results files go, and what the arm believed; told: told what is going on.
 
     Raises:
         HieraxError: a scene cannot be read, or a node failed.
@@ -200,11 +266,20 @@ class _Tracked(NamedTuple):
 
 
 def _track(scene: Scene, way: str, settings: Sequence[str], folder: Path) -> _Tracked:
-    poses = folder / f"{scene.name}-{scene.seed}-{way.replace(' ', '-').replace(',', '')}.poses.csv"
+    stem = f"{scene.name}-{scene.seed}-{way.replace(' ', '-').replace(',', '')}"
+    poses, beliefs = folder / f"{stem}.poses.csv", folder / f"{stem}.beliefs.npz"
     changes = [f"scene={scene.folder}", f"table={str(scene.table).lower()}", f"output={poses}", *WAYS[way], *settings]
-    stage_ms = _stages_ms(read_deployment(DEPLOYMENT, changes))
-    displaced = scene.name == IMPRECISE
-    return _Tracked(object_errors(read_results(poses), read_truth(scene.truth), displaced), stage_ms)
+    truth = read_truth(scene.truth)
+    stage_ms = _stages_ms(_telling(read_deployment(DEPLOYMENT, changes), beliefs))
+    judge(beliefs, truth)
+    return _Tracked(object_errors(read_results(poses), truth, scene.name == IMPRECISE), stage_ms)
+
+
+def _telling(deployment: Deployment, beliefs: Path) -> Deployment:
+    """The deployment with a probe for what its arm believes."""
+    probe = ProbeSpec("arm", Reference(_BELIEFS, {"file": str(beliefs)}))
+    modules = (*deployment.modules, module_of(_BELIEFS))
+    return replace(deployment, probes=(*deployment.probes, probe), modules=modules)
 
 
 def _row(name: str, way: str, tracked: Sequence[_Tracked]) -> Row:

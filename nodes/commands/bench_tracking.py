@@ -25,6 +25,10 @@ def tracking(
     ] = "",
     seeds: Annotated[int, typer.Option(min=1, help="How many scenes of each kind.")] = 1,
     frames: Annotated[int, typer.Option(min=2, help="Of each generated scene.")] = 150,
+    generator: Annotated[
+        str,
+        typer.Option(metavar="A|B|FILE", help="Who generates: the package, another hand (in a checkout), a program."),
+    ] = "A",
     exact: Annotated[bool, typer.Option("--exact", help="Generated scenes tell start and camera as they are.")] = False,
     scene: Annotated[
         Path | None,
@@ -45,14 +49,13 @@ def tracking(
     rounds: Annotated[int, typer.Option(min=1, help="How often each is launched, with --speed.")] = 3,
     keep: Annotated[
         Path | None,
-        typer.Option(metavar="DIR", help="Folder for scenes and poses; by default one that goes."),
+        typer.Option(metavar="DIR", help="Folder for scenes, poses and beliefs; by default one that goes."),
     ] = None,
     settings: Overrides = None,
     output_format: OutputFormat = Format.text,
 ) -> int:
     """Track scenes with and without context, physics and prior, beside the truth."""
     from hierax.nodes.benchmarks import tracking as bench
-    from hierax.nodes.tracking.generator.kinds import KINDS
     from hierax.runtime.commands.show import print_json, show_progress
 
     as_json = output_format is Format.json
@@ -68,8 +71,9 @@ def tracking(
             return 0
         chosen_ways = bench.chosen("way", _names(ways, ";"), bench.WAYS)
         if scene is None:
-            chosen_kinds = bench.chosen("kind", _names(kinds, ","), KINDS)
-            scenes = bench.generated(chosen_kinds, seeds, frames, exact, folder, show_progress)
+            by = bench.generator(generator)
+            chosen_kinds = bench.chosen("kind", _names(kinds, ","), by.kinds())
+            scenes = bench.generated(by, chosen_kinds, seeds, frames, exact, folder, show_progress)
         else:
             scenes = [_given(scene, truth, table)]
         rows = bench.bench_tracking(scenes, chosen_ways, settings or (), folder, show_progress)

@@ -20,7 +20,7 @@ import json
 import sys
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import cv2
 import numpy as np
@@ -41,6 +41,14 @@ START_M, START_DEG = 0.007, 3.0
 NOISE, BLUR_PX = 2.5, 0.7
 SCENE = "000001"
 _FAST_PNG = (cv2.IMWRITE_PNG_COMPRESSION, 1)
+
+
+class Told(NamedTuple):
+    """What nodes are told of a scene."""
+
+    camera: Floats  # (frames, 4, 4) world_from_camera
+    intrinsics: Array  # fx, fy, cx, cy in pixels
+    start: Sequence[Floats]  # camera_from_object of each object in the first frame
 
 
 def write_scene(
@@ -65,18 +73,55 @@ def write_scene(
     rng = np.random.default_rng([seed, *kind.encode(), 1])
     told = exact or shown.still
     camera = shown.camera if told else reported_path(shown.camera, rng)
-    first = [invert(shown.camera[0]) @ pose for pose in shown.poses[0]]
-    start = first if told else [pose @ start_error(rng) for pose in first]
+    poses = [[invert(eye) @ pose for pose in each] for eye, each in zip(shown.camera, shown.poses, strict=True)]
+    start = poses[0] if told else [pose @ start_error(rng) for pose in poses[0]]
+    try:
+        _write_images(out / "test" / SCENE / "rgb", shown, rng)
+    except OSError as error:
+        raise DataError(f"{error.filename}: cannot be written: {error.strerror}") from error
+    write_truth(out, shown.camera, INTRINSICS, poses, [_shares(shown, frame) for frame in range(len(poses))])
+    return write_said(out, [thing.shape.mesh for thing in shown.things], Told(camera, INTRINSICS, start))
+
+
+def write_said(out: Path, models: Sequence[Mesh], told: Told) -> Path:
+    """Write all of a scene but its pictures: models, and what is told of camera and start; its folder.
+
+    Raises:
+        DataError: something cannot be written.
+    """
     scene = out / "test" / SCENE
     try:
-        _write_models(out / "models", [thing.shape.mesh for thing in shown.things])
-        _write_images(scene / "rgb", shown, rng)
-        write_json(scene / "scene_camera.json", _cameras(camera))
-        write_json(scene / "scene_gt.json", {"0": _objects(start)})
-        _write_truth(out / "truth" / SCENE, shown)
+        _write_models(out / "models", models)
+        write_json(scene / "scene_camera.json", _cameras(told.camera, told.intrinsics))
+        write_json(scene / "scene_gt.json", {"0": _objects(told.start)})
     except OSError as error:
         raise DataError(f"{error.filename}: cannot be written: {error.strerror}") from error
     return scene
+
+
+def write_truth(
+    out: Path, camera: Floats, intrinsics: Array, poses: Sequence[Sequence[Floats]], shares: Sequence[Floats]
+) -> None:
+    """Write what is true of a scene.
+
+    Args:
+        out: the dataset's folder; camera: world_from_camera of each frame; intrinsics: fx, fy, cx, cy in pixels.
+        poses: camera_from_object of each object in each frame; shares: of each in each the visible share.
+
+    Raises:
+        DataError: something cannot be written.
+    """
+    folder = out / "truth" / SCENE
+    objects = {str(frame): _objects(each) for frame, each in enumerate(poses)}
+    infos = {
+        str(frame): [{"visib_fract": round(float(share), 4)} for share in each] for frame, each in enumerate(shares)
+    }
+    try:
+        write_json(folder / "scene_camera.json", _cameras(camera, intrinsics))
+        write_json(folder / "scene_gt.json", objects)
+        write_json(folder / "scene_gt_info.json", infos)
+    except OSError as error:
+        raise DataError(f"{error.filename}: cannot be written: {error.strerror}") from error
 
 
 def start_error(rng: np.random.Generator) -> Floats:
@@ -151,19 +196,12 @@ def _write_images(folder: Path, shown: Film, rng: np.random.Generator) -> None:
         (folder / f"{frame:06d}.png").write_bytes(content.tobytes())
 
 
-def _write_truth(folder: Path, shown: Film) -> None:
-    objects, infos = {}, {}
-    for frame, camera in enumerate(shown.camera):
-        shares = visible_shares(shown.bodies(frame), camera, INTRINSICS, SIZE)[: len(shown.things)]
-        objects[str(frame)] = _objects([invert(camera) @ pose for pose in shown.poses[frame]])
-        infos[str(frame)] = [{"visib_fract": round(float(share), 4)} for share in shares]
-    write_json(folder / "scene_camera.json", _cameras(shown.camera))
-    write_json(folder / "scene_gt.json", objects)
-    write_json(folder / "scene_gt_info.json", infos)
+def _shares(shown: Film, frame: int) -> Floats:
+    return visible_shares(shown.bodies(frame), shown.camera[frame], INTRINSICS, SIZE)[: len(shown.things)]
 
 
-def _cameras(path: Floats) -> dict[str, Any]:
-    fx, fy, cx, cy = INTRINSICS.tolist()
+def _cameras(path: Floats, intrinsics: Array) -> dict[str, Any]:
+    fx, fy, cx, cy = intrinsics.tolist()
     cameras = {}
     for frame, camera in enumerate(path):
         seen = invert(camera)

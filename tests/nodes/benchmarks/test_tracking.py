@@ -9,7 +9,9 @@ import numpy as np
 import pytest
 
 from hierax.nodes.benchmarks.tracking import CONTEXT, OWN, WAYS, Gain, Row, gains
+from hierax.nodes.tracking.datasets.truth import read_truth
 from hierax.nodes.tracking.generator.kinds import KINDS
+from hierax.nodes.tracking.math.geometry import exp_se3
 from hierax.runtime.commands.main import main
 
 
@@ -52,6 +54,7 @@ def test_the_gain_is_of_scenes_with_hidden_frames_alone() -> None:
     ("arguments", "said"),
     [
         (["--kinds", "heap"], f"there is no kind 'heap'; expected some of {', '.join(KINDS)}"),
+        (["--generator", "C"], "C: no such program; expected A, B or the path of a generator"),
         (["--ways", "best"], "there is no way 'best'; expected some of own model"),
         (["--scene", "nowhere/test/000001"], "nowhere/test/000001: no such folder; expected a BOP scene"),
         (["--kinds", "tower", "--frames", "2", "--set", "nodes.arm.parameters.speed=1"], "speed"),
@@ -63,6 +66,42 @@ def test_what_is_wrong_is_one_line(arguments: list[str], said: str, capsys: pyte
     assert said in err
     assert err.count("\n") == 1
     assert "Traceback" not in out + err
+
+
+PROGRAM = """
+import sys
+from pathlib import Path
+from hierax.nodes.tracking.generator.scenes import write_scene
+if "--kinds" in sys.argv:
+    print("lone")
+else:
+    assert sys.argv[2:] == ["--kind=lone", "--seed=0", "--frames=3", "--exact"], sys.argv
+    print(write_scene(Path(sys.argv[1]), "scattered", 0, 3, True, 1))
+"""
+
+
+def test_scenes_of_another_generator_are_tracked_and_beliefs_kept(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    program = tmp_path / "mine.py"
+    program.write_text(PROGRAM)
+    arguments = ["bench", "tracking", "--generator", str(program), "--frames", "3", "--exact", "--ways", CONTEXT]
+    assert main([*arguments, "--keep", str(tmp_path), "--format", "json"]) == 0
+    (row,) = json.loads(capsys.readouterr().out)["rows"]
+    assert (row["scene"], row["objects"], row["frames"]) == ("lone", 1, 3)
+    with np.load(tmp_path / "lone-0-with-all.beliefs.npz") as archive:
+        beliefs = dict(archive)
+    truth = read_truth(tmp_path / "lone-0-exact-3" / "truth" / "000001")
+    assert beliefs["frame"].tolist() == [0, 1, 2]
+    assert set(beliefs["status"].tolist()) <= {"tracked", "expected"}
+    assert beliefs["covariance"].shape == (3, 6, 6)
+    for at in range(3):
+        np.testing.assert_allclose(beliefs["pose"][at] @ exp_se3(beliefs["twist"][at]), truth[at][0].pose, atol=1e-9)
+        assert beliefs["distance_mm"][at] == pytest.approx(1000.0 * np.linalg.norm(beliefs["twist"][at][:3]), rel=0.01)
+    np.testing.assert_allclose(beliefs["visible"], [truth[at][0].visible for at in range(3)])
+    program.write_text("import sys\nsys.exit('error: out of paint')")
+    assert main([*arguments, "--keep", str(tmp_path)]) == 1
+    assert capsys.readouterr().err == f"error: {program}: out of paint\n"
 
 
 def test_a_scene_without_truth_says_so(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
