@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import json
 import os
 import signal
@@ -10,11 +11,14 @@ import sys
 import threading
 import time
 from collections.abc import Callable
+from contextlib import redirect_stderr, redirect_stdout
 from pathlib import Path
 from types import TracebackType
 from typing import Any, TypeVar
 
 import msgpack
+
+from hierax.runtime.commands.main import main
 
 HIERAX = [sys.executable, "-m", "hierax.runtime.commands.main"]
 TESTS = Path(__file__).parents[1]
@@ -40,6 +44,20 @@ def hierax(*arguments: str) -> dict[str, Any]:
     if done.returncode:
         raise RuntimeError(f"{' '.join(arguments)}: {done.stderr}")
     return dict(json.loads(done.stdout))
+
+
+def run_here(*arguments: str) -> dict[str, Any]:
+    """What ``hierax run`` prints as JSON, in this process, as another one's start takes longer than most runs.
+
+    Raises:
+        RuntimeError: it failed.
+    """
+    out, err = io.StringIO(), io.StringIO()
+    with redirect_stdout(out), redirect_stderr(err):
+        code = main(["run", *arguments, "--format", "json"])
+    if code:
+        raise RuntimeError(f"{' '.join(arguments)}: {err.getvalue()}")
+    return dict(json.loads(out.getvalue()))
 
 
 def is_alive(pid: int) -> bool:

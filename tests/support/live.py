@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from hierax.runtime.transport.launch_client import LaunchClient
+from support.launched import run_here
 from support.live_nodes import PACE_S
 
 HIERAX = [sys.executable, "-m", "hierax.runtime.commands.main"]
@@ -129,6 +130,7 @@ class Live:
         self.file.write_text(DEPLOYMENT.format(stop=self._stop), encoding="utf-8")
         self._programs: list[Program] = []
         self._client: LaunchClient | None = None
+        self._asking: subprocess.Popen[str] | None = None
         self._pace_s = pace_s
         self.launch = self.start("launch", str(self.file), "--format", "json", *options, namespace=namespace)
         until(lambda: list((folder / "hierax").glob("*.json")), "the launch")
@@ -172,8 +174,7 @@ class Live:
         if not self.namespace:
             self._client = self._client or LaunchClient(self.endpoint)
             return self._client.ask({"ask": "ps"})
-        runs = json.loads(self.hierax("ps", "--format", "json").stdout)["runs"]
-        return dict(runs[0])
+        return self._asked_from_within()
 
     @property
     def endpoint(self) -> str:
@@ -197,10 +198,7 @@ class Live:
     def repeated(self, epochs: int, *schedule: str) -> dict[str, Any]:
         """The report of ``hierax run`` with changes as ``--at`` has them."""
         at = [argument for change in schedule for argument in ("--at", change)]
-        done = hierax(self.folder, "run", str(self.file), "--epochs", str(epochs), *at, "--format", "json")
-        assert done.returncode == 0, done.stderr
-        report: dict[str, Any] = json.loads(done.stdout)
-        return report
+        return run_here(str(self.file), "--epochs", str(epochs), *at)
 
     def is_repeated_by(self, *schedule: str) -> None:
         """End it, and compare it with one process under the same changes."""
@@ -215,8 +213,25 @@ class Live:
         """End what is left."""
         if self._client is not None:
             self._client.close()
+        if self._asking is not None:
+            self._asking.communicate(timeout=TIMEOUT_S)
         for program in reversed(self._programs):
             program.kill()
+
+    def _asked_from_within(self) -> dict[str, Any]:
+        """What the launch answers to somebody in its namespace."""
+        if self._asking is None:
+            self._asking = subprocess.Popen(
+                ["ip", "netns", "exec", self.namespace, sys.executable, "-m", "support.asking", self.endpoint],
+                stdin=subprocess.PIPE,
+                stdout=subprocess.PIPE,
+                text=True,
+                env=environment(self.folder),
+            )
+        assert self._asking.stdin is not None
+        assert self._asking.stdout is not None
+        print(file=self._asking.stdin, flush=True)
+        return dict(json.loads(self._asking.stdout.readline()))
 
 
 def environment(folder: Path) -> dict[str, str]:

@@ -12,7 +12,8 @@ import msgpack
 import numpy as np
 import pytest
 import yaml
-from support.launched import Command, Launched, hierax
+from support.launched import Command, Launched, hierax, run_here
+from support.pace import paced
 from support.parts import KEPT, active, advanced, believed, largest_error, write_deployment
 
 from hierax.nodes.causal_tree import Part, epochs_needed, network_from, posteriors, random_tree
@@ -24,18 +25,6 @@ from hierax.runtime.execution.single import run
 CLOSE = 1e-12
 TREE, ALARM = shipped()["causal-tree"], shipped()["alarm"]
 NETWORK = network_from(yaml.safe_load(TREE.read_text(encoding="utf-8"))["parameters"]["network"])
-
-PACE = """\
-import time
-
-from hierax.runtime import Probe
-
-
-class Pace(Probe):
-    def record(self, step):
-        time.sleep(0.01)
-"""
-"""A probe that keeps a launch from doing more epochs than are wanted again."""
 
 
 def vectors(evidence: dict[str, Any]) -> dict[str, Any]:
@@ -67,7 +56,7 @@ def test_the_shipped_alarm() -> None:
 
 @pytest.mark.parametrize(("name", "epochs"), [("causal-tree", "200"), ("alarm", "12")])
 def test_a_launch_is_the_run(name: str, epochs: str) -> None:
-    wanted = hierax("run", name, "--epochs", epochs)
+    wanted = run_here(name, "--epochs", epochs)
     report = hierax("launch", name, "--epochs", epochs)
     assert (report["digest"], report["nodes"]) == (wanted["digest"], wanted["nodes"])
 
@@ -101,11 +90,7 @@ def test_a_detached_subtree_says_nothing_and_an_attached_one_does() -> None:
 
 
 def test_subtrees_come_and_go_while_evidence_streams(tmp_path: Path) -> None:
-    content = yaml.safe_load(TREE.read_text(encoding="utf-8"))
-    paced = tmp_path / "paced.yaml"
-    paced.write_text(yaml.safe_dump({**content, "probes": [{"node": "world", "class": "pace:Pace"}]}, sort_keys=False))
-    (tmp_path / "pace.py").write_text(PACE)
-    with Launched(tmp_path, str(paced), "--epochs", "1000000") as launch:
+    with Launched(tmp_path, paced(tmp_path, "causal-tree"), "--epochs", "1000000") as launch:
         launch.until_epoch(5)
         schedule = []
         for kind in ("detach", "attach"):
@@ -117,7 +102,7 @@ def test_subtrees_come_and_go_while_evidence_streams(tmp_path: Path) -> None:
         launch.end()
         digests = launch.written
     repeated = tmp_path / "repeated"
-    hierax("run", "causal-tree", "--epochs", str(epoch + 20), "--output", str(repeated), *schedule)
+    run_here("causal-tree", "--epochs", str(epoch + 20), "--output", str(repeated), *schedule)
     with (repeated / "digests.msgpack").open("rb") as entries:
         wanted = dict(msgpack.Unpacker(entries))
     assert {number: digests[number] for number in wanted} == wanted, schedule

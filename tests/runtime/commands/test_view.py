@@ -8,6 +8,7 @@ from typing import Any
 
 import pytest
 from support.launched import Command, until
+from support.pace import paced
 
 from hierax.runtime.commands.main import main
 
@@ -73,7 +74,7 @@ def test_a_run_and_its_recording_go_into_files(tmp_path: Path, capsys: pytest.Ca
 @needs_rerun
 def test_ctrl_c_ends_looking_at_a_launch_that_runs_on(tmp_path: Path) -> None:
     saved = tmp_path / "live.rrd"
-    with Command(tmp_path, "launch", "servo", "--epochs", "10000000") as launch:
+    with Command(tmp_path, "launch", paced(tmp_path, "servo"), "--epochs", "10000000") as launch:
         until(lambda: any(tmp_path.rglob("*.json")), "the launch runs")
         with Command(tmp_path, "view", "--save", str(saved)) as view:
             until(lambda: saved.exists() and saved.stat().st_size > 50_000, "something is shown")

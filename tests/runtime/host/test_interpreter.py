@@ -98,6 +98,8 @@ def test_nodes_that_are_kept_by_who_attaches_them_find_their_modules(folder: Pat
         (folder / f"{name}.py").unlink()
     (folder / "of_mine.py").write_text("from queue_of_mine import Watcher\n\nclass Further(Watcher): pass\n")
     (folder / "more.yaml").write_text('nodes:\n  more: {class: "of_mine:Further"}\nedges:\n  world -> more: {}\n')
+    paced = f'{DEPLOYMENT}probes: [{{node: world, class: "support.pace:Pace"}}]\n'
+    (folder / "shadowed.yaml").write_text(paced)
     with Command(folder, "launch", str(folder / "shadowed.yaml"), "--epochs", "10000000") as launch:
         until(lambda: any((folder / "hierax").glob("*.json")), "the launch runs")
         with Command(folder, "attach", str(folder / "more.yaml"), "--here") as keeper:

@@ -12,6 +12,7 @@ from pathlib import Path
 
 import pytest
 from support.launched import HIERAX, Launched, environment, until
+from support.pace import paced
 
 WORD = "hunter2word"
 SET = f"zenoh.transport.auth.usrpwd.password={WORD}"
@@ -129,7 +130,9 @@ def test_where_nothing_can_be_written_nothing_starts(tmp_path: Path) -> None:
 
 
 def test_two_launches_do_not_share_an_output_nor_a_recording(tmp_path: Path) -> None:
-    with Launched(tmp_path, "letters", "--epochs", "1000000", "--record", str(tmp_path / "run.mcap")) as launch:
+    with Launched(
+        tmp_path, paced(tmp_path, "letters"), "--epochs", "1000000", "--record", str(tmp_path / "run.mcap")
+    ) as launch:
         launch.until_epoch(3)
         for options in (["--output", "output"], ["--record", "run.mcap"], ["--output", "output", "--overwrite"]):
             done = hierax(tmp_path, "run", "letters", *options)

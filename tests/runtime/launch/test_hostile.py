@@ -48,6 +48,7 @@ def ends_with(live: Live, *words: str) -> None:
 def test_words_that_cannot_be_change_nothing(live: Live, stranger: Stranger) -> None:
     tokens = {name: str(node["process"]) for name, node in live.run["nodes"].items()}
     roster = {"nodes": {}, "edges": (), "world": "world", "version": 1, "instances": {"low": 7}}
+    epoch = 0
     for name, token in tokens.items():
         stranger.say(token, Dismiss("go away"))
         stranger.say(token, Dismiss("go away", again=True))
@@ -69,8 +70,9 @@ def test_words_that_cannot_be_change_nothing(live: Live, stranger: Stranger) -> 
             Lost("nobody", "x", True),
         ):
             stranger.say("owner", word)
-        for _ in range(1000):
-            stranger.say(token, Resend(live.epoch, 0, ("low", "high", "world")))
+        for number in range(1000):
+            epoch = epoch if number % 20 else live.epoch
+            stranger.say(token, Resend(epoch, 0, ("low", "high", "world")))
             stranger.say("owner", Fetch(name, token, 0))
     live.goes_on()
     running = live.run["nodes"]

@@ -17,7 +17,7 @@ from pathlib import Path
 import msgpack
 import pytest
 from support.device_nodes import DEVICE, MOVES_S, acts
-from support.launched import Command, Launched, hierax, is_alive, processes_of, until
+from support.launched import Command, Launched, is_alive, processes_of, run_here, until
 from support.recompute_digest import main as recompute_digest
 
 EPOCHS = 40
@@ -52,7 +52,7 @@ class Device:
     def digest(self, epochs: int, *options: str) -> str:
         """Of the run in one process; the log begins anew after it."""
         self._environment.delenv(MOVES_S, raising=False)
-        digest: str = hierax("run", self.file, "--epochs", str(epochs), *options)["digest"]
+        digest: str = run_here(self.file, "--epochs", str(epochs), *options)["digest"]
         self.log.unlink()
         return digest
 
@@ -209,7 +209,7 @@ edges:
 
 def test_a_process_that_was_taken_for_lost_is_refused(device: Device, tmp_path: Path) -> None:
     """Its keeper is stopped with it, as on a machine that is cut off; both go on later."""
-    epochs = 500
+    epochs = 1000
     device.write(deadline_s=DEADLINE_S)
     snippet = tmp_path / "ear.yaml"
     snippet.write_text(SNIPPET, encoding="utf-8")

@@ -13,32 +13,25 @@ import msgpack
 import pytest
 import yaml
 from support.device_nodes import DEVICE, MOVES_S, acts
-from support.launched import Command, Launched, hierax
+from support.launched import Command, Launched, hierax, run_here
+from support.pace import paced
+from support.sweep import SWEEP
 
 from hierax.runtime.deployment.locating import shipped
-
-PACE = """\
-import time
-
-from hierax.runtime import Probe
-
-
-class Pace(Probe):
-    def record(self, step):
-        time.sleep(0.002)
-"""
-"""A probe that keeps the world from being through with its epochs before anything is changed."""
 
 MANY = "1000000"
 AFTER = 20
 NODES = ("arm", "eye", "spatial", "world")
 
 
-@pytest.mark.parametrize("staleness", [1, 2, 3])
-@pytest.mark.parametrize(("deployment", "epochs"), [("letters", 30), ("servo", 60), ("chain", 300)])
+EXACT = [("letters", 30, 1), ("servo", 60, 2), ("chain", 300, 3)]
+FURTHER = [(name, epochs, staleness) for name, epochs, _ in EXACT for staleness in (1, 2, 3)] if SWEEP else []
+
+
+@pytest.mark.parametrize(("deployment", "epochs", "staleness"), dict.fromkeys([*EXACT, *FURTHER]))
 def test_a_launch_with_an_exact_staleness_is_the_run(deployment: str, epochs: int, staleness: int) -> None:
     options = ["--epochs", str(epochs), "--seed", "5", "--set", f"staleness={staleness}", "--set", "exact=true"]
-    wanted = hierax("run", deployment, *options)
+    wanted = run_here(deployment, *options)
     report = hierax("launch", deployment, *options)
     assert (report["digest"], report["nodes"]) == (wanted["digest"], wanted["nodes"])
     assert wanted["nodes"]["world"]["metrics"]["staleness_max"] == staleness
@@ -59,9 +52,7 @@ class Changed:
             values = given.get("parameters", {})
             self._nodes[node]["parameters"] = {key: self._value(value, plain) for key, value in values.items()}
         self.file = str(self._write("plain.yaml", {**plain, **fields}))
-        (folder / "pace.py").write_text(PACE, encoding="utf-8")
-        probes = [{"node": plain["world"], "class": "pace:Pace"}]
-        self.paced = str(self._write("paced.yaml", {**plain, **fields, "probes": probes}))
+        self.paced = paced(folder, name, **fields)
         self.schedule: list[str] = []
 
     def launch(self, *options: str) -> Launched:
@@ -85,7 +76,7 @@ class Changed:
         """The digests of the run in one process with the same changes; of the last epoch apart, which is drained."""
         output = self._folder / "repeated"
         last = str(epochs + 1)
-        hierax("run", self.file, "--epochs", last, "--output", str(output), *self.schedule)
+        run_here(self.file, "--epochs", last, "--output", str(output), *self.schedule)
         with (output / "digests.msgpack").open("rb") as entries:
             return {epoch: digest for epoch, digest in msgpack.Unpacker(entries) if epoch <= epochs}
 
@@ -98,7 +89,7 @@ class Changed:
 
     def _write(self, name: str, content: Any) -> Path:
         path = self._folder / name
-        path.write_text(yaml.safe_dump(content), encoding="utf-8")
+        path.write_text(yaml.safe_dump(content, sort_keys=False), encoding="utf-8")  # whose order counts
         return path
 
 

@@ -8,6 +8,7 @@ import pytest
 from support.canvas import KeptCanvas
 from support.deployments import write
 from support.launched import Command, until
+from support.pace import paced
 
 from hierax.runtime.core.showing import Graph
 from hierax.runtime.launch.run_file import known_runs
@@ -50,7 +51,7 @@ def test_a_launch_is_seen_until_it_ends(tmp_path: Path, monkeypatch: pytest.Monk
             launch.end()
         return False
 
-    with Command(tmp_path, "launch", "servo", "--epochs", "10000000") as launch:
+    with Command(tmp_path, "launch", paced(tmp_path, "servo"), "--epochs", "10000000") as launch:
         until(lambda: bool(known_runs()), "the launch runs")
         with LaunchClient(known_runs()[0].endpoint) as client:
             assert show_launch(client, ViewPresenter(canvas), Allowance(("hierax.nodes.servo",)), over) > 15
