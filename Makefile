@@ -14,9 +14,10 @@ $(RUNS): pyproject.toml
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable ".[record]"
 	touch $@
 
-$(INSTALLED): $(RUNS)
+$(INSTALLED): pyproject.toml
+	$(PYTHON) -m venv $(VENV)
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable ".[dev]"
-	touch $@
+	touch $(RUNS) $@
 
 demo: $(RUNS)
 	$(BIN)/hierax launch deploy/tracking.yaml --epochs 60 --output demo-output --overwrite
