@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
 
 from hierax.runtime.owner.effects import OwnerEffects, OwnerPolicy
 from hierax.runtime.owner.members import Members
@@ -16,33 +17,24 @@ ASK_AGAIN_S = 0.1
 RESENDS = 3  # how often what is missing is sent again before its link is taken for dead
 
 
+@dataclass(eq=False)
 class Inquiry:
-    """Watches the deadline of each attempt; asks, has messages sent again, and names the culprit.
+    """Watches the deadline of each attempt; asks, has messages sent again, and names the culprit."""
 
-    Args:
-        effects: of the owner.
-        clock: seconds.
-        policy: what the deployment says.
-        members: who takes part.
-    """
-
-    def __init__(
-        self, effects: OwnerEffects, clock: Callable[[], float], policy: OwnerPolicy, members: Members
-    ) -> None:
-        self._effects = effects
-        self._clock = clock
-        self._members = members
-        self._deadline_s = policy.epoch_deadline_s
-        self._began_s = 0.0
-        self._asked_s: float | None = None
-        self._insisted = False
-        self._number = 0
-        self._resends = 0
-        self._answers: dict[str, Status] = {}
+    effects: OwnerEffects  # of the owner
+    clock: Callable[[], float]  # seconds
+    policy: OwnerPolicy  # what the deployment says
+    members: Members  # who takes part
+    _began_s: float = 0.0
+    _asked_s: float | None = None
+    _insisted: bool = False
+    _number: int = 0
+    _resends: int = 0
+    _answers: dict[str, Status] = field(default_factory=dict)
 
     def start(self) -> None:
         """An attempt begins."""
-        self._began_s = self._clock()
+        self._began_s = self.clock()
         self._asked_s = None
         self._resends = 0
 
@@ -53,16 +45,16 @@ class Inquiry:
 
     def tick(self, epoch: int, attempt: int) -> None:
         """Time has passed in an attempt."""
-        now = self._clock()
-        if self._deadline_s is None or now - self._began_s <= self._deadline_s:
+        now = self.clock()
+        if self.policy.epoch_deadline_s is None or now - self._began_s <= self.policy.epoch_deadline_s:
             return
         if self._asked_s is None:
             self._ask(now)
-        elif self._answers.keys() != self._members.roster.nodes.keys() and not self._insisted:
+        elif self._answers.keys() != self.members.roster.nodes.keys() and not self._insisted:
             if now - self._asked_s > ASK_AGAIN_S:
                 self._insisted = True
-                self._send_question(sorted(self._members.roster.nodes.keys() - self._answers.keys()))
-        elif now - self._asked_s > ANSWER_S or self._answers.keys() == self._members.roster.nodes.keys():
+                self._send_question(sorted(self.members.roster.nodes.keys() - self._answers.keys()))
+        elif now - self._asked_s > ANSWER_S or self._answers.keys() == self.members.roster.nodes.keys():
             self._asked_s = None
             self._judge(epoch, attempt)
 
@@ -71,16 +63,16 @@ class Inquiry:
         self._number += 1
         self._answers = {}
         self._insisted = False
-        self._send_question(sorted(self._members.roster.nodes))
+        self._send_question(sorted(self.members.roster.nodes))
 
     def _send_question(self, names: list[str]) -> None:
         for name in names:
-            self._effects.send_order(self._members.processes[name], AskStatus(self._number))
+            self.effects.send_order(self.members.processes[name], AskStatus(self._number))
 
     def _judge(self, epoch: int, attempt: int) -> None:
-        silent = sorted(self._members.roster.nodes.keys() - self._answers.keys())
+        silent = sorted(self.members.roster.nodes.keys() - self._answers.keys())
         busy = sorted(name for name, status in self._answers.items() if status.busy)
-        place = (epoch, attempt, self._members.roster.version)
+        place = (epoch, attempt, self.members.roster.version)
         waiting = {
             name: status.waits_for
             for name, status in sorted(self._answers.items())
@@ -93,7 +85,7 @@ class Inquiry:
         if ahead:  # the world's record was damaged, and what it falls back to is too old
             others = f"{', '.join(ahead)}: in epoch {self._answers[ahead[0]].epoch}"
             what = f"the world goes on with epoch {epoch}, and that was committed already ({others})"
-            self._effects.stop(f"{what}, or somebody else has sent them observations")
+            self.effects.stop(f"{what}, or somebody else has sent them observations")
             return
         self._note(epoch, silent, busy, waiting)
         if silent or busy:
@@ -115,13 +107,15 @@ class Inquiry:
             for name, slots in waiting.items()
             if name not in busy
         ]
-        self._effects.note(f"epoch {epoch} is past its deadline of {self._deadline_s:g} s: {'; '.join(parts)}")
+        self.effects.note(
+            f"epoch {epoch} is past its deadline of {self.policy.epoch_deadline_s:g} s: {'; '.join(parts)}"
+        )
 
     def _blame(self, epoch: int, silent: list[str], busy: list[str]) -> None:
-        self._began_s = self._clock()
+        self._began_s = self.clock()
         for name in silent or busy:
             why = "it does not answer" if name in silent else f"it is in {self._answers[name].busy}"
-            self._members.end(name, self._members.processes[name], f"{why} in epoch {epoch}, past the deadline")
+            self.members.end(name, self.members.processes[name], f"{why} in epoch {epoch}, past the deadline")
 
     def _send_again(
         self, epoch: int, attempt: int, waiting: Mapping[str, tuple[tuple[str, str], ...]], behind: list[str]
@@ -130,20 +124,20 @@ class Inquiry:
         for name, slots in waiting.items():
             for sender, _ in slots:
                 wanted.setdefault(sender, set()).add(name)
-        for edge in self._members.roster.edges:
+        for edge in self.members.roster.edges:
             if edge.upper in behind and edge.lower not in behind:
                 wanted.setdefault(edge.lower, set()).add(edge.upper)
         for sender, receivers in sorted(wanted.items()):
-            self._effects.send_order(self._members.processes[sender], Resend(epoch, attempt, tuple(sorted(receivers))))
+            self.effects.send_order(self.members.processes[sender], Resend(epoch, attempt, tuple(sorted(receivers))))
 
     def _blame_link(self, waiting: Mapping[str, tuple[tuple[str, str], ...]], behind: list[str]) -> None:
         """What is sent again and again does not arrive: the upper end of the link is taken for lost."""
-        self._began_s = self._clock()
+        self._began_s = self.clock()
         missing = {(sender, name) for name, slots in waiting.items() for sender, _ in slots}
         uppers = sorted(
             edge.upper
-            for edge in self._members.roster.edges
+            for edge in self.members.roster.edges
             if edge.pair in missing or edge.pair[::-1] in missing or (edge.upper in behind and edge.lower not in behind)
         )
         for name in uppers[:1]:
-            self._members.end(name, self._members.processes[name], "a link to it carries nothing")
+            self.members.end(name, self.members.processes[name], "a link to it carries nothing")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
+from dataclasses import dataclass
 from secrets import token_hex
 from typing import Protocol
 
@@ -37,26 +38,17 @@ class StepSink(Protocol):
 _Used = tuple[tuple[str, str, int, int], ...]
 
 
+@dataclass(eq=False)
 class Witness(Watcher):
-    """Tells a step for each epoch that a node completes.
+    """Tells a step for each epoch that a node completes."""
 
-    Args:
-        name, engine: the node's name; what gives its engine, None: it is not there yet.
-        sink: where steps go.
-        roster: of the world: gives the roster in force; None for other nodes, as it is before the run begins.
-    """
+    name: str  # of the node
+    engine: Callable[[], Engine | None]  # gives the node's engine; None: it is not there yet
+    sink: StepSink  # where steps go
+    # Of the world: gives the roster in force; None for other nodes, as it is before the run begins.
+    roster: Callable[[], Roster | None] | None = None
 
-    def __init__(
-        self,
-        name: str,
-        engine: Callable[[], Engine | None],
-        sink: StepSink,
-        roster: Callable[[], Roster | None] | None = None,
-    ) -> None:
-        self._name = name
-        self._engine = engine
-        self._sink = sink
-        self._roster = roster
+    def __post_init__(self) -> None:
         self._stream = token_hex(4)
         self._number = 0
         self._last = 0
@@ -81,13 +73,13 @@ class Witness(Watcher):
 
     def sent(self, message: Message) -> None:
         header = message.header
-        if self._roster is not None and header.roster != self._told_version:
-            self._publish_roster(self._roster())
+        if self.roster is not None and header.roster != self._told_version:
+            self._publish_roster(self.roster())
         self._passages.append(Passage(True, header.kind, header.receiver, header.epoch, header.attempt))
 
     def called(self, called: Called) -> None:
         """At the prediction the engine is still in its epoch; when that is told as completed, no more."""
-        engine = self._engine()
+        engine = self.engine()
         if called.operator != "predict" or engine is None:
             return
         used: _Used = ()
@@ -108,18 +100,18 @@ class Witness(Watcher):
         begun = self._begun.pop((step.epoch, step.attempt), None)
         if begun is None:
             return  # the epoch was begun before anybody recorded
-        if self._roster is not None:
-            self._publish_roster(self._roster())
+        if self.roster is not None:
+            self._publish_roster(self.roster())
         self._number += max(step.epoch - self._last, 1) if self._resumed else 1
         self._resumed = False
         self._last = step.epoch
         passages, self._passages = self._passages, []
         roster, instance, start, used = begun
         where = (step.epoch, step.attempt, roster, instance, step.time_s)
-        states = (completed.state, b"" if self._roster is not None else _encoded(step.sensed), start)
+        states = (completed.state, b"" if self.roster is not None else _encoded(step.sensed), start)
         heard = (used, tuple(passages), self._chain[1] if self._chain[0] == step.epoch else b"")
-        told = NodeStep(self._name, self._stream, self._number, *where, completed.digest, *states, *heard)
-        self._sink.step(encode_step(told))
+        told = NodeStep(self.name, self._stream, self._number, *where, completed.digest, *states, *heard)
+        self.sink.step(encode_step(told))
 
     def _publish_roster(self, roster: Roster | None) -> None:
         now_s = time.monotonic()
@@ -128,7 +120,7 @@ class Witness(Watcher):
         if roster.version == self._told_version and now_s - self._told_s < ROSTER_EVERY_S:
             return
         self._told_version, self._told_s = roster.version, now_s
-        self._sink.roster(encode_value(roster.plain()))
+        self.sink.roster(encode_value(roster.plain()))
 
 
 def _encoded(belief: Value) -> bytes:

@@ -14,6 +14,7 @@ other may not have.
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
 from typing import NamedTuple
 
 from hierax.schemas.errors import SchemaError
@@ -24,36 +25,21 @@ DOWN = (TASKS, CONTEXT)  # the kinds of messages along an edge, by direction
 UNKNOWN = ""  # the mark of a neighbour that was not heard of yet
 
 
+@dataclass(eq=False)
 class Handshake:
-    """One node's side of the handshake with one process of a neighbour.
+    """One node's side of the handshake with one process of a neighbour."""
 
-    Args:
-        name, instance, process: of the node, and of its process.
-        peer, peer_instance: of the neighbour.
-        sends, hears: kinds of messages.
-
-    Attributes:
-        broken: whether it was done once, and the link broke since.
-    """
-
-    def __init__(
-        self,
-        name: str,
-        instance: int,
-        process: str,
-        peer: str,
-        peer_instance: int,
-        sends: tuple[str, ...],
-        hears: tuple[str, ...],
-    ) -> None:
-        self.sends, self.hears = sends, hears
-        self.ends = (instance, peer_instance)
-        self.broken = False
-        self._name, self._peer, self._process = name, peer, process
-        self._breaks = 0
-        self._theirs = UNKNOWN
-        self._heard: frozenset[str] = frozenset()
-        self._confirmed = False
+    name: str  # of the node
+    process: str  # of the node, by its token
+    peer: str  # the neighbour's name
+    ends: tuple[int, int]  # the instance numbers of the node and of the neighbour
+    sends: tuple[str, ...]  # kinds of messages that go to the neighbour
+    hears: tuple[str, ...]  # kinds of messages that come from there
+    broken: bool = False  # whether it was done once, and the link broke since
+    _breaks: int = 0
+    _theirs: str = UNKNOWN
+    _heard: frozenset[str] = frozenset()
+    _confirmed: bool = False
 
     @property
     def done(self) -> bool:
@@ -79,7 +65,7 @@ class Handshake:
             "from": self._mark,
             "to": self._theirs,
         }
-        header = Header(HELLO, self._name, self._peer, 0, roster=version, instance=self.ends[0])
+        header = Header(HELLO, self.name, self.peer, 0, roster=version, instance=self.ends[0])
         return [(kind, Message(header, (body,))) for kind in self.sends]
 
     def heard(self, kind: str, message: Message) -> bool:
@@ -105,7 +91,7 @@ class Handshake:
 
     @property
     def _mark(self) -> str:
-        return f"{self._process}/{self._breaks}"
+        return f"{self.process}/{self._breaks}"
 
     def _begin_anew(self) -> None:
         self.broken |= self.done
@@ -141,7 +127,7 @@ class Rendezvous:
         ends = {**dict.fromkeys(above, (UP, DOWN)), **dict.fromkeys(below, (DOWN, UP))}
         own = instances.get(name, 0)
         self.handshakes = {
-            peer: Handshake(name, own, process, peer, instances.get(peer, 0), sends, hears)
+            peer: Handshake(name, process, peer, (own, instances.get(peer, 0)), sends, hears)
             for peer, (sends, hears) in ends.items()
         }
 
