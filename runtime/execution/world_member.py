@@ -60,7 +60,7 @@ class Supervision:
         """Tell whoever asked for a change what became of it."""
         return
 
-    def begins(self, epoch: int, attempt: int, version: int) -> None:
+    def begins(self, owner: Owner, epoch: int, attempt: int, version: int) -> None:
         """An attempt is begun under a version of the roster; nothing of it is recorded yet."""
         return
 
@@ -237,7 +237,7 @@ class WorldMember(World, OwnerEffects):
 
     def begin(self, epoch: int, attempt: int, version: int) -> None:
         engine, pacemaker = self._runner.engine, self.pacemaker
-        self._supervision.begins(epoch, attempt, version)
+        self._supervision.begins(self.owner, epoch, attempt, version)
         if engine.phase is Phase.DONE:
             pacemaker.start()
         if version != engine.wiring.roster:

@@ -11,7 +11,6 @@ from hierax.runtime.execution.pacemaker import Pacemaker
 from hierax.runtime.execution.world_member import OnUncertainAct, Supervision, WorldMember, has_record, read_record
 from hierax.runtime.owner.effects import OwnerPolicy
 from hierax.runtime.recovery.slots import Slots
-from hierax.runtime.sim.inspection import Turn
 from hierax.runtime.sim.network import SimPort
 from hierax.runtime.sim.nodes import MODULE
 from hierax.runtime.sim.process import SimProcess, Surroundings
@@ -36,10 +35,8 @@ def link_first(around: Surroundings, process: SimProcess) -> None:
         process.world.link()
 
 
-class SimWorld(Supervision):
+class SimWorld:
     """What the world's process runs: it waits until its supervisor says who lives, then it has a member.
-
-    The checker looks at what that is told and what it says.
 
     Args:
         around: what the process stands in.
@@ -106,36 +103,6 @@ class SimWorld(Supervision):
         )
         pacemaker = Pacemaker(DigestChain(scenario.roster.content_hash()), scenario.epochs, process.publish, clock)
         seat = Seat(process.name, process.token, process.wire, self._port)
-        own = (seat, process.send_order, self, slots)
+        own = (seat, process.send_order, self._supervision, slots)
         uncertain: OnUncertainAct = "repeat" if scenario.on_uncertain_act == "repeat" else "skip"
         return WorldMember(*own, pacemaker, policy, clock, living, roster, on_uncertain_act=uncertain)
-
-    # --- what the member calls
-
-    def begins(self, epoch: int, attempt: int, version: int) -> None:
-        running, turn = self._running, Turn(version, epoch, attempt)
-        assert running is not None
-        self._around.journal.trace(f"owner begins {turn}")
-        base = self._process.engine.wiring.roster
-        self._around.checker.begins(base, turn, running.owner.roster, running.owner.processes)
-        self._process.inspector.begin(turn)
-
-    def acts(self, epoch: int) -> None:
-        self._process.acting = epoch
-
-    def commits(self) -> None:
-        turn = self._process.inspector.turn
-        self._around.checker.commits(turn, self._around.states(turn))
-        self._process.point("commit")
-
-    def end(self, name: str, process: str, why: str) -> None:
-        self._supervision.end(name, process, why)
-
-    def stop(self, why: str) -> None:
-        self._supervision.stop(why)
-
-    def note(self, what: str) -> None:
-        self._supervision.note(what)
-
-    def answer(self, request: str, epoch: int, refusal: str) -> None:
-        self._supervision.answer(request, epoch, refusal)

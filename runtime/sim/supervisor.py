@@ -7,6 +7,8 @@ from random import Random
 
 from hierax.runtime.core.errors import HieraxError
 from hierax.runtime.execution.world_member import Supervision
+from hierax.runtime.owner.owner import Owner
+from hierax.runtime.sim.inspection import Turn
 from hierax.runtime.sim.members import occupy
 from hierax.runtime.sim.process import TICK_S, SimProcess, Surroundings
 from hierax.runtime.sim.storage import SimStorage
@@ -138,7 +140,27 @@ class SimSupervisor(Supervision):
         if again.is_world:
             self.begin(again)
 
-    # --- what the owner needs
+    # --- what the world's member calls; the checker looks at what that is told and what it says
+
+    def begins(self, owner: Owner, epoch: int, attempt: int, version: int) -> None:
+        turn = Turn(version, epoch, attempt)
+        self._around.journal.trace(f"owner begins {turn}")
+        self._around.checker.begins(self._world.engine.wiring.roster, turn, owner.roster, owner.processes)
+        self._world.inspector.begin(turn)
+
+    def acts(self, epoch: int) -> None:
+        self._world.acting = epoch
+
+    def commits(self) -> None:
+        turn = self._world.inspector.turn
+        self._around.checker.commits(turn, self._around.states(turn))
+        self._world.point("commit")
+
+    @property
+    def _world(self) -> SimProcess:
+        """The world's process that lives."""
+        assert self._around.world is not None
+        return self._around.world
 
     def end(self, name: str, process: str, why: str) -> None:
         self._around.journal.trace(f"owner ends {process}: {why}")
