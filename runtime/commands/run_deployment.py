@@ -19,7 +19,7 @@ from hierax.runtime.deployment.read import read_deployment
 from hierax.runtime.execution.breaker import called
 from hierax.runtime.execution.output_folder import SUMMARY, claimed_output
 from hierax.runtime.execution.report import Interrupted, Report
-from hierax.runtime.host.private_files import write_result
+from hierax.runtime.host.private_files import errors_named, write_result
 from hierax.runtime.loading.loader import extend_import_path
 from hierax.runtime.watch.prints import named_lines
 
@@ -80,11 +80,9 @@ def _who() -> str:
 
 def _write_summary(path: Path, report: Report) -> None:
     start: dict[str, Any] = {} if report.start_s is None else {"start_s": report.start_s}
-    try:
-        text = json.dumps({**report.plain(), **start}, indent=2, allow_nan=False)
+    text = json.dumps({**report.plain(), **start}, indent=2, allow_nan=False)
+    with errors_named(path, kind=CommandError):
         write_result(path, text.encode() + b"\n")
-    except OSError as error:
-        raise CommandError(f"{path}: cannot be written: {error.strerror or error}") from error
 
 
 @contextmanager

@@ -3,15 +3,12 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
 from typing import BinaryIO
 
 import msgpack
 
-from hierax.runtime.core.errors import HieraxError
-from hierax.runtime.host.private_files import open_result
+from hierax.runtime.host.private_files import errors_named, open_result
 from hierax.schemas.limits import MAX_MESSAGE_BYTES
 
 
@@ -29,7 +26,7 @@ class Log:
 
     def __init__(self, path: Path, append: bool = False) -> None:
         self._path = path
-        with self._mapped():
+        with errors_named(self._path):
             path.parent.mkdir(parents=True, exist_ok=True)
             self._file: BinaryIO = os.fdopen(open_result(path, append), "ab" if append else "wb")
             if not append:
@@ -38,35 +35,24 @@ class Log:
 
     def write(self, *fields: int | bytes) -> None:
         """Append an array."""
-        try:  # not `_mapped`, as this runs in every epoch
+        try:  # entering a context would take longer, and this runs in every epoch
             if self._behind:
                 self._behind = False
                 os.truncate(self._path, _whole_bytes(self._path))
             self._file.write(msgpack.packb(fields))
-        except OSError as error:
-            raise self._error(error) from error
+        except OSError:
+            with errors_named(self._path):
+                raise
 
     def flush(self) -> None:
         """Give what is buffered to the system: then it outlives the process."""
-        try:
+        with errors_named(self._path):
             self._file.flush()
-        except OSError as error:
-            raise self._error(error) from error
 
     def close(self) -> None:
         """Write out what is buffered."""
-        with self._mapped():
+        with errors_named(self._path):
             self._file.close()
-
-    @contextmanager
-    def _mapped(self) -> Iterator[None]:
-        try:
-            yield
-        except OSError as error:
-            raise self._error(error) from error
-
-    def _error(self, error: OSError) -> HieraxError:
-        return HieraxError(f"{self._path}: cannot be written: {error.strerror or error}")
 
 
 def _whole_bytes(path: Path) -> int:

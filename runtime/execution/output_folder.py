@@ -18,7 +18,7 @@ from pathlib import Path
 from hierax.runtime.core.errors import HieraxError, ProbeError
 from hierax.runtime.core.probe import Probe
 from hierax.runtime.execution.log import Log
-from hierax.runtime.host.private_files import HeldError, hold, open_result, write_result
+from hierax.runtime.host.private_files import HeldError, errors_named, hold, open_result, write_result
 from hierax.runtime.loading.allowance import Allowance
 from hierax.runtime.loading.loader import build_probe
 from hierax.schemas.roster import ProbeSpec, Roster
@@ -81,11 +81,9 @@ def write_roster(output: Path, roster: Roster) -> None:
     Raises:
         HieraxError: it cannot be written.
     """
-    try:
+    with errors_named(output / ROSTER, kind=OutputError):
         output.mkdir(parents=True, exist_ok=True)
         write_result(output / ROSTER, encode_value(roster.content()))
-    except OSError as error:
-        raise OutputError(f"{output / ROSTER}: cannot be written: {error.strerror or error}") from error
 
 
 def state_log(output: Path | None, name: str, append: bool = False) -> Log | None:

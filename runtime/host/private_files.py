@@ -39,6 +39,15 @@ class HeldError(HieraxError):
 
 
 @contextmanager
+def errors_named(place: Path | str, done: str = "written", kind: type[HieraxError] = HieraxError) -> Iterator[None]:
+    """The machine's errors as ours: what cannot be done with a file or folder, and why."""
+    try:
+        yield
+    except OSError as error:
+        raise kind(f"{place}: cannot be {done}: {error.strerror or error}") from error
+
+
+@contextmanager
 def private_folder(path: Path, make: bool = False) -> Iterator[int]:
     """A folder that nobody but this user can put anything into, nor into those above it, open for `open_private`.
 

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from hierax.runtime.core.errors import HieraxError
-from hierax.runtime.host.private_files import UnsafeFileError, private_folder, read_private, write_private
+from hierax.runtime.host.private_files import UnsafeFileError, errors_named, private_folder, read_private, write_private
 from hierax.runtime.host.run_folder import is_process, runs_folder
 from hierax.runtime.host.seal import NOT_OURS, STATE, is_sealed, seal_or_warn
 
@@ -181,7 +181,5 @@ def _run(content: Any) -> Run:
 
 
 def _write(path: Path, content: Mapping[str, Any]) -> None:
-    try:
+    with errors_named(path):
         write_private(path, json.dumps(content, indent=2).encode() + b"\n")
-    except OSError as error:
-        raise HieraxError(f"{path}: cannot be written: {error.strerror or error}") from error

@@ -17,6 +17,7 @@ from hierax.runtime.core.errors import HieraxError
 from hierax.runtime.core.staleness import Staleness
 from hierax.runtime.deployment import Deployment
 from hierax.runtime.deployment.secrets import public_settings, public_text
+from hierax.runtime.host.private_files import errors_named
 from hierax.runtime.host.seal import RECORDING, is_sealed, seal_or_warn
 from hierax.schemas.errors import SchemaError, shown
 from hierax.schemas.keys import check_name
@@ -248,10 +249,8 @@ _NEW = ("modules", "seal", "left_out")
 
 
 def _text(deployment: Deployment) -> str:
-    try:
+    with errors_named(deployment.path, "read", RecordingError):
         return deployment.path.read_text(encoding="utf-8-sig")
-    except OSError as error:
-        raise RecordingError(f"{deployment.path}: cannot be read: {error.strerror or error}") from error
 
 
 def _machine() -> dict[str, Any]:

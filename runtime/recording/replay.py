@@ -17,6 +17,7 @@ from hierax.runtime.core.node import World
 from hierax.runtime.core.process import ActiveNode, apply, predict, sense
 from hierax.runtime.core.travel import cannot_travel
 from hierax.runtime.engine.wiring import Wiring
+from hierax.runtime.execution.checkpoints import taken_over
 from hierax.runtime.host.waiting import wait_for
 from hierax.runtime.loading.allowance import Allowance
 from hierax.runtime.loading.loader import build_node
@@ -28,7 +29,6 @@ from hierax.runtime.recording.trace import EpochTrace
 from hierax.schemas.errors import SchemaError
 from hierax.schemas.messages import CONTEXT, OBSERVATIONS, TASKS
 from hierax.schemas.roster import Roster
-from hierax.schemas.values import decode_value, encode_value
 
 Rewrite = Callable[[Roster], Roster]
 """What replays a roster in place of another: for other parameters or classes."""
@@ -250,15 +250,10 @@ def _took_over(recorded: EpochTrace, before: EpochTrace | None, name: str) -> bo
 
 def _taken_over(wiring: Wiring, state: ActiveNode) -> ActiveNode:
     """The state with which a node goes on in the place of another."""
-    belief, policy, actions = decode_value(encode_value(tuple(state)))
-    name = wiring.node.name
     try:
-        belief = wiring.node.node.take_over(belief)
-    except Exception as error:
-        raise HieraxError(f"{name}: cannot take over the belief: {error}") from error
-    if policy not in wiring.node.policies:
-        raise HieraxError(f"{name}: it has no policy {policy!r}")
-    return ActiveNode(belief, policy, actions)
+        return taken_over(wiring.node, encode_state(*state))
+    except HieraxError as error:
+        raise HieraxError(f"{wiring.node.name}: cannot take over the belief: {error}") from error
 
 
 def has_actuators(roster: Roster, allowance: Allowance) -> bool:

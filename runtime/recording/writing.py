@@ -5,12 +5,12 @@ from __future__ import annotations
 import os
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from hierax.runtime.host.private_files import HeldError, hold, open_result
+from hierax.runtime.host.private_files import HeldError, errors_named, hold, open_result
 from hierax.runtime.recording.info import Ending, RecordingError, RunInfo, to_metadata
 from hierax.runtime.recording.topics import schema_of
 
@@ -43,10 +43,8 @@ def claimed(path: Path, overwrite: bool = False) -> Iterator[Target]:
     Raises `RecordingError` if it cannot be written, another process writes it, or there is something already that is
     not replaced (`overwrite` replaces a recording).
     """
-    try:
+    with errors_named(path, kind=RecordingError):
         file = open_result(path)
-    except OSError as error:
-        raise RecordingError(f"{path}: cannot be written: {error.strerror or error}") from error
     try:
         hold(file, lambda holder: HeldError(f"{path}: {holder} is writing it; name another file"))
         if os.fstat(file).st_size:
@@ -132,12 +130,8 @@ class McapFile:
         channel: int = self._writer.register_channel(key, "msgpack", schema, {"what": what})
         return channel
 
-    @contextmanager
-    def _mapped(self) -> Iterator[None]:
-        try:
-            yield
-        except OSError as error:
-            raise RecordingError(f"{self._path}: cannot be written: {error.strerror or error}") from error
+    def _mapped(self) -> AbstractContextManager[None]:
+        return errors_named(self._path, kind=RecordingError)
 
 
 class _Zstd:

@@ -5,14 +5,11 @@ from __future__ import annotations
 import mmap
 import os
 from abc import ABC, abstractmethod
-from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
-from types import TracebackType
 from typing import Literal, get_args
 
 from hierax.runtime.core.errors import HieraxError
-from hierax.runtime.host.private_files import hold, open_private, private_folder
+from hierax.runtime.host.private_files import errors_named, hold, open_private, private_folder
 
 Durability = Literal["process", "host"]
 """What a record outlives once it is written: the process, or the machine's power too."""
@@ -80,7 +77,7 @@ class MappedFile(Storage):
         self._unflushed: set[int] = set()
         self._lock = -1
         try:
-            with _errors_named(_beside(path, "lock"), "opened"), private_folder(path.parent) as folder:
+            with errors_named(_beside(path, "lock"), "opened", CheckpointError), private_folder(path.parent) as folder:
                 self._open(folder)
         except BaseException:
             self.close()
@@ -92,7 +89,7 @@ class MappedFile(Storage):
         for slot in range(SLOTS):
             self._files.append(_SlotFile(folder, _beside(path, str(slot)), durable=self._host))
         if self._host:
-            with _errors_named(path.parent, "flushed to disk"):
+            with errors_named(path.parent, "flushed to disk", CheckpointError):
                 _sync_folder(path.parent)
 
     def write(self, slot: int, data: bytes) -> None:
@@ -119,9 +116,7 @@ class MappedFile(Storage):
     def __enter__(self) -> MappedFile:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *raised: object) -> None:
         self.close()
 
 
@@ -137,9 +132,9 @@ class _SlotFile:
     def __init__(self, folder: int, path: Path, *, durable: bool) -> None:
         self._path = path
         if not os.path.lexists(path):
-            with _errors_named(path, "made"):
+            with errors_named(path, "made", CheckpointError):
                 _make(folder, path, durable)
-        with _errors_named(path, "opened"):
+        with errors_named(path, "opened", CheckpointError):
             self._file = open_private(folder, path.name, os.O_RDWR, path)
         try:
             self._map = self._opened()
@@ -163,7 +158,7 @@ class _SlotFile:
         return b"" if self._map is None else self._map[len(MAGIC) :]
 
     def flush(self) -> None:
-        with _errors_named(self._path, "flushed to disk"):
+        with errors_named(self._path, "flushed to disk", CheckpointError):
             os.fdatasync(self._file)  # of mapped pages as well, and unlike `mmap.flush` other threads go on meanwhile
 
     def close(self) -> None:
@@ -173,7 +168,7 @@ class _SlotFile:
 
     def _opened(self) -> mmap.mmap | None:
         """The file, if it is ours; None where all of it, or at least its beginning, is lost."""
-        with _errors_named(self._path, "read"):
+        with errors_named(self._path, "read", CheckpointError):
             size = os.fstat(self._file).st_size
             head = os.pread(self._file, len(MAGIC), 0)
         if head != MAGIC:
@@ -181,14 +176,14 @@ class _SlotFile:
                 return None
             what = f"begins with {head!r}, so it is no checkpoint that this version can read"
             raise CheckpointError(f"{self._path}: {what}; name another file, or remove it to begin anew")
-        with _errors_named(self._path, "mapped"):
+        with errors_named(self._path, "mapped", CheckpointError):
             os.posix_fallocate(self._file, 0, size)
             return mmap.mmap(self._file, size)
 
     def _grown(self, least: int) -> mmap.mmap:
         """The file with a power of two bytes, and blocks behind them: a page that finds none kills the process."""
         size = max(mmap.PAGESIZE, 1 << (least - 1).bit_length())
-        with _errors_named(self._path, f"grown to {size} bytes"):
+        with errors_named(self._path, f"grown to {size} bytes", CheckpointError):
             os.posix_fallocate(self._file, 0, size)
             return mmap.mmap(self._file, size)
 
@@ -218,10 +213,10 @@ def _sync_folder(folder: Path) -> None:
 def _locked(folder: int, path: Path) -> int:
     """An open lock file that nobody else has locked; the kernel unlocks it when the process ends."""
     lock = _beside(path, "lock")
-    with _errors_named(lock, "opened"):
+    with errors_named(lock, "opened", CheckpointError):
         file = open_private(folder, lock.name, os.O_RDWR | os.O_CREAT, lock)
     try:
-        with _errors_named(lock, "locked"):
+        with errors_named(lock, "locked", CheckpointError):
             _lock(file, path)
     except BaseException:
         os.close(file)
@@ -241,16 +236,3 @@ def _lock(file: int, path: Path) -> None:
 
 def _beside(path: Path, suffix: str) -> Path:
     return path.with_name(f"{path.name}.{suffix}")
-
-
-@contextmanager
-def _errors_named(path: Path, done: str) -> Iterator[None]:
-    """The machine's errors as ours."""
-    try:
-        yield
-    except OSError as error:
-        raise _failed(path, done, error) from error
-
-
-def _failed(path: Path, done: str, error: OSError) -> CheckpointError:
-    return CheckpointError(f"{path}: cannot be {done}: {error.strerror or error}")

@@ -10,6 +10,7 @@ from importlib.resources import files
 from pathlib import Path
 
 from hierax.runtime.core.errors import HieraxError
+from hierax.runtime.host.private_files import errors_named
 from hierax.schemas.errors import SchemaError
 from hierax.schemas.keys import check_name
 
@@ -45,15 +46,13 @@ def make_project(folder: Path) -> list[Path]:
     if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
         raise HieraxError(f"{folder} is there already, and nothing is overwritten; give another name")
     made: list[Path] = []
-    try:
+    with errors_named(folder):
         folder.mkdir(parents=True, exist_ok=True)
         for target, template in _TEMPLATES.items():
             path = folder / _filled(target, name, module)
             with path.open("x", encoding="utf-8") as file:
                 file.write(_filled(_template(template), name, module))
             made.append(path)
-    except OSError as error:
-        raise HieraxError(f"{folder}: cannot be written: {error.strerror or error}") from error
     return made
 
 

@@ -11,7 +11,6 @@ import socket
 import time
 from collections.abc import Callable, Collection, Iterator, Mapping
 from dataclasses import dataclass
-from types import TracebackType
 from typing import Any
 
 import zenoh
@@ -230,9 +229,7 @@ class LaunchClient:
     def __enter__(self) -> LaunchClient:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *raised: object) -> None:
         self.close()
 
     def _get(self, key: str, question: Value, timeout_s: float) -> Iterator[tuple[str, Value]]:

@@ -12,6 +12,7 @@ from hierax.runtime.core.errors import HieraxError
 from hierax.runtime.host.private_files import (
     HeldError,
     UnsafeFileError,
+    errors_named,
     hold,
     open_private,
     open_result,
@@ -149,3 +150,13 @@ def test_who_has_a_file_is_named(tmp_path: Path) -> None:
         other.communicate()
     hold(file, error)
     os.close(file)
+
+
+def test_what_the_machine_refuses_is_named_with_its_place(tmp_path: Path) -> None:
+    lacking = tmp_path / "lacking"
+    refused = pytest.raises(HeldError, match=f"^{lacking}: cannot be read: No such file or directory$")
+    with refused as caught, errors_named(lacking, "read", HeldError):
+        lacking.read_bytes()
+    assert isinstance(caught.value.__cause__, FileNotFoundError)
+    with pytest.raises(ValueError, match="another"), errors_named(lacking):
+        raise ValueError("another")

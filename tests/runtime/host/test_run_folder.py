@@ -5,7 +5,16 @@ from pathlib import Path
 
 import pytest
 
-from hierax.runtime.host.run_folder import KEPT_RUNS, begin_run, is_alive, known_folders, run_folder, runs_folder
+from hierax.runtime.host.run_folder import (
+    KEPT_RUNS,
+    begin_run,
+    is_alive,
+    is_process,
+    known_folders,
+    meant,
+    run_folder,
+    runs_folder,
+)
 
 NO_PROCESS = 2**22 - 1
 
@@ -49,3 +58,17 @@ def test_what_cannot_be_read_is_over(about: str, alive: bool) -> None:
     folder = begin(1)
     (folder / "about.json").write_text(about)
     assert is_alive(folder) is alive
+
+
+@pytest.mark.parametrize(
+    ("which", "found"),
+    [("ab12", ["ab12"]), ("servo", ["ab12", "cd34"]), ("cd", ["ab99"]), ("ab", ["ab12", "ab99"]), ("", []), ("no", [])],
+)
+def test_a_launch_is_meant_by_its_identification_its_hierarchy_or_a_beginning(which: str, found: list[str]) -> None:
+    runs = [("ab12", "servo"), ("cd34", "servo"), ("ab99", "cd")]
+    assert [run for run, _ in meant(which, runs, lambda each: each)] == found
+
+
+def test_only_a_process_that_is_there_is_one() -> None:
+    assert is_process(os.getpid())
+    assert not is_process(NO_PROCESS)
