@@ -15,6 +15,7 @@ from contextlib import redirect_stderr, redirect_stdout
 from pathlib import Path
 from types import TracebackType
 from typing import Any, TypeVar
+from unittest.mock import patch
 
 import msgpack
 
@@ -52,12 +53,18 @@ def run_here(*arguments: str) -> dict[str, Any]:
     Raises:
         RuntimeError: it failed.
     """
+    done = said_here("run", *arguments, "--format", "json")
+    if done.returncode:
+        raise RuntimeError(f"{' '.join(arguments)}: {done.stderr}")
+    return dict(json.loads(done.stdout))
+
+
+def said_here(*arguments: str, folder: Path | None = None) -> subprocess.CompletedProcess[str]:
+    """What a command says that is done in this process; with a folder, it knows the launches of this folder alone."""
     out, err = io.StringIO(), io.StringIO()
-    with redirect_stdout(out), redirect_stderr(err):
-        code = main(["run", *arguments, "--format", "json"])
-    if code:
-        raise RuntimeError(f"{' '.join(arguments)}: {err.getvalue()}")
-    return dict(json.loads(out.getvalue()))
+    with patch.dict(os.environ, environment(folder)), redirect_stdout(out), redirect_stderr(err):
+        code = main(arguments)
+    return subprocess.CompletedProcess(arguments, code, out.getvalue(), err.getvalue())
 
 
 def is_alive(pid: int) -> bool:

@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from hierax.runtime.transport.launch_client import LaunchClient
-from support.launched import run_here
+from support.launched import run_here, said_here
 from support.live_nodes import PACE_S
 
 HIERAX = [sys.executable, "-m", "hierax.runtime.commands.main"]
@@ -151,6 +151,8 @@ class Live:
 
     def hierax(self, *arguments: str) -> subprocess.CompletedProcess[str]:
         """What a command says, in the launch's namespace."""
+        if not self.namespace and threading.current_thread() is threading.main_thread():
+            return said_here(*arguments, folder=self.folder)  # a process's start takes longer than what is asked for
         try:
             return hierax(self.folder, *arguments, namespace=self.namespace)
         except subprocess.TimeoutExpired as error:

@@ -12,7 +12,7 @@ import msgpack
 import numpy as np
 import pytest
 import yaml
-from support.launched import Command, Launched, hierax, run_here
+from support.launched import Launched, hierax, run_here, said_here
 from support.pace import paced
 from support.parts import KEPT, active, advanced, believed, largest_error, write_deployment
 
@@ -94,8 +94,7 @@ def test_subtrees_come_and_go_while_evidence_streams(tmp_path: Path) -> None:
         launch.until_epoch(5)
         schedule = []
         for kind in ("detach", "attach"):
-            command = Command(tmp_path, kind, "branch2", "--format", "json")
-            epoch = json.loads(command.end())["epoch"]
+            epoch = json.loads(said_here(kind, "branch2", "--format", "json", folder=tmp_path).stdout)["epoch"]
             schedule += ["--at", f"{epoch}:{kind}:branch2"]
         launch.until_epoch(epoch + 20)
         launch.process.send_signal(signal.SIGTERM)

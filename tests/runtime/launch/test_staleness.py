@@ -13,7 +13,7 @@ import msgpack
 import pytest
 import yaml
 from support.device_nodes import DEVICE, MOVES_S, acts
-from support.launched import Command, Launched, hierax, run_here
+from support.launched import Launched, hierax, run_here, said_here
 from support.pace import paced
 from support.sweep import SWEEP
 
@@ -60,10 +60,9 @@ class Changed:
 
     def change(self, kind: str, *arguments: str) -> int:
         """Its first epoch."""
-        command = Command(self._folder, kind, *arguments, "--format", "json")
-        out = command.end()
-        assert command.process.returncode == 0, command.err
-        epoch: int = json.loads(out)["epoch"]
+        done = said_here(kind, *arguments, "--format", "json", folder=self._folder)
+        assert done.returncode == 0, done.stderr
+        epoch: int = json.loads(done.stdout)["epoch"]
         spelled = ":".join(argument.replace("--", "") for argument in arguments)
         self.schedule += ["--at", f"{epoch}:{kind}:{spelled}"]
         return epoch
