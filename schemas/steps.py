@@ -79,7 +79,7 @@ class NodeStep(NamedTuple):
 
     @property
     def used_of(self) -> dict[tuple[str, str], tuple[int, int]]:
-        """By sender and kind, the epoch and attempt of the inputs that are in `used`."""
+        """The epoch and attempt of the inputs that are in `used`, by sender and kind."""
         return {(sender, kind): (epoch, attempt) for sender, kind, epoch, attempt in self.used}
 
 

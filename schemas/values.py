@@ -56,7 +56,7 @@ def encode_value(value: Value) -> bytes:
 
 
 def encode_frozen(value: Value) -> bytes:
-    """As `encode_value`; and nobody can write into the value's arrays any more."""
+    """Do as `encode_value` does; and nobody can write into the value's arrays any more."""
     if not is_sound(value, 0):
         raise fault(value, "value", ())
     return pack(value, _FREEZING)

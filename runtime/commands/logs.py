@@ -32,14 +32,14 @@ class Level(str, Enum):
 
 
 def _runs_logged() -> list[tuple[str, str]]:
-    """For completion."""
+    """Give, for completion, the launches that have left logs."""
     from hierax.runtime.host.run_folder import about_run, known_folders
 
     return [(folder.name, str(about_run(folder).get("hierarchy", ""))) for folder in known_folders()]
 
 
 def _names_logged() -> list[str]:
-    """For completion."""
+    """Give, for completion, those that have a log."""
     from hierax.runtime.host.run_folder import known_folders
     from hierax.runtime.tools.logs import Reader
 

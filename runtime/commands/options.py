@@ -25,7 +25,7 @@ class Format(str, Enum):
 
 
 def deployments_here(incomplete: str) -> list[str]:
-    """For completion: shipped deployments, YAML files, and folders, which end with a slash."""
+    """Give, for completion, shipped deployments, YAML files, and folders, which end with a slash."""
     from hierax.runtime.deployment.locating import shipped
 
     folder, _, begin = incomplete.rpartition("/")

@@ -20,7 +20,7 @@ _ENDPOINT = re.compile(r"[a-z]+/.+:[0-9]+")
 
 
 def _runs_here() -> list[tuple[str, str]]:
-    """For completion: the launches that run on this machine, and what they run."""
+    """Give, for completion, the launches that run on this machine, and what they run."""
     from hierax.runtime.launch.run_file import known_runs
 
     return [(each.run, each.hierarchy) for each in known_runs()]
@@ -108,7 +108,7 @@ def client_of(run: str | None, connect: str | None) -> LaunchClient:
 
 
 def _clients() -> Iterator[tuple[LaunchClient, LaunchStatus]]:
-    """For completion: the launches on this machine that answer."""
+    """Give, for completion, the launches on this machine that answer."""
     from hierax.runtime.launch.run_file import known_runs
 
     for running in known_runs():
@@ -117,12 +117,12 @@ def _clients() -> Iterator[tuple[LaunchClient, LaunchStatus]]:
 
 
 def nodes_here() -> list[str]:
-    """For completion: the nodes of the launches on this machine."""
+    """Give, for completion, the nodes of the launches on this machine."""
     return sorted({name for _, status in _clients() for name in status.nodes})
 
 
 def keys_here() -> list[str]:
-    """For completion: the keys of the launches on this machine."""
+    """Give, for completion, the keys of the launches on this machine."""
     from hierax.runtime.tools.echoes import edges_of, short_key
 
     return sorted({short_key(edge) for client, status in _clients() for edge in edges_of(client.edges(status))})

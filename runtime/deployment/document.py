@@ -48,7 +48,7 @@ class Document:
         return f"{self.place}:{line}" if line else self.place
 
     def rank(self, keys: Keys) -> int:
-        """For sorting errors: the line, 0 for what a ``--set`` gave."""
+        """The place by which errors are sorted: the line, 0 for what a ``--set`` gave."""
         return 0 if self._changed(keys) is not None else self._line(keys)
 
     def keys(self, text: str) -> Keys:

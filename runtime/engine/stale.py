@@ -53,7 +53,7 @@ class Ages:
         self.largest = max(self.largest, age)
 
     def metrics(self) -> dict[str, float]:
-        """As figures for the report."""
+        """Give them as figures for the report."""
         return {
             "staleness_mean": self.total / self.inputs if self.inputs else 0.0,
             "staleness_max": float(self.largest),

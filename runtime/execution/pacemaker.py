@@ -66,5 +66,5 @@ class Pacemaker:
 
     @property
     def wall_s(self) -> float:
-        """From the beginning of the first epoch to the commit of the last."""
+        """The time from the beginning of the first epoch to the commit of the last."""
         return 0.0 if self.first_s is None else self.last_s - self.first_s

@@ -86,7 +86,7 @@ class NodeLoop:
             self._take_next(self.port.poll if self.words or paused else self.port.receive)
 
     def _run_freely(self) -> None:
-        """As in step, but the node takes its turns when they are due, on the newest of what has come."""
+        """Do the same as in step, but the node takes its turns when they are due, on the newest of what has come."""
         while not self.stopping.is_set():
             self._serve()
             if self.member.dismissed:

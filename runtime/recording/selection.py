@@ -35,7 +35,7 @@ class Selection:
     max_duration_s: float | None = None
 
     def plain(self) -> dict[str, Any]:
-        """As a value, from which it can be made again."""
+        """Give it as a value, from which it can be made again."""
         return asdict(self)
 
     def leaves_out(self, key: str) -> str:

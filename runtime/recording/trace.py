@@ -115,7 +115,7 @@ class EpochTrace:
         return None if trace is None else trace.start
 
     def used_of(self, name: str) -> Mapping[tuple[str, str], tuple[int, int]] | None:
-        """By sender and kind, of which epoch and attempt a node's inputs were; None: of this one."""
+        """The epoch and attempt of a node's inputs, by sender and kind; None: they were of this one."""
         trace = self.nodes.get(name)
         return None if trace is None else trace.step.used_of or None
 

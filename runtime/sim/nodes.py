@@ -73,7 +73,7 @@ class Mixer(Node):
 
 
 class Drawer(Mixer):
-    """As `Mixer`, and its operators also hash their tick and random numbers."""
+    """Does as `Mixer` does, and its operators also hash their tick and random numbers."""
 
     def observe(self, observations: Elements, belief: Value, tick: Tick = NO_TICK) -> Value:
         return self._know("observe", belief, observations, drawn(tick))
@@ -112,7 +112,7 @@ class Mix:
 
 
 class DrawingMix(Mix):
-    """As `Mix`, with its tick and random numbers."""
+    """Does as `Mix` does, with its tick and random numbers."""
 
     def __call__(self, argument: Value, tick: Tick = NO_TICK) -> Elements:
         return _elements(mark(self.name, argument, drawn(tick)))

@@ -28,7 +28,7 @@ class NodeRates:
 
     @staticmethod
     def between(before: Answer | None, after: Answer) -> NodeRates:
-        """From two answers of its process; of another process than before, or of none, the second stands alone."""
+        """Take it from two answers of its process; after another process or none, the second one stands alone."""
         new = after["meter"]
         same = before is not None and before["process"] == after["process"] and before["meter"]["ns"] <= new["ns"]
         old: Mapping[str, Any] = before["meter"] if same and before is not None else {}

@@ -51,7 +51,7 @@ class LaunchStatus:
 
     @staticmethod
     def read(answer: Answer) -> LaunchStatus:
-        """From the answer to ``{"ask": "ps"}``.
+        """Read it from the answer to ``{"ask": "ps"}``.
 
         Raises:
             AnswerError: it is none.

@@ -33,7 +33,7 @@ _KINDS = {
 
 
 def kind_of(operator: str) -> str:
-    """Which of `WORK` an operator or edge function is."""
+    """Say which of `WORK` an operator or edge function is."""
     return _KINDS.get(operator.partition(" ")[0], OTHER)  # there may be any number of policies
 
 

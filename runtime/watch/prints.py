@@ -105,7 +105,7 @@ class Lines(io.RawIOBase):
         return True
 
     def fileno(self) -> int:
-        """For programs that the node starts."""
+        """The descriptor that programs get which the node starts."""
         return 1
 
     def write(self, data: Any) -> int:
