@@ -98,6 +98,17 @@ def _hidden(rng: np.random.Generator, frames: int) -> Film:
     return _still_life(rng, frames, lambda: scattered(_items(rng), rng, 0.11, 0.004), _swing(rng, 24.0), _half_hidden)
 
 
+def _alike(rng: np.random.Generator, frames: int) -> Film:
+    """Objects of one paint that hide one another, in light from everywhere: where they meet hardly an edge is seen."""
+
+    def things() -> list[Thing] | None:
+        items = _items(rng)
+        return scattered([item._replace(colour=items[0].colour) for item in items], rng, 0.11, 0.004)
+
+    shown = _still_life(rng, frames, things, _swing(rng, 24.0), _half_hidden)
+    return replace(shown, lamp=replace(shown.lamp, ambient=0.85, diffuse=0.15))
+
+
 def _tower(rng: np.random.Generator, frames: int) -> Film:
     def towers() -> list[Thing] | None:
         paints = colours(rng, 6)
@@ -235,6 +246,7 @@ def _wood(rng: np.random.Generator) -> Wood:
 KINDS: dict[str, Callable[[np.random.Generator, int], Film]] = {
     "scattered": _scattered,
     "hidden": _hidden,
+    "alike": _alike,
     "tower": _tower,
     "approach": _approach,
     "low-contrast": _low_contrast,
