@@ -130,8 +130,9 @@ class Recorder:
         """Nothing more comes after the run's last epoch, if that is known; `RecordingError` if it cannot be written."""
         ledger = self.ledger
         self._write_held()
-        if self.cut and last is not None and ledger.cut is not None:
-            last = min(last, ledger.cut)
+        if self.cut and ledger.cut is not None:
+            ledger.last = min(ledger.last, ledger.cut)  # what was held told of later epochs, too
+            last = None if last is None else min(last, ledger.cut)
         ledger.cut = None
         gaps, lost = ledger.close(last if self._barrier else None)
         first = ledger.first if ledger.last >= ledger.first else 0
@@ -155,7 +156,7 @@ class Recorder:
         """
         held, self._held = self._held, None
         first = self.ledger.first - 1 if self._barrier else 0
-        for entry in held or ():
+        for entry in sorted(held or (), key=lambda entry: entry.what != ROSTER):  # no epoch is read before its roster
             if (not entry.epoch or entry.epoch >= first) and self.ledger.wants(entry.epoch):
                 self._write(entry)
 
