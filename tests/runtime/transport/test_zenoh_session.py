@@ -5,11 +5,11 @@ from __future__ import annotations
 import os
 import subprocess
 import sys
-import time
 from pathlib import Path
 
 import pytest
 import zenoh
+from support.live import until
 
 from hierax.runtime.transport.port import TransportError
 from hierax.runtime.transport.zenoh_session import (
@@ -80,17 +80,18 @@ def test_low_latency_links_carry_no_long_messages(low_latency: bool) -> None:
     try:
         came = receiver.declare_subscriber("long", zenoh.handlers.FifoChannel(8))
         publisher = sender.declare_publisher("long", congestion_control=zenoh.CongestionControl.BLOCK)
-        patience = time.monotonic() + 20.0
-        while not publisher.matching_status.matching:
-            assert time.monotonic() < patience
+        until(lambda: publisher.matching_status.matching, "they know one another")
         for size in (LOW_LATENCY_BYTES, 100_000):
             publisher.put(bytes(size))
         sizes: list[int] = []
-        while 1 not in sizes:  # the link may be closed and opened again
-            assert time.monotonic() < patience
+
+        def has_come() -> bool:  # the link may be closed and opened again
             publisher.put(b".")
             while (sample := came.try_recv()) is not None:
                 sizes.append(len(sample.payload.to_bytes()))
+            return 1 in sizes
+
+        until(has_come, "the message after the long one")
         long = [size for size in sizes if size != 1]
         assert long == ([LOW_LATENCY_BYTES] if low_latency else [LOW_LATENCY_BYTES, 100_000])
     finally:
