@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from hierax.runtime.commands.errors import OK, CommandError, notify
-from hierax.runtime.commands.options import RunOptions, deployments_here, offers
+from hierax.runtime.commands.options import OF_A_RUN, RunOptions, deployments_here, offers
 from hierax.runtime.commands.recordings import claimed_file, report_ending, report_violations, selection_of
 
 if TYPE_CHECKING:
@@ -26,24 +26,7 @@ LaunchedFile = Annotated[
 ]
 
 
-@offers(
-    "epochs",
-    "seed",
-    "overrides",
-    "overwrite",
-    "output_format",
-    "output",
-    "record",
-    "check",
-    "exclude",
-    "max_size",
-    "max_duration",
-    "state",
-    "resume",
-    "host",
-    "faults",
-    "trust",
-)
+@offers(*OF_A_RUN, "state", "resume", "host", "faults", "trust")
 def launch(options: RunOptions, file: LaunchedFile = None) -> int:
     """Run a deployment with each node in a process of its own, over Zenoh."""
     from hierax.runtime.commands.run_deployment import run_deployment

@@ -211,6 +211,12 @@ class RunOptions:
     tolerance: Tolerance = 0.0
 
 
+OF_A_RUN = (
+    *("epochs", "seed", "overrides", "overwrite", "output_format", "output"),
+    *("record", "check", "exclude", "max_size", "max_duration"),
+)
+"""What ``run`` and ``launch`` both offer, in the order of their help."""
+
 Command = TypeVar("Command", bound=Callable[..., int])
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from hierax.runtime.commands.options import File, RunOptions, offers
+from hierax.runtime.commands.options import OF_A_RUN, File, RunOptions, offers
 from hierax.runtime.commands.recordings import claimed_file, report_ending, report_violations, selection_of
 
 if TYPE_CHECKING:
@@ -15,20 +15,7 @@ if TYPE_CHECKING:
     from hierax.runtime.recording.in_process import InProcess
 
 
-@offers(
-    "epochs",
-    "seed",
-    "overrides",
-    "overwrite",
-    "output_format",
-    "output",
-    "record",
-    "check",
-    "exclude",
-    "max_size",
-    "max_duration",
-    "at",
-)
+@offers(*OF_A_RUN, "at")
 def run(file: File, options: RunOptions) -> int:
     """Run a deployment in this process: the deterministic mode."""
     from hierax.runtime.commands.run_deployment import run_deployment
