@@ -146,7 +146,7 @@ def _fine_scale(state: _State, stage: Stage, intrinsics: Array, search: Search) 
 def offsets_at(aligned: Aligned, poses: Floats, intrinsics: Array) -> Floats:
     """(n,) of each line the pixels along the normal from where other poses, near by, put it to its hypothesis."""
     stage = aligned.stage
-    places = stage.profiles.places[np.arange(len(stage.numbers)), aligned.matches.columns]
+    places = stage.profiles.places[np.arange(len(stage.edges)), aligned.matches.columns]
     offsets: Floats = places.astype(np.float64) - seen_from(poses, stage, aligned.off, intrinsics).moved
     return offsets
 
@@ -182,7 +182,7 @@ def _step(
             right[view] = slope[at]
         steps = -solved(whole, right).reshape(count + 1, 6)
     off = state.off.copy()
-    of_edges = seen.off[np.searchsorted(stage.edges, np.arange(len(stage.spread)))]
+    of_edges = seen.off[stage.firsts]
     found = said.off(np.concatenate((np.broadcast_to(steps[0], (count, 6)), steps[1:]), axis=1))
     of_edges[said.edges] = np.where(stage.loose[said.edges], found, 0.0)
     off[stage.lines.rows] = of_edges[stage.edges]

@@ -29,7 +29,7 @@ def explains(aligned: Aligned) -> Floats:
     seen = _FOUND * stage.controls.visible * stage.memory.apart
     near = np.exp(-0.5 * np.minimum(np.abs(matches.pixels) / _PEAK_PX, 9.0) ** 2) / (_PEAK_PX * np.sqrt(2.0 * np.pi))
     ratio = 1.0 - seen + seen / clutter * near * np.exp(-STRANGE_WEIGHT * matches.strange)
-    first = np.searchsorted(stage.edges, np.arange(len(stage.spread)))
+    first = stage.firsts
     off = aligned.off[first] / stage.spread
     held = np.bincount(stage.edges, weights=np.where(aligned.supported, seen, 0.0)) / _PEAK_PX**2
     fitted = 0.5 * off * off + 0.5 * np.log1p(stage.spread**2 * _ALIKE * held)

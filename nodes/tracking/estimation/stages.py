@@ -52,12 +52,16 @@ class Stage(NamedTuple):
     profiles: Profiles
     strange: Singles  # (n, k) how strange each peak looks
     contrasts: Singles  # (n, k) of `gamma_bias.contrasts`
-    numbers: Indices  # (n,) of the edges, different for different objects
     controls: Controls  # of the lines
     memory: Memory  # beside them
     edges: Indices  # (n,) on which of the edges that are seen each line is, from 0 on
     spread: Floats  # of each of those, the standard deviation of how far it is off as a whole, pixels
     loose: NDArray[np.bool_]  # and whether its object's model is imprecise: then it is matched where it is found to be
+
+    @property
+    def firsts(self) -> Indices:
+        """Of each of those edges, the first line that is on it."""
+        return np.searchsorted(self.edges, np.arange(len(self.spread)))
 
 
 class Seen(NamedTuple):
@@ -107,7 +111,7 @@ def read_stage(
     edges = np.cumsum(np.diff(numbers, prepend=numbers[0]) != 0)
     spread = _spread(shown, poses, lines, memory, edges, intrinsics)
     loose = np.bincount(edges, weights=memory.slack[:, 0, 0]) > 0.0
-    return Stage(lines, profiles, strange, contrast, numbers, shown, memory, edges, spread, loose)
+    return Stage(lines, profiles, strange, contrast, shown, memory, edges, spread, loose)
 
 
 def _spread(
@@ -159,9 +163,9 @@ def weights_of(stage: Stage, matches: Matches, scale: Floats | float, search: Se
         return np.zeros_like(weights)
     owners = stage.controls.owners
     sharp = stage.profiles.sharpness[np.arange(len(near)), matches.columns].astype(np.float64)
-    count = np.bincount(stage.numbers, weights=near)
-    total = np.bincount(stage.numbers, weights=np.where(near, sharp, 0.0))
-    mean = (total / np.maximum(count, 1.0))[stage.numbers]
+    count = np.bincount(stage.edges, weights=near)
+    total = np.bincount(stage.edges, weights=np.where(near, sharp, 0.0))
+    mean = (total / np.maximum(count, 1.0))[stage.edges]
     usual = np.ones(int(owners[-1]) + 1)
     for at, view in enumerate(views_of(owners, len(usual))):
         values = np.sort(mean[view][near[view]])
