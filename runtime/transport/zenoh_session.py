@@ -23,12 +23,21 @@ LOOPBACK = "tcp/127.0.0.1:0"  # where a session listens unless told otherwise: a
 ZenohConfig: TypeAlias = "str | Mapping[str, Any] | None"
 """Zenoh's own configuration: the path of a JSON5 file, JSON5 text in braces, or a map."""
 
-LOGGED = "error,zenoh::api::session=off,zenoh::net::protocol::gossip=off"
+LOGGED = ",".join(
+    (
+        "error",
+        "zenoh::api::session=off",
+        "zenoh::net::protocol::gossip=off",
+        "zenoh_transport::unicast::establishment=off",
+    )
+)
 """What Zenoh prints, where RUST_LOG says nothing.
 
 While a session's first links come up, its threads may be overtaken by messages for keys that they are about to
 declare to it, and gossip may come over a link that has just gone: Zenoh drops that and calls it an error. It is no
-more than greetings, which are said again until they are answered, and news that come again by another link.
+more than greetings, which are said again until they are answered, and news that come again by another link. A link
+that could not be opened is tried again, as when the other side has not yet noticed that the last one was cut; what
+cannot be reached for good is an error of ours.
 """
 
 LEASE_MS = 1000

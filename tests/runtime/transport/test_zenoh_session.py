@@ -6,6 +6,7 @@ import os
 import subprocess
 import sys
 from pathlib import Path
+from typing import Any
 
 import pytest
 import zenoh
@@ -97,6 +98,25 @@ def test_low_latency_links_carry_no_long_messages(low_latency: bool) -> None:
     finally:
         close_session(receiver)
         close_session(sender)
+
+
+def test_refused_links_are_one_error_of_ours_and_no_lines_of_zenoh_s(
+    tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "passwords").write_text("anna:right\n")
+    endpoint = free_endpoint()
+
+    def settings(password: str) -> dict[str, Any]:
+        who = {"user": "anna", "password": password, "dictionary_file": str(tmp_path / "passwords")}
+        return {"transport": {"auth": {"usrpwd": who}}, "connect": {"timeout_ms": 500}}
+
+    session = open_session([endpoint], zenoh_config=settings("right"))
+    try:
+        with pytest.raises(TransportError, match=r"Zenoh: Unable to connect to any of .*Timeout!"):
+            open_session((), [endpoint], settings("wrong"), mode="client")
+    finally:
+        close_session(session)
+    assert capfd.readouterr() == ("", "")
 
 
 @pytest.mark.parametrize("settings", ["{mode: }", '{mode: "king"}', "there/is/no/such.json5"])
