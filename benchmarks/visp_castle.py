@@ -29,8 +29,8 @@ from hierax.nodes.tracking.evaluation.scoring import object_errors, score, table
 from hierax.nodes.tracking.generator.camera import reported_path
 from hierax.nodes.tracking.generator.scenes import model_info, start_error, write_json
 from hierax.nodes.tracking.math.geometry import Floats, invert, orthonormal
+from hierax.nodes.tracking.model.files import BOP_UNIT_M, write_ply
 from hierax.nodes.tracking.model.mesh import Mesh
-from hierax.nodes.tracking.model.ply import BOP_UNIT_M, write_ply
 
 PACKAGE_FOLDER = Path("/usr/share/visp-images-data/ViSP-images/mbt-depth/Castle-simu")
 SCENE = "000001"

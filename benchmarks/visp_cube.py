@@ -22,8 +22,8 @@ import numpy as np
 from hierax.nodes.tracking.datasets.bop import read_results
 from hierax.nodes.tracking.errors import DataError
 from hierax.nodes.tracking.math.geometry import Array, Floats, exp_so3, make_pose, pose_error, transform
+from hierax.nodes.tracking.model.files import write_ply
 from hierax.nodes.tracking.model.mesh import Mesh
-from hierax.nodes.tracking.model.ply import write_ply
 
 PACKAGE_FOLDER = Path("/usr/share/visp-images-data/ViSP-images/mbt")
 FRAMES = 218

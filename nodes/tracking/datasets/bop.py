@@ -1,8 +1,8 @@
 """Scene folders and results files of the BOP benchmark (https://bop.felk.cvut.cz).
 
 A scene is ``DATASET/SPLIT/000001`` with ``scene_camera.json``, ``scene_gt.json`` and ``rgb/`` or ``gray/``; its models
-are ``DATASET/models/obj_000001.ply`` and ``models_info.json``. Lengths in the files are millimetres, here metres. Of
-``scene_gt.json`` nothing but the first frame is ever read.
+are ``DATASET/models/obj_000001.ply`` (or ``.obj``, ``.stl``, ``.glb``, ``.gltf``) and ``models_info.json``. Lengths in
+the files are millimetres, here metres. Of ``scene_gt.json`` nothing but the first frame is ever read.
 """
 
 from __future__ import annotations
@@ -22,8 +22,8 @@ from hierax.nodes.tracking.datasets.bop_json import MAX_NUMBER, read_json, read_
 from hierax.nodes.tracking.errors import DataError
 from hierax.nodes.tracking.math.geometry import Array, Floats, invert, make_pose
 from hierax.nodes.tracking.model.bounded_files import MAX_PIXELS, image_size, read_file
+from hierax.nodes.tracking.model.files import BOP_UNIT_M, SUFFIXES, read_mesh
 from hierax.nodes.tracking.model.mesh import Mesh
-from hierax.nodes.tracking.model.ply import BOP_UNIT_M, read_ply
 from hierax.nodes.tracking.schema import LOST, ScoredPose
 
 cv2.setNumThreads(1)
@@ -123,7 +123,8 @@ class BopScene:
         info = folder / "models_info.json"
         if str(obj_id) not in read_json(info):
             raise DataError(f"{info}: no entry {str(obj_id)!r} for the object of that number")
-        return read_ply(folder / f"obj_{obj_id:06d}.ply", BOP_UNIT_M)
+        names = [folder / f"obj_{obj_id:06d}{suffix}" for suffix in SUFFIXES]
+        return read_mesh(next((name for name in names if name.exists()), names[0]), BOP_UNIT_M)
 
     def _read_frames(self) -> tuple[Frame, ...]:
         path = self.folder / "scene_camera.json"

@@ -11,7 +11,7 @@ import numpy as np
 from hierax.nodes.tracking.errors import DataError
 from hierax.nodes.tracking.math.geometry import Floats, make_pose, orthonormal
 from hierax.nodes.tracking.model.bounded_files import read_file
-from hierax.nodes.tracking.model.ply import BOP_UNIT_M
+from hierax.nodes.tracking.model.files import BOP_UNIT_M
 
 MAX_NUMBER = 999_999  # of a frame, and of a model: files' names have six digits
 MAX_DISTANCE_M = 10_000.0

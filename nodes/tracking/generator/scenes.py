@@ -29,8 +29,8 @@ from hierax.nodes.tracking.errors import DataError
 from hierax.nodes.tracking.generator.camera import reported_path
 from hierax.nodes.tracking.generator.kinds import INTRINSICS, KINDS, SIZE, Film, film
 from hierax.nodes.tracking.math.geometry import Array, Floats, exp_se3, invert
+from hierax.nodes.tracking.model.files import BOP_UNIT_M, write_ply
 from hierax.nodes.tracking.model.mesh import Mesh
-from hierax.nodes.tracking.model.ply import BOP_UNIT_M, write_ply
 from hierax.nodes.tracking.simworld.raster import visible_shares
 from hierax.nodes.tracking.simworld.scene import develop, draw
 

@@ -14,8 +14,8 @@ from hierax.nodes.tracking.arm import poses_seen
 from hierax.nodes.tracking.datasets.bop_world import BopWorld
 from hierax.nodes.tracking.errors import DataError
 from hierax.nodes.tracking.math.geometry import Floats, invert, pose_error
+from hierax.nodes.tracking.model.files import BOP_UNIT_M, write_ply
 from hierax.nodes.tracking.model.mesh import box_mesh
-from hierax.nodes.tracking.model.ply import BOP_UNIT_M, write_ply
 from hierax.nodes.tracking.render import SegmentedDepth
 from hierax.nodes.tracking.simworld.world import SCENE, SimWorld
 from hierax.nodes.tracking.world import arm, seen, spatial, world

@@ -16,8 +16,8 @@ import pytest
 from hierax.nodes.tracking.datasets.bop import RESULTS_HEADER, BopScene, ResultsFile, read_image, read_results
 from hierax.nodes.tracking.errors import DataError
 from hierax.nodes.tracking.math.geometry import exp_so3, make_pose
+from hierax.nodes.tracking.model.files import write_ply
 from hierax.nodes.tracking.model.mesh import box_mesh
-from hierax.nodes.tracking.model.ply import write_ply
 
 TURN = exp_so3(np.array([0.1, 0.2, 0.3]))
 CAMERA_MATRIX = [500.0, 0.0, 320.0, 0.0, 510.0, 240.0, 0.0, 0.0, 1.0]
@@ -56,6 +56,17 @@ def scene(tmp_path: Path) -> Path:
     (tmp_path / "models" / "models_info.json").write_text(json.dumps({"5": {"diameter": 100.0}}))
     write_ply(tmp_path / "models" / "obj_000005.ply", box_mesh((0.1, 0.1, 0.1)))
     return folder
+
+
+def test_a_model_may_be_in_another_format(scene: Path) -> None:
+    models = scene.parent.parent / "models"
+    corners = BopScene(scene).model(5).vertices
+    (models / "obj_000005.ply").unlink()
+    with pytest.raises(DataError, match=r"obj_000005\.ply: no such file"):
+        BopScene(scene).model(5)
+    lines = [f"v {x:g} {y:g} {z:g}" for x, y, z in 1000.0 * corners] + ["f 1 2 3", "f 3 2 4"]
+    (models / "obj_000005.obj").write_text("\n".join(lines))
+    assert np.allclose(BopScene(scene).model(5).vertices, corners)
 
 
 def test_frames_are_sorted_and_in_metres(scene: Path) -> None:
@@ -116,7 +127,7 @@ def test_damage_is_named(scene: Path, keys: tuple[str | int, ...], value: Any, m
         ("../../models/models_info.json", None, "models_info.json: no such file"),
         ("../../models/models_info.json", "{}", "models_info.json: no entry '5'"),
         ("../../models/obj_000005.ply", None, "obj_000005.ply: no such file"),
-        ("../../models/obj_000005.ply", "solid", "obj_000005.ply: does not begin"),
+        ("../../models/obj_000005.ply", "solid", "obj_000005.ply: line 1: expected 'ply'"),
         ("rgb/000003.png", "no image", "000003.png: cannot be decoded"),
     ],
 )
