@@ -168,6 +168,7 @@ class NodeWorker:
         """Greet the neighbours that have not answered."""
         port = self._port
         if port is not None and not self._stopping.is_set():
+            port.relieve()
             port.greet()
             for process in port.absent.due():
                 self._pipe.say(MISSES, process=process)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import logging
-import os
 import threading
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
@@ -13,6 +12,7 @@ from typing import Any
 import zenoh
 
 from hierax.runtime.transport.absent_processes import AbsentProcesses
+from hierax.runtime.transport.inbox import QUEUE_SIZE, Inbox
 from hierax.runtime.transport.port import Port, TransportError
 from hierax.runtime.transport.rendezvous import Handshake, Rendezvous
 from hierax.runtime.transport.zenoh_session import close_session
@@ -24,8 +24,6 @@ from hierax.schemas.values import encode_value
 
 _log = logging.getLogger("hierax")
 
-QUEUE_SIZE = 256  # how many messages wait in a port; when it is full, the senders wait
-LOOKS = 60  # how often a port looks for a message before it sleeps: some fifty microseconds' worth
 INTERRUPT = "interrupt"  # kind of the key on which a process wakes up its own port
 
 
@@ -80,7 +78,7 @@ class ZenohPort(Port):
         self.absent = AbsentProcesses()
         self._own_key = keys.edge(INTERRUPT, name, name)
         try:
-            self._inbox = session.declare_subscriber(keys.inbox(name), zenoh.handlers.FifoChannel(QUEUE_SIZE))
+            self._inbox = Inbox(session.declare_subscriber(keys.inbox(name), zenoh.handlers.FifoChannel(QUEUE_SIZE)))
             liveliness = session.liveliness()
             # a token that nobody refers to undeclares itself
             self._token = liveliness.declare_token(keys.alive(name, self._process))
@@ -143,6 +141,13 @@ class ZenohPort(Port):
         for peer in {peer for link in self._links.values() for peer in link.rendezvous.missing}:
             self._greet(peer)
 
+    def relieve(self) -> None:
+        """Bound the bytes that wait while the node's thread is elsewhere; what had to be dropped is said again."""
+        for key in self._inbox.relieve(self._lanes):
+            peer, kind = self._lanes.get(key, ("", ""))
+            _log.warning("%s: dropped %s messages from %s: too much waits", self._name, kind, peer)
+            self._lost(peer)
+
     def send(self, message: Message) -> None:
         header = message.header
         self._put(header.kind, message)
@@ -201,16 +206,20 @@ class ZenohPort(Port):
         peer, process = str(sample.key_expr).split("/")[-2:]
         if sample.kind != zenoh.SampleKind.PUT:
             self.absent.gone(process)
-            with self._shaking:
-                for _, handshake in self._handshakes(peer):
-                    if handshake.peer_process == process:
-                        handshake.interrupted()
+            self._lost(peer, process)
             return
         self.absent.came(process)
         try:
             self._greet(peer)
         except TransportError:
             return  # closing: nobody is to be greeted any more
+
+    def _lost(self, peer: str, process: str = "") -> None:
+        """What was under way from a neighbour's process, or any of its, is lost: greetings and what follows mend it."""
+        with self._shaking:
+            for _, handshake in self._handshakes(peer):
+                if process in ("", handshake.peer_process):
+                    handshake.interrupted()
 
     def _handshakes(self, peer: str) -> Iterator[tuple[int, Handshake]]:
         """Those with a neighbour's processes, each once, and the last version of the roster that it is for."""
@@ -229,22 +238,17 @@ class ZenohPort(Port):
 
     def _next(self, connecting: bool = False, waits: bool = True) -> Message | None:
         """The next message; None when interrupted, closed, or, while connecting, after a greeting that was the last."""
-        while True:
+        while not self._interrupted:
             try:
-                sample = self._wait() if waits else self._inbox.try_recv()
+                sample = self._inbox.take(waits)
             except zenoh.ZError:
                 return None  # the session is closed
             if sample is None:
                 return None
             key = str(sample.key_expr)
             lane = self._lanes.get(key)
-            if lane is None and key == self._own_key:
-                if self._interrupted:  # else it is not from us
-                    self._interrupted = False
-                    return None
-                continue
             if lane is None:
-                continue  # from one that is not our neighbour yet, and will say it again; or not any more
+                continue  # a wake-up; or from one that is no neighbour any more, or not yet, and will say it again
             message = decode_message(sample.payload.to_bytes())
             header = message.header
             if lane == (header.sender, header.kind):
@@ -254,6 +258,8 @@ class ZenohPort(Port):
             self._hear(lane, key, message)
             if connecting and self.ready:
                 return None
+        self._interrupted = False
+        return None
 
     def _hear(self, lane: Lane, key: str, message: Message) -> None:
         """A neighbour's greeting; of whichever version, as the keys are the same, and the instance is looked at."""
@@ -278,19 +284,6 @@ class ZenohPort(Port):
         if not link.told and link.rendezvous.ready:
             link.told = True
             link.opened(link.rendezvous.version)
-
-    def _wait(self) -> zenoh.Sample:
-        """The next sample: looked for a moment, then slept for.
-
-        In an epoch of small messages the next one is some ten microseconds away, and a
-        thread that sleeps on a processor that sleeps takes longer than that to wake.
-        """
-        for _ in range(LOOKS):
-            sample = self._inbox.try_recv()
-            if sample is not None:
-                return sample
-            os.sched_yield()
-        return self._inbox.recv()
 
     def _put_all(self, greetings: Iterable[tuple[str, Message]]) -> None:
         for kind, message in greetings:

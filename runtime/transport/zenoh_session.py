@@ -17,6 +17,7 @@ from typing import Any, Literal, TypeAlias
 import zenoh
 
 from hierax.runtime.transport.port import TransportError
+from hierax.schemas.limits import MAX_MESSAGE_BYTES
 
 LOOPBACK = "tcp/127.0.0.1:0"  # where a session listens unless told otherwise: a free port that no other machine reaches
 
@@ -44,6 +45,9 @@ LEASE_MS = 1000
 LOW_LATENCY_BYTES = 32 * 1024
 """What a low-latency link surely carries at once. Zenoh loses a longer message without a word (from 48 KiB on,
 with its key and header)."""
+
+LONGEST_BYTES = MAX_MESSAGE_BYTES + 64 * 1024
+"""How much of a message Zenoh puts together, its key and header among it; the rest of a longer one is dropped."""
 
 CLOSE_TIMEOUT_S = 1.0
 
@@ -97,6 +101,7 @@ def open_session(
         "scouting/gossip/autoconnect_strategy": {"peer": {"to_router": "always", "to_peer": "greater-zid"}},
         "scouting/delay": 0,
         "transport/link/tx/lease": LEASE_MS,
+        "transport/link/rx/max_message_size": LONGEST_BYTES,
         "transport/shared_memory/enabled": shared_memory and not shared_memory_fault(),
     }
     if low_latency:

@@ -20,17 +20,20 @@ class Gated(MixingWorld):
     """Runs until there is a file; `hierax run`, once the file is gone, repeats it with ``--epochs``.
 
     Args:
-        stop: path of the file.
+        stop: path of the file; while there is one named ``pause`` beside it, `predict` does not come to its end.
     """
 
     def __init__(self, stop: str) -> None:
         super().__init__("world", 2)
         self._stop = Path(stop)
+        self._pause = self._stop.with_name("pause")
         self._pace_s = float(os.environ.get(PACE_S, "0"))
 
     def predict(self, context: Elements, actions: Elements, belief: Value) -> Value:
         if self._pace_s:
             threading.Event().wait(self._pace_s)
+        while self._pause.exists():
+            threading.Event().wait(0.01)
         return super().predict(context, actions, belief)
 
     def finished(self, belief: Value) -> bool:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import time
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
@@ -16,6 +17,7 @@ from support.live import Live, until
 
 from hierax.runtime.deployment.deployment import RestartPolicy
 from hierax.runtime.launch.requests import MAX_CHANGES
+from hierax.runtime.transport.inbox import WAITING_BYTES
 from hierax.schemas.changes import Attach
 from hierax.schemas.control import Census, Dismiss, Fetch, Join, Lost, Prepare, Ready, Resend, Status, Taken
 from hierax.schemas.keys import Keys
@@ -123,6 +125,26 @@ def test_a_dismissal_of_a_process_that_is_kept_elsewhere_is_asked_about(live: Li
     assert report["digest"] == live.repeated(report["epochs"], f"{first}:attach:{path}")["digest"], live.launch.err
     assert keeper.ends() == 0, (keeper.err, live.launch.err)
     assert keeper.err[-1] == "hierax: top: its process exits: top: the run is over\n"
+
+
+def test_what_waits_for_a_node_in_an_operator_is_bounded_by_its_bytes(live: Live, stranger: Stranger) -> None:
+    size, count = 64 << 20, 14
+    status = Path(f"/proc/{live.run['nodes']['world']['pid']}/status")
+
+    def most_bytes() -> int:
+        return int(re.findall(r"VmHWM:\s*(\d+) kB", status.read_text())[0]) << 10
+
+    before = most_bytes()
+    pause = live.folder / "pause"
+    pause.touch()
+    for _ in range(count):
+        stranger.put(stranger.keys.edge(CONTEXT, "low", "world"), bytes(size))
+    pause.unlink()
+    live.goes_on()
+    assert most_bytes() - before < WAITING_BYTES + 5 * size < count * size
+    assert any("world: dropped ctx messages from low: too much waits" in line for line in live.launch.err)
+    report = live.ends()
+    assert report["digest"] == live.repeated(report["epochs"])["digest"], live.launch.err
 
 
 def test_an_attempt_that_nobody_has_begun_is_refused_or_overtaken(live: Live, stranger: Stranger) -> None:

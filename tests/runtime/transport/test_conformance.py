@@ -8,10 +8,12 @@ from collections.abc import Mapping, Sequence
 from secrets import token_hex
 
 import pytest
+from support.live import until
 from support.sockets import break_link
 
 from hierax.runtime.core.hierarchy import neighbours_above, neighbours_below
 from hierax.runtime.testing.transport import check_transport, receive
+from hierax.runtime.transport import inbox
 from hierax.runtime.transport.memory import MemoryNetwork, MemoryPort
 from hierax.runtime.transport.port import Port, TransportError
 from hierax.runtime.transport.zenoh_port import INTERRUPT, ZenohPort
@@ -167,6 +169,38 @@ def test_zenoh_drops_what_is_no_message(pair: dict[str, ZenohPort], data: bytes,
     finally:
         low.close()
         up.close()
+
+
+def test_zenoh_keeps_bytes_up_to_a_bound_for_a_node_that_is_elsewhere_and_has_the_rest_said_again(
+    pair: dict[str, ZenohPort], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(inbox, "WAITING_BYTES", 1 << 20)
+    low, up = pair["low"], pair["up"]
+    message = Message(Header(OBSERVATIONS, "low", "up", 7), ())
+    low.on_mended(lambda neighbour: low.send(message))
+    try:
+        for _ in range(5):
+            low._session.put(low._keys.edge(CONTEXT, "nobody", "up"), bytes(300_000))
+            put(low, OBSERVATIONS, bytes(300_000))
+        put(low, OBSERVATIONS, bytes(1 << 20))
+
+        def is_over() -> bool:
+            up.relieve()
+            return not up.ready
+
+        until(is_over, "some of it is dropped")
+        assert [len(sample.payload) for sample in up._inbox._kept] == [300_000] * 3
+        threading.Thread(target=low.receive, daemon=True).start()
+        greet = threading.Thread(target=greet_for_a_while, args=[[low, up]], daemon=True)
+        greet.start()
+        for _ in range(3):
+            with pytest.raises(SchemaError, match="begin like a message"):
+                up.receive()
+        assert receive(up) == message
+    finally:
+        low.close()
+        up.close()
+    greet.join()
 
 
 def test_zenoh_connects_whatever_comes_before_a_greeting() -> None:

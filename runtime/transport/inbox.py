@@ -1,0 +1,97 @@
+"""What has come for a node and was not taken yet, bounded by its bytes.
+
+Zenoh keeps what comes in a queue that is bounded by number, whatever its messages weigh. While the node's thread takes
+them one by one, little waits there. While that thread is elsewhere, in an operator for instance, another one looks in
+from time to time, drops what nobody wants, and keeps the rest as long as its bytes are within `WAITING_BYTES`.
+"""
+
+from __future__ import annotations
+
+import os
+import threading
+from collections import deque
+from collections.abc import Container
+from typing import Any
+
+import zenoh
+
+from hierax.schemas.limits import MAX_MESSAGE_BYTES
+
+QUEUE_SIZE = 256  # how many messages wait in Zenoh; when it is full, the senders wait
+LOOKS = 60  # how often the node's thread looks for a message before it sleeps: some fifty microseconds' worth
+
+WAITING_BYTES = MAX_MESSAGE_BYTES
+"""How much waits beside Zenoh's queue: any message does, if nothing else does."""
+
+SAMPLE_BYTES = 64 * 1024
+"""As what a message counts at least: the buffer that Zenoh has read it into is kept with it."""
+
+
+class Inbox:
+    """The messages for one node, in the order in which they came.
+
+    Args:
+        subscriber: to their keys, with a queue of `QUEUE_SIZE`.
+    """
+
+    def __init__(self, subscriber: zenoh.Subscriber[Any]) -> None:
+        self._subscriber = subscriber
+        self._taking = threading.Lock()  # held by whoever takes from Zenoh's queue
+        self._kept: deque[zenoh.Sample] = deque()
+        self._kept_bytes = 0
+
+    def take(self, waits: bool) -> zenoh.Sample | None:
+        """The next message: looked for a moment, then slept for, if it may wait.
+
+        In an epoch of small messages the next one is some ten microseconds away, and a
+        thread that sleeps on a processor that sleeps takes longer than that to wake.
+
+        Raises:
+            zenoh.ZError: the session is closed.
+        """
+        with self._taking:
+            if self._kept:
+                sample = self._kept.popleft()
+                self._kept_bytes -= _bytes(sample)
+                return sample
+            for _ in range(LOOKS if waits else 1):
+                found = self._subscriber.try_recv()
+                if found is not None or not waits:
+                    return found
+                os.sched_yield()
+            return self._subscriber.recv()
+
+    def relieve(self, wanted: Container[str]) -> set[str]:
+        """Look after what waits while the node's thread does not; to be called from time to time, by another one.
+
+        Args:
+            wanted: the keys of which messages are kept.
+
+        Returns:
+            Those of which some were dropped, as too much waits.
+        """
+        dropped: set[str] = set()
+        if not self._taking.acquire(blocking=False):
+            return dropped
+        try:
+            for _ in range(QUEUE_SIZE):
+                sample = self._subscriber.try_recv()
+                if sample is None:
+                    break
+                key, size = str(sample.key_expr), _bytes(sample)
+                if key not in wanted:
+                    continue
+                if self._kept_bytes + size > WAITING_BYTES:
+                    dropped.add(key)
+                    continue
+                self._kept.append(sample)
+                self._kept_bytes += size
+        except zenoh.ZError:
+            return dropped  # the session is closed
+        finally:
+            self._taking.release()
+        return dropped
+
+
+def _bytes(sample: zenoh.Sample) -> int:
+    return max(len(sample.payload), SAMPLE_BYTES)
