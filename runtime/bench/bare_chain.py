@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import argparse
 import json
-import sys
+import os
 import threading
 import time
 from collections.abc import Callable
@@ -115,8 +115,16 @@ def run_spatial(chain: Chain, picture: int, key: str = "2") -> None:
     chain.on(f"bare/up/{key}", on_up)
 
 
+def leave(chain: Chain) -> None:
+    """End the process with its standard input."""
+    while os.read(0, 1):
+        continue
+    close_session(chain.session)
+    os._exit(0)
+
+
 def main() -> None:
-    """One process of the chain, until standard input ends."""
+    """One process of the chain, at most until standard input ends: until whoever has started it is gone."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("role", choices=("world", "arm", "spatial", "echo"))
     parser.add_argument("--listen", default="")
@@ -127,13 +135,14 @@ def main() -> None:
     own_streams()
     chain = Chain(options.listen, options.connect)
     if options.role == "world":
+        threading.Thread(target=leave, args=[chain], daemon=True).start()
         print(json.dumps(run_world(chain, options.epochs)), flush=True)
     elif options.role == "arm":
         run_arm(chain)
     else:
         run_spatial(chain, options.picture, "1" if options.role == "echo" else "2")
     if options.role != "world":
-        sys.stdin.read()
+        leave(chain)
     close_session(chain.session)
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import subprocess
 from collections.abc import Callable, Sequence
 from contextlib import ExitStack
@@ -108,16 +109,14 @@ def _bare(epochs: int, picture: int) -> Sequence[float]:
 def _times(world: list[str], *others: list[str]) -> Sequence[float]:
     """Run the processes of a bare chain; what the world prints."""
     module = python_module("hierax.runtime.bench.bare_chain")
-    with ExitStack() as stack:
-        for other in others:
-            # a session of its own: Ctrl-C is for who has started it
-            command = [*module, *other]
-            process = stack.enter_context(subprocess.Popen(command, stdin=subprocess.PIPE, start_new_session=True))
-            stack.callback(process.stdin.close if process.stdin else process.kill)
+    reader, writer = os.pipe()  # they end when it does, however this process comes to its end
+    with ExitStack() as stack, open(writer, "wb"), open(reader, "rb"):
+        for other in others:  # each with a session of its own: Ctrl-C is for who has started it
+            stack.enter_context(subprocess.Popen([*module, *other], stdin=reader, start_new_session=True))
         try:
             command = [*module, *world]
             done = subprocess.run(
-                command, stdout=subprocess.PIPE, timeout=TIMEOUT_S, check=True, start_new_session=True
+                command, stdin=reader, stdout=subprocess.PIPE, timeout=TIMEOUT_S, check=True, start_new_session=True
             )
         except (subprocess.TimeoutExpired, subprocess.CalledProcessError) as error:
             raise HieraxError(f"the bare chain failed: {error}") from error
