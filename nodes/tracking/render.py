@@ -18,7 +18,15 @@ from hierax.nodes.tracking.math.batched import only
 from hierax.nodes.tracking.math.geometry import Array, Floats, invert
 from hierax.nodes.tracking.model.controls import Controls
 from hierax.nodes.tracking.model.shapes import shape_of
-from hierax.nodes.tracking.schema import Alternative, Body, ControlPoints, ExpectedObject, Imagery, SpatialBelief
+from hierax.nodes.tracking.schema import (
+    Alternative,
+    Body,
+    ControlPoints,
+    ExpectedObject,
+    Imagery,
+    SpatialBelief,
+    looking_alike,
+)
 
 LEAST_CHANCE = 0.02
 """Control points that are less likely to be seen are left out."""
@@ -249,7 +257,7 @@ def _likely(controls: Controls, seen: Array) -> ControlPoints:
 
 
 def _expected(body: Body, controls: ControlPoints, others: tuple[Alternative, ...]) -> ExpectedObject:
-    return {
+    expected: ExpectedObject = {
         "id": body["id"],
         "obj_id": body["obj_id"],
         "pose": body["pose"],
@@ -260,6 +268,7 @@ def _expected(body: Body, controls: ControlPoints, others: tuple[Alternative, ..
         "controls": controls,
         "others": others,
     }
+    return {**expected, **looking_alike(body["model"])}
 
 
 def item_of(body: Body, camera_from_world: Floats) -> Item:

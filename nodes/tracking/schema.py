@@ -38,7 +38,26 @@ Size = tuple[int, int]  # width and height in pixels
 Nothing = tuple[()]  # the context and actions of nodes that are given none
 
 
-class Model(TypedDict):
+class Symmetry(TypedDict):
+    """After which motions of its frame a body looks the same."""
+
+    turns: Annotated[Floats, Is(("n", 4, 4), "float64", "object_from_object, m; the identity first")]
+    # twists along which it may go on turning: none, about an axis, or about all axes through a point
+    free: Annotated[Floats, Is(("k", 6), "float64", "m and rad, object's frame")]
+
+
+class MayLookAlike(TypedDict, total=False):
+    """What looks the same in no other pose has no entry of that."""
+
+    symmetry: Symmetry
+
+
+def looking_alike(entry: MayLookAlike) -> MayLookAlike:
+    """What an entry says of symmetry, alone."""
+    return {"symmetry": entry["symmetry"]} if "symmetry" in entry else {}
+
+
+class Model(MayLookAlike):
     """A triangle mesh."""
 
     vertices: Annotated[Floats, Is(("n", 3), "float64", "m, object's frame")]
@@ -105,7 +124,7 @@ class Alternative(TypedDict):
     kept: bool  # whether it is one of the arm's earlier guesses
 
 
-class ExpectedObject(TypedDict):
+class ExpectedObject(MayLookAlike):
     """Spatial to arm, within `Imagery`: where an object is expected, and what of it."""
 
     id: int
@@ -151,7 +170,7 @@ class Looks(TypedDict):
     slack: Annotated[Floats, Is(("b", 3, 3), "float64", "m², object's frame")]  # covariance of that
 
 
-class TrackedObject(TypedDict):
+class TrackedObject(MayLookAlike):
     """What the arm believes of one object."""
 
     id: int
@@ -333,10 +352,10 @@ def fault(value: Any, kind: Any, where: str) -> str:
 
 def _map_fault(value: Any, kind: Any, where: str) -> str:
     hints = get_type_hints(kind, include_extras=True)
-    if not isinstance(value, Mapping) or value.keys() != hints.keys():
+    if not isinstance(value, Mapping) or not kind.__required_keys__ <= value.keys() <= hints.keys():
         given = sorted(value) if isinstance(value, Mapping) else type(value).__name__
         return f"{where}: expected a map with the keys {sorted(hints)}, got {given}"
-    faults = (fault(value[name], hint, f"{where}.{name}") for name, hint in hints.items())
+    faults = (fault(value[name], hint, f"{where}.{name}") for name, hint in hints.items() if name in value)
     return next(filter(None, faults), "")
 
 

@@ -225,7 +225,7 @@ class SpatialNode(Node):
 
 def _body(item: FirstBody) -> Body:
     vertices = np.asarray(item["model"]["vertices"], dtype=np.float64)
-    model: Model = {"vertices": vertices, "faces": np.asarray(item["model"]["faces"], dtype=np.int32)}
+    model: Model = {**item["model"], "vertices": vertices, "faces": np.asarray(item["model"]["faces"], dtype=np.int32)}
     return {
         "id": item["id"],
         "obj_id": item["obj_id"],

@@ -14,8 +14,9 @@ from hierax.nodes.tracking.datasets.bop import BopScene
 from hierax.nodes.tracking.datasets.bop_world import BopWorld, frame_seen
 from hierax.nodes.tracking.math.geometry import Floats, invert
 from hierax.nodes.tracking.model.mesh import Mesh, box_mesh
+from hierax.nodes.tracking.model.symmetry import NONE, model_of
 from hierax.nodes.tracking.paper.arm import PaperArmNode
-from hierax.nodes.tracking.schema import FirstBody, FirstPose, Picture, SceneBelief, SimBelief
+from hierax.nodes.tracking.schema import FirstBody, FirstPose, Picture, SceneBelief, SimBelief, Symmetry
 from hierax.nodes.tracking.simworld.world import SCENE, SimWorld, camera_at, first_bodies, picture_seen
 from hierax.nodes.tracking.spatial import SpatialNode
 from hierax.runtime import NO_TICK, Tick, World
@@ -91,8 +92,8 @@ def spatial(
     """
     objects, camera = _first_objects(scene, cubes)
     placed: list[FirstBody] = [
-        {**item, "pose": camera @ item["pose"], "model": {"vertices": mesh.vertices, "faces": mesh.faces}}
-        for item, mesh in zip(objects, _models(scene, objects), strict=True)
+        {**item, "pose": camera @ item["pose"], "model": model_of(mesh, symmetry)}
+        for item, (mesh, symmetry) in zip(objects, _models(scene, objects), strict=True)
     ]
     carried = scene is None if table is None else table
     return SpatialNode(placed, table=carried and physics, **options)
@@ -112,8 +113,8 @@ def _first_pose(number: int, obj_id: int, pose: Floats) -> FirstPose:
     return {"id": number, "obj_id": obj_id, "pose": pose}
 
 
-def _models(scene: str | None, objects: Sequence[FirstPose]) -> list[Mesh]:
+def _models(scene: str | None, objects: Sequence[FirstPose]) -> list[tuple[Mesh, Symmetry]]:
     if scene is not None:
         folder = BopScene(scene)
         return [folder.model(item["obj_id"]) for item in objects]
-    return [box_mesh([SCENE[item["obj_id"] - 1].side_m] * 3) for item in objects]
+    return [(box_mesh([SCENE[item["obj_id"] - 1].side_m] * 3), NONE) for item in objects]  # to be told by first poses

@@ -101,7 +101,7 @@ def test_the_truth_is_what_pictures_show(out: Path, tmp_path: Path) -> None:
     scene, truth = BopScene(out / "test/000001"), read_truth(out / "truth/000001")[1]
     frame = scene.frames[1]
     for at, true in enumerate(truth):
-        mesh = scene.model(true.obj_id)
+        mesh = scene.model(true.obj_id)[0]
         pixels = 2.0 * (project(transform(true.pose, mesh.vertices), frame.intrinsics) + 0.5)
         expected = np.zeros(labels.shape, np.uint8)
         for face in mesh.faces:

@@ -97,7 +97,7 @@ def test_the_scene_is_a_bop_scene_with_the_first_pose_only(tmp_path: Path) -> No
     scene = BopScene(tmp_path / "test" / "000001")
     assert [frame.im_id for frame in scene.frames] == [0, 50, 100, 150, 200]
     assert list(json.loads((scene.folder / "scene_gt.json").read_text())) == ["0"]
-    mesh = scene.model(1)
+    mesh = scene.model(1)[0]
     assert np.ptp(mesh.vertices, axis=0) == pytest.approx([0.084] * 3)
     corners = mesh.vertices[mesh.faces]
     assert np.sum(corners[:, 0] * np.cross(corners[:, 1], corners[:, 2])) / 6 == pytest.approx(0.084**3)

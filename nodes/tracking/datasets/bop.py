@@ -18,13 +18,21 @@ from typing import Any, NamedTuple
 import cv2
 import numpy as np
 
-from hierax.nodes.tracking.datasets.bop_json import MAX_NUMBER, read_json, read_numbers, read_obj_id, read_pose
+from hierax.nodes.tracking.datasets.bop_json import (
+    MAX_NUMBER,
+    read_json,
+    read_numbers,
+    read_obj_id,
+    read_pose,
+    read_symmetry,
+)
 from hierax.nodes.tracking.errors import DataError
 from hierax.nodes.tracking.math.geometry import Array, Floats, invert, make_pose
 from hierax.nodes.tracking.model.bounded_files import MAX_PIXELS, image_size, read_file
 from hierax.nodes.tracking.model.files import BOP_UNIT_M, SUFFIXES, read_mesh
 from hierax.nodes.tracking.model.mesh import Mesh
-from hierax.nodes.tracking.schema import LOST, ScoredPose
+from hierax.nodes.tracking.model.symmetry import found_symmetry
+from hierax.nodes.tracking.schema import LOST, ScoredPose, Symmetry
 
 cv2.setNumThreads(1)
 
@@ -113,18 +121,9 @@ class BopScene:
             raise DataError(f"{path}: frame {first}: {len(entries)} objects; expected at most {MAX_OBJECTS}")
         return tuple(_scene_object(path, first, at, entry) for at, entry in enumerate(entries))
 
-    def model(self, obj_id: int) -> Mesh:
-        """The mesh of a model, in metres.
-
-        Raises:
-            DataError: the model or ``models_info.json`` is missing or damaged.
-        """
-        folder = self.folder.parent.parent / "models"
-        info = folder / "models_info.json"
-        if str(obj_id) not in read_json(info):
-            raise DataError(f"{info}: no entry {str(obj_id)!r} for the object of that number")
-        names = [folder / f"obj_{obj_id:06d}{suffix}" for suffix in SUFFIXES]
-        return read_mesh(next((name for name in names if name.exists()), names[0]), BOP_UNIT_M)
+    def model(self, obj_id: int) -> tuple[Mesh, Symmetry]:
+        """A model, see `read_model`."""
+        return read_model(self.folder.parent.parent / "models", obj_id)
 
     def _read_frames(self) -> tuple[Frame, ...]:
         path = self.folder / "scene_camera.json"
@@ -147,6 +146,21 @@ class BopScene:
                 )
             frames.append(_frame(path, key, cameras[key], images[im_id]))
         return tuple(frames)
+
+
+def read_model(folder: Path, obj_id: int) -> tuple[Mesh, Symmetry]:
+    """The mesh of a model, in metres, and its symmetry: as ``models_info.json`` has it, else as the mesh shows it.
+
+    Raises:
+        DataError: the model or ``models_info.json`` is missing or damaged.
+    """
+    info = folder / "models_info.json"
+    entry = read_json(info).get(str(obj_id))
+    if not isinstance(entry, dict):
+        raise DataError(f"{info}: no entry {str(obj_id)!r} for the object of that number")
+    names = [folder / f"obj_{obj_id:06d}{suffix}" for suffix in SUFFIXES]
+    mesh = read_mesh(next((name for name in names if name.exists()), names[0]), BOP_UNIT_M)
+    return mesh, read_symmetry(f"{info}: {obj_id}", entry) or found_symmetry(mesh)
 
 
 def read_image(path: Path) -> Array:

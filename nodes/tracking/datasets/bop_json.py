@@ -12,11 +12,15 @@ from hierax.nodes.tracking.errors import DataError
 from hierax.nodes.tracking.math.geometry import Floats, make_pose, orthonormal
 from hierax.nodes.tracking.model.bounded_files import read_file
 from hierax.nodes.tracking.model.files import BOP_UNIT_M
+from hierax.nodes.tracking.model.symmetry import symmetry_of
+from hierax.nodes.tracking.schema import Symmetry
 
 MAX_NUMBER = 999_999  # of a frame, and of a model: files' names have six digits
 MAX_DISTANCE_M = 10_000.0
 _ROTATION_TOLERANCE = 1e-2
 _HUGE = 10**300
+MAX_SYMMETRIES = 128
+_SYMMETRIES = {"symmetries_discrete", "symmetries_continuous"}
 
 
 def read_json(path: Path) -> dict[str, Any]:
@@ -66,6 +70,32 @@ def read_pose(where: str, entry: Any, rotation_key: str, translation_key: str) -
     if off > _ROTATION_TOLERANCE or np.linalg.det(rotation) < 0:
         raise DataError(f"{where}: {rotation_key}: expected a rotation matrix, row by row")
     return orthonormal(make_pose(rotation, translation))
+
+
+def read_symmetry(where: str, entry: Any) -> Symmetry | None:
+    """What an entry of ``models_info.json`` says of symmetry; None where it says nothing, and none where its lists of
+    ``symmetries_discrete`` and ``symmetries_continuous`` are empty.
+
+    Raises:
+        DataError: they are no lists of at most `MAX_SYMMETRIES` rigid motions, row by row, or of axes.
+    """
+    if not _SYMMETRIES & entry.keys():
+        return None
+    lists = {key: entry.get(key, []) for key in sorted(_SYMMETRIES)}
+    for key, values in lists.items():
+        if not isinstance(values, list) or len(values) > MAX_SYMMETRIES:
+            raise DataError(f"{where}: {key}: expected a list of at most {MAX_SYMMETRIES}")
+    turns, axes = [], []
+    for values in lists["symmetries_discrete"]:
+        rows = read_numbers(where, {"symmetries_discrete": values}, "symmetries_discrete", 16).reshape(4, 4)
+        parts = {"rotation": rows[:3, :3].ravel().tolist(), "translation": rows[:3, 3].tolist()}
+        turns.append(read_pose(f"{where}: symmetries_discrete", parts, "rotation", "translation"))
+    for each in lists["symmetries_continuous"]:
+        axis = read_numbers(f"{where}: symmetries_continuous", each, "axis", 3)
+        if not axis.any():
+            raise DataError(f"{where}: symmetries_continuous: axis: expected a direction")
+        axes.append((axis, read_numbers(f"{where}: symmetries_continuous", each, "offset", 3) * BOP_UNIT_M))
+    return symmetry_of(turns, axes)
 
 
 def read_numbers(where: str, entry: Any, key: str, count: int) -> Floats:

@@ -5,12 +5,24 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any, NamedTuple
 
+import numpy as np
+
+from hierax.nodes.tracking.datasets.bop import read_model
 from hierax.nodes.tracking.datasets.bop_json import read_json, read_numbers, read_obj_id, read_pose
 from hierax.nodes.tracking.errors import DataError
+from hierax.nodes.tracking.imagery.physics import support_points
 from hierax.nodes.tracking.math.geometry import Floats
+from hierax.nodes.tracking.schema import Symmetry
 
 POSES = "scene_gt.json"
 SHARES = "scene_gt_info.json"
+
+
+class Likeness(NamedTuple):
+    """What of a model says how far two poses of it are apart."""
+
+    symmetry: Symmetry
+    points: Floats  # (n, 3) outermost points of it, metres
 
 
 class TruePose(NamedTuple):
@@ -19,13 +31,14 @@ class TruePose(NamedTuple):
     obj_id: int  # the object
     pose: Floats  # camera_from_object, metres
     visible: float  # share of its silhouette that is seen, 0 to 1; 1 where nobody says
+    likeness: Likeness | None = None  # None where there are no models
 
 
 def read_truth(folder: Path) -> dict[int, list[TruePose]]:
     """All frames of a folder with ``scene_gt.json`` and, where visible shares are known, ``scene_gt_info.json``.
 
     Args:
-        folder: of a scene in the BOP format, or apart from one.
+        folder: of a scene in the BOP format, or apart from one; models are looked for where such a scene has them.
 
     Returns:
         By frame, in order.
@@ -41,7 +54,18 @@ def read_truth(folder: Path) -> dict[int, list[TruePose]]:
         raise DataError(f"{path}: {wrong[0]!r} is no frame number")
     if not entries:
         raise DataError(f"{path}: no frames")
-    return {int(key): _frame(folder, key, entries[key], infos.get(key)) for key in sorted(entries, key=int)}
+    frames = {int(key): _frame(folder, key, entries[key], infos.get(key)) for key in sorted(entries, key=int)}
+    models = folder.parent.parent / "models"
+    if not (models / "models_info.json").is_file():
+        return frames
+    numbers = {pose.obj_id for poses in frames.values() for pose in poses}
+    known = {obj_id: _likeness(models, obj_id) for obj_id in sorted(numbers)}
+    return {at: [pose._replace(likeness=known[pose.obj_id]) for pose in poses] for at, poses in frames.items()}
+
+
+def _likeness(models: Path, obj_id: int) -> Likeness:
+    mesh, symmetry = read_model(models, obj_id)
+    return Likeness(symmetry, support_points(mesh.vertices[np.unique(mesh.faces)]))
 
 
 def _frame(folder: Path, key: str, entries: Any, infos: Any) -> list[TruePose]:

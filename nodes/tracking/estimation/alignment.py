@@ -47,6 +47,7 @@ class Start(NamedTuple):
     information: Floats  # (m, 6, 6) inverse covariance of each, twist in the object's frame
     # (6, 6) inverse covariance of the camera's error, twist in its own frame; None where it is known
     camera: Floats | None = None
+    told: Floats | None = None  # (m, 6, 6) what takes away of twists what no image tells, by symmetry; None: nothing
 
 
 class Aligned(NamedTuple):
@@ -158,7 +159,7 @@ def _step(
     seen = state.seen(stage, intrinsics)
     matches = chosen_near(seen, stage, scale)
     weights = weights_of(stage, matches, scale, search)
-    said = normal_equations(state.poses, stage, seen, matches, weights, intrinsics)
+    said = normal_equations(state.poses, stage, seen, matches, weights, intrinsics).told(start.told)
     blocks, gradients = said.blocks, said.gradients
     twists = log_many(np.concatenate((state.shift[None], state.own)))
     shift, own = twists[0], twists[1:]
@@ -197,7 +198,7 @@ def _judged(state: _State, start: Start, stage: Stage, scale: Floats, intrinsics
     supported = (np.abs(matches.pixels) < search.support_px) & (matches.strange < _STRANGE)
     weights = weights_of(stage, matches, scale, search)
     moved = -stage.contrasts[np.arange(len(weights)), matches.columns].astype(np.float64)
-    said = normal_equations(state.poses, stage, seen, matches, weights, intrinsics, moved)
+    said = normal_equations(state.poses, stage, seen, matches, weights, intrinsics, moved).told(start.told)
     blocks, slopes = said.blocks, said.gradients
     tone = Tone(blocks[:, 12, :12], blocks[:, 12, 12], slopes[:, 12])
     blocks, slopes = blocks[:, :12, :12], slopes[:, :12]

@@ -19,6 +19,7 @@ from hierax.nodes.tracking.estimation.tracked import motion_of
 from hierax.nodes.tracking.math.batched import exp_many, inverse
 from hierax.nodes.tracking.math.geometry import NEAREST_M, Array, Floats
 from hierax.nodes.tracking.model.controls import Controls, gathered
+from hierax.nodes.tracking.model.symmetry import NONE, is_plain, open_to
 from hierax.nodes.tracking.schema import TrackedObject
 
 FAMILIAR_MOTION_SCALE = 0.3  # an object with a smaller motion scale is lit as it was
@@ -82,7 +83,9 @@ def task_of(image: Image, objects: Sequence[TrackedObject], prior: Prior, intrin
     free = prior._replace(motion_scale=np.maximum(prior.motion_scale, _LEAST_FREEDOM))
     calm = float(free.motion_scale.max()) <= _LEAST_FREEDOM and float(prior.covariance[:, :3, :3].max()) < _SETTLED_M**2
     near = (_CALM if calm else _NEAR)._replace(noise_px=error_px)
-    start = Start(predicted, inverse(free.spread()), prior.camera)
+    symmetries = [item.get("symmetry", NONE) for item in objects]
+    told = None if all(map(is_plain, symmetries)) else np.stack([open_to(each) for each in symmetries])
+    start = Start(predicted, inverse(free.spread()), prior.camera, told)
     return Task(image, controls, memory, intrinsics, start, near, prior, factor)
 
 
@@ -151,7 +154,7 @@ def _aligned(task: Task, information: Floats, shift: Floats) -> Aligned | None:
         task: what is aligned; information: (m, 6, 6) of the predictions.
         shift: (4, 4) what the camera's error is supposed to do to all poses.
     """
-    start = Start(shift @ task.start.poses, information, task.start.camera)
+    start = task.start._replace(poses=shift @ task.start.poses, information=information)
     found = align(task.image, task.controls, start, task.intrinsics, task.memory, task.search)
     if found is None:
         return None

@@ -19,6 +19,7 @@ from hierax.nodes.tracking.schema import (
     FirstPose,
     PaperObject,
     TrackedObject,
+    looking_alike,
 )
 
 _FIRST_MOTION_SCALE = 0.2
@@ -125,6 +126,7 @@ def imagined(item: TrackedObject, expected: ExpectedObject, camera: Floats) -> T
     half = _DASH_M / 2.0 * controls["tangents"]
     return {
         **item,
+        **looking_alike(expected),
         "before": item["pose"],
         "pose": invert(camera) @ expected["pose"],
         "covariance": expected["covariance"],

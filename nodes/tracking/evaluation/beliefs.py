@@ -10,7 +10,8 @@ import numpy as np
 
 from hierax.nodes.tracking.datasets.truth import TruePose
 from hierax.nodes.tracking.errors import DataError
-from hierax.nodes.tracking.math.geometry import Array, invert, log_se3, pose_error
+from hierax.nodes.tracking.evaluation.scoring import nearest_off
+from hierax.nodes.tracking.math.geometry import Array, log_se3, pose_error
 from hierax.runtime import Probe, Step
 
 
@@ -62,12 +63,13 @@ def judge(file: Path, truth: Mapping[int, Sequence[TruePose]]) -> None:
     known = np.array([key in true for key in keys], dtype=bool)
     columns = {name: column[known] for name, column in columns.items()}
     pairs = [(pose, true[key]) for pose, key in zip(columns["pose"], (key for key in keys if key in true), strict=True)]
-    errors = np.array([pose_error(given, right.pose) for given, right in pairs]).reshape(-1, 2)
+    off = [nearest_off(right, given) for given, right in pairs]
+    errors = np.array([pose_error(each, np.eye(4)) for each in off]).reshape(-1, 2)
     added = {
         "visible": np.array([right.visible for _, right in pairs]),
         "distance_mm": 1000.0 * errors[:, 0],
         "angle_deg": np.degrees(errors[:, 1]),
-        "twist": np.array([log_se3(invert(given) @ right.pose) for given, right in pairs]).reshape(-1, 6),
+        "twist": np.array([-log_se3(each) for each in off]).reshape(-1, 6),
     }
     _write(file, {**columns, **added})
 

@@ -1,8 +1,8 @@
 """How well poses agree with the truth: ``python -m hierax.nodes.tracking.evaluation.scoring POSES.csv TRUTH_DIR``.
 
-Errors are those of camera_from_object: the distance of the origins, and the angle between the
-axes. A box looks the same when it is turned by half a turn, but the pose to be kept is the one
-that was given at first, so nothing is made of symmetries.
+Errors are those of camera_from_object: the distance of the origins, and the angle between the axes, of the poses that
+look like the true one the nearest's. Which do, the dataset's ``models_info.json`` says, or else the models show it.
+Beside them stands the maximum symmetry-aware surface distance (MSSD) of the BOP benchmark.
 
 An object that is hidden to more than 90 % is not counted until it is back.
 """
@@ -21,7 +21,8 @@ import numpy as np
 from hierax.nodes.tracking.datasets.bop import Result, read_results
 from hierax.nodes.tracking.datasets.truth import TruePose, read_truth
 from hierax.nodes.tracking.errors import DataError
-from hierax.nodes.tracking.math.geometry import Array, Floats, exp_se3, invert, log_se3, pose_error
+from hierax.nodes.tracking.math.geometry import Array, Floats, exp_se3, log_se3, pose_error, transform
+from hierax.nodes.tracking.model.symmetry import NONE, ways_back
 
 LIMITS = ((2.0, 2.0), (5.0, 5.0), (10.0, 5.0))  # millimetres and degrees within which a pose is right
 LEAST_VISIBLE = 0.1  # what is seen less of an object does not count
@@ -45,6 +46,7 @@ class ObjectErrors(NamedTuple):
     distance_mm: Floats  # distance_mm, angle_deg: (n,) errors, nan where no pose was given
     angle_deg: Floats
     visible: Floats  # (n,) the visible share
+    mssd_mm: Floats | None = None  # (n,) how far the farthest point of its surface is off; None where nobody knows it
 
     @property
     def counted(self) -> Array:
@@ -85,6 +87,7 @@ class Score(NamedTuple):
     worst_mm: float
     mean_deg: float
     worst_deg: float
+    mssd_mm: float  # mean of those whose models are there
     missing: float  # share without a pose
     astray: float  # share with a pose that is off by more than 20 mm or 10 degrees
     lost: int  # objects that in none of their last ten counted frames are right by 10 mm and 5°
@@ -124,21 +127,36 @@ def object_errors(
     for frame, poses in truth.items():
         for pose in poses:
             true.setdefault(pose.obj_id, []).append((frame, pose))
-    found = []
-    for obj_id in sorted(true):
-        errors = np.full((len(true[obj_id]), 2), np.nan)
-        beside = [
-            log_se3(invert(pose.pose) @ given[obj_id, frame])
-            for frame, pose in true[obj_id]
-            if (obj_id, frame) in given
-        ]
-        off = exp_se3(np.median(beside, axis=0)) if displaced and beside else np.eye(4)
-        for at, (frame, pose) in enumerate(true[obj_id]):
-            if (obj_id, frame) in given:
-                errors[at] = pose_error(given[obj_id, frame], pose.pose @ off)
-        frames = np.array([frame for frame, _ in true[obj_id]])
-        visible = np.array([pose.visible for _, pose in true[obj_id]])
-        found.append(ObjectErrors(obj_id, frames, errors[:, 0] * 1000.0, np.degrees(errors[:, 1]), visible))
+    return [_errors(obj_id, rows, given, displaced) for obj_id, rows in sorted(true.items())]
+
+
+def _errors(
+    obj_id: int, rows: Sequence[tuple[int, TruePose]], given: Mapping[tuple[int, int], Floats], displaced: bool
+) -> ObjectErrors:
+    errors = np.full((3, len(rows)), np.nan)
+    off = np.eye(4)
+    beside = [log_se3(nearest_off(pose, given[obj_id, at])) for at, pose in rows if (obj_id, at) in given]
+    if displaced and beside:
+        off = exp_se3(np.median(beside, axis=0))
+    for at, (frame, pose) in enumerate(rows):
+        if (obj_id, frame) not in given:
+            continue
+        right = pose._replace(pose=pose.pose @ off)
+        errors[:2, at] = pose_error(nearest_off(right, given[obj_id, frame]), np.eye(4))
+        if pose.likeness is not None:
+            points = pose.likeness.points
+            ways = ways_back(pose.likeness.symmetry, given[obj_id, frame], right.pose)
+            errors[2, at] = min(np.linalg.norm(transform(way, points) - points, axis=1).max() for way in ways)
+    frames = np.array([frame for frame, _ in rows])
+    visible = np.array([pose.visible for _, pose in rows])
+    mssd = None if rows[0][1].likeness is None else errors[2] * 1000.0
+    return ObjectErrors(obj_id, frames, errors[0] * 1000.0, np.degrees(errors[1]), visible, mssd)
+
+
+def nearest_off(true: TruePose, given: Floats) -> Floats:
+    """true_from_given, of the poses that look like the given one the nearest's."""
+    symmetry = NONE if true.likeness is None else true.likeness.symmetry
+    found: Floats = ways_back(symmetry, given, true.pose)[0]
     return found
 
 
@@ -148,6 +166,7 @@ def score(all_errors: Sequence[ObjectErrors]) -> Score:
     visible = _joined(item.visible[kept] for item, kept in zip(all_errors, counted, strict=True))
     distance = _joined(item.distance_mm[kept] for item, kept in zip(all_errors, counted, strict=True))
     angle = _joined(item.angle_deg[kept] for item, kept in zip(all_errors, counted, strict=True))
+    mssd = _joined(item.mssd_mm[item.counted] for item in all_errors if item.mssd_mm is not None)
     right = np.array([(distance <= mm) & (angle <= degrees) for mm, degrees in LIMITS])
     whole = np.ones(len(visible), bool)
     known = ~np.isnan(distance)
@@ -161,6 +180,7 @@ def score(all_errors: Sequence[ObjectErrors]) -> Score:
         worst_mm=_of(np.max, distance[known]),
         mean_deg=_of(np.mean, angle[known]),
         worst_deg=_of(np.max, angle[known]),
+        mssd_mm=_of(np.mean, mssd[~np.isnan(mssd)]),
         missing=_of(np.mean, ~known),
         astray=_of(np.mean, astray),
         lost=sum(_is_lost(item) for item in all_errors),
@@ -173,9 +193,9 @@ def table(rows: Mapping[str, Score]) -> str:
     width = max(len(name) for name in rows)
     lines = [
         f"{'':{width}}  right, %              5 mm/5° by the visible share             error: mean (worst)"
-        "               no    off            back after",
+        "       MSSD   no    off            back after",
         f"{'':{width}}  2/2°   5/5°   10/5°   0.1–0.5  0.5–0.9  0.9–1   mm               °"
-        "              pose   20/10° lost  frames (never)",
+        "      mm     pose   20/10° lost  frames (never)",
     ]
     for name, each in rows.items():
         bands = [each.hidden, each.band(0.5, 0.9), each.band(0.9, 1.0)]
@@ -184,6 +204,7 @@ def table(rows: Mapping[str, Score]) -> str:
             + "".join(f" {_percent(share):>5} " for share in each.shares)
             + "".join(f" {_percent(band.shares[1]):>7} " for band in bands)
             + f" {each.mean_mm:6.2f} ({each.worst_mm:6.1f})  {each.mean_deg:6.2f} ({each.worst_deg:5.1f})"
+            + (f"  {each.mssd_mm:5.2f}" if each.mssd_mm >= 0.0 else "      –")
             + f"  {_percent(each.missing):>5}  {_percent(each.astray):>5}  {each.lost:4}  {_times(each.again_frames)}"
         )
     return "\n".join(lines)

@@ -133,12 +133,12 @@ def start_error(rng: np.random.Generator) -> Floats:
     return exp_se3(np.concatenate(parts))
 
 
-def model_info(mesh: Mesh) -> dict[str, float]:
-    """An entry of ``models_info.json``, millimetres."""
+def model_info(mesh: Mesh) -> dict[str, Any]:
+    """An entry of ``models_info.json``, millimetres, of a body whose first pose is to be kept among those alike."""
     corners = mesh.vertices / BOP_UNIT_M
     low, size = corners.min(axis=0), np.ptp(corners, axis=0)
     spread = np.linalg.norm(corners[:, None] - corners[None], axis=-1)
-    info = {"diameter": float(spread.max())}
+    info: dict[str, Any] = {"diameter": float(spread.max()), "symmetries_discrete": []}
     info.update({f"min_{axis}": float(part) for axis, part in zip("xyz", low, strict=True)})
     info.update({f"size_{axis}": float(part) for axis, part in zip("xyz", size, strict=True)})
     return info

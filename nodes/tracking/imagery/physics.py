@@ -55,7 +55,7 @@ class Solid:
         low, high = self.vertices.min(axis=0), self.vertices.max(axis=0)
         object.__setattr__(self, "centre", (low + high) / 2)
         object.__setattr__(self, "half", (high - low) / 2)
-        hull = self.vertices if len(self.vertices) <= HULL_DIRECTIONS else _support_points(self.vertices)
+        hull = self.vertices if len(self.vertices) <= HULL_DIRECTIONS else support_points(self.vertices)
         # Bullet keeps hulls, unlike boxes, apart by a margin around each.
         shrunk = np.maximum(self.half - HULL_MARGIN_M, 0.5 * self.half) / np.maximum(self.half, 1e-9)
         object.__setattr__(self, "hull", (hull - self.centre) * shrunk)
@@ -132,7 +132,7 @@ class Simulator:
         return Motion(pose, np.concatenate([linear - np.cross(angular, offset), angular]))
 
 
-def _support_points(vertices: Floats) -> Floats:
+def support_points(vertices: Floats) -> Floats:
     """The vertices that are outermost in one of `HULL_DIRECTIONS` directions, spread evenly over the sphere."""
     index = np.arange(HULL_DIRECTIONS)
     height = 1.0 - (2.0 * index + 1.0) / HULL_DIRECTIONS

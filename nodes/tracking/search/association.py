@@ -32,6 +32,7 @@ from hierax.nodes.tracking.estimation.tracked import motion_of
 from hierax.nodes.tracking.math.batched import exp_many, inverse, invert_many, log_many, solved
 from hierax.nodes.tracking.math.geometry import NO_POSES, Array, Floats
 from hierax.nodes.tracking.model.controls import EDGE_SLOTS
+from hierax.nodes.tracking.model.symmetry import alike, kept_free, moved_along
 from hierax.nodes.tracking.schema import Looks, TrackedObject
 from hierax.nodes.tracking.search.imprecision import with_models_judged
 from hierax.nodes.tracking.search.multistart import Found, Looking, in_turn
@@ -114,6 +115,7 @@ def associate(
         falling = np.broadcast_to(options.motion if options.falling is None else options.falling, (len(objects), 6, 6))
         elsewhere = look_elsewhere(Looking(task, objects, shift, falling), found, searched)
         found = _if_expected(elsewhere, found, prior, shift @ task.start.poses)
+    found = _as_predicted(found, objects, shift)
     learned = _learned(best.aligned, found, task, objects, doubtful, judged)
     failed_searches = [
         item["failed_searches"] + 1 if at in doubtful else max(0, item["failed_searches"] - 1)
@@ -160,6 +162,20 @@ def _if_expected(after: Found, before: Found, prior: Prior, expected: Floats) ->
         trend=np.where(same[:, None], before.trend, after.trend),
         elsewhere=after.elsewhere & ~same,
     )
+
+
+def _as_predicted(found: Found, objects: Sequence[TrackedObject], shift: Floats) -> Found:
+    """The same, of poses that look alike those nearest to the prediction; of what no image tells, the prediction."""
+    after = found.copied()
+    for at, item in enumerate(objects):
+        if "symmetry" not in item:
+            continue
+        symmetry, expected, pose = item["symmetry"], shift @ item["pose"], found.poses[at]
+        after.poses[at] = alike(symmetry, pose[None], expected)[0]
+        covariance = moved_along(found.covariance[at], pose, after.poses[at])
+        after.covariance[at] = kept_free(symmetry, covariance, item["covariance"])
+        after.guesses[at] = alike(symmetry, found.guesses[at], expected)
+    return after
 
 
 def _doubtful(found: Found, objects: Sequence[TrackedObject], options: Options) -> list[int]:

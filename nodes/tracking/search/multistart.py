@@ -21,6 +21,7 @@ from hierax.nodes.tracking.imagery.controls import POINTS_MAX
 from hierax.nodes.tracking.math.batched import exp_many, inverse, invert_many, log_many, only
 from hierax.nodes.tracking.math.geometry import Array, Floats
 from hierax.nodes.tracking.model.controls import Indices
+from hierax.nodes.tracking.model.symmetry import alike
 from hierax.nodes.tracking.schema import TRACKED, TrackedObject
 
 ROUGH = Search(
@@ -152,6 +153,7 @@ def search_elsewhere(looking: Looking, found: Found, doubtful: Sequence[int]) ->
     fine = aligned_each(looking.task, tries, start, FINE, POINTS_MAX)
     if fine is None:
         return found
+    fine = as_predicted(looking, tries, fine)
     away = away_by(looking, tries, fine.poses)
     squares = squared(away, inverse(prior.spread())[tries])
     loose = squared(away, startled[tries])
@@ -181,6 +183,15 @@ def aligned_each(task: Task, tries: Sequence[int], start: Start, search: Search,
     memory = only(task.memory, np.concatenate(places))
     search = search._replace(noise_px=task.search.noise_px)
     return align(task.image, task.controls.of(places), start, task.intrinsics, memory, search)
+
+
+def as_predicted(looking: Looking, owners: Sequence[int], aligned: Aligned) -> Aligned:
+    """The same, of poses that look alike those nearest to where the objects are predicted."""
+    poses = aligned.poses.copy()
+    for number, at in enumerate(owners):
+        if "symmetry" in (item := looking.objects[at]):
+            poses[number] = alike(item["symmetry"], poses[number, None], looking.shift @ item["pose"])[0]
+    return aligned._replace(poses=poses)
 
 
 def best_of(worth: Floats, owners: Array, wanted: Sequence[int]) -> Indices:

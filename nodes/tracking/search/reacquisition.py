@@ -32,6 +32,7 @@ from hierax.nodes.tracking.search.multistart import (
     Found,
     Looking,
     aligned_each,
+    as_predicted,
     away_by,
     best_of,
     search_elsewhere,
@@ -107,6 +108,7 @@ def find_again(looking: Looking, found: Found, sought: Sequence[int]) -> Found:
     fine = aligned(candidates, FINE, POINTS_MAX)
     if fine is None:
         return found
+    fine = as_predicted(looking, candidates.owners.tolist(), fine)
     away = away_by(looking, candidates.owners.tolist(), fine.poses)
     evidence, shown = _evidence(looking, found, fine, candidates)
     worth = evidence - np.minimum(0.5 * squared(away, information[candidates.owners]), UNLIKELIEST * shown)

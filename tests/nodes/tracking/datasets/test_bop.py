@@ -60,13 +60,13 @@ def scene(tmp_path: Path) -> Path:
 
 def test_a_model_may_be_in_another_format(scene: Path) -> None:
     models = scene.parent.parent / "models"
-    corners = BopScene(scene).model(5).vertices
+    corners = BopScene(scene).model(5)[0].vertices
     (models / "obj_000005.ply").unlink()
     with pytest.raises(DataError, match=r"obj_000005\.ply: no such file"):
         BopScene(scene).model(5)
     lines = [f"v {x:g} {y:g} {z:g}" for x, y, z in 1000.0 * corners] + ["f 1 2 3", "f 3 2 4"]
     (models / "obj_000005.obj").write_text("\n".join(lines))
-    assert np.allclose(BopScene(scene).model(5).vertices, corners)
+    assert np.allclose(BopScene(scene).model(5)[0].vertices, corners)
 
 
 def test_frames_are_sorted_and_in_metres(scene: Path) -> None:
@@ -83,7 +83,7 @@ def test_objects_of_the_first_frame(scene: Path) -> None:
     first, second = BopScene(scene).first_objects()
     assert (first.id, first.obj_id, second.id, second.obj_id) == (1, 5, 2, 5)
     assert np.allclose(first.pose, make_pose(TURN, [0.001, -0.02, 0.5]))
-    assert np.ptp(BopScene(scene).model(5).vertices, axis=0) == pytest.approx([0.1, 0.1, 0.1])
+    assert np.ptp(BopScene(scene).model(5)[0].vertices, axis=0) == pytest.approx([0.1, 0.1, 0.1])
 
 
 def test_colour_is_rgb_and_gray_is_gray(scene: Path) -> None:
@@ -342,3 +342,48 @@ def test_an_image_that_is_cut_off_is_named(ending: str, tmp_path: Path) -> None:
         path.write_bytes(whole[: int(share * len(whole))])
         with pytest.raises(DataError, match=rf"000000\.{ending}: cut off"):
             read_image(path)
+
+
+def test_a_model_says_its_symmetries_or_its_mesh_does(scene: Path) -> None:
+    info = scene.parent.parent / "models" / "models_info.json"
+
+    def counts() -> tuple[int, int]:
+        symmetry = BopScene(scene).model(5)[1]
+        return len(symmetry["turns"]), len(symmetry["free"])
+
+    assert counts() == (24, 0)  # a cube, of which nothing is said
+    edit(info, "5", "symmetries_discrete", value=[])
+    assert counts() == (1, 0)
+    flip = [-1, 0, 0, 10, 0, -1, 0, 20, 0, 0, 1, 0, 0, 0, 0, 1]
+    edit(info, "5", "symmetries_discrete", value=[flip])
+    assert BopScene(scene).model(5)[1]["turns"][1] == pytest.approx(
+        np.array([[-1, 0, 0, 0.01], [0, -1, 0, 0.02], [0, 0, 1, 0], [0, 0, 0, 1]])
+    )
+    edit(info, "5", "symmetries_continuous", value=[{"axis": [0, 0, 2], "offset": [10, 0, 0]}])
+    assert counts() == (2, 1)
+    assert BopScene(scene).model(5)[1]["free"].tolist() == [[0.0, -0.01, 0.0, 0.0, 0.0, 1.0]]
+    edit(info, "5", "symmetries_continuous", value=[{"axis": [0, 0, 1], "offset": [0] * 3}] * 2)
+    assert counts() == (2, 1)
+    edit(info, "5", "symmetries_continuous", value=[{"axis": axis, "offset": [0] * 3} for axis in np.eye(3).tolist()])
+    assert counts() == (2, 3)
+
+
+@pytest.mark.parametrize(
+    ("key", "value", "told"),
+    [
+        ("symmetries_discrete", 3, "symmetries_discrete: expected a list of at most 128"),
+        ("symmetries_discrete", [[0] * 16] * 200, "symmetries_discrete: expected a list of at most 128"),
+        ("symmetries_discrete", [[1, 2]], "symmetries_discrete: expected 16 numbers"),
+        ("symmetries_discrete", [[2.0] * 16], "symmetries_discrete: rotation: expected a rotation matrix"),
+        ("symmetries_continuous", [3], "symmetries_continuous: axis: expected 3 numbers"),
+        ("symmetries_continuous", [{"axis": [0, 0, 0], "offset": [0, 0, 0]}], "axis: expected a direction"),
+        ("symmetries_continuous", [{"axis": [0, 0, 1]}], "symmetries_continuous: offset: expected 3 numbers"),
+    ],
+)
+def test_what_is_wrong_with_a_symmetry_is_told(scene: Path, key: str, value: Any, told: str) -> None:
+    info = scene.parent.parent / "models" / "models_info.json"
+    edit(info, "5", key, value=value)
+    with pytest.raises(DataError) as caught:
+        BopScene(scene).model(5)
+    assert str(caught.value).startswith(f"{info}: 5: ")
+    assert told in str(caught.value)

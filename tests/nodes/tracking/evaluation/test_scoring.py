@@ -10,9 +10,10 @@ import numpy as np
 import pytest
 
 from hierax.nodes.tracking.datasets.bop import Result, ResultsFile
-from hierax.nodes.tracking.datasets.truth import TruePose
+from hierax.nodes.tracking.datasets.truth import Likeness, TruePose
 from hierax.nodes.tracking.evaluation.scoring import ObjectErrors, main, object_errors, score, table
 from hierax.nodes.tracking.math.geometry import exp_so3, make_pose
+from hierax.nodes.tracking.model.symmetry import NONE, about, symmetry_of
 
 
 def course(
@@ -118,3 +119,24 @@ def test_the_command_prints_all_and_each(tmp_path: Path, capsys: pytest.CaptureF
     assert json.loads(capsys.readouterr().out)["all"]["shares"]["within_2mm_2deg"] == 0.5
     assert main([str(tmp_path / "none.csv"), str(tmp_path)]) == 1
     assert "none.csv: cannot be read" in capsys.readouterr().err
+
+
+def test_errors_are_those_of_the_nearest_pose_that_looks_alike() -> None:
+    axis, centre = np.array([0.0, 0.0, 1.0]), np.array([0.0, 0.03, 0.0])
+    ring = np.array([[0.05 * np.cos(turn), 0.03 + 0.05 * np.sin(turn), 0.0] for turn in np.linspace(0, 6.28, 100)])
+    free = Likeness(symmetry_of([], [(axis, centre)]), ring)
+    quarters = Likeness(symmetry_of([about(axis, centre, turn) for turn in (np.pi / 2, np.pi, -np.pi / 2)], []), ring)
+    plain = Likeness(NONE, ring)
+    for likeness, angle_deg, mssd_mm in (
+        (free, 0.0, 2.0),
+        (quarters, 10.0, 8.7),
+        (plain, 80.0, 64.3),
+        (None, 80.0, None),
+    ):
+        right = pose(0.0)
+        given = right @ about(axis, centre, np.radians(80.0)) @ make_pose(np.eye(3), np.array([0.0, 0.0, 0.002]))
+        (found,) = object_errors([Result(1, 1, 7, 1.0, given, 0.0)], {1: [TruePose(7, right, 1.0, likeness)]})
+        assert found.angle_deg[0] == pytest.approx(angle_deg, abs=1e-6)
+        assert (found.distance_mm[0] == pytest.approx(2.0)) == (likeness is free)
+        assert found.mssd_mm is None or found.mssd_mm[0] == pytest.approx(mssd_mm, abs=0.3)
+    assert np.isnan(score([found]).mssd_mm)

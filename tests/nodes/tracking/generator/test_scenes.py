@@ -60,7 +60,7 @@ def test_objects_show_where_the_truth_has_them(tmp_path: Path) -> None:
     image = read_image(scene.frames[0].image).astype(float)
     shown = film("scattered", 2, 1)
     for item, thing in zip(scene.first_objects(), shown.things, strict=True):
-        mesh: Mesh = scene.model(item.obj_id)
+        mesh: Mesh = scene.model(item.obj_id)[0]
         np.testing.assert_allclose(mesh.vertices, thing.shape.mesh.vertices, atol=1e-6)
         corners = transform(item.pose, mesh.vertices[mesh.faces])
         normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
