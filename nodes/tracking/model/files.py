@@ -96,9 +96,8 @@ def _read_scene(path: Path, data: bytes) -> tuple[Floats, NDArray[np.int32]]:
     import trimesh  # which takes a while
 
     kind = path.suffix[1:].lower()
-    scene = trimesh.load_scene(
-        BytesIO(data), kind, _Beside(path), process=False, maintain_order=True, skip_materials=True
-    )
+    beside: Any = _Beside(path)
+    scene = trimesh.load_scene(BytesIO(data), kind, beside, process=False, maintain_order=True, skip_materials=True)
     vertices: list[Floats] = []
     faces: list[NDArray[Any]] = []
     for node in scene.graph.nodes_geometry:

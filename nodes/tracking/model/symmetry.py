@@ -78,7 +78,8 @@ def moved_along(covariance: Floats, before: Floats, after: Floats) -> Floats:
 def open_to(symmetry: Symmetry) -> Floats:
     """(6, 6) what takes a twist's part away that no image tells."""
     basis = np.linalg.qr(symmetry["free"].T)[0]
-    return np.eye(6) - basis @ basis.T
+    told: Floats = np.eye(6) - basis @ basis.T
+    return told
 
 
 def kept_free(symmetry: Symmetry, covariance: Floats, predicted: Floats) -> Floats:
