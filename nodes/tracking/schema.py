@@ -162,7 +162,6 @@ class Looks(TypedDict):
     offsets: Annotated[NDArray[np.float32], Is(("e", 2), "float32", "mean offset in pixels, and in how many frames")]
     parts: Annotated[NDArray[np.int64], Is(("p",), "int64", "parts of edges, ascending")]
     hits: Annotated[NDArray[np.float32], Is(("p", 2), "float32", "frames found and looked for, older ones fading")]
-    encoding: Annotated[Array, Is((2,), "float64", "what it told of light's encoding")]
     tolerance: float | None  # standard deviation of where edges are beside its model's, m; None: nobody knows yet
     judged: int  # for how many images more that is not asked again
     bent: Annotated[NDArray[np.int64], Is(("b",), "int64", "numbers of edges, ascending")]

@@ -14,7 +14,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hierax.nodes.tracking.estimation.appearance import Memory
-from hierax.nodes.tracking.estimation.gamma_bias import Tone, told_by
 from hierax.nodes.tracking.estimation.profiles import Image
 from hierax.nodes.tracking.estimation.stages import (
     STRANGE_WEIGHT,
@@ -62,9 +61,6 @@ class Aligned(NamedTuple):
     scores: Floats  # (m,) 0 to 1: the share of control points that the image supports, beyond chance
     shown: Floats  # (m,) how many control points should be seen
     gains: Floats  # (m,) how many of them speak for the pose, each by how near and how familiar its hypothesis is
-    # tone, told: how far edges seem to be moved by the encoding of light, beyond what was known; see `gamma_bias`
-    tone: Tone
-    told: Floats
     stage: Stage  # the last one
     matches: Matches  # there
     off: Floats  # (n,) of each line, how far its edge is off as a whole, pixels along its normal
@@ -197,11 +193,7 @@ def _judged(state: _State, start: Start, stage: Stage, scale: Floats, intrinsics
     matches = chosen_near(seen, stage, search.support_px)
     supported = (np.abs(matches.pixels) < search.support_px) & (matches.strange < _STRANGE)
     weights = weights_of(stage, matches, scale, search)
-    moved = -stage.contrasts[np.arange(len(weights)), matches.columns].astype(np.float64)
-    said = normal_equations(state.poses, stage, seen, matches, weights, intrinsics, moved).told(start.told)
-    blocks, slopes = said.blocks, said.gradients
-    tone = Tone(blocks[:, 12, :12], blocks[:, 12, 12], slopes[:, 12])
-    blocks, slopes = blocks[:, :12, :12], slopes[:, :12]
+    said = normal_equations(state.poses, stage, seen, matches, weights, intrinsics).told(start.told)
     owners, count = stage.controls.owners, len(start.poses)
     # Where edges crowd, they may claim the same one in the image; it counts for neither.
     counted = stage.controls.visible * stage.memory.apart
@@ -213,13 +205,11 @@ def _judged(state: _State, start: Start, stage: Stage, scale: Floats, intrinsics
         state.poses,
         state.shift,
         log_many(state.own),
-        blocks,
-        slopes,
+        said.blocks,
+        said.gradients,
         np.maximum(0.0, (share - chance) / np.maximum(1.0 - chance, _LEAST_RARITY)),
         shown,
         summed(owners, counted * tukey(matches.pixels, 2.0 * search.support_px) * familiar, count),
-        tone,
-        told_by(tone, blocks, slopes),
         stage,
         matches,
         seen.off,

@@ -11,7 +11,6 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from hierax.nodes.tracking.estimation.gamma_bias import UNTOLD
 from hierax.nodes.tracking.estimation.profiles import Profiles, Singles
 from hierax.nodes.tracking.math.geometry import Floats
 from hierax.nodes.tracking.model.controls import EDGE_SLOTS, Controls, Indices
@@ -26,7 +25,6 @@ NOTHING: Looks = {
     "offsets": np.zeros((0, 2), dtype=np.float32),
     "parts": np.zeros(0, dtype=np.int64),
     "hits": np.zeros((0, 2), dtype=np.float32),
-    "encoding": UNTOLD,
     "tolerance": None,
     "judged": 0,
     "bent": np.zeros(0, dtype=np.int64),
@@ -53,8 +51,6 @@ class Memory(NamedTuple):
     precision: Singles  # (n, 2) 1/variance; 0 where nothing is remembered or the object is not on that side
     trust: Singles  # (n,) 0 to 1, less on edges that are off in image after image: shadows at an object's foot, mostly
     apart: Singles  # (n,) 0 to 1, how far the edge stands alone, see `hierax.nodes.tracking.estimation.crowding`
-    # (n,) how far light's encoding moves edges, the same for all; see `hierax.nodes.tracking.estimation.gamma_bias`
-    factor: Singles
     # (n, 3, 3) covariance of where its edge is beside the model's, m², see `hierax.nodes.tracking.estimation.bending`
     slack: Floats
 
@@ -78,8 +74,7 @@ def recalled(objects: list[Looks], controls: Controls, channels: int) -> Memory:
         known[:, 1] &= creases[view]
         colours[view] = slots["colours"][place]
         precision[view] = np.where(known, 1.0 / (_LEAST_SPREAD + slots["spread"][place]), 0.0)
-    ones, zeros = np.ones(count, dtype=np.float32), np.zeros(count, dtype=np.float32)
-    return Memory(colours, precision, trust, ones, zeros, np.zeros((count, 3, 3)))
+    return Memory(colours, precision, trust, np.ones(count, dtype=np.float32), np.zeros((count, 3, 3)))
 
 
 def _trust(slots: Looks, parts: NDArray[np.int64]) -> Singles:

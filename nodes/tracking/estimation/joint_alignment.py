@@ -7,7 +7,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-from hierax.nodes.tracking.estimation import gamma_bias
 from hierax.nodes.tracking.estimation.alignment import Aligned, Start, align
 from hierax.nodes.tracking.estimation.appearance import Memory, only_found, recalled
 from hierax.nodes.tracking.estimation.bending import slack_of
@@ -49,7 +48,6 @@ class Task(NamedTuple):
     start: Start  # where the objects are expected, with room for motion
     search: Search  # how the image is searched
     prior: Prior  # what is known before it
-    gamma: tuple[float, float]  # of light's encoding, the factor and its information
 
 
 class Explained(NamedTuple):
@@ -72,11 +70,9 @@ def task_of(image: Image, objects: Sequence[TrackedObject], prior: Prior, intrin
     known = [
         item["slots"] if item["motion_scale"] < FAMILIAR_MOTION_SCALE else only_found(item["slots"]) for item in objects
     ]
-    factor = gamma_bias.believed([item["slots"]["encoding"] for item in objects])
     predicted = np.stack([item["pose"] for item in objects])
     memory = recalled(known, controls, image.shape[2])
     memory = memory._replace(
-        factor=np.full(len(controls.owners), factor[0], dtype=np.float32),
         apart=apartness(controls, predicted, intrinsics).astype(np.float32),
         slack=slack_of([item["slots"] for item in objects], controls),
     )
@@ -86,7 +82,7 @@ def task_of(image: Image, objects: Sequence[TrackedObject], prior: Prior, intrin
     symmetries = [item.get("symmetry", NONE) for item in objects]
     told = None if all(map(is_plain, symmetries)) else np.stack([open_to(each) for each in symmetries])
     start = Start(predicted, inverse(free.spread()), prior.camera, told)
-    return Task(image, controls, memory, intrinsics, start, near, prior, factor)
+    return Task(image, controls, memory, intrinsics, start, near, prior)
 
 
 def prior_of(objects: Sequence[TrackedObject], motion: Floats, camera: Floats | None) -> Prior:
@@ -148,7 +144,7 @@ def _from(task: Task, shift: Floats) -> Explained | None:
 
 
 def _aligned(task: Task, information: Floats, shift: Floats) -> Aligned | None:
-    """What the image says of the poses, when light's encoding is not known better than it is.
+    """What the image says of the poses.
 
     Args:
         task: what is aligned; information: (m, 6, 6) of the predictions.
@@ -156,11 +152,7 @@ def _aligned(task: Task, information: Floats, shift: Floats) -> Aligned | None:
     """
     start = task.start._replace(poses=shift @ task.start.poses, information=information)
     found = align(task.image, task.controls, start, task.intrinsics, task.memory, task.search)
-    if found is None:
-        return None
-    told = np.where(found.scores[:, None] < LEARNED_SCORE, 0.0, found.told)
-    blocks, slopes = gamma_bias.allowed_for(found.tone, told, *task.gamma)
-    return found._replace(shift=found.shift @ shift, blocks=found.blocks + blocks, slopes=found.slopes + slopes)
+    return None if found is None else found._replace(shift=found.shift @ shift)
 
 
 def _flat(poses: Floats) -> Floats:

@@ -17,6 +17,11 @@ cv2.setNumThreads(1)
 Image = NDArray[np.float32]
 Singles = NDArray[np.float32]
 
+# A lens adds up light, and cameras encode the sum, about by its square root (IEC 61966-2-1): there a blurred step from
+# dark to bright is steepest too far in the dark, and bright objects seem larger, and nearer, all around.
+_GAMMA = 2.2
+_LIGHT = (255.0 * (np.arange(256) / 255.0) ** _GAMMA).astype(np.float32)
+
 _MOST_ROWS = 30_000
 _MARGIN_PX = 3.0
 _ALONG_M = 1e-3
@@ -42,12 +47,13 @@ class Profiles(NamedTuple):
 
 
 def smoothed(image: Array) -> Image:
-    """The image that is searched: float32 (h, w, channels), lightly smoothed.
+    """The image that is searched: light, float32 (h, w, channels), 0 to 255, lightly smoothed.
 
     Args:
-        image: uint8, (h, w) gray or (h, w, 3) RGB.
+        image: uint8, (h, w) gray or (h, w, 3) RGB, encoded as cameras do.
     """
-    soft = np.asarray(cv2.GaussianBlur(image.astype(np.float32), (5, 5), 0.9), dtype=np.float32)
+    light = np.asarray(cv2.LUT(image, _LIGHT), dtype=np.float32)
+    soft = np.asarray(cv2.GaussianBlur(light, (5, 5), 0.9), dtype=np.float32)
     return soft[:, :, None] if soft.ndim == 2 else soft
 
 
@@ -78,7 +84,8 @@ def lines_of(controls: Controls, poses: Floats, intrinsics: Array, shape: tuple[
 def read_profiles(image: Image, lines: Lines, edges: Indices, reach: int, contrast: float) -> Profiles:
     """The profiles to `reach` pixels on both sides, and all extremes of their gradients.
 
-    A profile is averaged with its neighbours on the edge: noise falls, the edge stays.
+    A profile is averaged with its neighbours on the edge: noise falls, the edge stays. Peaks are told in grey levels,
+    their places in light.
 
     Args:
         image: of `smoothed`.
@@ -92,7 +99,8 @@ def read_profiles(image: Image, lines: Lines, edges: Indices, reach: int, contra
     across = pixels[:, None, 0] + offsets * normals[:, None, 0]
     down = pixels[:, None, 1] + offsets * normals[:, None, 1]
     values = _sampled(image, across, down)
-    values = _along_edges(values.reshape(*across.shape, -1), edges)
+    light = _along_edges(values.reshape(*across.shape, -1), edges)
+    values = np.sqrt(np.float32(255.0) * light)  # grey levels, where noise and contrast are alike in dark and bright
     slope = 0.5 * (values[:, 2:] - values[:, :-2])
     begin = _FLANK_PX - 1
     slope = slope[:, begin : begin + 2 * reach + 3]
@@ -104,12 +112,30 @@ def read_profiles(image: Image, lines: Lines, edges: Indices, reach: int, contra
     after = np.where(agree[:, 1:], size[:, 2:], np.float32(0.0))
     top = (middle > contrast) & (middle >= before) & (middle > after)
     bend = np.where(top, 2.0 * middle - before - after, np.float32(1.0))
-    shift = np.clip(0.5 * (after - before) / bend, -0.5, 0.5)
     near = np.arange(-reach, reach + 1, dtype=np.float32)
+    shift = _shift(light[:, begin : begin + 2 * reach + 5], top)
     places: Singles = np.where(top, near + shift, np.float32(np.inf))
     sharpness = np.where(top, bend / np.maximum(middle, contrast), np.float32(0.0))
     inside, outside = (_beside(values, half, reach, side) for side in (1, -1))
     return Profiles(places, sharpness, inside, outside)
+
+
+def _shift(light: Singles, top: NDArray[np.bool_]) -> Singles:
+    """How far from each peak of the encoded slope light itself is steepest, pixels."""
+    shift = np.zeros(top.shape, dtype=np.float32)
+    rows, at = np.nonzero(top)
+    around = np.arange(-3, 4)
+    columns = np.clip(at[:, None] + 2 + around, 0, light.shape[1] - 1)
+    local = light[rows[:, None], columns]
+    slope = local[:, 2:] - local[:, :-2]
+    size = np.sqrt(np.einsum("nkc,nkc->nk", slope, slope))  # of -2 to 2
+    steepest = 1 + size[:, 1:4].argmax(axis=1)
+    every = np.arange(len(rows))
+    here, before, after = size[every, steepest], size[every, steepest - 1], size[every, steepest + 1]
+    bend = 2.0 * here - before - after
+    part = np.where(bend > 0, 0.5 * (after - before) / np.where(bend > 0, bend, 1.0), 0.0)
+    shift[rows, at] = steepest - 2 + np.clip(part, -0.5, 0.5)
+    return shift
 
 
 def _sampled(image: Image, across: Singles, down: Singles) -> Singles:

@@ -9,7 +9,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hierax.nodes.tracking.estimation.appearance import Memory, strangeness
-from hierax.nodes.tracking.estimation.gamma_bias import contrasts
 from hierax.nodes.tracking.estimation.profiles import Image, Lines, Profiles, Singles, lines_of, read_profiles
 from hierax.nodes.tracking.math.batched import only, pixels_of, placed, tukey
 from hierax.nodes.tracking.math.geometry import NEAREST_M, Array, Floats, cross
@@ -51,7 +50,6 @@ class Stage(NamedTuple):
     lines: Lines
     profiles: Profiles
     strange: Singles  # (n, k) how strange each peak looks
-    contrasts: Singles  # (n, k) of `gamma_bias.contrasts`
     controls: Controls  # of the lines
     memory: Memory  # beside them
     edges: Indices  # (n,) on which of the edges that are seen each line is, from 0 on
@@ -75,8 +73,8 @@ class Seen(NamedTuple):
 class Equations(NamedTuple):
     """What control points say of twists, when how far each edge is off as a whole is solved for at once."""
 
-    blocks: Floats  # (m, 12, 12), or (m, 13, 13): of each object's, over (camera, own) twists
-    gradients: Floats  # (m, 12), or (m, 13)
+    blocks: Floats  # (m, 12, 12) of each object's, over (camera, own) twists
+    gradients: Floats  # (m, 12)
     edges: Indices  # (e,) numbers of the edges as `Stage.edges` has them; of each its owner, and what says how far
     owners: Indices
     shared: Floats  # (e, 12)
@@ -115,13 +113,12 @@ def read_stage(
         return None
     numbers, memory = controls.numbers[lines.rows], only(memory, lines.rows)
     profiles = read_profiles(image, lines, numbers, reach, search.contrast)
-    strange, contrast = strangeness(memory, profiles), contrasts(profiles)
-    profiles = profiles._replace(places=profiles.places + memory.factor[:, None] * contrast)
+    strange = strangeness(memory, profiles)
     shown = only(controls, lines.rows)
     edges = np.cumsum(np.diff(numbers, prepend=numbers[0]) != 0)
     spread = _spread(shown, poses, lines, memory, edges, intrinsics)
     loose = np.bincount(edges, weights=memory.slack[:, 0, 0]) > 0.0
-    return Stage(lines, profiles, strange, contrast, shown, memory, edges, spread, loose)
+    return Stage(lines, profiles, strange, shown, memory, edges, spread, loose)
 
 
 def _spread(
@@ -193,26 +190,15 @@ def views_of(owners: Indices, count: int) -> list[slice]:
 
 
 def normal_equations(
-    poses: Floats,
-    stage: Stage,
-    seen: Seen,
-    matches: Matches,
-    weights: Floats,
-    intrinsics: Array,
-    further: Floats | None = None,
+    poses: Floats, stage: Stage, seen: Seen, matches: Matches, weights: Floats, intrinsics: Array
 ) -> Equations:
-    """What weighted control points say of poses.
-
-    With `further`, (n,) how one more unknown, common to all, moves residuals, that is one more column.
-    """
+    """What weighted control points say of poses."""
     used, count = weights > 0, len(poses)
     points, owners = stage.controls.points[used], stage.controls.owners[used]
     residuals, weights = (matches.pixels - seen.off)[used], weights[used]
     jacobian = _jacobian(poses, points, owners, stage.lines.normals[used], seen.points[used], intrinsics)
-    if further is not None:
-        jacobian = np.concatenate((jacobian, further[used, None]), axis=1)
     weighted = jacobian * weights[:, None]
-    blocks, gradients = np.zeros((count, *jacobian.shape[1:] * 2)), np.zeros((count, jacobian.shape[1]))
+    blocks, gradients = np.zeros((count, 12, 12)), np.zeros((count, 12))
     for at, view in enumerate(views_of(owners, count)):
         blocks[at] = jacobian[view].T @ weighted[view]
         gradients[at] = weighted[view].T @ residuals[view]
@@ -229,7 +215,7 @@ def normal_equations(
     for at, view in enumerate(views_of(owners, count)):
         blocks[at] -= shared[view].T @ scaled[view]
         gradients[at] -= scaled[view].T @ pulls[view]
-    return Equations(blocks, gradients, edges, owners, shared[:, :12], pulls, wholes)
+    return Equations(blocks, gradients, edges, owners, shared, pulls, wholes)
 
 
 def _jacobian(

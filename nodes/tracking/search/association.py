@@ -12,7 +12,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-from hierax.nodes.tracking.estimation import gamma_bias
 from hierax.nodes.tracking.estimation.alignment import Aligned, offsets_at
 from hierax.nodes.tracking.estimation.appearance import measured, moved, remembered, sought
 from hierax.nodes.tracking.estimation.bending import bent_after
@@ -229,9 +228,7 @@ def _learned(
         still = _is_still(item, found.motion_scale[at])
         exact = still and not known["tolerance"]
         known = measured(known, places[chosen] // EDGE_SLOTS, offsets[chosen]) if exact else known
-        known = known if still else moved(known)
-        told = gamma_bias.remembered(known["encoding"], aligned.told[at], task.gamma[0])
-        learned.append({**known, "encoding": told})
+        learned.append(known if still else moved(known))
     return learned
 
 

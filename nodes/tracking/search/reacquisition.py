@@ -136,8 +136,7 @@ def _candidates(looking: Looking, found: Found, sought: Sequence[int]) -> tuple[
     candidates = _Candidates._make(np.array(column) for column in zip(*rows, strict=True))
     controls = gathered(seen)
     looks = [objects[at]["slots"] for at in owners]
-    factor = np.full(len(controls.owners), task.memory.factor[0], dtype=np.float32)
-    memory = recalled(looks, controls, task.image.shape[2])._replace(factor=factor, slack=slack_of(looks, controls))
+    memory = recalled(looks, controls, task.image.shape[2])._replace(slack=slack_of(looks, controls))
     return candidates, task._replace(controls=controls, memory=memory)
 
 

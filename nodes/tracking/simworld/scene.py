@@ -24,6 +24,8 @@ TABLE_M = (1.5, 1.3)
 TABLE_PX_PER_M = 800
 TABLE_RIM_PX = 6
 FACE_PX = 96
+GAMMA = 2.2  # a picture holds about this root of light
+_LIGHT = ((np.arange(256) / 255.0) ** GAMMA).astype(np.float32)
 
 
 class Wood(NamedTuple):
@@ -46,14 +48,14 @@ def draw(
     lamp: Lamp = LAMP,
     wood: Wood = WOOD,
 ) -> Array:
-    """The picture without blur or noise.
+    """The light of the picture, before a lens blurs and a sensor encodes it.
 
     Args:
         bodies: above the plane z = 0, and in front of the camera; camera: world_from_camera, 4x4, above that plane.
         intrinsics: fx, fy, cx, cy in pixels; size: width and height in pixels; lamp: the light; wood: of the table.
 
     Returns:
-        RGB, float32 (h, w, 3), 0 to 255.
+        RGB light, float32 (h, w, 3), 0 to 1; colours and lamps are told as a screen shows them.
     """
     parts = [corners for body in bodies for corners in body.parts()]
     image = _draw_table(parts, camera, intrinsics, size, lamp, wood)
@@ -65,15 +67,16 @@ def develop(image: Array, blur_px: float, noise: float, rng: np.random.Generator
     """What a sensor makes of a picture.
 
     Args:
-        image: float32 RGB; blur_px: standard deviation of the lens's blur, in pixels.
+        image: light of `draw`; blur_px: standard deviation of the lens's blur, in pixels.
         noise: standard deviation of the sensor's noise, in grey levels of 256.
         rng: draws the noise.
 
     Returns:
-        uint8 RGB.
+        uint8 RGB, encoded as screens want it.
     """
     if blur_px > 0.0:
         image = cv2.GaussianBlur(image, (0, 0), blur_px)
+    image = np.float32(255.0) * cv2.pow(np.clip(image, 0.0, 1.0), 1.0 / GAMMA)
     if noise > 0.0:
         image = image + np.float32(noise) * rng.standard_normal(image.shape, dtype=np.float32)
     developed: Array = np.clip(np.rint(image), 0, 255).astype(np.uint8)
@@ -92,8 +95,8 @@ def _draw_table(
     texels = np.diag([1.0 / planks.shape[1], 1.0 / planks.shape[0], 1.0]) @ texels
     picture = _wall(size)
     cv2.warpPerspective(planks, to_pixels @ texels, size, picture, cv2.INTER_LINEAR, cv2.BORDER_TRANSPARENT)
-    lit: Array = picture.astype(np.float32)
-    lit *= light_on(table, parts, size, to_pixels, lamp)[..., None]
+    lit: Array = cv2.LUT(picture, _LIGHT)
+    lit *= cv2.pow(light_on(table, parts, size, to_pixels, lamp), GAMMA)[..., None]
     return lit
 
 
@@ -155,9 +158,9 @@ def _face_texture(face: Face, colour: tuple[int, int, int], parts: Sequence[Floa
     """Colour and full cover of each point of a face, float32 (FACE_PX, FACE_PX, 4)."""
     texels = np.array([[FACE_PX, 0.0, -0.5], [0.0, FACE_PX, -0.5], [0.0, 0.0, 1.0]])
     light = light_on(face, parts, (FACE_PX, FACE_PX), texels, lamp)
-    texture = np.full((FACE_PX, FACE_PX, 4), 255.0, np.float32)
-    texture[..., :3] = np.minimum(np.array(colour, np.float32) * (light * _grain())[..., None], 255.0)
-    texture[..., 3] = 1.0
+    texture = np.ones((FACE_PX, FACE_PX, 4), np.float32)
+    paint = (np.array(colour, np.float32) / np.float32(255.0)) ** np.float32(GAMMA)
+    texture[..., :3] = np.minimum(paint * cv2.pow(light * _grain(), GAMMA)[..., None], 1.0)
     return texture
 
 
