@@ -85,10 +85,10 @@ class Equations(NamedTuple):
         """The same without what no image tells of the objects, by projections (m, 6, 6) of their twists."""
         if projections is None:
             return self
-        whole = np.tile(np.eye(self.gradients.shape[1]), (len(projections), 1, 1))
+        whole = np.tile(np.eye(12), (len(projections), 1, 1))
         whole[:, 6:12, 6:12] = projections
         blocks = whole @ self.blocks @ whole
-        shared = np.einsum("eij,ej->ei", whole[self.owners, :12, :12], self.shared)
+        shared = np.einsum("eij,ej->ei", whole[self.owners], self.shared)
         return self._replace(blocks=blocks, gradients=(whole @ self.gradients[..., None])[..., 0], shared=shared)
 
     def off(self, twists: Floats) -> Floats:

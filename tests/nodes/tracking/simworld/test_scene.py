@@ -10,7 +10,7 @@ import pytest
 from hierax.nodes.tracking.math.geometry import Array, Floats, exp_so3, invert, make_pose, rays
 from hierax.nodes.tracking.simworld import scene as sim_scene
 from hierax.nodes.tracking.simworld.light import LAMP, Lamp, light_on, shadows
-from hierax.nodes.tracking.simworld.scene import FACE_PX, develop, draw
+from hierax.nodes.tracking.simworld.scene import FACE_PX, GAMMA, develop, draw
 from hierax.nodes.tracking.simworld.shapes import Cube, Face, cube_corners
 from hierax.nodes.tracking.simworld.world import camera_at
 
@@ -66,7 +66,7 @@ def test_a_silhouette_is_where_it_belongs_to_a_hundredth_of_a_pixel(monkeypatch:
     even = Lamp(diffuse=0.0)
     bright = draw([cube], camera, INTRINSICS, SIZE, even)[..., 0]
     dark = draw([cube._replace(colour=(0, 0, 0))], camera, INTRINSICS, SIZE, even)[..., 0]
-    cover = (bright - dark) / (250.0 * even.ambient)
+    cover = (bright - dark) / (250.0 / 255.0 * even.ambient) ** GAMMA
     samples = 6
     expected = np.zeros(cover.shape)
     for dx, dy in product((np.arange(samples) + 0.5) / samples - 0.5, repeat=2):
@@ -127,7 +127,7 @@ def test_a_scene_out_of_sight_is_the_table_alone() -> None:
 
 
 def test_the_sensor_adds_noise_of_the_given_size() -> None:
-    grey = np.full((100, 100, 3), 128.0, np.float32)
+    grey = np.full((100, 100, 3), (128.0 / 255.0) ** GAMMA, np.float32)
     image = develop(grey, 0.0, 3.0, np.random.default_rng(1))
     assert image.dtype == np.uint8
     assert image.astype(float).std() == pytest.approx(3.0, rel=0.05)
@@ -135,5 +135,5 @@ def test_the_sensor_adds_noise_of_the_given_size() -> None:
 
 
 def test_the_sensor_stays_within_its_range() -> None:
-    ends = np.array([[[-20.0, 0.0, 300.0]]], np.float32)
+    ends = np.array([[[-0.1, 0.0, 1.2]]], np.float32)
     np.testing.assert_array_equal(develop(ends, 0.0, 0.0, np.random.default_rng(1)), [[[0, 0, 255]]])
