@@ -29,7 +29,7 @@ def test_very_many_profiles_are_those_of_few() -> None:
 @pytest.mark.parametrize("blur_px", [0.5, 0.9])
 @pytest.mark.parametrize(("left", "right"), [(0.02, 0.6), (0.6, 0.02), (0.1, 0.4)])
 def test_an_edge_is_where_light_changes_however_a_camera_encodes_it(left: float, right: float, blur_px: float) -> None:
-    """In the encoded picture, dark and bright steps seem to be up to 0.4 pixels from where they are."""
+    """In the encoded picture, dark and bright steps seem to be up to 0.3 pixels from where they are."""
     fine = np.where(np.arange(80 * 20)[None, :] < 40 * 20 + 3, left, right).astype(np.float32)
     light = np.repeat(cv2.GaussianBlur(fine, (0, 0), 20.0 * blur_px).reshape(1, 80, 20).mean(axis=2), 60, axis=0)
     image = np.rint(255.0 * light ** (1.0 / 2.2)).astype(np.uint8)
@@ -37,4 +37,4 @@ def test_an_edge_is_where_light_changes_however_a_camera_encodes_it(left: float,
     found = read_profiles(smoothed(image), Lines(edges, pixels, np.tile([1.0, 0.0], (2, 1))), edges, 6, 1.5)
     place = 40.0 + 3 / 20 - 0.5 - 38.0
     nearest = np.abs(found.places - place).min(axis=1)
-    np.testing.assert_allclose(nearest, 0.0, atol=0.03)
+    np.testing.assert_allclose(nearest, 0.0, atol=0.06)
