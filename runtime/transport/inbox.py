@@ -2,7 +2,8 @@
 
 Zenoh keeps what comes in a queue that is bounded by number, whatever its messages weigh. While the node's thread takes
 them one by one, little waits there. While that thread is elsewhere, in an operator for instance, another one looks in
-from time to time, drops what nobody wants, and keeps the rest as long as its bytes are within `WAITING_BYTES`.
+from time to time, drops what nobody wants, and keeps the rest as long as its bytes are within `WAITING_BYTES`. It does
+so for the sake of large messages: of small ones it takes a few only, so that who sends many of them waits as ever.
 """
 
 from __future__ import annotations
@@ -23,6 +24,9 @@ LOOKS = 60  # how often the node's thread looks for a message before it sleeps: 
 WAITING_BYTES = MAX_MESSAGE_BYTES
 """How much waits beside Zenoh's queue: any message does, if nothing else does."""
 
+LARGE_BYTES = 1 << 20  # from this on a message is a large one
+SMALL_AT_ONCE = 8  # how many small messages are looked through at once, to see what is behind them
+
 SAMPLE_BYTES = 64 * 1024
 """As what a message counts at least: the buffer that Zenoh has read it into is kept with it."""
 
@@ -39,6 +43,8 @@ class Inbox:
         self._taking = threading.Lock()  # held by whoever takes from Zenoh's queue
         self._kept: deque[zenoh.Sample] = deque()
         self._kept_bytes = 0
+        self._taken = 0  # how many the node's thread has asked for
+        self._taken_before = 0  # likewise, when the other one looked in last
 
     def take(self, waits: bool) -> zenoh.Sample | None:
         """The next message: looked for a moment, then slept for, if it may wait.
@@ -50,6 +56,7 @@ class Inbox:
             zenoh.ZError: the session is closed.
         """
         with self._taking:
+            self._taken += 1
             if self._kept:
                 sample = self._kept.popleft()
                 self._kept_bytes -= _bytes(sample)
@@ -71,26 +78,31 @@ class Inbox:
             Those of which some were dropped, as too much waits.
         """
         dropped: set[str] = set()
-        if not self._taking.acquire(blocking=False):
-            return dropped
-        try:
-            for _ in range(QUEUE_SIZE):
-                sample = self._subscriber.try_recv()
-                if sample is None:
-                    break
-                key, size = str(sample.key_expr), _bytes(sample)
-                if key not in wanted:
-                    continue
-                if self._kept_bytes + size > WAITING_BYTES:
-                    dropped.add(key)
-                    continue
-                self._kept.append(sample)
-                self._kept_bytes += size
-        except zenoh.ZError:
-            return dropped  # the session is closed
-        finally:
-            self._taking.release()
+        if self._taking.acquire(blocking=False):
+            try:
+                self._look_through(wanted, dropped)
+            except zenoh.ZError:
+                return dropped  # the session is closed
+            finally:
+                self._taking.release()
         return dropped
+
+    def _look_through(self, wanted: Container[str], dropped: set[str]) -> None:
+        is_read, self._taken_before = self._taken != self._taken_before, self._taken
+        small = SMALL_AT_ONCE if is_read or len(self._kept) >= QUEUE_SIZE else QUEUE_SIZE
+        for _ in range(QUEUE_SIZE):
+            sample = self._subscriber.try_recv() if small else None
+            if sample is None:
+                return
+            key, size = str(sample.key_expr), _bytes(sample)
+            small -= size < LARGE_BYTES
+            if key not in wanted:
+                continue
+            if self._kept_bytes + size > WAITING_BYTES:
+                dropped.add(key)
+                continue
+            self._kept.append(sample)
+            self._kept_bytes += size
 
 
 def _bytes(sample: zenoh.Sample) -> int:

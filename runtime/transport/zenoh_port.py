@@ -147,6 +147,8 @@ class ZenohPort(Port):
             peer, kind = self._lanes.get(key, ("", ""))
             _log.warning("%s: dropped %s messages from %s: too much waits", self._name, kind, peer)
             self._lost(peer)
+        if self._interrupted:
+            self.interrupt()  # the wake-up may be among what nobody wanted
 
     def send(self, message: Message) -> None:
         header = message.header

@@ -1,0 +1,73 @@
+"""What waits is bounded by its bytes; who sends many small messages waits as if nobody looked in."""
+
+from __future__ import annotations
+
+from collections import deque
+from typing import Any, NamedTuple, cast
+
+import zenoh
+
+from hierax.runtime.transport.inbox import LARGE_BYTES, QUEUE_SIZE, SMALL_AT_ONCE, WAITING_BYTES, Inbox
+
+KEY = "to/me"
+
+
+class Payload(NamedTuple):
+    """Bytes that are only counted."""
+
+    size: int
+
+    def __len__(self) -> int:
+        return self.size
+
+
+class Sample(NamedTuple):
+    """A message, as far as an inbox looks at it."""
+
+    payload: Payload
+    key_expr: str = KEY
+
+
+class Queue(deque[Sample]):
+    """Zenoh's, as far as an inbox asks it."""
+
+    def try_recv(self) -> Sample | None:
+        return self.popleft() if self else None
+
+
+def inbox_of(queue: Queue) -> Inbox:
+    return Inbox(cast("zenoh.Subscriber[Any]", queue))
+
+
+def test_small_messages_stay_in_the_queue_that_holds_their_senders_up() -> None:
+    queue = Queue([Sample(Payload(100))] * 10_000)
+    inbox, looks = inbox_of(queue), 10
+    for _ in range(looks):
+        assert inbox.take(waits=False) is not None
+        assert not inbox.relieve({KEY})
+    assert len(queue) >= 10_000 - looks * (SMALL_AT_ONCE + 1)
+    for _ in range(looks):  # nobody takes any
+        assert not inbox.relieve({KEY})
+    assert len(queue) >= 10_000 - QUEUE_SIZE - 2 * looks * (SMALL_AT_ONCE + 1)
+
+
+def test_large_messages_behind_small_ones_are_kept_up_to_a_bound_in_their_order() -> None:
+    small, large = [Sample(Payload(size)) for size in range(QUEUE_SIZE // 2)], Sample(Payload(16 * LARGE_BYTES))
+    queue = Queue([*small, Sample(Payload(1), "to/nobody"), *[large] * 100])
+    inbox = inbox_of(queue)
+    assert inbox.relieve({KEY}) == {KEY}
+    assert not queue
+    came = []
+    while (sample := inbox.take(waits=False)) is not None:
+        came.append(cast("Sample", sample))
+    assert came[: len(small)] == small
+    assert came[len(small) :] == [large] * len(came[len(small) :])
+    assert WAITING_BYTES - 2 * len(large.payload) < sum(len(each.payload) for each in came) <= WAITING_BYTES
+
+
+def test_nothing_is_looked_through_while_the_node_waits() -> None:
+    queue = Queue([Sample(Payload(LARGE_BYTES))])
+    inbox = inbox_of(queue)
+    with inbox._taking:
+        assert not inbox.relieve({KEY})
+    assert len(queue) == 1
