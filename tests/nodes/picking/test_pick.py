@@ -2,13 +2,8 @@
 
 from __future__ import annotations
 
-import json
-import os
-import subprocess
-import sys
-from pathlib import Path
-
 import numpy as np
+from support.launched import hierax, run_here
 
 from hierax.nodes.picking.commands import handed_down
 from hierax.nodes.picking.grasp import GraspNode, held_now
@@ -25,6 +20,7 @@ SEED = 1
 SCENE = 1
 CUBES = 2
 EPOCHS = 240
+ALIKE = 12
 
 
 def hierarchy() -> Hierarchy:
@@ -43,10 +39,11 @@ def hierarchy() -> Hierarchy:
 
 
 def test_a_cube_is_picked_up() -> None:
-    """While it is lifted, other processes that begin with the same values go on alike, to the bit."""
+    """When it begins to be lifted, other processes that begin with the same values go on alike, to the bit."""
     active = ActiveHierarchy.initial(hierarchy())
     world = active.hierarchy.world_node
     successors: ActiveHierarchy | None = None
+    alike = 0
     phases: list[str] = []
     while not world.finished(active.states["world"].belief):
         assert active.epoch < EPOCHS, f"seed {SEED}, scene {SCENE}: {phases}"
@@ -54,12 +51,13 @@ def test_a_cube_is_picked_up() -> None:
         phase = active.states["grasp"].belief["phase"]
         if not phases or phases[-1] != phase:
             phases.append(phase)
-        if phase != "lift":
+        if phase != "lift" or alike > ALIKE:
             continue
+        alike += 1
         successors = ActiveHierarchy(hierarchy(), active.states, active.epoch) if not successors else update(successors)
         for name, state in successors.states.items():
             assert encode_value(state.belief) == encode_value(active.states[name].belief), name
-    assert successors is not None
+    assert alike > ALIKE
     metrics = world.metrics(active.states["world"].belief)
     assert phases == ["watch", "approach", "descend", "close", "lift", "hold"]
     assert metrics["grasped"] == 1.0
@@ -79,19 +77,6 @@ def _is_tracked_in_the_hand(active: ActiveHierarchy) -> None:
     assert angle < np.radians(3.0)
 
 
-def test_run_and_launch_give_the_same_digests(tmp_path: Path) -> None:
-    environment = {**os.environ, "XDG_RUNTIME_DIR": str(tmp_path)}
-    digests = []
-    for way in ("run", "launch"):
-        words = [way, "pick", "--set", "cubes=2", "--epochs", "3", "--format", "json"]
-        done = subprocess.run(
-            [sys.executable, "-m", "hierax.runtime.commands.main", *words],
-            capture_output=True,
-            text=True,
-            timeout=120.0,
-            check=False,
-            env=environment,
-        )
-        assert done.returncode == 0, done.stderr
-        digests.append(json.loads(done.stdout)["digest"])
-    assert digests[0] == digests[1]
+def test_run_and_launch_give_the_same_digests() -> None:
+    words = ["pick", "--set", "cubes=2", "--epochs", "3"]
+    assert run_here(*words)["digest"] == hierax("launch", *words)["digest"]

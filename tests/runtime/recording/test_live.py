@@ -85,6 +85,8 @@ def test_a_launch_is_recorded_with_changes_and_deaths(start: Start, tmp_path: Pa
 
 def test_a_launch_is_recorded_from_the_middle_on(start: Start, tmp_path: Path) -> None:
     live = start()
+    done = live.hierax("record", "lvie", "-o", "x.mcap")
+    assert (done.returncode, done.stderr) == (1, "error: no launch 'lvie' runs on this machine; did you mean 'live'?\n")
     file = tmp_path / "part.mcap"
     recorder = live.start("record", "live", "-o", str(file), "--format", "json")
     recorder.says("recording live, run ")
@@ -173,13 +175,6 @@ def test_the_run_survives_its_recorder_and_says_so(start: Start, tmp_path: Path)
     assert compare(
         recording.epochs(last=complete[-1]), Replay(recording, allowance_of(recording), last=complete[-1]).epochs()
     ).alike
-
-
-def test_a_launch_that_is_not_there_is_said(start: Start) -> None:
-    live = start()
-    done = live.hierax("record", "lvie", "-o", "x.mcap")
-    assert done.returncode == 1
-    assert done.stderr == "error: no launch 'lvie' runs on this machine; did you mean 'live'?\n"
 
 
 def _recorder_of(supervisor: int) -> int:
