@@ -83,14 +83,20 @@ def test_without_the_package_for_recordings_commands_say_how_to_get_it(tmp_path:
         assert done.stderr == "error: recordings need the package mcap: pip install 'hierax[record]'\n", arguments
 
 
+PACED = 'probes=[{node: world, class: "support.pace:Pace"}]'
+
+
 def gentle(programs: Path, folder: Path) -> Path:
-    """A folder with a `hierax` whose launches, which may go on for ever, leave the processor to what is done beside."""
+    """A folder with a `hierax` whose endless launches of what is shipped wait in each epoch, and leave the processor
+    to what goes on beside.
+    """
     tools = folder / "tools"
     tools.mkdir()
-    (tools / "hierax").write_text(f'''#!/bin/sh
-case $1 in launch) exec nice -n 5 "{programs}/hierax" "$@";; *) exec "{programs}/hierax" "$@";; esac
-''')
-    (tools / "hierax").chmod(0o755)
+    program = tools / "hierax"
+    real, tests = f'exec "{programs}/hierax" "$@"', shlex.quote(str(ROOT / "tests"))
+    endless = f"PYTHONPATH={tests} {real} --set {shlex.quote(PACED)}"
+    program.write_text(f'#!/bin/sh\ncase "$*" in *.yaml*) ;; launch*" --epochs 1000000"*) {endless};; esac\n{real}\n')
+    program.chmod(0o755)
     return tools
 
 

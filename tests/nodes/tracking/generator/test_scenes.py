@@ -138,7 +138,7 @@ def test_the_pushed_scene_hides_one_thing_and_topples_another() -> None:
     assert np.array_equal(shown.camera[0], shown.camera[-1])
     slider = np.array(
         [
-            visible_shares(shown.bodies(frame), camera, INTRINSICS / 2, (SIZE[0] // 2, SIZE[1] // 2))[1]
+            visible_shares(shown.bodies(frame), camera, INTRINSICS / 4, (SIZE[0] // 4, SIZE[1] // 4))[1]
             for frame, camera in enumerate(shown.camera)
         ]
     )
