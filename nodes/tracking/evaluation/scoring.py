@@ -21,8 +21,8 @@ import numpy as np
 from hierax.nodes.tracking.datasets.bop import Result, read_results
 from hierax.nodes.tracking.datasets.truth import TruePose, read_truth
 from hierax.nodes.tracking.errors import DataError
-from hierax.nodes.tracking.math.geometry import Array, Floats, exp_se3, log_se3, pose_error, transform
-from hierax.nodes.tracking.model.symmetry import NONE, ways_back
+from hierax.nodes.tracking.math.geometry import Array, Floats, exp_se3, invert, log_se3, pose_error, transform
+from hierax.nodes.tracking.model.symmetry import NONE, turns_back
 
 LIMITS = ((2.0, 2.0), (5.0, 5.0), (10.0, 5.0))  # millimetres and degrees within which a pose is right
 LEAST_VISIBLE = 0.1  # what is seen less of an object does not count
@@ -145,7 +145,8 @@ def _errors(
         errors[:2, at] = pose_error(nearest_off(right, given[obj_id, frame]), np.eye(4))
         if pose.likeness is not None:
             points = pose.likeness.points
-            ways = ways_back(pose.likeness.symmetry, given[obj_id, frame], right.pose)
+            turns = turns_back(pose.likeness.symmetry, given[obj_id, frame], right.pose)
+            ways = invert(right.pose) @ given[obj_id, frame] @ turns
             errors[2, at] = min(np.linalg.norm(transform(way, points) - points, axis=1).max() for way in ways)
     frames = np.array([frame for frame, _ in rows])
     visible = np.array([pose.visible for _, pose in rows])
@@ -156,7 +157,7 @@ def _errors(
 def nearest_off(true: TruePose, given: Floats) -> Floats:
     """true_from_given, of the poses that look like the given one the nearest's."""
     symmetry = NONE if true.likeness is None else true.likeness.symmetry
-    found: Floats = ways_back(symmetry, given, true.pose)[0]
+    found: Floats = invert(true.pose) @ given @ turns_back(symmetry, given, true.pose)[0]
     return found
 
 

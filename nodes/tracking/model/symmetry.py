@@ -16,8 +16,9 @@ TOLERANCE_M = 0.0005  # how far a surface that is turned may lie beside itself a
 NONE: Symmetry = {"turns": np.eye(4)[None], "free": np.zeros((0, 6))}
 LEVER_M = 0.05  # a turn by an angle is as large as a way by this times the angle
 
-_SAMPLES, _ASKED, _FIRST, _NEAREST = 8000, 150, 15, 32
-_FEW = 600  # triangles up to which all are looked at
+_LEAST_SHARE = 0.02  # of a body's size: what is so small is not all the same
+_ASKED, _FIRST, _NEAREST = 150, 15, 160
+_MOST_PAIRS = 4_000_000  # of points that are asked for and triangles
 _FOLDS = (12, 10, 9, 8, 7, 6, 5, 4, 3, 2)
 _ANY_TURNS = (0.31, 1.07, 1.9, 2.83)  # what looks the same after these looks so after all
 _EVEN = 0.01  # moments of inertia that differ by less than this share may be equal
@@ -56,16 +57,19 @@ def alike(symmetry: Symmetry, poses: Floats, reference: Floats) -> Floats:
     """(n, 4, 4) of the poses at which a body looks as at each of some poses (n, 4, 4), those nearest to (4, 4)."""
     if is_plain(symmetry) or not len(poses):
         return poses
-    return np.stack([reference @ ways_back(symmetry, pose, reference)[0] for pose in poses])
+    # Not by way of the reference: what is not exact of its rotation would grow from image to image.
+    return np.stack([pose @ turns_back(symmetry, pose, reference)[0] for pose in poses])
 
 
-def ways_back(symmetry: Symmetry, pose: Floats, reference: Floats) -> Floats:
-    """(n, 4, 4) where poses at which a body looks as at a pose are in a reference's frame, the nearest first."""
+def turns_back(symmetry: Symmetry, pose: Floats, reference: Floats) -> Floats:
+    """(n, 4, 4) motions of a body that leave it looking the same, after which its pose is near to a reference's: the
+    one that brings it nearest first."""
     away = invert_many(reference[None]) @ pose @ symmetry["turns"]
-    away = away @ np.stack([_turned_back(each, symmetry["free"]) for each in away])
+    free = np.stack([_turned_back(each, symmetry["free"]) for each in away])
+    away = away @ free
     angle = np.arccos(np.clip((np.trace(away, axis1=1, axis2=2) - 2.0) / 2.0, -1.0, 1.0))
     sizes = np.hypot(LEVER_M * angle, np.linalg.norm(away[:, :3, 3], axis=1))
-    nearest_first: Floats = away[np.argsort(sizes, kind="stable")]
+    nearest_first: Floats = (symmetry["turns"] @ free)[np.argsort(sizes, kind="stable")]
     return nearest_first
 
 
@@ -112,7 +116,7 @@ def found_symmetry(mesh: Mesh, tolerance_m: float = TOLERANCE_M) -> Symmetry:
         mesh: the surface; tolerance_m: how far points may lie beside it after a turn.
     """
     surface = _Surface(mesh)
-    centre = surface.centre
+    centre, tolerance_m = surface.centre, min(tolerance_m, _LEAST_SHARE * float(np.ptp(mesh.vertices, axis=0).max()))
     radii = np.linalg.norm(surface.asked - centre, axis=1)
     if np.ptp(radii) < tolerance_m:
         return symmetry_of([], [(np.eye(3)[0], centre), (np.eye(3)[1], centre)])
@@ -161,21 +165,19 @@ class _Surface:
         corners = mesh.vertices[mesh.faces]
         normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
         areas = 0.5 * np.linalg.norm(normals, axis=1)
-        rng = np.random.default_rng(0)
-        faces = np.searchsorted(np.cumsum(areas) / areas.sum(), (np.arange(_SAMPLES) + 0.5) / _SAMPLES)
-        faces = np.minimum(faces, len(areas) - 1)
-        points = np.einsum("nk,nkd->nd", rng.dirichlet((1.0, 1.0, 1.0), _SAMPLES), corners[faces])
         middles = corners.mean(axis=1)
-        every = np.arange(0, len(areas), 1 + len(areas) // _SAMPLES)
-        faces, points = np.concatenate((faces, every)), np.concatenate((points, middles[every]))
         self.centre: Floats = areas @ middles / areas.sum()
         # Exact, so that a cube's moments are equal: the mean square over a triangle is that of its corners and middle.
         arms = np.concatenate((corners - self.centre, 3.0 * (middles - self.centre)[:, None]), axis=1)
         self.inertia: Floats = np.einsum("n,nki,nkj->ij", areas, arms, arms) / (12.0 * areas.sum())
         used = mesh.vertices[np.unique(mesh.faces)]
-        outer = used[np.unique(rng.integers(0, len(used), 4 * _ASKED))] if len(used) > _ASKED else used
-        self.asked: Floats = np.concatenate((outer[:_ASKED], points[: _SAMPLES : _SAMPLES // _ASKED]))
-        self._corners, self._faces, self._points = corners, faces, points
+        some = min(_ASKED, max(4 * _FIRST, _MOST_PAIRS // len(areas)))
+        rng = np.random.default_rng(0)
+        shares, faces = rng.dirichlet((1.0, 1.0, 1.0), some), rng.choice(len(areas), some, p=areas / areas.sum())
+        within = np.einsum("nk,nkd->nd", shares, corners[faces])
+        self.asked: Floats = np.concatenate((used[np.unique(rng.choice(len(used), some))], within))
+        self._corners, self._middles = corners, middles
+        self._radii = np.linalg.norm(corners - middles[:, None], axis=2).max(axis=1)
         self._sides, self._used = unit(normals[np.argsort(-areas)]), used
 
     def directions(self) -> list[Floats]:
@@ -192,11 +194,10 @@ class _Surface:
 
     def beside(self, points: Floats) -> float:
         """How far the farthest of some points is from the surface."""
-        if len(self._corners) <= _FEW:
-            return float(np.sqrt(_squares(points, self._corners[None]).min(axis=1).max()))
-        apart = (points**2).sum(axis=1)[:, None] - 2.0 * points @ self._points.T + (self._points**2).sum(axis=1)
-        near = np.argpartition(apart, _NEAREST, axis=1)[:, :_NEAREST]
-        return float(np.sqrt(_squares(points, self._corners[self._faces[near]]).min(axis=1).max()))
+        squares = (points**2).sum(axis=1)[:, None] - 2.0 * points @ self._middles.T + (self._middles**2).sum(axis=1)
+        least = np.sqrt(np.maximum(squares, 0.0)) - self._radii
+        near = np.argpartition(least, min(_NEAREST, len(self._radii)) - 1, axis=1)[:, :_NEAREST]
+        return float(np.sqrt(_squares(points, self._corners[near]).min(axis=1).max()))
 
 
 def _squares(points: Floats, corners: Floats) -> Floats:

@@ -87,6 +87,15 @@ def test_of_poses_that_look_alike_the_nearest_is_taken() -> None:
         assert (back @ [*centre, 1.0])[:3] == pytest.approx((turned @ [*centre, 1.0])[:3])
 
 
+def test_what_is_not_exact_of_a_rotation_does_not_grow() -> None:
+    symmetry = symmetry_of([], [(np.array([0.0, 0.0, 1.0]), np.zeros(3))])
+    pose = POSE.copy()
+    pose[:3, :3] *= 1.0 + 1e-12
+    for _ in range(100):
+        (pose,) = alike(symmetry, (pose @ about(np.array([0.0, 0.0, 1.0]), np.zeros(3), 0.1))[None], pose)
+    assert np.abs(pose[:3, :3].T @ pose[:3, :3] - np.eye(3)).max() < 1e-10
+
+
 def test_of_a_free_direction_the_prediction_stays_as_it_was() -> None:
     rng = np.random.default_rng(4)
     symmetry = symmetry_of([], [(np.array([0.0, 0.0, 1.0]), np.array([0.02, 0.0, 0.0]))])
