@@ -16,16 +16,19 @@ _WELD_M = 1e-6
 _LEAST_AREA_M2 = 1e-8
 _DEEPEST = 8
 _CAO_SECTIONS = ("points", "lines", "faces from lines", "faces from points", "cylinders", "circles")
-_LOAD = re.compile(r'load\(\s*"([^"]+)"')
+_LOAD = re.compile(r'load\(\s*"([^"]+)"\s*(\)?)')
+_SECTIONS = 64  # corners of what is round
 _VRML_SHAPE = re.compile(r"\bIndexedFaceSet\b(.*?)coordIndex\s*\[(.*?)\]", re.DOTALL)
 _VRML_POINTS = re.compile(r"\bpoint\s*\[(.*?)\]", re.DOTALL)
 
 
 def read_cao(path: Path) -> Mesh:
-    """The faces from points of a CAO model, and of those that it loads.
+    """The faces from points, cylinders and circles of a CAO model, and of those that it loads.
+
+    A cylinder is closed at its ends; a circle that is one of these is there once.
 
     Raises:
-        DataError: a file is missing or damaged, or has other parts than points and faces from points.
+        DataError: a file is missing or damaged, has lines or faces from lines, or moves what it loads.
     """
     return mesh_of(path, _cao_polygons(path, _DEEPEST))
 
@@ -103,6 +106,8 @@ def _cao_polygons(path: Path, depth: int) -> list[Floats]:
     for line in _text(path).splitlines():
         bare = line.split("#")[0].strip()
         if loaded := _LOAD.match(bare):
+            if not loaded[2]:
+                raise DataError(f"{path}: {bare!r:.80}; expected what is loaded at its place")
             polygons += _cao_polygons(path.parent / loaded[1], depth - 1)
         elif bare:
             rows.append(bare.split())
@@ -113,14 +118,46 @@ def _cao_polygons(path: Path, depth: int) -> list[Floats]:
         points = [[float(part) for part in row[:3]] for row in _section(taken)]
         others = {name: len(_section(taken)) for name in _CAO_SECTIONS[1:3]}
         faces = [[int(part) for part in row[1 : 1 + int(row[0])]] for row in _section(taken)]
-        others.update({name: len(_section(taken, optional=True)) for name in _CAO_SECTIONS[4:]})
+        cylinders = [(int(row[0]), int(row[1]), float(row[2])) for row in _section(taken, optional=True)]
+        circles = [(float(row[0]), *(int(part) for part in row[1:4])) for row in _section(taken, optional=True)]
         corners = np.array(points, dtype=np.float64).reshape(-1, 3)
     except (ValueError, IndexError, StopIteration) as error:
         raise DataError(f"{path}: expected the sections {', '.join(_CAO_SECTIONS)}, each after its length") from error
     unknown = [name for name, count in others.items() if count]
     if unknown:
-        raise DataError(f"{path}: {unknown[0]}; expected a model of points and faces from points alone")
-    return polygons + [_chosen(f"{path}: face {at}", corners, face) for at, face in enumerate(faces)]
+        raise DataError(f"{path}: {unknown[0]}; expected a model of points, faces from them, cylinders and circles")
+    polygons += [_chosen(f"{path}: face {at}", corners, face) for at, face in enumerate(faces)]
+    ends: list[tuple[Floats, float]] = []
+    for at, (first, last, radius) in enumerate(cylinders):
+        low, high = _chosen(f"{path}: cylinder {at}", corners, [first, last], 2)
+        polygons += cylinder_polygons(low, high, radius)
+        ends += [(low, radius), (high, radius)]
+    for at, (radius, *three) in enumerate(circles):
+        centre, one, other = _chosen(f"{path}: circle {at}", corners, three)
+        if not any(np.allclose(centre, end) and np.isclose(radius, wide) for end, wide in ends):
+            polygons.append(ring(centre, np.cross(one - centre, other - centre), radius))
+    return polygons
+
+
+def cylinder_polygons(low: Floats, high: Floats, radius_m: float) -> list[Floats]:
+    """The sides and both ends of a cylinder between two points of its axis, seen from outside."""
+    below = ring(low, high - low, radius_m)
+    above = below + (high - low)
+    after = np.roll(np.arange(_SECTIONS), -1)
+    sides = [np.stack((below[at], below[to], above[to], above[at])) for at, to in enumerate(after)]
+    return [*sides, below[::-1], above]
+
+
+def ring(centre: Floats, axis: Floats, radius_m: float) -> Floats:
+    """Corners (n, 3) on a circle, counter-clockwise seen against its axis."""
+    axis = axis / np.linalg.norm(axis)
+    right = np.cross(axis, np.eye(3)[np.argmin(np.abs(axis))])
+    right /= np.linalg.norm(right)
+    turns = 2.0 * np.pi * np.arange(_SECTIONS) / _SECTIONS
+    corners: Floats = centre + radius_m * (
+        np.cos(turns)[:, None] * right + np.sin(turns)[:, None] * np.cross(axis, right)
+    )
+    return corners
 
 
 def _section(rows: Iterator[list[str]], optional: bool = False) -> list[list[str]]:
@@ -133,9 +170,9 @@ def _section(rows: Iterator[list[str]], optional: bool = False) -> list[list[str
     return [next(rows) for _ in range(int(head[0]))]
 
 
-def _chosen(where: str, points: Floats, face: Sequence[int]) -> Floats:
-    if len(face) < 3 or not all(0 <= at < len(points) for at in face):
-        raise DataError(f"{where}: names points {list(face)}; expected three or more of {len(points)}")
+def _chosen(where: str, points: Floats, face: Sequence[int], least: int = 3) -> Floats:
+    if len(face) < least or not all(0 <= at < len(points) for at in face):
+        raise DataError(f"{where}: names points {list(face)}; expected {least} or more of {len(points)}")
     return points[list(face)]
 
 

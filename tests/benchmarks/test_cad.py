@@ -10,6 +10,7 @@ from cad import cut, mesh_of, read_cao, read_vrml
 
 from hierax.nodes.tracking.errors import DataError
 from hierax.nodes.tracking.math.geometry import Floats, exp_so3
+from hierax.nodes.tracking.model.symmetry import found_symmetry
 
 CAO = """# a roof
 V1
@@ -95,7 +96,9 @@ def test_faces_without_area_are_left_out() -> None:
         ("V1\n4\n0 0 0\n", "expected the sections points, lines"),
         (CAO.replace("0 0 0", "0 x 0"), "expected the sections"),
         (CAO.replace("4 0 1 2 3", "4 0 1 2 9"), "face 0: names points"),
-        (CAO.replace("name=floor\n0\n", "name=floor\n1\n0 1 0.5\n"), "cylinders; expected a model of points"),
+        (CAO.replace("name=floor\n0\n", "name=floor\n1\n0 9 0.5\n"), "cylinder 0: names points"),
+        (CAO.replace("0 1 0  # the last\n0\n", "0 1 0\n1\n0 1\n"), "lines; expected a model of points, faces"),
+        (CAO.replace("V1\n", 'V1\nload("model.cao", t=[0;0;1])\n'), "expected what is loaded at its place"),
         ('V1\nload("model.cao")\n0\n0\n0\n0\n', "too deep"),
     ],
 )
@@ -125,3 +128,16 @@ def test_missing_files_are_named(tmp_path: Path) -> None:
     for read in (read_cao, read_vrml):
         with pytest.raises(DataError, match="none: cannot be read"):
             read(tmp_path / "none")
+
+
+def test_cylinders_are_closed_and_a_circle_that_ends_one_is_there_once(tmp_path: Path) -> None:
+    text = "V1\n4\n0 0 1\n0 0 -1\n1 0 1\n0 1 1\n0\n0\n0\n1\n0 1 1\n1\n1 0 2 3\n"
+    path = tmp_path / "model.cao"
+    path.write_text(text)
+    mesh = read_cao(path)
+    corners = mesh.vertices[mesh.faces]
+    volume = float(np.sum(corners[:, 0] * np.cross(corners[:, 1], corners[:, 2])) / 6)
+    assert volume == pytest.approx(2.0 * np.pi, rel=0.002)
+    assert len(found_symmetry(mesh, 0.002)["free"]) == 1
+    path.write_text(text.replace("1 0 2 3", "0.5 0 2 3"))
+    assert area(*read_cao(path)) == pytest.approx(area(*mesh) + 0.25 * np.pi, rel=0.002)

@@ -108,6 +108,26 @@ def test_the_scene_is_a_bop_scene_with_the_first_pose_only(tmp_path: Path) -> No
     assert image.shape == (480, 640)
 
 
+def test_what_moves_beside_the_cube_is_told() -> None:
+    cubes = sliding(5, np.random.default_rng(4))
+    still = cubes @ make_pose(exp_so3(np.array([0.0, 0.0, 0.3])), np.array([-0.17, -0.03, 0.0]))
+    moved = still.copy()
+    moved[2] = moved[2] @ make_pose(exp_so3(np.array([0.0, 0.01, 0.0])), np.array([0.003, 0.0, 0.0]))
+    feet, turns = visp_cube.stillness(cubes, moved)
+    assert feet == pytest.approx([0.0, 0.0, 3.0, 0.0, 0.0], abs=1e-6)
+    assert turns == pytest.approx([0.0, 0.0, np.degrees(0.01), 0.0, 0.0], abs=1e-5)
+
+
+@needs_photographs
+def test_the_scene_with_the_cylinder_tells_the_table(tmp_path: Path) -> None:
+    visp_cube.convert(visp_cube.PACKAGE_FOLDER, tmp_path, 100, cylinder=True)
+    scene = BopScene(tmp_path / "test" / "000001")
+    cube, cylinder = (scene.frames[2].camera @ item.pose for item in scene.first_objects())
+    assert cube == pytest.approx(np.eye(4), abs=1e-9)
+    assert cylinder[:3, 3] == pytest.approx(visp_cube.FOOT_M)
+    assert [len(scene.model(number)[1]["free"]) for number in (1, 2)] == [0, 1]
+
+
 @needs_photographs
 def test_the_cube_is_tracked_to_the_last_frame(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     visp_cube.convert(visp_cube.PACKAGE_FOLDER, tmp_path, 1)
