@@ -110,7 +110,7 @@ class ControlPoints(TypedDict):
     points: Annotated[Floats, Is(("n", 3), "float64", "m, object's frame")]
     tangents: Annotated[Floats, Is(("n", 3), "float64", "unit vectors along the edge, object's frame")]
     inwards: Annotated[Floats, Is(("n", 3), "float64", "unit vectors across the edge, object's frame")]
-    kinds: Annotated[NDArray[np.uint8], Is(("n",), "uint8", "0 an outline, 1 a crease")]
+    kinds: Annotated[NDArray[np.uint8], Is(("n",), "uint8", "0 an outline, 1 a crease, 2 a smooth outline")]
     edges: Annotated[NDArray[np.int32], Is(("n",), "int32", "numbers of edges")]
     faces: Annotated[NDArray[np.int32], Is(("n", 2), "int32", "numbers of patches beside it, -1: none")]
     visible: Annotated[NDArray[np.float32], Is(("n",), "float32", "chance that nothing hides it")]

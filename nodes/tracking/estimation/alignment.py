@@ -35,6 +35,9 @@ from hierax.nodes.tracking.model.controls import Controls
 # Where edges are so dense that more than the rest of the places are near one, to be near one proves little.
 _LEAST_RARITY = 0.4
 
+# Of a smooth surface that turns away from the light, too, so much of the outline is seen beside its own shadow.
+_LIMB_SEEN = 0.8
+
 _SPREADS = 3.5  # where Tukey's weight ends in the end, in medians of the residuals' sizes
 _STRANGE = 4.5  # a peak that looks stranger than this supports no control point
 
@@ -196,10 +199,11 @@ def _judged(state: _State, start: Start, stage: Stage, scale: Floats, intrinsics
     said = normal_equations(state.poses, stage, seen, matches, weights, intrinsics).told(start.told)
     owners, count = stage.controls.owners, len(start.poses)
     # Where edges crowd, they may claim the same one in the image; it counts for neither.
-    counted = stage.controls.visible * stage.memory.apart
-    shown = summed(owners, counted, count)
-    share = summed(owners, np.where(supported, counted, 0.0), count) / np.maximum(shown, 1e-6)
-    chance = summed(owners, counted * _chance(stage, search), count) / np.maximum(shown, 1e-6)
+    limbs = stage.controls.limbs
+    counted = stage.controls.visible * stage.memory.apart * np.where(limbs, stage.memory.trust, 1.0)
+    shown = summed(owners, counted * np.where(limbs, _LIMB_SEEN, 1.0), count)
+    share = np.minimum(summed(owners, np.where(supported, counted, 0.0), count) / np.maximum(shown, 1e-6), 1.0)
+    chance = summed(owners, counted * _chance(stage, search), count) / np.maximum(summed(owners, counted, count), 1e-6)
     familiar = np.exp(-STRANGE_WEIGHT * matches.strange)
     return Aligned(
         state.poses,

@@ -7,6 +7,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from hierax.nodes.tracking.generator import curved
 from hierax.nodes.tracking.generator.camera import Swing, camera_path
 from hierax.nodes.tracking.generator.pushed import pushed
 from hierax.nodes.tracking.generator.things import (
@@ -33,6 +34,7 @@ INTRINSICS = np.array([FOCAL_PX, FOCAL_PX, 318.4, 241.2])
 
 IMPRECISE = "imprecise"  # the kind whose models lie beside the objects
 _CANDIDATES = 40
+_FEW = 8  # of curved things, which take longer to be looked at
 _LOOKS = 6
 _COARSE = 4  # candidates are looked at in pictures that are smaller by this
 _COARSE_SIZE = SIZE[0] // _COARSE, SIZE[1] // _COARSE
@@ -154,6 +156,31 @@ def _imprecise(rng: np.random.Generator, frames: int) -> Film:
     return replace(shown, things=told)
 
 
+def _curved(rng: np.random.Generator, frames: int) -> Film:
+    """A mug, a bottle, a ball, a cylinder, standing or lying, and a torus."""
+    paints = colours(rng, 5)
+    lying = np.roll(np.eye(3), 1, axis=0) if rng.random() < 0.5 else np.eye(3)
+    items = [
+        Item(curved.mug(rng.uniform(0.03, 0.042), rng.uniform(0.08, 0.1)), np.eye(3), paints[0]),
+        Item(curved.bottle(rng.uniform(0.025, 0.032), rng.uniform(0.12, 0.16)), np.eye(3), paints[1]),
+        Item(curved.ball(rng.uniform(0.025, 0.04)), np.eye(3), paints[2]),
+        Item(curved.cylinder(rng.uniform(0.022, 0.036), rng.uniform(0.05, 0.1)), lying, paints[3]),
+        Item(curved.torus(rng.uniform(0.03, 0.042), rng.uniform(0.009, 0.014)), np.eye(3), paints[4]),
+    ]
+    return _still_life(
+        rng, frames, lambda: scattered(items, rng, 0.15, 0.015), _swing(rng, 34.0), _mostly_seen, candidates=_FEW
+    )
+
+
+def _figures(rng: np.random.Generator, frames: int) -> Film:
+    """Five of those objects of pybullet's data that `curved` names."""
+    names = rng.permutation(list(curved.FOUND))[:5]
+    items = [curved.found_thing(str(name), paint) for name, paint in zip(names, colours(rng, 5), strict=True)]
+    return _still_life(
+        rng, frames, lambda: scattered(items, rng, 0.15, 0.015), _swing(rng, 38.0), _mostly_seen, candidates=_FEW
+    )
+
+
 def _pushed(rng: np.random.Generator, frames: int) -> Film:
     scene = pushed(rng, frames, INTRINSICS, SIZE)
     return Film(
@@ -184,10 +211,11 @@ def _still_life(
     swing: Swing,
     merit: Callable[[Floats], float],
     wood: Wood | None = None,
+    candidates: int = _CANDIDATES,
 ) -> Film:
     """Of many arrangements the one that looks best for its purpose, along the whole path."""
     best: tuple[float, list[Thing], Floats] | None = None
-    for _ in range(_CANDIDATES):
+    for _ in range(candidates):
         things = arranged()
         if things is None:
             continue
@@ -252,4 +280,6 @@ KINDS: dict[str, Callable[[np.random.Generator, int], Film]] = {
     "low-contrast": _low_contrast,
     IMPRECISE: _imprecise,
     "pushed": _pushed,
+    "curved": _curved,
+    "figures": _figures,
 }

@@ -80,18 +80,21 @@ def write_scene(
     except OSError as error:
         raise DataError(f"{error.filename}: cannot be written: {error.strerror}") from error
     write_truth(out, shown.camera, INTRINSICS, poses, [_shares(shown, frame) for frame in range(len(poses))])
-    return write_said(out, [thing.shape.mesh for thing in shown.things], Told(camera, INTRINSICS, start))
+    silent = [number for number, thing in enumerate(shown.things, start=1) if thing.shape.normals is not None]
+    return write_said(out, [thing.shape.mesh for thing in shown.things], Told(camera, INTRINSICS, start), silent)
 
 
-def write_said(out: Path, models: Sequence[Mesh], told: Told) -> Path:
+def write_said(out: Path, models: Sequence[Mesh], told: Told, silent: Sequence[int] = ()) -> Path:
     """Write all of a scene but its pictures: models, and what is told of camera and start; its folder.
+
+    Of the models of `silent` numbers nothing is said of symmetries; of the others, that they have none.
 
     Raises:
         DataError: something cannot be written.
     """
     scene = out / "test" / SCENE
     try:
-        _write_models(out / "models", models)
+        _write_models(out / "models", models, silent)
         write_json(scene / "scene_camera.json", _cameras(told.camera, told.intrinsics))
         write_json(scene / "scene_gt.json", {"0": _objects(told.start)})
     except OSError as error:
@@ -178,11 +181,14 @@ def main(arguments: Sequence[str] | None = None) -> int:
     return 0
 
 
-def _write_models(folder: Path, meshes: Sequence[Mesh]) -> None:
+def _write_models(folder: Path, meshes: Sequence[Mesh], silent: Sequence[int]) -> None:
     folder.mkdir(parents=True, exist_ok=True)
     for number, mesh in enumerate(meshes, start=1):
         write_ply(folder / f"obj_{number:06d}.ply", mesh)
-    write_json(folder / "models_info.json", {str(at): model_info(mesh) for at, mesh in enumerate(meshes, start=1)})
+    infos = {number: model_info(mesh) for number, mesh in enumerate(meshes, start=1)}
+    for number in silent:
+        del infos[number]["symmetries_discrete"]
+    write_json(folder / "models_info.json", {str(number): info for number, info in infos.items()})
 
 
 def _write_images(folder: Path, shown: Film, rng: np.random.Generator) -> None:

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from hierax.nodes.tracking.imagery.layers import NEAREST_DRAWN_M, Layer
 from hierax.nodes.tracking.math.batched import joined, only
 from hierax.nodes.tracking.math.geometry import Array, Floats, cross, invert, project, transform
-from hierax.nodes.tracking.model.controls import CREASE, OUTLINE, Controls
+from hierax.nodes.tracking.model.controls import CREASE, LIMB, OUTLINE, Controls
 from hierax.nodes.tracking.model.outlines import outline_of
 from hierax.nodes.tracking.model.shapes import Ints, Shape
 
@@ -122,7 +122,7 @@ def _smooth_lines(shape: Shape, viewpoint: Floats) -> _Lines:
     found = outline_of(shape, viewpoint)
     patches = shape.patches[shape.smooth[found.smooth]]
     beside = np.stack((patches, np.full_like(patches, -1)), axis=1)
-    kinds = np.full(len(patches), OUTLINE, dtype=np.uint8)
+    kinds = np.full(len(patches), LIMB, dtype=np.uint8)
     return _Lines(found.ends, -found.outwards, kinds, _sharp_count(shape) + found.chains, beside)
 
 
@@ -204,7 +204,7 @@ def _hidden_by_itself(
         columns, rows = np.clip(at, 0, (width - 1, height - 1)).T
         there = np.where(inside, layer.inverse[rows, columns], 0.0)
         nearer = (there > 0.0) & ((seen[:, 2] - depth_m) * there > 1.0)
-        hidden &= nearer | ((side > 0.0) & (controls.kinds == OUTLINE))
+        hidden &= nearer | ((side > 0.0) & (controls.kinds != CREASE))
     return hidden
 
 

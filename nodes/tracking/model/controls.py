@@ -12,7 +12,7 @@ from hierax.nodes.tracking.math.batched import only
 from hierax.nodes.tracking.math.geometry import Array, Floats
 from hierax.nodes.tracking.schema import ControlPoints
 
-OUTLINE, CREASE = 0, 1
+OUTLINE, CREASE, LIMB = 0, 1, 2
 Ints = NDArray[np.int32]
 Indices = NDArray[np.intp]
 
@@ -31,7 +31,7 @@ class Controls(NamedTuple):
     # (n, 3) unit vectors across the edge in the first face that is seen beside it, away from the edge; on the outline
     # of a smooth surface, into the body
     inwards: Floats
-    kinds: NDArray[np.uint8]  # (n,) `OUTLINE` or `CREASE`
+    kinds: NDArray[np.uint8]  # (n,) `OUTLINE`, `CREASE` or `LIMB`, the outline of a smooth surface
     # (n,) number of the object's edge, the same whatever is seen of it; edges are about straight, rims in arcs. An
     # outline of a smooth surface is numbered by the direction to which it bounds the surface.
     edges: Ints
@@ -43,6 +43,11 @@ class Controls(NamedTuple):
     def creases(self) -> NDArray[np.bool_]:
         """(n,) whether the object is on both sides."""
         return np.asarray(self.kinds == CREASE)
+
+    @property
+    def limbs(self) -> NDArray[np.bool_]:
+        """(n,) whether it is where a smooth surface turns away: no place of the model's, but the view's."""
+        return np.asarray(self.kinds == LIMB)
 
     @property
     def numbers(self) -> Indices:

@@ -219,8 +219,7 @@ def _learned(
         known = bent_after(known, aligned, at, found.poses[at], task.intrinsics)
         chosen = np.nonzero(sure & (controls.owners == at))[0]
         every = np.nonzero(seen & (controls.owners == at))[0]
-        loose = float(bool(known["tolerance"]))
-        near = sure[every] & (np.abs(offsets[every] - loose * aligned.off[every]) < _FOUND_PX)
+        near = sure[every] & (np.abs(offsets[every] - aligned.off[every]) < _FOUND_PX)
         known = sought(known, places[every], near)
         columns = aligned.matches.columns[chosen]
         colours = np.stack((profiles.inside[chosen, columns], profiles.outside[chosen, columns]), axis=1)

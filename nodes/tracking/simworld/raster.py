@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from hierax.nodes.tracking.math.geometry import Array, Floats, invert, lens_matrix, transform
+from hierax.nodes.tracking.math.geometry import Array, Floats, invert, lens_matrix, project, transform, unit
 from hierax.nodes.tracking.simworld.shapes import Body, Face
 
 _NEAREST_SAMPLED_M = 1e-3  # a face with a corner nearer to the camera is not drawn
@@ -77,6 +77,53 @@ def cover(to_pixels: Floats, cells: Sequence[Floats], window: Window, samples: i
     return Covered(inside, nearness, a, b)
 
 
+def drawn_mesh(
+    corners: Floats, normals: Floats, camera: Floats, intrinsics: Array, size: tuple[int, int], samples: int
+) -> tuple[Window, Array, Array] | None:
+    """A closed surface of triangles, were it alone.
+
+    Args:
+        corners, normals: (m, 3, 3) of triangles, world frame; camera: world_from_camera.
+        intrinsics: fx, fy, cx, cy in pixels; size: width and height in pixels; samples: per pixel, along each axis.
+
+    Returns:
+        The pixels that it may touch, and at their samples the nearness (h, w) in 1/m, 0 where it is not, and the normal
+        (h, w, 3); None where it is out of the picture, or too near to it.
+    """
+    seen = transform(invert(camera), corners)
+    if seen[..., 2].min() < _NEAREST_SAMPLED_M:
+        return None
+    # The first sample of a pixel is half a step from the pixel's edge.
+    spots = samples * (project(seen, intrinsics) + 0.5) - 0.5
+    low = np.maximum(np.floor(spots.min(axis=(0, 1)) / samples).astype(int), 0)
+    high = np.minimum(np.ceil(spots.max(axis=(0, 1)) / samples).astype(int) + 1, size)
+    if (low >= high).any():
+        return None
+    width, height = (high - low) * samples
+    spots -= low * samples
+    sides = np.roll(spots, -1, axis=1) - spots
+    area = sides[:, 0, 0] * sides[:, 1, 1] - sides[:, 0, 1] * sides[:, 1, 0]
+    first = np.maximum(np.ceil(spots.min(axis=1)), 0).astype(int)
+    counts = np.minimum(np.floor(spots.max(axis=1)).astype(int) + 1, (width, height)) - first
+    # Seen from outside, with y downwards, corners go clockwise.
+    ahead = np.nonzero((area < 0.0) & (counts > 0).all(axis=1))[0]
+    many = counts[ahead].prod(axis=1)
+    owner = np.repeat(ahead, many)
+    at = np.arange(len(owner)) - np.repeat(np.cumsum(many) - many, many)
+    x, y = first[owner, 0] + at % counts[owner, 0], first[owner, 1] + at // counts[owner, 0]
+    to = np.stack((x, y), axis=1)[:, None] - spots[owner]
+    shares = np.roll(sides[owner, :, 0] * to[..., 1] - sides[owner, :, 1] * to[..., 0], 1, axis=1) / area[owner, None]
+    inside = (shares >= 0.0).all(axis=1)
+    x, y, owner, shares = x[inside], y[inside], owner[inside], shares[inside] / seen[owner[inside], :, 2]
+    nearness = shares.sum(axis=1)
+    order = np.argsort(nearness, kind="stable")
+    x, y, owner, shares = x[order], y[order], owner[order], shares[order]
+    shown, facing = np.zeros((height, width), np.float32), np.zeros((height, width, 3), np.float32)
+    shown[y, x] = nearness[order]
+    facing[y, x] = unit(np.einsum("nk,nkd->nd", shares, normals[owner]))
+    return (int(low[0]), int(low[1]), int(high[0]), int(high[1])), shown, facing
+
+
 def faces_towards(body: Body, camera: Floats) -> list[Face]:
     """The sides of a body that look at the camera (world_from_camera)."""
     position = camera[:3, 3]
@@ -101,6 +148,11 @@ def visible_shares(bodies: Sequence[Body], camera: Floats, intrinsics: Array, si
     alone = np.zeros(len(bodies))
     for index, body in enumerate(bodies):
         own = np.zeros_like(nearest)
+        if (curved := body.curved()) is not None:
+            mesh = drawn_mesh(*curved, camera, wide, (3 * width, 3 * height), 1)
+            if mesh is not None:
+                (left, top, right, bottom), shown, _ = mesh
+                own[top:bottom, left:right] = shown
         for face in faces_towards(body, camera):
             to_pixels = homography(face, camera, wide)
             window = window_of(to_pixels, 3 * width, 3 * height)
@@ -112,7 +164,7 @@ def visible_shares(bodies: Sequence[Body], camera: Floats, intrinsics: Array, si
         alone[index] = np.count_nonzero(own)
         owner[own > nearest] = index
         np.maximum(nearest, own, out=nearest)
-    shown = owner[height : 2 * height, width : 2 * width]
-    seen = np.array([np.count_nonzero(shown == index) for index in range(len(bodies))])
+    middle = owner[height : 2 * height, width : 2 * width]
+    seen = np.array([np.count_nonzero(middle == index) for index in range(len(bodies))])
     shares: Floats = seen / np.maximum(alone, 1.0)
     return shares

@@ -1,6 +1,7 @@
 """Pictures of bodies on a table, by exact projection: no part of it is shared with the mental image of the nodes.
 
-The faces of the bodies are planes, and drawn as such at four samples a pixel.
+The faces of the bodies are planes, and drawn as such at four samples a pixel. Curved ones are drawn as meshes, with the
+light that their smoothed normals have of it: shadows do not fall on them, but they throw some.
 """
 
 from __future__ import annotations
@@ -14,7 +15,7 @@ import numpy as np
 
 from hierax.nodes.tracking.math.geometry import Array, Floats
 from hierax.nodes.tracking.simworld.light import LAMP, Lamp, light_on
-from hierax.nodes.tracking.simworld.raster import Window, cover, faces_towards, homography, window_of
+from hierax.nodes.tracking.simworld.raster import Window, cover, drawn_mesh, faces_towards, homography, window_of
 from hierax.nodes.tracking.simworld.shapes import Body, Face
 
 cv2.setNumThreads(1)
@@ -112,20 +113,44 @@ def _draw_bodies(
     ]
     windows = [window_of(to_pixels, width, height) for _, to_pixels, _ in drawn]
     shown = [(item, window) for item, window in zip(drawn, windows, strict=True) if window is not None]
-    if not shown:
+    meshes = [
+        (mesh, body.colour)
+        for body in bodies
+        if (curved := body.curved()) is not None
+        and (mesh := drawn_mesh(*curved, camera, intrinsics, (width, height), SAMPLES)) is not None
+    ]
+    every = [window for _, window in shown] + [mesh[0] for mesh, _ in meshes]
+    if not every:
         return
-    left, top = (min(window[i] for _, window in shown) for i in (0, 1))
-    right, bottom = (max(window[i] for _, window in shown) for i in (2, 3))
+    left, top = (min(window[i] for window in every) for i in (0, 1))
+    right, bottom = (max(window[i] for window in every) for i in (2, 3))
     shape = ((bottom - top) * SAMPLES, (right - left) * SAMPLES)
     nearest = np.zeros(shape, np.float32)
     layer = np.zeros((*shape, 4), np.float32)
     for (face, to_pixels, colour), window in shown:
         texture = _face_texture(face, colour, parts, lamp)
         _draw_face(layer, nearest, to_pixels, face.cells, texture, window, (left, top))
+    for (window, nearness, normals), colour in meshes:
+        view = _samples_of(window, (left, top))
+        light = lamp.ambient + lamp.diffuse * np.maximum(normals @ lamp.direction.astype(np.float32), 0.0)
+        colours = np.minimum(_paint(colour) * cv2.pow(light, GAMMA)[..., None], 1.0)
+        nearer = nearness > nearest[view]
+        np.copyto(nearest[view], nearness, where=nearer)
+        np.copyto(
+            layer[view], np.concatenate((colours, np.ones_like(colours[..., :1])), axis=2), where=nearer[..., None]
+        )
     mean = cv2.resize(layer, (right - left, bottom - top), interpolation=cv2.INTER_AREA)
     part = image[top:bottom, left:right]
     part *= 1.0 - mean[..., 3:]
     part += mean[..., :3]
+
+
+def _samples_of(window: Window, origin: tuple[int, int]) -> tuple[slice, slice]:
+    """Where the samples of a window's pixels are in a layer that begins at a pixel."""
+    rows, columns = (
+        slice((window[at] - origin[at]) * SAMPLES, (window[at + 2] - origin[at]) * SAMPLES) for at in (1, 0)
+    )
+    return rows, columns
 
 
 def _draw_face(
@@ -138,12 +163,8 @@ def _draw_face(
     origin: tuple[int, int],
 ) -> None:
     """Draw one face where it is nearer than what is drawn already."""
-    left, top, right, bottom = window
     covered = cover(to_pixels, cells, window, SAMPLES)
-    view = np.s_[
-        (top - origin[1]) * SAMPLES : (bottom - origin[1]) * SAMPLES,
-        (left - origin[0]) * SAMPLES : (right - origin[0]) * SAMPLES,
-    ]
+    view = _samples_of(window, origin)
     inside = covered.inside & (covered.nearness > nearest[view])
     if not inside.any():
         return
@@ -159,9 +180,13 @@ def _face_texture(face: Face, colour: tuple[int, int, int], parts: Sequence[Floa
     texels = np.array([[FACE_PX, 0.0, -0.5], [0.0, FACE_PX, -0.5], [0.0, 0.0, 1.0]])
     light = light_on(face, parts, (FACE_PX, FACE_PX), texels, lamp)
     texture = np.ones((FACE_PX, FACE_PX, 4), np.float32)
-    paint = (np.array(colour, np.float32) / np.float32(255.0)) ** np.float32(GAMMA)
-    texture[..., :3] = np.minimum(paint * cv2.pow(light * _grain(), GAMMA)[..., None], 1.0)
+    texture[..., :3] = np.minimum(_paint(colour) * cv2.pow(light * _grain(), GAMMA)[..., None], 1.0)
     return texture
+
+
+def _paint(colour: tuple[int, int, int]) -> Array:
+    """What of white light a colour throws back, float32 (3,)."""
+    return np.asarray((np.array(colour, np.float32) / np.float32(255.0)) ** np.float32(GAMMA))
 
 
 @lru_cache(maxsize=1)

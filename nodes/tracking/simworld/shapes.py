@@ -43,6 +43,9 @@ class Body(Protocol):
     def colour(self) -> tuple[int, int, int]:
         """RGB, 0 to 255."""
 
+    def curved(self) -> tuple[Floats, Floats] | None:
+        """Corners and normals (m, 3, 3) there of the triangles of a curved body, which has no plane sides."""
+
     def faces(self) -> list[Face]:
         """Its sides."""
 
@@ -56,6 +59,9 @@ class Cube(NamedTuple):
     pose: Floats  # world_from_object, 4x4, origin at the cube's centre
     side_m: float  # length of its edges
     colour: tuple[int, int, int]  # RGB, 0 to 255
+
+    def curved(self) -> None:
+        """It is not."""
 
     def faces(self) -> list[Face]:
         """All six sides."""
@@ -72,6 +78,7 @@ class Shape(NamedTuple):
     sides: tuple[Face, ...]  # its faces
     convex: tuple[Floats, ...]  # corners (n, 3) of the convex parts that it consists of
     mesh: Mesh  # its surface
+    normals: Floats | None = None  # (m, 3, 3) of a curved one, which is drawn as its mesh: at each triangle's corners
 
 
 class Thing(NamedTuple):
@@ -80,6 +87,13 @@ class Thing(NamedTuple):
     pose: Floats  # world_from_object, 4x4
     shape: Shape  # its form
     colour: tuple[int, int, int]  # RGB, 0 to 255
+
+    def curved(self) -> tuple[Floats, Floats] | None:
+        """As `Body` has it."""
+        if self.shape.normals is None:
+            return None
+        corners = self.shape.mesh.vertices[self.shape.mesh.faces]
+        return transform(self.pose, corners), self.shape.normals @ self.pose[:3, :3].T
 
     def faces(self) -> list[Face]:
         """All sides."""

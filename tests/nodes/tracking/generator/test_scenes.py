@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -11,6 +12,7 @@ import pytest
 from hierax.nodes.tracking.datasets.bop import BopScene, read_image
 from hierax.nodes.tracking.datasets.truth import read_truth
 from hierax.nodes.tracking.errors import DataError
+from hierax.nodes.tracking.estimation.profiles import lines_of, read_profiles, smoothed
 from hierax.nodes.tracking.generator.camera import (
     DRIFT_DEG,
     DRIFT_M,
@@ -19,11 +21,17 @@ from hierax.nodes.tracking.generator.camera import (
     camera_path,
     reported_path,
 )
+from hierax.nodes.tracking.generator.curved import FOUND
 from hierax.nodes.tracking.generator.kinds import IMPRECISE, INTRINSICS, KINDS, SIZE, film
 from hierax.nodes.tracking.generator.scenes import START_DEG, START_M, main, start_error, write_scene
+from hierax.nodes.tracking.imagery.controls import controls_of
+from hierax.nodes.tracking.imagery.layers import LayerRenderer
 from hierax.nodes.tracking.math.geometry import Floats, invert, log_se3, pose_error, project, transform
 from hierax.nodes.tracking.model.mesh import Mesh
+from hierax.nodes.tracking.model.shapes import shape_of
+from hierax.nodes.tracking.model.symmetry import is_plain
 from hierax.nodes.tracking.simworld.raster import visible_shares
+from hierax.nodes.tracking.simworld.scene import develop, draw
 
 STILL = [kind for kind in KINDS if kind not in ("pushed", IMPRECISE)]
 
@@ -188,3 +196,40 @@ def test_imprecise_models_are_near_what_is_drawn_but_not_it() -> None:
         for side in thing.shape.sides:
             # nothing of it lies beyond any of its sides
             assert ((made - side.corner) @ side.normal).max() < 1e-6
+
+
+def test_of_curved_things_the_scene_says_no_symmetry_and_their_meshes_show_it(tmp_path: Path) -> None:
+    scene = BopScene(write_scene(tmp_path, "curved", 1, 1, exact=True))
+    found = [scene.model(number)[1] for number in range(1, 6)]
+    assert [(len(each["turns"]), len(each["free"])) for each in found] == [(1, 0), (1, 1), (1, 3), (2, 1), (2, 1)]
+    boxes = BopScene(write_scene(tmp_path / "boxes", "approach", 1, 1, exact=True))
+    for item in boxes.first_objects():
+        assert is_plain(boxes.model(item.obj_id)[1]), "the pose to be kept is the one that was given"
+
+
+def test_outlines_of_curved_things_are_where_they_are_drawn() -> None:
+    """In light from everywhere: shading moves them."""
+    shown = film("curved", 1, 1)
+    lamp = replace(shown.lamp, ambient=1.0, diffuse=0.0)
+    light = draw(shown.bodies(0), shown.camera[0], INTRINSICS, SIZE, lamp, shown.wood)
+    image = smoothed(develop(light, 0.7, 0.0, np.random.default_rng(0)))
+    for thing in shown.bodies(0):
+        pose, mesh = invert(shown.camera[0]) @ thing.pose, thing.shape.mesh
+        shape = shape_of(mesh.vertices, mesh.faces)
+        controls = controls_of(shape, pose, INTRINSICS, SIZE, LayerRenderer(shape).layer(pose, INTRINSICS, SIZE))
+        assert controls.limbs.any()
+        lines = lines_of(controls, pose[None], INTRINSICS, image.shape)
+        places = read_profiles(image, lines, controls.numbers[lines.rows], 4, 1.5).places[controls.limbs[lines.rows]]
+        nearest = places[np.arange(len(places)), np.abs(places).argmin(axis=1)]
+        near = nearest[np.abs(nearest) < 1.0]
+        assert len(near) > 0.8 * len(nearest)
+        assert abs(float(np.median(near))) < 0.05
+        assert float(np.std(near)) < 0.2
+
+
+def test_what_pybullet_has_is_put_on_the_table() -> None:
+    shown = film("figures", 3, 1)
+    for thing in shown.things:
+        corners = thing.shape.mesh.vertices @ thing.pose[:3, :3].T + thing.pose[:3, 3]
+        assert corners[:, 2].min() == pytest.approx(0.0, abs=1e-9)
+        assert max(np.ptp(thing.shape.mesh.vertices, axis=0)) in [pytest.approx(size) for size in FOUND.values()]

@@ -5,9 +5,17 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from hierax.nodes.tracking.generator import curved
 from hierax.nodes.tracking.math.geometry import Floats, exp_so3, invert, make_pose, rays
-from hierax.nodes.tracking.simworld.raster import cover, faces_towards, homography, visible_shares, window_of
-from hierax.nodes.tracking.simworld.shapes import Thing, angle_piece, box
+from hierax.nodes.tracking.simworld.raster import (
+    cover,
+    drawn_mesh,
+    faces_towards,
+    homography,
+    visible_shares,
+    window_of,
+)
+from hierax.nodes.tracking.simworld.shapes import Shape, Thing, angle_piece, box
 from hierax.nodes.tracking.simworld.world import camera_at
 
 SIZE = (160, 120)
@@ -75,3 +83,23 @@ def test_visible_shares_of_a_body_alone_behind_another_and_cut_off() -> None:
     cut = visible_shares([far], camera, INTRINSICS, (column, SIZE[1]))
     assert cut[0] == pytest.approx(met[:, :column].sum() / met.sum(), abs=0.03)
     assert visible_shares([], camera, INTRINSICS, SIZE).shape == (0,)
+
+
+@pytest.mark.parametrize("shape", [curved.mug(0.04, 0.09), curved.torus(0.04, 0.012), curved.ball(0.03)])
+def test_a_curved_body_is_drawn_where_rays_meet_its_mesh(shape: Shape) -> None:
+    thing, camera = Thing(place(0.02, 0.0, 0.04, 0.8), shape, (1, 2, 3)), camera_at(0.4)
+    drawn = thing.curved()
+    assert drawn is not None
+    found = drawn_mesh(*drawn, camera, INTRINSICS, SIZE, 1)
+    assert found is not None
+    (left, top, right, bottom), nearness, normals = found
+    mask = np.zeros((SIZE[1], SIZE[0]), bool)
+    mask[top:bottom, left:right] = nearness > 0
+    assert np.count_nonzero(mask != silhouette(thing, camera)) <= 2
+    np.testing.assert_allclose(np.linalg.norm(normals[nearness > 0], axis=1), 1.0, atol=1e-5)
+    to_camera = camera[:3, 3] - thing.pose[:3, 3]
+    assert (normals[nearness > 0] @ to_camera > -0.2 * np.linalg.norm(to_camera)).all(), "what is seen faces the camera"
+    assert visible_shares([thing], camera, INTRINSICS, SIZE) == pytest.approx([1.0])
+    behind = camera.copy()
+    behind[:3, :3] = behind[:3, :3] @ np.diag([1.0, -1.0, -1.0])
+    assert drawn_mesh(*drawn, behind, INTRINSICS, SIZE, 1) is None
