@@ -205,10 +205,10 @@ def bench_tracking(
     Raises:
         HieraxError: a scene cannot be read, or a node failed.
     """
-    tracked: dict[tuple[str, str], list[_Tracked]] = {}
+    tracked: dict[tuple[str, str], list[Tracked]] = {}
     for scene, way in product(scenes, ways):
         told(f"{scene.name}, seed {scene.seed}: {way}")
-        tracked.setdefault((scene.name, way), []).append(_track(scene, way, settings, folder))
+        tracked.setdefault((scene.name, way), []).append(track(scene, way, settings, folder))
     return [_row(name, way, of_scenes) for (name, way), of_scenes in tracked.items()]
 
 
@@ -258,21 +258,22 @@ def chosen(what: str, wanted: Sequence[str], known: Iterable[str]) -> list[str]:
     return [name for name in known if not wanted or name in wanted]
 
 
-class _Tracked(NamedTuple):
+class Tracked(NamedTuple):
     """One scene, tracked in one way."""
 
     errors: Sequence[ObjectErrors]  # of each object, as scoring gives them
     stage_ms: dict[str, float]  # as `_stages_ms` gives them
 
 
-def _track(scene: Scene, way: str, settings: Sequence[str], folder: Path) -> _Tracked:
+def track(scene: Scene, way: str, settings: Sequence[str], folder: Path) -> Tracked:
+    """Track a scene in one of the `WAYS`; arguments as for `bench_tracking`."""
     stem = f"{scene.name}-{scene.seed}-{way.replace(' ', '-').replace(',', '')}"
     poses, beliefs = folder / f"{stem}.poses.csv", folder / f"{stem}.beliefs.npz"
     changes = [f"scene={scene.folder}", f"table={str(scene.table).lower()}", f"output={poses}", *WAYS[way], *settings]
     truth = read_truth(scene.truth)
     stage_ms = _stages_ms(_telling(read_deployment(DEPLOYMENT, changes), beliefs))
     judge(beliefs, truth)
-    return _Tracked(object_errors(read_results(poses), truth, scene.name == IMPRECISE), stage_ms)
+    return Tracked(object_errors(read_results(poses), truth, scene.name == IMPRECISE), stage_ms)
 
 
 def _telling(deployment: Deployment, beliefs: Path) -> Deployment:
@@ -282,7 +283,7 @@ def _telling(deployment: Deployment, beliefs: Path) -> Deployment:
     return replace(deployment, probes=(*deployment.probes, probe), modules=modules)
 
 
-def _row(name: str, way: str, tracked: Sequence[_Tracked]) -> Row:
+def _row(name: str, way: str, tracked: Sequence[Tracked]) -> Row:
     stages = {stage: float(np.median([each.stage_ms[stage] for each in tracked])) for stage in tracked[0].stage_ms}
     hidden = [score(each.errors).hidden.shares[1] for each in tracked]
     return Row(name, way, score([item for each in tracked for item in each.errors]), stages, hidden)

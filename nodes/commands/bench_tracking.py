@@ -45,6 +45,9 @@ def tracking(
     ways: Annotated[
         str, typer.Option(metavar="NAMES", help="Ways of tracking, separated by semicolons; by default all.")
     ] = "",
+    start: Annotated[
+        str, typer.Option(metavar="given|search", help="search: no first poses are told; how many objects are found.")
+    ] = "given",
     speed: Annotated[bool, typer.Option("--speed", help="Time launches over Zenoh instead.")] = False,
     rounds: Annotated[int, typer.Option(min=1, help="How often each is launched, with --speed.")] = 3,
     keep: Annotated[
@@ -59,6 +62,8 @@ def tracking(
     from hierax.runtime.commands.show import print_json, show_progress
 
     as_json = output_format is Format.json
+    if start not in ("given", "search"):
+        raise HieraxError(f"--start is {start!r}; expected given or search")
     with ExitStack() as stack:
         folder = keep or Path(stack.enter_context(tempfile.TemporaryDirectory()))
         folder.mkdir(parents=True, exist_ok=True)
@@ -76,6 +81,8 @@ def tracking(
             scenes = bench.generated(by, chosen_kinds, seeds, frames, exact, folder, show_progress)
         else:
             scenes = [_given(scene, truth, table)]
+        if start == "search":
+            return _bench_starts(scenes, settings or (), folder, as_json)
         rows = bench.bench_tracking(scenes, chosen_ways, settings or (), folder, show_progress)
     gains = bench.gains(rows)
     if as_json:
@@ -84,6 +91,37 @@ def tracking(
         _print_rows(rows)
         _print_gains(gains)
     return 0
+
+
+def _bench_starts(scenes: Sequence[Scene], settings: Sequence[str], folder: Path, as_json: bool) -> int:
+    from hierax.nodes.benchmarks.first_poses import bench_starts
+    from hierax.runtime.commands.show import print_json, print_table, show_progress
+
+    found = bench_starts(scenes, settings, folder, show_progress)
+    if as_json:
+        print_json({"starts": [each.plain() for each in found]})
+        return 0
+    heads = ("seen by 0.6", "right", "given", "wrong", "ms an object", "gone after (never)", "found after (never)")
+    rows = [
+        (
+            each.name,
+            *(str(number) for number in (each.seen, each.right, each.given, each.wrong, round(each.object_ms))),
+            _after(each.gone),
+            _after(each.found),
+        )
+        for each in found
+    ]
+    print_table({"scene": {}, **dict.fromkeys(heads, _RIGHT)}, rows)
+    print(
+        "Objects in frame 30: seen by 0.6 of them or more, and right within 5 mm and 5°; poses given, and wrong by\n"
+        "more than 20 mm or 10°. After how many frames, in the mean, what was taken out is gone, what was put in right."
+    )
+    return 0
+
+
+def _after(frames: Sequence[int | None]) -> str:
+    known = [each for each in frames if each is not None]
+    return f"{sum(known) / max(1, len(known)):.1f} ({len(frames) - len(known)})" if frames else "–"
 
 
 def _names(text: str, separator: str) -> list[str]:

@@ -12,7 +12,7 @@ import numpy as np
 
 from hierax.nodes.tracking.display import arm_things
 from hierax.nodes.tracking.errors import check_between, check_positive
-from hierax.nodes.tracking.estimation.profiles import smoothed
+from hierax.nodes.tracking.estimation.profiles import Image, smoothed
 from hierax.nodes.tracking.estimation.tracked import (
     NO_CONTROLS,
     check_ids,
@@ -21,7 +21,7 @@ from hierax.nodes.tracking.estimation.tracked import (
     imagined,
     tracked_metrics,
 )
-from hierax.nodes.tracking.math.geometry import NO_POSES, Floats, exp_se3, invert, log_se3
+from hierax.nodes.tracking.math.geometry import NO_POSES, Array, Floats, exp_se3, invert, log_se3
 from hierax.nodes.tracking.schema import (
     EXPECTED,
     LOST,
@@ -33,9 +33,11 @@ from hierax.nodes.tracking.schema import (
     Picture,
     SeenCamera,
     SeenObject,
+    Sweep,
     TrackedObject,
 )
 from hierax.nodes.tracking.search.association import Estimate, Options, associate
+from hierax.nodes.tracking.search.missing import Sighting, look_for_missing
 from hierax.nodes.tracking.search.multistart import FALLING, held, in_turn
 from hierax.runtime import Node, Step, Value
 from hierax.runtime.core.showing import Things
@@ -127,6 +129,7 @@ class ArmNode(Node):
             "size": None,
             "frame": None,
             "objects": self._objects,
+            "sweeps": None,
         }
 
     def observe(self, observations: tuple[Picture, ...], belief: ArmBelief) -> ArmBelief:
@@ -152,7 +155,15 @@ class ArmNode(Node):
             for item in belief["objects"]
         )
         still = belief["reported"] is None or np.array_equal(belief["reported"], reported)
-        shift, objects = self._corrected(objects, seen, still)
+        sweeps = _moved(belief["sweeps"], moved)
+        image = smoothed(seen["image"])
+        searching = belief["sweeps"] is not None
+        present = tuple(item for item in objects if not (searching and _is_missing(item)))
+        shift, corrected = self._corrected(present, image, seen["intrinsics"], still)
+        after = {item["id"]: item for item in corrected}
+        objects = tuple(after.get(item["id"], item) for item in objects)
+        if sweeps is not None:
+            objects = self._searched(image, objects, sweeps, seen["intrinsics"], camera[2, :3])
         camera = camera @ invert(shift)
         drift = belief["drift"] @ exp_se3(_DRIFT_GAIN * log_se3(invert(reported @ belief["drift"]) @ camera))
         height, width = seen["image"].shape[:2]
@@ -164,6 +175,7 @@ class ArmNode(Node):
             "size": (width, height),
             "frame": seen["frame"],
             "objects": objects,
+            "sweeps": None,
         }
 
     def predict(self, context: tuple[Imagery, ...], actions: Nothing, belief: ArmBelief) -> ArmBelief:
@@ -183,7 +195,7 @@ class ArmNode(Node):
             imagined(item, expected[item["id"]], camera) if item["id"] in expected else _shapeless(item)
             for item in belief["objects"]
         )
-        return {**belief, "objects": objects}
+        return {**belief, "objects": objects, "sweeps": _moved(context[0]["sweeps"], invert(camera))}
 
     def metrics(self, belief: ArmBelief) -> Mapping[str, float]:
         """How many objects are tracked, and the mean score."""
@@ -194,12 +206,11 @@ class ArmNode(Node):
         return arm_things(step, before)
 
     def _corrected(
-        self, objects: tuple[TrackedObject, ...], seen: Picture, still: bool
+        self, objects: tuple[TrackedObject, ...], image: Image, intrinsics: Array, still: bool
     ) -> tuple[Floats, tuple[TrackedObject, ...]]:
         """What the camera's error does to all poses, and the objects after the image."""
         if not any(len(item["controls"]["points"]) for item in objects):
             return np.eye(4), objects
-        image = smoothed(seen["image"])
         camera = None if still else self._camera
         known: tuple[TrackedObject, ...] = objects
         if not self._prior:
@@ -207,13 +218,33 @@ class ArmNode(Node):
         motion = np.stack([self._motion(item) for item in objects])
         falling = np.stack([held(self._options.motion, item["support"], FALLING, 1.0) for item in known])
         options = self._options._replace(motion=motion, falling=falling)
-        found = associate(image, known, camera, np.asarray(seen["intrinsics"]), options)
+        found = associate(image, known, camera, np.asarray(intrinsics), options)
         if found is None:
             return np.eye(4), tuple(_sought(self._missed(item, item["pose"], None)) for item in objects)
         shift, estimates = found
         return shift, tuple(
             _sought(self._judged(item, shift @ item["pose"], estimate))
             for item, estimate in zip(objects, estimates, strict=True)
+        )
+
+    def _searched(
+        self,
+        image: Image,
+        objects: tuple[TrackedObject, ...],
+        sweeps: tuple[Sweep, ...],
+        intrinsics: Array,
+        upright: Floats,
+    ) -> tuple[TrackedObject, ...]:
+        """The objects after those that are missing were looked for."""
+        missing = {at: item["others"] for at, item in enumerate(objects) if _is_missing(item)}
+        if not missing:
+            return objects
+        found = look_for_missing(
+            image, objects, missing, sweeps, np.asarray(intrinsics), upright, self._options.error_px
+        )
+        return tuple(
+            _sighted(item, found[at], any(sweep["id"] == item["id"] for sweep in sweeps)) if at in found else item
+            for at, item in enumerate(objects)
         )
 
     def _motion(self, item: TrackedObject) -> Floats:
@@ -267,6 +298,38 @@ class ArmNode(Node):
             "guesses": NO_POSES if estimate is None else estimate.guesses,
             "covariance": item["covariance"] + motion_scale**2 * self._motion(item),
         }
+
+
+def _sighted(item: TrackedObject, sighting: Sighting, swept: bool) -> TrackedObject:
+    """An object after it was looked for; one that was found just now gives way to what explains its place better."""
+    if sighting.pose is None or sighting.covariance is None:
+        before = item["failed_searches"] if item["status"] == LOST else 0
+        missed: TrackedObject = {**item, "status": LOST, "score": 0.0}
+        return {**missed, "guesses": sighting.guesses, "failed_searches": before + swept}
+    return {
+        **item,
+        "pose": sighting.pose,
+        "before": sighting.pose,
+        "covariance": sighting.covariance,
+        "score": sighting.score,
+        "motion_scale": 1.0,
+        "trend": np.zeros(6),
+        "status": TRACKED,
+        "misses": 0,
+        "probation": _PROBATION,
+        "failed_searches": 0,
+        "guesses": sighting.guesses,
+    }
+
+
+def _moved(sweeps: tuple[Sweep, ...] | None, by: Floats) -> tuple[Sweep, ...] | None:
+    """Sweeps, seen from another frame."""
+    return sweeps and tuple({**sweep, "places": by @ sweep["places"]} for sweep in sweeps)
+
+
+def _is_missing(item: TrackedObject) -> bool:
+    """Whether nobody imagines where it is."""
+    return item["status"] == LOST and not len(item["controls"]["points"])
 
 
 def _shapeless(item: TrackedObject) -> TrackedObject:

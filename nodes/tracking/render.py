@@ -5,26 +5,31 @@ An image depends on the arguments alone, to the bit; what a renderer keeps from 
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from hierax.nodes.tracking.estimation.tracked import NO_CONTROLS
 from hierax.nodes.tracking.imagery.controls import controls_of
 from hierax.nodes.tracking.imagery.layers import Layer, LayerRenderer, Window, surrounding
 from hierax.nodes.tracking.imagery.occlusion import Placed, chances_seen
+from hierax.nodes.tracking.imagery.proposals import Proposer, places_seen, top_of
 from hierax.nodes.tracking.math.batched import only
-from hierax.nodes.tracking.math.geometry import Array, Floats, invert
-from hierax.nodes.tracking.model.controls import Controls
+from hierax.nodes.tracking.math.geometry import Array, Floats, invert, transform
+from hierax.nodes.tracking.model.controls import Controls, gathered
 from hierax.nodes.tracking.model.shapes import shape_of
 from hierax.nodes.tracking.schema import (
+    LOST,
+    TRACKED,
     Alternative,
     Body,
     ControlPoints,
     ExpectedObject,
     Imagery,
     SpatialBelief,
+    Sweep,
     looking_alike,
 )
 
@@ -150,6 +155,7 @@ class SegmentedDepth:
 
     def __init__(self, occlusion: bool = True) -> None:
         self._renderer = DepthRenderer()
+        self._proposers: dict[int, Proposer] = {}
         self._occlusion = occlusion
 
     def __call__(self, belief: SpatialBelief) -> tuple[Imagery, ...]:
@@ -167,8 +173,9 @@ class SegmentedDepth:
             return ()
         camera_from_world = invert(camera)
         items = [item_of(body, camera_from_world) for body in belief["bodies"]]
-        layers = self._renderer.layers(items, intrinsics, size)
-        controls = self._controls(items, belief["bodies"], layers, intrinsics, size)
+        missing = {body["id"] for body in belief["bodies"] if is_missing(body, belief)}
+        layers = self._renderer.layers([item for item in items if item.label not in missing], intrinsics, size)
+        controls = self._controls(items, belief["bodies"], missing, layers, intrinsics, size)
         others = self._others(belief["bodies"], items, layers, camera_from_world, intrinsics, size)
         window = surrounding([layer.window for layer in layers.values()])
         depth, labels = composed(layers, window)
@@ -181,13 +188,33 @@ class SegmentedDepth:
                 "corner": (window.left, window.top),
                 "size": size,
                 "poses": tuple(map(_expected, belief["bodies"], controls, others)),
+                "sweeps": self._sweeps(belief, camera, intrinsics, size),
             },
         )
+
+    def _sweeps(
+        self, belief: SpatialBelief, camera: Floats, intrinsics: Array, size: tuple[int, int]
+    ) -> tuple[Sweep, ...] | None:
+        """Where the bodies that are looked for everywhere may be: on the table, and on what stands there."""
+        if belief["sweeping"] is None:
+            return None
+        found: list[Sweep] = []
+        for body in belief["bodies"]:
+            if body["id"] in belief["sweeping"]:
+                renderer = self._renderer.renderer(item_of(body, camera))
+                proposer = self._proposers.get(body["id"])
+                if proposer is None or proposer.renderer is not renderer:
+                    proposer = self._proposers[body["id"]] = Proposer(renderer)
+                places = places_seen(camera, intrinsics, size, _tops(belief), len(proposer.resting), body["turn"])
+                templates = proposer.templates(camera, places, intrinsics) if len(places) else ()
+                found.append({"id": body["id"], "places": places, "templates": templates})
+        return tuple(found)
 
     def _controls(
         self,
         items: Sequence[Item],
         bodies: Sequence[Body],
+        missing: Collection[int],
         layers: Mapping[int, Layer],
         intrinsics: Array,
         size: tuple[int, int],
@@ -199,6 +226,8 @@ class SegmentedDepth:
         ]
         alone = [
             controls_of(self._renderer.renderer(item).shape, item.pose, intrinsics, size, layers.get(item.label))
+            if item.label not in missing
+            else gathered([NO_CONTROLS])
             for item in items
         ]
         chances = self._chances([controls.points for controls in alone], placed, intrinsics)
@@ -249,6 +278,22 @@ class SegmentedDepth:
             ]
             found.append(tuple(each))
         return found
+
+
+def is_missing(body: Body, belief: SpatialBelief) -> bool:
+    """Whether nobody knows where a body is: it carries nothing, hides nothing, and is looked for everywhere."""
+    return belief["sweeping"] is not None and body["status"] == LOST
+
+
+def _tops(belief: SpatialBelief) -> list[Floats]:
+    """The upper faces of what stands, and of what is missing where it may rather be than elsewhere, (k, 3) corners in
+    the world's frame."""
+    standing = [(body, body["pose"]) for body in belief["bodies"] if body["stands"] and body["status"] == TRACKED]
+    supposed = [
+        (body, body["guesses"][0]) for body in belief["bodies"] if body["status"] == LOST and len(body["guesses"])
+    ]
+    tops = [top_of(transform(pose, body["model"]["vertices"])) for body, pose in standing + supposed]
+    return [top for top in tops if len(top)]
 
 
 def _likely(controls: Controls, seen: Array) -> ControlPoints:

@@ -69,7 +69,7 @@ class FirstPose(TypedDict):
 
     id: int  # label in this scene, 1 to 255
     obj_id: int  # number of its model
-    pose: CameraFromObject  # camera_from_object in the first frame
+    pose: CameraFromObject | None  # camera_from_object in the first frame; None: it is looked for
 
 
 class FirstBody(FirstPose):
@@ -138,6 +138,15 @@ class ExpectedObject(MayLookAlike):
     others: tuple[Alternative, ...]  # poses that it may have besides
 
 
+class Sweep(TypedDict):
+    """Spatial to arm: poses all over what the camera sees that an object may have of which nothing is known."""
+
+    id: int
+    # world_from_place in the context, camera_from_place in the arm's belief, m
+    places: Annotated[Floats, Is(("n", 4, 4), "float64", "frames whose z points upwards, m")]
+    templates: tuple[Alternative, ...]  # poses that it may have at each place, place_from_object
+
+
 class Imagery(TypedDict):
     """Spatial to arm: the scene as it is expected to be seen (theory, example 3)."""
 
@@ -149,6 +158,7 @@ class Imagery(TypedDict):
     corner: tuple[int, int]  # left and top of that part in the whole image
     size: Size  # of the whole image
     poses: tuple[ExpectedObject, ...]
+    sweeps: tuple[Sweep, ...] | None  # of objects that are missing; None where none ever is
 
 
 class Looks(TypedDict):
@@ -207,6 +217,8 @@ class ArmBelief(TypedDict):
     size: Size | None
     frame: int | None  # the newest image's number
     objects: tuple[TrackedObject, ...]
+    # where some that are missing are looked for in the next image; None where none ever is
+    sweeps: tuple[Sweep, ...] | None
 
 
 class PaperObject(TypedDict):
@@ -305,7 +317,7 @@ class Body(TypedDict):
     stands: bool  # whether it lies on a face there
     known: bool  # whether it was ever tracked
     sought: bool  # sought, guesses: as the arm gave them
-    turn: int  # how often it was imagined elsewhere
+    turn: int  # how often it was imagined elsewhere, or looked for everywhere
     guesses: Annotated[Floats, Is(("n", 4, 4), "float64", "world_from_object, m")]
     # where it may be besides, the first ``kept`` of them the guesses
     others: Annotated[Floats, Is(("n", 4, 4), "float64", "world_from_object, m")]
@@ -323,6 +335,8 @@ class SpatialBelief(TypedDict):
     frame: int | None
     time_s: float | None  # of the last observation
     interval_s: float  # from the one before to it
+    # ids of missing bodies that are looked for everywhere in the next image; None: none is ever missing
+    sweeping: tuple[int, ...] | None
     bodies: tuple[Body, ...]
 
 

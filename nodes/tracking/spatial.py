@@ -25,7 +25,8 @@ from hierax.nodes.tracking.math.geometry import (
     log_so3,
     make_pose,
 )
-from hierax.nodes.tracking.schema import Body, FirstBody, Model, Nothing, SeenCamera, SeenObject, SpatialBelief
+from hierax.nodes.tracking.render import is_missing
+from hierax.nodes.tracking.schema import LOST, Body, FirstBody, Model, Nothing, SeenCamera, SeenObject, SpatialBelief
 from hierax.runtime import NO_TICK, Node, Step, Tick, Value
 from hierax.runtime.core.showing import Things
 
@@ -38,6 +39,10 @@ _ACCELERATION = np.array([10.0, 150.0])  # largest of a body that is believed: m
 
 # A mean displacement that makes a body at rest one that moves, and one that moves one at rest.
 _MOVES_SIGMAS, _STOPPED_SIGMAS = 4.0, 1.0
+
+# A body that was looked for everywhere so often is from then on in one image of every so many.
+_SWEPT_AT_ONCE, _SWEPT_EVERY = 6, 3
+_SWEPT_TOGETHER = 2  # that is done for so many in an image
 
 _FALLS = 0.6  # what sinks by this part of a free fall is not carried
 _UNSURE = 0.2  # standard deviation of how far one goes that is not seen, for every metre that it was on its way to go
@@ -67,6 +72,7 @@ class SpatialNode(Node):
         max_sigmas: how far physics may move a tracked body from where it goes by itself,
             in standard deviations of the arm's pose.
         friction: of the bodies.
+        search: whether a body that is lost is missing, and looked for everywhere on the table.
     """
 
     def __init__(
@@ -77,6 +83,7 @@ class SpatialNode(Node):
         damping: float = 0.1,
         max_sigmas: float = 3.0,
         friction: float = 0.5,
+        search: bool = False,
     ) -> None:
         check_between(0, 1, "a number", velocity_gain=velocity_gain)
         for name, number in (("damping", damping), ("max_sigmas", max_sigmas), ("friction", friction)):
@@ -84,6 +91,7 @@ class SpatialNode(Node):
                 raise ValueError(f"{name} is {number}; expected a finite number not below 0")
         self._bodies = tuple(_body(item) for item in objects)
         self._table = table
+        self._search = search
         self._velocity_gain = velocity_gain
         self._damping = damping
         self._max_sigmas = max_sigmas
@@ -102,6 +110,7 @@ class SpatialNode(Node):
             "frame": None,
             "time_s": None,
             "interval_s": DEFAULT_INTERVAL_S,
+            "sweeping": () if self._search else None,
             "bodies": self._bodies,
         }
 
@@ -128,7 +137,8 @@ class SpatialNode(Node):
 
     def predict(self, context: Nothing, actions: Nothing, belief: SpatialBelief) -> SpatialBelief:
         """γ: one frame interval of physics."""
-        bodies, interval_s = belief["bodies"], belief["interval_s"]
+        interval_s = belief["interval_s"]
+        bodies = [body for body in belief["bodies"] if not is_missing(body, belief)]
         coasting = [self._coasted(Motion(body["pose"], body["velocity"]), interval_s) for body in bodies]
         if not self._table:
             after = tuple(_at(body, to) for body, to in zip(bodies, coasting, strict=True))
@@ -139,7 +149,12 @@ class SpatialNode(Node):
             resting(_at(body, self._bounded(body, free, physical)), _is_carried(free, physical, interval_s))
             for body, free, physical in zip(bodies, coasting, settled, strict=True)
         )
-        return {**belief, "bodies": self._looked_for(after, interval_s)}
+        if not self._search:
+            return {**belief, "bodies": self._looked_for(after, interval_s)}
+        present = {body["id"]: body for body in self._looked_for(after, interval_s)}
+        sweeping = _swept_next(belief)
+        every = tuple(present.get(body["id"]) or _sought(body, sweeping) for body in belief["bodies"])
+        return {**belief, "bodies": every, "sweeping": sweeping}
 
     def metrics(self, belief: SpatialBelief) -> Mapping[str, float]:
         """How many bodies the arm tracks and has lost, and the fastest one's speed in mm/s."""
@@ -166,6 +181,9 @@ class SpatialNode(Node):
             "seen": None,
             "unseen": 0,
         }
+        if self._search and seen["status"] == LOST:
+            first = body["turn"] if body["status"] == LOST else 0
+            return {**heard, "velocity": np.zeros(6), "drift": np.zeros(6), "turn": first}
         if seen["status"] != "tracked":
             supposed = seen["pose"] if seen["status"] == "expected" else body["pose"]
             return {**_adrift(heard, body, interval_s), "pose": supposed}
@@ -229,11 +247,11 @@ def _body(item: FirstBody) -> Body:
     return {
         "id": item["id"],
         "obj_id": item["obj_id"],
-        "pose": np.asarray(item["pose"], dtype=np.float64),
+        "pose": np.eye(4) if item["pose"] is None else np.asarray(item["pose"], dtype=np.float64),
         "velocity": np.zeros(6),
         "drift": np.zeros(6),
         "covariance": UNSEEN,
-        "status": "expected",
+        "status": "expected" if item["pose"] is not None else LOST,
         "seen": None,
         "unseen": 0,
         "support": np.zeros(3),
@@ -247,6 +265,22 @@ def _body(item: FirstBody) -> Body:
         "model": model,
         "mass": DENSITY_KG_M3 * float(np.prod(np.ptp(vertices, axis=0))),
     }
+
+
+def _swept_next(belief: SpatialBelief) -> tuple[int, ...]:
+    """Which missing bodies are looked for everywhere in the next image, those for which that was done least.
+
+    Those that were not found are looked for now and then.
+    """
+    missing = sorted((body["turn"], body["id"]) for body in belief["bodies"] if is_missing(body, belief))
+    now = (belief["frame"] or 0) % _SWEPT_EVERY == 0
+    return tuple(number for turn, number in missing[:_SWEPT_TOGETHER] if turn < _SWEPT_AT_ONCE or now)
+
+
+def _sought(body: Body, sweeping: tuple[int, ...]) -> Body:
+    """A missing body for the next image, with the poses that the arm guesses."""
+    guesses = body["guesses"]
+    return {**body, "others": guesses, "kept": len(guesses), "turn": body["turn"] + (body["id"] in sweeping)}
 
 
 def _limited(change: Floats, most: Floats) -> Floats:

@@ -21,6 +21,7 @@ from hierax.nodes.tracking.simworld.world import SCENE, SimWorld, camera_at, fir
 from hierax.nodes.tracking.spatial import SpatialNode
 from hierax.runtime import NO_TICK, Tick, World
 
+GIVEN, SEARCH = "given", "search"  # whether first poses are told, or looked for
 _ARMS: dict[str, type[ArmNode] | type[PaperArmNode]] = {"robust": ArmNode, "paper": PaperArmNode}
 
 
@@ -58,6 +59,7 @@ def arm(
     method: str = "robust",
     prior: bool = True,
     model_tolerance_mm: float | None = None,
+    start: str = GIVEN,
     **options: Any,
 ) -> ArmNode | PaperArmNode:
     """The arm node with the objects' first poses and nothing of their shapes.
@@ -66,6 +68,8 @@ def arm(
         scene, cubes: as for `world`.
         method: how images correct poses: ``robust`` or, by line segments and solvePnP, ``paper``.
         prior, model_tolerance_mm: as for `ArmNode`, where the method has them.
+        start: ``given``: first poses are those of the simulated world or of the folder's first frame; ``search``: they
+            are looked for.
         options: further ones of `ArmNode` or `PaperArmNode`.
 
     Raises:
@@ -73,13 +77,22 @@ def arm(
     """
     if method not in _ARMS:
         raise ValueError(f"method is {method!r}; expected one of {', '.join(_ARMS)}")
+    if method != "robust" and start == SEARCH:
+        raise ValueError(
+            f"start is search, method {method}; expected the method robust with it: the other one needs poses"
+        )
     if method == "robust":
         options |= {"prior": prior, "model_tolerance_mm": model_tolerance_mm}
-    return _ARMS[method](_first_objects(scene, cubes)[0], **options)
+    return _ARMS[method](_first_objects(scene, cubes, start)[0], **options)
 
 
 def spatial(
-    scene: str | None = None, cubes: int = len(SCENE), table: bool | None = None, physics: bool = True, **options: Any
+    scene: str | None = None,
+    cubes: int = len(SCENE),
+    table: bool | None = None,
+    physics: bool = True,
+    start: str = GIVEN,
+    **options: Any,
 ) -> SpatialNode:
     """The spatial node with the objects' first poses and their models.
 
@@ -88,29 +101,43 @@ def spatial(
         table: whether the world's plane z = 0 carries the objects; None for yes in the
             simulated world, no in a scene folder, where nobody says which way is up.
         physics: false for constant velocities in any case, without gravity and contacts.
+        start: as for `arm`.
         options: further ones of `SpatialNode`.
+
+    Raises:
+        ValueError: objects are to be looked for without a table on which they could rest.
     """
-    objects, camera = _first_objects(scene, cubes)
+    carried = (scene is None if table is None else table) and physics
+    objects, camera = _first_objects(scene, cubes, start)
+    search = any(item["pose"] is None for item in objects)
+    if search and not carried:
+        raise ValueError("a first pose is not told; expected table=true with it: bodies are looked for as they rest")
     placed: list[FirstBody] = [
-        {**item, "pose": camera @ item["pose"], "model": model_of(mesh, symmetry)}
+        {**item, "pose": _seen_from(camera, item["pose"]), "model": model_of(mesh, symmetry)}
         for item, (mesh, symmetry) in zip(objects, _models(scene, objects), strict=True)
     ]
-    carried = scene is None if table is None else table
-    return SpatialNode(placed, table=carried and physics, **options)
+    return SpatialNode(placed, table=carried, search=search, **options)
 
 
-def _first_objects(scene: str | None, cubes: int) -> tuple[list[FirstPose], Floats]:
+def _first_objects(scene: str | None, cubes: int, start: str) -> tuple[list[FirstPose], Floats]:
     """``id``, ``obj_id`` and ``pose`` (camera_from_object) of all objects in the first frame; its world_from_camera."""
+    if start not in (GIVEN, SEARCH):
+        raise ValueError(f"start is {start!r}; expected {GIVEN} or {SEARCH}")
     if scene is not None:
         folder = BopScene(scene)
-        return [_first_pose(*item) for item in folder.first_objects()], folder.frames[0].camera
+        found = [_first_pose(*item) for item in folder.first_objects(poses=start == GIVEN)]
+        return found, folder.frames[0].camera
     camera = camera_at(0.0)
-    bodies = first_bodies(cubes)
-    return [_first_pose(body["id"], body["obj_id"], invert(camera) @ body["pose"]) for body in bodies], camera
+    poses = [(body["id"], body["obj_id"], invert(camera) @ body["pose"]) for body in first_bodies(cubes)]
+    return [_first_pose(number, obj_id, pose if start == GIVEN else None) for number, obj_id, pose in poses], camera
 
 
-def _first_pose(number: int, obj_id: int, pose: Floats) -> FirstPose:
+def _first_pose(number: int, obj_id: int, pose: Floats | None) -> FirstPose:
     return {"id": number, "obj_id": obj_id, "pose": pose}
+
+
+def _seen_from(camera: Floats, pose: Floats | None) -> Floats | None:
+    return None if pose is None else camera @ pose
 
 
 def _models(scene: str | None, objects: Sequence[FirstPose]) -> list[tuple[Mesh, Symmetry]]:

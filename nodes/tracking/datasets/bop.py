@@ -63,7 +63,7 @@ class SceneObject(NamedTuple):
 
     id: int  # label in this scene, from 1 in the file's order
     obj_id: int  # number of its model
-    pose: Floats  # camera_from_object in the first frame
+    pose: Floats | None  # camera_from_object in the first frame; None: it is not told
 
 
 class BopScene:
@@ -106,8 +106,11 @@ class BopScene:
             raise DataError(f"{path}: has {width}×{height} pixels; expected {expected}")
         return image
 
-    def first_objects(self) -> tuple[SceneObject, ...]:
+    def first_objects(self, poses: bool = True) -> tuple[SceneObject, ...]:
         """The objects of the first frame with their true poses there: the only truth that tracking starts from.
+
+        Args:
+            poses: false: they are not read, and every object's is None; as is one that is null in the file.
 
         Raises:
             DataError: ``scene_gt.json`` is missing or damaged.
@@ -119,7 +122,7 @@ class BopScene:
             raise DataError(f"{path}: frame {first}: expected a list of objects for the first frame")
         if len(entries) > MAX_OBJECTS:
             raise DataError(f"{path}: frame {first}: {len(entries)} objects; expected at most {MAX_OBJECTS}")
-        return tuple(_scene_object(path, first, at, entry) for at, entry in enumerate(entries))
+        return tuple(_scene_object(path, first, at, entry, poses) for at, entry in enumerate(entries))
 
     def model(self, obj_id: int) -> tuple[Mesh, Symmetry]:
         """A model, see `read_model`."""
@@ -402,6 +405,9 @@ def _frame(path: Path, key: str, entry: Any, image: Path) -> Frame:
     return Frame(int(key), image, intrinsics, camera)
 
 
-def _scene_object(path: Path, frame: str, at: int, entry: Any) -> SceneObject:
+def _scene_object(path: Path, frame: str, at: int, entry: Any, told: bool) -> SceneObject:
     where = f"{path}: frame {frame}, object {at}"
-    return SceneObject(at + 1, read_obj_id(where, entry), read_pose(where, entry, "cam_R_m2c", "cam_t_m2c"))
+    number = read_obj_id(where, entry)
+    if not told or ("pose" in entry and entry["pose"] is None):
+        return SceneObject(at + 1, number, None)
+    return SceneObject(at + 1, number, read_pose(where, entry, "cam_R_m2c", "cam_t_m2c"))

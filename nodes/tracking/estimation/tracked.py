@@ -52,9 +52,9 @@ def first_belief(item: FirstPose, covariance: Floats) -> TrackedObject:
         "pose": pose,
         "before": pose,
         "covariance": covariance,
-        "score": 1.0,
+        "score": float(item["pose"] is not None),
         "probation": 0,
-        "status": EXPECTED,
+        "status": EXPECTED if item["pose"] is not None else LOST,
         "misses": 0,
         "motion_scale": _FIRST_MOTION_SCALE,
         "trend": np.zeros(6),
@@ -71,11 +71,13 @@ def first_belief(item: FirstPose, covariance: Floats) -> TrackedObject:
 
 
 def first_pose(item: FirstPose) -> Floats:
-    """(4, 4) camera_from_object in the first frame.
+    """(4, 4) camera_from_object in the first frame; the camera's own where it is not known.
 
     Raises:
         ValueError: it is no 4 × 4 matrix of finite numbers.
     """
+    if item["pose"] is None:
+        return np.eye(4)
     pose = np.asarray(item["pose"], dtype=np.float64)
     if pose.shape != (4, 4) or not np.all(np.isfinite(pose)):
         raise ValueError(f"object {item['id']}: pose: expected a 4 × 4 matrix of finite numbers")

@@ -35,7 +35,7 @@ WIDE_BINS = (HIDDEN, (0.5, 0.9))
 _RIGHT_AGAIN = (5.0, 5.0)
 _LAST_FRAMES = 10
 _NEAR = (10.0, 5.0)
-_ASTRAY = (20.0, 10.0)
+ASTRAY = (20.0, 10.0)
 
 
 class ObjectErrors(NamedTuple):
@@ -171,7 +171,7 @@ def score(all_errors: Sequence[ObjectErrors]) -> Score:
     right = np.array([(distance <= mm) & (angle <= degrees) for mm, degrees in LIMITS])
     whole = np.ones(len(visible), bool)
     known = ~np.isnan(distance)
-    astray = known & ((distance > _ASTRAY[0]) | (angle > _ASTRAY[1]))
+    astray = known & ((distance > ASTRAY[0]) | (angle > ASTRAY[1]))
     return Score(
         objects=len(all_errors),
         frames=len(visible),

@@ -33,6 +33,9 @@ FOCAL_PX = 610.0
 INTRINSICS = np.array([FOCAL_PX, FOCAL_PX, 318.4, 241.2])
 
 IMPRECISE = "imprecise"  # the kind whose models lie beside the objects
+# Of the kind "taken": the first frame in which one is taken out, after how many the next one is, and for how many it is
+# away: so high over the table that it is behind the camera.
+_TAKEN_FROM, _TAKEN_EVERY, _TAKEN_FRAMES, _OUT_M = 40, 15, 20, 50.0
 _CANDIDATES = 40
 _FEW = 8  # of curved things, which take longer to be looked at
 _LOOKS = 6
@@ -195,6 +198,32 @@ def _pushed(rng: np.random.Generator, frames: int) -> Film:
     )
 
 
+def _taken(rng: np.random.Generator, frames: int) -> Film:
+    """Objects that are taken out, one after the other, and put in elsewhere a little later."""
+    shown = _still_life(
+        rng, frames, lambda: scattered(_items(rng)[:5], rng, 0.15, 0.02), _swing(rng, 40.0), _mostly_seen
+    )
+    poses = shown.poses.copy()
+    for number, frame in enumerate(range(_TAKEN_FROM, frames, _TAKEN_EVERY)):
+        at, back = number % len(shown.things), frame + _TAKEN_FRAMES
+        poses[frame:, at, 2, 3] = _OUT_M
+        if back < frames:
+            others = [
+                thing._replace(pose=pose)
+                for thing, pose in zip(shown.things, poses[back], strict=True)
+                if pose[2, 3] < _OUT_M / 2
+            ]
+            poses[back:, at] = _elsewhere(shown.things[at], others, rng)
+    return replace(shown, poses=poses)
+
+
+def _elsewhere(thing: Thing, others: Sequence[Thing], rng: np.random.Generator) -> Floats:
+    """A pose in which a thing finds room beside others, as it lay."""
+    item = Item(thing.shape, thing.pose[:3, :3], thing.colour)
+    placed = next(found for _ in range(_CANDIDATES) if (found := scattered([item], rng, 0.17, 0.015, others)))
+    return placed[0].pose
+
+
 def _items(rng: np.random.Generator) -> list[Item]:
     count = 5 + int(rng.integers(2))
     paints = colours(rng, count)
@@ -282,4 +311,5 @@ KINDS: dict[str, Callable[[np.random.Generator, int], Film]] = {
     "pushed": _pushed,
     "curved": _curved,
     "figures": _figures,
+    "taken": _taken,
 }

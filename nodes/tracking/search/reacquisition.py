@@ -181,7 +181,7 @@ def _chosen(
     after = found.copied()
     for at in sought:
         own = np.nonzero(candidates.owners == at)[0]
-        ranked = _different(fine.poses, own[np.argsort(-worth[own], kind="stable")])
+        ranked = different(fine.poses, own[np.argsort(-worth[own], kind="stable")])
         first = ranked[0]
         second = worth[ranked[1]] if len(ranked) > 1 else -np.inf
         after.sure[at] = worth[first] > max(second + _CLEARLY, 0.0)
@@ -197,7 +197,7 @@ def _chosen(
     return after
 
 
-def _different(poses: Floats, ranked: Indices) -> list[int]:
+def different(poses: Floats, ranked: Indices) -> list[int]:
     """Those of some poses, best first, that are apart from all better ones."""
     chosen: list[int] = []
     for number in ranked:

@@ -102,7 +102,7 @@ def test_context_is_the_scene_as_the_camera_sees_it() -> None:
     body = {"id": 5, "obj_id": 2, "pose": pose, "velocity": np.zeros(6), "covariance": np.eye(6), "status": "tracked"}
     body.update(support=np.zeros(3), stands=False, others=np.zeros((0, 4, 4)), kept=0)
     body["model"] = {"vertices": mesh.vertices, "faces": mesh.faces}
-    belief = {"camera": camera, "intrinsics": INTRINSICS, "size": SIZE, "frame": 3, "bodies": (body,)}
+    belief = {"camera": camera, "intrinsics": INTRINSICS, "size": SIZE, "frame": 3, "bodies": (body,), "sweeping": None}
     context = SegmentedDepth()
     assert context({**belief, "camera": None}) == ()
     (element,) = context(belief)

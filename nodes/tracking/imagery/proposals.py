@@ -1,0 +1,233 @@
+"""Where a body that nobody has seen yet may be: poses in which it can rest, at places all over the camera's view.
+
+Mental imagery proposes, the image decides. A place is a frame in the world, its z upwards and its x away from the
+camera; a template is a pose of the body there, with the control points that would be seen of it. What is seen of a body
+hardly depends on the place then, so that one template serves all places.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from itertools import combinations
+
+import cv2
+import numpy as np
+
+from hierax.nodes.tracking.imagery.controls import controls_of
+from hierax.nodes.tracking.imagery.layers import LayerRenderer
+from hierax.nodes.tracking.math.batched import only
+from hierax.nodes.tracking.math.geometry import (
+    Array,
+    Floats,
+    exp_so3,
+    invert,
+    looking_down,
+    make_pose,
+    rays,
+    transform,
+)
+from hierax.nodes.tracking.model.shapes import Shape
+from hierax.nodes.tracking.schema import Alternative
+
+STEP_PX = 11  # from place to place in the image
+YAWS = 24  # turns about the vertical
+POINTS = 40  # control points of a template
+_BUDGET = 400_000  # places times templates of a sweep at most; places are thinned out to that
+_MOST_FACES = 12  # on which a body may rest: the lowest ones
+_FARTHEST = 2.0  # places are no farther away than so many times what the camera looks at
+_CORNERS = 40  # of a convex hull; of larger ones those that are outermost in so many directions
+_FLAT = 0.004  # of a body's diameter: what is that near to a plane lies on it
+_LEVEL_M = 0.005  # corners no farther below the highest are those of the upper face
+_STEADY = 0.02  # and so far inside its foot a body's centre has to be
+_ALIKE = 0.01  # poses that differ by less than this share of the diameter at every corner look alike
+_SHRUNK = 2.0  # templates are drawn in an image that is smaller by this
+_PHASES = (0.7549, 0.5698)  # of a step, by which the places of one sweep are beside those of the one before
+_ELEVATION_RAD, _DISTANCE = np.radians(7.5), 1.15  # steps between the views that templates are made for
+
+
+class Proposer:
+    """Proposes poses of one body; the templates that it keeps are a cache.
+
+    Args:
+        renderer: of the body's shape.
+    """
+
+    def __init__(self, renderer: LayerRenderer) -> None:
+        self.renderer = renderer
+        self.resting = resting_poses(renderer.shape)
+        self._templates: dict[tuple[float, ...], tuple[Alternative, ...]] = {}
+
+    def templates(self, camera: Floats, places: Floats, intrinsics: Array) -> tuple[Alternative, ...]:
+        """The body's poses at a place (place_from_object), as the camera (world_from_camera) sees them there.
+
+        Args:
+            camera: (4, 4); places: (n, 4, 4) world_from_place; intrinsics: (4,) fx, fy, cx, cy in pixels.
+        """
+        away = camera[:3, 3] - places[:, :3, 3].mean(axis=0)
+        distance = float(np.linalg.norm(away))
+        elevation = round(float(np.arcsin(away[2] / distance)) / _ELEVATION_RAD)
+        key = (elevation, round(float(np.log(distance) / np.log(_DISTANCE))), *intrinsics.tolist())
+        if key not in self._templates:
+            view = looking_down(np.pi, key[0] * _ELEVATION_RAD, _DISTANCE ** key[1], np.zeros(3))
+            self._templates = dict(list(self._templates.items())[-3:])
+            self._templates[key] = tuple(self._template(pose, view, intrinsics) for pose in self.resting)
+        return self._templates[key]
+
+    def _template(self, pose: Floats, view: Floats, intrinsics: Array) -> Alternative:
+        size = (int(2.0 * intrinsics[2] / _SHRUNK) + 1, int(2.0 * intrinsics[3] / _SHRUNK) + 1)
+        seen, lens = invert(view) @ pose, intrinsics / _SHRUNK
+        renderer = self.renderer
+        layer = None if renderer.shape.convex else renderer.layer(seen, lens, size)
+        controls = controls_of(renderer.shape, seen, lens, size, layer)
+        thinned = slice(None, None, max(1, -(-len(controls.points) // POINTS)))
+        few = only(controls, np.arange(len(controls.points))[thinned])
+        return {"pose": pose, "controls": few.sent(few.visible.astype(np.float32)), "kept": False}
+
+
+def resting_poses(shape: Shape) -> list[Floats]:
+    """Poses (place_from_object) of a body that stands at a place, turned about the vertical; those that look alike
+    once."""
+    corners = _hull_corners(shape.vertices)
+    diameter = float(np.linalg.norm(np.ptp(corners, axis=0)))
+    kept: list[Floats] = []
+    seen = np.zeros((0, *corners.shape))
+    for down in stable_faces(corners, _centre(shape)):
+        upright = _turned_down(down)
+        low, high = (corners @ upright.T).min(axis=0), (corners @ upright.T).max(axis=0)
+        standing = make_pose(upright, -np.array([*(low + high)[:2] / 2.0, low[2]]))
+        for turn in np.arange(YAWS) * 2.0 * np.pi / YAWS:
+            pose = make_pose(exp_so3(np.array([0.0, 0.0, turn])), np.zeros(3)) @ standing
+            placed = transform(pose, corners)
+            apart = np.linalg.norm(seen[:, :, None] - placed[None, None], axis=-1).min(axis=1).max(axis=1)
+            if (apart > _ALIKE * diameter).all():
+                kept.append(pose)
+                seen = np.concatenate((seen, placed[None]))
+    return kept
+
+
+def stable_faces(corners: Floats, centre: Floats) -> list[Floats]:
+    """Unit vectors downwards, object's frame, at which a body rests on a face of its convex hull, the lowest first.
+
+    Args:
+        corners: (n, 3) the hull's; centre: (3,) of mass.
+    """
+    diameter = float(np.linalg.norm(np.ptp(corners, axis=0)))
+    trios = corners[np.array(list(combinations(range(len(corners)), 3)))]
+    normals = np.cross(trios[:, 1] - trios[:, 0], trios[:, 2] - trios[:, 0])
+    areas = np.linalg.norm(normals, axis=1)
+    flat = areas > 1e-4 * diameter**2
+    normals = normals[flat] / areas[flat, None]
+    heights = np.einsum("tk,nk->tn", normals, corners) - np.einsum("tk,tk->t", normals, trios[flat, 0])[:, None]
+    below, above = heights.max(axis=1) < 0.5 * _FLAT * diameter, heights.min(axis=1) > -0.5 * _FLAT * diameter
+    outward = np.concatenate((normals[below], -normals[above]))
+    faces: list[Floats] = []
+    for down in outward[np.argsort((outward @ corners.T).max(axis=1) - outward @ centre, kind="stable")]:
+        if any(float(down @ other) > 0.999 for other in faces) or len(faces) == _MOST_FACES:
+            continue
+        if _steadiness(corners, centre, down, _FLAT * diameter) > _STEADY * diameter:
+            faces.append(down)
+    return faces
+
+
+def places_on(
+    camera: Floats,
+    intrinsics: Array,
+    size: tuple[int, int],
+    height: float,
+    outline: Floats | None,
+    most: int,
+    turn: int = 0,
+) -> Floats:
+    """Places (n, 4, 4), world_from_place, on a level plane, evenly over what the camera sees of it.
+
+    Args:
+        camera: world_from_camera; intrinsics: (4,) fx, fy, cx, cy in pixels; size: of the image, (w, h).
+        height: of the plane, m; outline: (k, 2) the corners of the part of it that is meant, m; None for all of it.
+        most: places, about; turn: others give other places, between those.
+    """
+    step = max(STEP_PX, int(np.sqrt(size[0] * size[1] / max(most, 1))))
+    across, down = (
+        np.arange(step * ((share * turn) % 1.0), end, step) for share, end in zip(_PHASES, size, strict=True)
+    )
+    pixels = np.stack(np.meshgrid(across, down), axis=-1).reshape(-1, 2)
+    directions = rays(pixels, intrinsics) @ camera[:3, :3].T
+    drop = camera[2, 3] - height
+    middle = camera[2, 2]
+    below = directions[:, 2] < -1e-3
+    reach = np.where(below, drop / np.maximum(-directions[:, 2], 1e-3), np.inf)
+    farthest = _FARTHEST * drop / -middle if middle < -1e-3 else np.inf
+    points = (camera[:3, 3] + reach[:, None] * directions)[below & (reach > 0.0) & (reach < farthest)]
+    if outline is not None and len(points):
+        hull = cv2.convexHull(outline.astype(np.float32))
+        within = [cv2.pointPolygonTest(hull, (float(x), float(y)), False) >= 0 for x, y in points[:, :2]]
+        points = points[np.array(within)]
+    away = points[:, :2] - camera[:2, 3]
+    away /= np.maximum(np.linalg.norm(away, axis=1, keepdims=True), 1e-9)
+    places = np.tile(np.eye(4), (len(points), 1, 1))
+    places[:, :2, 0] = away
+    places[:, 0, 1], places[:, 1, 1] = -away[:, 1], away[:, 0]
+    places[:, :3, 3] = points
+    places[:, 2, 3] = height
+    return places
+
+
+def places_seen(
+    camera: Floats, intrinsics: Array, size: tuple[int, int], tops: Sequence[Floats], templates: int, turn: int = 0
+) -> Floats:
+    """Places (n, 4, 4) on the table and on what stands there.
+
+    Args:
+        camera, intrinsics, size: as for `places_on`; tops: of each body that carries things, (k, 3) the corners of its
+            upper face, world's frame; templates: how many poses are tried at each place; turn: as for `places_on`.
+    """
+    table = places_on(camera, intrinsics, size, 0.0, None, _BUDGET // max(templates, 1), turn)
+    above = [places_on(camera, intrinsics, size, float(top[:, 2].max()), top[:, :2], _BUDGET, turn) for top in tops]
+    return np.concatenate((table, *above))
+
+
+def top_of(corners: Floats) -> Floats:
+    """Those (k, 3) of a body's corners (n, 3), world's frame, that lie as high as the highest; none where they are no
+    face."""
+    top = corners[corners[:, 2] > corners[:, 2].max() - _LEVEL_M]
+    spread = np.ptp(top[:, :2], axis=0) if len(top) > 2 else np.zeros(2)
+    found: Floats = top if spread.min() > 0.01 else top[:0]
+    return found
+
+
+def _hull_corners(vertices: Floats) -> Floats:
+    """Corners (n, 3) of a convex hull, of one with many approximately."""
+    if len(vertices) <= _CORNERS:
+        return vertices
+    index = np.arange(_CORNERS)
+    height = 1.0 - (2.0 * index + 1.0) / _CORNERS
+    turn, radius = index * np.pi * (3.0 - np.sqrt(5.0)), np.sqrt(1.0 - height**2)
+    directions = np.stack((radius * np.cos(turn), radius * np.sin(turn), height))
+    outermost: Floats = vertices[np.unique((vertices @ directions).argmax(axis=0))]
+    return outermost
+
+
+def _centre(shape: Shape) -> Floats:
+    """The centre of what a closed surface holds; of other ones, of the bounding box."""
+    middle: Floats = 0.5 * (shape.low + shape.high)
+    if not shape.closed.all():
+        return middle
+    corners = shape.vertices[shape.faces] - middle
+    volumes = np.einsum("mk,mk->m", corners[:, 0], np.cross(corners[:, 1], corners[:, 2]))
+    middle += np.einsum("m,mk->k", volumes, corners.sum(axis=1)) / (4.0 * max(float(volumes.sum()), 1e-12))
+    return middle
+
+
+def _turned_down(down: Floats) -> Floats:
+    """(3, 3) a rotation that turns a unit vector downwards."""
+    other = np.eye(3)[np.abs(down).argmin()]
+    first = np.cross(other, -down)
+    first /= np.linalg.norm(first)
+    return np.stack((first, np.cross(-down, first), -down))
+
+
+def _steadiness(corners: Floats, centre: Floats, down: Floats, flat_m: float) -> float:
+    """How far inside its foot a body's centre is, m."""
+    turned, middle = corners @ _turned_down(down).T, _turned_down(down) @ centre
+    foot = turned[turned[:, 2] < turned[:, 2].min() + flat_m, :2] - middle[:2]
+    hull = cv2.convexHull((1000.0 * foot).astype(np.float32))
+    return float(cv2.pointPolygonTest(hull, (0.0, 0.0), True)) / 1000.0

@@ -1,0 +1,282 @@
+"""Objects of which nobody knows where they are: first poses, and those that were lost.
+
+In each image one of them is looked for everywhere (`sweep`); the poses that the image speaks for most are aligned, and
+go up as guesses. They come down for the next image with the control points that would be seen there, and are judged in
+nats. Of all missing objects those poses are chosen together that explain the image best without two being in one place;
+one is believed when any other choice for its object explains the image clearly less well.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping, Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from hierax.nodes.tracking.estimation.alignment import Aligned, Start, align
+from hierax.nodes.tracking.estimation.appearance import recalled
+from hierax.nodes.tracking.estimation.bending import slack_of
+from hierax.nodes.tracking.estimation.likelihood import explains, painted
+from hierax.nodes.tracking.estimation.profiles import Image
+from hierax.nodes.tracking.estimation.stages import Search
+from hierax.nodes.tracking.imagery.controls import POINTS_MAX
+from hierax.nodes.tracking.math.batched import inverse, invert_many, log_many, only, pixels_of
+from hierax.nodes.tracking.math.geometry import NO_POSES, Array, Floats, transform
+from hierax.nodes.tracking.model.controls import gathered
+from hierax.nodes.tracking.schema import TRACKED, Alternative, ControlPoints, Looks, Sweep, TrackedObject
+from hierax.nodes.tracking.search.multistart import FINE, LEAST_FOUND, ROUGH, ROUGH_POINTS, held, squared
+from hierax.nodes.tracking.search.reacquisition import different
+from hierax.nodes.tracking.search.sweep import Maps, maps_of, swept
+
+_FRESH, _OLD = 4, 3  # guesses of a sweep, and of those that were judged, that go up
+# By so much a pose has to explain the image better than clutter does: of the tens of thousands that were tried (e to
+# the 11th) it is then right with odds of 20 to 1 at least, of 3000 to 1 where fewer of its control points are found.
+_LEAST_NATS, _SURE_NATS = 14.0, 19.0
+_SURE_SCORE = 0.75
+_CLEARLY = 2.5  # and by so much better than any other choice, nats
+_SWEEPS = 2  # so often all that are missing have to be looked for before one is believed
+_LEAST_SCORE = 0.6
+_ALIKE_M = 0.004  # poses whose outlines are no farther apart than that in the mean look alike
+_RIVALS = 8  # so many missing objects are chosen for together at most
+_INSIDE = 0.2  # of a body's box: more of it in another's cannot be
+# Poses of which so many edges are those of another are of the same thing: so near, and about parallel.
+_CLAIMED, _CLAIM_PX, _PARALLEL = 0.35, 4.0, 0.9
+_SAMPLES = np.stack(np.meshgrid(*[np.linspace(-0.45, 0.45, 6)] * 3), axis=-1).reshape(-1, 3)
+
+# How far a pose in which a body rests may be off (standard deviations), and of that upwards, and about level axes: by
+# the camera's error.
+_OFF = np.diag([0.012**2] * 3 + [0.12**2] * 3)
+_UPWARDS, _TILTING = 0.25, 0.15
+
+
+class Sighting(NamedTuple):
+    """What an image says of a missing object, or of one that was found just now."""
+
+    guesses: Floats  # (n, 4, 4) camera_from_object where it may be
+    pose: Floats | None = None  # camera_from_object where it is; None: that is not known
+    covariance: Floats | None = None  # (6, 6)
+    score: float = 0.0
+
+
+class _Judged(NamedTuple):
+    """Poses of missing objects, aligned."""
+
+    owners: Array  # (n,) whose
+    fine: Aligned
+    worth: Floats  # (n,) nats
+    covariance: Floats  # (n, 6, 6)
+    boxes: Floats  # (n, 2, 3) low and high corner in the object's frame
+    edges: list[Floats]  # of each, (k, 4) pixels and normals of those edges that the image shows
+
+
+def look_for_missing(
+    image: Image,
+    objects: Sequence[TrackedObject],
+    missing: Mapping[int, Sequence[Alternative]],
+    sweeps: Sequence[Sweep],
+    intrinsics: Array,
+    upright: Floats,
+    error_px: float,
+) -> dict[int, Sighting]:
+    """What an image says of the missing objects, by their index; nothing of those that it was not looked for.
+
+    Args:
+        image: of `hierax.nodes.tracking.estimation.profiles.smoothed`.
+        objects: all of them, those that are seen where this image has them.
+        missing: by the index of those that are missing, what would be seen of them where they may be.
+        sweeps: of some that are missing; intrinsics: (4,) fx, fy, cx, cy in pixels.
+        upright: (3,) unit vector upwards, camera's frame; error_px: standard deviation of a control point.
+    """
+    search = _Search(image, intrinsics, upright, error_px)
+    recent = [at for at, item in enumerate(objects) if item["status"] == TRACKED and item["probation"]]
+    here: list[Alternative] = [
+        {"pose": objects[at]["pose"], "controls": objects[at]["controls"], "kept": True} for at in recent
+    ]
+    shown = {**missing, **{at: [each] for at, each in zip(recent, here, strict=True)}}
+    judged = _judged(search, objects, shown) if any(missing.values()) else None
+    found = _decided(judged, objects, list(missing), recent) if judged is not None else {}
+    places = {objects[at]["id"]: at for at in missing}
+    maps = _maps(search, objects) if sweeps else None
+    for sweep in sweeps:
+        at = places[sweep["id"]]
+        known = found.get(at, Sighting(NO_POSES))
+        if known.pose is None and maps is not None:
+            found[at] = Sighting(np.concatenate((known.guesses, _fresh(search, maps, objects[at]["slots"], sweep))))
+    return found
+
+
+class _Search(NamedTuple):
+    image: Image
+    intrinsics: Array
+    upright: Floats
+    error_px: float
+
+    def aligned(
+        self, controls: Sequence[ControlPoints], looks: list[Looks], poses: Floats, how: Search, most: int
+    ) -> tuple[Aligned, Floats, Floats] | None:
+        """Poses (n, 4, 4), each with its control points and what is remembered of its object, aligned to the image;
+        how unlikely that is (n,), nats, and the covariances (n, 6, 6)."""
+        every = gathered(controls)
+        places = every.rows_of(range(len(controls)), most)
+        chosen = every.of(places)
+        memory = recalled(looks, every, self.image.shape[2])._replace(slack=slack_of(looks, every))
+        supports = poses[:, :3, :3].transpose(0, 2, 1) @ self.upright
+        information = inverse(np.stack([held(_OFF, support, _UPWARDS, _TILTING) for support in supports]))
+        rows = only(memory, np.concatenate(places))
+        how = how._replace(noise_px=self.error_px)
+        found = align(self.image, chosen, Start(poses, information), self.intrinsics, rows, how)
+        if found is None:
+            return None
+        away = log_many(invert_many(poses) @ found.poses)
+        return found, 0.5 * squared(away, information), inverse(information + found.blocks[:, 6:, 6:])
+
+
+def _judged(
+    search: _Search, objects: Sequence[TrackedObject], missing: Mapping[int, Sequence[Alternative]]
+) -> _Judged | None:
+    """The guesses of the missing objects, each aligned with what would be seen of it."""
+    rows = [(at, other) for at, others in missing.items() for other in others if len(other["controls"]["points"])]
+    if not rows:
+        return None
+    controls = [other["controls"] for _, other in rows]
+    looks = [objects[at]["slots"] for at, _ in rows]
+    found = search.aligned(controls, looks, np.stack([other["pose"] for _, other in rows]), FINE, POINTS_MAX)
+    if found is None:
+        return None
+    fine, unlikely, covariance = found
+    worth = explains(fine) + painted(fine) - unlikely
+    boxes = np.stack([_box(each) for each in controls])
+    lines = np.concatenate((fine.stage.lines.pixels, fine.stage.lines.normals), axis=1)
+    owners = fine.stage.controls.owners
+    edges = [lines[(owners == row) & fine.supported] for row in range(len(rows))]
+    return _Judged(np.array([at for at, _ in rows]), fine, worth, covariance, boxes, edges)
+
+
+def _decided(
+    judged: _Judged, objects: Sequence[TrackedObject], missing: Sequence[int], recent: Sequence[int]
+) -> dict[int, Sighting]:
+    """What is believed of the missing objects, and of those that were found just now: these give way."""
+    fine, worth = judged.fine, judged.worth
+    staying = [_placed(item) for at, item in enumerate(objects) if item["status"] == TRACKED and at not in recent]
+    free = [
+        not any(_is_in(fine.poses[row], judged.boxes[row], pose, box) for pose, box in filter(None, staying))
+        for row in range(len(worth))
+    ]
+    possible = np.array(free) & (fine.scores >= _LEAST_SCORE) & (fine.shown >= LEAST_FOUND)
+    ranked: dict[int, list[int]] = {}
+    for at in missing:
+        own = np.nonzero((judged.owners == at) & possible)[0]
+        ranked[at] = different(fine.poses, own[np.argsort(-worth[own], kind="stable")])[: _OLD + 1]
+    first = sorted(missing, key=lambda at: -max(worth[ranked[at]], default=-np.inf))[:_RIVALS]
+    least = np.where(fine.scores > _SURE_SCORE, _LEAST_NATS, _SURE_NATS)
+    options = {at: np.nonzero(judged.owners == at)[0].tolist() for at in recent}
+    options |= {at: [row for row in ranked[at] if worth[row] > least[row]] for at in first}
+    together = _Together(
+        options, np.maximum(worth, 1.0), _conflicts(judged, [row for rows in options.values() for row in rows])
+    )
+    best, chosen = together.best(())
+    ready = all(objects[at]["failed_searches"] >= _SWEEPS for at in missing)
+    found = {at: Sighting(NO_POSES) for at in recent if options[at] and at not in chosen and ready}
+    for at in missing:
+        row = chosen.get(at)
+        sure = row is not None and ready and best - together.best(_alike(judged, row, options[at]))[0] > _CLEARLY
+        kept = [other for other in ranked[at] if other != row or not sure][:_OLD]
+        guesses = np.stack([fine.poses[other] for other in kept]) if kept else NO_POSES
+        found[at] = Sighting(guesses)
+        if row is not None and sure:
+            found[at] = Sighting(guesses, fine.poses[row], judged.covariance[row], float(fine.scores[row]))
+    return found
+
+
+def _placed(item: TrackedObject) -> tuple[Floats, Floats] | None:
+    """Where an object is, and its box; None of one of which nothing is to be seen."""
+    return (item["pose"], _box(item["controls"])) if len(item["controls"]["points"]) else None
+
+
+class _Together(NamedTuple):
+    """Poses that several objects may have."""
+
+    options: Mapping[int, list[int]]  # of each, the rows of its poses
+    worth: Floats  # of each row, nats
+    conflicts: set[tuple[int, int]]  # rows that cannot both be
+
+    def best(self, without: Collection[int]) -> tuple[float, dict[int, int]]:
+        """The most that one choice for each object, or none, is worth, and that choice, some rows left out."""
+        partial: list[tuple[float, dict[int, int]]] = [(0.0, {})]
+        for at, rows in self.options.items():
+            partial += [
+                (value + float(self.worth[row]), {**chosen, at: row})
+                for value, chosen in partial
+                for row in rows
+                if row not in without and not any((row, other) in self.conflicts for other in chosen.values())
+            ]
+        return max(partial, key=lambda each: each[0])
+
+
+def _alike(judged: _Judged, row: int, rows: Sequence[int]) -> list[int]:
+    """Those rows of an object that put it at the same place with the same outlines, about, whichever side is where."""
+    controls = judged.fine.stage.controls
+
+    def outlines(number: int) -> Floats:
+        return transform(judged.fine.poses[number], controls.points[controls.owners == number])
+
+    own = outlines(row)
+    apart = {other: np.linalg.norm(own[:, None] - outlines(other)[None], axis=-1) for other in rows}
+    return [other for other, away in apart.items() if max(away.min(axis=0).mean(), away.min(axis=1).mean()) < _ALIKE_M]
+
+
+def _conflicts(judged: _Judged, rows: Sequence[int]) -> set[tuple[int, int]]:
+    """Rows of different objects of which one is in the other, or has its edges where the other has them."""
+    found = set()
+    for one in rows:
+        for other in rows:
+            if judged.owners[one] != judged.owners[other]:
+                poses, boxes = judged.fine.poses, judged.boxes
+                inside = _is_in(poses[one], boxes[one], poses[other], boxes[other])
+                if inside or _is_claimed(judged.edges[one], judged.edges[other]):
+                    found |= {(one, other), (other, one)}
+    return found
+
+
+def _is_claimed(edges: Floats, others: Floats) -> bool:
+    """Whether too many of a pose's edges in the image, (n, 4) pixels and normals, are another's, too."""
+    if not len(edges) or not len(others):
+        return False
+    near = np.linalg.norm(edges[:, None, :2] - others[None, :, :2], axis=-1) < _CLAIM_PX
+    parallel = np.abs(edges[:, 2:] @ others[:, 2:].T) > _PARALLEL
+    return bool((near & parallel).any(axis=1).mean() > _CLAIMED)
+
+
+def _is_in(pose: Floats, box: Floats, other: Floats, around: Floats) -> bool:
+    """Whether more of a box than bodies can share is inside of another one."""
+    points = box.mean(axis=0) + _SAMPLES * np.ptp(box, axis=0)
+    relative = np.linalg.inv(other) @ pose
+    inside = points @ relative[:3, :3].T + relative[:3, 3]
+    return bool(((inside > around[0]) & (inside < around[1])).all(axis=1).mean() > _INSIDE)
+
+
+def _box(controls: ControlPoints) -> Floats:
+    points = controls["points"]
+    corners: Floats = np.array([points.min(axis=0), points.max(axis=0)])
+    return corners
+
+
+def _maps(search: _Search, objects: Sequence[TrackedObject]) -> Maps:
+    seen = [item for item in objects if item["status"] == TRACKED and len(item["controls"]["points"])]
+    outlines = [pixels_of(transform(item["pose"], item["controls"]["points"]), search.intrinsics) for item in seen]
+    return maps_of(search.image, outlines)
+
+
+def _fresh(search: _Search, maps: Maps, looks: Looks, sweep: Sweep) -> Floats:
+    """(n, 4, 4) the poses of a sweep that explain the image best."""
+    if not len(sweep["places"]):
+        return NO_POSES
+    proposed = swept(maps, sweep, search.intrinsics)
+    controls = [sweep["templates"][number]["controls"] for number in proposed.templates]
+    found = search.aligned(controls, [looks] * len(controls), proposed.poses, ROUGH, ROUGH_POINTS)
+    if found is None:
+        return NO_POSES
+    rough, unlikely, _ = found
+    worth = explains(rough) - unlikely
+    best = different(rough.poses, np.argsort(-worth, kind="stable"))[:_FRESH]
+    return np.asarray(rough.poses[best])

@@ -1,0 +1,94 @@
+"""Poses in which bodies can rest, and places all over what a camera sees of a plane."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from hierax.nodes.tracking.imagery.layers import LayerRenderer
+from hierax.nodes.tracking.imagery.proposals import (
+    YAWS,
+    Proposer,
+    places_on,
+    places_seen,
+    resting_poses,
+    stable_faces,
+    top_of,
+)
+from hierax.nodes.tracking.math.geometry import invert, looking_down, project, transform
+from hierax.nodes.tracking.model.mesh import box_mesh
+from hierax.nodes.tracking.model.shapes import shape_of
+
+CAMERA = looking_down(0.3, np.radians(40.0), 0.6, np.zeros(3))
+INTRINSICS, SIZE = np.array([300.0, 300.0, 159.5, 119.5]), (320, 240)
+
+
+@pytest.mark.parametrize(
+    ("size", "faces"), [((0.04, 0.06, 0.09), 3), ((0.05, 0.05, 0.05), 0.5), ((0.04, 0.07, 0.07), 2)]
+)
+def test_a_box_rests_on_its_faces_and_what_looks_alike_is_proposed_once(
+    size: tuple[float, float, float], faces: float
+) -> None:
+    mesh = box_mesh(size)
+    shape = shape_of(mesh.vertices, mesh.faces)
+    down = stable_faces(shape.vertices, np.zeros(3))
+    assert len(down) == 6
+    assert sorted(np.abs(each).argmax() for each in down) == [0, 0, 1, 1, 2, 2]
+    poses = resting_poses(shape)
+    lowest = [transform(pose, shape.vertices)[:, 2].min() for pose in poses]
+    assert lowest == pytest.approx([0.0] * len(poses), abs=1e-9)
+    square = sorted(size)
+    if square[0] == square[2]:
+        assert len(poses) == YAWS // 4
+    elif square[1] == square[2]:
+        assert len(poses) == YAWS // 2 + YAWS // 4
+    else:
+        assert len(poses) == faces * YAWS // 2
+
+
+def test_a_body_does_not_rest_where_its_centre_is_beside_its_foot() -> None:
+    corners = box_mesh((0.02, 0.02, 0.02)).vertices
+    leaning = corners + np.array([0.04, 0.0, 0.0]) * (corners[:, 2:] > 0.0)
+    for down in stable_faces(leaning, leaning.mean(axis=0)):
+        assert abs(down[2]) < 0.9
+
+
+def test_places_are_what_the_camera_sees_of_a_plane() -> None:
+    places = places_on(CAMERA, INTRINSICS, SIZE, 0.05, None, 10_000)
+    assert len(places) > 400
+    assert places[:, 2, 3] == pytest.approx(0.05)
+    pixels = project(transform(invert(CAMERA), places[:, :3, 3]), INTRINSICS)
+    assert pixels.min() > -1.0
+    assert (pixels < np.array(SIZE)).all()
+    away = places[:, :2, 3] - CAMERA[:2, 3]
+    assert (np.einsum("nk,nk->n", away, places[:, :2, 0]) > 0.0).all()
+    square = 0.05 * np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]])
+    few = places_on(CAMERA, INTRINSICS, SIZE, 0.05, square, 10_000)
+    assert 0 < len(few) < len(places) / 4
+    assert np.abs(few[:, :2, 3]).max() <= 0.05
+    other = places_on(CAMERA, INTRINSICS, SIZE, 0.05, None, 10_000, turn=1)
+    assert np.linalg.norm(other[:, None, :3, 3] - places[None, :, :3, 3], axis=-1).min() > 1e-4
+
+
+def test_the_budget_thins_places_out_and_tops_of_bodies_are_places() -> None:
+    many = places_seen(CAMERA, INTRINSICS, SIZE, [], 1)
+    assert len(places_seen(CAMERA, INTRINSICS, SIZE, [], 4000)) < len(many) / 3
+    top = top_of(box_mesh((0.06, 0.06, 0.04)).vertices + np.array([0.0, 0.0, 0.02]))
+    assert len(top) == 4
+    above = places_seen(CAMERA, INTRINSICS, SIZE, [top], 1)
+    assert len(above) > len(many)
+    assert above[len(many) :, 2, 3] == pytest.approx(0.04)
+    assert not len(top_of(np.array([[0.0, 0.0, 1.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])))
+
+
+def test_templates_are_kept_for_views_that_are_about_the_same() -> None:
+    mesh = box_mesh((0.04, 0.06, 0.09))
+    proposer = Proposer(LayerRenderer(shape_of(mesh.vertices, mesh.faces)))
+    places = places_on(CAMERA, INTRINSICS, SIZE, 0.0, None, 100)
+    templates = proposer.templates(CAMERA, places, INTRINSICS)
+    assert len(templates) == 3 * YAWS // 2
+    assert all(len(each["controls"]["points"]) > 5 for each in templates)
+    assert proposer.templates(looking_down(0.3, np.radians(40.0), 0.6001, np.zeros(3)), places, INTRINSICS) is templates
+    assert (
+        proposer.templates(looking_down(0.3, np.radians(60.0), 0.6, np.zeros(3)), places, INTRINSICS) is not templates
+    )
