@@ -3,15 +3,13 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from hashlib import blake2b
 from typing import NamedTuple
 
 from hierax.runtime.core.elements import Elements, Value
 from hierax.runtime.core.probe import Step
 from hierax.runtime.core.process import ActiveNode
 from hierax.runtime.engine.table import Verdict
-from hierax.schemas.messages import DIGEST_BYTES, Header, Message
-from hierax.schemas.values import encode_value
+from hierax.schemas.messages import Header, Message
 
 
 class Called(NamedTuple):
@@ -29,11 +27,6 @@ class Called(NamedTuple):
     subject: str
     operator: str
     result: Value
-
-    @property
-    def hash(self) -> bytes:
-        """BLAKE2b-256 over the result's encoding; taken when asked for, as it costs more than the event."""
-        return blake2b(encode_value(self.result), digest_size=DIGEST_BYTES).digest()
 
 
 class Completed(NamedTuple):

@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
+from typing import get_args
 
 import pytest
-from support.golden import FOLDER, decoded, encoded, plain
+from support.golden import CONTROL, FOLDER, decoded, encoded, plain
 
+from hierax.schemas.control import Control, decode_control, encode_control
 from hierax.schemas.messages import Message, encode_message
 from hierax.schemas.values import encode_value
 
@@ -34,3 +36,12 @@ def test_a_golden_file_is_encoded_to_the_same_bytes(path: Path) -> None:
 @pytest.mark.parametrize("path", FILES, ids=lambda path: path.stem)
 def test_its_source_is_encoded_to_the_same_bytes(path: Path) -> None:
     assert encoded()[path.name] == path.read_bytes()
+
+
+def test_control_messages_are_encoded_to_the_same_bytes_one_by_one() -> None:
+    assert {type(word) for word in CONTROL} == set(get_args(Control))
+    written = (FOLDER / "value-control.msgpack").read_bytes()
+    words = [encode_control(word) for word in CONTROL]
+    assert written.endswith(b"".join(words))
+    assert len(written) - len(b"".join(words)) == 3, "the head of an array of more than 15"
+    assert [encode_control(decode_control(data)) for data in words] == words

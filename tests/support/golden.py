@@ -11,6 +11,26 @@ from typing import Any
 
 import numpy as np
 
+from hierax.schemas.control import (
+    AskStatus,
+    Census,
+    Control,
+    Dismiss,
+    Failed,
+    Fetch,
+    HandOver,
+    Join,
+    Lost,
+    Prepare,
+    Propose,
+    Ready,
+    Resend,
+    State,
+    Status,
+    Taken,
+    TakeOver,
+    Unchanged,
+)
 from hierax.schemas.messages import CONTEXT, HELLO, OBSERVATIONS, TASKS, Header, Message, decode_message, encode_message
 from hierax.schemas.roster import Reference, Roster, RosterEdge
 from hierax.schemas.values import decode_value, encode_value
@@ -75,7 +95,29 @@ MESSAGES = {
     "hello": Message(Header(HELLO, "arm", "spatial", 0, instance=2), ()),
 }
 
+CONTROL: tuple[Control, ...] = (
+    Prepare(_ROSTER.plain(), ("arm",), ("arm",)),
+    Unchanged(3, 2),
+    HandOver(3, 217, 1),
+    TakeOver(3, 217, 1, b"\x00state"),
+    AskStatus(5),
+    Resend(218, 0, ("arm", "spatial")),
+    Dismiss("another process runs it", again=True),
+    Join("arm", "b7e1", "", 217, True, "", 3, 1),
+    Ready("arm", "b7e1", 3, "no such class ü"),
+    State("arm", 3, b"\x00state"),
+    Taken("arm", 3, ""),
+    Fetch("arm", "b7e1", 3),
+    Status("arm", 5, 218, 0, (("world", OBSERVATIONS), ("spatial", CONTEXT)), "observe of arm", 3),
+    Failed("arm", "b7e1", 3, "arm", "observe in epoch 218: out of luck"),
+    Lost("arm", "b7e1", True),
+    Census({"arm": "b7e1", "world": "c001"}),
+    Propose("q1", {"change": "detach", "name": "arm"}, {"arm": "detach"}, {"arm": 1.5}, ("arm",)),
+)
+"""One of each kind."""
+
 VALUES = {
+    "control": tuple((type(word).__name__, *word) for word in CONTROL),
     "state": ({"pose": np.eye(4), "lost": False}, "follow", (0.5, {"grip": np.array([1, 0], bool)})),
     "large-in-place": {"image": (np.arange(200 * 100) % 251).astype(np.uint8).reshape(200, 100)},
     "roster-content": _ROSTER.content(),

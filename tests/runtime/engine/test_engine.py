@@ -212,9 +212,3 @@ def test_who_waits_says_for_whom() -> None:
     solo.take(message(OBSERVATIONS), message(TASKS), other(CONTEXT))
     assert solo.engine.waits_for == (("top", CONTEXT), ("top2", TASKS))
     assert world("mid").engine.waits_for == ()
-
-
-def test_an_event_hashes_its_result() -> None:
-    call = Called(1, 0, "a", "observe", {"x": 1.0})
-    assert call.hash == Called(2, 0, "b", "predict", {"x": 1.0}).hash
-    assert call.hash != call._replace(result={"x": 1.0000000000000002}).hash
