@@ -16,6 +16,7 @@ import numpy as np
 from hierax.nodes.tracking.datasets.bop import read_results
 from hierax.nodes.tracking.datasets.truth import read_truth
 from hierax.nodes.tracking.evaluation.beliefs import judge
+from hierax.nodes.tracking.evaluation.calibration import Calibration, calibration
 from hierax.nodes.tracking.evaluation.scoring import ObjectErrors, Score, object_errors, score
 from hierax.nodes.tracking.generator.kinds import IMPRECISE, KINDS
 from hierax.nodes.tracking.generator.scenes import write_scene
@@ -212,6 +213,15 @@ def bench_tracking(
     return [_row(name, way, of_scenes) for (name, way), of_scenes in tracked.items()]
 
 
+def certainty(scenes: Sequence[Scene], ways: Sequence[str], folder: Path) -> Calibration | None:
+    """How true is what the arm said of its certainty, with all; None where that was not tracked.
+
+    Where a model lies in its object cannot be said when it is imprecise: such scenes say nothing of it.
+    """
+    files = [folder / f"{_stem(scene, CONTEXT)}.beliefs.npz" for scene in scenes if scene.name != IMPRECISE]
+    return calibration(files) if files and CONTEXT in ways else None
+
+
 def gains(rows: Sequence[Row]) -> list[Gain]:
     """Context against own models, where both ways were tracked and something was hidden."""
     shares = {(row.name, row.way): np.array(row.hidden_shares) for row in rows}
@@ -267,13 +277,16 @@ class Tracked(NamedTuple):
 
 def track(scene: Scene, way: str, settings: Sequence[str], folder: Path) -> Tracked:
     """Track a scene in one of the `WAYS`; arguments as for `bench_tracking`."""
-    stem = f"{scene.name}-{scene.seed}-{way.replace(' ', '-').replace(',', '')}"
-    poses, beliefs = folder / f"{stem}.poses.csv", folder / f"{stem}.beliefs.npz"
+    poses, beliefs = (folder / f"{_stem(scene, way)}.{kind}" for kind in ("poses.csv", "beliefs.npz"))
     changes = [f"scene={scene.folder}", f"table={str(scene.table).lower()}", f"output={poses}", *WAYS[way], *settings]
     truth = read_truth(scene.truth)
     stage_ms = _stages_ms(_telling(read_deployment(DEPLOYMENT, changes), beliefs))
     judge(beliefs, truth)
     return Tracked(object_errors(read_results(poses), truth, scene.name == IMPRECISE), stage_ms)
+
+
+def _stem(scene: Scene, way: str) -> str:
+    return f"{scene.name}-{scene.seed}-{way.replace(' ', '-').replace(',', '')}"
 
 
 def _telling(deployment: Deployment, beliefs: Path) -> Deployment:

@@ -84,12 +84,16 @@ def tracking(
         if start == "search":
             return _bench_starts(scenes, settings or (), folder, as_json)
         rows = bench.bench_tracking(scenes, chosen_ways, settings or (), folder, show_progress)
+        certainty = bench.certainty(scenes, chosen_ways, folder)
     gains = bench.gains(rows)
     if as_json:
-        print_json({"rows": [row.plain() for row in rows], "gains": [gain.plain() for gain in gains]})
+        plain = {"rows": [row.plain() for row in rows], "gains": [gain.plain() for gain in gains]}
+        print_json({**plain, "certainty": certainty and certainty.plain()})
     else:
         _print_rows(rows)
         _print_gains(gains)
+        if certainty is not None:
+            print("\nWith all, of poses said to be tracked:\n" + certainty.text())
     return 0
 
 

@@ -188,6 +188,8 @@ class TrackedObject(MayLookAlike):
     before: CameraFromObject  # the same an image earlier
     covariance: Covariance
     score: float  # how well the image supports the pose, 0 to 1
+    nats: float  # by how much it explains the image better than clutter does
+    probability: float  # that it is within 5 mm and 5° of the truth; 0 where no image says so
     probation: int  # for how many more images it may turn out to be elsewhere
     status: str  # `TRACKED`, `EXPECTED` or `LOST`
     misses: int  # images in a row without support

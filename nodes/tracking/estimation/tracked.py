@@ -53,6 +53,8 @@ def first_belief(item: FirstPose, covariance: Floats) -> TrackedObject:
         "before": pose,
         "covariance": covariance,
         "score": float(item["pose"] is not None),
+        "nats": 0.0,
+        "probability": 0.0,
         "probation": 0,
         "status": EXPECTED if item["pose"] is not None else LOST,
         "misses": 0,

@@ -14,13 +14,15 @@ from hierax.nodes.tracking.evaluation.scoring import nearest_off
 from hierax.nodes.tracking.math.geometry import Array, log_se3, pose_error
 from hierax.runtime import Probe, Step
 
+_KEPT = ("status", "score", "probability", "pose", "covariance")
+
 
 class Beliefs(Probe):
     """The arm's corrected belief of each object in each frame, as a NumPy archive that is written at the end.
 
-    One entry for each object in each frame: ``frame``, ``obj_id``, ``status``, ``score``, ``pose`` (camera_from_object,
-    metres) and ``covariance`` (6 × 6, of a twist in the object's frame, m² and rad²). Objects that are lost are there,
-    too. A frame that is told again replaces what was told of it.
+    One entry for each object in each frame: ``frame``, ``obj_id``, ``status``, ``score``, ``probability``, ``pose``
+    (camera_from_object, metres) and ``covariance`` (6 × 6, of a twist in the object's frame, m² and rad²). Objects
+    that are lost are there, too. A frame that is told again replaces what was told of it.
 
     Args:
         file: path, relative to the folder that the run was started in.
@@ -36,7 +38,7 @@ class Beliefs(Probe):
         if belief["frame"] is None:
             return
         for item in belief["objects"]:
-            kept = {name: item[name] for name in ("status", "score", "pose", "covariance")}
+            kept = {name: item[name] for name in _KEPT if name in item}
             self._entries[belief["frame"], item["obj_id"]] = kept
 
     def close(self) -> None:

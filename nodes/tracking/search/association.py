@@ -15,6 +15,7 @@ import numpy as np
 from hierax.nodes.tracking.estimation.alignment import Aligned, offsets_at
 from hierax.nodes.tracking.estimation.appearance import measured, moved, remembered, sought
 from hierax.nodes.tracking.estimation.bending import bent_after
+from hierax.nodes.tracking.estimation.certainty import right
 from hierax.nodes.tracking.estimation.fusion import SURPRISED, Prior
 from hierax.nodes.tracking.estimation.joint_alignment import (
     FAMILIAR_MOTION_SCALE,
@@ -26,6 +27,7 @@ from hierax.nodes.tracking.estimation.joint_alignment import (
     prior_of,
     task_of,
 )
+from hierax.nodes.tracking.estimation.likelihood import explains
 from hierax.nodes.tracking.estimation.profiles import Image
 from hierax.nodes.tracking.estimation.tracked import motion_of
 from hierax.nodes.tracking.math.batched import exp_many, inverse, invert_many, log_many, solved
@@ -71,6 +73,8 @@ class Estimate(NamedTuple):
     trend: Floats  # see `hierax.nodes.tracking.estimation.fusion.Prior`
     score: float  # 0 to 1
     shown: float  # how many control points should have been seen
+    nats: float  # by how much it explains the image better than clutter does
+    probability: float  # that the pose is right, see `hierax.nodes.tracking.estimation.certainty`
     slots: Looks  # what is remembered of its looks
     failed_searches: int  # for how many images in a row it was looked for elsewhere and not found there
     elsewhere: bool  # whether it was found there now
@@ -134,6 +138,7 @@ def _found(explained: Explained, predicted: Floats) -> Found:
         aligned.scores,
         aligned.shown,
         aligned.gains,
+        explains(aligned),
         fused.motion_scale,
         fused.trend,
         np.zeros(count, dtype=bool),
@@ -232,6 +237,7 @@ def _learned(
 
 
 def _estimates(found: Found, learned: list[Looks], failed_searches: list[int]) -> list[Estimate]:
+    probability = right(found.covariance, found.nats)
     return [
         Estimate(
             found.poses[at],
@@ -240,6 +246,8 @@ def _estimates(found: Found, learned: list[Looks], failed_searches: list[int]) -
             found.trend[at],
             float(found.scores[at]),
             float(found.shown[at]),
+            float(found.nats[at]),
+            float(probability[at]),
             slots,
             failed_searches[at],
             bool(found.elsewhere[at]),

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from hierax.nodes.tracking.estimation.alignment import Aligned, Start, align
 from hierax.nodes.tracking.estimation.joint_alignment import Task
+from hierax.nodes.tracking.estimation.likelihood import explains
 from hierax.nodes.tracking.estimation.stages import Search
 from hierax.nodes.tracking.estimation.tracked import motion_of
 from hierax.nodes.tracking.imagery.controls import POINTS_MAX
@@ -96,6 +97,7 @@ class Found(NamedTuple):
     scores: Floats  # (m,) 0 to 1
     shown: Floats  # (m,) how many control points should be seen
     gains: Floats  # (m,) how many of them speak for the pose
+    nats: Floats  # (m,) by how much the pose explains the image better than clutter does
     motion_scale: Floats  # (m,) how much of a push the latest motion asks for
     trend: Floats  # (m, 6) see `hierax.nodes.tracking.estimation.fusion.Prior`
     elsewhere: NDArray[np.bool_]  # (m,) whether it was found elsewhere than expected
@@ -215,12 +217,12 @@ def squared(away: Floats, information: Floats) -> Floats:
 
 
 def _chosen(found: Found, tries: Sequence[int], start: Start, fine: Aligned, worth: Floats) -> Found:
-    after = found.copied()
+    after, nats = found.copied(), explains(fine)
     for number, at in enumerate(tries):
         if fine.shown[number] < LEAST_FOUND or worth[number] <= after.gains[at] + _BETTER * found.shown[at]:
             continue
         after.put(at, fine.poses[number], inverse(start.information[number] + fine.blocks[number, 6:, 6:]))
-        after.scores[at], after.gains[at] = fine.scores[number], worth[number]
+        after.scores[at], after.gains[at], after.nats[at] = fine.scores[number], worth[number], nats[number]
     return after
 
 

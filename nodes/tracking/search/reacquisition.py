@@ -16,6 +16,7 @@ from hierax.nodes.tracking.estimation.alignment import Aligned, Start
 from hierax.nodes.tracking.estimation.appearance import recalled
 from hierax.nodes.tracking.estimation.bending import slack_of
 from hierax.nodes.tracking.estimation.joint_alignment import Task
+from hierax.nodes.tracking.estimation.likelihood import explains
 from hierax.nodes.tracking.estimation.profiles import lines_of
 from hierax.nodes.tracking.estimation.stages import Search
 from hierax.nodes.tracking.imagery.controls import POINTS_MAX
@@ -178,7 +179,7 @@ def _chosen(
     tracked: Array,
 ) -> Found:
     """What is found, with the best candidates of each object besides."""
-    after = found.copied()
+    after, nats = found.copied(), explains(fine)
     for at in sought:
         own = np.nonzero(candidates.owners == at)[0]
         ranked = different(fine.poses, own[np.argsort(-worth[own], kind="stable")])
@@ -191,7 +192,7 @@ def _chosen(
         if not candidates.expected[first] and eligible[first] and (known or (not tracked[at] and after.sure[at])):
             after.put(at, fine.poses[first], inverse(information[at] + fine.blocks[first, 6:, 6:]))
             after.scores[at], after.gains[at] = fine.scores[first], fine.gains[first]
-            after.shown[at] = fine.shown[first]
+            after.shown[at], after.nats[at] = fine.shown[first], nats[first]
         guesses = [fine.poses[number] for number in rivals[int(after.sure[at]) :][:GUESSES]]
         after.guesses[at] = np.stack(guesses) if guesses else NO_POSES
     return after

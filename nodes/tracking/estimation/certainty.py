@@ -1,0 +1,26 @@
+"""How certain a pose is: the probability that it is right, which is what an object that is tracked says of itself."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from hierax.nodes.tracking.math.geometry import Floats
+
+RIGHT_M, RIGHT_RAD = 0.005, float(np.radians(5.0))  # a pose within both of the truth is right
+_SAMPLES = np.random.default_rng(0).normal(size=(512, 6))
+
+
+def right(covariances: Floats, nats: Floats) -> Floats:
+    """(m,) the probability that poses are within 5 mm and 5° of the truth.
+
+    That is, that the image is explained by the object and not by clutter, both as likely before, and that an object
+    which is there is no farther from its pose than its covariance allows.
+
+    Args:
+        covariances: (m, 6, 6) of twists, m² and rad²; nats: (m,) of `likelihood.explains`.
+    """
+    twists = np.einsum("mij,sj->msi", np.linalg.cholesky(covariances), _SAMPLES)
+    near = np.linalg.norm(twists[..., :3], axis=2) < RIGHT_M
+    near &= np.linalg.norm(twists[..., 3:], axis=2) < RIGHT_RAD
+    found: Floats = near.mean(axis=1) / (1.0 + np.exp(-np.clip(nats, -50.0, 50.0)))
+    return found

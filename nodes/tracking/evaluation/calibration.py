@@ -1,0 +1,154 @@
+"""Whether what the arm says of its certainty is true.
+
+Of poses that are said to be right with some probability, as large a share should be right; and errors should be as
+large as the covariances say.
+
+    python -m hierax.nodes.tracking.evaluation.calibration BELIEFS.npz... [--diagram FILE.svg]
+
+What it reads, `hierax bench tracking --keep DIR` leaves there.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+import zipfile
+from collections.abc import Sequence
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from hierax.nodes.tracking.errors import DataError
+from hierax.nodes.tracking.evaluation.scoring import ASTRAY, LEAST_VISIBLE
+from hierax.nodes.tracking.math.geometry import Array, Floats
+from hierax.nodes.tracking.schema import TRACKED
+from hierax.runtime.execution.plain import Json
+
+SURE = 0.9
+_RIGHT_MM, _RIGHT_DEG = 5.0, 5.0
+_BINS = 10
+_SIDE, _MARGIN = 320, 40  # of the diagram, in pixels
+
+
+class Bin(NamedTuple):
+    """Poses that were said to be right with about the same probability."""
+
+    count: int
+    said: float  # the mean probability
+    right: float  # the share that is right
+
+
+class Calibration(NamedTuple):
+    """Of all poses that are said to be tracked, where at least a tenth of the object is seen."""
+
+    count: int
+    bins: tuple[Bin, ...]  # by probability, those that hold something
+    sure: float  # of those said to be right with at least 0.9, the share that is right
+    anees: float  # their squared error, normalised by the covariance, per degree of freedom; 1 where that is true
+    astray: float  # share that is off by more than 20 mm or 10°
+
+    @property
+    def error(self) -> float:
+        """The expected calibration error: how far what is said is from what is, in the mean over poses."""
+        return sum(each.count * abs(each.said - each.right) for each in self.bins) / max(1, self.count)
+
+    def plain(self) -> dict[str, Json]:
+        """All of it as plain JSON."""
+        known = {"error": self.error, "sure": self.sure, "anees": self.anees, "astray": self.astray}
+        figures: dict[str, Json] = {name: None if np.isnan(value) else value for name, value in known.items()}
+        return {"count": self.count, **figures, "bins": [each._asdict() for each in self.bins]}
+
+    def text(self) -> str:
+        """All of it, for people."""
+        rows = [f"  said {each.said:.2f}, right {each.right:.2f} ({each.count} poses)" for each in self.bins]
+        sure = f"of those said {SURE} or more {100 * self.sure:.1f} % right, ANEES {self.anees:.2f}"
+        first = f"expected calibration error {self.error:.3f}; {sure}; astray {100 * self.astray:.2f} %"
+        return "\n".join((first, *rows))
+
+    def diagram(self) -> str:
+        """The reliability diagram, as SVG: the share that is right over the probability that was said."""
+
+        def at(share: float) -> float:
+            return _MARGIN + share * _SIDE
+
+        whole, end = _SIDE + 2 * _MARGIN, _MARGIN + _SIDE
+        marks = [
+            f'<circle cx="{at(each.said):.1f}" cy="{whole - at(each.right):.1f}" fill="#1f77b4" '
+            f'r="{2 + np.log10(each.count) * 2:.1f}"><title>{each.count} poses</title></circle>'
+            for each in self.bins
+        ]
+        return "\n".join(
+            (
+                f'<svg xmlns="http://www.w3.org/2000/svg" width="{whole}" height="{whole}" font-family="sans-serif" '
+                'font-size="12" text-anchor="middle">',
+                f'<rect width="{whole}" height="{whole}" fill="white"/>',
+                f'<path d="M{_MARGIN} {_MARGIN}V{end}H{end}" fill="none" stroke="black"/>',
+                f'<path d="M{_MARGIN} {end}L{end} {_MARGIN}" stroke="#999" stroke-dasharray="4"/>',
+                *marks,
+                f'<text x="{whole / 2}" y="{whole - 8}">probability that is said, 0 to 1</text>',
+                f'<text transform="rotate(-90)" x="{-whole / 2}" y="20">share that is right, 0 to 1</text>',
+                "</svg>\n",
+            )
+        )
+
+
+def calibration(files: Sequence[Path]) -> Calibration | None:
+    """How true is what was said in files that `beliefs.judge` has added the truth to; None where nothing was tracked.
+
+    Raises:
+        DataError: a file cannot be read, or says nothing of probabilities, or nobody has added the truth.
+    """
+    columns = [_read(file) for file in files]
+    probability, right, square, astray = (np.concatenate(each) for each in zip(*columns, strict=True))
+    if not len(probability):
+        return None
+    place = np.minimum((probability * _BINS).astype(int), _BINS - 1)
+    found = [np.nonzero(place == number)[0] for number in range(_BINS)]
+    bins = tuple(
+        Bin(len(each), float(probability[each].mean()), float(right[each].mean())) for each in found if len(each)
+    )
+    sure = probability >= SURE
+    share, anees = (float(each[sure].mean()) if sure.any() else float("nan") for each in (right, square))
+    return Calibration(len(probability), bins, share, anees, float(astray.mean()))
+
+
+def _read(file: Path) -> tuple[Floats, Array, Floats, Array]:
+    """Of a file's tracked poses: probability, whether right, normalised squared error, whether astray."""
+    try:
+        with np.load(file) as archive:
+            known = {name: archive[name] for name in archive.files}
+        counted = (known["status"] == TRACKED) & (known["visible"] >= LEAST_VISIBLE)
+        probability, millimetres, degrees, twists, covariances = (
+            known[name][counted] for name in ("probability", "distance_mm", "angle_deg", "twist", "covariance")
+        )
+    except (OSError, ValueError, zipfile.BadZipFile) as error:
+        raise DataError(f"{file}: cannot be read: {error}; expected beliefs of the arm") from error
+    except KeyError as error:
+        raise DataError(f"{file}: {error.args[0]}; expected beliefs with probabilities, beside the truth") from error
+    right = (millimetres < _RIGHT_MM) & (degrees < _RIGHT_DEG)
+    squares = np.einsum("ni,ni->n", twists, np.linalg.solve(covariances, twists[..., None])[..., 0]) / 6.0
+    return probability, right, squares, (millimetres > ASTRAY[0]) | (degrees > ASTRAY[1])
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Read files, print how true they are."""
+    parser = argparse.ArgumentParser(description="How true is what the arm says of its certainty.")
+    parser.add_argument("files", type=Path, nargs="+", metavar="BELIEFS.npz")
+    parser.add_argument("--diagram", type=Path, metavar="FILE", help="write the reliability diagram there, as SVG")
+    options = parser.parse_args(arguments)
+    try:
+        found = calibration(options.files)
+        if found is None:
+            raise DataError("nothing was tracked in these files")
+        if options.diagram is not None:
+            options.diagram.write_text(found.diagram(), encoding="utf-8")
+    except (DataError, OSError) as error:
+        print(f"error: {error}", file=sys.stderr)
+        return 1
+    print(found.text())
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,73 @@
+"""Calibration: what is said beside what is, counted by hand; and files that say nothing of it."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from hierax.nodes.tracking.estimation.certainty import right
+from hierax.nodes.tracking.evaluation.calibration import calibration, main
+
+COVARIANCE = np.diag([0.001**2] * 3 + [0.01**2] * 3)
+
+
+def written(path: Path, said: list[float], off_mm: list[float], status: str = "tracked") -> Path:
+    count = len(said)
+    twist = np.zeros((count, 6))
+    twist[:, 0] = np.array(off_mm) / 1000.0
+    np.savez(
+        path,
+        status=np.full(count, status),
+        visible=np.ones(count),
+        probability=np.array(said),
+        distance_mm=np.array(off_mm),
+        angle_deg=np.zeros(count),
+        twist=twist,
+        covariance=np.tile(COVARIANCE, (count, 1, 1)),
+    )
+    return path
+
+
+def test_bins_error_and_errors_beside_covariances(tmp_path: Path) -> None:
+    true = written(tmp_path / "a.npz", [0.95, 0.95, 0.95, 0.95], [1.0, 1.0, 2.0, 30.0])
+    found = calibration(
+        [true, written(tmp_path / "b.npz", [0.55], [1.0]), written(tmp_path / "c.npz", [0.9], [0], "lost")]
+    )
+    assert found is not None
+    assert (found.count, [each.count for each in found.bins]) == (5, [1, 4])
+    assert found.error == pytest.approx((4 * 0.2 + 1 * 0.45) / 5)
+    assert (found.sure, found.astray) == (pytest.approx(0.75), pytest.approx(0.2))
+    assert found.anees == pytest.approx((1 + 1 + 4 + 900) / 4 / 6)
+
+
+def test_the_text_and_the_diagram_are_of_the_same_bins(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    file, diagram = written(tmp_path / "a.npz", [0.95, 0.25], [1.0, 9.0]), tmp_path / "d.svg"
+    assert main([str(file), "--diagram", str(diagram)]) == 0
+    assert "said 0.25, right 0.00 (1 poses)" in capsys.readouterr().out
+    assert diagram.read_text(encoding="utf-8").count("<circle") == 2
+
+
+def test_files_that_say_nothing_of_certainty_are_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    junk, old = tmp_path / "junk.npz", tmp_path / "old.npz"
+    junk.write_bytes(b"junk")
+    np.savez(old, status=np.array(["tracked"]), visible=np.ones(1))
+    for path in (tmp_path / "none.npz", junk, old):
+        assert main([str(path)]) == 1
+        said = capsys.readouterr().err
+        assert said.startswith(f"error: {path}: ")
+        assert said.endswith("\n")
+        assert said.count("\n") == 1
+        assert "expected beliefs" in said
+    assert main([str(written(tmp_path / "lost.npz", [0.9], [1.0], "lost"))]) == 1
+    assert "nothing was tracked" in capsys.readouterr().err
+
+
+def test_certainty_falls_with_spread_and_with_what_speaks_for_clutter() -> None:
+    wide = np.diag([0.005**2] * 3 + [0.01**2] * 3)
+    sure, loose, clutter = right(np.stack((COVARIANCE, wide, COVARIANCE)), np.array([20.0, 20.0, 0.0]))
+    assert sure == pytest.approx(1.0, abs=0.01)
+    assert clutter == pytest.approx(0.5, abs=0.01)
+    # the distance of three normal errors of 5 mm is below 5 mm in 19.9 % of all cases (chi distribution)
+    assert loose == pytest.approx(0.199, abs=0.05)
