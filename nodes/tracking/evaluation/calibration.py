@@ -34,7 +34,7 @@ _SIDE, _MARGIN = 320, 40  # of the diagram, in pixels
 class Bin(NamedTuple):
     """Poses that were said to be right with about the same probability."""
 
-    count: int
+    poses: int
     said: float  # the mean probability
     right: float  # the share that is right
 
@@ -42,7 +42,7 @@ class Bin(NamedTuple):
 class Calibration(NamedTuple):
     """Of all poses that are said to be tracked, where at least a tenth of the object is seen."""
 
-    count: int
+    poses: int
     bins: tuple[Bin, ...]  # by probability, those that hold something
     sure: float  # of those said to be right with at least 0.9, the share that is right
     anees: float  # their squared error, normalised by the covariance, per degree of freedom; 1 where that is true
@@ -51,17 +51,17 @@ class Calibration(NamedTuple):
     @property
     def error(self) -> float:
         """The expected calibration error: how far what is said is from what is, in the mean over poses."""
-        return sum(each.count * abs(each.said - each.right) for each in self.bins) / max(1, self.count)
+        return sum(each.poses * abs(each.said - each.right) for each in self.bins) / max(1, self.poses)
 
     def plain(self) -> dict[str, Json]:
         """All of it as plain JSON."""
         known = {"error": self.error, "sure": self.sure, "anees": self.anees, "astray": self.astray}
         figures: dict[str, Json] = {name: None if np.isnan(value) else value for name, value in known.items()}
-        return {"count": self.count, **figures, "bins": [each._asdict() for each in self.bins]}
+        return {"poses": self.poses, **figures, "bins": [each._asdict() for each in self.bins]}
 
     def text(self) -> str:
         """All of it, for people."""
-        rows = [f"  said {each.said:.2f}, right {each.right:.2f} ({each.count} poses)" for each in self.bins]
+        rows = [f"  said {each.said:.2f}, right {each.right:.2f} ({each.poses} poses)" for each in self.bins]
         sure = f"of those said {SURE} or more {100 * self.sure:.1f} % right, ANEES {self.anees:.2f}"
         first = f"expected calibration error {self.error:.3f}; {sure}; astray {100 * self.astray:.2f} %"
         return "\n".join((first, *rows))
@@ -75,7 +75,7 @@ class Calibration(NamedTuple):
         whole, end = _SIDE + 2 * _MARGIN, _MARGIN + _SIDE
         marks = [
             f'<circle cx="{at(each.said):.1f}" cy="{whole - at(each.right):.1f}" fill="#1f77b4" '
-            f'r="{2 + np.log10(each.count) * 2:.1f}"><title>{each.count} poses</title></circle>'
+            f'r="{2 + np.log10(each.poses) * 2:.1f}"><title>{each.poses} poses</title></circle>'
             for each in self.bins
         ]
         return "\n".join(

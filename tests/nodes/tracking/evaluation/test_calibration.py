@@ -36,7 +36,7 @@ def test_bins_error_and_errors_beside_covariances(tmp_path: Path) -> None:
         [true, written(tmp_path / "b.npz", [0.55], [1.0]), written(tmp_path / "c.npz", [0.9], [0], "lost")]
     )
     assert found is not None
-    assert (found.count, [each.count for each in found.bins]) == (5, [1, 4])
+    assert (found.poses, [each.poses for each in found.bins]) == (5, [1, 4])
     assert found.error == pytest.approx((4 * 0.2 + 1 * 0.45) / 5)
     assert (found.sure, found.astray) == (pytest.approx(0.75), pytest.approx(0.2))
     assert found.anees == pytest.approx((1 + 1 + 4 + 900) / 4 / 6)
