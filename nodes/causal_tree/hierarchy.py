@@ -8,7 +8,7 @@ from typing import Any
 
 from hierax.nodes.causal_tree.errors import NetworkError
 from hierax.nodes.causal_tree.network import Description, Network, parse
-from hierax.nodes.causal_tree.shape import epochs_to_exactness
+from hierax.nodes.causal_tree.network_shape import epochs_to_exactness
 
 MODULE = "hierax.nodes.causal_tree"
 WORLD = "world"

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hierax.nodes.causal_tree.errors import Name, NetworkError
-from hierax.nodes.causal_tree.shape import check_shape
+from hierax.nodes.causal_tree.network_shape import check_shape
 
 Floats = NDArray[np.float64]
 _NUMBER_BYTES = 8

@@ -16,7 +16,7 @@ from hierax.runtime.recording.recorder import open_recorder
 from hierax.runtime.recording.selection import EVERYTHING, Selection
 from hierax.runtime.recording.witness import Witness
 from hierax.runtime.recording.writing import Target
-from hierax.runtime.transport.steps import Sample
+from hierax.runtime.transport.bus_tap import Sample
 from hierax.schemas.keys import Keys
 from hierax.schemas.messages import Header
 from hierax.schemas.roster import Roster

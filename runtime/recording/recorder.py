@@ -15,7 +15,7 @@ from hierax.runtime.recording.ledger import Ledger
 from hierax.runtime.recording.selection import EVERYTHING, Selection
 from hierax.runtime.recording.topics import EPOCH, MESSAGE, ROSTER, STEP, TOKEN, Topic, glance, topic_of
 from hierax.runtime.recording.writing import McapFile, Target
-from hierax.runtime.transport.steps import Sample
+from hierax.runtime.transport.bus_tap import Sample
 from hierax.schemas.messages import HELLO
 from hierax.schemas.roster import Roster
 from hierax.schemas.steps import decode_step

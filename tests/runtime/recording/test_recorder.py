@@ -13,7 +13,7 @@ from hierax.runtime.recording.reading import Entry, Recording
 from hierax.runtime.recording.recorder import Recorder, open_recorder
 from hierax.runtime.recording.selection import Selection
 from hierax.runtime.recording.topics import MESSAGE, STEP
-from hierax.runtime.transport.steps import Sample
+from hierax.runtime.transport.bus_tap import Sample
 
 
 @pytest.fixture(scope="module")
