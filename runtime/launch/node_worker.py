@@ -48,10 +48,10 @@ from hierax.runtime.loading.node_loader import NodeLoader
 from hierax.runtime.owner.effects import OwnerPolicy
 from hierax.runtime.recording.witness import Witness
 from hierax.runtime.recovery.slots import Slots
+from hierax.runtime.transport.bus_tap import StepPublisher
 from hierax.runtime.transport.control import OWNER, ControlLine
 from hierax.runtime.transport.inspection import InspectionEndpoint
 from hierax.runtime.transport.port import TransportError
-from hierax.runtime.transport.bus_tap import StepPublisher
 from hierax.runtime.transport.zenoh_port import EpochPublisher, ZenohPort
 from hierax.runtime.transport.zenoh_session import LOOPBACK, LOW_LATENCY_BYTES, open_session
 from hierax.runtime.watch import telemetry

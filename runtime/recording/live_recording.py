@@ -24,8 +24,8 @@ from hierax.runtime.recording.info import Ending, RunInfo
 from hierax.runtime.recording.recorder import open_recorder
 from hierax.runtime.recording.selection import EVERYTHING, Selection
 from hierax.runtime.recording.writing import Target
-from hierax.runtime.transport.launch_client import LaunchClient
 from hierax.runtime.transport.bus_tap import BusTap
+from hierax.runtime.transport.launch_client import LaunchClient
 from hierax.runtime.watch.logs import log_console
 from hierax.schemas.keys import Keys
 
