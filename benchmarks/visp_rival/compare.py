@@ -82,7 +82,7 @@ def write_list(scene: BopScene, folder: Path) -> Path:
     rows = [f"camera {fx} {fy} {cx} {cy}"]
     for item in scene.first_objects():
         model = folder / f"obj_{item.obj_id}.cao"
-        write_cao(model, scene.model(item.obj_id))
+        write_cao(model, scene.model(item.obj_id)[0])
         rows.append(f"object {item.obj_id} {model} {_numbers(item.pose)}")
     for frame in scene.frames:
         image = read_image(frame.image)

@@ -70,11 +70,11 @@ def test_the_scene_tells_one_frame_and_the_truth_is_apart(package: Path, tmp_pat
         np.testing.assert_allclose(frame.camera, invert(pose_of(frame.im_id)), atol=1e-9)
         np.testing.assert_allclose(truth[frame.im_id][0].pose, pose_of(frame.im_id), atol=1e-9)
         assert read_image(frame.image)[0, 0] == frame.im_id
-    assert len(scene.model(1).faces) == 1
+    assert len(scene.model(1)[0].faces) == 1
     visp_castle.convert(package, tmp_path, known=False, model="cao")
     scene = BopScene(tmp_path / "test" / "000001")
     assert np.array_equal(scene.frames[2].camera, np.eye(4))
-    assert len(scene.model(1).faces) == 2
+    assert len(scene.model(1)[0].faces) == 2
 
 
 def test_a_wrong_start_is_wrong_and_the_truth_is_not(package: Path, tmp_path: Path) -> None:
@@ -131,7 +131,7 @@ def test_the_package_shows_the_castle_where_its_poses_say(tmp_path: Path) -> Non
     image = read_image(scene.frames[0].image)
     background = image[5, 5]
     for pose in truth[1]:
-        mesh = scene.model(pose.obj_id)
+        mesh, _ = scene.model(pose.obj_id)
         middles = mesh.vertices[mesh.faces].mean(axis=1)
         columns, rows = np.rint(project(transform(pose.pose, middles), scene.frames[0].intrinsics)).astype(int).T
         assert (image[rows, columns] != background).mean() > 0.95

@@ -28,6 +28,7 @@ EPOCHS = 12
 CUBES = ["start=search", "cubes=2", f"frames={EPOCHS}"]
 
 
+@pytest.mark.slow
 def test_cubes_of_which_nothing_is_told_are_found_alike_in_one_process_and_in_many(tmp_path: Path) -> None:
     report = run(read_deployment("tracking", CUBES), epochs=EPOCHS, seed=0, output=tmp_path)
     true = {each.obj_id: each.pose for each in read_results(tmp_path / TRUTH_FILE) if each.im_id == EPOCHS - 1}
@@ -69,6 +70,7 @@ def test_what_start_cannot_be_is_told(options: dict[str, str]) -> None:
         arm(**options)
 
 
+@pytest.mark.slow
 def test_what_is_taken_out_is_said_to_be_gone(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(kinds, "_TAKEN_FROM", 8)
     scene = write_scene(tmp_path, "taken", 0, 24, False, 1)

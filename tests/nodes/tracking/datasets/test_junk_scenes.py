@@ -45,7 +45,8 @@ def scene(tmp_path: Path) -> Path:
     (folder / "scene_gt.json").write_text(json.dumps({"0": [{"obj_id": 5, **placed}, {"obj_id": 6, **placed}]}))
     models = tmp_path / "data" / "models"
     models.mkdir()
-    (models / "models_info.json").write_text(json.dumps({"5": {"diameter": 100.0}, "6": {"diameter": 100.0}}))
+    known = {"diameter": 100.0, "symmetries_discrete": []}  # said, as it takes a while to find them
+    (models / "models_info.json").write_text(json.dumps({"5": known, "6": known}))
     for number in (5, 6):
         write_ply(models / f"obj_{number:06d}.ply", box_mesh((0.1, 0.1, 0.1)))
     return folder

@@ -10,7 +10,7 @@ from support.meshes import ELL_BOXES, cylinder, divided, ell, sphere
 from hierax.nodes.tracking.imagery.controls import POINTS_MAX, SPACING_PX, controls_of
 from hierax.nodes.tracking.imagery.layers import LayerRenderer
 from hierax.nodes.tracking.math.geometry import exp_so3, invert, make_pose, project, transform
-from hierax.nodes.tracking.model.controls import CREASE, OUTLINE, Controls
+from hierax.nodes.tracking.model.controls import CREASE, LIMB, OUTLINE, Controls
 from hierax.nodes.tracking.model.mesh import box_mesh
 from hierax.nodes.tracking.model.shapes import shape_of
 
@@ -127,7 +127,7 @@ def test_a_sphere_has_points_where_it_turns_away() -> None:
     found = controls(sphere(0.05, 60, 60), pose)
     centre = invert(pose)[:3, 3]
     assert len(found.points) > 50
-    assert (found.kinds == OUTLINE).all()
+    assert (found.kinds == LIMB).all()
     assert (found.faces[:, 1] == -1).all()
     rays = found.points - centre
     rays /= np.linalg.norm(rays, axis=1, keepdims=True)
@@ -160,7 +160,7 @@ def test_a_cylinder_has_rims_and_two_straight_sides() -> None:
     assert np.linalg.norm(found.points[rims][:, :2], axis=1) == pytest.approx(0.03, rel=0.01)
     assert len(np.intersect1d(found.edges[rims], found.edges[sides])) == 0
     assert len(np.unique(found.edges[sides])) == 2
-    assert (found.kinds[sides] == OUTLINE).all()
+    assert (found.kinds[sides] == LIMB).all()
     assert np.abs(found.tangents[sides][:, 2]).min() > 0.99
     assert np.linalg.norm(found.points[sides][:, :2], axis=1) == pytest.approx(0.03, rel=0.01)
     assert (found.kinds == CREASE).sum() > 10
