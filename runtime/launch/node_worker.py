@@ -108,7 +108,9 @@ class NodeWorker:
     def stop(self) -> None:
         """Make the node's thread come to its end."""
         self._stopping.set()
-        self._wake()
+        # What wakes a node goes through its queue. Where that is full, and the thread has ended meanwhile, it waits for
+        # ever; who stops the node does not.
+        threading.Thread(target=self._wake, name="wake", daemon=True).start()
 
     def finish(self) -> None:
         """Make the run come to its end, if this is the world's process."""

@@ -75,7 +75,6 @@ class ZenohPort(Port):
         self._lanes: Mapping[str, Lane] = {}
         self._publishers: dict[Lane, Any] = {}
         self._shaking = threading.Lock()
-        self._waking: list[threading.Thread] = []  # that put what wakes the node's thread
         self.absent = AbsentProcesses()
         self._own_key = keys.edge(INTERRUPT, name, name)
         try:
@@ -167,23 +166,15 @@ class ZenohPort(Port):
 
     def interrupt(self) -> None:
         self._interrupted = True
-        # A put waits where the queue is full, for ever if the node's thread has ended; whoever interrupts does not.
-        # Two, as what one has put may have been taken before it has returned.
-        self._waking = [thread for thread in self._waking if thread.is_alive()]
-        if len(self._waking) < 2:
-            self._waking.append(threading.Thread(target=self._wake, name="wake", daemon=True))
-            self._waking[-1].start()
+        try:
+            self._session.put(self._own_key, b"", express=True)
+        except zenoh.ZError:
+            return  # closed, and so nobody waits
 
     def close(self) -> None:
         if not self._closed:
             self._closed = True
             close_session(self._session)
-
-    def _wake(self) -> None:
-        try:
-            self._session.put(self._own_key, b"", express=True)
-        except zenoh.ZError:
-            return  # closed, and so nobody waits
 
     def _declare(self, rendezvous: Rendezvous) -> None:
         for peer, kind in rendezvous.lanes_out:

@@ -231,37 +231,6 @@ def test_zenoh_wakes_a_node_whose_wake_up_was_looked_through(pair: dict[str, Zen
             port.close()
 
 
-def test_zenoh_does_not_hold_up_who_interrupts_a_node_that_takes_nothing_any_more(pair: dict[str, ZenohPort]) -> None:
-    low, up = pair["low"], pair["up"]
-
-    def flood() -> None:
-        for _ in range(4 * inbox.QUEUE_SIZE):
-            low._session.put(
-                low._keys.edge(CONTEXT, "nobody", "up"), b"", congestion_control=zenoh.CongestionControl.DROP
-            )
-
-    flooding = threading.Thread(target=flood, daemon=True)
-    flooding.start()
-    flooding.join(5.0)
-    try:
-        until(lambda: _is_full(up), "a full queue")
-        interrupting = threading.Thread(target=lambda: [up.interrupt() for _ in range(10)], daemon=True)
-        interrupting.start()
-        interrupting.join(10.0)
-        assert not interrupting.is_alive()
-    finally:
-        for port in pair.values():
-            port.close()
-
-
-def _is_full(port: ZenohPort) -> bool:
-    """Whether a put to the port waits."""
-    putting = threading.Thread(target=lambda: port._session.put(port._own_key, b""), daemon=True)
-    putting.start()
-    putting.join(0.5)
-    return putting.is_alive()
-
-
 def test_zenoh_connects_whatever_comes_before_a_greeting() -> None:
     hello = encode_message(Message(Header(HELLO, "low", "up", 0), ("hi",)))
     ports = open_zenoh([("low", "up")], early=[b"", b"\xc1\x00", hello]).values()
