@@ -13,7 +13,7 @@ from support.device_nodes import DEVICE, MOVES_S
 from support.launched import Launched, processes_of, run_here, until
 from support.sweep import examples
 
-EPOCHS = 400
+EPOCHS = 1500  # more than go by while the supervisor alone is stopped
 STOPS_S = (1.05, 1.5, 3.0)
 """Just over a link's lease, and well over it."""
 
