@@ -9,12 +9,11 @@ from pathlib import Path
 import numpy as np
 
 from hierax.nodes.benchmarks.tracking import CONTEXT, Scene, Tell, Tracked, track
-from hierax.nodes.tracking.evaluation.scoring import ASTRAY, LIMITS, ObjectErrors
+from hierax.nodes.tracking.evaluation.scoring import RIGHT, ObjectErrors, is_astray
 from hierax.runtime.execution.plain import Json
 
 FRAME = 30  # at which poses are judged
 SEEN = 0.6  # of objects that are seen by this share at least
-_RIGHT = LIMITS[1]
 
 
 @dataclass(frozen=True)
@@ -62,12 +61,12 @@ def _object_ms(tracked: Tracked) -> float:
 
 def _starts(name: str, errors: Sequence[ObjectErrors], object_ms: float) -> Starts:
     at = [min(FRAME, len(item.frames) - 1) for item in errors]
-    seen = [item for item, frame in zip(errors, at, strict=True) if item.visible[frame] >= SEEN]
-    right = sum(bool(item.within(_RIGHT)[min(FRAME, len(item.frames) - 1)]) for item in seen)
+    seen = [(item, frame) for item, frame in zip(errors, at, strict=True) if item.visible[frame] >= SEEN]
+    right = sum(bool(item.within(RIGHT)[frame]) for item, frame in seen)
     distance = np.array([item.distance_mm[frame] for item, frame in zip(errors, at, strict=True)])
     angle = np.array([item.angle_deg[frame] for item, frame in zip(errors, at, strict=True)])
     given = ~np.isnan(distance)
-    wrong = given & ((distance > ASTRAY[0]) | (angle > ASTRAY[1]))
+    wrong = is_astray(distance, angle)
     gone = [frames for item in errors for frames in changes(item, False)]
     found = [frames for item in errors for frames in changes(item, True)]
     return Starts(name, len(seen), right, int(given.sum()), int(wrong.sum()), object_ms, gone, found)
@@ -79,7 +78,7 @@ def changes(item: ObjectErrors, back: bool) -> list[int | None]:
     None of one that is not said before the next change.
     """
     there = item.visible > 0.0
-    said = item.within(_RIGHT) if back else np.isnan(item.distance_mm)
+    said = item.within(RIGHT) if back else np.isnan(item.distance_mm)
     starts = np.nonzero((there[1:] == back) & (there[:-1] != back))[0] + 1
     ends = [next((at for at in range(start, len(there)) if there[at] != back), len(there)) for start in starts]
     spans = [np.nonzero(said[start:end])[0] for start, end in zip(starts, ends, strict=True)]

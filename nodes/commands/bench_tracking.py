@@ -59,11 +59,12 @@ def tracking(
 ) -> int:
     """Track scenes with and without context, physics and prior, beside the truth."""
     from hierax.nodes.benchmarks import tracking as bench
+    from hierax.nodes.tracking.world import GIVEN, SEARCH
     from hierax.runtime.commands.show import print_json, show_progress
 
     as_json = output_format is Format.json
-    if start not in ("given", "search"):
-        raise HieraxError(f"--start is {start!r}; expected given or search")
+    if start not in (GIVEN, SEARCH):
+        raise HieraxError(f"--start is {start!r}; expected {GIVEN} or {SEARCH}")
     with ExitStack() as stack:
         folder = keep or Path(stack.enter_context(tempfile.TemporaryDirectory()))
         folder.mkdir(parents=True, exist_ok=True)
@@ -81,7 +82,7 @@ def tracking(
             scenes = bench.generated(by, chosen_kinds, seeds, frames, exact, folder, show_progress)
         else:
             scenes = [_given(scene, truth, table)]
-        if start == "search":
+        if start == SEARCH:
             return _bench_starts(scenes, settings or (), folder, as_json)
         rows = bench.bench_tracking(scenes, chosen_ways, settings or (), folder, show_progress)
         certainty = bench.certainty(scenes, chosen_ways, folder)

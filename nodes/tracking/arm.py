@@ -157,8 +157,7 @@ class ArmNode(Node):
         still = belief["reported"] is None or np.array_equal(belief["reported"], reported)
         sweeps = _moved(belief["sweeps"], moved)
         image = smoothed(seen["image"])
-        searching = belief["sweeps"] is not None
-        present = tuple(item for item in objects if not (searching and _is_missing(item)))
+        present = tuple(item for item in objects if sweeps is None or not _is_missing(item))
         shift, corrected = self._corrected(present, image, seen["intrinsics"], still)
         after = {item["id"]: item for item in corrected}
         objects = tuple(after.get(item["id"], item) for item in objects)

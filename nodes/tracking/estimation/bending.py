@@ -10,6 +10,7 @@ from __future__ import annotations
 import numpy as np
 
 from hierax.nodes.tracking.estimation.alignment import Aligned, offsets_at
+from hierax.nodes.tracking.estimation.appearance import Memory, recalled
 from hierax.nodes.tracking.estimation.stages import moves_of
 from hierax.nodes.tracking.math.geometry import Array, Floats
 from hierax.nodes.tracking.model.controls import Controls, Indices
@@ -42,6 +43,11 @@ def slack_of(objects: list[Looks], controls: Controls) -> Floats:
         known, place = _known(looks, controls.edges[rows])
         slack[rows[known]] = looks["slack"][place]
     return slack
+
+
+def memory_of(objects: list[Looks], controls: Controls, channels: int) -> Memory:
+    """The memory of all objects (by their index), laid beside the control points, and where their edges may be."""
+    return recalled(objects, controls, channels)._replace(slack=slack_of(objects, controls))
 
 
 def bent_after(looks: Looks, aligned: Aligned, at: int, pose: Floats, intrinsics: Array) -> Looks:

@@ -8,8 +8,8 @@ from typing import NamedTuple
 import numpy as np
 
 from hierax.nodes.tracking.estimation.alignment import Aligned, Start, align
-from hierax.nodes.tracking.estimation.appearance import Memory, only_found, recalled
-from hierax.nodes.tracking.estimation.bending import slack_of
+from hierax.nodes.tracking.estimation.appearance import Memory, only_found
+from hierax.nodes.tracking.estimation.bending import memory_of
 from hierax.nodes.tracking.estimation.crowding import apartness
 from hierax.nodes.tracking.estimation.fusion import Fused, Prior, fuse
 from hierax.nodes.tracking.estimation.profiles import Image
@@ -22,7 +22,6 @@ from hierax.nodes.tracking.model.symmetry import NONE, is_plain, open_to
 from hierax.nodes.tracking.schema import TrackedObject
 
 FAMILIAR_MOTION_SCALE = 0.3  # an object with a smaller motion scale is lit as it was
-LEARNED_SCORE = 0.6  # with a lower score an object tells nothing of its looks, nor of light's encoding
 _NEAR = Search()
 _CALM = Search(reach_px=(8,), scale_px=((8.0, 1.0),), iterations=7)
 _SETTLED_M = 0.004  # where no object moves, and all are known better than this, the image is searched near by
@@ -71,11 +70,8 @@ def task_of(image: Image, objects: Sequence[TrackedObject], prior: Prior, intrin
         item["slots"] if item["motion_scale"] < FAMILIAR_MOTION_SCALE else only_found(item["slots"]) for item in objects
     ]
     predicted = np.stack([item["pose"] for item in objects])
-    memory = recalled(known, controls, image.shape[2])
-    memory = memory._replace(
-        apart=apartness(controls, predicted, intrinsics).astype(np.float32),
-        slack=slack_of([item["slots"] for item in objects], controls),
-    )
+    memory = memory_of(known, controls, image.shape[2])
+    memory = memory._replace(apart=apartness(controls, predicted, intrinsics).astype(np.float32))
     free = prior._replace(motion_scale=np.maximum(prior.motion_scale, _LEAST_FREEDOM))
     calm = float(free.motion_scale.max()) <= _LEAST_FREEDOM and float(prior.covariance[:, :3, :3].max()) < _SETTLED_M**2
     near = (_CALM if calm else _NEAR)._replace(noise_px=error_px)

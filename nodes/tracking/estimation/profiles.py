@@ -57,6 +57,11 @@ def smoothed(image: Array) -> Image:
     return soft[:, :, None] if soft.ndim == 2 else soft
 
 
+def grey_levels(light: Array) -> Singles:
+    """Light as grey levels, 0 to 255, in which noise and contrast are alike in dark and bright."""
+    return np.asarray(np.sqrt(np.float32(255.0) * light), dtype=np.float32)
+
+
 def lines_of(controls: Controls, poses: Floats, intrinsics: Array, shape: tuple[int, ...]) -> Lines:
     """Where the poses (m, 4, 4) put the controls, those that are in an image of this shape."""
     rotations = poses[controls.owners, :3, :3]
@@ -100,7 +105,7 @@ def read_profiles(image: Image, lines: Lines, edges: Indices, reach: int, contra
     down = pixels[:, None, 1] + offsets * normals[:, None, 1]
     values = _sampled(image, across, down)
     light = _along_edges(values.reshape(*across.shape, -1), edges)
-    values = np.sqrt(np.float32(255.0) * light)  # grey levels, where noise and contrast are alike in dark and bright
+    values = grey_levels(light)
     slope = 0.5 * (values[:, 2:] - values[:, :-2])
     begin = _FLANK_PX - 1
     slope = slope[:, begin : begin + 2 * reach + 3]

@@ -20,13 +20,12 @@ from typing import NamedTuple
 import numpy as np
 
 from hierax.nodes.tracking.errors import DataError
-from hierax.nodes.tracking.evaluation.scoring import ASTRAY, LEAST_VISIBLE
+from hierax.nodes.tracking.evaluation.scoring import LEAST_VISIBLE, RIGHT, is_astray
 from hierax.nodes.tracking.math.geometry import Array, Floats
 from hierax.nodes.tracking.schema import TRACKED
 from hierax.runtime.execution.plain import Json
 
 SURE = 0.9
-_RIGHT_MM, _RIGHT_DEG = 5.0, 5.0
 _BINS = 10
 _SIDE, _MARGIN = 320, 40  # of the diagram, in pixels
 
@@ -126,9 +125,9 @@ def _read(file: Path) -> tuple[Floats, Array, Floats, Array]:
         raise DataError(f"{file}: cannot be read: {error}; expected beliefs of the arm") from error
     except KeyError as error:
         raise DataError(f"{file}: {error.args[0]}; expected beliefs with probabilities, beside the truth") from error
-    right = (millimetres < _RIGHT_MM) & (degrees < _RIGHT_DEG)
+    right = (millimetres < RIGHT[0]) & (degrees < RIGHT[1])
     squares = np.einsum("ni,ni->n", twists, np.linalg.solve(covariances, twists[..., None])[..., 0]) / 6.0
-    return probability, right, squares, (millimetres > ASTRAY[0]) | (degrees > ASTRAY[1])
+    return probability, right, squares, is_astray(millimetres, degrees)
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

@@ -32,10 +32,10 @@ BINS = ((0.1, 0.3), (0.3, 0.5), (0.5, 0.7), (0.7, 0.9), (0.9, 1.0))
 
 HIDDEN = (0.1, 0.5)
 WIDE_BINS = (HIDDEN, (0.5, 0.9))
-_RIGHT_AGAIN = (5.0, 5.0)
+RIGHT = (5.0, 5.0)
 _LAST_FRAMES = 10
 _NEAR = (10.0, 5.0)
-ASTRAY = (20.0, 10.0)
+_ASTRAY = (20.0, 10.0)
 
 
 class ObjectErrors(NamedTuple):
@@ -161,6 +161,11 @@ def nearest_off(true: TruePose, given: Floats) -> Floats:
     return found
 
 
+def is_astray(distance_mm: Floats, angle_deg: Floats) -> Array:
+    """(n,) bool, which poses are so far off that they are another's; none of those that were not given, nan."""
+    return (distance_mm > _ASTRAY[0]) | (angle_deg > _ASTRAY[1])
+
+
 def score(all_errors: Sequence[ObjectErrors]) -> Score:
     """The figures of some objects, of one run or of several."""
     counted = [item.counted for item in all_errors]
@@ -171,7 +176,7 @@ def score(all_errors: Sequence[ObjectErrors]) -> Score:
     right = np.array([(distance <= mm) & (angle <= degrees) for mm, degrees in LIMITS])
     whole = np.ones(len(visible), bool)
     known = ~np.isnan(distance)
-    astray = known & ((distance > ASTRAY[0]) | (angle > ASTRAY[1]))
+    astray = known & is_astray(distance, angle)
     return Score(
         objects=len(all_errors),
         frames=len(visible),
@@ -256,7 +261,7 @@ def _is_lost(item: ObjectErrors) -> bool:
 
 def _again(item: ObjectErrors) -> list[int | None]:
     """After how many frames an object that was gone, and came back, was right."""
-    counted, right = item.counted, item.within(_RIGHT_AGAIN)
+    counted, right = item.counted, item.within(RIGHT)
     found: list[int | None] = []
     for back in np.nonzero(counted[1:] & ~counted[:-1])[0] + 1:
         gone = np.nonzero(~counted[back:])[0]

@@ -19,7 +19,6 @@ from hierax.nodes.tracking.estimation.certainty import right
 from hierax.nodes.tracking.estimation.fusion import SURPRISED, Prior
 from hierax.nodes.tracking.estimation.joint_alignment import (
     FAMILIAR_MOTION_SCALE,
-    LEARNED_SCORE,
     Explained,
     Task,
     explained,
@@ -42,6 +41,7 @@ from hierax.nodes.tracking.search.reacquisition import look_elsewhere
 _SEARCHED_AT_ONCE = 3
 _LEAST_SHOWN = 10.0  # an object of which fewer control points should be seen is not judged by the image
 _SURE_SEEN = 0.9
+_LEARNED_SCORE = 0.6  # with a lower score an object tells nothing of its looks
 # What is predicted to move less than this from one image to the next, and is as calm, tells where its edges are off: by
 # its shadows. Of what moves, the prediction is, and an edge that comes into view would soon not be trusted.
 _LEARNED_MOTION_SCALE = 0.1
@@ -218,7 +218,7 @@ def _learned(
     learned = []
     for at, item in enumerate(objects):
         known = judged.get(at, {**item["slots"], "judged": max(0, item["slots"]["judged"] - 1)})
-        if at in doubtful or found.scores[at] < LEARNED_SCORE or (at in judged and known["tolerance"]):
+        if at in doubtful or found.scores[at] < _LEARNED_SCORE or (at in judged and known["tolerance"]):
             learned.append(known)
             continue
         known = bent_after(known, aligned, at, found.poses[at], task.intrinsics)

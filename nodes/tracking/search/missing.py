@@ -14,14 +14,13 @@ from typing import NamedTuple
 import numpy as np
 
 from hierax.nodes.tracking.estimation.alignment import Aligned, Start, align
-from hierax.nodes.tracking.estimation.appearance import recalled
-from hierax.nodes.tracking.estimation.bending import slack_of
+from hierax.nodes.tracking.estimation.bending import memory_of
 from hierax.nodes.tracking.estimation.likelihood import explains, painted
 from hierax.nodes.tracking.estimation.profiles import Image
 from hierax.nodes.tracking.estimation.stages import Search
 from hierax.nodes.tracking.imagery.controls import POINTS_MAX
 from hierax.nodes.tracking.math.batched import inverse, invert_many, log_many, only, pixels_of
-from hierax.nodes.tracking.math.geometry import NO_POSES, Array, Floats, transform
+from hierax.nodes.tracking.math.geometry import NO_POSES, Array, Floats, invert, transform
 from hierax.nodes.tracking.model.controls import gathered
 from hierax.nodes.tracking.schema import TRACKED, Alternative, ControlPoints, Looks, Sweep, TrackedObject
 from hierax.nodes.tracking.search.multistart import FINE, LEAST_FOUND, ROUGH, ROUGH_POINTS, held, squared
@@ -119,7 +118,7 @@ class _Search(NamedTuple):
         every = gathered(controls)
         places = every.rows_of(range(len(controls)), most)
         chosen = every.of(places)
-        memory = recalled(looks, every, self.image.shape[2])._replace(slack=slack_of(looks, every))
+        memory = memory_of(looks, every, self.image.shape[2])
         supports = poses[:, :3, :3].transpose(0, 2, 1) @ self.upright
         information = inverse(np.stack([held(_OFF, support, _UPWARDS, _TILTING) for support in supports]))
         rows = only(memory, np.concatenate(places))
@@ -250,8 +249,7 @@ def _is_claimed(edges: Floats, others: Floats) -> bool:
 def _is_in(pose: Floats, box: Floats, other: Floats, around: Floats) -> bool:
     """Whether more of a box than bodies can share is inside of another one."""
     points = box.mean(axis=0) + _SAMPLES * np.ptp(box, axis=0)
-    relative = np.linalg.inv(other) @ pose
-    inside = points @ relative[:3, :3].T + relative[:3, 3]
+    inside = transform(invert(other) @ pose, points)
     return bool(((inside > around[0]) & (inside < around[1])).all(axis=1).mean() > _INSIDE)
 
 

@@ -22,7 +22,7 @@ from hierax.nodes.tracking.imagery.controls import POINTS_MAX
 from hierax.nodes.tracking.math.batched import exp_many, inverse, invert_many, log_many, only
 from hierax.nodes.tracking.math.geometry import Array, Floats
 from hierax.nodes.tracking.model.controls import Indices
-from hierax.nodes.tracking.model.symmetry import alike
+from hierax.nodes.tracking.model.symmetry import LEVER_M, alike
 from hierax.nodes.tracking.schema import TRACKED, TrackedObject
 
 ROUGH = Search(
@@ -57,7 +57,6 @@ _FARTHER = (1.0, 0.0, 0.5, 1.5, 2.0)
 _AROUND = np.random.default_rng(1).normal(size=(4, 24, 6))
 # Of an object whose place is that uncertain, so many standard deviations are tried in two directions.
 _VAGUE_M = 0.015
-_LEVER_M = 0.05
 _GRID = np.stack(np.meshgrid(np.linspace(-1.5, 1.5, 7), np.linspace(-1.5, 1.5, 7)), axis=-1).reshape(-1, 2)
 
 # An object that was not found elsewhere in `_FAILED_AT_ONCE` images in a row is from then on looked for in one image of
@@ -254,7 +253,7 @@ def _starts(item: TrackedObject, shift: Floats, spread: Floats) -> list[Floats]:
 
 def _across(spread: Floats) -> Floats:
     """Twists (n, 6) on a grid along the two directions that are least certain."""
-    scale = np.array([1.0] * 3 + [_LEVER_M] * 3)
+    scale = np.array([1.0] * 3 + [LEVER_M] * 3)
     scaled = spread * np.outer(scale, scale)
     _, vectors = np.linalg.eigh(scaled)
     variances = np.einsum("ik,ij,jk->k", vectors, scaled, vectors)

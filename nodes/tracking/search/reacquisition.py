@@ -13,8 +13,7 @@ from typing import NamedTuple
 import numpy as np
 
 from hierax.nodes.tracking.estimation.alignment import Aligned, Start
-from hierax.nodes.tracking.estimation.appearance import recalled
-from hierax.nodes.tracking.estimation.bending import slack_of
+from hierax.nodes.tracking.estimation.bending import memory_of
 from hierax.nodes.tracking.estimation.joint_alignment import Task
 from hierax.nodes.tracking.estimation.likelihood import explains
 from hierax.nodes.tracking.estimation.profiles import lines_of
@@ -137,8 +136,7 @@ def _candidates(looking: Looking, found: Found, sought: Sequence[int]) -> tuple[
     candidates = _Candidates._make(np.array(column) for column in zip(*rows, strict=True))
     controls = gathered(seen)
     looks = [objects[at]["slots"] for at in owners]
-    memory = recalled(looks, controls, task.image.shape[2])._replace(slack=slack_of(looks, controls))
-    return candidates, task._replace(controls=controls, memory=memory)
+    return candidates, task._replace(controls=controls, memory=memory_of(looks, controls, task.image.shape[2]))
 
 
 def _evidence(looking: Looking, found: Found, fine: Aligned, candidates: _Candidates) -> tuple[Floats, Floats]:

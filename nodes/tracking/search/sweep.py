@@ -16,7 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hierax.nodes.tracking.estimation.likelihood import ALIKE, FOUND, LEAST_CLUTTER
-from hierax.nodes.tracking.estimation.profiles import Image, Singles
+from hierax.nodes.tracking.estimation.profiles import Image, Singles, grey_levels
+from hierax.nodes.tracking.math.batched import only
 from hierax.nodes.tracking.math.geometry import Array, Floats, exp_so3
 from hierax.nodes.tracking.schema import ControlPoints, Sweep
 
@@ -56,7 +57,7 @@ def maps_of(image: Image, outlines: Sequence[Floats] = ()) -> Maps:
     """
     height, width = image.shape[0] // _SHRUNK, image.shape[1] // _SHRUNK
     light = cv2.resize(image, (width, height), interpolation=cv2.INTER_AREA).reshape(height, width, -1)
-    small = np.sqrt(np.float32(255.0) * light)  # grey levels, where noise and contrast are alike in dark and bright
+    small = grey_levels(light)
     across, down = (cv2.Sobel(small, cv2.CV_32F, *order, scale=0.125) for order in ((1, 0), (0, 1)))
     across, down = across.reshape(small.shape), down.reshape(small.shape)
     size = across * across + down * down
@@ -91,7 +92,7 @@ def swept(maps: Maps, sweep: Sweep, intrinsics: Array) -> Proposed:
     poses = places[where] @ np.stack([templates[number]["pose"] for number in numbers])
     first = Proposed(poses, numbers, nats[numbers, where])
     kept = _apart(first, 0.5 * _APART_PX, intrinsics, _KEPT)
-    return _closer(maps, sweep, _only(first, kept), intrinsics)
+    return _closer(maps, sweep, only(first, np.array(kept, dtype=np.intp)), intrinsics)
 
 
 def _closer(maps: Maps, sweep: Sweep, first: Proposed, intrinsics: Array) -> Proposed:
@@ -117,7 +118,7 @@ def _closer(maps: Maps, sweep: Sweep, first: Proposed, intrinsics: Array) -> Pro
         poses[rows], nats[rows] = tried[best, np.arange(len(rows))], found.max(axis=0)
     order = np.argsort(-nats, kind="stable")
     closer = Proposed(poses[order], first.templates[order], nats[order])
-    return _only(closer, _apart(closer, _APART_PX, intrinsics, _BEST))
+    return only(closer, np.array(_apart(closer, _APART_PX, intrinsics, _BEST), dtype=np.intp))
 
 
 def _nats(maps: Singles, poses: Floats, controls: ControlPoints, intrinsics: Array) -> Floats:
@@ -172,7 +173,3 @@ def _apart(found: Proposed, apart_px: float, intrinsics: Array, most: int) -> li
         if len(kept) == most:
             break
     return kept
-
-
-def _only(found: Proposed, kept: list[int]) -> Proposed:
-    return Proposed._make(part[kept] for part in found)
