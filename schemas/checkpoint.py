@@ -37,62 +37,38 @@ _PACKERS = Packers(array_in_place)
 
 
 class Checkpoint(NamedTuple):
-    """What a node but the world writes before it sends context down.
+    """What a node but the world writes before it sends context down."""
 
-    Attributes:
-        epoch: the epoch begun last; counts from 1, 0 before the first.
-        attempt: which attempt of it.
-        instance: instance number of the process that writes.
-        roster: version of the roster that the node is in.
-        finished: whether `now` is the state after the epoch's prediction.
-        start: the state at the epoch's start, encoded as [belief, policy, actions].
-        now: the state now, likewise.
-    """
-
-    epoch: int
-    attempt: int
-    instance: int
-    roster: int
-    finished: bool
-    start: bytes
-    now: bytes
+    epoch: int  # the epoch begun last; counts from 1, 0 before the first
+    attempt: int  # which attempt of it
+    instance: int  # instance number of the process that writes
+    roster: int  # version of the roster that the node is in
+    finished: bool  # whether `now` is the state after the epoch's prediction
+    start: bytes  # the state at the epoch's start, encoded as [belief, policy, actions]
+    now: bytes  # the state now, likewise
 
 
 class WorldRecord(NamedTuple):
-    """What the world writes before the first message of every attempt, and around an act.
+    """What the world writes before the first message of every attempt, and around an act."""
 
-    Attributes:
-        epoch: the epoch under way; counts from 1, 0 before the first.
-        attempt: which attempt of it is begun.
-        instance: instance number of the world's process.
-        roster: the encoded value of the whole roster in force (`Roster.plain`).
-        highest_version: of all rosters ever prepared, dropped ones too.
-        last_digest: digest of the last committed epoch.
-        state: the world's state at the epoch's start, encoded as [belief, policy, actions].
-        intended: the last epoch whose act was intended; 0 for none.
-        acted: the last epoch whose act is known to be done; 0 for none.
-        processes: the encoded map of the nodes' names to their processes: the token, the version with which
-            the node came in, the first epoch that it took part in, and the request of it; empty: unknown.
-        last_attempt: which attempt of the last epoch was committed.
-        trial: of a node that has replaced another one with the roster in force, and whose first epoch is under way,
-            the encoded array of its name, the whole roster before it, as `processes` has them the fields of
-            the process that it replaces, and whether that node fails alone; empty: there is none.
-        alone: the encoded array of the names of all nodes that fail alone; empty: unknown.
-    """
-
-    epoch: int
-    attempt: int
-    instance: int
-    roster: bytes
-    highest_version: int
-    last_digest: bytes
-    state: bytes
-    intended: int = 0
-    acted: int = 0
+    epoch: int  # the epoch under way; counts from 1, 0 before the first
+    attempt: int  # which attempt of it is begun
+    instance: int  # instance number of the world's process
+    roster: bytes  # the encoded value of the whole roster in force (`Roster.plain`)
+    highest_version: int  # of all rosters ever prepared, dropped ones too
+    last_digest: bytes  # digest of the last committed epoch
+    state: bytes  # the world's state at the epoch's start, encoded as [belief, policy, actions]
+    intended: int = 0  # the last epoch whose act was intended; 0 for none
+    acted: int = 0  # the last epoch whose act is known to be done; 0 for none
+    # The encoded map of the nodes' names to their processes: the token, the version with which the node came in, the
+    # first epoch that it took part in, and the request of it; empty: unknown.
     processes: bytes = b""
-    last_attempt: int = 0
+    last_attempt: int = 0  # which attempt of the last epoch was committed
+    # Of a node that has replaced another one with the roster in force, and whose first epoch is under way, the encoded
+    # array of its name, the whole roster before it, as `processes` has them the fields of the process that it replaces,
+    # and whether that node fails alone; empty: there is none.
     trial: bytes = b""
-    alone: bytes = b""
+    alone: bytes = b""  # the encoded array of the names of all nodes that fail alone; empty: unknown
 
 
 _CHECKPOINT: dict[str, type] = {"format": int, **get_type_hints(Checkpoint)}
@@ -183,10 +159,7 @@ def encode_trial(name: str, before: Roster, place: Place, alone: bool) -> bytes:
 def decode_trial(data: bytes, where: str = "trial") -> tuple[str, Roster, Place, bool] | None:
     """The node of a record that is tried, the roster before it, what runs there, and whether that fails alone.
 
-    None: there is none.
-
-    Raises:
-        SchemaError: the bytes are no such array.
+    None: there is none. Raises `SchemaError` if the bytes are no such array.
     """
     if not data:
         return None

@@ -14,20 +14,16 @@ from hierax.schemas.keys import check_name
 from hierax.schemas.limits import MAX_NEIGHBOURS, MAX_NUMBER, MAX_STATE_BYTES, MAX_TEXT_CHARS, MAX_WORD_BYTES
 from hierax.schemas.values import Value, decode_value, encode_value
 
-NEVER = -1
-"""The epoch of a process that has no checkpoint."""
+NEVER = -1  # the epoch of a process that has no checkpoint
 
 
 class Prepare(NamedTuple):
-    """Owner to process: get ready for a version of the roster (as `Roster.plain` gives it), and say so.
-
-    Attributes:
-        alone: the nodes in it that fail alone: what they or their edges raise is told, and ends no process.
-        tried: likewise, in the first epoch under it: what they replace waits until that is committed.
-    """
+    """Owner to process: get ready for a version of the roster (as `Roster.plain` gives it), and say so."""
 
     roster: dict[str, Value]
+    # The nodes in it that fail alone: what they or their edges raise is told, and ends no process.
     alone: tuple[str, ...] = ()
+    # Likewise, in the first epoch under it: what they replace waits until that is committed.
     tried: tuple[str, ...] = ()
 
 
@@ -77,25 +73,16 @@ class Dismiss(NamedTuple):
 
 
 class Join(NamedTuple):
-    """Process to owner: it is there to run a node.
-
-    Attributes:
-        request: the change that it was started for; empty: it comes in the place of a lost one.
-        epoch: the last epoch that it has begun, or finished by its checkpoint; `NEVER` without one.
-        active: whether it has taken part in an epoch; then it asks whether it still may.
-        refusal: why it cannot run the node after all; mostly empty.
-        version: of the roster under which its checkpoint was written; of one that is active, in which it is.
-        attempt: of that epoch.
-    """
+    """Process to owner: it is there to run a node."""
 
     name: str
     process: str
-    request: str
-    epoch: int
-    active: bool
-    refusal: str
-    version: int = 0
-    attempt: int = 0
+    request: str  # the change that it was started for; empty: it comes in the place of a lost one
+    epoch: int  # the last epoch that it has begun, or finished by its checkpoint; `NEVER` without one
+    active: bool  # whether it has taken part in an epoch; then it asks whether it still may
+    refusal: str  # why it cannot run the node after all; mostly empty
+    version: int = 0  # of the roster under which its checkpoint was written; of one that is active, in which it is
+    attempt: int = 0  # of that epoch
 
 
 class Ready(NamedTuple):
@@ -132,36 +119,24 @@ class Fetch(NamedTuple):
 
 
 class Status(NamedTuple):
-    """Process to owner: the answer to `AskStatus`.
-
-    Attributes:
-        waits_for: names of senders and kinds of messages.
-        busy: the operator that the process is in; empty: in none.
-        version: of the roster that the node is in.
-    """
+    """Process to owner: the answer to `AskStatus`."""
 
     name: str
     inquiry: int
     epoch: int
     attempt: int
-    waits_for: tuple[tuple[str, str], ...]
-    busy: str
-    version: int = 0
+    waits_for: tuple[tuple[str, str], ...]  # names of senders and kinds of messages
+    busy: str  # the operator that the process is in; empty: in none
+    version: int = 0  # of the roster that the node is in
 
 
 class Failed(NamedTuple):
-    """Process to owner: an operator or edge function of a node that fails alone has raised, and why, in one line.
+    """Process to owner: an operator or edge function of a node that fails alone has raised, and why, in one line."""
 
-    Attributes:
-        name, process: who says so; an edge function may run in the process of the other node.
-        version: of the roster under which it happened.
-        subject: the node, or the edge as ``lower->upper``.
-    """
-
-    name: str
-    process: str
-    version: int
-    subject: str
+    name: str  # who says so; an edge function may run in the process of the other node
+    process: str  # likewise
+    version: int  # of the roster under which it happened
+    subject: str  # the node, or the edge as ``lower->upper``
     why: str
 
 
@@ -197,19 +172,16 @@ class Propose(NamedTuple):
 Offered = Prepare | Unchanged | HandOver | TakeOver | AskStatus | Resend
 """What a process is told by the owner on its own key; a dismissal comes by way of its supervisor."""
 
-Order = Offered | Dismiss
-"""What a process is told by the owner."""
+Order = Offered | Dismiss  # what a process is told by the owner
 
 Word = Join | Ready | State | Taken | Fetch | Status | Failed
 """What a process says to the owner on the owner's key; the rest comes by way of the supervisor."""
 
-Control = Order | Word | Lost | Census | Propose
-"""Every kind of control message."""
+Control = Order | Word | Lost | Census | Propose  # every kind of control message
 
 _KINDS: dict[str, Callable[..., object]] = {kind.__name__: kind for kind in get_args(Control)}
 _FIELDS = {kind.__name__: get_type_hints(kind) for kind in get_args(Control)}
-_LONG = (Prepare, TakeOver, State, Propose, Census)
-"""The kinds that hold a roster, a state or a list of processes."""
+_LONG = (Prepare, TakeOver, State, Propose, Census)  # the kinds that hold a roster, a state or a list of processes
 
 _LONG_HEADS = tuple(
     bytes([0x91 + len(kind._fields), 0xA0 + len(kind.__name__)]) + kind.__name__.encode() for kind in _LONG

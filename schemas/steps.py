@@ -21,56 +21,35 @@ _PACKERS = Packers(array_in_place)
 
 
 class Passage(NamedTuple):
-    """A message that went in or out at a node's port.
+    """A message that went in or out at a node's port."""
 
-    Attributes:
-        sent: whether it went out.
-        kind, epoch, attempt: of the message.
-        peer: the other end.
-    """
-
-    sent: bool
-    kind: str
-    peer: str
-    epoch: int
-    attempt: int
+    sent: bool  # whether it went out
+    kind: str  # of the message
+    peer: str  # the other end
+    epoch: int  # likewise
+    attempt: int  # likewise
 
 
 class NodeStep(NamedTuple):
-    """An epoch of a node.
+    """An epoch of a node."""
 
-    Attributes:
-        name: of the node.
-        stream: a token; steps of one process, told without a break, share it.
-        number: counts the steps of a stream from 1.
-        epoch, attempt: which one.
-        roster: version of the roster.
-        instance: of the node's process.
-        time_s: the epoch's time in seconds.
-        digest: the node's, of the epoch.
-        state: the state after it, encoded as [belief, policy, actions].
-        sensed: the belief after `observe`, encoded; empty for the world, which does not observe.
-        start: in the first step of a stream the state at the epoch's start, encoded; else empty.
-        used: where inputs may be of other epochs, which ones were used: (sender, kind, epoch, attempt).
-        passages: what went in and out since the last step, in order; some may be of the next epoch.
-        chain: of the world's step the run's digest of the epoch, where it is known; else empty.
-    """
-
-    name: str
-    stream: str
-    number: int
-    epoch: int
-    attempt: int
-    roster: int
-    instance: int
-    time_s: float
-    digest: bytes
-    state: bytes
-    sensed: bytes = b""
-    start: bytes = b""
+    name: str  # of the node
+    stream: str  # a token; steps of one process, told without a break, share it
+    number: int  # counts the steps of a stream from 1
+    epoch: int  # which one
+    attempt: int  # likewise
+    roster: int  # version of the roster
+    instance: int  # of the node's process
+    time_s: float  # the epoch's time in seconds
+    digest: bytes  # the node's, of the epoch
+    state: bytes  # the state after it, encoded as [belief, policy, actions]
+    sensed: bytes = b""  # the belief after `observe`, encoded; empty for the world, which does not observe
+    start: bytes = b""  # in the first step of a stream the state at the epoch's start, encoded; else empty
+    # Where inputs may be of other epochs, which ones were used: (sender, kind, epoch, attempt).
     used: tuple[tuple[str, str, int, int], ...] = ()
+    # What went in and out since the last step, in order; some may be of the next epoch.
     passages: tuple[Passage, ...] = ()
-    chain: bytes = b""
+    chain: bytes = b""  # of the world's step the run's digest of the epoch, where it is known; else empty
 
     @property
     def when(self) -> tuple[int, int]:

@@ -19,21 +19,15 @@ from hierax.runtime.core.node import Node, World
 from hierax.runtime.core.tick import Tick
 
 Operator = Callable[..., Any]
-Waiter = Callable[[Awaitable[Any]], Any]
-"""Drives an awaitable to its result; the core itself has no event loop."""
+Waiter = Callable[[Awaitable[Any]], Any]  # drives an awaitable to its result; the core itself has no event loop
 
 
 @dataclass(frozen=True)
 class OperatorSetting:
-    """What a run gives to every operator.
+    """What a run gives to every operator."""
 
-    Attributes:
-        seed: of all random numbers.
-        wait: drives operators that are ``async def``; None refuses them.
-    """
-
-    seed: int = 0
-    wait: Waiter | None = None
+    seed: int = 0  # of all random numbers
+    wait: Waiter | None = None  # drives operators that are ``async def``; None refuses them
 
 
 TAKES = {
@@ -75,11 +69,7 @@ class Call:
         self._function = _synchronous(function, setting, f"{subject}: {operator}")
 
     def __call__(self, epoch: int, time_s: float, *arguments: Value) -> Any:
-        """Call the operator.
-
-        Raises:
-            OperatorError: it raised; the cause is chained.
-        """
+        """Call the operator. Raises `OperatorError` if it raised; the cause is chained."""
         try:
             if not self._wants_tick:
                 return self._function(*arguments)
@@ -156,9 +146,8 @@ class BoundNode:
     """A node with a name, its neighbours and the run's seed: all that its operators need.
 
     Raises:
-        HierarchyError: it is no node, an operator has a signature that cannot be
-            called, a policy's name is no string, π⁰ is none of the policies, or
-            λ(∅) ≠ π⁰.
+        HierarchyError: it is no node, an operator has a signature that cannot be called, a policy's name is no string,
+            π⁰ is none of the policies, or λ(∅) ≠ π⁰.
     """
 
     __slots__ = (
@@ -211,8 +200,7 @@ class BoundNode:
     def accept_none(self, operator: Call, epoch: int) -> None:
         """An operator has given None for a belief, as one without a `return` does.
 
-        Raises:
-            OperatorError: the node's initial belief is something else.
+        Raises `OperatorError` if the node's initial belief is something else.
         """
         if self._may_be_none is None:
             self._may_be_none = self.initial_belief(0, 0.0) is None
@@ -237,11 +225,7 @@ class BoundNode:
 
 
 def is_finished(name: str, world: World, belief: Value, epoch: int) -> bool:
-    """Whether the world has nothing left to observe.
-
-    Raises:
-        OperatorError: the world's `finished` raised.
-    """
+    """Whether the world has nothing left to observe. Raises `OperatorError` if the world's `finished` raised."""
     try:
         return bool(world.finished(belief))
     except Exception as error:
@@ -267,8 +251,7 @@ def metrics_of(name: str, node: Node, belief: Value, epoch: int) -> dict[str, fl
 def epoch_time_s(name: str, world: World, belief: Value, epoch: int) -> float:
     """The time of an epoch, as the world sets it, checked.
 
-    Raises:
-        OperatorError: the world's `time_s` raised, or gave no finite number.
+    Raises `OperatorError` if the world's `time_s` raised, or gave no finite number.
     """
     try:
         time_s = float(world.time_s(belief, epoch))

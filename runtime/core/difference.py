@@ -11,8 +11,7 @@ from hierax.runtime.core.elements import Value
 from hierax.schemas.errors import SchemaError
 from hierax.schemas.values import encode_value
 
-ABSENT = "(absent)"
-"""Stands for a value on the side where there is none."""
+ABSENT = "(absent)"  # stands for a value on the side where there is none
 
 
 class Unlike(NamedTuple):

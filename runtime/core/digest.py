@@ -1,9 +1,8 @@
 """Digests: equal digests are the meaning of "the same run".
 
-A node's digest of an epoch is BLAKE2b-256 over the encoding of [belief, policy,
-actions] and the digests of its parents, in name order. The epoch's digest chains the
-last one, the epoch's number, the roster's content and N₀'s digest, which, as the
-digests flow down every edge, covers all nodes.
+A node's digest of an epoch is BLAKE2b-256 over the encoding of [belief, policy, actions] and the digests of its
+parents, in name order. The epoch's digest chains the last one, the epoch's number, the roster's content and N₀'s
+digest, which, as the digests flow down every edge, covers all nodes.
 """
 
 from __future__ import annotations

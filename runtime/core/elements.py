@@ -2,8 +2,6 @@
 
 from typing import Any
 
-Value = Any
-"""A value as `hierax.schemas.values` describes it; never mutated."""
+Value = Any  # a value as `hierax.schemas.values` describes it; never mutated
 
-Elements = tuple[Value, ...]
-"""A set of the theory (observations, actions, task parameters, context), in a fixed order."""
+Elements = tuple[Value, ...]  # a set of the theory (observations, actions, task parameters, context), in a fixed order

@@ -9,8 +9,7 @@ from hierax.runtime.core.errors import HierarchyError
 from hierax.schemas.errors import SchemaError
 from hierax.schemas.keys import check_name
 
-Pair = tuple[str, str]
-"""An edge by the names of its lower and upper node."""
+Pair = tuple[str, str]  # an edge by the names of its lower and upper node
 
 
 def check_graph(world: str, names: Iterable[str], pairs: Sequence[Pair]) -> None:
@@ -22,10 +21,9 @@ def check_graph(world: str, names: Iterable[str], pairs: Sequence[Pair]) -> None
         pairs: (lower, upper) of all edges.
 
     Raises:
-        HierarchyError: with the reason and the names: a name that cannot stand in a key
-            or file name, an unknown node, an edge from a node to itself, a doubled
-            edge, something below the world, a cycle, a second source, a node that
-            cannot be reached from the world.
+        HierarchyError: with the reason and the names: a name that cannot stand in a key or file name, an unknown node,
+            an edge from a node to itself, a doubled edge, something below the world, a cycle, a second source, a node
+            that cannot be reached from the world.
     """
     known = _checked_names(names)
     _check_world(world, known)
@@ -38,11 +36,7 @@ def check_graph(world: str, names: Iterable[str], pairs: Sequence[Pair]) -> None
 
 
 def topological_order(names: Iterable[str], pairs: Iterable[Pair]) -> tuple[str, ...]:
-    """The names from below to above, ties by name.
-
-    Raises:
-        HierarchyError: the edges form a cycle; it is printed.
-    """
+    """The names from below to above, ties by name. Raises `HierarchyError` if the edges form a cycle; it is printed."""
     sorter: TopologicalSorter[str] = TopologicalSorter(dict.fromkeys(names, ()))
     for lower, upper in pairs:
         sorter.add(upper, lower)

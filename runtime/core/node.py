@@ -48,11 +48,10 @@ def do_nothing(belief: Value) -> Elements:
 class Node(ABC):
     """A node of a cognitive hierarchy: a language, policies and update operators.
 
-    All operators are plain functions of values: they keep nothing in the object that
-    changes what they return, and never mutate what they are given. A simulator or a
-    device is a cache of the belief. An operator that needs the epoch, the time, the
-    neighbours' names or random numbers takes a further parameter ``tick: Tick = NO_TICK``.
-    An operator may be an ``async def`` where it waits for the outside.
+    All operators are plain functions of values: they keep nothing in the object that changes what they return, and
+    never mutate what they are given. A simulator or a device is a cache of the belief. An operator that needs the
+    epoch, the time, the neighbours' names or random numbers takes a further parameter ``tick: Tick = NO_TICK``. An
+    operator may be an ``async def`` where it waits for the outside.
 
     Attributes:
         initial_policy: name of π⁰, which `select_policy` must return for no tasks.
@@ -110,9 +109,8 @@ class Node(ABC):
             belief: the other node's.
 
         Returns:
-            By default the same, if it is built like this node's initial belief: the same
-            types, keys of maps and dtypes of arrays. Lengths may differ, and what is None in a
-            map of the initial belief may be anything.
+            By default the same, if it is built like this node's initial belief: the same types, keys of maps and dtypes
+            of arrays. Lengths may differ, and what is None in a map of the initial belief may be anything.
 
         Raises:
             ValueError: it cannot be taken over; says why.
@@ -150,10 +148,9 @@ class World(Node):
     def act(self, actions: Elements, tick: Tick = NO_TICK) -> None:
         """Move real actuators; called once an epoch, when its actions stand, before it is committed.
 
-        Not for a world whose act is a function of its belief: that is done by `predict`.
-        Where a process dies in the middle of an act, ``on_uncertain_act`` in the deployment
-        file says whether it is repeated; ``tick.epoch`` is the key by which a device can
-        tell a repeated act.
+        Not for a world whose act is a function of its belief: that is done by `predict`. Where a process dies in the
+        middle of an act, ``on_uncertain_act`` in the deployment file says whether it is repeated; ``tick.epoch`` is the
+        key by which a device can tell a repeated act.
         """
         return
 

@@ -58,9 +58,8 @@ class Probe(ABC):
     def open_again(self, output: Path | None) -> None:
         """Called in place of `open` where a process of the node comes in the place of one that died.
 
-        What is in the folder was written in this run, and the last epochs may be told again
-        (with a later attempt). By default what `open` does, which suits what writes one file
-        for each epoch.
+        What is in the folder was written in this run, and the last epochs may be told again (with a later attempt). By
+        default what `open` does, which suits what writes one file for each epoch.
         """
         self.open(output)
 

@@ -1,8 +1,8 @@
 """Things that a node can show: plain values that say what is seen, and nothing of how it is drawn.
 
-`Node.show` gives them by path. The path's first part names the view that a thing is seen
-in: ``score/cube`` is in the node's own view ``score``, ``/scene/cube`` in the view
-``scene``, which all nodes share. A view holds things of one kind:
+`Node.show` gives them by path. The path's first part names the view that a thing is seen in: ``score/cube`` is in the
+node's own view ``score``, ``/scene/cube`` in the view ``scene``, which all nodes share. A view holds things of one
+kind:
 
 - a picture: `Image`, `Depth`, `Labels`, `Points2D`, `Lines2D`. In pixels, x to the right, y down,
   the centre of the first pixel at (0, 0).
@@ -12,8 +12,7 @@ in: ``score/cube`` is in the node's own view ``score``, ``/scene/cube`` in the v
 - a text: `str`, as Markdown.
 - a graph: `Graph`.
 
-Arrays may be lists, too. What is built wrongly is refused with a ValueError that says what
-was expected.
+Arrays may be lists, too. What is built wrongly is refused with a ValueError that says what was expected.
 """
 
 from __future__ import annotations

@@ -7,15 +7,10 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class Staleness:
-    """How old inputs from above may be.
+    """How old inputs from above may be."""
 
-    Attributes:
-        epochs: n; 0 is the barrier; None: free running.
-        exact: exactly so old, which makes runs repeatable.
-    """
-
-    epochs: int | None = 0
-    exact: bool = False
+    epochs: int | None = 0  # n; 0 is the barrier; None: free running
+    exact: bool = False  # exactly so old, which makes runs repeatable
 
     @property
     def barrier(self) -> bool:

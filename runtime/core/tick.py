@@ -19,8 +19,7 @@ class Tick:
         operator: which operator or edge function is called.
         epoch: counts from 1; 0 outside of a run.
         time_s: the epoch's time in seconds, as the world set it.
-        below, above: names of the neighbours of the node (of an edge function: of the
-            edge's lower and upper node).
+        below, above: names of the neighbours of the node (of an edge function: of the edge's lower and upper node).
     """
 
     seed: int = 0

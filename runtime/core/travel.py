@@ -48,11 +48,7 @@ def elements_cannot_travel(kind: str, sender: str, receiver: str, epoch: int, er
 
 
 def travels(call: Call, epoch: int, what: str, value: Value) -> None:
-    """Whether what a call gave can travel.
-
-    Raises:
-        OperatorError: it cannot.
-    """
+    """Whether what a call gave can travel. Raises `OperatorError` if it cannot."""
     flaw = _flaw(value)
     if flaw:
         raise OperatorError(call.subject, call.operator, epoch, f"{what}: {flaw}")

@@ -13,34 +13,21 @@ from hierax.schemas.messages import Header, Message
 
 
 class Called(NamedTuple):
-    """An operator or edge function was called.
+    """An operator or edge function was called."""
 
-    Attributes:
-        epoch, attempt: when.
-        subject: the node, or the edge as ``lower->upper``.
-        operator: which one.
-        result: what it returned.
-    """
-
-    epoch: int
-    attempt: int
-    subject: str
-    operator: str
-    result: Value
+    epoch: int  # when
+    attempt: int  # likewise
+    subject: str  # the node, or the edge as ``lower->upper``
+    operator: str  # which one
+    result: Value  # what it returned
 
 
 class Completed(NamedTuple):
-    """The node is done with an epoch.
+    """The node is done with an epoch."""
 
-    Attributes:
-        step: what went in and came out.
-        state: the encoding of (belief, policy, actions).
-        digest: the node's digest of the epoch.
-    """
-
-    step: Step
-    state: bytes
-    digest: bytes
+    step: Step  # what went in and came out
+    state: bytes  # the encoding of (belief, policy, actions)
+    digest: bytes  # the node's digest of the epoch
 
 
 class Committed(NamedTuple):
@@ -52,18 +39,12 @@ class Committed(NamedTuple):
 
 
 class Saved(NamedTuple):
-    """What a node needs in order to go on after a crash.
+    """What a node needs in order to go on after a crash."""
 
-    Attributes:
-        epoch, attempt: the last ones that it has finished.
-        start: its state at the epoch's start.
-        now: its state after it.
-    """
-
-    epoch: int
-    attempt: int
-    start: ActiveNode
-    now: ActiveNode
+    epoch: int  # the last ones that it has finished
+    attempt: int  # likewise
+    start: ActiveNode  # its state at the epoch's start
+    now: ActiveNode  # its state after it
 
 
 class EngineEffects(ABC):

@@ -38,23 +38,13 @@ KEPT_ATTEMPTS = 8
 
 _NOTHING: Mapping[Slot, int] = {}
 _NO_MESSAGES: Mapping[Slot, Message] = {}
-SLOT_FIELDS = 7
-"""The first fields of a header: no two messages of a run share them."""
+SLOT_FIELDS = 7  # the first fields of a header: no two messages of a run share them
 
 _PERHAPS_AGAIN = (Verdict.DOUBLE, Verdict.LATE, Verdict.OLD_ROSTER)
 
 
 class Engine:
     """One node's part in every epoch.
-
-    Args:
-        wiring: the node, bound to its name and neighbours, and its edges.
-        effects: called with all that is to be done, as soon as it is known: a task message
-            before the belief is predicted, one node's context before the next one's.
-        saved: where a crashed process of the node goes on; None: at the beginning.
-        joins: whether it comes into a run that may have begun: then it begins with the
-            first epoch that it hears of.
-        events: whether every call of an operator or edge function gives an event.
 
     Attributes:
         events: likewise; may be set at any time, by any thread.
@@ -65,12 +55,15 @@ class Engine:
 
     def __init__(
         self,
-        wiring: Wiring,
+        wiring: Wiring,  # the node, bound to its name and neighbours, and its edges
+        # Called with all that is to be done, as soon as it is known: a task message before the belief is predicted, one
+        # node's context before the next one's.
         effects: EngineEffects,
         *,
-        saved: Saved | None = None,
+        saved: Saved | None = None,  # where a crashed process of the node goes on; None: at the beginning
+        # Whether it comes into a run that may have begun: then it begins with the first epoch that it hears of.
         joins: bool = False,
-        events: bool = False,
+        events: bool = False,  # whether every call of an operator or edge function gives an event
     ) -> None:
         self._effects = effects
         self.events = events
@@ -186,8 +179,7 @@ class Engine:
     def prepare(self, wiring: Wiring) -> None:
         """Have the wiring of a roster's version at hand, for when a message of it comes; it may be held already.
 
-        Raises:
-            OperatorError: an operator failed.
+        Raises `OperatorError` if an operator failed.
         """
         if wiring.roster <= self.wiring.roster:
             return
@@ -217,9 +209,8 @@ class Engine:
     def receive(self, message: Message) -> None:
         """Take a message in, by the table.
 
-        Raises:
-            OperatorError: an operator failed.
-            ContradictionError: it says something else than another one with its header's numbers.
+        Raises `OperatorError` if an operator failed, and `ContradictionError` if it says something else than another
+        one with its header's numbers.
         """
         header = message.header
         kind, sender, receiver, epoch, attempt, roster, instance, _, digest, _ = header
@@ -267,8 +258,7 @@ class Engine:
     def go_back_to(self, attempt: int) -> None:
         """Have the state after the attempt of the last epoch that counts, where somebody has had another one done.
 
-        Raises:
-            ContradictionError: this process has not done the one that counts.
+        Raises `ContradictionError` if this process has not done the one that counts.
         """
         if attempt == self.attempt:
             return
@@ -298,8 +288,7 @@ class Engine:
     def compare(self, message: Message) -> None:
         """Take nothing more in, but see whether a message contradicts one that was.
 
-        Raises:
-            ContradictionError: it does.
+        Raises `ContradictionError` if it does.
         """
         self._is_again((message.header.sender, message.header.kind), message)
 
@@ -314,8 +303,7 @@ class Engine:
     def _is_again(self, slot: Slot, message: Message) -> bool:
         """Whether a message was taken before, in this epoch or the last one.
 
-        Raises:
-            ContradictionError: one was that says something else.
+        Raises `ContradictionError` if one was that says something else.
         """
         for taken in (self._inbox, self._heard, self._told, self._heard_before, self._told_before):
             known = taken.get(slot)

@@ -1,14 +1,12 @@
 """The engine without the barrier: inputs from above may be of an earlier epoch.
 
-With a staleness of n, observations are always of the node's own epoch k, and inputs from
-above of epoch k − n or later: the newest in hand or, ``exact``, those of k − n whatever
-has come since. Free running is without bound: a node takes the newest of everything, and
-leaves out epochs that were overtaken.
+With a staleness of n, observations are always of the node's own epoch k, and inputs from above of epoch k − n or later:
+the newest in hand or, ``exact``, those of k − n whatever has come since. Free running is without bound: a node takes
+the newest of everything, and leaves out epochs that were overtaken.
 
-A *drained* epoch is done with a staleness of 0: at its end every node is done with it.
-The world says so with its observations, and who gets them passes it on. The roster
-changes after a drained epoch, and the first epoch under a roster is one: so in free
-running, too, there is something in hand of everybody above.
+A *drained* epoch is done with a staleness of 0: at its end every node is done with it. The world says so with its
+observations, and who gets them passes it on. The roster changes after a drained epoch, and the first epoch under a
+roster is one: so in free running, too, there is something in hand of everybody above.
 """
 
 from __future__ import annotations
@@ -25,26 +23,19 @@ from hierax.runtime.engine.table import ACTIONS, Action, Phase, Verdict
 from hierax.runtime.engine.wiring import Slot, Wiring
 from hierax.schemas.messages import OBSERVATIONS, Header, Message
 
-DRAIN = "drain"
-"""Key of the header's extension that makes an epoch a drained one."""
+DRAIN = "drain"  # key of the header's extension that makes an epoch a drained one
 
 _UNTIMELY = (Verdict.LATE, Verdict.EARLY, Verdict.DOUBLE, Verdict.CURRENT)
 
 
 @dataclass
 class Ages:
-    """How old the inputs from above were that a node has used, in epochs.
+    """How old the inputs from above were that a node has used, in epochs."""
 
-    Attributes:
-        inputs: how many there were.
-        total, largest: of their ages.
-        left_out: epochs that the node has not done, or not to their end.
-    """
-
-    inputs: int = 0
-    total: int = 0
-    largest: int = 0
-    left_out: int = 0
+    inputs: int = 0  # how many there were
+    total: int = 0  # of their ages
+    largest: int = 0  # likewise
+    left_out: int = 0  # epochs that the node has not done, or not to their end
 
     def add(self, age: int) -> None:
         """One more."""
@@ -64,10 +55,6 @@ class Ages:
 class StaleEngine(Engine):
     """One node's part in epochs that overlap.
 
-    Args:
-        wiring, effects, saved, joins, events: as `Engine` has them.
-        staleness: of the deployment.
-
     In free running it takes part in an epoch only when `poll` is called.
 
     Attributes:
@@ -76,13 +63,13 @@ class StaleEngine(Engine):
 
     def __init__(
         self,
-        wiring: Wiring,
+        wiring: Wiring,  # as `Engine` has it; so have the others
         effects: EngineEffects,
         *,
         saved: Saved | None = None,
         joins: bool = False,
         events: bool = False,
-        staleness: Staleness,
+        staleness: Staleness,  # of the deployment
     ) -> None:
         self._staleness = staleness
         self._above: dict[Slot, dict[int, Message]] = {}

@@ -128,18 +128,12 @@ class Standing(Protocol):
 
 
 class Row(NamedTuple):
-    """A row of the table.
+    """A row of the table."""
 
-    Attributes:
-        verdict: of a message that fits this row, and none before it.
-        when: what it fits, as the table has it.
-        action: what is done with the message.
-        fits: whether it does, of where the node stands, the message's header, and its sender and kind.
-    """
-
-    verdict: Verdict
-    when: str
-    action: Action
+    verdict: Verdict  # of a message that fits this row, and none before it
+    when: str  # what it fits, as the table has it
+    action: Action  # what is done with the message
+    # Whether it does, of where the node stands, the message's header, and its sender and kind.
     fits: Callable[[Standing, Header, Slot], bool]
 
 
@@ -220,14 +214,12 @@ ROWS = (
 
 ACTIONS = {row.verdict: row.action for row in ROWS}
 
-HELD_MESSAGES = 8
-"""How many messages of one sender and kind are held at most."""
+HELD_MESSAGES = 8  # how many messages of one sender and kind are held at most
 
 HELD_SLOTS = 256
 """Of how many senders and kinds that are no neighbours': of a roster that is not here yet, anybody may be one."""
 
-HELD_BYTES = 64 << 20
-"""How much memory they may take, about; those of no neighbours' a quarter of it."""
+HELD_BYTES = 64 << 20  # how much memory they may take, about; those of no neighbours' a quarter of it
 
 ROSTERS_AHEAD = 1000
 EPOCHS_AHEAD = 1000

@@ -35,11 +35,7 @@ class Vigilance:
             return
 
     def check(self, call: Call, epoch: int) -> None:
-        """Look at all of it after a call.
-
-        Raises:
-            OperatorError: something is not what it was before.
-        """
+        """Look at all of it after a call. Raises `OperatorError` if something is not what it was before."""
         for what, value, before in self._kept:
             if _encoded(value) != before:
                 raise OperatorError(call.subject, call.operator, epoch, _told(what, value, before))

@@ -13,25 +13,18 @@ from hierax.runtime.core.hierarchy import BoundEdge
 from hierax.schemas.messages import CONTEXT, OBSERVATIONS, TASKS
 from hierax.schemas.roster import Roster
 
-Slot = tuple[str, str]
-"""A sender and a kind: from each, one message comes in an epoch."""
+Slot = tuple[str, str]  # a sender and a kind: from each, one message comes in an epoch
 
 
 @dataclass(frozen=True)
 class Place:
-    """Where a node stands in its roster.
+    """Where a node stands in its roster."""
 
-    Attributes:
-        roster: the roster's version.
-        roster_hash: hash of its content; nobody but the world needs it.
-        instances: instance numbers, of the node itself and of its neighbours.
-        tasking: the edges (lower, upper) that have a task function ψ.
-    """
-
-    roster: int = 0
-    roster_hash: bytes = NO_DIGEST
+    roster: int = 0  # the roster's version
+    roster_hash: bytes = NO_DIGEST  # hash of its content; nobody but the world needs it
+    # Instance numbers, of the node itself and of its neighbours.
     instances: Mapping[str, int] = field(default_factory=dict)
-    tasking: frozenset[Pair] = frozenset()
+    tasking: frozenset[Pair] = frozenset()  # the edges (lower, upper) that have a task function ψ
 
     @staticmethod
     def of(roster: Roster, hashed: bool = True) -> Place:

@@ -14,18 +14,12 @@ from typing import NoReturn
 from hierax.runtime.core.binding import CALLS, Call
 from hierax.runtime.execution.pacemaker import Pacemaker
 
-PATIENCE_S = 0.7
-"""How long the epoch under way may take to come to its end."""
-
-OVERDUE_S = 1.2
-"""How long, if no operator can be broken off before."""
+PATIENCE_S = 0.7  # how long the epoch under way may take to come to its end
+OVERDUE_S = 1.2  # how long, if no operator can be broken off before
 
 LOOK_S = 0.02
-AGAIN_S = 0.3
-"""After which an operator that catches everything is broken off once more."""
-
-INTERRUPTED = 130
-"""Exit code of a command that Ctrl-C has ended."""
+AGAIN_S = 0.3  # after which an operator that catches everything is broken off once more
+INTERRUPTED = 130  # exit code of a command that Ctrl-C has ended
 
 
 class Breaker:

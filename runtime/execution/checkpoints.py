@@ -13,8 +13,7 @@ from hierax.runtime.recovery.disk import SLOTS
 from hierax.runtime.recovery.slots import Read, Slots
 from hierax.schemas.checkpoint import Checkpoint, decode_checkpoint, decode_state, encode_checkpoint
 
-FIRST_SLOT = 1
-"""Where the first record goes."""
+FIRST_SLOT = 1  # where the first record goes
 
 _log = logging.getLogger("hierax")
 
@@ -30,18 +29,13 @@ class Checkpoints:
         self._slots = slots
 
     def save(self, checkpoint: Checkpoint) -> None:
-        """Write one over the older of two.
-
-        Raises:
-            HieraxError: the storage failed.
-        """
+        """Write one over the older of two. Raises `HieraxError` if the storage failed."""
         self._slots.write(encode_checkpoint(checkpoint))
 
     def save_first(self, checkpoint: Checkpoint) -> None:
         """Write one to both slots: one that is damaged beside an empty one would count as never whole.
 
-        Raises:
-            HieraxError: the storage failed.
+        Raises `HieraxError` if the storage failed.
         """
         for _ in range(SLOTS):
             self.save(checkpoint)
@@ -49,9 +43,8 @@ class Checkpoints:
     def read(self) -> tuple[Checkpoint, Saved] | None:
         """What a process that comes in the place of a lost one goes on with; None: at the beginning.
 
-        Raises:
-            HieraxError: what there is is damaged, and nothing older is whole.
-            SchemaError: what there is is whole, and no checkpoint that this version reads.
+        Raises `HieraxError` if what there is is damaged, and nothing older is whole, and `SchemaError` if what there is
+        is whole, and no checkpoint that this version reads.
         """
         reads = self._slots.read()
         data, faults = newest_whole(reads)

@@ -11,8 +11,7 @@ from hierax.runtime.execution import single
 from hierax.runtime.execution.runner import NodeRunner
 from hierax.runtime.watch.watcher import Watcher
 
-MAX_POLICIES = 64
-"""Of how many policies of a node every one is called."""
+MAX_POLICIES = 64  # of how many policies of a node every one is called
 
 
 def run_dry(deployment: Deployment) -> int:

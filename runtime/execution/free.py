@@ -11,8 +11,7 @@ from hierax.runtime.deployment import Deployment
 from hierax.runtime.execution.pacemaker import Pacemaker
 from hierax.runtime.execution.runner import NodeRunner
 
-UNIT_S = 1.0
-"""The period of a world without a rate; nodes without one are as quick as the quickest node."""
+UNIT_S = 1.0  # the period of a world without a rate; nodes without one are as quick as the quickest node
 
 
 def run_freely(runners: Mapping[str, NodeRunner], deployment: Deployment, seed: int, pacemaker: Pacemaker) -> None:

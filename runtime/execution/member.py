@@ -43,13 +43,11 @@ from hierax.schemas.messages import Header
 from hierax.schemas.roster import Roster
 from hierax.schemas.values import encode_value
 
-REFUSED_TOLD = 32
-"""Under one version of the roster, of how many senders and reasons refused messages are logged."""
+REFUSED_TOLD = 32  # under one version of the roster, of how many senders and reasons refused messages are logged
 MAX_RESENDS = 64
 """How often what was sent in an attempt is sent again: the owner asks for it a few times, then blames a link."""
 
-MAX_PREPARED = 64
-"""How many versions of the roster are at hand that are not taken up; and how many are asked for."""
+MAX_PREPARED = 64  # how many versions of the roster are at hand that are not taken up; and how many are asked for
 
 _log = logging.getLogger("hierax")
 
@@ -132,8 +130,7 @@ class Member(Host):
     def run(self, wiring: Wiring, saved: Saved | None = None, joins: bool = False) -> NodeRunner:
         """Have a runner from now on; the arguments are those of `Engine`.
 
-        Raises:
-            OperatorError: the initial belief cannot be had.
+        Raises `OperatorError` if the initial belief cannot be had.
         """
         parts = (self.port, self.observers, self, self._world)
         self.runner = NodeRunner(wiring, *parts, staleness=self.staleness, saved=saved, joins=joins)
@@ -160,20 +157,14 @@ class Member(Host):
         self._report(self._join)
 
     def recall(self, wiring: Wiring) -> None:
-        """Have the state of the last epoch, after a run.
-
-        Raises:
-            HieraxError: there is no whole checkpoint.
-        """
+        """Have the state of the last epoch, after a run. Raises `HieraxError` if there is no whole checkpoint."""
         found = self._checkpoints.read()
         self.run(wiring, None if found is None else found[1])
 
     def take_word(self, word: Control) -> None:
         """Do what the owner says; what others say is nothing to this process.
 
-        Raises:
-            OperatorError: an operator failed.
-            ContradictionError: it was told something else before.
+        Raises `OperatorError` if an operator failed, and `ContradictionError` if it was told something else before.
         """
         if isinstance(word, Order):
             self.obey(word)
@@ -181,9 +172,7 @@ class Member(Host):
     def obey(self, order: Order) -> None:
         """Do what the owner says.
 
-        Raises:
-            OperatorError: an operator failed.
-            ContradictionError: it was told something else before.
+        Raises `OperatorError` if an operator failed, and `ContradictionError` if it was told something else before.
         """
         try:
             self.do(order)
@@ -383,8 +372,7 @@ class Member(Host):
     def _check_same(self, roster: Roster) -> None:
         """Whether a version is what it was when it came before.
 
-        Raises:
-            ContradictionError: it is another roster: one of the two was forged.
+        Raises `ContradictionError` if it is another roster: one of the two was forged.
         """
         known = self._rosters.get(roster.version)
         if known is not None and encode_value(known.plain()) != encode_value(roster.plain()):

@@ -22,9 +22,8 @@ class Observers:
     Args:
         name: of the node.
         probes: of the node, open.
-        states: where of every completed epoch [epoch, attempt, state, digest] is written; None:
-            nowhere. The state is the encoding of (belief, policy, actions) that the digest is
-            taken over, so that anyone can take it again.
+        states: where of every completed epoch [epoch, attempt, state, digest] is written; None: nowhere. The state is
+            the encoding of (belief, policy, actions) that the digest is taken over, so that anyone can take it again.
 
     Attributes:
         watchers: who sees what the node does.
@@ -60,11 +59,7 @@ class Observers:
             self.engine.events = bool(watchers)
 
     def predicted(self, completed: Completed) -> None:
-        """The node is done with an epoch, and nothing of it has gone out yet.
-
-        Raises:
-            ProbeError: a probe raised.
-        """
+        """The node is done with an epoch, and nothing of it has gone out yet. Raises `ProbeError` if a probe raised."""
         if self._states is not None:
             step = completed.step
             self._states.write(step.epoch, step.attempt, completed.state, completed.digest)
@@ -74,11 +69,7 @@ class Observers:
                 self._show(probe, completed)
 
     def completed(self, completed: Iterable[Completed]) -> None:
-        """The node is done with these epochs, and nobody waits for it.
-
-        Raises:
-            ProbeError: a probe raised.
-        """
+        """The node is done with these epochs, and nobody waits for it. Raises `ProbeError` if a probe raised."""
         for each in completed:
             self.last = each
             for watcher in self.watchers:
@@ -88,11 +79,7 @@ class Observers:
                     self._show(probe, each)
 
     def close(self) -> None:
-        """Close the state log, all watchers and all probes.
-
-        Raises:
-            ProbeError: a probe raised.
-        """
+        """Close the state log, all watchers and all probes. Raises `ProbeError` if a probe raised."""
         if self._states is not None:
             self._states.close()
         for watcher in self.watchers:

@@ -76,11 +76,7 @@ def _of_a_run(output: Path) -> list[Path]:
 
 
 def write_roster(output: Path, roster: Roster) -> None:
-    """Write the content that the digests cover.
-
-    Raises:
-        HieraxError: it cannot be written.
-    """
+    """Write the content that the digests cover. Raises `HieraxError` if it cannot be written."""
     with errors_named(output / ROSTER, kind=OutputError):
         output.mkdir(parents=True, exist_ok=True)
         write_result(output / ROSTER, encode_value(roster.content()))

@@ -14,32 +14,23 @@ from hierax.runtime.engine.table import Phase
 
 Clock = Callable[[], float]
 
-EPOCHS_TIMED = 1_000_000
-"""Of how many epochs, the last ones, the times are kept."""
+EPOCHS_TIMED = 1_000_000  # of how many epochs, the last ones, the times are kept
 
 
 @dataclass
 class Pacemaker:
-    """How many epochs a run has, how long they took, and their digests.
+    """How many epochs a run has, how long they took, and their digests."""
 
-    Attributes:
-        chain: of the digests.
-        limit: how many epochs; None: until the world has finished.
-        asked: whether the run is to end as soon as may be; any thread, and a signal's handler, may set it.
-        on_commit: told each epoch and its digest, after the next one has begun.
-        clock: seconds.
-        epochs_s: how long each epoch took, from its beginning to its commit; of the last `EPOCHS_TIMED`.
-    """
-
-    chain: DigestChain
-    limit: int | None
-    on_commit: Callable[[int, bytes], None]
-    clock: Clock = time.perf_counter
+    chain: DigestChain  # of the digests
+    limit: int | None  # how many epochs; None: until the world has finished
+    on_commit: Callable[[int, bytes], None]  # told each epoch and its digest, after the next one has begun
+    clock: Clock = time.perf_counter  # seconds
+    # How long each epoch took, from its beginning to its commit; of the last `EPOCHS_TIMED`.
     epochs_s: deque[float] = field(default_factory=lambda: deque(maxlen=EPOCHS_TIMED))
     first_s: float | None = None
     last_s: float = 0.0
     done: bool = False
-    asked: bool = False
+    asked: bool = False  # whether the run is to end as soon as may be; any thread, and a signal's handler, may set it
     _started: float = 0.0
 
     def may_begin(self, engine: Engine) -> bool:

@@ -1,14 +1,12 @@
 """Values as plain JSON, for reports.
 
-Bytes become hexadecimal text, arrays nested lists, a complex number [real, imaginary].
-JSON has no NaN and no infinities: they become the strings "NaN", "Infinity" and
-"-Infinity".
+Bytes become hexadecimal text, arrays nested lists, a complex number [real, imaginary]. JSON has no NaN and no
+infinities: they become the strings "NaN", "Infinity" and "-Infinity".
 
-Of an array of more than `SMALL_ARRAY` elements it is told what it is like, and by which
-digest it is known: ``{"array": {"dtype", "shape", "blake2b", "min", "max", "mean"}}``. The
-digest is BLAKE2b-256 of its elements as messages carry them: in C order, little-endian. The
-last three lack where it has no finite elements. Bytes of more than `SMALL_BYTES` become
-``{"bytes": {"size", "head", "blake2b"}}``.
+Of an array of more than `SMALL_ARRAY` elements it is told what it is like, and by which digest it is known: ``{"array":
+{"dtype", "shape", "blake2b", "min", "max", "mean"}}``. The digest is BLAKE2b-256 of its elements as messages carry
+them: in C order, little-endian. The last three lack where it has no finite elements. Bytes of more than `SMALL_BYTES`
+become ``{"bytes": {"size", "head", "blake2b"}}``.
 """
 
 from __future__ import annotations
@@ -22,17 +20,13 @@ import numpy as np
 from hierax.schemas.arrays import array_elements
 from hierax.schemas.values import Value
 
-SMALL_ARRAY = 64
-"""Arrays of so many elements are given whole."""
-
-SMALL_BYTES = 64
-"""So many bytes are given whole."""
+SMALL_ARRAY = 64  # arrays of so many elements are given whole
+SMALL_BYTES = 64  # so many bytes are given whole
 
 HEAD_BYTES = 16
 _DIGEST_BYTES = 32
 
-Json = Any
-"""None, a bool, int, finite float, str, list of these or dict from str to these."""
+Json = Any  # none, a bool, int, finite float, str, list of these or dict from str to these
 
 
 def plain(value: Value, full: bool = False) -> Json:

@@ -14,17 +14,12 @@ from hierax.runtime.execution.plain import Json, plain
 
 @dataclass(frozen=True)
 class NodeReport:
-    """A node after the last epoch.
+    """A node after the last epoch."""
 
-    Attributes:
-        belief, policy, actions: its state.
-        metrics: figures that it reports of its belief, by name.
-    """
-
-    belief: Value
-    policy: str
-    actions: Elements
-    metrics: Mapping[str, float]
+    belief: Value  # its state
+    policy: str  # likewise
+    actions: Elements  # likewise
+    metrics: Mapping[str, float]  # figures that it reports of its belief, by name
 
     def plain(self) -> Json:
         """Give it as plain JSON."""
@@ -38,39 +33,24 @@ class NodeReport:
 
 @dataclass(frozen=True)
 class Report:
-    """A run after its last epoch.
+    """A run after its last epoch."""
 
-    Attributes:
-        hierarchy: its name.
-        mode: ``run`` or ``launch``.
-        epochs: how many were committed.
-        seed: of all random numbers.
-        digest: of the last epoch, hexadecimal.
-        wall_s: from the beginning of the first epoch to the commit of the last, in seconds.
-        p50_us, p99_us: median and 99th percentile of an epoch's time, in microseconds;
-            None where there was no epoch.
-        nodes: by name.
-        output: the folder that states and results were written to, or None.
-        epochs_us: how long each epoch took, in microseconds.
-        start_s: from the start of the processes to the first epoch, in seconds; None in
-            a single process.
-        interrupted: whether the run was broken off by a signal; then all is of the last epoch committed.
-        unreported: of a run that was broken off, the nodes whose state is not told, and why.
-    """
-
-    hierarchy: str
-    mode: str
-    epochs: int
-    seed: int
-    digest: str
-    wall_s: float
+    hierarchy: str  # its name
+    mode: str  # ``run`` or ``launch``
+    epochs: int  # how many were committed
+    seed: int  # of all random numbers
+    digest: str  # of the last epoch, hexadecimal
+    wall_s: float  # from the beginning of the first epoch to the commit of the last, in seconds
+    # Median and 99th percentile of an epoch's time, in microseconds; None where there was no epoch.
     p50_us: float | None
-    p99_us: float | None
-    nodes: Mapping[str, NodeReport]
-    output: Path | None = None
+    p99_us: float | None  # likewise
+    nodes: Mapping[str, NodeReport]  # by name
+    output: Path | None = None  # the folder that states and results were written to, or None
+    # From the start of the processes to the first epoch, in seconds; None in a single process.
     start_s: float | None = None
-    epochs_us: Sequence[float] = field(default=(), repr=False)
-    interrupted: bool = False
+    epochs_us: Sequence[float] = field(default=(), repr=False)  # how long each epoch took, in microseconds
+    interrupted: bool = False  # whether the run was broken off by a signal; then all is of the last epoch committed
+    # Of a run that was broken off, the nodes whose state is not told, and why.
     unreported: Mapping[str, str] = field(default_factory=dict)
 
     @property
@@ -107,24 +87,18 @@ class Interrupted(KeyboardInterrupt):
 
 
 def make_report(
-    hierarchy: str,
-    mode: str,
-    seed: int,
-    epochs: int,
-    digest: bytes,
-    wall_s: float,
-    epochs_s: Sequence[float],
-    nodes: Mapping[str, NodeReport],
-    output: Path | None = None,
-    start_s: float | None = None,
+    hierarchy: str,  # see `Report`
+    mode: str,  # likewise
+    seed: int,  # likewise
+    epochs: int,  # likewise
+    digest: bytes,  # of the last epoch
+    wall_s: float,  # likewise
+    epochs_s: Sequence[float],  # how long each epoch took, in seconds
+    nodes: Mapping[str, NodeReport],  # likewise
+    output: Path | None = None,  # likewise
+    start_s: float | None = None,  # likewise
 ) -> Report:
-    """A report of what was measured.
-
-    Args:
-        hierarchy, mode, seed, epochs, wall_s, nodes, output, start_s: see `Report`.
-        digest: of the last epoch.
-        epochs_s: how long each epoch took, in seconds.
-    """
+    """A report of what was measured."""
     epochs_us = [1e6 * epoch_s for epoch_s in epochs_s]
     p50_us, p99_us = (float(q) for q in np.percentile(epochs_us, (50, 99))) if epochs_us else (None, None)
     return Report(

@@ -106,30 +106,21 @@ class World:
 class NodeRunner(EngineEffects):
     """Moves messages between a node's engine and its port.
 
-    Args:
-        wiring: of the node.
-        port: of the node, open.
-        observers: of the node.
-        host: whose it is; None: nobody's, so it keeps nothing.
-        world: at the world's node; None at others.
-        staleness: of the deployment.
-        saved, joins: as `Engine` has them.
-
     Raises:
         OperatorError: the initial belief cannot be had.
     """
 
     def __init__(
         self,
-        wiring: Wiring,
-        port: Port,
-        observers: Observers | None = None,
-        host: Host | None = None,
-        world: World | None = None,
+        wiring: Wiring,  # of the node
+        port: Port,  # of the node, open
+        observers: Observers | None = None,  # of the node
+        host: Host | None = None,  # whose it is; None: nobody's, so it keeps nothing
+        world: World | None = None,  # at the world's node; None at others
         *,
-        staleness: Staleness = BARRIER,
-        saved: Saved | None = None,
-        joins: bool = False,
+        staleness: Staleness = BARRIER,  # of the deployment
+        saved: Saved | None = None,  # as `Engine` has it
+        joins: bool = False,  # likewise
     ) -> None:
         self.port = port
         self.observers = Observers(wiring.node.name) if observers is None else observers
@@ -157,9 +148,7 @@ class NodeRunner(EngineEffects):
     def step(self, message: Message) -> None:
         """Take a message in and do all that follows from it.
 
-        Raises:
-            OperatorError: an operator failed, or gave what cannot travel.
-            ProbeError: a probe raised.
+        Raises `OperatorError` if an operator failed, or gave what cannot travel, and `ProbeError` if a probe raised.
         """
         for watcher in self.observers.watchers:
             watcher.received(message)
@@ -172,9 +161,7 @@ class NodeRunner(EngineEffects):
     def poll(self) -> bool:
         """In free running: take part in the next epoch, if there is one; whether there was.
 
-        Raises:
-            OperatorError: an operator failed, or gave what cannot travel.
-            ProbeError: a probe raised.
+        Raises `OperatorError` if an operator failed, or gave what cannot travel, and `ProbeError` if a probe raised.
         """
         engine, world = self.engine, self.world
         before = engine.epoch

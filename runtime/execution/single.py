@@ -40,8 +40,7 @@ from hierax.schemas.roster import Roster
 
 _log = logging.getLogger("hierax")
 
-Schedule = Sequence[Scheduled]
-"""Changes of the roster, by the first epoch under each."""
+Schedule = Sequence[Scheduled]  # changes of the roster, by the first epoch under each
 
 
 class RunRecord(Protocol):
@@ -57,40 +56,26 @@ class RunRecord(Protocol):
         """Have a node tell its steps; `roster` is the world's, and gives the one in force."""
 
 
-Watch = Callable[[str, NodeRunner], None]
-"""Told a node's name and its runner: may have it watched."""
+Watch = Callable[[str, NodeRunner], None]  # told a node's name and its runner: may have it watched
 
 
 def run(
-    deployment: Deployment,
+    deployment: Deployment,  # what to run
     *,
-    epochs: int | None,
-    seed: int,
-    output: Path | None = None,
-    progress: Callable[[int], None] | None = None,
-    schedule: Schedule = (),
-    watch: Watch | None = None,
-    record: RunRecord | None = None,
-    breaker: Breaker | None = None,
-    acts: bool = True,
+    epochs: int | None,  # how many; None: the deployment's number, or until the world has finished
+    seed: int,  # of all random numbers, and of the order in which messages are delivered
+    output: Path | None = None,  # folder for the states, digests and what probes write; None: nothing is written
+    progress: Callable[[int], None] | None = None,  # told the number of each epoch that is committed
+    schedule: Schedule = (),  # what changes when, in order
+    watch: Watch | None = None,  # called for each node as its runner is made
+    record: RunRecord | None = None,  # takes in what is said; None: nobody does
+    breaker: Breaker | None = None,  # ends the run when a signal comes; None: nothing does
+    acts: bool = True,  # whether the world moves its actuators
 ) -> Report:
     """Run a deployment in this process.
 
-    Args:
-        deployment: what to run.
-        epochs: how many; None: the deployment's number, or until the world has finished.
-        seed: of all random numbers, and of the order in which messages are delivered.
-        output: folder for the states, digests and what probes write; None: nothing is written.
-        progress: told the number of each epoch that is committed.
-        schedule: what changes when, in order.
-        watch: called for each node as its runner is made.
-        record: takes in what is said; None: nobody does.
-        breaker: ends the run when a signal comes; None: nothing does.
-        acts: whether the world moves its actuators.
-
-    Raises:
-        HieraxError: a node cannot be loaded or failed, or a change is refused.
-        Interrupted: the breaker has ended it.
+    Raises `HieraxError` if a node cannot be loaded or failed, or a change is refused, and `Interrupted` if the breaker
+    has ended it.
     """
     if output is not None:
         write_roster(output, deployment.roster)
@@ -160,23 +145,14 @@ class _World(World):
 
 @dataclass(frozen=True)
 class _Trial:
-    """A node that has replaced another one: what that was, for as long as the first epoch is not committed.
+    """A node that has replaced another one: what that was, for as long as the first epoch is not committed."""
 
-    Attributes:
-        epoch: the first one.
-        before: the roster before it.
-        loader: of what was replaced.
-        start: the state that it had.
-        attempt: of the last epoch that it has done.
-        alone: whether it fails alone.
-    """
-
-    epoch: int
-    before: Roster
-    loader: NodeLoader
-    start: ActiveNode
-    attempt: int
-    alone: bool
+    epoch: int  # the first one
+    before: Roster  # the roster before it
+    loader: NodeLoader  # of what was replaced
+    start: ActiveNode  # the state that it had
+    attempt: int  # of the last epoch that it has done
+    alone: bool  # whether it fails alone
 
 
 class _Nodes(Host):

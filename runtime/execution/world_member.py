@@ -78,20 +78,6 @@ class WorldMember(World, OwnerEffects):
 
     Nothing is sent and nothing is written before `start`.
 
-    Args:
-        seat: what the process has for its member.
-        send_order: sends an order to another process; it may be lost.
-        supervision: of the run's processes.
-        slots: of the world's record.
-        pacemaker: of the run; it goes on where the record says.
-        policy: of the owner.
-        clock: seconds, for the owner.
-        processes: those that live, by node; where there are two of a node, by any other key, too.
-        roster: with which the run begins; its links are open. None: it goes on by the world's record.
-        on_uncertain_act: what is done about an act of which nobody knows whether it was done.
-        pauses: whether a world without neighbours, which waits for nobody, waits for `resume` between two epochs, so
-            that what is said to it is heard.
-
     Attributes:
         member: the process that it is.
         owner: of the roster.
@@ -103,17 +89,20 @@ class WorldMember(World, OwnerEffects):
 
     def __init__(
         self,
-        seat: Seat,
-        send_order: Callable[[str, Order], None],
-        supervision: Supervision,
-        slots: Slots,
-        pacemaker: Pacemaker,
-        policy: OwnerPolicy,
-        clock: Callable[[], float],
-        processes: Mapping[str, str],
-        roster: Roster | None,
+        seat: Seat,  # what the process has for its member
+        send_order: Callable[[str, Order], None],  # sends an order to another process; it may be lost
+        supervision: Supervision,  # of the run's processes
+        slots: Slots,  # of the world's record
+        pacemaker: Pacemaker,  # of the run; it goes on where the record says
+        policy: OwnerPolicy,  # of the owner
+        clock: Callable[[], float],  # seconds, for the owner
+        processes: Mapping[str, str],  # those that live, by node; where there are two of a node, by any other key, too
+        roster: Roster | None,  # with which the run begins; its links are open. None: it goes on by the world's record.
         *,
+        # What is done about an act of which nobody knows whether it was done.
         on_uncertain_act: OnUncertainAct = "repeat",
+        # Whether a world without neighbours, which waits for nobody, waits for `resume` between two epochs, so that
+        # what is said to it is heard.
         pauses: bool = False,
     ) -> None:
         super().__init__(pacemaker)
@@ -160,11 +149,7 @@ class WorldMember(World, OwnerEffects):
         )
 
     def start(self) -> None:
-        """Begin the run, or go on with it.
-
-        Raises:
-            OperatorError: an operator failed.
-        """
+        """Begin the run, or go on with it. Raises `OperatorError` if an operator failed."""
         if not self._resumes:
             self.write_record()  # so that nothing was sent yet where the only record turns out to be damaged
             self._proceed()
@@ -177,9 +162,7 @@ class WorldMember(World, OwnerEffects):
     def take_word(self, word: Control) -> None:
         """Do what the owner says to this process, or take in what anybody says to the owner.
 
-        Raises:
-            OperatorError: an operator failed.
-            ContradictionError: it was told something else before.
+        Raises `OperatorError` if an operator failed, and `ContradictionError` if it was told something else before.
         """
         if isinstance(word, Order):
             self.member.obey(word)
@@ -187,20 +170,12 @@ class WorldMember(World, OwnerEffects):
             self.hear(word)
 
     def hear(self, word: Control) -> None:
-        """Take in what anybody says to the owner.
-
-        Raises:
-            OperatorError: an operator failed.
-        """
+        """Take in what anybody says to the owner. Raises `OperatorError` if an operator failed."""
         self.owner.hear(word)
         self._runner.finish()
 
     def resume(self) -> None:
-        """Begin the next epoch after a pause.
-
-        Raises:
-            OperatorError: an operator failed.
-        """
+        """Begin the next epoch after a pause. Raises `OperatorError` if an operator failed."""
         self.paused = False
         self._proceed()
         self._runner.finish()
@@ -208,19 +183,14 @@ class WorldMember(World, OwnerEffects):
     def end_soon(self) -> None:
         """The run was asked to end: where nothing is under way, nothing is waited for.
 
-        Raises:
-            OperatorError: an operator failed.
+        Raises `OperatorError` if an operator failed.
         """
         if self._runner.engine.phase is Phase.DONE:
             self._proceed()
             self._runner.finish()
 
     def tick(self) -> None:
-        """Time has passed.
-
-        Raises:
-            OperatorError: an operator failed.
-        """
+        """Time has passed. Raises `OperatorError` if an operator failed."""
         self.owner.tick()
         self._runner.finish()
 
@@ -381,11 +351,7 @@ def has_record(slots: Slots) -> bool:
 
 
 def read_record(slots: Slots) -> tuple[WorldRecord, Saved]:
-    """What a new process of the world's goes on with.
-
-    Raises:
-        HieraxError: there is no whole record.
-    """
+    """What a new process of the world's goes on with. Raises `HieraxError` if there is no whole record."""
     data, faults = newest_whole(slots.read())
     if data is None:
         raise HieraxError(f"the world's record cannot be used: {faults or 'nothing was ever written'}")

@@ -31,22 +31,14 @@ SETTLE_S = 0.5  # after what time the launch has heard of a dismissal; and how l
 
 
 def run_attached(
-    orders: Value,
-    request: str,
-    here: AttachedHere,
-    policies: Mapping[str, RestartPolicy],
-    await_change: Callable[[], None],
-    notify: Notify,
+    orders: Value,  # what they are started with, as the launch has answered
+    request: str,  # the change that was asked for, as the launch calls it
+    here: AttachedHere,  # what is decided on this machine
+    policies: Mapping[str, RestartPolicy],  # by node, what is done when its process ends
+    await_change: Callable[[], None],  # waits until the launch has answered, and prints that; in a thread of its own
+    notify: Notify,  # tells people what happens
 ) -> int:
     """Start processes and have them run until they are dismissed, or until Ctrl-C.
-
-    Args:
-        orders: what they are started with, as the launch has answered.
-        request: the change that was asked for, as the launch calls it.
-        here: what is decided on this machine.
-        policies: by node, what is done when its process ends.
-        await_change: waits until the launch has answered, and prints that; in a thread of its own.
-        notify: tells people what happens.
 
     Returns:
         The exit code: 0 when all were dismissed or the user ended them.
@@ -89,23 +81,15 @@ async def _run(
 
 
 class AttachedProcesses(ProcessSupervisor):
-    """The processes of attached nodes, started again when they die, until the launch has dismissed all of them.
-
-    Args:
-        tasks: in which everything runs.
-        orders: what they are started with.
-        policies: by node, what is done when its process ends.
-        notify: tells people what happens.
-        fail: called with why they cannot go on.
-    """
+    """The processes of attached nodes, started again when they die, until the launch has dismissed all of them."""
 
     def __init__(
         self,
-        tasks: anyio.abc.TaskGroup,
-        orders: Sequence[NodeOrder],
-        policies: Mapping[str, RestartPolicy],
-        notify: Notify,
-        fail: Fail,
+        tasks: anyio.abc.TaskGroup,  # in which everything runs
+        orders: Sequence[NodeOrder],  # what they are started with
+        policies: Mapping[str, RestartPolicy],  # by node, what is done when its process ends
+        notify: Notify,  # tells people what happens
+        fail: Fail,  # called with why they cannot go on
     ) -> None:
         overhearing = Overhearing(orders[0].run, lambda: 0)  # how far the run is, is not known here
         super().__init__(tasks, overhearing, policies.__getitem__, notify, fail)

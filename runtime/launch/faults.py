@@ -62,8 +62,7 @@ class Fault(NamedTuple):
 def read_faults(texts: Iterable[str]) -> dict[str, list[str]]:
     """Read faults from ``NODE:INSTANT:N``, and give those of each node in their order.
 
-    Raises:
-        HieraxError: one is no fault.
+    Raises `HieraxError` if one is no fault.
     """
     found: dict[str, list[str]] = {}
     for text in texts:

@@ -140,11 +140,7 @@ class Frames:
         self._buffer = bytearray()
 
     def feed(self, data: bytes) -> list[Value]:
-        """The values whose last byte is here now.
-
-        Raises:
-            SchemaError: what came are no frames.
-        """
+        """The values whose last byte is here now. Raises `SchemaError` if what came are no frames."""
         self._buffer += data
         values = []
         while len(self._buffer) >= _LENGTH.size:

@@ -143,8 +143,7 @@ def _slots(order: NodeOrder) -> MappedFile:
 def _write_digest(order: NodeOrder, record: WorldRecord) -> None:
     """Write the last epoch's digest, as a next process of the world's would: this one may have ended before it could.
 
-    Raises:
-        HieraxError: it cannot be written.
+    Raises `HieraxError` if it cannot be written.
     """
     log = digest_log(order.output_path, append=True) if record.epoch > 1 else None
     if log is not None:

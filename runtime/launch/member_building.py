@@ -32,11 +32,7 @@ _log = logging.getLogger("hierax")
 
 
 def open_observers(order: NodeOrder) -> Observers:
-    """The state log and the probes that an order names, open.
-
-    Raises:
-        HieraxError: one cannot be opened.
-    """
+    """The state log and the probes that an order names, open. Raises `HieraxError` if one cannot be opened."""
     output, again = order.output_path, order.life != BEGIN
     probes = open_probes(order.probes, order.name, order.allowance, output, again)
     return Observers(order.name, probes, state_log(output, order.name, again))
@@ -45,8 +41,7 @@ def open_observers(order: NodeOrder) -> Observers:
 def open_slots(order: NodeOrder) -> Slots:
     """Where an order says that the node's checkpoints are, or the world's record.
 
-    Raises:
-        HieraxError: the file cannot be opened.
+    Raises `HieraxError` if the file cannot be opened.
     """
     return Slots(MappedFile(Path(order.checkpoint), order.durability))
 
@@ -56,8 +51,7 @@ def build_member(
 ) -> Member:
     """The member that an order asks for, if it is not the world's.
 
-    Raises:
-        HieraxError: the order's fault is none.
+    Raises `HieraxError` if the order's fault is none.
     """
 
     def report(word: Control) -> None:
@@ -88,8 +82,7 @@ def build_world(
 ) -> WorldMember:
     """The world's member, when the processes of the run are known; it has not started yet.
 
-    Raises:
-        HieraxError: there is no whole record, or the order's fault is none.
+    Raises `HieraxError` if there is no whole record, or the order's fault is none.
     """
 
     def send_order(process: str, word: Order) -> None:

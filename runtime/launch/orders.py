@@ -80,24 +80,15 @@ class Orders:
 
     def order(
         self,
-        name: str,
-        token: str,
-        life: str,
+        name: str,  # of the node
+        token: str,  # of the process
+        life: str,  # how it comes into the run
         *,
-        request: str = "",
-        reference: Reference | None = None,
-        processes: Mapping[str, str] | None = None,
+        request: str = "",  # of a newcomer, the change that it is for
+        reference: Reference | None = None,  # of a newcomer, its class
+        processes: Mapping[str, str] | None = None,  # of the world's process, those of all nodes
     ) -> NodeOrder:
-        """The order of a node's process.
-
-        Args:
-            name: of the node.
-            token: of the process.
-            life: how it comes into the run.
-            request: of a newcomer, the change that it is for.
-            reference: of a newcomer, its class.
-            processes: of the world's process, those of all nodes.
-        """
+        """The order of a node's process."""
         deployment = self.deployment
         reference = reference or deployment.roster.nodes.get(name)
         is_world = name == deployment.roster.world
@@ -230,8 +221,7 @@ class Orders:
     def roster(self) -> Roster:
         """The roster with which the run begins, or goes on.
 
-        Raises:
-            HieraxError: there is nothing to resume, or its roster names code that the deployment does not allow.
+        Raises `HieraxError` if there is nothing to resume, or its roster names code that the deployment does not allow.
         """
         if not self.resumes:
             return self.deployment.roster

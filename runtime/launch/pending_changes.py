@@ -67,11 +67,7 @@ class PendingChanges:
         return change.policies
 
     async def wait(self, request: str) -> Value:
-        """The answer to a change, once there is one.
-
-        Raises:
-            HieraxError: there is no such change.
-        """
+        """The answer to a change, once there is one. Raises `HieraxError` if there is no such change."""
         change = self._changes.get(request)
         if change is None:
             raise HieraxError(f"this launch knows of no change {request!r}")

@@ -22,24 +22,17 @@ Fail = Callable[[Exception], None]  # is called with why the processes cannot go
 class ProcessSupervisor(ABC):
     """Starts processes of nodes, listens to them until they end, and ends those that are left.
 
-    Args:
-        tasks: in which it listens.
-        overhearing: takes in what the processes print; closed with the supervisor.
-        policy: by a node's name, what is done when its process ends.
-        notify: tells people what happens.
-        fail: called with why the processes cannot go on.
-
     Attributes:
         ending: whether processes may end from now on.
     """
 
     def __init__(
         self,
-        tasks: anyio.abc.TaskGroup,
-        overhearing: Overhearing,
-        policy: Callable[[str], RestartPolicy],
-        notify: Notify,
-        fail: Fail,
+        tasks: anyio.abc.TaskGroup,  # in which it listens
+        overhearing: Overhearing,  # takes in what the processes print; closed with the supervisor
+        policy: Callable[[str], RestartPolicy],  # by a node's name, what is done when its process ends
+        notify: Notify,  # tells people what happens
+        fail: Fail,  # called with why the processes cannot go on
     ) -> None:
         self.ending = False
         self.notify = notify

@@ -58,8 +58,7 @@ class Running:
 def write_run(state: Path, run: Run) -> None:
     """Write it into the folder of the checkpoints, whole or not at all.
 
-    Raises:
-        HieraxError: it cannot be written.
+    Raises `HieraxError` if it cannot be written.
     """
     content = asdict(run)
     _write(state / _RUN, {**content, "seal": seal_or_warn(STATE, content)})
@@ -92,8 +91,7 @@ def read_run(state: Path, trust: bool = False) -> Run:
 def make_state(state: Path) -> None:
     """Make a folder for checkpoints, or see that one is fit for them.
 
-    Raises:
-        HieraxError: it cannot be made or written, or others may write there.
+    Raises `HieraxError` if it cannot be made or written, or others may write there.
     """
     try:
         write_private(state / _PROBE, b"")
@@ -107,8 +105,7 @@ def make_state(state: Path) -> None:
 def register(running: Running) -> Path:
     """Make a run known on this machine; the file is to be removed when it is over.
 
-    Raises:
-        HieraxError: it cannot be written.
+    Raises `HieraxError` if it cannot be written.
     """
     path = _fit_folder() / f"{running.run}.json"
     _write(path, asdict(running))
@@ -142,11 +139,7 @@ def _folders() -> list[Path]:
 
 
 def _fit_folder() -> Path:
-    """The first of them that is this user's alone.
-
-    Raises:
-        HieraxError: none is.
-    """
+    """The first of them that is this user's alone. Raises `HieraxError` if none is."""
     unfit = []
     for folder in _folders():
         why = _unfit(folder)

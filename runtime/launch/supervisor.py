@@ -44,33 +44,22 @@ class _Interruption(Exception):  # noqa: N818 - no error: somebody pressed Ctrl-
 
 
 def launch(
-    deployment: Deployment,
+    deployment: Deployment,  # what to run
     *,
-    epochs: int | None,
-    seed: int,
-    output: Path | None = None,
+    epochs: int | None,  # how many; None: the deployment's number, or until the world has finished
+    seed: int,  # of all random numbers
+    output: Path | None = None,  # folder for the states, digests and what probes write; None: nothing is written
+    # Told the number of each epoch that is committed, as far as one can be told without holding the run up.
     progress: Callable[[int], None] | None = None,
-    notify: Notify = lambda what: None,
-    state: Path | None = None,
-    resumed: Run | None = None,
-    host: str | None = None,
-    overrides: Sequence[str] = (),
-    faults: Mapping[str, Sequence[str]] | None = None,
-    recording: RecordingRequest | None = None,
+    notify: Notify = lambda what: None,  # told what happens to the processes
+    state: Path | None = None,  # folder of the checkpoints, which stays; None: one that goes with the run
+    resumed: Run | None = None,  # go on with this run, whose checkpoints are in `state`
+    host: str | None = None,  # as `LaunchOptions` has it
+    overrides: Sequence[str] = (),  # likewise
+    faults: Mapping[str, Sequence[str]] | None = None,  # likewise
+    recording: RecordingRequest | None = None,  # whether and where it is recorded; told how that ended
 ) -> Report:
     """Run a deployment with each node in a process of its own, over Zenoh.
-
-    Args:
-        deployment: what to run.
-        epochs: how many; None: the deployment's number, or until the world has finished.
-        seed: of all random numbers.
-        output: folder for the states, digests and what probes write; None: nothing is written.
-        progress: told the number of each epoch that is committed, as far as one can be told without holding the run up.
-        notify: told what happens to the processes.
-        state: folder of the checkpoints, which stays; None: one that goes with the run.
-        resumed: go on with this run, whose checkpoints are in `state`.
-        host, overrides, faults: as `LaunchOptions` has them.
-        recording: whether and where it is recorded; told how that ended.
 
     Raises:
         HieraxError: a node cannot be loaded, did not come up in time, or failed.
@@ -186,9 +175,7 @@ class Supervisor:
     def report(self) -> Report:
         """What the run has come to.
 
-        Raises:
-            Exception: it could not go on.
-            Interrupted: a signal has ended it in good order.
+        Raises `Exception` if it could not go on, and `Interrupted` if a signal has ended it in good order.
         """
         if self._why is not None and not (self._is_interrupted and self._graceful is not None):
             raise self._why
@@ -349,8 +336,7 @@ class Supervisor:
 def _check_epochs(reports: Mapping[str, Mapping[str, Value]], epochs: int, attempt: int) -> None:
     """Every node ends with the last epoch of the run, and with the attempt of it that counts.
 
-    Raises:
-        NodeFailedError: one does not; something that it was sent is not from the world.
+    Raises `NodeFailedError` if one does not; something that it was sent is not from the world.
     """
     for name, said in sorted(reports.items()):
         if (said["epoch"], said["attempt"]) != (epochs, attempt):

@@ -21,24 +21,13 @@ REMEMBERED = 1024  # how many dead processes are remembered, so that what comes 
 class Members:
     """The roster in force, and the processes that the owner counts on.
 
-    Args:
-        roster: in force.
-        processes: of its nodes; one without is lost.
-        born: by node; None: all were there at the beginning.
-        effects: of the owner.
-        clock: seconds.
-        policy: what the deployment says.
-        tried: of a node whose first epoch under the roster is under way, its name, the roster before it, and the
-            process and birth of what it has replaced, and whether that fails alone.
-        alone: the nodes that fail alone; None: as the policy says.
-
     Attributes:
         roster: in force.
         processes: by node in force; of a lost one, the process that it had.
         born: by node in force.
         lost: the nodes that have no process, and since when.
-        newcomers: processes to come, by node and the request that they are for; in the place of a lost one,
-            that is empty.
+        newcomers: processes to come, by node and the request that they are for; in the place of a lost one, that is
+            empty.
         ended: nodes and processes that are to be killed, and since when.
         alone: the nodes that are detached when an operator or edge function of theirs raises.
         failures: by node that was detached for that, why.
@@ -47,14 +36,16 @@ class Members:
 
     def __init__(
         self,
-        roster: Roster,
-        processes: Mapping[str, str],
-        born: Mapping[str, Born] | None,
-        effects: OwnerEffects,
-        clock: Callable[[], float],
-        policy: OwnerPolicy,
+        roster: Roster,  # in force
+        processes: Mapping[str, str],  # of its nodes; one without is lost
+        born: Mapping[str, Born] | None,  # by node; None: all were there at the beginning
+        effects: OwnerEffects,  # of the owner
+        clock: Callable[[], float],  # seconds
+        policy: OwnerPolicy,  # what the deployment says
+        # Of a node whose first epoch under the roster is under way, its name, the roster before it, and the process and
+        # birth of what it has replaced, and whether that fails alone.
         tried: Tried | None = None,
-        alone: Iterable[str] | None = None,
+        alone: Iterable[str] | None = None,  # the nodes that fail alone; None: as the policy says
     ) -> None:
         self.roster = roster
         self.processes = dict(processes)

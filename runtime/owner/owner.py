@@ -43,40 +43,26 @@ __all__ = ["MAX_TRIES", "OVER", "Owner"]
 
 
 class Owner(OwnerPart):
-    """Owns the roster of a run; lives beside the world's engine.
-
-    Args:
-        roster: in force.
-        processes: of its nodes; one without is lost.
-        effects: called with all that is to be done.
-        clock: seconds, never going back.
-        policy: what the deployment says.
-        epoch: the last one committed.
-        attempt: the last one of the epoch after that; NEVER: none was begun.
-        highest: the highest version that was ever prepared.
-        born: by node, the version with which it came in, the first epoch that it took part in, and the
-            request of it; None: all were there at the beginning.
-        settled: the epoch after that may have been acted upon, so it is done again with the same nodes.
-        last_attempt: the one of the last epoch committed that was.
-        tried, alone: as `Members` has them.
-    """
+    """Owns the roster of a run; lives beside the world's engine."""
 
     def __init__(
         self,
-        roster: Roster,
-        processes: Mapping[str, str],
-        effects: OwnerEffects,
-        clock: Callable[[], float],
-        policy: OwnerPolicy,
+        roster: Roster,  # in force
+        processes: Mapping[str, str],  # of its nodes; one without is lost
+        effects: OwnerEffects,  # called with all that is to be done
+        clock: Callable[[], float],  # seconds, never going back
+        policy: OwnerPolicy,  # what the deployment says
         *,
-        epoch: int = 0,
-        attempt: int = NEVER,
-        highest: int = 0,
+        epoch: int = 0,  # the last one committed
+        attempt: int = NEVER,  # the last one of the epoch after that; NEVER: none was begun
+        highest: int = 0,  # the highest version that was ever prepared
+        # By node, the version with which it came in, the first epoch that it took part in, and the request of it; None:
+        # all were there at the beginning.
         born: Mapping[str, Born] | None = None,
-        settled: bool = False,
-        last_attempt: int = 0,
-        tried: Tried | None = None,
-        alone: Iterable[str] | None = None,
+        settled: bool = False,  # the epoch after that may have been acted upon, so it is done again with the same nodes
+        last_attempt: int = 0,  # the one of the last epoch committed that was
+        tried: Tried | None = None,  # as `Members` has it
+        alone: Iterable[str] | None = None,  # likewise
     ) -> None:
         members = Members(roster, processes, born, effects, clock, policy, tried, alone)
         self._inquiry = Inquiry(effects, clock, policy, members)

@@ -15,8 +15,7 @@ Durability = Literal["process", "host"]
 """What a record outlives once it is written: the process, or the machine's power too."""
 
 SLOTS = 2
-MAGIC = b"hieraxC\x01"
-"""What each slot's file begins with; the last byte is the format."""
+MAGIC = b"hieraxC\x01"  # what each slot's file begins with; the last byte is the format
 
 _PID_BYTES = 20
 
@@ -32,24 +31,18 @@ class Storage(ABC):
     def write(self, slot: int, data: bytes) -> None:
         """Put data at the start of a slot, which grows if need be; what was behind it may stay.
 
-        Raises:
-            HieraxError: it cannot be written.
+        Raises `HieraxError` if it cannot be written.
         """
 
     @abstractmethod
     def read(self, slot: int) -> bytes:
-        """All that a slot holds; zeros if it was never written.
-
-        Raises:
-            HieraxError: it cannot be read.
-        """
+        """All that a slot holds; zeros if it was never written. Raises `HieraxError` if it cannot be read."""
 
     @abstractmethod
     def flush(self) -> None:
         """Return when all that was written outlives what the storage promises to outlive.
 
-        Raises:
-            HieraxError: it may not.
+        Raises `HieraxError` if it may not.
         """
 
 

@@ -1,10 +1,9 @@
 """Two slots in turn: while one is written, the other holds the record before, whole.
 
-A slot holds, little-endian: checksum (CRC-32, 4 bytes), sequence number and length (8
-bytes each), then the data. The checksum is over all that follows it, so that it does not
-matter which parts of a torn write reached the slot. Record n (from 1) goes to slot n
-modulo 2: a slot that holds another one's, or not the one before the newest, was
-tampered with or lost a write, and is damaged too.
+A slot holds, little-endian: checksum (CRC-32, 4 bytes), sequence number and length (8 bytes each), then the data. The
+checksum is over all that follows it, so that it does not matter which parts of a torn write reached the slot. Record n
+(from 1) goes to slot n modulo 2: a slot that holds another one's, or not the one before the newest, was tampered with
+or lost a write, and is damaged too.
 """
 
 from __future__ import annotations
@@ -21,19 +20,12 @@ _DATA = _CHECKSUM.size + _HEAD.size
 
 
 class Read(NamedTuple):
-    """What a slot holds.
+    """What a slot holds."""
 
-    Attributes:
-        slot: 0 or 1.
-        sequence: the record's number, from 1; 0 where there is no whole one.
-        data: the record; None where there is no whole one.
-        fault: what is wrong with the slot; empty where nothing is.
-    """
-
-    slot: int
-    sequence: int = 0
-    data: bytes | None = None
-    fault: str = ""
+    slot: int  # 0 or 1
+    sequence: int = 0  # the record's number, from 1; 0 where there is no whole one
+    data: bytes | None = None  # the record; None where there is no whole one
+    fault: str = ""  # what is wrong with the slot; empty where nothing is
 
     @property
     def empty(self) -> bool:
@@ -45,8 +37,7 @@ class Slots:
     """The last two records of a storage.
 
     Args:
-        storage: where they are; it is read, and the next record goes where the newest
-            whole one is not.
+        storage: where they are; it is read, and the next record goes where the newest whole one is not.
 
     Not for two threads at once.
     """
@@ -58,8 +49,7 @@ class Slots:
     def write(self, data: bytes) -> None:
         """Write a record over the older of the two; the newer one stays as it is, whatever happens.
 
-        Raises:
-            HieraxError: the storage failed; the record may be there or not.
+        Raises `HieraxError` if the storage failed; the record may be there or not.
         """
         sequence = self._sequence + 1
         head = _HEAD.pack(sequence, len(data))
@@ -71,11 +61,8 @@ class Slots:
     def read(self) -> tuple[Read, ...]:
         """What both slots hold, newest first.
 
-        A damaged slot stands before a whole one, as its record may have been the newer;
-        an empty one comes last.
-
-        Raises:
-            HieraxError: the storage cannot be read.
+        A damaged slot stands before a whole one, as its record may have been the newer; an empty one comes last. Raises
+        `HieraxError` if the storage cannot be read.
         """
         reads = [_read(slot, self._storage.read(slot)) for slot in range(SLOTS)]
         newest = max(read.sequence for read in reads)

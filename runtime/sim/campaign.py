@@ -19,34 +19,23 @@ from hierax.runtime.sim.simulation import Result, simulate
 from hierax.runtime.sim.workers import done_by_workers
 from hierax.schemas.roster import Roster
 
-CHUNK = 50
-"""How many seeds a worker takes at a time."""
+CHUNK = 50  # how many seeds a worker takes at a time
 
 Item = TypeVar("Item")
 
-MAX_SHRINKS = 400
-"""How many smaller scenarios are tried at most."""
+MAX_SHRINKS = 400  # how many smaller scenarios are tried at most
 
 
 @dataclass
 class Summary:
-    """What came of many simulations.
+    """What came of many simulations."""
 
-    Attributes:
-        seeds: how many were done.
-        violations: what did not hold, and the seed.
-        tally: how often each kind of thing occurred.
-        epochs: how many were committed.
-        answers: how many changes were made, and how many refused.
-        stopped: how many runs gave up, as they may where a checkpoint is damaged or a message forged.
-    """
-
-    seeds: int = 0
-    violations: list[tuple[int, str]] = field(default_factory=list)
-    tally: Tally = field(default_factory=Counter)
-    epochs: int = 0
-    answers: Counter[str] = field(default_factory=Counter)
-    stopped: int = 0
+    seeds: int = 0  # how many were done
+    violations: list[tuple[int, str]] = field(default_factory=list)  # what did not hold, and the seed
+    tally: Tally = field(default_factory=Counter)  # how often each kind of thing occurred
+    epochs: int = 0  # how many were committed
+    answers: Counter[str] = field(default_factory=Counter)  # how many changes were made, and how many refused
+    stopped: int = 0  # how many runs gave up, as they may where a checkpoint is damaged or a message forged
 
     def add(self, result: Result) -> None:
         """Count one more simulation."""
@@ -81,21 +70,13 @@ class Summary:
 
 
 def simulate_many(
-    seeds: range,
-    faults: Collection[str] = FAULTS,
-    epochs: int | None = None,
-    jobs: int = 1,
-    progress: Callable[[Summary], None] | None = None,
+    seeds: range,  # which
+    faults: Collection[str] = FAULTS,  # kinds that may occur
+    epochs: int | None = None,  # in each; None: the seed decides
+    jobs: int = 1,  # processes that share the work
+    progress: Callable[[Summary], None] | None = None,  # told the summary so far, now and then
 ) -> Summary:
-    """Simulate many seeds.
-
-    Args:
-        seeds: which.
-        faults: kinds that may occur.
-        epochs: in each; None: the seed decides.
-        jobs: processes that share the work.
-        progress: told the summary so far, now and then.
-    """
+    """Simulate many seeds."""
     summary = Summary()
     chunks = [seeds[at : at + CHUNK] for at in range(0, len(seeds), CHUNK)]
     with closing(_done(chunks, tuple(faults), epochs, min(jobs, max(len(chunks), 1)))) as done:

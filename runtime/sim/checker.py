@@ -29,17 +29,11 @@ class ViolationError(Exception):
 
 
 class Start(NamedTuple):
-    """How an epoch begins under a version of the roster, by the formal core.
+    """How an epoch begins under a version of the roster, by the formal core."""
 
-    Attributes:
-        roster: of the version.
-        states: of its nodes.
-        encoded: the states' bytes.
-    """
-
-    roster: Roster
-    states: States
-    encoded: Mapping[str, bytes]
+    roster: Roster  # of the version
+    states: States  # of its nodes
+    encoded: Mapping[str, bytes]  # the states' bytes
 
 
 class End(NamedTuple):

@@ -23,11 +23,8 @@ from hierax.runtime.sim.scenario import (
 )
 from hierax.runtime.sim.supervisor import SimSupervisor
 
-UNHEARD_S = 0.1
-"""How long until a process that is cut off is missed."""
-
-_WAITING = (TORN, RAISE, *FORGED)
-"""Those that befall a process at its next write, call or message, and count then."""
+UNHEARD_S = 0.1  # how long until a process that is cut off is missed
+_WAITING = (TORN, RAISE, *FORGED)  # those that befall a process at its next write, call or message, and count then
 
 
 @dataclass(eq=False, repr=False)

@@ -1,10 +1,9 @@
 """Where an input came from, carried inside it: each set of elements has a tag in front.
 
-The tags are put on and taken off around a node's own operators and edge functions, so
-what is computed does not depend on them, and the engine sees only elements. A tag says
-which process made the elements, under which version of the roster, in which epoch and
-attempt: of the world's, what it was told to begin; of any other node, what the inputs
-said that it observed last. So nothing of the engine's own bookkeeping is relied upon.
+The tags are put on and taken off around a node's own operators and edge functions, so what is computed does not depend
+on them, and the engine sees only elements. A tag says which process made the elements, under which version of the
+roster, in which epoch and attempt: of the world's, what it was told to begin; of any other node, what the inputs said
+that it observed last. So nothing of the engine's own bookkeeping is relied upon.
 """
 
 from __future__ import annotations
@@ -115,25 +114,17 @@ def _split(elements: Elements) -> tuple[list[Any], Elements]:
 
 
 class Inspected(BoundNode):
-    """A bound node whose inputs are looked at.
-
-    Args:
-        bound: the node.
-        inspector: of its process.
-        version: of the roster that it is bound for.
-        tasking: the nodes above that give it tasks.
-        act: in the place of the world's, where it has one.
-    """
+    """A bound node whose inputs are looked at."""
 
     __slots__ = ()
 
     def __init__(
         self,
-        bound: BoundNode,
-        inspector: Inspector,
-        version: int,
-        tasking: tuple[str, ...],
-        act: Callable[[int, Elements], None],
+        bound: BoundNode,  # the node
+        inspector: Inspector,  # of its process
+        version: int,  # of the roster that it is bound for
+        tasking: tuple[str, ...],  # the nodes above that give it tasks
+        act: Callable[[int, Elements], None],  # in the place of the world's, where it has one
     ) -> None:
         self.name, self.node, self.below, self.above = bound.name, bound.node, bound.below, bound.above
         self.initial_belief, self.policies = bound.initial_belief, bound.policies

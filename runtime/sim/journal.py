@@ -25,8 +25,7 @@ KINDS: Mapping[str, tuple[str, ...]] = {
 """All there is of orders that were obeyed, other words that were heard, messages that came in, what they were judged
 to be, changes that were made, and faults that befell something."""
 
-Tally = Counter[tuple[str, str]]
-"""How often each kind occurred, by what it is a kind of and its name."""
+Tally = Counter[tuple[str, str]]  # how often each kind occurred, by what it is a kind of and its name
 
 
 def control_kind(word: Any) -> tuple[str, str]:

@@ -16,11 +16,9 @@ from hierax.runtime.transport.port import Port
 from hierax.schemas.control import Control, encode_control
 from hierax.schemas.messages import Header, Message, encode_message
 
-Pair = tuple[int, str, int]
-"""One end of a link: its own instance, the other's name and instance."""
+Pair = tuple[int, str, int]  # one end of a link: its own instance, the other's name and instance
 
-SHORTEST_S, LONGEST_S = 0.0003, 0.003
-"""How long a message takes."""
+SHORTEST_S, LONGEST_S = 0.0003, 0.003  # how long a message takes
 
 
 class Host(ABC):

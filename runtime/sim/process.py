@@ -27,30 +27,21 @@ from hierax.schemas.control import AskStatus, Control, Order, Prepare, decode_co
 from hierax.schemas.messages import Message, decode_message
 from hierax.schemas.roster import Roster
 
-TICK_S = 0.05
-"""How often a process looks after itself."""
-
-CHECK_TICKS = 4
-"""Every how many ticks it asks whether it is still wanted."""
-
-FORGED_S = 0.02
-"""At most, how long after a message one comes that was made of it."""
+TICK_S = 0.05  # how often a process looks after itself
+CHECK_TICKS = 4  # every how many ticks it asks whether it is still wanted
+FORGED_S = 0.02  # at most, how long after a message one comes that was made of it
 
 
 @dataclass
 class Surroundings:
-    """What all simulated processes stand in.
-
-    Attributes:
-        processes: those that live, by token.
-    """
+    """What all simulated processes stand in."""
 
     scenario: Scenario
     clock: Clock
     journal: Journal
     checker: Checker
     network: Network
-    processes: dict[str, SimProcess] = field(default_factory=dict)
+    processes: dict[str, SimProcess] = field(default_factory=dict)  # those that live, by token
 
     @property
     def world(self) -> SimProcess | None:

@@ -48,31 +48,20 @@ _NEED_DEADLINE = frozenset({DAMAGE, LOSS, PARTITION, HANG})
 
 WORLD_NAME = "world"
 NAMES = tuple(f"n{index}" for index in range(8))
-REJOIN_S = 0.5
-"""How long an attached node may take to come back."""
-EPOCH_S = 0.012
-"""About how long an epoch takes, faults apart."""
+REJOIN_S = 0.5  # how long an attached node may take to come back
+EPOCH_S = 0.012  # about how long an epoch takes, faults apart
 
 
 @dataclass(frozen=True)
 class Fault:
-    """One fault.
+    """One fault."""
 
-    Attributes:
-        kind: one of `FAULTS`.
-        at_s: when; the network's last `for_s`.
-        name: whom it befalls, where it befalls a process.
-        number: at which of its calls a process dies; of a link that breaks, to which other process; else free.
-        for_s: how long it lasts.
-        share: of messages that it befalls.
-    """
-
-    kind: str
-    at_s: float
-    name: str = ""
-    number: int = 0
-    for_s: float = 0.0
-    share: float = 0.0
+    kind: str  # one of `FAULTS`
+    at_s: float  # when; the network's last `for_s`
+    name: str = ""  # whom it befalls, where it befalls a process
+    number: int = 0  # at which of its calls a process dies; of a link that breaks, to which other process; else free
+    for_s: float = 0.0  # how long it lasts
+    share: float = 0.0  # of messages that it befalls
 
     def __str__(self) -> str:
         who = f" of {self.name}" if self.name else ""
@@ -81,16 +70,12 @@ class Fault:
 
 @dataclass(frozen=True)
 class Proposal:
-    """A change that is asked for at a time.
-
-    Attributes:
-        alone: whether the nodes that are new in it fail alone, and are detached where they are lost.
-    """
+    """A change that is asked for at a time."""
 
     key: str
     at_s: float
     change: Change
-    alone: bool = False
+    alone: bool = False  # whether the nodes that are new in it fail alone, and are detached where they are lost
 
     @property
     def new_nodes(self) -> list[str]:
@@ -112,33 +97,21 @@ class Proposal:
 
 @dataclass(frozen=True)
 class Scenario:
-    """All that is decided before a simulation begins.
+    """All that is decided before a simulation begins."""
 
-    Attributes:
-        seed: of the delays, too.
-        roster: at the beginning.
-        epochs: how many.
-        faults, proposals: in any order.
-        together: whether all processes are there when the run begins, their links open; else they join.
-        on_uncertain_act: of the world.
-        on_loss, rejoin_timeout_s: by node.
-        left_dead: nodes whose processes are not started again.
-        trials_fail: whether whatever replaces a node raises in its first epoch.
-        epoch_deadline_s: how long an epoch may take before it is asked who waits for whom; None: for ever, so
-            that nothing but what befalls the run itself can make it go on.
-    """
-
-    seed: int
-    roster: Roster
-    epochs: int
-    faults: tuple[Fault, ...] = ()
-    proposals: tuple[Proposal, ...] = ()
-    together: bool = True
-    on_uncertain_act: str = "repeat"
-    on_loss: Mapping[str, str] = field(default_factory=dict)
-    rejoin_timeout_s: Mapping[str, float] = field(default_factory=dict)
-    left_dead: frozenset[str] = frozenset()
-    trials_fail: bool = False
+    seed: int  # of the delays, too
+    roster: Roster  # at the beginning
+    epochs: int  # how many
+    faults: tuple[Fault, ...] = ()  # in any order
+    proposals: tuple[Proposal, ...] = ()  # likewise
+    together: bool = True  # whether all processes are there when the run begins, their links open; else they join
+    on_uncertain_act: str = "repeat"  # of the world
+    on_loss: Mapping[str, str] = field(default_factory=dict)  # by node
+    rejoin_timeout_s: Mapping[str, float] = field(default_factory=dict)  # likewise
+    left_dead: frozenset[str] = frozenset()  # nodes whose processes are not started again
+    trials_fail: bool = False  # whether whatever replaces a node raises in its first epoch
+    # How long an epoch may take before it is asked who waits for whom; None: for ever, so that nothing but what befalls
+    # the run itself can make it go on.
     epoch_deadline_s: float | None = 0.3
 
     @property

@@ -18,36 +18,23 @@ from hierax.runtime.sim.scenario import BREAK, Proposal, Scenario
 from hierax.runtime.sim.supervisor import SimSupervisor
 from hierax.schemas.errors import SchemaError
 
-AFTER_S = 20.0
-"""How long a run may take after its last fault."""
-
-AFTER_BREAKS_S = 1.5
-"""Likewise, where links broke, nothing else befell it and no deadline helps."""
+AFTER_S = 20.0  # how long a run may take after its last fault
+AFTER_BREAKS_S = 1.5  # likewise, where links broke, nothing else befell it and no deadline helps
 
 PROPOSE_AGAIN_S = 0.4
 MAX_EVENTS = 400_000
 
 
 class Result(NamedTuple):
-    """How a simulation ended.
+    """How a simulation ended."""
 
-    Attributes:
-        seed: its scenario's.
-        violation: what did not hold; empty: all did.
-        epochs: how many were committed.
-        tally: how often each kind of thing occurred.
-        virtual_s: how long it took in virtual time.
-        stopped: why the run gave up, as it may under some faults.
-        answers: what became of the changes that were asked for.
-    """
-
-    seed: int
-    violation: str
-    epochs: int
-    tally: Tally
-    virtual_s: float
-    stopped: str
-    answers: Mapping[str, str]
+    seed: int  # its scenario's
+    violation: str  # what did not hold; empty: all did
+    epochs: int  # how many were committed
+    tally: Tally  # how often each kind of thing occurred
+    virtual_s: float  # how long it took in virtual time
+    stopped: str  # why the run gave up, as it may under some faults
+    answers: Mapping[str, str]  # what became of the changes that were asked for
 
 
 def simulate(scenario: Scenario, trace: list[str] | None = None) -> Result:
@@ -100,11 +87,7 @@ class Simulation:
         self.supervisor = SimSupervisor(self.around)
 
     def run(self) -> None:
-        """Let everything happen.
-
-        Raises:
-            ViolationError: something that must hold does not.
-        """
+        """Let everything happen. Raises `ViolationError` if something that must hold does not."""
         scenario, around = self._scenario, self.around
         self._start()
         injector = FaultInjector(around, self.supervisor)

@@ -7,8 +7,7 @@ from random import Random
 
 from hierax.runtime.recovery.disk import SLOTS, Storage
 
-BLOCK_BYTES = 64
-"""What a torn write leaves behind is made of such blocks: a cache line."""
+BLOCK_BYTES = 64  # what a torn write leaves behind is made of such blocks: a cache line
 
 
 class Crash(BaseException):

@@ -14,14 +14,10 @@ from hierax.runtime.sim.process import TICK_S, SimProcess, Surroundings
 from hierax.runtime.sim.storage import SimStorage
 from hierax.schemas.control import Census, Control, Lost
 
-NOTICE_S, RESTART_S = 0.02, 0.05
-"""At most, until a death is noticed, and until another process is there."""
+NOTICE_S, RESTART_S = 0.02, 0.05  # at most, until a death is noticed, and until another process is there
 
-END_S = 0.01
-"""Until a process that is to be ended is."""
-
-UNREACHED_S = 0.1
-"""After which time it is tried again where a process is cut off."""
+END_S = 0.01  # until a process that is to be ended is
+UNREACHED_S = 0.1  # after which time it is tried again where a process is cut off
 
 
 class SimSupervisor(Supervision):

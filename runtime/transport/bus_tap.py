@@ -91,15 +91,8 @@ class Sample(NamedTuple):
 class BusTap:
     """A recorder's end: takes in all that is said in a run as it comes, and keeps it until it is asked for.
 
-    A thread of its own takes samples in, so that nobody waits for the disk; shared memory is copied
-    at once. What the queue cannot hold is dropped, and told by `dropped`.
-
-    Args:
-        endpoint: of the run's hub.
-        keys: of the run.
-        zenoh_config: Zenoh's own configuration.
-        host: address of this machine at which processes on others may link; None: this machine's only.
-        queue_bytes: how much the queue holds.
+    A thread of its own takes samples in, so that nobody waits for the disk; shared memory is copied at once. What the
+    queue cannot hold is dropped, and told by `dropped`.
 
     Raises:
         TransportError: the hub cannot be reached.
@@ -107,11 +100,12 @@ class BusTap:
 
     def __init__(
         self,
-        endpoint: str,
-        keys: Keys,
-        zenoh_config: ZenohConfig = None,
+        endpoint: str,  # of the run's hub
+        keys: Keys,  # of the run
+        zenoh_config: ZenohConfig = None,  # Zenoh's own configuration
+        # Address of this machine at which processes on others may link; None: this machine's only.
         host: str | None = None,
-        queue_bytes: int = QUEUE_BYTES,
+        queue_bytes: int = QUEUE_BYTES,  # how much the queue holds
     ) -> None:
         listen = (f"tcp/{host}:0",) if host else ("tcp/127.0.0.1:0",)
         self._session = open_session(listen, (endpoint,), zenoh_config)

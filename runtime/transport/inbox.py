@@ -20,15 +20,10 @@ from hierax.schemas.limits import MAX_MESSAGE_BYTES
 
 QUEUE_SIZE = 256  # how many messages wait in Zenoh; when it is full, the senders wait
 LOOKS = 60  # how often the node's thread looks for a message before it sleeps: some fifty microseconds' worth
-
-WAITING_BYTES = MAX_MESSAGE_BYTES
-"""How much waits beside Zenoh's queue: any message does, if nothing else does."""
-
+WAITING_BYTES = MAX_MESSAGE_BYTES  # how much waits beside Zenoh's queue: any message does, if nothing else does
 LARGE_BYTES = 1 << 20  # from this on a message is a large one
 SMALL_AT_ONCE = 8  # how many small messages are looked through at once, to see what is behind them
-
-SAMPLE_BYTES = 64 * 1024
-"""As what a message counts at least: the buffer that Zenoh has read it into is kept with it."""
+SAMPLE_BYTES = 64 * 1024  # as what a message counts at least: the buffer that Zenoh has read it into is kept with it
 
 
 class Inbox:
@@ -49,11 +44,8 @@ class Inbox:
     def take(self, waits: bool) -> zenoh.Sample | None:
         """The next message: looked for a moment, then slept for, if it may wait.
 
-        In an epoch of small messages the next one is some ten microseconds away, and a
-        thread that sleeps on a processor that sleeps takes longer than that to wake.
-
-        Raises:
-            zenoh.ZError: the session is closed.
+        In an epoch of small messages the next one is some ten microseconds away, and a thread that sleeps on a
+        processor that sleeps takes longer than that to wake. Raises `zenoh.ZError` if the session is closed.
         """
         with self._taking:
             self._taken += 1

@@ -51,11 +51,7 @@ class LaunchStatus:
 
     @staticmethod
     def read(answer: Answer) -> LaunchStatus:
-        """Read it from the answer to ``{"ask": "ps"}``.
-
-        Raises:
-            AnswerError: it is none.
-        """
+        """Read it from the answer to ``{"ask": "ps"}``. Raises `AnswerError` if it is none."""
         fields = {"hierarchy": str, "run": str, "epoch": int, "roster": int, "nodes": dict}
         sound = all(isinstance(answer.get(field), kind) for field, kind in fields.items())
         if not sound or not all(
@@ -65,11 +61,7 @@ class LaunchStatus:
         return LaunchStatus(*(answer[field] for field in fields))
 
     def check_node(self, name: str) -> None:
-        """Check that the launch has a node.
-
-        Raises:
-            HieraxError: it has none of this name; with the nearest one.
-        """
+        """Check that the launch has a node. Raises `HieraxError` if it has none of this name; with the nearest one."""
         if name not in self.nodes:
             known = did_you_mean(name, self.nodes, "the nodes are")
             raise HieraxError(f"there is no node {name!r} in {self.hierarchy}, run {self.run}{known}")
@@ -98,8 +90,7 @@ class LaunchClient:
     def keys(self) -> Keys:
         """The keys of the run, found out where nobody has said them.
 
-        Raises:
-            TransportError: no launch answers, or several do.
+        Raises `TransportError` if no launch answers, or several do.
         """
         if self._keys is None:
             self._keys = self._found()
@@ -129,11 +120,7 @@ class LaunchClient:
         raise TransportError(f"the launch at {self.endpoint} does not answer")
 
     def status(self, timeout_s: float = 60.0) -> LaunchStatus:
-        """What runs now.
-
-        Raises:
-            HieraxError: there is no answer, or none that can be read.
-        """
+        """What runs now. Raises `HieraxError` if there is no answer, or none that can be read."""
         return LaunchStatus.read(self.ask({"ask": "ps"}, timeout_s))
 
     def ask_nodes(
@@ -164,11 +151,7 @@ class LaunchClient:
         )
 
     def node_state(self, status: LaunchStatus, name: str) -> Answer:
-        """What a node believes.
-
-        Raises:
-            HieraxError: there is no such node, or its process does not answer.
-        """
+        """What a node believes. Raises `HieraxError` if there is no such node, or its process does not answer."""
         status.check_node(name)
         answer = self.ask_nodes(status, {"look": "state"}, [name]).get(name)
         if answer is None:
@@ -210,8 +193,7 @@ class LaunchClient:
     def listen(self, key: str, heard: Callable[[str, bytes], None]) -> None:
         """Have `heard` called with key and bytes of every sample on matching keys, in a thread of Zenoh's.
 
-        Raises:
-            TransportError: Zenoh refuses the key.
+        Raises `TransportError` if Zenoh refuses the key.
         """
 
         def on_sample(sample: zenoh.Sample) -> None:

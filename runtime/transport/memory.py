@@ -20,11 +20,9 @@ class MemoryNetwork:
     Args:
         seed: decides which of the messages under way is delivered next.
         queue_size: how many messages of one sender, receiver and kind may be under way.
-
-    Attributes:
-        tap: shown the header and the bytes of every message; None: nobody is.
     """
 
+    # Shown the header and the bytes of every message; None: nobody is.
     tap: Callable[[Header, bytes], None] | None = None
 
     def __init__(self, seed: int = 0, queue_size: int = QUEUE_SIZE) -> None:
@@ -33,11 +31,7 @@ class MemoryNetwork:
         self._ports: dict[str, MemoryPort] = {}
 
     def open_port(self, name: str) -> MemoryPort:
-        """A port for the node of this name.
-
-        Raises:
-            TransportError: there is one already.
-        """
+        """A port for the node of this name. Raises `TransportError` if there is one already."""
         if name in self._ports:
             raise TransportError(f"{name}: its port is open already")
         port = MemoryPort(self, name)

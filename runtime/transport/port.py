@@ -34,9 +34,8 @@ class Port(ABC):
     def send(self, message: Message) -> None:
         """Send a message to the receiver that its header names; waits while the receiver's queue is full.
 
-        Raises:
-            SchemaError: the payload holds something that cannot travel.
-            TransportError: the receiver is no neighbour, or cannot take it.
+        Raises `SchemaError` if the payload holds something that cannot travel, and `TransportError` if the receiver is
+        no neighbour, or cannot take it.
         """
 
     @abstractmethod
@@ -63,23 +62,17 @@ class Port(ABC):
     @abstractmethod
     def link(
         self,
-        below: Sequence[str],
-        above: Sequence[str],
-        version: int,
-        instances: Mapping[str, int],
+        below: Sequence[str],  # names of the neighbours
+        above: Sequence[str],  # likewise
+        version: int,  # of the roster
+        instances: Mapping[str, int],  # instance numbers, by node; 0 for those that are not there
+        # Called with the version when every neighbour hears this node and is heard: at once, or in a later `receive`,
+        # by the thread that receives.
         opened: Callable[[int], None],
     ) -> None:
         """Open links to the neighbours of a version of the roster, beside those that there are.
 
-        Args:
-            below, above: names of the neighbours.
-            version: of the roster.
-            instances: instance numbers, by node; 0 for those that are not there.
-            opened: called with the version when every neighbour hears this node and is heard:
-                at once, or in a later `receive`, by the thread that receives.
-
-        Raises:
-            TransportError: a link cannot be opened.
+        Raises `TransportError` if a link cannot be opened.
         """
 
     @abstractmethod

@@ -50,9 +50,7 @@ def answer_questions(session: zenoh.Session, key: str, on_question: Callable[[Va
 def answers_on(session: zenoh.Session, key: str, question: Value, timeout_s: float) -> Iterator[tuple[str, Value]]:
     """The answers on keys that a key matches, as they come, each with the key on which it came.
 
-    Raises:
-        zenoh.ZError: nobody can be asked.
-        SchemaError: an answer is no value.
+    Raises `zenoh.ZError` if nobody can be asked, and `SchemaError` if an answer is no value.
     """
     replies = session.get(
         key,

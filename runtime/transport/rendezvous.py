@@ -71,8 +71,7 @@ class Handshake:
     def heard(self, kind: str, message: Message) -> bool:
         """Take in a greeting of this neighbour's process that came on the key of `kind`; whether it wants an answer.
 
-        Raises:
-            SchemaError: it is no greeting.
+        Raises `SchemaError` if it is no greeting.
         """
         heard, asks, theirs, ours = _read(message)
         if theirs != self._theirs:
@@ -102,13 +101,6 @@ class Handshake:
 class Rendezvous:
     """One node's side of the handshakes with all its neighbours, under a version of the roster.
 
-    Args:
-        name: of the node.
-        below, above: names of its neighbours.
-        instances: instance numbers, of the node and of its neighbours.
-        roster: the roster's version.
-        process: the token of the node's process.
-
     Attributes:
         version: of the roster.
         handshakes: by neighbour.
@@ -116,12 +108,12 @@ class Rendezvous:
 
     def __init__(
         self,
-        name: str,
-        below: Iterable[str],
-        above: Iterable[str],
-        instances: Mapping[str, int],
-        roster: int,
-        process: str = "0",
+        name: str,  # of the node
+        below: Iterable[str],  # names of its neighbours
+        above: Iterable[str],  # likewise
+        instances: Mapping[str, int],  # instance numbers, of the node and of its neighbours
+        roster: int,  # the roster's version
+        process: str = "0",  # the token of the node's process
     ) -> None:
         self.version = roster
         ends = {**dict.fromkeys(above, (UP, DOWN)), **dict.fromkeys(below, (DOWN, UP))}

@@ -67,26 +67,21 @@ _BATCH = "transport/link/tx/batch_size"
 
 
 def open_session(
-    listen: Sequence[str] = (LOOPBACK,),
-    connect: Sequence[str] = (),
+    listen: Sequence[str] = (LOOPBACK,),  # Zenoh endpoints
+    connect: Sequence[str] = (),  # likewise
+    # Zenoh's own configuration; it wins over ours, and over the file that ZENOH_CONFIG names.
     zenoh_config: ZenohConfig = None,
-    shared_memory: bool = True,
+    shared_memory: bool = True,  # whether large messages may go through shared memory
+    # A ``peer`` links directly to every peer it hears of; a ``client`` only to what it connects to.
     mode: Literal["peer", "client"] = "peer",
+    # Links to others that want the same are written to at once, by the thread that sends, without priorities. They
+    # carry messages of up to `LOW_LATENCY_BYTES`, and whoever sends to a peer that reads no more waits as soon as the
+    # buffers between them are full. Links to others are as ever.
     low_latency: bool = False,
 ) -> zenoh.Session:
     """Open a session.
 
-    Args:
-        listen, connect: Zenoh endpoints.
-        zenoh_config: Zenoh's own configuration; it wins over ours, and over the file that ZENOH_CONFIG names.
-        shared_memory: whether large messages may go through shared memory.
-        mode: a ``peer`` links directly to every peer it hears of; a ``client`` only to what it connects to.
-        low_latency: links to others that want the same are written to at once, by the thread that sends, without
-            priorities. They carry messages of up to `LOW_LATENCY_BYTES`, and whoever sends to a peer that reads
-            no more waits as soon as the buffers between them are full. Links to others are as ever.
-
-    Raises:
-        TransportError: Zenoh refuses the settings or cannot listen, or they ask for low latency by themselves.
+    Raises `TransportError` if Zenoh refuses the settings or cannot listen, or they ask for low latency by themselves.
     """
     zenoh.init_log_from_env_or(LOGGED)
     ours: dict[str, Any] = {
@@ -170,8 +165,7 @@ def close_session(session: zenoh.Session) -> bool:
 def free_endpoint(host: str | None = None) -> str:
     """An endpoint that is free now, on loopback or at an address of this machine.
 
-    Raises:
-        TransportError: the machine has no such address.
+    Raises `TransportError` if the machine has no such address.
     """
     address = host or "127.0.0.1"
     try:
