@@ -46,10 +46,6 @@ _PERHAPS_AGAIN = (Verdict.DOUBLE, Verdict.LATE, Verdict.OLD_ROSTER)
 class Engine:
     """One node's part in every epoch.
 
-    Attributes:
-        events: likewise; may be set at any time, by any thread.
-        begun: whether this engine has begun an epoch or attempt; one that was restored has not, yet.
-
     Not for two threads at once.
     """
 
@@ -66,9 +62,9 @@ class Engine:
         events: bool = False,  # whether every call of an operator or edge function gives an event
     ) -> None:
         self._effects = effects
-        self.events = events
+        self.events = events  # may be set at any time, by any thread
         self._joins = joins
-        self.begun = False
+        self.begun = False  # whether this engine has begun an epoch or attempt; one that was restored has not, yet
         self._prepared: dict[int, Wiring] = {}
         self._held = Held()
         self._inbox: dict[Slot, Message] = {}

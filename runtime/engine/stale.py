@@ -56,9 +56,6 @@ class StaleEngine(Engine):
     """One node's part in epochs that overlap.
 
     In free running it takes part in an epoch only when `poll` is called.
-
-    Attributes:
-        used: for each slot, of which epoch and attempt the input is that was used last.
     """
 
     def __init__(
@@ -78,6 +75,7 @@ class StaleEngine(Engine):
         self._is_rewired = True
         self.drains = False
         self.ages = Ages()
+        # For each slot, of which epoch and attempt the input is that was used last.
         self.used: dict[Slot, tuple[int, int]] = {}
         self._sent_in: dict[int, dict[Slot, Message]] = {}
         if staleness.free:

@@ -42,16 +42,10 @@ class Wiring:
     """A node and all that joins it to its neighbours, laid out for the engine.
 
     Args:
-        node: bound to its name and neighbours.
         edges: of the node; of each at least the functions that run on its side.
-        place: the roster.
 
     Attributes:
         below, above: for each slot that is filled from there in an epoch, the instance of its sender.
-        sense: φ by the upper neighbour, None where there is none.
-        task: ψ by the lower neighbour, where there is one.
-        context: ϱ by the lower neighbour, None where there is none.
-        tasking: the upper neighbours that send task messages.
     """
 
     __slots__ = ("above", "below", "context", "instance", "node", "place", "roster", "sense", "task", "tasking")
@@ -59,10 +53,11 @@ class Wiring:
     def __init__(self, node: BoundNode, edges: Sequence[BoundEdge], place: Place) -> None:
         name = node.name
         by_pair = {(edge.lower, edge.upper): edge for edge in edges}
-        self.node = node
-        self.place = place
+        self.node = node  # bound to its name and neighbours
+        self.place = place  # the roster
         self.roster = place.roster
         self.instance = place.instance(name)
+        # The upper neighbours that send task messages.
         self.tasking = tuple(upper for upper in node.above if (name, upper) in place.tasking)
         self.below: Mapping[Slot, int] = {(lower, OBSERVATIONS): place.instance(lower) for lower in node.below}
         self.above: Mapping[Slot, int] = {
@@ -70,8 +65,11 @@ class Wiring:
             **{(upper, TASKS): place.instance(upper) for upper in self.tasking},
         }
         downward = {lower: by_pair[lower, name] for lower in node.below}
+        # φ by the upper neighbour, None where there is none.
         self.sense: Sequence[tuple[str, Call | None]] = [(upper, by_pair[name, upper].sense) for upper in node.above]
+        # ψ by the lower neighbour, where there is one.
         self.task: Sequence[tuple[str, Call]] = [(lower, edge.task) for lower, edge in downward.items() if edge.task]
+        # ϱ by the lower neighbour, None where there is none.
         self.context: Sequence[tuple[str, Call | None]] = [(lower, edge.context) for lower, edge in downward.items()]
 
     def under(self, version: int) -> Wiring:

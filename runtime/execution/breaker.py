@@ -23,14 +23,10 @@ INTERRUPTED = 130  # exit code of a command that Ctrl-C has ended
 
 
 class Breaker:
-    """Ends a run at the end of the epoch under way; an epoch that does not end is broken off.
-
-    Attributes:
-        came: whether a signal came while the run was under way.
-    """
+    """Ends a run at the end of the epoch under way; an epoch that does not end is broken off."""
 
     def __init__(self) -> None:
-        self.came = False
+        self.came = False  # whether a signal came while the run was under way
         self._pacemaker: Pacemaker | None = None
         self._came_s = 0.0
 

@@ -19,14 +19,10 @@ _log = logging.getLogger("hierax")
 
 
 class Checkpoints:
-    """What a process writes down, and one that comes in its place reads.
-
-    Args:
-        slots: where they are.
-    """
+    """What a process writes down, and one that comes in its place reads."""
 
     def __init__(self, slots: Slots) -> None:
-        self._slots = slots
+        self._slots = slots  # where they are
 
     def save(self, checkpoint: Checkpoint) -> None:
         """Write one over the older of two. Raises `HieraxError` if the storage failed."""

@@ -15,22 +15,19 @@ from hierax.schemas.limits import MAX_MESSAGE_BYTES
 class Log:
     """A file as a stream of msgpack arrays.
 
-    Args:
-        path: of the file.
-        append: go on behind what is there, but for an entry that was cut off; this is looked at when
-            something is written, as until then another process may still be writing.
-
     Raises:
         HieraxError: it cannot be written, now or later.
     """
 
     def __init__(self, path: Path, append: bool = False) -> None:
-        self._path = path
+        self._path = path  # of the file
         with errors_named(self._path):
             path.parent.mkdir(parents=True, exist_ok=True)
             self._file: BinaryIO = os.fdopen(open_result(path, append), "ab" if append else "wb")
             if not append:
                 self._file.truncate(0)
+        # Go on behind what is there, but for an entry that was cut off; this is looked at when something is written, as
+        # until then another process may still be writing.
         self._behind = append
 
     def write(self, *fields: int | bytes) -> None:

@@ -72,16 +72,6 @@ class Member(Host):
 
     Args:
         seat: what the process has for it.
-        report: tells the roster's owner something; it may be lost, then it is told again.
-        checkpoints: of the node.
-        world: at the world's node; None at others.
-
-    Attributes:
-        runner: of the node; None: no roster with it has come yet.
-        alone: the nodes that fail alone.
-        tried: likewise, until the end of the first epoch under the roster.
-        dismissed: why the process is to end; empty: it is not.
-        again: whether another one is to come in its place then.
     """
 
     def __init__(
@@ -92,18 +82,18 @@ class Member(Host):
         self.port = seat.port
         self.observers = Observers(seat.name) if seat.observers is None else seat.observers
         self.staleness = seat.staleness
-        self.runner: NodeRunner | None = None
-        self.dismissed = ""
-        self.again = False
-        self._world = world
-        self.alone = seat.alone
-        self.tried = frozenset[str]()
+        self.runner: NodeRunner | None = None  # of the node; None: no roster with it has come yet
+        self.dismissed = ""  # why the process is to end; empty: it is not
+        self.again = False  # whether another one is to come in its place then
+        self._world = world  # at the world's node; None at others
+        self.alone = seat.alone  # the nodes that fail alone
+        self.tried = frozenset[str]()  # likewise, until the end of the first epoch under the roster
         self._alone_in: dict[int, tuple[frozenset[str], frozenset[str]]] = {}
         self._tried_in: int | None = None
         self._failure: Failed | None = None
         self._wire_roster = seat.wire
-        self._report = report
-        self._checkpoints = checkpoints
+        self._report = report  # tells the roster's owner something; it may be lost, then it is told again
+        self._checkpoints = checkpoints  # of the node
         self._saved: Saved | None = None
         self._join: Join | None = None
         self._took = 0

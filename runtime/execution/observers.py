@@ -18,25 +18,16 @@ class Observers:
 
     What must lack no epoch, wherever the process dies, is written before the checkpoint and what is sent: the state
     log, and what prompt probes see. Other probes and watchers are served when nobody waits for this node.
-
-    Args:
-        name: of the node.
-        probes: of the node, open.
-        states: where of every completed epoch [epoch, attempt, state, digest] is written; None: nowhere. The state is
-            the encoding of (belief, policy, actions) that the digest is taken over, so that anyone can take it again.
-
-    Attributes:
-        watchers: who sees what the node does.
-        engine: of the node; None: there is none yet.
-        last: the last epoch that it has completed; None: none yet.
     """
 
     def __init__(self, name: str, probes: Sequence[Probe] = (), states: Log | None = None) -> None:
-        self.watchers: tuple[Watcher, ...] = ()
-        self.engine: Engine | None = None
-        self.last: Completed | None = None
-        self._name = name
-        self._probes = probes
+        self.watchers: tuple[Watcher, ...] = ()  # who sees what the node does
+        self.engine: Engine | None = None  # of the node; None: there is none yet
+        self.last: Completed | None = None  # the last epoch that it has completed; None: none yet
+        self._name = name  # of the node
+        self._probes = probes  # of the node, open
+        # Where of every completed epoch [epoch, attempt, state, digest] is written; None: nowhere. The state is the
+        # encoding of (belief, policy, actions) that the digest is taken over, so that anyone can take it again.
         self._states = states
 
     def follow(self, engine: Engine) -> None:

@@ -75,13 +75,10 @@ class Report:
 
 
 class Interrupted(KeyboardInterrupt):
-    """A run was broken off by a signal.
-
-    Attributes:
-        report: what was committed until then; its `interrupted` is true.
-    """
+    """A run was broken off by a signal."""
 
     def __init__(self, report: Report, unreported: Mapping[str, str]) -> None:
+        # What was committed until then; its `interrupted` is true.
         self.report = replace(report, interrupted=True, unreported=unreported)
         super().__init__("the run was broken off by a signal")
 

@@ -66,14 +66,10 @@ class Host:
 
 
 class World:
-    """What the world's runner has beside: it begins epochs, and acts; this one as long as the pacemaker says so.
-
-    Args:
-        pacemaker: of the run.
-    """
+    """What the world's runner has beside: it begins epochs, and acts; this one as long as the pacemaker says so."""
 
     def __init__(self, pacemaker: Pacemaker) -> None:
-        self.pacemaker = pacemaker
+        self.pacemaker = pacemaker  # of the run
 
     def may_begin(self, runner: NodeRunner) -> bool:
         """Whether an epoch is to be begun, though none was committed."""

@@ -116,16 +116,13 @@ class _World(World):
 
     Args:
         pacemaker: of the run.
-        nodes: of the run.
-        due: the epochs before which the roster changes.
-        acts: whether the world moves its actuators.
     """
 
     def __init__(self, pacemaker: Pacemaker, nodes: _Nodes, due: Sequence[int], acts: bool) -> None:
         super().__init__(pacemaker)
-        self._nodes = nodes
-        self._due = due
-        self._acts = acts
+        self._nodes = nodes  # of the run
+        self._due = due  # the epochs before which the roster changes
+        self._acts = acts  # whether the world moves its actuators
 
     def begin_next(self, runner: NodeRunner) -> None:
         epoch = runner.engine.epoch + 1

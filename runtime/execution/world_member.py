@@ -79,9 +79,7 @@ class WorldMember(World, OwnerEffects):
     Nothing is sent and nothing is written before `start`.
 
     Attributes:
-        member: the process that it is.
         owner: of the roster.
-        paused: whether it waits for `resume`.
 
     Raises:
         HieraxError: there is no whole record, or the world cannot be loaded.
@@ -106,7 +104,7 @@ class WorldMember(World, OwnerEffects):
         pauses: bool = False,
     ) -> None:
         super().__init__(pacemaker)
-        self.member = Member(seat, self._hear_own, Checkpoints(slots), self)
+        self.member = Member(seat, self._hear_own, Checkpoints(slots), self)  # the process that it is
         self._send_order = send_order
         self._supervision = supervision
         self._slots = slots
@@ -118,7 +116,7 @@ class WorldMember(World, OwnerEffects):
         self._alone_bytes = b""
         self._own_orders: list[Order] = []
         self._own_failures: list[Failed] = []
-        self.paused = False
+        self.paused = False  # whether it waits for `resume`
         self._pauses = pauses
         self._resumes = roster is None
         if roster is not None:

@@ -39,14 +39,10 @@ class ProcessState(Enum):
 
 
 class NodeFailedError(HieraxError):
-    """A node's process failed or ended before the run was over.
-
-    Attributes:
-        where: path in the roster of what could not be loaded; may be empty.
-    """
+    """A node's process failed or ended before the run was over."""
 
     def __init__(self, message: str, where: str = "") -> None:
-        self.where = where
+        self.where = where  # path in the roster of what could not be loaded; may be empty
         super().__init__(message)
 
 
@@ -198,14 +194,10 @@ def _describe(code: int | None) -> str:
 
 
 class Restarts:
-    """Whether and when another process takes the place of one that has ended.
-
-    Args:
-        policy: of the node.
-    """
+    """Whether and when another process takes the place of one that has ended."""
 
     def __init__(self, policy: RestartPolicy) -> None:
-        self._policy = policy
+        self._policy = policy  # of the node
         self._times: deque[float] = deque()
         self.count = 0
 

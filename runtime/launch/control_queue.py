@@ -15,14 +15,10 @@ AT_ONCE = 64  # how many of them are taken in between two messages of an epoch
 
 
 class ControlQueue:
-    """Control messages in the order in which they came; any thread may put and take.
-
-    Args:
-        wake: called where somebody who waits has to look.
-    """
+    """Control messages in the order in which they came; any thread may put and take."""
 
     def __init__(self, wake: Callable[[], None] = lambda: None) -> None:
-        self.wake = wake
+        self.wake = wake  # called where somebody who waits has to look
         self._posted: deque[Control] = deque()
         self._words: deque[tuple[Control, int]] = deque()
         self._bytes = 0

@@ -40,22 +40,16 @@ class GracefulEnd:
     """Ends the run of a launch.
 
     Args:
-        processes: those of the launch.
         deployment: that is launched.
-        notify: tells people what happens.
-
-    Attributes:
-        epoch: the last one committed; None: it is not known.
-        unreported: nodes whose state after it is not known, and why.
     """
 
     def __init__(self, processes: RosterSupervisor, deployment: Deployment, notify: Notify) -> None:
-        self._processes = processes
+        self._processes = processes  # those of the launch
         self._world = deployment.roster.world
         self._barrier = deployment.staleness.barrier
-        self._notify = notify
-        self.epoch: int | None = None
-        self.unreported: dict[str, str] = {}
+        self._notify = notify  # tells people what happens
+        self.epoch: int | None = None  # the last one committed; None: it is not known
+        self.unreported: dict[str, str] = {}  # nodes whose state after it is not known, and why
 
     async def finish_epoch(self) -> None:
         """Have the epoch under way be the last one, and wait for its end; not for long."""

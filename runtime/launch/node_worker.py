@@ -72,14 +72,12 @@ class NodeWorker:
     """Takes one node from its order to its report.
 
     Args:
-        order: from the supervisor.
         status: file descriptor on which the supervisor listens.
-        wait: drives async operators.
     """
 
     def __init__(self, order: NodeOrder, status: int, wait: Waiter) -> None:
-        self._order = order
-        self._wait = wait
+        self._order = order  # from the supervisor
+        self._wait = wait  # drives async operators
         self._stopping = threading.Event()
         self._pipe = SupervisorPipe(status, self._stopping.set)
         self._port: ZenohPort | None = None

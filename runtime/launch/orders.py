@@ -45,33 +45,24 @@ class Orders:
     """Makes the orders of one run.
 
     Args:
-        deployment: what is run.
-        run_id: the identification of the run.
-        hub: endpoint of the supervisor.
-        options: of the launch.
         resumed: go on with this run, whose checkpoints are in the folder of the state; None: begin.
 
     Raises:
         HieraxError: what was written of the run is of another version.
-
-    Attributes:
-        overrides: with which the deployment file was read; of secret ones the paths alone.
-        resumed_after: the last epoch that was committed before the run was resumed.
-        recorders: the processes that record the run, or have; 0: one on another machine.
-        resumes: whether the run goes on with one that was written down.
     """
 
     def __init__(
         self, deployment: Deployment, run_id: str, hub: str, options: LaunchOptions, resumed: Run | None = None
     ) -> None:
-        self.deployment = deployment
-        self.run_id = run_id
-        self.hub = hub
-        self.options = options
+        self.deployment = deployment  # what is run
+        self.run_id = run_id  # the identification of the run
+        self.hub = hub  # endpoint of the supervisor
+        self.options = options  # of the launch
+        # With which the deployment file was read; of secret ones the paths alone.
         self.overrides = public_settings(options.overrides, deployment.zenoh)
-        self.resumed_after = 0
-        self.recorders: set[int] = set()
-        self.resumes = resumed is not None
+        self.resumed_after = 0  # the last epoch that was committed before the run was resumed
+        self.recorders: set[int] = set()  # the processes that record the run, or have; 0: one on another machine
+        self.resumes = resumed is not None  # whether the run goes on with one that was written down
         self._policies = dict(deployment.restarts)
         self._lineages: dict[str, str] = {}
         self._faults = {name: deque(each) for name, each in options.faults.items()}

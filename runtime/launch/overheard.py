@@ -22,21 +22,13 @@ READ_BYTES = 1 << 16
 
 
 class Overhearing:
-    """Takes in what the processes of one supervisor print.
-
-    Args:
-        run: its identification.
-        epoch: asked at every line.
-
-    Attributes:
-        console: a descriptor for what the processes say themselves; they inherit it.
-    """
+    """Takes in what the processes of one supervisor print."""
 
     def __init__(self, run: str, epoch: Callable[[], int]) -> None:
-        self._run = run
-        self._epoch = epoch
+        self._run = run  # its identification
+        self._epoch = epoch  # asked at every line
         self._log: LaunchLog | None = None
-        self.console = os.dup(2)
+        self.console = os.dup(2)  # a descriptor for what the processes say themselves; they inherit it
         self._out = Console(self.console)
 
     def of(self, name: str) -> Overheard:
@@ -59,15 +51,12 @@ class Overhearing:
 class Overheard:
     """Takes in what one process prints.
 
-    Args:
-        lines: take it.
-
     Attributes:
         writing: the pipe's end for the process; to be closed when it has it.
     """
 
     def __init__(self, lines: Lines) -> None:
-        self._lines = lines
+        self._lines = lines  # take it
         self._is_heard = False
         self._reading, self.writing = os.pipe()
         os.set_blocking(self._reading, False)

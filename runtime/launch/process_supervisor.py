@@ -20,11 +20,7 @@ Fail = Callable[[Exception], None]  # is called with why the processes cannot go
 
 
 class ProcessSupervisor(ABC):
-    """Starts processes of nodes, listens to them until they end, and ends those that are left.
-
-    Attributes:
-        ending: whether processes may end from now on.
-    """
+    """Starts processes of nodes, listens to them until they end, and ends those that are left."""
 
     def __init__(
         self,
@@ -34,7 +30,7 @@ class ProcessSupervisor(ABC):
         notify: Notify,  # tells people what happens
         fail: Fail,  # called with why the processes cannot go on
     ) -> None:
-        self.ending = False
+        self.ending = False  # whether processes may end from now on
         self.notify = notify
         self._tasks = tasks
         self._overhearing = overhearing

@@ -41,16 +41,11 @@ class RecordingRequest:
 
 
 class RecorderChild:
-    """Starts the recorder's process, listens to it, and has it finish.
-
-    Args:
-        request: what is to be recorded; told what becomes of it.
-        notify: tells people what happens.
-    """
+    """Starts the recorder's process, listens to it, and has it finish."""
 
     def __init__(self, request: RecordingRequest, notify: Callable[[str], None]) -> None:
-        self._request = request
-        self._notify = notify
+        self._request = request  # what is to be recorded; told what becomes of it
+        self._notify = notify  # tells people what happens
         self._process: anyio.abc.Process | None = None
         self._ended = anyio.Event()
         self._finishing = False

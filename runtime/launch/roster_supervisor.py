@@ -52,35 +52,22 @@ class RosterSupervisor(ProcessSupervisor):
 
     Args:
         tasks: in which everything runs.
-        orders: what the processes are started with.
-        hub: reaches processes that were started elsewhere.
         notify: tells people what happens.
         fail: called with why the run cannot go on.
-
-    Attributes:
-        orders: likewise.
-        changes: those that others have asked for.
-        begun: set when the run has begun: the world has recorded that, or goes on with a record.
-        finished: set when the world has committed its last epoch.
-        current: the last process of each node that was started here.
-        members: the processes of the roster in force, by node, as the world said last.
-        epoch: the last one committed, likewise.
-        version: of the roster, likewise.
-        instances: by node, its number in the roster, likewise.
     """
 
     def __init__(self, tasks: anyio.abc.TaskGroup, orders: Orders, hub: Hub, notify: Notify, fail: Fail) -> None:
         super().__init__(tasks, Overhearing(orders.run_id, lambda: self.epoch), orders.policy, notify, fail)
-        self.orders = orders
-        self.changes = PendingChanges()
-        self.begun = anyio.Event()
-        self.finished = anyio.Event()
-        self.current: dict[str, Child] = {}
-        self.members: Mapping[str, str] = {}
-        self.epoch = 0
-        self.version = 0
-        self.instances: Mapping[str, int] = {}
-        self._hub = hub
+        self.orders = orders  # what the processes are started with
+        self.changes = PendingChanges()  # those that others have asked for
+        self.begun = anyio.Event()  # set when the run has begun: the world has recorded that, or goes on with a record
+        self.finished = anyio.Event()  # set when the world has committed its last epoch
+        self.current: dict[str, Child] = {}  # the last process of each node that was started here
+        self.members: Mapping[str, str] = {}  # the processes of the roster in force, by node, as the world said last
+        self.epoch = 0  # the last one committed, likewise
+        self.version = 0  # of the roster, likewise
+        self.instances: Mapping[str, int] = {}  # by node, its number in the roster, likewise
+        self._hub = hub  # reaches processes that were started elsewhere
         self._world = orders.deployment.roster.world
         self._unreachable: set[str] = set()
         self._last_roster: Roster | None = None

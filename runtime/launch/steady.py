@@ -14,13 +14,10 @@ class SteadyClock:
 
     Where a process was stopped, or its machine was asleep, it must not blame others for the time that has passed
     meanwhile: they may have said all they had to.
-
-    Args:
-        now: seconds, never going back.
     """
 
     def __init__(self, now: Callable[[], float] = time.monotonic) -> None:
-        self._now = now
+        self._now = now  # seconds, never going back
         self._lock = threading.Lock()
         self._asked_s = now()
         self._left_out_s = 0.0

@@ -108,10 +108,6 @@ class Supervisor:
     """Starts the processes of a launch, has them run, and ends them.
 
     Args:
-        orders: what the processes are started with.
-        roster: with which the run begins, or goes on.
-        hub: through which the processes find one another.
-        notify: tells people what happens.
         recording: whether and where the run is recorded; told how that ended.
     """
 
@@ -120,10 +116,10 @@ class Supervisor:
     ) -> None:
         deployment = orders.deployment
         self._deployment = deployment
-        self._roster = roster
-        self._orders = orders
-        self._hub = hub
-        self._print = notify
+        self._roster = roster  # with which the run begins, or goes on
+        self._orders = orders  # what the processes are started with
+        self._hub = hub  # through which the processes find one another
+        self._print = notify  # tells people what happens
         self._broken = anyio.Event()
         self._why: Exception | None = None
         self._are_started = False

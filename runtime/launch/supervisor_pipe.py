@@ -14,16 +14,11 @@ from hierax.schemas.values import Value
 
 
 class SupervisorPipe(Supervision):
-    """The process's end of the pipe; and, in the world's process, how the roster's owner reaches the supervisor.
-
-    Args:
-        status: file descriptor on which the supervisor listens.
-        on_gone: called when it does not listen any more.
-    """
+    """The process's end of the pipe; and, in the world's process, how the roster's owner reaches the supervisor."""
 
     def __init__(self, status: int, on_gone: Callable[[], None]) -> None:
-        self._status = status
-        self._on_gone = on_gone
+        self._status = status  # file descriptor on which the supervisor listens
+        self._on_gone = on_gone  # called when it does not listen any more
         self._saying = threading.Lock()
         self._beating = threading.Lock()
         self._finished = False

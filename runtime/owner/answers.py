@@ -14,16 +14,11 @@ OVER = "the run is over"
 
 
 class Answers:
-    """Those that were given, and those that are owed.
-
-    Args:
-        members: who takes part.
-        effects: of the owner.
-    """
+    """Those that were given, and those that are owed."""
 
     def __init__(self, members: Members, effects: OwnerEffects) -> None:
-        self._members = members
-        self._effects = effects
+        self._members = members  # who takes part
+        self._effects = effects  # of the owner
         self._given: OrderedDict[str, tuple[int, str]] = OrderedDict()
         self._owed: list[tuple[str, int, tuple[str, ...]]] = []
 

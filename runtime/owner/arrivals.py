@@ -16,14 +16,12 @@ class Arrivals(OwnerPart):
 
     Args:
         context: of the owner.
-        planning: what is done about those who may.
-        suspicions: of what those who take part say.
     """
 
     def __init__(self, context: OwnerContext, planning: Planning, suspicions: Suspicions) -> None:
         super().__init__(context)
-        self._planning = planning
-        self._suspicions = suspicions
+        self._planning = planning  # what is done about those who may
+        self._suspicions = suspicions  # of what those who take part say
 
     def hear(self, word: Join) -> None:
         """A process is there."""

@@ -12,33 +12,22 @@ from hierax.schemas.control import NEVER
 
 @dataclass(eq=False, repr=False)
 class EpochProgress:
-    """The epochs of a run.
-
-    Attributes:
-        epoch: the last one committed.
-        attempt: of the epoch after that, the last one begun; NEVER: none was.
-        last_attempt: the one of the last epoch committed that was.
-        running: whether an epoch is under way.
-        settled: it may have been acted upon, so it is done again with the same nodes.
-        drains: whether the epoch under way does not overlap with the next one.
-        drained: whether the last one committed did not.
-        over: whether it was the last one of the run.
-    """
+    """The epochs of a run."""
 
     members: Members  # who takes part
     inquiry: Inquiry  # of attempts that do not end
     effects: OwnerEffects  # of the owner
     _: KW_ONLY
-    epoch: int
-    attempt: int
-    settled: bool
-    last_attempt: int
+    epoch: int  # the last one committed
+    attempt: int  # of the epoch after that, the last one begun; NEVER: none was
+    settled: bool  # it may have been acted upon, so it is done again with the same nodes
+    last_attempt: int  # the one of the last epoch committed that was
 
     def __post_init__(self) -> None:
-        self.running = False
-        self.drains = False
-        self.drained = False
-        self.over = False
+        self.running = False  # whether an epoch is under way
+        self.drains = False  # whether the epoch under way does not overlap with the next one
+        self.drained = False  # whether the last one committed did not
+        self.over = False  # whether it was the last one of the run
         self._skips = self.attempt != NEVER  # of the next epoch the first attempt may have been begun and forgotten
 
     def begin(self) -> None:

@@ -19,12 +19,11 @@ class Losses(OwnerPart):
 
     Args:
         context: of the owner.
-        planning: what is done about it.
     """
 
     def __init__(self, context: OwnerContext, planning: Planning) -> None:
         super().__init__(context)
-        self._planning = planning
+        self._planning = planning  # what is done about it
 
     def hear(self, word: Lost) -> None:
         """A supervisor says that a process is gone for good; where it names none, that no other comes for a node."""

@@ -19,20 +19,7 @@ REMEMBERED = 1024  # how many dead processes are remembered, so that what comes 
 
 
 class Members:
-    """The roster in force, and the processes that the owner counts on.
-
-    Attributes:
-        roster: in force.
-        processes: by node in force; of a lost one, the process that it had.
-        born: by node in force.
-        lost: the nodes that have no process, and since when.
-        newcomers: processes to come, by node and the request that they are for; in the place of a lost one, that is
-            empty.
-        ended: nodes and processes that are to be killed, and since when.
-        alone: the nodes that are detached when an operator or edge function of theirs raises.
-        failures: by node that was detached for that, why.
-        trial: the node that has replaced another one, and whose first epoch is not committed yet.
-    """
+    """The roster in force, and the processes that the owner counts on."""
 
     def __init__(
         self,
@@ -47,16 +34,19 @@ class Members:
         tried: Tried | None = None,
         alone: Iterable[str] | None = None,  # the nodes that fail alone; None: as the policy says
     ) -> None:
-        self.roster = roster
-        self.processes = dict(processes)
+        self.roster = roster  # in force
+        self.processes = dict(processes)  # by node in force; of a lost one, the process that it had
+        # By node in force.
         self.born: dict[str, Born] = {name: (born or {}).get(name, (0, 1, "")) for name in roster.nodes}
-        self.lost: dict[str, float] = {}
+        self.lost: dict[str, float] = {}  # the nodes that have no process, and since when
+        # Processes to come, by node and the request that they are for; in the place of a lost one, that is empty.
         self.newcomers: dict[tuple[str, str], str] = {}
-        self.ended: dict[tuple[str, str], float] = {}
+        self.ended: dict[tuple[str, str], float] = {}  # nodes and processes that are to be killed, and since when
         self._effects = effects
         self._clock = clock
+        # The nodes that are detached when an operator or edge function of theirs raises.
         self.alone = frozenset(policy.alone if alone is None else alone)
-        self.failures: dict[str, str] = {}
+        self.failures: dict[str, str] = {}  # by node that was detached for that, why
         self._on_loss = dict(policy.on_loss)
         self._rejoin_timeout_s = dict(policy.rejoin_timeout_s)
         self._given_up: set[str] = set()
@@ -64,6 +54,7 @@ class Members:
         self._refused: dict[str, str] = {}
         self._heard_s: dict[str, float] = {}
         self._saved: dict[str, tuple[int, int]] = {}
+        # The node that has replaced another one, and whose first epoch is not committed yet.
         self.trial = None if tried is None else self._trial(*tried)
         self._outlived: list[tuple[str, str]] = []
         self._undone: dict[str, tuple[int, int]] = {}

@@ -23,21 +23,15 @@ class Planning(OwnerPart):
 
     Args:
         context: of the owner.
-        proceed: to be called when nothing is planned any more, as an epoch may wait for that.
         highest: the highest version that was ever prepared.
-
-    Attributes:
-        highest: likewise.
-        plan: what is prepared; None: nothing.
-        queue: what is asked for, and is not in the plan.
     """
 
     def __init__(self, context: OwnerContext, proceed: Callable[[], None], highest: int) -> None:
         super().__init__(context)
-        self.highest = max(highest, self._members.roster.version)
-        self.plan: Plan | None = None
-        self.queue: deque[Request] = deque()
-        self._proceed = proceed
+        self.highest = max(highest, self._members.roster.version)  # the highest version ever prepared
+        self.plan: Plan | None = None  # what is prepared; None: nothing
+        self.queue: deque[Request] = deque()  # what is asked for, and is not in the plan
+        self._proceed = proceed  # to be called when nothing is planned any more, as an epoch may wait for that
         self._states: dict[str, bytes] = {}
         self._states_of = 0
 

@@ -49,12 +49,11 @@ class Storage(ABC):
 class MappedFile(Storage):
     """Two memory-mapped files, ``PATH.0`` and ``PATH.1``, and a lock, ``PATH.lock``.
 
-    What is written is the kernel's at once, so it outlives the process without a call to
-    the kernel. A file appears under its name when it is complete, and only grows, in
-    place: the other one is not touched, and a slot that grows is the one to be written.
+    What is written is the kernel's at once, so it outlives the process without a call to the kernel. A file appears
+    under its name when it is complete, and only grows, in place: the other one is not touched, and a slot that grows is
+    the one to be written.
 
     Args:
-        path: where; the folder must be there.
         durability: ``host``: `flush` waits for the disk.
 
     Raises:
@@ -64,7 +63,7 @@ class MappedFile(Storage):
     def __init__(self, path: Path, durability: Durability = "process") -> None:
         if durability not in get_args(Durability):
             raise ValueError(f"durability {durability!r}; expected one of {', '.join(get_args(Durability))}")
-        self.path = path
+        self.path = path  # where; the folder must be there
         self._host = durability == "host"
         self._files: list[_SlotFile] = []
         self._unflushed: set[int] = set()
@@ -118,12 +117,11 @@ class _SlotFile:
 
     Args:
         folder: where it is, open.
-        path: made if it is not there.
         durable: whether a new file waits for the disk before it gets its name.
     """
 
     def __init__(self, folder: int, path: Path, *, durable: bool) -> None:
-        self._path = path
+        self._path = path  # made if it is not there
         if not os.path.lexists(path):
             with errors_named(path, "made", CheckpointError):
                 _make(folder, path, durable)

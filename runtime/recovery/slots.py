@@ -36,13 +36,11 @@ class Read(NamedTuple):
 class Slots:
     """The last two records of a storage.
 
-    Args:
-        storage: where they are; it is read, and the next record goes where the newest whole one is not.
-
     Not for two threads at once.
     """
 
     def __init__(self, storage: Storage) -> None:
+        # Where they are; it is read, and the next record goes where the newest whole one is not.
         self._storage = storage
         self._sequence = max(read.sequence for read in self.read())
 

@@ -48,20 +48,13 @@ class End(NamedTuple):
 class Checker:
     """Follows a run with the formal core.
 
-    Args:
-        scenario: of the simulation.
-        trace: told the commits.
-
     Attributes:
         told: the last epoch that was told to anybody outside.
-        excused: whether a run may give up: a slot was damaged, or somebody else spoke in a node's name.
-        foretold: whether a node was told of an attempt that nobody has begun, so it may have left the committed one.
-        uncertain: epochs in whose act, or record of it, the world's process died.
     """
 
     def __init__(self, scenario: Scenario, trace: Callable[[str], None]) -> None:
-        self._scenario = scenario
-        self._trace = trace
+        self._scenario = scenario  # of the simulation
+        self._trace = trace  # told the commits
         self._setting = OperatorSetting(scenario.seed)
         self._hierarchies: dict[bytes, Hierarchy] = {}
         self._processes: dict[int, Mapping[str, str]] = {}
@@ -73,9 +66,10 @@ class Checker:
         self._beginnings = 0
         self._candidates: dict[int, End] = {}
         self.acts: Counter[int] = Counter()
-        self.excused = False
+        self.excused = False  # whether a run may give up: a slot was damaged, or somebody else spoke in a node's name
+        # Whether a node was told of an attempt that nobody has begun, so it may have left the committed one.
         self.foretold = False
-        self.uncertain: set[int] = set()
+        self.uncertain: set[int] = set()  # epochs in whose act, or record of it, the world's process died
         self.version = -1
         self._in_force = {scenario.roster.version: scenario.roster}
         self._came: dict[str, int] = {}

@@ -8,14 +8,10 @@ from typing import Any
 
 
 class Clock:
-    """Events in the order of their times; of equal times, as they were scheduled.
-
-    Attributes:
-        now: seconds.
-    """
+    """Events in the order of their times; of equal times, as they were scheduled."""
 
     def __init__(self) -> None:
-        self.now = 0.0
+        self.now = 0.0  # seconds
         self._number = 0
         self._events: list[tuple[float, int, Callable[..., None], tuple[Any, ...]]] = []
 

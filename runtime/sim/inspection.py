@@ -29,12 +29,7 @@ class Turn(NamedTuple):
 
 @dataclass(eq=False, repr=False)
 class Inspector:
-    """Looks at all that goes into one process's operators.
-
-    Attributes:
-        turn: that the node is in.
-        heard: the last one in which it had all from above.
-    """
+    """Looks at all that goes into one process's operators."""
 
     name: str  # of the node, and of its process
     process: str  # of the node, and of its process
@@ -45,8 +40,8 @@ class Inspector:
     calls: Callable[[Call, int], None]
 
     def __post_init__(self) -> None:
-        self.turn = Turn(-1, 0, -1)
-        self.heard = self.turn
+        self.turn = Turn(-1, 0, -1)  # that the node is in
+        self.heard = self.turn  # the last one in which it had all from above
 
     def begin(self, turn: Turn) -> None:
         """The world is told to begin."""

@@ -34,20 +34,12 @@ def control_kind(word: Any) -> tuple[str, str]:
 
 
 class Journal:
-    """Notes what happens.
-
-    Args:
-        now: virtual time in seconds.
-        lines: where a line for each event goes; None: nowhere.
-
-    Attributes:
-        tally: of all that occurred.
-    """
+    """Notes what happens."""
 
     def __init__(self, now: Callable[[], float], lines: list[str] | None) -> None:
-        self.tally: Tally = Counter()
-        self._now = now
-        self._lines = lines
+        self.tally: Tally = Counter()  # of all that occurred
+        self._now = now  # virtual time in seconds
+        self._lines = lines  # where a line for each event goes; None: nowhere
 
     def trace(self, what: str) -> None:
         """Note an event."""

@@ -36,18 +36,12 @@ def link_first(around: Surroundings, process: SimProcess) -> None:
 
 
 class SimWorld:
-    """What the world's process runs: it waits until its supervisor says who lives, then it has a member.
-
-    Args:
-        around: what the process stands in.
-        process: of the world.
-        supervision: of all processes.
-    """
+    """What the world's process runs: it waits until its supervisor says who lives, then it has a member."""
 
     def __init__(self, around: Surroundings, process: SimProcess, supervision: Supervision) -> None:
-        self._around = around
-        self._process = process
-        self._supervision = supervision
+        self._around = around  # what the process stands in
+        self._process = process  # of the world
+        self._supervision = supervision  # of all processes
         self._port = SimPort(around.network, process)
         self._running: WorldMember | None = None
 

@@ -22,22 +22,15 @@ SHORTEST_S, LONGEST_S = 0.0003, 0.003  # how long a message takes
 
 
 class Host(ABC):
-    """What the network knows of a process.
+    """What the network knows of a process."""
 
-    Attributes:
-        name, token: of the node, and of the process alone.
-        is_world: whether it runs the world; all processes have a link to that.
-        links: ends of links, by version of the roster.
-        opening: what is to be called when a version's links are open.
-    """
-
-    is_world: bool
+    is_world: bool  # whether it runs the world; all processes have a link to that
 
     def __init__(self, name: str, token: str) -> None:
-        self.name = name
-        self.token = token
-        self.links: dict[int, frozenset[Pair]] = {}
-        self.opening: dict[int, Callable[[int], None]] = {}
+        self.name = name  # of the node, and of the process alone
+        self.token = token  # likewise
+        self.links: dict[int, frozenset[Pair]] = {}  # ends of links, by version of the roster
+        self.opening: dict[int, Callable[[int], None]] = {}  # what is to be called when a version's links are open
 
     @property
     def neighbours(self) -> set[str]:
@@ -96,30 +89,17 @@ class SimPort(Port):
 
 
 class Network:
-    """Carries messages from process to process.
-
-    Args:
-        clock: virtual.
-        rng: of delays and faults.
-        journal: told what befalls messages.
-        checker: told of each message, and where one is lost that must not be.
-
-    Attributes:
-        hosts: the processes that live, by token; to be filled by whoever starts them.
-        faults: that last, of messages.
-        cut: tokens of processes that are cut off.
-        at_once: whether links open as soon as both ends are there.
-    """
+    """Carries messages from process to process."""
 
     def __init__(self, clock: Clock, rng: Random, journal: Journal, checker: Checker) -> None:
-        self.hosts: Mapping[str, Host] = {}
-        self.faults: list[Fault] = []
-        self.cut: set[str] = set()
-        self.at_once = False
-        self._clock = clock
-        self._rng = rng
-        self._journal = journal
-        self._checker = checker
+        self.hosts: Mapping[str, Host] = {}  # the processes that live, by token; to be filled by whoever starts them
+        self.faults: list[Fault] = []  # that last, of messages
+        self.cut: set[str] = set()  # tokens of processes that are cut off
+        self.at_once = False  # whether links open as soon as both ends are there
+        self._clock = clock  # virtual
+        self._rng = rng  # of delays and faults
+        self._journal = journal  # told what befalls messages
+        self._checker = checker  # told of each message, and where one is lost that must not be
         self._lanes: dict[tuple[str, str, str], float] = {}
         self._broken: Counter[frozenset[str]] = Counter()
         self._breaks: Counter[frozenset[str]] = Counter()

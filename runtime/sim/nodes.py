@@ -30,20 +30,14 @@ def _elements(text: bytes) -> Elements:
 
 
 class Mixer(Node):
-    """Hashes its inputs into its belief.
-
-    Args:
-        name: goes into every hash.
-        policies: how many; at least 1.
-        generation: goes into every hash, too: a node that replaces another has its own.
-    """
+    """Hashes its inputs into its belief."""
 
     initial_policy = "p0"
 
     def __init__(self, name: str, policies: int = 1, generation: int = 0) -> None:
-        self.name = name
-        self.generation = generation
-        self._policies = policies
+        self.name = name  # goes into every hash
+        self.generation = generation  # goes into every hash, too: a node that replaces another has its own
+        self._policies = policies  # how many; at least 1
 
     def initial_belief(self) -> Value:
         return {"mark": mark(self.name, self.generation), "epochs": 0}
@@ -98,14 +92,10 @@ class ActingWorld(MixingWorld):
 
 
 class Mix:
-    """An edge function: elements that depend on all of its argument.
-
-    Args:
-        name: goes into the hash.
-    """
+    """An edge function: elements that depend on all of its argument."""
 
     def __init__(self, name: str) -> None:
-        self.name = name
+        self.name = name  # goes into the hash
 
     def __call__(self, argument: Value) -> Elements:
         return _elements(mark(self.name, argument))

@@ -89,43 +89,29 @@ class SimProcess(Host):
     """One process of a node.
 
     Args:
-        around: what it stands in.
-        attendant: told how it ends.
         name, token: of the node, and of the process alone.
-        request: the change that the first process of its line was started for.
-        storage: of its checkpoints; its line's.
-
-    Attributes:
-        member: that it runs; None: the world's, before the run has begun here.
-        world: of the world's process.
-        acting: the epoch of the world's act under way; 0: there is none.
-        calls_left: at which call it dies; 0: it doesn't.
-        torn: whether it dies in its next write.
-        raises: whether the next operator or edge function raises of a node that fails alone.
-        forges: what is made of the next message that it takes in, and comes after it; empty: nothing.
-        at: the last call that it made.
     """
 
     def __init__(
         self, around: Surroundings, attendant: Attendant, name: str, token: str, request: str, storage: SimStorage
     ) -> None:
         super().__init__(name, token)
-        self.request = request
-        self.storage = storage
-        self.member: Member | None = None
-        self.world: Owning | None = None
-        self.acting = 0
+        self.request = request  # the change that the first process of its line was started for
+        self.storage = storage  # of its checkpoints; its line's
+        self.member: Member | None = None  # that it runs; None: the world's, before the run has begun here
+        self.world: Owning | None = None  # of the world's process
+        self.acting = 0  # the epoch of the world's act under way; 0: there is none
         self.alive = True
-        self.calls_left = 0
-        self.torn = False
-        self.raises = False
-        self.forges = ""
-        self.at = ""
+        self.calls_left = 0  # at which call it dies; 0: it doesn't
+        self.torn = False  # whether it dies in its next write
+        self.raises = False  # whether the next operator or edge function raises of a node that fails alone
+        self.forges = ""  # what is made of the next message that it takes in, and comes after it; empty: nothing
+        self.at = ""  # the last call that it made
         self.frozen = 0
         self.busy = False
         self.slowness_s = 0.0
-        self._around = around
-        self._attendant = attendant
+        self._around = around  # what it stands in
+        self._attendant = attendant  # told how it ends
         self._backlog: deque[tuple[str, Any]] = deque()
         self._ticks = 0
         self._place = self._finished = (0, 0)

@@ -69,12 +69,7 @@ def simulate(scenario: Scenario, trace: list[str] | None = None) -> Result:
 
 
 class Simulation:
-    """A run from its beginning to its end, with those who ask for changes.
-
-    Attributes:
-        around: what the processes stand in.
-        supervisor: of the processes.
-    """
+    """A run from its beginning to its end, with those who ask for changes."""
 
     def __init__(self, scenario: Scenario, trace: list[str] | None) -> None:
         clock = Clock()
@@ -82,9 +77,9 @@ class Simulation:
         checker = Checker(scenario, journal.trace)
         network = Network(clock, Random(f"{scenario.seed}/network"), journal, checker)
         self._scenario = scenario
-        self.around = Surroundings(scenario, clock, journal, checker, network)
+        self.around = Surroundings(scenario, clock, journal, checker, network)  # what the processes stand in
         network.hosts = self.around.processes
-        self.supervisor = SimSupervisor(self.around)
+        self.supervisor = SimSupervisor(self.around)  # of the processes
 
     def run(self) -> None:
         """Let everything happen. Raises `ViolationError` if something that must hold does not."""

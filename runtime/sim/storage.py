@@ -15,16 +15,13 @@ class Crash(BaseException):
 
 
 class SimStorage(Storage):
-    """Two slots that outlive the process that writes them.
-
-    Attributes:
-        tears: asked before each write whether the process dies in the middle of it.
-    """
+    """Two slots that outlive the process that writes them."""
 
     def __init__(self, rng: Random) -> None:
         self._rng = rng
         self._slots = [bytes(BLOCK_BYTES)] * SLOTS
         self._last = 0
+        # Asked before each write whether the process dies in the middle of it.
         self.tears: Callable[[], bool] = lambda: False
 
     def write(self, slot: int, data: bytes) -> None:

@@ -21,21 +21,13 @@ UNREACHED_S = 0.1  # after which time it is tried again where a process is cut o
 
 
 class SimSupervisor(Supervision):
-    """Supervises all processes of a simulation.
-
-    Args:
-        around: what the processes stand in.
-
-    Attributes:
-        stopped: why the owner gave the run up; empty: it did not.
-        answers: what became of the changes that were asked for.
-    """
+    """Supervises all processes of a simulation."""
 
     def __init__(self, around: Surroundings) -> None:
         seed = around.scenario.seed
-        self.stopped = ""
-        self.answers: dict[str, str] = {}
-        self._around = around
+        self.stopped = ""  # why the owner gave the run up; empty: it did not
+        self.answers: dict[str, str] = {}  # what became of the changes that were asked for
+        self._around = around  # what the processes stand in
         self._rng = Random(f"{seed}/simulation")
         self._disk_rng = Random(f"{seed}/disk")
         self._started: Counter[str] = Counter()

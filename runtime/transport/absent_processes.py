@@ -15,14 +15,10 @@ TRIES_S = (0.3, 1.0, 3.0, 10.0)
 
 
 class AbsentProcesses:
-    """Those that are missed.
-
-    Args:
-        clock: seconds.
-    """
+    """Those that are missed."""
 
     def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
-        self._clock = clock
+        self._clock = clock  # seconds
         self._since: dict[str, tuple[float, int]] = {}
 
     def gone(self, process: str) -> None:

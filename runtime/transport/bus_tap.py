@@ -35,9 +35,6 @@ class StepPublisher:
         session: an open session.
         keys: of the run.
         name: of the node.
-
-    Attributes:
-        heard: whether somebody listens.
     """
 
     def __init__(self, session: zenoh.Session, keys: Keys, name: str) -> None:
@@ -51,7 +48,7 @@ class StepPublisher:
         self._steps = publisher(keys.steps(name))
         self._roster = publisher(keys.roster)
         self._listener = self._steps.declare_matching_listener(self._on_matching)
-        self.heard = bool(self._steps.matching_status.matching)
+        self.heard = bool(self._steps.matching_status.matching)  # whether somebody listens
 
     def wait(self, timeout_s: float) -> bool:
         """Wait until somebody listens; whether somebody does."""

@@ -34,7 +34,6 @@ class Hub:
     """A session that every process connects to and gossips through; messages of the run don't pass it.
 
     Args:
-        keys: of the run.
         zenoh_config: Zenoh's own configuration.
         progress: told the number of each committed epoch, from a thread of Zenoh's.
         host: address of this machine at which others may link; None: this machine's processes only.
@@ -47,7 +46,7 @@ class Hub:
         self, keys: Keys, zenoh_config: ZenohConfig, progress: Callable[[int], None] | None, host: str | None = None
     ) -> None:
         self.endpoint, self._session = _listen(zenoh_config, host)
-        self._keys = keys
+        self._keys = keys  # of the run
         self._zenoh_config, self._host = zenoh_config, host
         self._living: set[str] = set()
         self._introduces = threading.Lock()

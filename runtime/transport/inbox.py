@@ -27,14 +27,10 @@ SAMPLE_BYTES = 64 * 1024  # as what a message counts at least: the buffer that Z
 
 
 class Inbox:
-    """The messages for one node, in the order in which they came.
-
-    Args:
-        subscriber: to their keys, with a queue of `QUEUE_SIZE`.
-    """
+    """The messages for one node, in the order in which they came."""
 
     def __init__(self, subscriber: zenoh.Subscriber[Any]) -> None:
-        self._subscriber = subscriber
+        self._subscriber = subscriber  # to their keys, with a queue of `QUEUE_SIZE`
         self._taking = threading.Lock()  # held by whoever takes from Zenoh's queue
         self._kept: deque[zenoh.Sample] = deque()
         self._kept_bytes = 0

@@ -21,14 +21,12 @@ class InspectionEndpoint:
     """Takes questions to a node in, and shows what it says.
 
     Args:
-        session: an open session.
-        keys: of the run.
         name: of the node.
     """
 
     def __init__(self, session: zenoh.Session, keys: Keys, name: str) -> None:
-        self._session = session
-        self._keys = keys
+        self._session = session  # an open session
+        self._keys = keys  # of the run
         self._questions: deque[tuple[Value, Reply]] = deque(maxlen=QUESTIONS)
         self._queryable = answer_questions(session, keys.look(name), lambda *asked: self._questions.append(asked))
 

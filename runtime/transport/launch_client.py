@@ -71,17 +71,15 @@ class LaunchClient:
     """Asks one launch, in a session of its own through the launch's hub, on the keys of that run alone.
 
     Args:
-        endpoint: of the hub.
         zenoh_config: Zenoh's own configuration.
-        keys: of the run; None: they are found out, which fails where several answer.
 
     Raises:
         TransportError: the launch cannot be reached.
     """
 
     def __init__(self, endpoint: str, zenoh_config: ZenohConfig = None, keys: Keys | None = None) -> None:
-        self.endpoint = endpoint
-        self._keys = keys
+        self.endpoint = endpoint  # of the hub
+        self._keys = keys  # of the run; None: they are found out, which fails where several answer
         try:  # a client, as the processes of the run would link to a peer
             self._session = open_session((), [endpoint], zenoh_config, shared_memory=False, mode="client")
         except TransportError as error:

@@ -19,7 +19,6 @@ class MemoryNetwork:
 
     Args:
         seed: decides which of the messages under way is delivered next.
-        queue_size: how many messages of one sender, receiver and kind may be under way.
     """
 
     # Shown the header and the bytes of every message; None: nobody is.
@@ -27,7 +26,7 @@ class MemoryNetwork:
 
     def __init__(self, seed: int = 0, queue_size: int = QUEUE_SIZE) -> None:
         self._random = np.random.Generator(np.random.PCG64(seed))
-        self._queue_size = queue_size
+        self._queue_size = queue_size  # how many messages of one sender, receiver and kind may be under way
         self._ports: dict[str, MemoryPort] = {}
 
     def open_port(self, name: str) -> MemoryPort:

@@ -102,7 +102,6 @@ class Rendezvous:
     """One node's side of the handshakes with all its neighbours, under a version of the roster.
 
     Attributes:
-        version: of the roster.
         handshakes: by neighbour.
     """
 
@@ -115,7 +114,7 @@ class Rendezvous:
         roster: int,  # the roster's version
         process: str = "0",  # the token of the node's process
     ) -> None:
-        self.version = roster
+        self.version = roster  # of the roster
         ends = {**dict.fromkeys(above, (UP, DOWN)), **dict.fromkeys(below, (DOWN, UP))}
         own = instances.get(name, 0)
         self.handshakes = {

@@ -45,13 +45,7 @@ class ZenohPort(Port):
 
     One thread receives; others may call `greet` and `interrupt`.
 
-    Attributes:
-        absent: processes of the run that were there, and whose links broke.
-
     Args:
-        session: an open session.
-        keys: of the run.
-        name: of the node.
         process: the process's token.
         most_bytes: how long a message the session's links carry; None: any.
 
@@ -62,10 +56,10 @@ class ZenohPort(Port):
     def __init__(
         self, session: zenoh.Session, keys: Keys, name: str, process: str = "", most_bytes: int | None = None
     ) -> None:
-        self._session = session
+        self._session = session  # an open session
         self._most_bytes = MAX_MESSAGE_BYTES if most_bytes is None else most_bytes
-        self._keys = keys
-        self._name = name
+        self._keys = keys  # of the run
+        self._name = name  # of the node
         self._process = process or "0"
         self._interrupted = False
         self._closed = False
@@ -75,7 +69,7 @@ class ZenohPort(Port):
         self._lanes: Mapping[str, Lane] = {}
         self._publishers: dict[Lane, Any] = {}
         self._shaking = threading.Lock()
-        self.absent = AbsentProcesses()
+        self.absent = AbsentProcesses()  # processes of the run that were there, and whose links broke
         self._own_key = keys.edge(INTERRUPT, name, name)
         try:
             self._inbox = Inbox(session.declare_subscriber(keys.inbox(name), zenoh.handlers.FifoChannel(QUEUE_SIZE)))
