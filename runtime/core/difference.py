@@ -36,10 +36,7 @@ def first_unlike(a: Value, b: Value, path: str, tolerance: float = 0.0) -> Unlik
 def difference(expected: Value, got: Value, names: Sequence[str] = (), where: str = "") -> str:
     """The first place where two values differ, and both values there, for an error; empty where they are equal.
 
-    Args:
-        expected, got: the values.
-        names: what the entries of both, which are tuples then, are called.
-        where: what the whole is called.
+    `names`: what the entries of both, which are tuples then, are called.
     """
     pairs = zip(names, expected, got, strict=True) if names else ((where, expected, got),)
     found = next(filter(None, (first_unlike(one, other, path) for path, one, other in pairs)), None)

@@ -36,12 +36,7 @@ def cannot_travel(name: str, epoch: int, sensed: Value, state: ActiveNode, error
 
 
 def elements_cannot_travel(kind: str, sender: str, receiver: str, epoch: int, error: SchemaError) -> OperatorError:
-    """Whose fault it is that a message cannot be encoded.
-
-    Args:
-        kind, sender, receiver, epoch: of the message.
-        error: what encoding said.
-    """
+    """Whose fault it is that a message cannot be encoded."""
     lower, upper = (sender, receiver) if kind == OBSERVATIONS else (receiver, sender)
     what = f"its elements for {receiver}: {error}"
     return OperatorError(f"{lower}->{upper}", _FUNCTIONS[kind], epoch, what)

@@ -146,11 +146,8 @@ class Engine:
     def begin(self, attempt: int = 0) -> None:
         """Begin the next epoch; only the world, when it is done with the last one.
 
-        Args:
-            attempt: its first number; not 0 where the world's process has died at this epoch.
-
-        Raises:
-            OperatorError: an operator failed.
+        `attempt`: its first number; not 0 where the world's process has died at this epoch. Raises `OperatorError` if
+        an operator failed.
         """
         if self._world is None or self.phase is not Phase.DONE:
             raise ValueError(f"{self.name}: only a world that is done with an epoch begins the next one")
@@ -161,11 +158,7 @@ class Engine:
     def begin_again(self, attempt: int) -> None:
         """Do the epoch under way again, from its start; only the world.
 
-        Args:
-            attempt: later than any before.
-
-        Raises:
-            OperatorError: an operator failed.
+        `attempt`: later than any before. Raises `OperatorError` if an operator failed.
         """
         if self._world is None or self.phase is Phase.DONE or attempt <= self.attempt:
             raise ValueError(f"{self.name}: only a world that has begun an epoch begins it again, as a later attempt")

@@ -41,8 +41,7 @@ class Place:
 class Wiring:
     """A node and all that joins it to its neighbours, laid out for the engine.
 
-    Args:
-        edges: of the node; of each at least the functions that run on its side.
+    `edges`: of the node; of each at least the functions that run on its side.
 
     Attributes:
         below, above: for each slot that is filled from there in an epoch, the instance of its sender.

@@ -17,15 +17,12 @@ MAX_POLICIES = 64  # of how many policies of a node every one is called
 def run_dry(deployment: Deployment) -> int:
     """Do the first epoch in this process, from the initial beliefs: sense up, then predict down.
 
-    No actuator is moved, no probe is told, and nothing is written. Policies that were not
-    chosen are called, too, as are the metrics.
-
-    Args:
-        deployment: its modules can be found.
+    No actuator is moved, no probe is told, and nothing is written. Policies that were not chosen are called, too, as
+    are the metrics.
 
     Returns:
-        How many calls of operators and edge functions that were; without an epoch, as the world has
-        finished before the first one, only those of initial beliefs.
+        How many calls of operators and edge functions that were; without an epoch, as the world has finished before the
+        first one, only those of initial beliefs.
 
     Raises:
         HieraxError: something cannot be loaded, or called, or gives what it must not; says which operator.

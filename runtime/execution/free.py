@@ -17,18 +17,9 @@ UNIT_S = 1.0  # the period of a world without a rate; nodes without one are as q
 def run_freely(runners: Mapping[str, NodeRunner], deployment: Deployment, seed: int, pacemaker: Pacemaker) -> None:
     """Run until the world is done.
 
-    A node's turns are a period apart, from a beginning that the seed draws. At each turn it
-    takes in what has come, and takes part in the newest epoch. Which of two turns at the same
-    time comes first is drawn, too: the same seed gives the same run.
-
-    Args:
-        runners: by node.
-        deployment: its rates.
-        seed: of the turns.
-        pacemaker: of the world.
-
-    Raises:
-        HieraxError: a node failed, or a change of the roster is refused.
+    A node's turns are a period apart, from a beginning that the seed draws. At each turn it takes in what has come, and
+    takes part in the newest epoch. Which of two turns at the same time comes first is drawn, too: the same seed gives
+    the same run. Raises `HieraxError` if a node failed, or a change of the roster is refused.
     """
     random = np.random.Generator(np.random.PCG64(seed))
     quickest_s = min((1 / rate for rate in deployment.rates_hz.values()), default=UNIT_S)

@@ -70,8 +70,7 @@ class Member(Host):
 
     It has a runner from when a roster with its node has come.
 
-    Args:
-        seat: what the process has for it.
+    `seat`: what the process has for it.
     """
 
     def __init__(
@@ -131,9 +130,8 @@ class Member(Host):
 
         To be called again and again while nothing comes.
 
-        Args:
-            request: the change that it was started for; empty: it comes in the place of a process that
-                had a place in the roster.
+        `request`: the change that it was started for; empty: it comes in the place of a process that had a place in the
+        roster.
         """
         if self._failure is not None:
             self._report(self._failure)

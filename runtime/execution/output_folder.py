@@ -97,16 +97,8 @@ def open_probes(
 ) -> tuple[Probe, ...]:
     """The probes of a node, open.
 
-    Args:
-        specs: of all nodes.
-        name: of the node.
-        allowance: which code may be loaded.
-        output: the run's output folder.
-        again: another process of the node has had them open before in this run.
-
-    Raises:
-        NotAllowedError, LoadError: one may not be loaded, or cannot be built.
-        ProbeError: one cannot be opened.
+    `again`: another process of the node has had them open before in this run. Raises `NotAllowedError`, `LoadError` if
+    one may not be loaded, or cannot be built, and `ProbeError` if one cannot be opened.
     """
     own = [(i, spec) for i, spec in enumerate(specs) if spec.node == name]
     probes = tuple(build_probe(spec.reference, f"probes[{i}]", allowance) for i, spec in own)

@@ -223,11 +223,8 @@ class NodeRunner(EngineEffects):
     def report(self, committed: int | None = None) -> NodeReport:
         """The node's state and what it reports of it.
 
-        Args:
-            committed: the last epoch that is, where the one after it may be under way; None: none is.
-
-        Raises:
-            OperatorError: the node's `metrics` failed.
+        `committed`: the last epoch that is, where the one after it may be under way; None: none is. Raises
+        `OperatorError` if the node's `metrics` failed.
         """
         engine = self.engine
         ahead = committed is not None and self.staleness.barrier and engine.epoch > committed

@@ -112,11 +112,7 @@ def run(
 
 
 class _World(World):
-    """Begins epochs, and before some of them has the roster changed.
-
-    Args:
-        pacemaker: of the run.
-    """
+    """Begins epochs, and before some of them has the roster changed."""
 
     def __init__(self, pacemaker: Pacemaker, nodes: _Nodes, due: Sequence[int], acts: bool) -> None:
         super().__init__(pacemaker)
@@ -201,8 +197,7 @@ class _Nodes(Host):
     def reports(self, committed: int | None) -> tuple[dict[str, NodeReport], dict[str, str]]:
         """What the nodes have come to; of a run that was broken off, also who cannot tell, and why.
 
-        Args:
-            committed: the last epoch of a run that was broken off; None: it was not.
+        `committed`: the last epoch of a run that was broken off; None: it was not.
         """
         reports: dict[str, NodeReport] = {}
         unreported: dict[str, str] = {}

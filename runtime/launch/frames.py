@@ -115,8 +115,7 @@ class NodeOrder:
 def leave(epoch: int | None) -> Value:
     """The command to report at once, and exit, whatever is under way.
 
-    Args:
-        epoch: of which the report is, the last one committed; None: the world knows.
+    `epoch`: of which the report is, the last one committed; None: the world knows.
     """
     return {_LEAVE: epoch}
 

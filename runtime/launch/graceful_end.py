@@ -37,11 +37,7 @@ _POLL_S = 0.005
 
 
 class GracefulEnd:
-    """Ends the run of a launch.
-
-    Args:
-        deployment: that is launched.
-    """
+    """Ends the run of a launch. `deployment`: that is launched."""
 
     def __init__(self, processes: RosterSupervisor, deployment: Deployment, notify: Notify) -> None:
         self._processes = processes  # those of the launch

@@ -69,11 +69,7 @@ _log = logging.getLogger("hierax")
 
 
 class NodeWorker:
-    """Takes one node from its order to its report.
-
-    Args:
-        status: file descriptor on which the supervisor listens.
-    """
+    """Takes one node from its order to its report. `status`: file descriptor on which the supervisor listens."""
 
     def __init__(self, order: NodeOrder, status: int, wait: Waiter) -> None:
         self._order = order  # from the supervisor
@@ -119,8 +115,7 @@ class NodeWorker:
     def leave(self, epoch: int | None) -> None:
         """Make the node's thread come to its end, whatever is under way, and report.
 
-        Args:
-            epoch: of which the report is; None: the last one committed, which the world knows.
+        `epoch`: of which the report is; None: the last one committed, which the world knows.
         """
         self._leaves, self._epoch = True, epoch
         self.stop()

@@ -44,8 +44,7 @@ class LaunchOptions:
 class Orders:
     """Makes the orders of one run.
 
-    Args:
-        resumed: go on with this run, whose checkpoints are in the folder of the state; None: begin.
+    `resumed`: go on with this run, whose checkpoints are in the folder of the state; None: begin.
 
     Raises:
         HieraxError: what was written of the run is of another version.
@@ -121,11 +120,7 @@ class Orders:
         return self._renewed(order, token)
 
     def has_begun(self, world: str) -> bool:
-        """Whether a process of the world's that is dead has begun the run: only with a record is anything sent.
-
-        Args:
-            world: the process's token.
-        """
+        """Whether a process of the world's that is dead has begun the run: only with a record is anything sent."""
         name = self.deployment.roster.world
         try:
             with MappedFile(self._record, self.deployment.durability) as storage:
@@ -244,11 +239,7 @@ class Orders:
         return left.popleft() if left else ""
 
     def info(self, from_start: bool) -> RunInfo:
-        """What a recording says of the run.
-
-        Args:
-            from_start: whether it begins with the run.
-        """
+        """What a recording says of the run. `from_start`: whether it begins with the run."""
         return RunInfo.of(self.deployment, self.run_id, "launch", self.options.seed, self.overrides, from_start)
 
     def _is_recorded(self) -> bool:

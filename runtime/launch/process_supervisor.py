@@ -63,8 +63,7 @@ class ProcessSupervisor(ABC):
     async def end_all(self, timeout_s: float = END_TIMEOUT_S) -> None:
         """End every process that is left: first kindly, then not.
 
-        Args:
-            timeout_s: how long they may take to end by themselves.
+        `timeout_s`: how long they may take to end by themselves.
         """
         self.ending = True
         for child in self.children:

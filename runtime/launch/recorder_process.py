@@ -103,8 +103,7 @@ class RecorderChild:
     async def finish(self, last: int | None) -> None:
         """Have it write what it has heard, and end; the nodes' processes are gone.
 
-        Args:
-            last: the last epoch of the run; None: not known.
+        `last`: the last epoch of the run; None: not known.
         """
         process = self._process
         if process is None:

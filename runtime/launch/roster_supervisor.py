@@ -50,10 +50,7 @@ SILENCE_S = 1.0  # how long the world's process may say nothing, beyond the epoc
 class RosterSupervisor(ProcessSupervisor):
     """Has a process run for every node of a launch's roster: starts them, and others in their place.
 
-    Args:
-        tasks: in which everything runs.
-        notify: tells people what happens.
-        fail: called with why the run cannot go on.
+    `fail`: called with why the run cannot go on.
     """
 
     def __init__(self, tasks: anyio.abc.TaskGroup, orders: Orders, hub: Hub, notify: Notify, fail: Fail) -> None:
@@ -94,8 +91,7 @@ class RosterSupervisor(ProcessSupervisor):
 
         Until it has, a process that is killed is started anew, and shakes hands anew.
 
-        Args:
-            timeout_s: how long they may take.
+        `timeout_s`: how long they may take.
 
         Returns:
             The nodes that were not up in time.

@@ -67,13 +67,8 @@ def write_run(state: Path, run: Run) -> None:
 def read_run(state: Path, trust: bool = False) -> Run:
     """The run whose checkpoints are in a folder.
 
-    Args:
-        state: the folder.
-        trust: whether what it says is run, whoever has written it.
-
-    Raises:
-        HieraxError: there is none, or others may have written it; or it is not known to be this user's own, and not
-            trusted.
+    `trust`: whether what it says is run, whoever has written it. Raises `HieraxError` if there is none, or others may
+    have written it; or it is not known to be this user's own, and not trusted.
     """
     path = state / _RUN
     try:

@@ -107,8 +107,7 @@ async def _run(
 class Supervisor:
     """Starts the processes of a launch, has them run, and ends them.
 
-    Args:
-        recording: whether and where the run is recorded; told how that ended.
+    `recording`: whether and where the run is recorded; told how that ended.
     """
 
     def __init__(
@@ -132,11 +131,7 @@ class Supervisor:
         self._log = begin_log(orders.run_id, deployment.name, deployment.path, notify, lambda: self._processes.epoch)
 
     async def run(self, begun_s: float) -> None:
-        """Do all of the launch.
-
-        Args:
-            begun_s: when it began, by `time.perf_counter`.
-        """
+        """Do all of the launch. `begun_s`: when it began, by `time.perf_counter`."""
         fault = shared_memory_fault()
         if fault:
             self._notify(f"no shared memory, large messages are copied: {fault}")

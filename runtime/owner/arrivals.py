@@ -12,11 +12,7 @@ from hierax.schemas.control import NEVER, Dismiss, Join
 
 
 class Arrivals(OwnerPart):
-    """Says who may come in.
-
-    Args:
-        context: of the owner.
-    """
+    """Says who may come in."""
 
     def __init__(self, context: OwnerContext, planning: Planning, suspicions: Suspicions) -> None:
         super().__init__(context)

@@ -23,11 +23,7 @@ class OwnerContext(NamedTuple):
 
 
 class OwnerPart:
-    """A part of an owner.
-
-    Args:
-        context: what it shares with the others.
-    """
+    """A part of an owner. `context`: what it shares with the others."""
 
     def __init__(self, context: OwnerContext) -> None:
         self._effects, self._clock, self._policy, self._members, self._progress, self._answers = context

@@ -15,11 +15,7 @@ from hierax.schemas.roster import Roster
 
 
 class Losses(OwnerPart):
-    """Takes in who is lost, and does what the deployment says of it.
-
-    Args:
-        context: of the owner.
-    """
+    """Takes in who is lost, and does what the deployment says of it."""
 
     def __init__(self, context: OwnerContext, planning: Planning) -> None:
         super().__init__(context)

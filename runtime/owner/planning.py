@@ -19,12 +19,7 @@ MAX_TRIES = 5  # how often a change is planned anew because a process died meanw
 
 
 class Planning(OwnerPart):
-    """Makes one plan after the other, and has it take effect.
-
-    Args:
-        context: of the owner.
-        highest: the highest version that was ever prepared.
-    """
+    """Makes one plan after the other, and has it take effect. `highest`: the highest version that was ever prepared."""
 
     def __init__(self, context: OwnerContext, proceed: Callable[[], None], highest: int) -> None:
         super().__init__(context)

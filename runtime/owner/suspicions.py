@@ -14,11 +14,7 @@ MAX_REPEATS = 100  # how often an epoch is begun again because a node was moved 
 
 
 class Suspicions(OwnerPart):
-    """Has an epoch begun again whose attempt a node has left; ends the run where that does not help.
-
-    Args:
-        context: of the owner.
-    """
+    """Has an epoch begun again whose attempt a node has left; ends the run where that does not help."""
 
     def __init__(self, context: OwnerContext) -> None:
         super().__init__(context)

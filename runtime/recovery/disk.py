@@ -53,8 +53,7 @@ class MappedFile(Storage):
     under its name when it is complete, and only grows, in place: the other one is not touched, and a slot that grows is
     the one to be written.
 
-    Args:
-        durability: ``host``: `flush` waits for the disk.
+    `durability`: ``host``: `flush` waits for the disk.
 
     Raises:
         CheckpointError: another process has it, a file is no checkpoint's, or the machine refuses.

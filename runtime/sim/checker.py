@@ -174,9 +174,7 @@ class Checker:
     def commits(self, turn: Turn, encoded: Mapping[str, bytes]) -> None:
         """The world's engine has committed an epoch; it counts when it is told.
 
-        Args:
-            turn: of it.
-            encoded: the states of all living processes that take part.
+        `encoded`: the states of all living processes that take part.
         """
         start = self._starts[turn.epoch, turn.version]
         hierarchy = self.hierarchy_of(start.roster)
@@ -213,8 +211,7 @@ class Checker:
     def finishes(self, answers: Mapping[str, str]) -> None:
         """The run is over: whether all was done as it was said.
 
-        Args:
-            answers: what became of the changes: ``epoch N``, or why not.
+        `answers`: what became of the changes: ``epoch N``, or why not.
         """
         self._check_acts()
         for proposal in self._scenario.proposals:

@@ -178,14 +178,7 @@ class Tagged(Call):
 def inspected_edges(
     edges: Mapping[tuple[str, str], BoundEdge], name: str, inspector: Inspector, before: Callable[[], None]
 ) -> list[BoundEdge]:
-    """A node's edges, with tags put on what its side gives.
-
-    Args:
-        edges: of the node.
-        name: of the node.
-        inspector: of its process.
-        before: called before each sense function.
-    """
+    """A node's edges, with tags put on what its side gives."""
 
     def tagged(call: Call | None, edge: BoundEdge, kind: str) -> Call:
         then = before if kind == "sense" else _nothing

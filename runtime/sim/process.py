@@ -86,11 +86,7 @@ class Owning(Protocol):
 
 
 class SimProcess(Host):
-    """One process of a node.
-
-    Args:
-        name, token: of the node, and of the process alone.
-    """
+    """One process of a node. `name, token`: of the node, and of the process alone."""
 
     def __init__(
         self, around: Surroundings, attendant: Attendant, name: str, token: str, request: str, storage: SimStorage

@@ -38,12 +38,7 @@ class Result(NamedTuple):
 
 
 def simulate(scenario: Scenario, trace: list[str] | None = None) -> Result:
-    """Run a scenario.
-
-    Args:
-        scenario: what is to happen.
-        trace: where a line for each event goes.
-    """
+    """Run a scenario. `trace`: where a line for each event goes."""
     simulation = Simulation(scenario, trace)
     violation = ""
     try:

@@ -29,13 +29,7 @@ _log = logging.getLogger("hierax")
 
 
 class StepPublisher:
-    """A node's end: tells steps and rosters while somebody listens, and nothing else.
-
-    Args:
-        session: an open session.
-        keys: of the run.
-        name: of the node.
-    """
+    """A node's end: tells steps and rosters while somebody listens, and nothing else."""
 
     def __init__(self, session: zenoh.Session, keys: Keys, name: str) -> None:
         self._changed = threading.Event()

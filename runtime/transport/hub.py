@@ -94,8 +94,7 @@ class Hub:
 
         Gossip tells of everybody anew when somebody comes; a session that comes for a moment will do.
 
-        Args:
-            process: the token of the one that is missed; where it is not heard of here either, nothing is done.
+        `process`: the token of the one that is missed; where it is not heard of here either, nothing is done.
         """
         if process not in self._living or not self._introduces.acquire(blocking=False):
             return  # it is dead; or all are just being told
@@ -127,8 +126,7 @@ class Hub:
 
         Once is not enough: what is put into a session that is closed then, or on a link that is full, may be lost.
 
-        Args:
-            reasons: what they are told, by token.
+        `reasons`: what they are told, by token.
         """
         patience_s = time.monotonic() + LEAVE_S
         told = dict(reasons)

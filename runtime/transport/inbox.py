@@ -59,8 +59,7 @@ class Inbox:
     def relieve(self, wanted: Container[str]) -> set[str]:
         """Look after what waits while the node's thread does not; to be called from time to time, by another one.
 
-        Args:
-            wanted: the keys of which messages are kept.
+        `wanted`: the keys of which messages are kept.
 
         Returns:
             Those of which some were dropped, as too much waits.

@@ -18,11 +18,7 @@ _log = logging.getLogger("hierax")
 
 
 class InspectionEndpoint:
-    """Takes questions to a node in, and shows what it says.
-
-    Args:
-        name: of the node.
-    """
+    """Takes questions to a node in, and shows what it says."""
 
     def __init__(self, session: zenoh.Session, keys: Keys, name: str) -> None:
         self._session = session  # an open session

@@ -70,9 +70,6 @@ class LaunchStatus:
 class LaunchClient:
     """Asks one launch, in a session of its own through the launch's hub, on the keys of that run alone.
 
-    Args:
-        zenoh_config: Zenoh's own configuration.
-
     Raises:
         TransportError: the launch cannot be reached.
     """
@@ -126,10 +123,7 @@ class LaunchClient:
     ) -> dict[str, Answer]:
         """What nodes answer; of a node's processes, only the one that has its place counts.
 
-        Args:
-            status: of the launch.
-            question: see `hierax.runtime.launch.inspection_server`.
-            names: of the nodes.
+        `question`: see `hierax.runtime.launch.inspection_server`.
         """
         return {
             name: answer
@@ -237,11 +231,7 @@ class LaunchClient:
 
 
 def is_gone(endpoint: str) -> bool:
-    """Whether there is no launch at an endpoint any more; not so where its machine cannot be reached.
-
-    Args:
-        endpoint: of its hub.
-    """
+    """Whether there is no launch at an endpoint any more; not so where its machine cannot be reached."""
     address, _, port = endpoint.partition("/")[2].rpartition(":")
     try:
         socket.create_connection((address.strip("[]"), int(port)), timeout=KNOCK_TIMEOUT_S).close()

@@ -17,8 +17,7 @@ QUEUE_SIZE = 1024  # how many messages a lane holds at most
 class MemoryNetwork:
     """Ports that reach one another in memory; messages travel as bytes, as they do over Zenoh.
 
-    Args:
-        seed: decides which of the messages under way is delivered next.
+    `seed`: decides which of the messages under way is delivered next.
     """
 
     # Shown the header and the bytes of every message; None: nobody is.

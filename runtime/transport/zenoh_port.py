@@ -45,9 +45,7 @@ class ZenohPort(Port):
 
     One thread receives; others may call `greet` and `interrupt`.
 
-    Args:
-        process: the process's token.
-        most_bytes: how long a message the session's links carry; None: any.
+    `most_bytes`: how long a message the session's links carry; None: any.
 
     Raises:
         TransportError: Zenoh refuses a declaration.
