@@ -12,8 +12,8 @@ from hierax.nodes.picking.layout import SIDES_M, disturbed, planned
 from hierax.nodes.picking.panda import HOME_RAD, WIDEST_M, camera_of, gripper_at, joints_for
 from hierax.nodes.picking.workcell import STEP_HZ, Arm, Cube, Order, Touch, Workcell
 from hierax.nodes.tracking.math.geometry import Floats, exp_so3, log_so3, make_pose
-from hierax.nodes.tracking.simworld import shapes as sim_shapes
 from hierax.nodes.tracking.simworld.scene import develop, draw
+from hierax.nodes.tracking.simworld.shapes import Thing, cube
 from hierax.nodes.tracking.simworld.world import check_pictures
 from hierax.runtime import NO_TICK, Elements, Tick, Value, World
 
@@ -125,7 +125,7 @@ def picture_and_hand_seen(belief: Value, tick: Tick = NO_TICK) -> Elements:
         One element {"image", "camera", "intrinsics", "frame", "hand"}; the hand is
         {"gripper": world_from_gripper, by the joints' angles; "width": metres between the finger pads}.
     """
-    cubes = [sim_shapes.Cube(body["pose"], body["side_m"], tuple(body["colour"])) for body in belief["bodies"]]
+    cubes = [Thing(body["pose"], cube(body["side_m"]), tuple(body["colour"])) for body in belief["bodies"]]
     picture = draw(cubes, belief["camera"], belief["intrinsics"], tuple(belief["size"]))
     image = develop(picture, belief["blur_px"], belief["noise"], tick.rng)
     view = {name: belief[name] for name in ("camera", "intrinsics", "frame")}

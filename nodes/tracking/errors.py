@@ -3,12 +3,24 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
 
 from hierax.runtime.core.errors import HieraxError
 
 
 class DataError(HieraxError):
     """A file of a scene or a model is missing or damaged; the message names it and what was expected."""
+
+
+@contextmanager
+def writing(path: Path | None = None) -> Iterator[None]:
+    """`DataError` for what the system refuses meanwhile: it names the path, or else the file that the system names."""
+    try:
+        yield
+    except OSError as error:
+        raise DataError(f"{path or error.filename}: cannot be written: {error.strerror}") from error
 
 
 def check_positive(**numbers: float) -> None:

@@ -8,8 +8,7 @@ the files are millimetres, here metres. Of ``scene_gt.json`` nothing but the fir
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
 from functools import cached_property
 from pathlib import Path
 from types import TracebackType
@@ -26,7 +25,7 @@ from hierax.nodes.tracking.datasets.bop_json import (
     read_pose,
     read_symmetry,
 )
-from hierax.nodes.tracking.errors import DataError
+from hierax.nodes.tracking.errors import DataError, writing
 from hierax.nodes.tracking.math.geometry import Array, Floats, invert, make_pose
 from hierax.nodes.tracking.model.bounded_files import MAX_PIXELS, image_size, read_file
 from hierax.nodes.tracking.model.files import BOP_UNIT_M, SUFFIXES, read_mesh
@@ -230,12 +229,12 @@ class ResultsFile:
     def __init__(self, path: str | Path, scene_id: int, again: bool = False) -> None:
         self.path = Path(path)
         self._scene_id = scene_id
-        with self._mapped():
+        with writing(self.path):
             self.path.parent.mkdir(parents=True, exist_ok=True)
             written = self.path.read_bytes() if again and self.path.is_file() else b""
         self._end = written.rfind(b"\n") + 1
         self._begins = _last_frames(self.path, written[: self._end])
-        with self._mapped():
+        with writing(self.path):
             self._file = self.path.open("ab" if self._end else "wb", buffering=0)
             if 0 < self._end < len(written):
                 self._cut(self._end)
@@ -254,7 +253,7 @@ class ResultsFile:
             DataError: the file cannot be written.
         """
         lines = [self._line(im_id, item, time_s) for item in objects if item["status"] != LOST]
-        with self._mapped():
+        with writing(self.path):
             self._go_back(im_id)
             self._begins.append((im_id, self._end))
             self._append("".join(lines).encode("ascii"))
@@ -300,13 +299,6 @@ class ResultsFile:
             self._cut(self._end)  # no half line is left for readers
             raise
         self._end += len(lines)
-
-    @contextmanager
-    def _mapped(self) -> Iterator[None]:
-        try:
-            yield
-        except OSError as error:
-            raise DataError(f"{self.path}: cannot be written: {error.strerror}") from error
 
 
 def _last_frames(path: Path, lines: bytes) -> deque[tuple[int, int]]:

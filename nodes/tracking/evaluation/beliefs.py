@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from hierax.nodes.tracking.datasets.truth import TruePose
-from hierax.nodes.tracking.errors import DataError
+from hierax.nodes.tracking.errors import writing
 from hierax.nodes.tracking.evaluation.scoring import nearest_off
 from hierax.nodes.tracking.math.geometry import Array, log_se3, pose_error
 from hierax.runtime import Probe, Step
@@ -78,9 +78,7 @@ def judge(file: Path, truth: Mapping[int, Sequence[TruePose]]) -> None:
 
 def _write(path: Path, columns: Mapping[str, object]) -> None:
     arrays: dict[str, Any] = {name: np.asarray(column) for name, column in columns.items()}
-    try:
+    with writing(path):
         path.parent.mkdir(parents=True, exist_ok=True)
         with path.open("wb") as file:
             np.savez_compressed(file, **arrays)
-    except OSError as error:
-        raise DataError(f"{path}: cannot be written: {error.strerror}") from error

@@ -12,7 +12,7 @@ import cv2
 import numpy as np
 
 from hierax.nodes.tracking.datasets.bop import read_image
-from hierax.nodes.tracking.errors import DataError
+from hierax.nodes.tracking.errors import DataError, writing
 from hierax.nodes.tracking.math.geometry import NEAREST_M, Array, Floats, invert, project, transform
 from hierax.nodes.tracking.schema import AnyArmBelief
 from hierax.runtime import Probe, Step
@@ -211,11 +211,9 @@ def write_picture(path: Path, picture: Array) -> None:
     """
     _, content = cv2.imencode(".png", np.ascontiguousarray(picture[..., ::-1]))
     unfinished = path.with_name(path.name + _UNFINISHED)
-    try:
+    with writing(path):
         unfinished.write_bytes(content.tobytes())
         os.replace(unfinished, path)
-    except OSError as error:
-        raise DataError(f"{path}: cannot be written: {error.strerror}") from error
 
 
 def _draw_edges(

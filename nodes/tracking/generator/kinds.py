@@ -58,11 +58,7 @@ class Film:
     still: bool = False  # whether start and camera are exact by the kind's nature
 
     def first(self, objects: int | None) -> Film:
-        """The film with so many of its objects at most.
-
-        Raises:
-            ValueError: `objects` is not positive.
-        """
+        """The film with so many of its objects at most. Raises ValueError: `objects` is not positive."""
         if objects is None:
             return self
         if objects < 1:
@@ -71,21 +67,16 @@ class Film:
 
     def bodies(self, frame: int) -> list[Thing]:
         """Everything where it is in a frame, the objects first."""
-        known = [thing._replace(pose=pose) for thing, pose in zip(self.things, self.poses[frame], strict=True)]
-        if not self.strangers:
-            return known
-        poses = self.stranger_poses[frame]
-        return known + [thing._replace(pose=pose) for thing, pose in zip(self.strangers, poses, strict=True)]
+        poses = [*self.poses[frame], *(self.stranger_poses[frame] if self.strangers else ())]
+        every = zip((*self.things, *self.strangers), poses, strict=True)
+        return [thing._replace(pose=pose) for thing, pose in every]
 
 
 def film(kind: str, seed: int, frames: int) -> Film:
     """A scene of a kind.
 
-    Args:
-        kind: one of `KINDS`; seed: draws everything in it; frames: how many.
-
-    Raises:
-        ValueError: there is no such kind, or `frames` is not positive.
+    Args: kind: one of `KINDS`; seed: draws everything in it; frames: how many.
+    Raises: ValueError: there is no such kind, or `frames` is not positive.
     """
     if kind not in KINDS:
         raise ValueError(f"kind is {kind!r}; expected one of {', '.join(KINDS)}")
@@ -185,17 +176,8 @@ def _figures(rng: np.random.Generator, frames: int) -> Film:
 
 
 def _pushed(rng: np.random.Generator, frames: int) -> Film:
-    scene = pushed(rng, frames, INTRINSICS, SIZE)
-    return Film(
-        scene.things,
-        scene.poses,
-        scene.camera,
-        _lamp(rng),
-        _wood(rng),
-        scene.strangers,
-        scene.stranger_poses,
-        still=True,
-    )
+    things, poses, camera, rod, rods = pushed(rng, frames, INTRINSICS, SIZE)
+    return Film(things, poses, camera, _lamp(rng), _wood(rng), [rod], rods[:, None], still=True)
 
 
 def _taken(rng: np.random.Generator, frames: int) -> Film:

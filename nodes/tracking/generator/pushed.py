@@ -11,17 +11,9 @@ from typing import NamedTuple
 import numpy as np
 
 from hierax.nodes.tracking.generator.camera import FPS, Swing, camera_path
-from hierax.nodes.tracking.generator.things import Item, colours
+from hierax.nodes.tracking.generator.things import LYING, Item, colours
 from hierax.nodes.tracking.imagery.bullet import Bullet, box_shape, create_body, hull_shape, pose_of, prepare
-from hierax.nodes.tracking.math.geometry import (
-    Array,
-    Floats,
-    exp_so3,
-    invert,
-    make_pose,
-    project,
-    quaternion_of,
-)
+from hierax.nodes.tracking.math.geometry import Array, Floats, exp_so3, invert, make_pose, project, quaternion_of
 from hierax.nodes.tracking.simworld.raster import visible_shares
 from hierax.nodes.tracking.simworld.shapes import Thing, box, regular, wedge
 
@@ -35,16 +27,6 @@ _GONE = 0.1
 _RADII_M = (0.62, 1.05)  # the camera's least and greatest distance
 
 
-class Pushed(NamedTuple):
-    """What happens: see `hierax.nodes.tracking.generator.kinds.Film`."""
-
-    things: list[Thing]
-    poses: Floats
-    camera: Floats
-    strangers: list[Thing]
-    stranger_poses: Floats
-
-
 class _Plan(NamedTuple):
     """Things where they stand at first, and the rod's way."""
 
@@ -54,11 +36,14 @@ class _Plan(NamedTuple):
     tips_m: Floats
 
 
-def pushed(rng: np.random.Generator, frames: int, intrinsics: Array, size: tuple[int, int]) -> Pushed:
+def pushed(
+    rng: np.random.Generator, frames: int, intrinsics: Array, size: tuple[int, int]
+) -> tuple[list[Thing], Floats, Floats, Thing, Floats]:
     """A scene of six objects; see the module.
 
-    Args:
-        rng: draws everything; frames: how many; intrinsics: fx, fy, cx, cy in pixels; size: of the pictures, (w, h).
+    Args: rng: draws everything; frames: how many; intrinsics: fx, fy, cx, cy in pixels; size: of the pictures, (w, h).
+    Returns: The objects, their poses (frames, 6, 4, 4), the camera's (frames, 4, 4), the rod, and its poses (frames, 4,
+        4).
     """
     plan = _planned(rng)
     poses, rods = _simulated(plan, frames)
@@ -74,8 +59,7 @@ def pushed(rng: np.random.Generator, frames: int, intrinsics: Array, size: tuple
     fastest = _fastest_px(poses, camera(trial_m), intrinsics)
     eye = camera(float(np.clip(trial_m * fastest / MOST_PX, *_RADII_M)))
     screen = _fitting_screen(plan.things, poses, eye, intrinsics, size)
-    things = [screen, *plan.things[1:]]
-    return Pushed(things, poses, np.repeat(eye[None], frames, axis=0), [plan.rod], rods[:, None])
+    return [screen, *plan.things[1:]], poses, np.repeat(eye[None], frames, axis=0), plan.rod, rods
 
 
 def _planned(rng: np.random.Generator) -> _Plan:
@@ -89,22 +73,17 @@ def _planned(rng: np.random.Generator) -> _Plan:
     def yaw() -> float:
         return float(rng.uniform(-0.25, 0.25))
 
-    slider = Item(
-        box((rng.uniform(0.04, 0.05), rng.uniform(0.045, 0.055), rng.uniform(0.033, 0.04))), np.eye(3), paints[1]
-    )
+    def block(paint: tuple[int, int, int], *sides: tuple[float, float]) -> Item:
+        return Item(box([rng.uniform(*side) for side in sides]), np.eye(3), paint)
+
+    slider = block(paints[1], (0.04, 0.05), (0.045, 0.055), (0.033, 0.04))
     # It is thin in the direction in which it is to fall: over the flat one, or free of it.
     over = rng.random() < 0.5
     thin, broad = rng.uniform(0.034, 0.04), rng.uniform(0.044, 0.05)
     pillar = Item(box((*((broad, thin) if over else (thin, broad)), rng.uniform(0.078, 0.09))), np.eye(3), paints[2])
-    flat = Item(
-        box((rng.uniform(0.06, 0.075), rng.uniform(0.055, 0.065), rng.uniform(0.03, 0.036))), np.eye(3), paints[3]
-    )
-    roof = Item(
-        wedge(rng.uniform(0.06, 0.075), rng.uniform(0.045, 0.055), rng.uniform(0.05, 0.07)),
-        np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]]),
-        paints[4],
-    )
-    rest = Item(box((rng.uniform(0.06, 0.07), rng.uniform(0.04, 0.05), rng.uniform(0.05, 0.06))), np.eye(3), paints[5])
+    flat = block(paints[3], (0.06, 0.075), (0.055, 0.065), (0.03, 0.036))
+    roof = Item(wedge(rng.uniform(0.06, 0.075), rng.uniform(0.045, 0.055), rng.uniform(0.05, 0.07)), LYING, paints[4])
+    rest = block(paints[5], (0.06, 0.07), (0.04, 0.05), (0.05, 0.06))
     screen = Item(box((0.14, 0.03, 0.11)), np.eye(3), paints[0])
     start_x, row_y = -0.16, 0.075
     tall_x, tall_y = 0.165, -0.015
@@ -188,16 +167,11 @@ def _fitting_screen(
 ) -> Thing:
     """The screen, so wide that what slides behind it is gone for `HIDDEN_FRAMES` frames, or nearly."""
     slider, height = things[1], float(np.ptp(things[0].shape.mesh.vertices, axis=0)[2])
-    low, high = 0.06, 0.22
+    low, high, half = 0.06, 0.22, (size[0] // 2, size[1] // 2)
     for _ in range(7):
         width = (low + high) / 2
         screen = things[0]._replace(shape=box((width, 0.03, height)))
-        gone = sum(
-            visible_shares([slider._replace(pose=pose), screen], camera, intrinsics / 2, (size[0] // 2, size[1] // 2))[
-                0
-            ]
-            < _GONE
-            for pose in poses[:, 1]
-        )
+        sliding = ([slider._replace(pose=pose), screen] for pose in poses[:, 1])
+        gone = sum(visible_shares(each, camera, intrinsics / 2, half)[0] < _GONE for each in sliding)
         low, high = (low, width) if gone > HIDDEN_FRAMES else (width, high)
     return screen

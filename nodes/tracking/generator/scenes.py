@@ -25,7 +25,7 @@ from typing import Any, NamedTuple
 import cv2
 import numpy as np
 
-from hierax.nodes.tracking.errors import DataError
+from hierax.nodes.tracking.errors import DataError, writing
 from hierax.nodes.tracking.generator.camera import reported_path
 from hierax.nodes.tracking.generator.kinds import INTRINSICS, KINDS, SIZE, Film, film
 from hierax.nodes.tracking.math.geometry import Array, Floats, exp_se3, invert
@@ -62,12 +62,9 @@ def write_scene(
         exact: say the truth of start and camera; the kind "pushed" always does.
         objects: take so many of the objects at most, the first; None for all.
 
-    Returns:
-        The scene's folder.
-
-    Raises:
-        ValueError: there is no such kind, or `frames` or `objects` is not positive.
-        DataError: something cannot be written.
+    Returns: The scene's folder.
+    Raises: ValueError: there is no such kind, or `frames` or `objects` is not positive. DataError: something cannot be
+        written.
     """
     shown = film(kind, seed, frames).first(objects)
     rng = np.random.default_rng([seed, *kind.encode(), 1])
@@ -75,10 +72,8 @@ def write_scene(
     camera = shown.camera if told else reported_path(shown.camera, rng)
     poses = [[invert(eye) @ pose for pose in each] for eye, each in zip(shown.camera, shown.poses, strict=True)]
     start = poses[0] if told else [pose @ start_error(rng) for pose in poses[0]]
-    try:
+    with writing():
         _write_images(out / "test" / SCENE / "rgb", shown, rng)
-    except OSError as error:
-        raise DataError(f"{error.filename}: cannot be written: {error.strerror}") from error
     write_truth(out, shown.camera, INTRINSICS, poses, [_shares(shown, frame) for frame in range(len(poses))])
     silent = [number for number, thing in enumerate(shown.things, start=1) if thing.shape.normals is not None]
     return write_said(out, [thing.shape.mesh for thing in shown.things], Told(camera, INTRINSICS, start), silent)
@@ -89,16 +84,13 @@ def write_said(out: Path, models: Sequence[Mesh], told: Told, silent: Sequence[i
 
     Of the models of `silent` numbers nothing is said of symmetries; of the others, that they have none.
 
-    Raises:
-        DataError: something cannot be written.
+    Raises: DataError: something cannot be written.
     """
     scene = out / "test" / SCENE
-    try:
+    with writing():
         _write_models(out / "models", models, silent)
         write_json(scene / "scene_camera.json", _cameras(told.camera, told.intrinsics))
         write_json(scene / "scene_gt.json", {"0": _objects(told.start)})
-    except OSError as error:
-        raise DataError(f"{error.filename}: cannot be written: {error.strerror}") from error
     return scene
 
 
@@ -107,24 +99,17 @@ def write_truth(
 ) -> None:
     """Write what is true of a scene.
 
-    Args:
-        out: the dataset's folder; camera: world_from_camera of each frame; intrinsics: fx, fy, cx, cy in pixels.
+    Args: out: the dataset's folder; camera: world_from_camera of each frame; intrinsics: fx, fy, cx, cy in pixels.
         poses: camera_from_object of each object in each frame; shares: of each in each the visible share.
-
-    Raises:
-        DataError: something cannot be written.
+    Raises: DataError: something cannot be written.
     """
     folder = out / "truth" / SCENE
     objects = {str(frame): _objects(each) for frame, each in enumerate(poses)}
-    infos = {
-        str(frame): [{"visib_fract": round(float(share), 4)} for share in each] for frame, each in enumerate(shares)
-    }
-    try:
+    infos = [[{"visib_fract": round(float(share), 4)} for share in each] for each in shares]
+    with writing():
         write_json(folder / "scene_camera.json", _cameras(camera, intrinsics))
         write_json(folder / "scene_gt.json", objects)
-        write_json(folder / "scene_gt_info.json", infos)
-    except OSError as error:
-        raise DataError(f"{error.filename}: cannot be written: {error.strerror}") from error
+        write_json(folder / "scene_gt_info.json", {str(frame): each for frame, each in enumerate(infos)})
 
 
 def start_error(rng: np.random.Generator) -> Floats:
@@ -154,11 +139,7 @@ def write_json(path: Path, content: object) -> None:
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Write a scene.
-
-    Returns:
-        The exit code: 0, or 1 where something cannot be written.
-    """
+    """Write a scene; the exit code: 0, or 1 where something cannot be written."""
     parser = argparse.ArgumentParser(
         prog="python -m hierax.nodes.tracking.generator.scenes",
         description=__doc__,
@@ -185,10 +166,10 @@ def _write_models(folder: Path, meshes: Sequence[Mesh], silent: Sequence[int]) -
     folder.mkdir(parents=True, exist_ok=True)
     for number, mesh in enumerate(meshes, start=1):
         write_ply(folder / f"obj_{number:06d}.ply", mesh)
-    infos = {number: model_info(mesh) for number, mesh in enumerate(meshes, start=1)}
+    infos = {str(number): model_info(mesh) for number, mesh in enumerate(meshes, start=1)}
     for number in silent:
-        del infos[number]["symmetries_discrete"]
-    write_json(folder / "models_info.json", {str(number): info for number, info in infos.items()})
+        del infos[str(number)]["symmetries_discrete"]
+    write_json(folder / "models_info.json", infos)
 
 
 def _write_images(folder: Path, shown: Film, rng: np.random.Generator) -> None:

@@ -15,7 +15,7 @@ cv2.setNumThreads(1)
 
 # world_from_object of what lies as it was extruded, and of what has its y axis upwards.
 _UPRIGHT = np.eye(3)
-_LYING = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
+LYING = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
 
 _TRIES = 400
 
@@ -56,15 +56,15 @@ def random_mesh(rng: np.random.Generator, colour: tuple[int, int, int]) -> Item:
     """A wedge or an angle piece, lying or upright."""
     width, depth, length = _sizes(rng)
     if rng.random() < 0.5:
-        return Item(wedge(width, depth, length, rng.uniform(0.3, 0.7)), _LYING, colour)
+        return Item(wedge(width, depth, length, rng.uniform(0.3, 0.7)), LYING, colour)
     lying = rng.random() < 0.5
-    return Item(angle_piece(width, depth, rng.uniform(0.018, 0.028), length), _LYING if lying else _UPRIGHT, colour)
+    return Item(angle_piece(width, depth, rng.uniform(0.018, 0.028), length), LYING if lying else _UPRIGHT, colour)
 
 
 def random_wedge(rng: np.random.Generator, colour: tuple[int, int, int]) -> Item:
     """A wedge, lying."""
     width, depth, length = _sizes(rng)
-    return Item(wedge(width, depth, length, rng.uniform(0.3, 0.7)), _LYING, colour)
+    return Item(wedge(width, depth, length, rng.uniform(0.3, 0.7)), LYING, colour)
 
 
 def _sizes(rng: np.random.Generator) -> tuple[float, float, float]:
@@ -91,12 +91,9 @@ def scattered(
 ) -> list[Thing] | None:
     """Put items on the table, at random in a disc around the origin.
 
-    Args:
-        items: in the order in which they take their places; rng: draws places and turns; radius_m: of the disc.
+    Args: items: in the order in which they take their places; rng: draws places and turns; radius_m: of the disc.
         gap_m: least room between two of them; taken: what stands there already.
-
-    Returns:
-        One thing for each item; None where no room was found.
+    Returns: One thing for each item; None where no room was found.
     """
     placed: list[Thing] = []
     prints = [footprint(thing, gap_m) for thing in taken]

@@ -55,8 +55,7 @@ def light_on(
         homography: from the face's coordinates to pixels of the result, all of them in front of the camera.
         lamp: the light.
 
-    Returns:
-        float32 (h, w).
+    Returns: float32 (h, w).
     """
     slope = max(0.0, float(lamp.direction @ face.normal))
     light = np.full((size[1], size[0]), lamp.ambient + lamp.diffuse * slope, np.float32)
@@ -77,12 +76,9 @@ def light_on(
 def shadows(corners: Floats, face: Face, lamp: Lamp = LAMP) -> list[Floats]:
     """Where a convex part keeps the lamp's light from a face's plane.
 
-    Args:
-        corners: of the part, (n, 3), world frame; face: whose plane it falls on; lamp: the light.
-
-    Returns:
-        For each point of the lamp a convex polygon (n, 2) in the face's coordinates a and b; none where nothing of the
-        part is between the plane and the light, or where the face is out of the shadow.
+    Args: corners: of the part, (n, 3), world frame; face: whose plane it falls on; lamp: the light.
+    Returns: For each point of the lamp a convex polygon (n, 2) in the face's coordinates a and b; none where nothing of
+        the part is between the plane and the light, or where the face is out of the shadow.
     """
     normal = face.normal
     heights = (corners - face.corner) @ normal

@@ -1,7 +1,7 @@
-"""Plane faces in a picture.
+"""Bodies in a picture: plane faces, and curved surfaces as meshes.
 
-Every face is a plane, so the inverse of its depth and its own coordinates times that are
-affine in the pixel: a face is drawn by three affine functions and a depth test.
+Of a plane the inverse of the depth and the face's own coordinates times that are affine in the pixel: a face is drawn
+by three affine functions and a depth test.
 """
 
 from __future__ import annotations
@@ -12,84 +12,62 @@ from typing import NamedTuple
 import numpy as np
 
 from hierax.nodes.tracking.math.geometry import Array, Floats, invert, lens_matrix, project, transform, unit
-from hierax.nodes.tracking.simworld.shapes import Body, Face
+from hierax.nodes.tracking.simworld.shapes import Face, Thing
 
 _NEAREST_SAMPLED_M = 1e-3  # a face with a corner nearer to the camera is not drawn
 
 Window = tuple[int, int, int, int]  # pixels of a picture: left, top, right, bottom, the ends excluded
 
 
-class Covered(NamedTuple):
-    """A face at the samples of a window."""
+class Drawn(NamedTuple):
+    """A side of a body, or its curved surface, at the samples of a window, were it alone."""
 
-    inside: Array  # bool (h, w), whether the sample shows the face
-    nearness: Array  # float32, the inverse of the depth in 1/m
-    a: Array  # a, b: float32, the face's coordinates, times the nearness
-    b: Array
+    face: Face | None  # None: a curved surface
+    window: Window  # the pixels that it may touch
+    nearness: Array  # float32 (h, w), the inverse of the depth in 1/m; 0 where it is not
+    at: Array  # float32: of a face (2, h, w) its coordinates, times the nearness; else (h, w, 3) the surface's normal
 
 
 def homography(face: Face, camera: Floats, intrinsics: Array) -> Floats:
-    """From a face's coordinates (a, b, 1) to pixels, times the depth.
-
-    Args:
-        face: in the world's frame; camera: world_from_camera; intrinsics: fx, fy, cx, cy in pixels.
-    """
+    """From a face's coordinates (a, b, 1) to pixels, times the depth; camera: world_from_camera."""
     from_world = invert(camera)
     rotation = from_world[:3, :3]
     columns = (rotation @ face.right, rotation @ face.up, transform(from_world, face.corner))
     return lens_matrix(intrinsics) @ np.stack(columns, axis=1)
 
 
-def window_of(to_pixels: Floats, width: int, height: int) -> Window | None:
-    """The pixels that a face may touch; None where it is out of the picture."""
+def drawn_face(face: Face, camera: Floats, intrinsics: Array, size: tuple[int, int], samples: int) -> Drawn | None:
+    """A face in the world's frame, as `drawn` has it; None where it is out of the picture, or too near to it."""
+    to_pixels = homography(face, camera, intrinsics)
     corners = to_pixels @ np.array([[0.0, 1.0, 0.0, 1.0], [0.0, 0.0, 1.0, 1.0], [1.0, 1.0, 1.0, 1.0]])
     if corners[2].min() < _NEAREST_SAMPLED_M:
         return None
     pixels = corners[:2] / corners[2]
     left, top = (int(x) for x in np.maximum(np.floor(pixels.min(axis=1)), 0))
-    right, bottom = (int(x) for x in np.minimum(np.ceil(pixels.max(axis=1)) + 1, (width, height)))
-    return (left, top, right, bottom) if left < right and top < bottom else None
-
-
-def cover(to_pixels: Floats, cells: Sequence[Floats], window: Window, samples: int) -> Covered:
-    """Where a face is seen in a window, were it alone.
-
-    Args:
-        to_pixels: its homography.
-        cells: convex polygons of its coordinates, counter-clockwise; none for the unit square.
-        window: which pixels; samples: per pixel, along each axis.
-    """
-    left, top, right, bottom = window
+    right, bottom = (int(x) for x in np.minimum(np.ceil(pixels.max(axis=1)) + 1, size))
+    if left >= right or top >= bottom:
+        return None
     step = 1.0 / samples
     first = step / 2 - 0.5
     u = (left + first + step * np.arange((right - left) * samples)).astype(np.float32)
     v = (top + first + step * np.arange((bottom - top) * samples)).astype(np.float32)
     rows = np.linalg.inv(to_pixels).astype(np.float32)
     a, b, nearness = ((row[0] * u)[None, :] + (row[1] * v + row[2])[:, None] for row in rows)
-    if not cells:
-        return Covered((a >= 0) & (b >= 0) & (a <= nearness) & (b <= nearness), nearness, a, b)
-    inside = np.zeros(a.shape, bool)
-    for cell in cells:
+    inside = np.zeros(a.shape, bool) if face.cells else (a >= 0) & (b >= 0) & (a <= nearness) & (b <= nearness)
+    for cell in face.cells:
         within = nearness > 0
         for (x, y), (dx, dy) in zip(cell, np.roll(cell, -1, axis=0) - cell, strict=True):
             within &= np.float32(dx) * (b - np.float32(y) * nearness) >= np.float32(dy) * (a - np.float32(x) * nearness)
         inside |= within
-    return Covered(inside, nearness, a, b)
+    return Drawn(face, (left, top, right, bottom), np.where(inside, nearness, np.float32(0.0)), np.stack((a, b)))
 
 
 def drawn_mesh(
-    corners: Floats, normals: Floats, camera: Floats, intrinsics: Array, size: tuple[int, int], samples: int
-) -> tuple[Window, Array, Array] | None:
-    """A closed surface of triangles, were it alone.
-
-    Args:
-        corners, normals: (m, 3, 3) of triangles, world frame; camera: world_from_camera.
-        intrinsics: fx, fy, cx, cy in pixels; size: width and height in pixels; samples: per pixel, along each axis.
-
-    Returns:
-        The pixels that it may touch, and at their samples the nearness (h, w) in 1/m, 0 where it is not, and the normal
-        (h, w, 3); None where it is out of the picture, or too near to it.
-    """
+    curved: tuple[Floats, Floats], camera: Floats, intrinsics: Array, size: tuple[int, int], samples: int
+) -> Drawn | None:
+    """A closed surface of triangles, as `drawn` has it, given as by `Thing.curved`; None
+    where it is out of the picture, or too near to it."""
+    corners, normals = curved
     seen = transform(invert(camera), corners)
     if seen[..., 2].min() < _NEAREST_SAMPLED_M:
         return None
@@ -121,24 +99,25 @@ def drawn_mesh(
     shown, facing = np.zeros((height, width), np.float32), np.zeros((height, width, 3), np.float32)
     shown[y, x] = nearness[order]
     facing[y, x] = unit(np.einsum("nk,nkd->nd", shares, normals[owner]))
-    return (int(low[0]), int(low[1]), int(high[0]), int(high[1])), shown, facing
+    return Drawn(None, (int(low[0]), int(low[1]), int(high[0]), int(high[1])), shown, facing)
 
 
-def faces_towards(body: Body, camera: Floats) -> list[Face]:
-    """The sides of a body that look at the camera (world_from_camera)."""
-    position = camera[:3, 3]
-    return [face for face in body.faces() if face.normal @ (position - face.corner) > 0]
+def drawn(body: Thing, camera: Floats, intrinsics: Array, size: tuple[int, int], samples: int) -> list[Drawn]:
+    """What of a body looks at the camera and may be in the picture.
+
+    Args: camera: world_from_camera; intrinsics: fx, fy, cx, cy in pixels; size: width and height in pixels. samples:
+        per pixel, along each axis.
+    """
+    curved, view = body.curved(), (camera, intrinsics, size, samples)
+    towards = [face for face in body.faces() if face.normal @ (camera[:3, 3] - face.corner) > 0]
+    found = [drawn_face(face, *view) for face in towards] + ([drawn_mesh(curved, *view)] if curved else [])
+    return [each for each in found if each is not None]
 
 
-def visible_shares(bodies: Sequence[Body], camera: Floats, intrinsics: Array, size: tuple[int, int]) -> Floats:
+def visible_shares(bodies: Sequence[Thing], camera: Floats, intrinsics: Array, size: tuple[int, int]) -> Floats:
     """Of each body the share of its silhouette that is seen: in the picture, and behind no other body.
 
-    Args:
-        bodies: what there is; camera: world_from_camera; intrinsics: fx, fy, cx, cy in pixels.
-        size: width and height in pixels.
-
-    Returns:
-        (n,) from 0 to 1; sampled once a pixel.
+    Args: as for `drawn`. Returns: (n,) from 0 to 1; sampled once a pixel.
     """
     width, height = size
     # The silhouette is counted in a picture three times as large: what is cut off by the edge is hidden.
@@ -148,19 +127,10 @@ def visible_shares(bodies: Sequence[Body], camera: Floats, intrinsics: Array, si
     alone = np.zeros(len(bodies))
     for index, body in enumerate(bodies):
         own = np.zeros_like(nearest)
-        if (curved := body.curved()) is not None:
-            mesh = drawn_mesh(*curved, camera, wide, (3 * width, 3 * height), 1)
-            if mesh is not None:
-                (left, top, right, bottom), shown, _ = mesh
-                own[top:bottom, left:right] = shown
-        for face in faces_towards(body, camera):
-            to_pixels = homography(face, camera, wide)
-            window = window_of(to_pixels, 3 * width, 3 * height)
-            if window is None:
-                continue
-            covered = cover(to_pixels, face.cells, window, 1)
-            part = own[window[1] : window[3], window[0] : window[2]]
-            np.maximum(part, np.where(covered.inside, covered.nearness, 0.0), out=part)
+        for each in drawn(body, camera, wide, (3 * width, 3 * height), 1):
+            left, top, right, bottom = each.window
+            part = own[top:bottom, left:right]
+            np.maximum(part, each.nearness, out=part)
         alone[index] = np.count_nonzero(own)
         owner[own > nearest] = index
         np.maximum(nearest, own, out=nearest)

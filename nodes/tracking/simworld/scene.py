@@ -15,8 +15,8 @@ import numpy as np
 
 from hierax.nodes.tracking.math.geometry import Array, Floats
 from hierax.nodes.tracking.simworld.light import LAMP, Lamp, light_on
-from hierax.nodes.tracking.simworld.raster import Window, cover, drawn_mesh, faces_towards, homography, window_of
-from hierax.nodes.tracking.simworld.shapes import Body, Face
+from hierax.nodes.tracking.simworld.raster import Drawn, drawn, homography
+from hierax.nodes.tracking.simworld.shapes import Face, Thing
 
 cv2.setNumThreads(1)
 
@@ -42,7 +42,7 @@ WOOD = Wood()
 
 
 def draw(
-    bodies: Sequence[Body],
+    bodies: Sequence[Thing],
     camera: Floats,
     intrinsics: Array,
     size: tuple[int, int],
@@ -51,12 +51,9 @@ def draw(
 ) -> Array:
     """The light of the picture, before a lens blurs and a sensor encodes it.
 
-    Args:
-        bodies: above the plane z = 0, and in front of the camera; camera: world_from_camera, 4x4, above that plane.
+    Args: bodies: above the plane z = 0, and in front of the camera; camera: world_from_camera, 4x4, above that plane.
         intrinsics: fx, fy, cx, cy in pixels; size: width and height in pixels; lamp: the light; wood: of the table.
-
-    Returns:
-        RGB light, float32 (h, w, 3), 0 to 1; colours and lamps are told as a screen shows them.
+    Returns: RGB light, float32 (h, w, 3), 0 to 1; colours and lamps are told as a screen shows them.
     """
     parts = [corners for body in bodies for corners in body.parts()]
     image = _draw_table(parts, camera, intrinsics, size, lamp, wood)
@@ -67,13 +64,9 @@ def draw(
 def develop(image: Array, blur_px: float, noise: float, rng: np.random.Generator) -> Array:
     """What a sensor makes of a picture.
 
-    Args:
-        image: light of `draw`; blur_px: standard deviation of the lens's blur, in pixels.
-        noise: standard deviation of the sensor's noise, in grey levels of 256.
-        rng: draws the noise.
-
-    Returns:
-        uint8 RGB, encoded as screens want it.
+    Args: image: light of `draw`; blur_px: standard deviation of the lens's blur, in pixels. noise: standard deviation
+        of the sensor's noise, in grey levels of 256. rng: draws the noise.
+    Returns: uint8 RGB, encoded as screens want it.
     """
     if blur_px > 0.0:
         image = cv2.GaussianBlur(image, (0, 0), blur_px)
@@ -102,77 +95,46 @@ def _draw_table(
 
 
 def _draw_bodies(
-    image: Array, bodies: Sequence[Body], parts: Sequence[Floats], camera: Floats, intrinsics: Array, lamp: Lamp
+    image: Array, bodies: Sequence[Thing], parts: Sequence[Floats], camera: Floats, intrinsics: Array, lamp: Lamp
 ) -> None:
     """Put the bodies into the picture: depth test at `SAMPLES` x `SAMPLES` per pixel, then their mean."""
     height, width = image.shape[:2]
-    drawn = [
-        (face, homography(face, camera, intrinsics), body.colour)
-        for body in bodies
-        for face in faces_towards(body, camera)
+    every = [
+        (each, body.colour) for body in bodies for each in drawn(body, camera, intrinsics, (width, height), SAMPLES)
     ]
-    windows = [window_of(to_pixels, width, height) for _, to_pixels, _ in drawn]
-    shown = [(item, window) for item, window in zip(drawn, windows, strict=True) if window is not None]
-    meshes = [
-        (mesh, body.colour)
-        for body in bodies
-        if (curved := body.curved()) is not None
-        and (mesh := drawn_mesh(*curved, camera, intrinsics, (width, height), SAMPLES)) is not None
-    ]
-    every = [window for _, window in shown] + [mesh[0] for mesh, _ in meshes]
     if not every:
         return
-    left, top = (min(window[i] for window in every) for i in (0, 1))
-    right, bottom = (max(window[i] for window in every) for i in (2, 3))
+    left, top = (min(each.window[i] for each, _ in every) for i in (0, 1))
+    right, bottom = (max(each.window[i] for each, _ in every) for i in (2, 3))
     shape = ((bottom - top) * SAMPLES, (right - left) * SAMPLES)
     nearest = np.zeros(shape, np.float32)
     layer = np.zeros((*shape, 4), np.float32)
-    for (face, to_pixels, colour), window in shown:
-        texture = _face_texture(face, colour, parts, lamp)
-        _draw_face(layer, nearest, to_pixels, face.cells, texture, window, (left, top))
-    for (window, nearness, normals), colour in meshes:
-        view = _samples_of(window, (left, top))
-        light = lamp.ambient + lamp.diffuse * np.maximum(normals @ lamp.direction.astype(np.float32), 0.0)
-        colours = np.minimum(_paint(colour) * cv2.pow(light, GAMMA)[..., None], 1.0)
-        nearer = nearness > nearest[view]
-        np.copyto(nearest[view], nearness, where=nearer)
-        np.copyto(
-            layer[view], np.concatenate((colours, np.ones_like(colours[..., :1])), axis=2), where=nearer[..., None]
+    for each, colour in every:
+        rows, columns = (
+            slice((each.window[i] - origin) * SAMPLES, (each.window[i + 2] - origin) * SAMPLES)
+            for i, origin in ((1, top), (0, left))
         )
+        nearer = each.nearness > nearest[rows, columns]
+        if nearer.any():
+            np.copyto(nearest[rows, columns], each.nearness, where=nearer)
+            np.copyto(layer[rows, columns], _coloured(each, nearer, colour, parts, lamp), where=nearer[..., None])
     mean = cv2.resize(layer, (right - left, bottom - top), interpolation=cv2.INTER_AREA)
     part = image[top:bottom, left:right]
     part *= 1.0 - mean[..., 3:]
     part += mean[..., :3]
 
 
-def _samples_of(window: Window, origin: tuple[int, int]) -> tuple[slice, slice]:
-    """Where the samples of a window's pixels are in a layer that begins at a pixel."""
-    rows, columns = (
-        slice((window[at] - origin[at]) * SAMPLES, (window[at + 2] - origin[at]) * SAMPLES) for at in (1, 0)
-    )
-    return rows, columns
-
-
-def _draw_face(
-    layer: Array,
-    nearest: Array,
-    to_pixels: Floats,
-    cells: Sequence[Floats],
-    texture: Array,
-    window: Window,
-    origin: tuple[int, int],
-) -> None:
-    """Draw one face where it is nearer than what is drawn already."""
-    covered = cover(to_pixels, cells, window, SAMPLES)
-    view = _samples_of(window, origin)
-    inside = covered.inside & (covered.nearness > nearest[view])
-    if not inside.any():
-        return
-    scale = FACE_PX / np.where(inside, covered.nearness, 1.0)
-    a, b = covered.a * scale - 0.5, covered.b * scale - 0.5
-    colours = cv2.remap(texture, a, b, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
-    np.copyto(nearest[view], covered.nearness, where=inside)
-    np.copyto(layer[view], colours, where=inside[..., None])
+def _coloured(seen: Drawn, where: Array, colour: tuple[int, int, int], parts: Sequence[Floats], lamp: Lamp) -> Array:
+    """Light and full cover of the samples where something is seen, float32 (h, w, 4)."""
+    if seen.face is None:
+        light = lamp.ambient + lamp.diffuse * np.maximum(seen.at @ lamp.direction.astype(np.float32), 0.0)
+        colours = np.minimum(_paint(colour) * cv2.pow(light, GAMMA)[..., None], 1.0)
+        return np.concatenate((colours, np.ones_like(colours[..., :1])), axis=2)
+    scale = FACE_PX / np.where(where, seen.nearness, 1.0)
+    a, b = seen.at * scale - 0.5
+    texture = _face_texture(seen.face, colour, parts, lamp)
+    found: Array = cv2.remap(texture, a, b, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+    return found
 
 
 def _face_texture(face: Face, colour: tuple[int, int, int], parts: Sequence[Floats], lamp: Lamp) -> Array:

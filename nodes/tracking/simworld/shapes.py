@@ -3,15 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import lru_cache
 from itertools import product
-from typing import NamedTuple, Protocol
+from typing import NamedTuple
 
 import numpy as np
 
 from hierax.nodes.tracking.math.geometry import Floats, transform
-from hierax.nodes.tracking.model.mesh import Mesh
-
-_SIDES = [(axis, sign) for axis in range(3) for sign in (-1.0, 1.0)]
+from hierax.nodes.tracking.model.mesh import Mesh, box_mesh
 
 
 class Face(NamedTuple):
@@ -36,42 +35,6 @@ class Face(NamedTuple):
         return self._replace(corner=transform(pose, self.corner), right=rotation @ self.right, up=rotation @ self.up)
 
 
-class Body(Protocol):
-    """What can be drawn, in the world's frame."""
-
-    @property
-    def colour(self) -> tuple[int, int, int]:
-        """RGB, 0 to 255."""
-
-    def curved(self) -> tuple[Floats, Floats] | None:
-        """Corners and normals (m, 3, 3) there of the triangles of a curved body, which has no plane sides."""
-
-    def faces(self) -> list[Face]:
-        """Its sides."""
-
-    def parts(self) -> list[Floats]:
-        """The corners (n, 3) of the convex parts that it consists of."""
-
-
-class Cube(NamedTuple):
-    """A cube."""
-
-    pose: Floats  # world_from_object, 4x4, origin at the cube's centre
-    side_m: float  # length of its edges
-    colour: tuple[int, int, int]  # RGB, 0 to 255
-
-    def curved(self) -> None:
-        """It is not."""
-
-    def faces(self) -> list[Face]:
-        """All six sides."""
-        return [face.moved(self.pose) for face in box_faces((self.side_m,) * 3)]
-
-    def parts(self) -> list[Floats]:
-        """The cube's corners."""
-        return [transform(self.pose, cube_corners(self.side_m))]
-
-
 class Shape(NamedTuple):
     """A body's form, in its own frame."""
 
@@ -82,14 +45,14 @@ class Shape(NamedTuple):
 
 
 class Thing(NamedTuple):
-    """A body of any shape."""
+    """A body; what it tells of itself is in the world's frame."""
 
     pose: Floats  # world_from_object, 4x4
     shape: Shape  # its form
     colour: tuple[int, int, int]  # RGB, 0 to 255
 
     def curved(self) -> tuple[Floats, Floats] | None:
-        """As `Body` has it."""
+        """Corners and normals (m, 3, 3) of the triangles of a curved body, which has no plane sides."""
         if self.shape.normals is None:
             return None
         corners = self.shape.mesh.vertices[self.shape.mesh.faces]
@@ -100,7 +63,7 @@ class Thing(NamedTuple):
         return [face.moved(self.pose) for face in self.shape.sides]
 
     def parts(self) -> list[Floats]:
-        """The corners of its convex parts."""
+        """The corners (n, 3) of the convex parts that it consists of."""
         return [transform(self.pose, corners) for corners in self.shape.convex]
 
 
@@ -109,16 +72,15 @@ def cube_corners(side_m: float) -> Floats:
     return np.array(list(product((-1.0, 1.0), repeat=3))) * side_m / 2
 
 
-def box_faces(size: Sequence[float]) -> list[Face]:
-    """The six sides of a box around its frame's origin; side lengths in metres."""
-    faces = []
-    for axis, sign in _SIDES:
-        first, second = (axis + 1) % 3, (axis + 2) % 3
-        across, along = np.eye(3)[first] * size[first], np.eye(3)[second] * size[second]
+@lru_cache(maxsize=16)
+def cube(side_m: float) -> Shape:
+    """A cube around its frame's origin."""
+    sides = []
+    for axis, sign in product(range(3), (-1.0, 1.0)):
+        normal, across, along = side_m * np.roll(np.eye(3), -axis, axis=0)
         right, up = (across, along) if sign > 0 else (along, across)
-        corner = (sign * np.eye(3)[axis] * size[axis] - right - up) / 2
-        faces.append(Face(corner, right, up))
-    return faces
+        sides.append(Face((sign * normal - right - up) / 2, right, up))
+    return Shape(tuple(sides), (cube_corners(side_m),), box_mesh([side_m] * 3))
 
 
 def box(size: Sequence[float]) -> Shape:
@@ -151,9 +113,8 @@ def extruded(
 ) -> Shape:
     """A prism over a polygon in the plane of x and y, from z = -length_m / 2 to length_m / 2.
 
-    Args:
-        outline: (n, 2) corners, counter-clockwise, metres; length_m: along z.
-        cells: indices of corners of convex polygons that the outline consists of; none where it is convex.
+    Args: outline: (n, 2) corners, counter-clockwise, metres; length_m: along z. cells: indices of corners of convex
+        polygons that the outline consists of; none where it is convex.
     """
     corners = np.asarray(outline, dtype=np.float64)
     count = len(corners)

@@ -7,14 +7,7 @@ import pytest
 
 from hierax.nodes.tracking.generator import curved
 from hierax.nodes.tracking.math.geometry import Floats, exp_so3, invert, make_pose, rays
-from hierax.nodes.tracking.simworld.raster import (
-    cover,
-    drawn_mesh,
-    faces_towards,
-    homography,
-    visible_shares,
-    window_of,
-)
+from hierax.nodes.tracking.simworld.raster import drawn, visible_shares
 from hierax.nodes.tracking.simworld.shapes import Shape, Thing, angle_piece, box
 from hierax.nodes.tracking.simworld.world import camera_at
 
@@ -43,27 +36,22 @@ def silhouette(thing: Thing, camera: Floats) -> Floats:
 def test_an_angle_piece_covers_what_rays_meet() -> None:
     thing = Thing(place(0.02, 0.0, 0.04, 0.8), angle_piece(0.1, 0.09, 0.03, 0.08), (1, 2, 3))
     camera = camera_at(0.0)
-    drawn = np.zeros((SIZE[1], SIZE[0]), bool)
-    for face in faces_towards(thing, camera):
-        to_pixels = homography(face, camera, INTRINSICS)
-        window = window_of(to_pixels, *SIZE)
-        assert window is not None
-        drawn[window[1] : window[3], window[0] : window[2]] |= cover(to_pixels, face.cells, window, 1).inside
+    mask = np.zeros((SIZE[1], SIZE[0]), bool)
+    for each in drawn(thing, camera, INTRINSICS, SIZE, 1):
+        left, top, right, bottom = each.window
+        mask[top:bottom, left:right] |= each.nearness > 0
     met = silhouette(thing, camera)
     assert met.sum() > 500
-    assert (drawn != met).sum() <= 2
+    assert (mask != met).sum() <= 2
 
 
 def test_nearness_is_the_inverse_of_depth() -> None:
     thing = Thing(place(0.0, 0.0, 0.05, 0.3), box((0.1, 0.1, 0.1)), (1, 2, 3))
     camera = camera_at(0.0)
-    (top,) = [face for face in faces_towards(thing, camera) if face.normal[2] > 0.9]
-    to_pixels = homography(top, camera, INTRINSICS)
-    window = window_of(to_pixels, *SIZE)
-    assert window is not None
-    covered = cover(to_pixels, top.cells, window, 1)
-    row, column = (int(axis.mean()) for axis in np.nonzero(covered.inside))
-    ray = camera[:3, :3] @ rays(np.array([window[0] + column, window[1] + row]), INTRINSICS)
+    seen = drawn(thing, camera, INTRINSICS, SIZE, 1)
+    (covered,) = [each for each in seen if each.face is not None and each.face.normal[2] > 0.9]
+    row, column = (int(axis.mean()) for axis in np.nonzero(covered.nearness))
+    ray = camera[:3, :3] @ rays(np.array([covered.window[0] + column, covered.window[1] + row]), INTRINSICS)
     depth = (0.1 - camera[2, 3]) / ray[2]
     assert 1.0 / covered.nearness[row, column] == pytest.approx(depth, rel=1e-4)
 
@@ -88,11 +76,7 @@ def test_visible_shares_of_a_body_alone_behind_another_and_cut_off() -> None:
 @pytest.mark.parametrize("shape", [curved.mug(0.04, 0.09), curved.torus(0.04, 0.012), curved.ball(0.03)])
 def test_a_curved_body_is_drawn_where_rays_meet_its_mesh(shape: Shape) -> None:
     thing, camera = Thing(place(0.02, 0.0, 0.04, 0.8), shape, (1, 2, 3)), camera_at(0.4)
-    drawn = thing.curved()
-    assert drawn is not None
-    found = drawn_mesh(*drawn, camera, INTRINSICS, SIZE, 1)
-    assert found is not None
-    (left, top, right, bottom), nearness, normals = found
+    ((_, (left, top, right, bottom), nearness, normals),) = drawn(thing, camera, INTRINSICS, SIZE, 1)
     mask = np.zeros((SIZE[1], SIZE[0]), bool)
     mask[top:bottom, left:right] = nearness > 0
     assert np.count_nonzero(mask != silhouette(thing, camera)) <= 2
@@ -102,4 +86,4 @@ def test_a_curved_body_is_drawn_where_rays_meet_its_mesh(shape: Shape) -> None:
     assert visible_shares([thing], camera, INTRINSICS, SIZE) == pytest.approx([1.0])
     behind = camera.copy()
     behind[:3, :3] = behind[:3, :3] @ np.diag([1.0, -1.0, -1.0])
-    assert drawn_mesh(*drawn, behind, INTRINSICS, SIZE, 1) is None
+    assert drawn(thing, behind, INTRINSICS, SIZE, 1) == []

@@ -11,29 +11,29 @@ from hierax.nodes.tracking.math.geometry import Array, Floats, exp_so3, invert, 
 from hierax.nodes.tracking.simworld import scene as sim_scene
 from hierax.nodes.tracking.simworld.light import LAMP, Lamp, light_on, shadows
 from hierax.nodes.tracking.simworld.scene import FACE_PX, GAMMA, develop, draw
-from hierax.nodes.tracking.simworld.shapes import Cube, Face, cube_corners
+from hierax.nodes.tracking.simworld.shapes import Face, Thing, cube
 from hierax.nodes.tracking.simworld.world import camera_at
 
 SIZE = (160, 120)
 INTRINSICS = np.array([150.0, 155.0, 81.3, 57.9])
 CUBES = [
-    Cube(make_pose(exp_so3(np.array([0.0, 0.0, 0.5])), np.array([0.05, 0.02, 0.04])), 0.08, (200, 40, 40)),
-    Cube(make_pose(exp_so3(np.array([0.0, 0.0, 0.9])), np.array([0.05, 0.02, 0.11])), 0.06, (40, 60, 200)),
-    Cube(make_pose(exp_so3(np.array([0.3, -0.2, 0.1])), np.array([-0.06, -0.08, 0.06])), 0.05, (30, 170, 60)),
+    Thing(make_pose(exp_so3(np.array([0.0, 0.0, 0.5])), np.array([0.05, 0.02, 0.04])), cube(0.08), (200, 40, 40)),
+    Thing(make_pose(exp_so3(np.array([0.0, 0.0, 0.9])), np.array([0.05, 0.02, 0.11])), cube(0.06), (40, 60, 200)),
+    Thing(make_pose(exp_so3(np.array([0.3, -0.2, 0.1])), np.array([-0.06, -0.08, 0.06])), cube(0.05), (30, 170, 60)),
 ]
 
 
-def ray_cast(cubes: list[Cube], camera: Floats, intrinsics: Floats = INTRINSICS) -> Array:
+def ray_cast(cubes: list[Thing], camera: Floats, intrinsics: Floats = INTRINSICS) -> Array:
     """Number of the cube at each pixel's centre, -1 where there is none: slab by slab, in each cube's own frame."""
     columns, rows = np.meshgrid(np.arange(SIZE[0]), np.arange(SIZE[1]))
     directions = rays(np.stack((columns, rows), axis=-1), intrinsics) @ camera[:3, :3].T
     nearest = np.full(columns.shape, np.inf)
     found = np.full(columns.shape, -1)
-    for number, cube in enumerate(cubes):
-        to_object = invert(cube.pose)
+    for number, each in enumerate(cubes):
+        to_object = invert(each.pose)
         start = to_object[:3, :3] @ camera[:3, 3] + to_object[:3, 3]
         along = directions @ to_object[:3, :3].T
-        ends = np.stack([(sign * cube.side_m / 2 - start) / along for sign in (-1.0, 1.0)])
+        ends = np.stack([(corner - start) / along for corner in each.shape.convex[0][[0, -1]]])
         enter, leave = ends.min(axis=0).max(axis=-1), ends.max(axis=0).min(axis=-1)
         hit = (enter < leave) & (enter > 0) & (enter < nearest)
         nearest[hit] = enter[hit]
@@ -82,21 +82,21 @@ def test_faces_look_outwards() -> None:
     for face in CUBES[2].faces():
         middle = face.corner + (face.right + face.up) / 2
         outwards = middle - CUBES[2].pose[:3, 3]
-        np.testing.assert_allclose(face.normal * CUBES[2].side_m / 2, outwards, atol=1e-12)
+        np.testing.assert_allclose(face.normal * 0.05 / 2, outwards, atol=1e-12)
 
 
 def test_a_shadow_lies_where_rays_to_the_lamp_are_blocked() -> None:
     """Against an independent test: from points of the table towards the lamp's middle."""
-    cube = CUBES[0]
+    each = CUBES[0]
     table = Face(np.array([-0.5, -0.5, 0.0]), np.array([1.0, 0.0, 0.0]), np.array([0.0, 1.0, 0.0]))
     pixels = 200
     homography = np.array([[pixels, 0.0, -0.5], [0.0, pixels, -0.5], [0.0, 0.0, 1.0]])
-    light = light_on(table, cube.parts(), (pixels, pixels), homography)
+    light = light_on(table, each.parts(), (pixels, pixels), homography)
     place = (np.arange(pixels) + 0.5) / pixels - 0.5
     points = np.stack((*np.meshgrid(place, place), np.zeros((pixels, pixels))), axis=-1)
-    to_object = invert(cube.pose)
+    to_object = invert(each.pose)
     starts, along = points @ to_object[:3, :3].T + to_object[:3, 3], to_object[:3, :3] @ LAMP.direction
-    ends = np.stack([(sign * cube.side_m / 2 - starts) / along for sign in (-1.0, 1.0)])
+    ends = np.stack([(corner - starts) / along for corner in each.shape.convex[0][[0, -1]]])
     blocked = ends.min(axis=0).max(axis=-1) < ends.max(axis=0).min(axis=-1)
     full = LAMP.ambient + LAMP.diffuse * LAMP.direction[2]
     assert light.max() == pytest.approx(full, rel=1e-5)
@@ -108,10 +108,10 @@ def test_a_shadow_lies_where_rays_to_the_lamp_are_blocked() -> None:
 def test_a_cube_that_stands_on_a_face_throws_no_shadow_below_it() -> None:
     lower, upper = CUBES[0], CUBES[1]
     top, bottom = lower.faces()[5], lower.faces()[4]
-    corners = cube_corners(upper.side_m) @ upper.pose[:3, :3].T + upper.pose[:3, 3]
+    (corners,) = upper.parts()
     assert len(shadows(corners, top)) > 0
     assert shadows(corners, bottom) == []
-    standing_below = cube_corners(lower.side_m) @ lower.pose[:3, :3].T + lower.pose[:3, 3]
+    (standing_below,) = lower.parts()
     assert shadows(standing_below, upper.faces()[5]) == []
 
 

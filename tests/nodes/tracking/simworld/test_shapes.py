@@ -6,9 +6,10 @@ import numpy as np
 import pytest
 
 from hierax.nodes.tracking.math.geometry import Floats, exp_so3, make_pose
-from hierax.nodes.tracking.simworld.shapes import Cube, Shape, Thing, angle_piece, box, regular, wedge
+from hierax.nodes.tracking.simworld.shapes import Shape, Thing, angle_piece, box, cube, regular, wedge
 
 SHAPES = {
+    "cube": (cube(0.05), 0.05**3),
     "box": (box((0.04, 0.06, 0.1)), 0.04 * 0.06 * 0.1),
     "wedge": (wedge(0.08, 0.05, 0.06, 0.3), 0.08 * 0.05 / 2 * 0.06),
     "angle piece": (angle_piece(0.08, 0.07, 0.02, 0.05), (0.08 * 0.02 + 0.02 * 0.05) * 0.05),
@@ -60,11 +61,11 @@ def test_faces_are_those_of_the_mesh(name: str) -> None:
 
 def test_a_thing_is_where_its_pose_is() -> None:
     pose = make_pose(exp_so3(np.array([0.3, -0.2, 0.5])), np.array([0.1, 0.2, 0.3]))
-    thing, cube = Thing(pose, box((0.05, 0.05, 0.05)), (1, 2, 3)), Cube(pose, 0.05, (1, 2, 3))
-    for body in (thing, cube):
+    thing, cubic = (Thing(pose, shape, (1, 2, 3)) for shape in (box((0.05, 0.05, 0.05)), cube(0.05)))
+    for body in (thing, cubic):
         (corners,) = body.parts()
         np.testing.assert_allclose(corners.mean(axis=0), pose[:3, 3], atol=1e-12)
         for face in body.faces():
             np.testing.assert_allclose((pose[:3, 3] - face.corner) @ face.normal, -0.025, atol=1e-12)
-    order = [np.lexsort(body.parts()[0].round(9).T) for body in (thing, cube)]
-    np.testing.assert_allclose(thing.parts()[0][order[0]], cube.parts()[0][order[1]])
+    order = [np.lexsort(body.parts()[0].round(9).T) for body in (thing, cubic)]
+    np.testing.assert_allclose(thing.parts()[0][order[0]], cubic.parts()[0][order[1]])
