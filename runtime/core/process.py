@@ -109,9 +109,7 @@ def prediction_update(active: ActiveHierarchy, name: str, epoch: int, time_s: fl
 
 
 def update(
-    active: ActiveHierarchy,
-    sensing_order: Sequence[str] | None = None,
-    prediction_order: Sequence[str] | None = None,
+    active: ActiveHierarchy, sensing_order: Sequence[str] | None = None, prediction_order: Sequence[str] | None = None
 ) -> ActiveHierarchy:
     """Definition 6: the sensing update of all nodes, then the prediction update of all.
 

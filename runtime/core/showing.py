@@ -19,13 +19,12 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-Colour = tuple[int, ...]
-"""Red, green, blue and perhaps opacity, each 0 to 255."""
+Colour = tuple[int, ...]  # red, green, blue and perhaps opacity, each 0 to 255
 
 Array = NDArray[Any]
 
@@ -54,6 +53,22 @@ def colour_of(number: int) -> Colour:
 class _Thing:
     """What all things have in common: fields are checked, and set as arrays."""
 
+    shapes: ClassVar[Mapping[str, tuple[int | None, ...]]] = {}  # of the fields that are arrays; None is any length
+
+    def __post_init__(self) -> None:
+        for name, shape in self.shapes.items():
+            self._array(name, *shape)
+        if hasattr(self, "pose"):
+            if self.pose is None:
+                self._set("pose", np.eye(4))
+            self._array("pose", 4, 4)
+        colour = getattr(self, "colour", None)
+        if colour is not None:
+            self._set("colour", _colour(colour, f"{type(self).__name__}: colour"))
+        points, texts = getattr(self, "points", ()), getattr(self, "labels", ())
+        if "points" in self.shapes and texts and len(texts) != len(points):
+            raise ValueError(f"{type(self).__name__}: labels: expected {len(points)} or none, got {len(texts)}")
+
     def _set(self, name: str, value: object) -> None:
         object.__setattr__(self, name, value)
 
@@ -75,24 +90,12 @@ class _Thing:
         self._set(name, array)
         return array
 
-    def _pose(self, name: str = "pose") -> None:
-        if getattr(self, name) is None:
-            self._set(name, np.eye(4))
-        self._array(name, 4, 4)
-
-    def _colour(self, name: str = "colour") -> None:
-        self._set(name, _colour(getattr(self, name), f"{type(self).__name__}: {name}"))
-
 
 @dataclass(frozen=True, eq=False)
 class Image(_Thing):
-    """A picture's ground.
+    """A picture's ground."""
 
-    Attributes:
-        pixels: (h, w) grey or (h, w, 3) RGB, uint8.
-    """
-
-    pixels: ArrayLike
+    pixels: ArrayLike  # (h, w) grey or (h, w, 3) RGB, uint8
 
     def __post_init__(self) -> None:
         pixels = np.asarray(self.pixels)
@@ -105,33 +108,20 @@ class Image(_Thing):
 
 @dataclass(frozen=True, eq=False)
 class Depth(_Thing):
-    """A picture that says how far away each pixel is.
+    """A picture that says how far away each pixel is."""
 
-    Attributes:
-        metres: (h, w); 0 where nothing is.
-    """
-
-    metres: ArrayLike
-
-    def __post_init__(self) -> None:
-        self._array("metres", None, None)
+    metres: ArrayLike  # (h, w); 0 where nothing is
+    shapes: ClassVar = {"metres": (None, None)}
 
 
 @dataclass(frozen=True, eq=False)
 class Labels(_Thing):
-    """A picture that says what each pixel belongs to.
+    """A picture that says what each pixel belongs to."""
 
-    Attributes:
-        labels: (h, w), 0 to 255; 0 is nothing.
-        names: by label.
-        colours: by label; else `colour_of` it.
-        opacity: 0 to 1, over what else is in the picture.
-    """
-
-    labels: ArrayLike
-    names: Mapping[int, str] | None = None
-    colours: Mapping[int, Colour] | None = None
-    opacity: float = 0.6
+    labels: ArrayLike  # (h, w), 0 to 255; 0 is nothing
+    names: Mapping[int, str] | None = None  # by label
+    colours: Mapping[int, Colour] | None = None  # by label; else `colour_of` it
+    opacity: float = 0.6  # 0 to 1, over what else is in the picture
 
     def __post_init__(self) -> None:
         labels = self._array("labels", None, None, dtype=np.int64)
@@ -145,209 +135,125 @@ class Labels(_Thing):
 
 @dataclass(frozen=True, eq=False)
 class Points2D(_Thing):
-    """Points in a picture.
+    """Points in a picture."""
 
-    Attributes:
-        points: (n, 2) pixels.
-        colour: of all.
-        radius_px: of each.
-        labels: a text beside each, or none.
-    """
-
-    points: ArrayLike
-    colour: Colour = WHITE
-    radius_px: float = 2.0
-    labels: Sequence[str] = ()
-
-    def __post_init__(self) -> None:
-        _check_labels(self, self._array("points", None, 2), self.labels)
-        self._colour()
+    points: ArrayLike  # (n, 2) pixels
+    colour: Colour = WHITE  # of all
+    radius_px: float = 2.0  # of each
+    labels: Sequence[str] = ()  # a text beside each, or none
+    shapes: ClassVar = {"points": (None, 2)}
 
 
 @dataclass(frozen=True, eq=False)
 class Lines2D(_Thing):
-    """Lines in a picture.
+    """Lines in a picture."""
 
-    Attributes:
-        lines: (n, k, 2) pixels: n lines through k points each.
-        colour: of all.
-        width_px: of each.
-    """
-
-    lines: ArrayLike
-    colour: Colour = WHITE
-    width_px: float = 1.5
-
-    def __post_init__(self) -> None:
-        self._array("lines", None, None, 2)
-        self._colour()
+    lines: ArrayLike  # (n, k, 2) pixels: n lines through k points each
+    colour: Colour = WHITE  # of all
+    width_px: float = 1.5  # of each
+    shapes: ClassVar = {"lines": (None, None, 2)}
 
 
 @dataclass(frozen=True, eq=False)
 class Points3D(_Thing):
-    """Points in a scene.
+    """Points in a scene."""
 
-    Attributes:
-        points: (n, 3) metres.
-        colour: of all.
-        radius_m: of each.
-        labels: a text beside each, or none.
-    """
-
-    points: ArrayLike
-    colour: Colour = GREY
-    radius_m: float = 0.003
-    labels: Sequence[str] = ()
-
-    def __post_init__(self) -> None:
-        _check_labels(self, self._array("points", None, 3), self.labels)
-        self._colour()
+    points: ArrayLike  # (n, 3) metres
+    colour: Colour = GREY  # of all
+    radius_m: float = 0.003  # of each
+    labels: Sequence[str] = ()  # a text beside each, or none
+    shapes: ClassVar = {"points": (None, 3)}
 
 
 @dataclass(frozen=True, eq=False)
 class Lines3D(_Thing):
-    """Lines in a scene.
+    """Lines in a scene."""
 
-    Attributes:
-        lines: (n, k, 3) metres: n lines through k points each.
-        colour: of all.
-        radius_m: of each.
-    """
-
-    lines: ArrayLike
-    colour: Colour = GREY
-    radius_m: float = 0.001
-
-    def __post_init__(self) -> None:
-        self._array("lines", None, None, 3)
-        self._colour()
+    lines: ArrayLike  # (n, k, 3) metres: n lines through k points each
+    colour: Colour = GREY  # of all
+    radius_m: float = 0.001  # of each
+    shapes: ClassVar = {"lines": (None, None, 3)}
 
 
 @dataclass(frozen=True, eq=False)
 class Mesh(_Thing):
-    """A surface of triangles.
+    """A surface of triangles."""
 
-    Attributes:
-        vertices: (n, 3) metres, in the mesh's frame.
-        faces: (m, 3) indices of vertices, counter-clockwise seen from outside.
-        pose: of the mesh; None: the scene's frame.
-        colour: of all faces.
-    """
+    vertices: ArrayLike  # (n, 3) metres, in the mesh's frame
+    faces: ArrayLike  # (m, 3) indices of vertices, counter-clockwise seen from outside
+    pose: ArrayLike | None = None  # of the mesh; None: the scene's frame
+    colour: Colour = GREY  # of all faces
 
-    vertices: ArrayLike
-    faces: ArrayLike
-    pose: ArrayLike | None = None
-    colour: Colour = GREY
+    shapes: ClassVar = {"vertices": (None, 3)}
 
     def __post_init__(self) -> None:
-        vertices = self._array("vertices", None, 3)
+        super().__post_init__()
+        vertices = np.asarray(self.vertices)
         faces = self._array("faces", None, 3, dtype=np.int64)
         if faces.size and not 0 <= faces.min() <= faces.max() < len(vertices):
             raise ValueError(f"Mesh: faces: expected indices of {len(vertices)} vertices, got up to {faces.max()}")
-        self._pose()
-        self._colour()
 
 
 @dataclass(frozen=True, eq=False)
 class Box(_Thing):
-    """A box.
+    """A box."""
 
-    Attributes:
-        size: lengths along its axes, metres.
-        pose: of its centre; None: the scene's frame.
-        colour: of the box.
-        filled: its faces; else its edges alone.
-        label: a text beside it.
-    """
-
-    size: ArrayLike
-    pose: ArrayLike | None = None
-    colour: Colour = GREY
-    filled: bool = False
-    label: str = ""
-
-    def __post_init__(self) -> None:
-        self._array("size", 3)
-        self._pose()
-        self._colour()
+    size: ArrayLike  # lengths along its axes, metres
+    pose: ArrayLike | None = None  # of its centre; None: the scene's frame
+    colour: Colour = GREY  # of the box
+    filled: bool = False  # its faces; else its edges alone
+    label: str = ""  # a text beside it
+    shapes: ClassVar = {"size": (3,)}
 
 
 @dataclass(frozen=True, eq=False)
 class Axes(_Thing):
-    """A frame's axes: x red, y green, z blue.
+    """A frame's axes: x red, y green, z blue."""
 
-    Attributes:
-        pose: of the frame.
-        length_m: of each axis.
-    """
-
-    pose: ArrayLike
-    length_m: float = 0.05
-
-    def __post_init__(self) -> None:
-        self._pose()
+    pose: ArrayLike  # of the frame
+    length_m: float = 0.05  # of each axis
 
 
 @dataclass(frozen=True, eq=False)
 class Camera(_Thing):
-    """A pinhole camera, which looks along its z axis, y down.
+    """A pinhole camera, which looks along its z axis, y down."""
 
-    Attributes:
-        pose: scene_from_camera.
-        intrinsics: fx, fy, cx, cy in pixels.
-        size: width and height in pixels.
-        image: what it sees, as for `Image`; None: nothing is shown of it.
-        depth_m: how far from the camera its image is drawn.
-    """
+    pose: ArrayLike  # scene_from_camera
+    intrinsics: ArrayLike  # fx, fy, cx, cy in pixels
+    size: tuple[int, int]  # width and height in pixels
+    image: ArrayLike | None = None  # what it sees, as for `Image`; None: nothing is shown of it
+    depth_m: float = 0.1  # how far from the camera its image is drawn
 
-    pose: ArrayLike
-    intrinsics: ArrayLike
-    size: tuple[int, int]
-    image: ArrayLike | None = None
-    depth_m: float = 0.1
+    shapes: ClassVar = {"intrinsics": (4,)}
 
     def __post_init__(self) -> None:
-        self._pose()
-        self._array("intrinsics", 4)
+        super().__post_init__()
         if self.image is not None:
             self._set("image", Image(self.image).pixels)
 
 
 @dataclass(frozen=True, eq=False)
 class Curve(_Thing):
-    """A number, and how its curve is drawn.
+    """A number, and how its curve is drawn."""
 
-    Attributes:
-        value: in this epoch.
-        colour: of the curve; None: any.
-    """
-
-    value: float
-    colour: Colour | None = None
+    value: float  # in this epoch
+    colour: Colour | None = None  # of the curve; None: any
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         self._set("value", float(self.value))
-        if self.colour is not None:
-            self._colour()
 
 
 @dataclass(frozen=True, eq=False)
 class Graph(_Thing):
-    """Nodes of some kind, and what joins them.
+    """Nodes of some kind, and what joins them."""
 
-    Attributes:
-        nodes: a text for each name; may have several lines.
-        edges: pairs of names.
-        places: where each node is drawn, (x, y), y down; those that are not said find a place.
-        colours: by name.
-        directed: whether edges are arrows.
-    """
-
-    nodes: Mapping[str, str]
-    edges: Sequence[tuple[str, str]] = ()
+    nodes: Mapping[str, str]  # a text for each name; may have several lines
+    edges: Sequence[tuple[str, str]] = ()  # pairs of names
+    # Where each node is drawn, (x, y), y down; those that are not said find a place.
     places: Mapping[str, tuple[float, float]] | None = None
-    colours: Mapping[str, Colour] | None = None
-    directed: bool = True
+    colours: Mapping[str, Colour] | None = None  # by name
+    directed: bool = True  # whether edges are arrows
 
     def __post_init__(self) -> None:
         unknown = sorted({name for edge in self.edges for name in edge} - set(self.nodes))
@@ -363,8 +269,7 @@ Picture = Image | Depth | Labels | Points2D | Lines2D
 Scene = Mesh | Box | Points3D | Lines3D | Axes | Camera
 Thing = Picture | Scene | Curve | Graph | float | str
 
-Things = Mapping[str, Thing]
-"""By path."""
+Things = Mapping[str, Thing]  # by path
 
 
 def _colour(given: Colour, where: str) -> Colour:
@@ -372,8 +277,3 @@ def _colour(given: Colour, where: str) -> Colour:
     if len(parts) not in (3, 4) or not all(0 <= part <= 255 for part in parts):
         raise ValueError(f"{where}: expected three or four numbers from 0 to 255, got {given}")
     return parts
-
-
-def _check_labels(thing: object, points: Array, labels: Sequence[str]) -> None:
-    if labels and len(labels) != len(points):
-        raise ValueError(f"{type(thing).__name__}: labels: expected {len(points)} or none, got {len(labels)}")

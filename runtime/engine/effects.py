@@ -93,5 +93,5 @@ class EngineEffects(ABC):
         return
 
     def called(self, called: Called) -> None:
-        """An operator or edge function was called; told only where the engine was made with ``events``."""
+        """An operator or edge function was called; told only where the engine's `events` is set."""
         return

@@ -59,10 +59,9 @@ class Engine:
         saved: Saved | None = None,  # where a crashed process of the node goes on; None: at the beginning
         # Whether it comes into a run that may have begun: then it begins with the first epoch that it hears of.
         joins: bool = False,
-        events: bool = False,  # whether every call of an operator or edge function gives an event
     ) -> None:
         self._effects = effects
-        self.events = events  # may be set at any time, by any thread
+        self.events = False  # whether every call gives an event; may be set at any time, by any thread
         self._joins = joins
         self.begun = False  # whether this engine has begun an epoch or attempt; one that was restored has not, yet
         self._prepared: dict[int, Wiring] = {}
@@ -96,21 +95,6 @@ class Engine:
         return self._world is not None and is_finished(self.name, self._world, self._belief, self.epoch)
 
     @property
-    def state(self) -> ActiveNode:
-        """The node's state now: of the last epoch that it has finished, or of the start of the one under way."""
-        return self._state
-
-    @property
-    def start(self) -> ActiveNode:
-        """The node's state at the start of the epoch that it has begun last."""
-        return self._start
-
-    @property
-    def encoded(self) -> bytes:
-        """The encoding of `state`."""
-        return self._encoded_now
-
-    @property
     def prepared(self) -> frozenset[int]:
         """The versions that can be taken up."""
         return frozenset(self._prepared)
@@ -118,11 +102,6 @@ class Engine:
     def wiring_of(self, version: int) -> Wiring | None:
         """The wiring of a version that is taken up, or can be."""
         return self.wiring if self._roster == version else self._prepared.get(version)
-
-    @property
-    def encoded_start(self) -> bytes:
-        """The encoding of `start`."""
-        return self._encoded_start
 
     @property
     def waits_for(self) -> tuple[Slot, ...]:
@@ -135,11 +114,11 @@ class Engine:
         """Go on from here: after a crash, or with the state of a node that this one replaces."""
         self.epoch = saved.epoch
         self.attempt = saved.attempt
-        self._start = saved.start
-        self._state = saved.now
+        self.start = saved.start  # the node's state at the start of the epoch that it has begun last
+        self.state = saved.now  # its state now: of the last epoch that it has finished, or `start` of the one under way
         self._belief: Value = saved.now.belief
-        self._encoded_start = self._encoded_saved(saved.start)
-        self._encoded_now = self._encoded_saved(saved.now)
+        self.encoded_start = self._encoded_saved(saved.start)
+        self.encoded = self._encoded_saved(saved.now)  # the bytes of `state`
         self._inbox.clear()
         self._enter(Phase.DONE)
 
@@ -255,8 +234,8 @@ class Engine:
             what = f"it has done attempt {self.attempt} of epoch {self.epoch}, and attempt {attempt} counts"
             raise ContradictionError(f"{self.name}: {what}: somebody else speaks in the name of a node below it")
         self.attempt = attempt
-        self._state, self._encoded_now = self._superseded[attempt]
-        self._effects.save(self.epoch, attempt, self._encoded_start, self._encoded_now)
+        self.state, self.encoded = self._superseded[attempt]
+        self._effects.save(self.epoch, attempt, self.encoded_start, self.encoded)
 
     def judge(self, header: Header) -> Verdict:
         """What a message with this header is to the node now."""
@@ -361,11 +340,11 @@ class Engine:
         """An epoch begins: the last one was committed."""
         if self._fresh:  # a process without a checkpoint has never taken part in an epoch: its start is the initial one
             self._fresh = False
-            self._effects.save(epoch - 1, self._after, self._encoded_now, self._encoded_now)
+            self._effects.save(epoch - 1, self._after, self.encoded, self.encoded)
         self._joins = False
         self._heard_before, self._told_before = self._heard, self._told
-        self._start = self._state
-        self._encoded_start = self._encoded_now
+        self.start = self.state
+        self.encoded_start = self.encoded
         self.epoch = epoch
         self._superseded.clear()
         self._restart(attempt)
@@ -373,13 +352,13 @@ class Engine:
     def _undo(self, attempt: int) -> None:
         """The epoch is done again, from its start; nobody but the world knows yet which attempt will count."""
         if self.phase is Phase.DONE and len(self._superseded) < KEPT_ATTEMPTS:
-            self._superseded[self.attempt] = (self._state, self._encoded_now)
-        self._state = self._start
-        self._encoded_now = self._encoded_start
+            self._superseded[self.attempt] = (self.state, self.encoded)
+        self.state = self.start
+        self.encoded = self.encoded_start
         self._restart(attempt)
 
     def _restart(self, attempt: int) -> None:
-        self._belief = self._state.belief
+        self._belief = self.state.belief
         self.attempt = attempt
         self.begun = True
         self._inbox = {}
@@ -453,7 +432,7 @@ class Engine:
         above = node.above
         tasks = _union(inbox, wiring.tasking, TASKS) if wiring.tasking else ()
         context = _union(inbox, above, CONTEXT) if above else ()
-        policy = self._state.policy
+        policy = self.state.policy
         vigilance = self._vigilance
         if vigilance:
             vigilance.keep("tasks", tasks)
@@ -474,9 +453,9 @@ class Engine:
             node.accept_none(node.predict, epoch)
         if vigilance or self.events:
             self._called(node.predict, belief)
-        self._state = state = ActiveNode(belief, policy, actions)
+        self.state = state = ActiveNode(belief, policy, actions)
         self._belief = belief
-        self._encoded_now = encoded = self._encoded(state)
+        self.encoded = encoded = self._encoded(state)
         self.digest = node_digest(encoded, [inbox[upper, CONTEXT].header.digest for upper in above])
         self._inbox = {}
         self._enter(Phase.DONE)
@@ -491,7 +470,7 @@ class Engine:
 
     def _hand_on(self, tasks: Elements, context: Elements) -> None:
         """What follows the prediction."""
-        epoch, attempt, time_s, state, effects = self.epoch, self.attempt, self.time_s, self._state, self._effects
+        epoch, attempt, time_s, state, effects = self.epoch, self.attempt, self.time_s, self.state, self._effects
         step = Step(
             epoch,
             attempt,
@@ -504,12 +483,12 @@ class Engine:
             state.actions,
             state.belief,
         )
-        completed = Completed(step, self._encoded_now, self.digest)
+        completed = Completed(step, self.encoded, self.digest)
         effects.predicted(completed)
         if self._vigilance:
             self._vigilance.keep("belief", state.belief)
         if self._world is None:
-            effects.save(epoch, attempt, self._encoded_start, self._encoded_now)
+            effects.save(epoch, attempt, self.encoded_start, self.encoded)
         for lower, enrich in self.wiring.context:
             elements: Elements = ()
             if enrich is not None:

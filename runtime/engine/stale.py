@@ -60,15 +60,14 @@ class StaleEngine(Engine):
 
     def __init__(
         self,
-        wiring: Wiring,  # as `Engine` has it; so have the others
+        wiring: Wiring,
         effects: EngineEffects,
         *,
+        staleness: Staleness,
         saved: Saved | None = None,
         joins: bool = False,
-        events: bool = False,
-        staleness: Staleness,  # of the deployment
     ) -> None:
-        self._staleness = staleness
+        self._staleness = staleness  # of the deployment; the other arguments are as `Engine` has them
         self._above: dict[Slot, dict[int, Message]] = {}
         self._below: dict[Slot, Message] = {}
         self._first = 1
@@ -80,7 +79,7 @@ class StaleEngine(Engine):
         self._sent_in: dict[int, dict[Slot, Message]] = {}
         if staleness.free:
             self._epochs_ahead = inf  # nobody waits for a node that is slow
-        super().__init__(wiring, effects, saved=saved, joins=joins, events=events)
+        super().__init__(wiring, effects, saved=saved, joins=joins)
 
     @property
     def waits_for(self) -> tuple[Slot, ...]:

@@ -131,7 +131,6 @@ class Row(NamedTuple):
     """A row of the table."""
 
     verdict: Verdict  # of a message that fits this row, and none before it
-    when: str  # what it fits, as the table has it
     action: Action  # what is done with the message
     # Whether it does, of where the node stands, the message's header, and its sender and kind.
     fits: Callable[[Standing, Header, Slot], bool]
@@ -156,62 +155,21 @@ def _is_early(at: Standing, header: Header, slot: Slot) -> bool:
     return at.phase is Phase.SENSE and not at.awaits(slot)  # what comes for PREDICT is ahead of SENSE
 
 
-ROWS = (
-    Row(
-        Verdict.AHEAD,
-        "further ahead than can be, in roster, epoch or attempt",
-        Action.REFUSE,
-        lambda at, header, _: at.is_ahead(header.epoch, header.attempt, header.roster),
-    ),
-    Row(
-        Verdict.OLD_ROSTER,
-        "of an older roster",
-        Action.REFUSE,
-        lambda at, header, _: header.roster < at.wiring.roster,
-    ),
-    Row(
-        Verdict.NEW_ROSTER,
-        "of a roster that this node does not have yet",
-        Action.HOLD,
-        lambda at, header, _: header.roster > at.wiring.roster,
-    ),
-    Row(Verdict.FOREIGN, "not for this node, or along no edge of its roster", Action.REFUSE, _is_foreign),
-    Row(
-        Verdict.OTHER_INSTANCE,
-        "not from the instance that the roster names",
-        Action.REFUSE,
-        _is_of_another_instance,
-    ),
-    Row(
-        Verdict.INCOMPLETE,
-        "context, but without its sender's digest",
-        Action.REFUSE,
-        lambda _, header, slot: header.kind == CONTEXT and not header.digest,
-    ),
-    Row(
-        Verdict.NEXT,
-        "observations of the next epoch, and this one is DONE (of any epoch, for a node that joins)",
-        Action.TAKE,
-        lambda at, header, slot: slot in at.wiring.below and at.moves_on(header.epoch),
-    ),
-    Row(Verdict.AGAIN, "observations of a later attempt of this epoch", Action.TAKE, _is_again),
-    Row(
-        Verdict.LATE,
-        "of an epoch or attempt that is past",
-        Action.DROP,
-        lambda at, header, _: (header.epoch, header.attempt) < (at.epoch, at.attempt),
-    ),
-    Row(Verdict.EARLY, "of an epoch, attempt or half that is still to come", Action.HOLD, _is_early),
-    Row(
-        Verdict.DOUBLE,
-        "already in hand",
-        Action.DROP,
-        lambda at, _, slot: at.has(slot) or not at.awaits(slot),  # what came for SENSE is behind PREDICT
-    ),
-    Row(Verdict.CURRENT, "anything else", Action.TAKE, lambda *_: True),
+ROWS = (  # in the words of the table above
+    Row(Verdict.AHEAD, Action.REFUSE, lambda at, header, _: at.is_ahead(header.epoch, header.attempt, header.roster)),
+    Row(Verdict.OLD_ROSTER, Action.REFUSE, lambda at, header, _: header.roster < at.wiring.roster),
+    Row(Verdict.NEW_ROSTER, Action.HOLD, lambda at, header, _: header.roster > at.wiring.roster),
+    Row(Verdict.FOREIGN, Action.REFUSE, _is_foreign),
+    Row(Verdict.OTHER_INSTANCE, Action.REFUSE, _is_of_another_instance),
+    Row(Verdict.INCOMPLETE, Action.REFUSE, lambda _, header, slot: header.kind == CONTEXT and not header.digest),
+    Row(Verdict.NEXT, Action.TAKE, lambda at, header, slot: slot in at.wiring.below and at.moves_on(header.epoch)),
+    Row(Verdict.AGAIN, Action.TAKE, _is_again),
+    Row(Verdict.LATE, Action.DROP, lambda at, header, _: (header.epoch, header.attempt) < (at.epoch, at.attempt)),
+    Row(Verdict.EARLY, Action.HOLD, _is_early),
+    # what came for SENSE is behind PREDICT
+    Row(Verdict.DOUBLE, Action.DROP, lambda at, _, slot: at.has(slot) or not at.awaits(slot)),
+    Row(Verdict.CURRENT, Action.TAKE, lambda *_: True),
 )
-"""The table."""
-
 ACTIONS = {row.verdict: row.action for row in ROWS}
 
 HELD_MESSAGES = 8  # how many messages of one sender and kind are held at most

@@ -20,17 +20,7 @@ from hierax.runtime.execution.observers import Observers
 from hierax.runtime.execution.pacemaker import Pacemaker
 from hierax.runtime.execution.world_member import WorldMember
 from hierax.runtime.launch.control_queue import ControlQueue
-from hierax.runtime.launch.frames import (
-    BEGIN,
-    CUT_OFF,
-    DISMISSED,
-    FAILED,
-    MISSES,
-    REPORT,
-    TO_REPORT,
-    UP,
-    NodeOrder,
-)
+from hierax.runtime.launch.frames import BEGIN, CUT_OFF, DISMISSED, FAILED, MISSES, REPORT, TO_REPORT, UP, NodeOrder
 from hierax.runtime.launch.inspection_server import InspectionServer
 from hierax.runtime.launch.member_building import (
     build_member,

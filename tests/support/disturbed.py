@@ -92,7 +92,8 @@ class Site(EngineEffects):
         self.calls_left = -1
         self.alive = True
         self.asked: set[int] = set()
-        self.engine = Engine(wiring, self, saved=saved, joins=joins, events=events)
+        self.engine = Engine(wiring, self, saved=saved, joins=joins)
+        self.engine.events = events
 
     def send(self, message: Message) -> None:
         self._may_die()

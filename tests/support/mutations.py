@@ -74,7 +74,7 @@ def wrong_belief_rolled_back() -> Iterator[None]:
     def mutant(self: Engine, attempt: int) -> None:
         belief = self._belief
         undo(self, attempt)
-        self._state = self._state._replace(belief=belief)
+        self.state = self.state._replace(belief=belief)
         self._belief = belief
 
     with patch.object(Engine, "_undo", mutant):
@@ -88,7 +88,7 @@ def act_before_commit() -> Iterator[None]:
     hand_on = Engine._hand_on
 
     def early(self: Engine, world: Any) -> None:
-        self._effects.act(self.epoch, self._state.actions)
+        self._effects.act(self.epoch, self.state.actions)
         begin(self, world)
 
     def later(self: Engine, *arguments: Any) -> None:
@@ -170,9 +170,9 @@ def _undone_without(field: str) -> Iterator[None]:
     undo = Engine._undo
 
     def mutant(self: Engine, attempt: int) -> None:
-        kept = getattr(self._state, field)
+        kept = getattr(self.state, field)
         undo(self, attempt)
-        self._state = self._state._replace(**{field: kept})
+        self.state = self.state._replace(**{field: kept})
 
     with patch.object(Engine, "_undo", mutant):
         yield

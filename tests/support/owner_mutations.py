@@ -56,10 +56,10 @@ def start_kept(turn: Callable[..., None]) -> Callable[..., None]:
     """A new epoch begins, and what is undone goes back to the start of the one before."""
 
     def mutant(self: Engine, epoch: int, attempt: int) -> None:
-        start, encoded = self._start, self._encoded_start
+        start, encoded = self.start, self.encoded_start
         turn(self, epoch, attempt)
         if epoch % 2:
-            self._start, self._encoded_start = start, encoded
+            self.start, self.encoded_start = start, encoded
 
     return mutant
 

@@ -146,7 +146,8 @@ def test_a_world_acts_before_it_commits_and_saves_nothing() -> None:
 def test_a_task_leaves_before_the_prediction_and_one_context_before_the_next() -> None:
     solo = Solo()
     wired = wiring(below=("low", "low2"), mixing=True)
-    solo.engine = Engine(wired, solo.recorder, events=True)
+    solo.engine = Engine(wired, solo.recorder)
+    solo.engine.events = True
     outputs = solo.take(other(OBSERVATIONS), *map(message, EPOCH))
     order = []
     for output in outputs:
