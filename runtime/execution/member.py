@@ -18,26 +18,9 @@ from hierax.runtime.execution.observers import Observers
 from hierax.runtime.execution.runner import Host, NodeRunner, World
 from hierax.runtime.loading.allowance import Refusals
 from hierax.runtime.transport.port import Port
+from hierax.schemas import control
 from hierax.schemas.checkpoint import Checkpoint
-from hierax.schemas.control import (
-    NEVER,
-    AskStatus,
-    Control,
-    Dismiss,
-    Failed,
-    Fetch,
-    HandOver,
-    Join,
-    Order,
-    Prepare,
-    Ready,
-    Resend,
-    State,
-    Status,
-    Taken,
-    TakeOver,
-    Unchanged,
-)
+from hierax.schemas.control import Control
 from hierax.schemas.errors import SchemaError
 from hierax.schemas.messages import Header
 from hierax.schemas.roster import Roster
@@ -89,12 +72,12 @@ class Member(Host):
         self.tried = frozenset[str]()  # likewise, until the end of the first epoch under the roster
         self._alone_in: dict[int, tuple[frozenset[str], frozenset[str]]] = {}
         self._tried_in: int | None = None
-        self._failure: Failed | None = None
+        self._failure: control.Failed | None = None
         self._wire_roster = seat.wire
         self._report = report  # tells the roster's owner something; it may be lost, then it is told again
         self._checkpoints = checkpoints  # of the node
         self._saved: Saved | None = None
-        self._join: Join | None = None
+        self._join: control.Join | None = None
         self._took = 0
         self._refused: set[tuple[str, str]] = set()
         self._linking: set[int] = set()
@@ -138,7 +121,7 @@ class Member(Host):
         engine = self.engine
         if engine is not None and engine.begun:
             place = (engine.wiring.roster, engine.attempt)
-            self._report(Join(self.name, self.process, "", engine.epoch, True, "", *place))
+            self._report(control.Join(self.name, self.process, "", engine.epoch, True, "", *place))
             return
         if self._join is None:
             self._join = self._offer(request)
@@ -154,10 +137,10 @@ class Member(Host):
 
         Raises `OperatorError` if an operator failed, and `ContradictionError` if it was told something else before.
         """
-        if isinstance(word, Order):
+        if isinstance(word, control.Order):
             self.obey(word)
 
-    def obey(self, order: Order) -> None:
+    def obey(self, order: control.Order) -> None:
         """Do what the owner says.
 
         Raises `OperatorError` if an operator failed, and `ContradictionError` if it was told something else before.
@@ -175,7 +158,7 @@ class Member(Host):
             raise error
         _log.info("%s", error, exc_info=error)
         version = engine.wiring.roster
-        self._failure = Failed(self.name, self.process, version, error.subject, str(error))
+        self._failure = control.Failed(self.name, self.process, version, error.subject, str(error))
         self._report(self._failure)
 
     @property
@@ -189,28 +172,28 @@ class Member(Host):
         if self._tried_in is None:
             self._tried_in = completed.step.epoch
 
-    def do(self, order: Order) -> None:
+    def do(self, order: control.Order) -> None:
         """Do what the owner says, but for what follows from it; as `obey` does."""
-        if isinstance(order, Prepare):
+        if isinstance(order, control.Prepare):
             self._prepare(order)
-        elif isinstance(order, Unchanged):
+        elif isinstance(order, control.Unchanged):
             self._go_on_as(order)
-        elif isinstance(order, HandOver):
+        elif isinstance(order, control.HandOver):
             self._hand_over(order)
-        elif isinstance(order, TakeOver):
+        elif isinstance(order, control.TakeOver):
             self._take_over(order)
-        elif isinstance(order, AskStatus):
+        elif isinstance(order, control.AskStatus):
             self._report(self.status(order.inquiry))
-        elif isinstance(order, Resend):
+        elif isinstance(order, control.Resend):
             self._resend(order)
-        elif isinstance(order, Dismiss):
+        elif isinstance(order, control.Dismiss):
             self.dismissed = order.why
             self.again = order.again
         else:
             unheard: NoReturn = order  # mypy finds an order that nobody obeys
             raise TypeError(unheard)
 
-    def _resend(self, order: Resend) -> None:
+    def _resend(self, order: control.Resend) -> None:
         engine = self.engine
         if engine is None or (engine.epoch, engine.attempt) != (order.epoch, order.attempt):
             return
@@ -220,13 +203,13 @@ class Member(Host):
         if count <= MAX_RESENDS:
             engine.resend(order.receivers)
 
-    def status(self, inquiry: int, busy: str = "") -> Status:
+    def status(self, inquiry: int, busy: str = "") -> control.Status:
         """What the node waits for. Any thread may ask."""
         engine = self.engine
         if engine is None:
-            return Status(self.name, inquiry, 0, 0, (), busy)
+            return control.Status(self.name, inquiry, 0, 0, (), busy)
         waits = () if engine.phase is Phase.DONE else engine.waits_for
-        return Status(self.name, inquiry, engine.epoch, engine.attempt, waits, busy, engine.wiring.roster)
+        return control.Status(self.name, inquiry, engine.epoch, engine.attempt, waits, busy, engine.wiring.roster)
 
     def linked(self, version: int) -> None:
         """The port's links of a version are open, in both directions."""
@@ -246,7 +229,7 @@ class Member(Host):
     def _say_ready(self, version: int) -> None:
         has_it = self.engine is not None and self.engine.wiring_of(version) is not None
         if version in self._linked and has_it:
-            self._report(Ready(self.name, self.process, version, ""))
+            self._report(control.Ready(self.name, self.process, version, ""))
 
     def save(self, engine: Engine, epoch: int, attempt: int, start: bytes, now: bytes) -> None:
         wiring = engine.wiring
@@ -255,12 +238,12 @@ class Member(Host):
     def lacks(self, version: int) -> None:
         if version not in self._fetched and len(self._fetched) < MAX_PREPARED:
             self._fetched.add(version)
-            self._report(Fetch(self.name, self.process, version))
+            self._report(control.Fetch(self.name, self.process, version))
 
     def fetch_again(self) -> None:
         """Ask once more for the versions of which messages are held."""
         for version in sorted(self._fetched):
-            self._report(Fetch(self.name, self.process, version))
+            self._report(control.Fetch(self.name, self.process, version))
 
     def rewired(self, version: int) -> None:
         self._refused.clear()
@@ -287,19 +270,19 @@ class Member(Host):
         self._refused.add(like_it)
         return logging.INFO
 
-    def _offer(self, request: str) -> Join:
+    def _offer(self, request: str) -> control.Join:
         try:
             read = self._checkpoints.read()
         except (HieraxError, SchemaError) as error:
-            return Join(self.name, self.process, request, NEVER, False, str(error))
+            return control.Join(self.name, self.process, request, control.NEVER, False, str(error))
         if read is None:
-            return Join(self.name, self.process, request, NEVER, False, "")
+            return control.Join(self.name, self.process, request, control.NEVER, False, "")
         checkpoint, self._saved = read
-        return Join(
+        return control.Join(
             self.name, self.process, request, checkpoint.epoch, False, "", checkpoint.roster, checkpoint.attempt
         )
 
-    def _prepare(self, order: Prepare) -> None:
+    def _prepare(self, order: control.Prepare) -> None:
         try:
             roster = Roster.read(order.roster)
         except SchemaError as error:
@@ -335,7 +318,7 @@ class Member(Host):
                 engine = self.run(wiring, self._saved, joins=self._saved is None).engine
             except OperatorError as error:  # s⁰
                 why = str(error).removeprefix(f"{self.name}: ")
-                self._report(Ready(self.name, self.process, version, why))
+                self._report(control.Ready(self.name, self.process, version, why))
                 return
             self._take_up(version)
         self._rosters[version] = roster
@@ -348,7 +331,7 @@ class Member(Host):
         why = str(error)
         if self._refusals.is_new(why):
             _log.warning("%s: roster version %d is refused: %s", self.name, version, why)
-        self._report(Ready(self.name, self.process, version, why))
+        self._report(control.Ready(self.name, self.process, version, why))
 
     def _is_far(self, version: int) -> bool:
         engine = self.engine
@@ -367,7 +350,7 @@ class Member(Host):
             what = f"two rosters of version {roster.version} were sent to it that differ"
             raise ContradictionError(f"{self.name}: {what}: somebody else speaks in the name of the roster's owner")
 
-    def _go_on_as(self, order: Unchanged) -> None:
+    def _go_on_as(self, order: control.Unchanged) -> None:
         """A version that changes nothing here: there is nothing to load, and nobody waits for an answer.
 
         Where the earlier one lacks, the version is fetched when its first message comes.
@@ -388,17 +371,17 @@ class Member(Host):
         self._linking.add(wiring.roster)
         self.port.link(wiring.node.below, wiring.node.above, wiring.roster, wiring.place.instances, opened)
 
-    def _hand_over(self, order: HandOver) -> None:
+    def _hand_over(self, order: control.HandOver) -> None:
         engine = self.engine
         if engine is None:
             return
         if engine.epoch == order.epoch and engine.phase is Phase.DONE:
             engine.go_back_to(order.attempt)
-            self._report(State(self.name, order.version, engine.encoded))
+            self._report(control.State(self.name, order.version, engine.encoded))
         elif engine.epoch == order.epoch + 1:
-            self._report(State(self.name, order.version, engine.encoded_start))
+            self._report(control.State(self.name, order.version, engine.encoded_start))
 
-    def _take_over(self, order: TakeOver) -> None:
+    def _take_over(self, order: control.TakeOver) -> None:
         engine = self.engine
         if order.version == self._took and order.state != self._taken:
             what = f"two states to take over under version {order.version} of the roster were sent to it that differ"
@@ -408,10 +391,10 @@ class Member(Host):
         try:
             state = taken_over(engine.node, order.state)
         except (HieraxError, SchemaError) as error:
-            self._report(Taken(self.name, order.version, f"cannot take over the belief: {error}"))
+            self._report(control.Taken(self.name, order.version, f"cannot take over the belief: {error}"))
             return
         self._took, self._taken = order.version, order.state
         engine.restore(Saved(order.epoch, order.attempt, state, state))
         now, instance = engine.encoded, order.version  # as of all nodes that are new in a version
         self._checkpoints.save_first(Checkpoint(order.epoch, order.attempt, instance, order.version, True, now, now))
-        self._report(Taken(self.name, order.version, ""))
+        self._report(control.Taken(self.name, order.version, ""))

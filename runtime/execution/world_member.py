@@ -20,18 +20,7 @@ from hierax.runtime.owner.effects import OwnerEffects, OwnerPolicy
 from hierax.runtime.owner.members import Tried
 from hierax.runtime.owner.owner import Owner
 from hierax.runtime.recovery.slots import Slots
-from hierax.schemas.checkpoint import (
-    Place,
-    WorldRecord,
-    decode_alone,
-    decode_processes,
-    decode_roster,
-    decode_state,
-    decode_trial,
-    decode_world,
-    encode_trial,
-    encode_world,
-)
+from hierax.schemas import checkpoint
 from hierax.schemas.control import Control, Failed, Order
 from hierax.schemas.roster import Roster
 from hierax.schemas.values import encode_value
@@ -124,9 +113,9 @@ class WorldMember(World, OwnerEffects):
             self.owner = Owner(roster, processes, self, clock, policy)
             return
         record, saved = read_record(slots)
-        roster = decode_roster(record.roster)
+        roster = checkpoint.decode_roster(record.roster)
         self._intended, self._acted = record.intended, record.acted
-        recorded = decode_processes(record.processes)
+        recorded = checkpoint.decode_processes(record.processes)
         living = set(processes.values())
         self._runner = self.member.run(seat.wire(roster), saved)
         pacemaker.chain = DigestChain(roster.content_hash(), record.epoch - 1, record.last_digest)
@@ -142,8 +131,8 @@ class WorldMember(World, OwnerEffects):
             born={other: each[1:] for other, each in recorded.items()},
             settled=self._intended == record.epoch,
             last_attempt=record.last_attempt,
-            tried=_living_trial(decode_trial(record.trial), living),
-            alone=decode_alone(record.alone),
+            tried=_living_trial(checkpoint.decode_trial(record.trial), living),
+            alone=checkpoint.decode_alone(record.alone),
         )
 
     def start(self) -> None:
@@ -201,7 +190,7 @@ class WorldMember(World, OwnerEffects):
             self._send_order(process, order)
 
     def write_record(self) -> None:
-        self._slots.write(encode_world(self._record()))
+        self._slots.write(checkpoint.encode_world(self._record()))
 
     def begin(self, epoch: int, attempt: int, version: int) -> None:
         engine, pacemaker = self._runner.engine, self.pacemaker
@@ -212,7 +201,7 @@ class WorldMember(World, OwnerEffects):
             engine.rewire(version)
             pacemaker.chain.roster_hash = engine.wiring.place.roster_hash
             self._roster_bytes = b""
-        self._runner.drain(pacemaker.limit == epoch or self.owner.drains)
+        self._runner.drain(pacemaker.limit == epoch or self.owner.progress.drains)
         self.write_record()
         try:
             if engine.phase is Phase.DONE:
@@ -297,31 +286,31 @@ class WorldMember(World, OwnerEffects):
         else:
             self.owner.hear(word)
 
-    def _record(self) -> WorldRecord:
+    def _record(self) -> checkpoint.WorldRecord:
         owner, engine = self.owner, self._runner.engine
         begun = engine.epoch > owner.epoch  # and not committed
-        trial = owner.trial
+        trial = owner.members.trial
         if not self._roster_bytes:
             self._roster_bytes = encode_value(owner.roster.plain())
-            self._alone_bytes = encode_value(tuple(sorted(owner.alone)))
+            self._alone_bytes = encode_value(tuple(sorted(owner.members.alone)))
             self._process_bytes = encode_value(
-                {name: (token, *owner.born(name)) for name, token in sorted(owner.processes.items())}
+                {name: (token, *owner.members.born[name]) for name, token in sorted(owner.processes.items())}
             )
-        return WorldRecord(
+        return checkpoint.WorldRecord(
             epoch=owner.epoch + 1,
-            attempt=max(owner.attempt, 0),
+            attempt=max(owner.progress.attempt, 0),
             instance=owner.roster.instance(self.member.name),
             roster=self._roster_bytes,
-            highest_version=owner.highest,
+            highest_version=owner.planning.highest,
             last_digest=self.pacemaker.chain.digest,
             state=engine.encoded_start if begun else engine.encoded,
             intended=self._intended,
             acted=self._acted,
             processes=self._process_bytes,
-            last_attempt=owner.last_attempt,
+            last_attempt=owner.progress.last_attempt,
             trial=b""
             if trial is None
-            else encode_trial(trial.name, trial.before, (trial.process, *trial.born), trial.alone),
+            else checkpoint.encode_trial(trial.name, trial.before, (trial.process, *trial.born), trial.alone),
             alone=self._alone_bytes,
         )
 
@@ -335,7 +324,7 @@ class WorldMember(World, OwnerEffects):
             self.owner.finish()
 
 
-def _living_trial(recorded: tuple[str, Roster, Place, bool] | None, living: Container[str]) -> Tried | None:
+def _living_trial(recorded: tuple[str, Roster, checkpoint.Place, bool] | None, living: Container[str]) -> Tried | None:
     """What is tried, by the record; what it has replaced may have died meanwhile."""
     if recorded is None:
         return None
@@ -348,20 +337,20 @@ def has_record(slots: Slots) -> bool:
     return not never_whole(slots.read())
 
 
-def read_record(slots: Slots) -> tuple[WorldRecord, Saved]:
+def read_record(slots: Slots) -> tuple[checkpoint.WorldRecord, Saved]:
     """What a new process of the world's goes on with. Raises `HieraxError` if there is no whole record."""
     data, faults = newest_whole(slots.read())
     if data is None:
         raise HieraxError(f"the world's record cannot be used: {faults or 'nothing was ever written'}")
-    record = decode_world(data)
+    record = checkpoint.decode_world(data)
     if faults:
         _log.warning("record: %s; using that of epoch %d", faults, record.epoch)
         record = _safest(record)
-    state = ActiveNode(*decode_state(record.state))
+    state = ActiveNode(*checkpoint.decode_state(record.state))
     return record, Saved(record.epoch - 1, record.last_attempt, state, state)
 
 
-def _safest(record: WorldRecord) -> WorldRecord:
+def _safest(record: checkpoint.WorldRecord) -> checkpoint.WorldRecord:
     """A record after which another one was written, which is damaged.
 
     That one may have taken the next attempt and version, and intended the act: none is used again.

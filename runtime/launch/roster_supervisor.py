@@ -11,20 +11,8 @@ import anyio.abc
 import anyio.to_thread
 
 from hierax.runtime.deployment.deployment import RestartPolicy
+from hierax.runtime.launch import frames
 from hierax.runtime.launch.child import Child, NodeFailedError, ProcessState, Restarts
-from hierax.runtime.launch.frames import (
-    ANSWER,
-    BEAT,
-    DISMISS,
-    END,
-    FINISHED,
-    HALT,
-    MISSES,
-    NEWCOMER,
-    NOTE,
-    STOP,
-    NodeOrder,
-)
 from hierax.runtime.launch.orders import Orders
 from hierax.runtime.launch.overheard import Overhearing
 from hierax.runtime.launch.pending_changes import PendingChanges
@@ -80,9 +68,9 @@ class RosterSupervisor(ProcessSupervisor):
             return child.state
         return ProcessState.CUT_OFF if token in self._unreachable else ProcessState.ELSEWHERE
 
-    async def start(self, order: NodeOrder) -> Child:
+    async def start(self, order: frames.NodeOrder) -> Child:
         child = await super().start(order)
-        if order.life != NEWCOMER:
+        if order.life != frames.NEWCOMER:
             self.current[child.name] = child
         return child
 
@@ -129,11 +117,11 @@ class RosterSupervisor(ProcessSupervisor):
 
     def _take(self, child: Child, value: dict[str, Any]) -> None:
         status = value["status"]
-        if status == MISSES:
+        if status == frames.MISSES:
             self._tasks.start_soon(anyio.to_thread.run_sync, self._hub.introduce, value["process"])
         elif self.current.get(self._world) is not child:
             return
-        elif status == BEAT:
+        elif status == frames.BEAT:
             self._heard_s = self._clock()
             self.begun.set()
             self.epoch = value["epoch"]
@@ -142,19 +130,19 @@ class RosterSupervisor(ProcessSupervisor):
             self._on_members({**self._elsewhere(), **value["processes"]})
             self._beat.set()
             self._beat = anyio.Event()
-        elif status == FINISHED:
+        elif status == frames.FINISHED:
             self._on_members(value["processes"])
             self._last_roster = Roster.read(value["roster"])
             self.finished.set()
-        elif status == NOTE:
+        elif status == frames.NOTE:
             self.notify(value["what"])
-        elif status == ANSWER:
+        elif status == frames.ANSWER:
             self._on_answer(value["request"], value["epoch"], value["refusal"])
-        elif status == END:
+        elif status == frames.END:
             self._kill(value["name"], value["process"], value["why"])
-        elif status == DISMISS:
+        elif status == frames.DISMISS:
             self._tasks.start_soon(self._dismiss, value["process"], Dismiss(value["why"], value["again"]))
-        elif status == HALT:
+        elif status == frames.HALT:
             culprit = self.current.get(value["why"].partition(":")[0])
             self._fail((culprit and culprit.failure) or NodeFailedError(value["why"]))
 
@@ -271,7 +259,7 @@ class RosterSupervisor(ProcessSupervisor):
         if self._last_roster is not None and name != self._world:  # nothing is left to do but to report
             self.members = {**self.members, name: token}
             again = await self.start(self.orders.to_report(child.order, token, self._last_roster))
-            await again.send(STOP)
+            await again.send(frames.STOP)
             return
         living = self._living()
         await self.start(self.orders.again(child.order, token, living, self.changes.proposals))

@@ -16,13 +16,13 @@ class Arrivals(OwnerPart):
 
     def __init__(self, context: OwnerContext, planning: Planning, suspicions: Suspicions) -> None:
         super().__init__(context)
-        self._planning = planning  # what is done about those who may
+        self.planning = planning  # what is done about those who may
         self._suspicions = suspicions  # of what those who take part say
 
     def hear(self, word: Join) -> None:
         """A process is there."""
         name, process = word.name, word.process
-        members = self._members
+        members = self.members
         if self._runs_another(name, process):
             return  # somebody says it who is not that process: a dismissal would be of one that has a place
         if members.is_dead(process) and not word.active:
@@ -37,8 +37,8 @@ class Arrivals(OwnerPart):
         if word.epoch != NEVER and members.was_undone(name, word.version):
             self._effects.send_order(process, Dismiss(f"{name}: {UNDONE}"))
             return
-        request = self._planning.queued(word.request)
-        plan = self._planning.plan
+        request = self.planning.queued(word.request)
+        plan = self.planning.plan
         if request is not None:
             self._on_newcomer(word, request)
         elif plan is not None and plan.request is not None and plan.request.key == word.request:
@@ -50,20 +50,20 @@ class Arrivals(OwnerPart):
 
     def judge_again(self) -> None:
         """An epoch was committed, as lost processes had done their part: those in their place may be behind."""
-        for (name, key), process in list(self._members.newcomers.items()):
-            saved = self._members.saved(process)
+        for (name, key), process in list(self.members.newcomers.items()):
+            saved = self.members.saved(process)
             why = "" if key or saved is None else self._unsound(name, *saved)
             if why:
-                del self._members.newcomers[name, key]
-                plan = self._planning.plan
+                del self.members.newcomers[name, key]
+                plan = self.planning.plan
                 if plan is not None and name in plan.back:
-                    self._planning.redo(plan)
-                self._members.send_away(name, process, why)
+                    self.planning.redo(plan)
+                self.members.send_away(name, process, why)
 
     def _on_back(self, word: Join) -> None:
         """A process in the place of a lost one."""
         name, process = word.name, word.process
-        members = self._members
+        members = self.members
         if members.comes_back(name):
             return
         if word.epoch != NEVER and word.version < members.born[name][0]:
@@ -77,16 +77,16 @@ class Arrivals(OwnerPart):
             members.send_away(name, process, why)
             return
         members.come_back(name, process, word.epoch, word.attempt)
-        self._planning.reconsider()
+        self.planning.reconsider()
 
     def _unsound(self, name: str, epoch: int, attempt: int) -> str:
         """Why a process with a checkpoint of this attempt of an epoch cannot go on."""
-        last, last_attempt = self._progress.epoch, self._progress.last_attempt
-        if epoch == NEVER and last >= self._members.born[name][1]:
+        last, last_attempt = self.progress.epoch, self.progress.last_attempt
+        if epoch == NEVER and last >= self.members.born[name][1]:
             return f"it has no checkpoint, and its node has taken part in epoch {last}"
         if self._policy.overlaps and epoch <= last:
             return ""  # where epochs overlap a node may be behind
-        has_part = self._members.born[name][1] <= last  # else it holds the state that it came with, of no attempt
+        has_part = self.members.born[name][1] <= last  # else it holds the state that it came with, of no attempt
         if epoch == last and attempt != last_attempt and has_part:
             why = f"its checkpoint is of attempt {attempt} of epoch {epoch}, and attempt {last_attempt} counts"
             forged = ", the last one: somebody else has sent it observations, or the world's record was damaged"
@@ -97,25 +97,25 @@ class Arrivals(OwnerPart):
 
     def _on_newcomer(self, word: Join, request: Request) -> None:
         """A process for a change that is asked for."""
-        newcomers = self._members.newcomers
+        newcomers = self.members.newcomers
         if word.refusal:
-            self._planning.withdraw(request, word.refusal)
+            self.planning.withdraw(request, word.refusal)
         elif word.epoch != NEVER and isinstance(request.change, Attach):
             self._effects.send_order(
                 word.process, Dismiss("it has a checkpoint, and a node that is attached begins anew")
             )
         elif (word.name, word.request) not in newcomers:
             newcomers[word.name, word.request] = word.process
-            self._planning.reconsider()
+            self.planning.reconsider()
 
     def _on_active(self, word: Join) -> None:
         """A process that has taken part asks whether it still may."""
         name, process = word.name, word.process
-        members = self._members
+        members = self.members
         known = self._processes_of(name)
         in_force = members.processes.get(name)
         if name in members.lost and members.is_dead(process):  # it was cut off, and no supervisor here can kill it
-            why = f"{name}: it was cut off, and taken for lost in epoch {self._progress.epoch + 1}"
+            why = f"{name}: it was cut off, and taken for lost in epoch {self.progress.epoch + 1}"
             self._effects.send_order(process, Dismiss(why, again=True))
         elif name in members.lost and (process not in known or process == in_force):
             members.end(name, process, "it was taken for lost")  # its supervisor starts it anew, from its checkpoint
@@ -127,20 +127,20 @@ class Arrivals(OwnerPart):
 
     def _runs_another(self, name: str, process: str) -> bool:
         """Whether a process is counted on for another node than it says."""
-        plan = self._planning.plan
-        held = [self._members.processes, {} if plan is None else plan.processes]
-        newcomers = self._members.newcomers.items()
+        plan = self.planning.plan
+        held = [self.members.processes, {} if plan is None else plan.processes]
+        newcomers = self.members.newcomers.items()
         return any(token == process and other != name for each in held for other, token in each.items()) or any(
             token == process and other != name for (other, _), token in newcomers
         )
 
     def _processes_of(self, name: str) -> list[str]:
         """All processes of a node that are counted on."""
-        plan = self._planning.plan
-        held = [self._members.processes, {} if plan is None else plan.processes]
-        trial = self._members.trial
+        plan = self.planning.plan
+        held = [self.members.processes, {} if plan is None else plan.processes]
+        trial = self.members.trial
         return [
             *([trial.process] if trial is not None and trial.name == name else []),
-            *(process for (other, _), process in self._members.newcomers.items() if other == name),
+            *(process for (other, _), process in self.members.newcomers.items() if other == name),
             *(processes[name] for processes in held if name in processes),
         ]

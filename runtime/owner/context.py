@@ -26,4 +26,4 @@ class OwnerPart:
     """A part of an owner. `context`: what it shares with the others."""
 
     def __init__(self, context: OwnerContext) -> None:
-        self._effects, self._clock, self._policy, self._members, self._progress, self._answers = context
+        self._effects, self._clock, self._policy, self.members, self.progress, self._answers = context

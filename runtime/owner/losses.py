@@ -19,7 +19,7 @@ class Losses(OwnerPart):
 
     def __init__(self, context: OwnerContext, planning: Planning) -> None:
         super().__init__(context)
-        self._planning = planning  # what is done about it
+        self.planning = planning  # what is done about it
 
     def hear(self, word: Lost) -> None:
         """A supervisor says that a process is gone for good; where it names none, that no other comes for a node."""
@@ -28,14 +28,14 @@ class Losses(OwnerPart):
             if self._stays_away(name):
                 self._give_up(name, "its process is lost and is not started again")
             return
-        refusal = self._members.died(name, process)
+        refusal = self.members.died(name, process)
         self._on_lost(name, process, word.restarts)
         if refusal and self._stays_away(name):
             self._give_up(name, refusal)
 
     def fail(self, word: Failed) -> None:
         """What a node that fails alone has raised; it is said again until the epoch is done again without the node."""
-        members = self._members
+        members = self.members
         if word.version != members.roster.version or members.processes.get(word.name) != word.process:
             return
         told = tuple(word.subject.split("->"))
@@ -55,35 +55,35 @@ class Losses(OwnerPart):
         members.failures[name] = word.why
         if name not in members.lost:
             members.lose(name)
-            if self._planning.plan is not None:
-                self._planning.redo(self._planning.plan)
+            if self.planning.plan is not None:
+                self.planning.redo(self.planning.plan)
         self._effects.note(f"{word.why}; {name} is detached (on_loss)")
-        self._planning.ask(Request("", Detach(name, cascade=True), self._clock()))
+        self.planning.ask(Request("", Detach(name, cascade=True), self._clock()))
 
     def _undo(self, name: str, before: Roster, why: str) -> None:
         """What replaces another node has failed in its first epoch."""
-        self._members.failures[name] = why
+        self.members.failures[name] = why
         self._effects.note(f"{why}; what {name} has replaced goes on")
-        if self._planning.plan is not None:
-            self._planning.redo(self._planning.plan)
-        self._planning.ask(Request("", Undo(name, before), self._clock()))
+        if self.planning.plan is not None:
+            self.planning.redo(self.planning.plan)
+        self.planning.ask(Request("", Undo(name, before), self._clock()))
 
     def tick(self) -> None:
         """Time has passed."""
         now = self._clock()
-        for (name, process), since in list(self._members.ended.items()):
+        for (name, process), since in list(self.members.ended.items()):
             if now - since > self._policy.answer_timeout_s:  # its supervisor is cut off as well
-                del self._members.ended[name, process]
+                del self.members.ended[name, process]
                 self._on_lost(name, process, restarts=True)
-        for name in list(self._members.lost):
-            if self._members.is_late(name):
+        for name in list(self.members.lost):
+            if self.members.is_late(name):
                 self._give_up(name, "it did not come back in time (rejoin_timeout)")
 
     def _stays_away(self, name: str) -> bool:
-        return name in self._members.lost and not self._members.comes_back(name)
+        return name in self.members.lost and not self.members.comes_back(name)
 
     def _on_lost(self, name: str, process: str, restarts: bool) -> None:
-        members, planning = self._members, self._planning
+        members, planning = self.members, self.planning
         if members.trial is not None and members.trial.process == process:
             members.trial = replace(members.trial, process="")
         for (other, key), newcomer in list(members.newcomers.items()):
@@ -97,7 +97,7 @@ class Losses(OwnerPart):
                 planning.go_on()
             return
         if name not in members.lost:
-            self._effects.note(f"{name}: its process is lost in epoch {self._progress.epoch + 1}")
+            self._effects.note(f"{name}: its process is lost in epoch {self.progress.epoch + 1}")
             members.lose(name)
             if planning.plan is not None:
                 planning.redo(planning.plan)
@@ -106,7 +106,7 @@ class Losses(OwnerPart):
         planning.reconsider()
 
     def _on_newcomer_lost(self, key: str, name: str) -> None:
-        planning = self._planning
+        planning = self.planning
         if planning.plan is not None and planning.plan.is_for(name, key):
             planning.redo(planning.plan)
         request = planning.queued(key)
@@ -116,10 +116,10 @@ class Losses(OwnerPart):
 
     def _give_up(self, name: str, why: str) -> None:
         """A node does not come back."""
-        if not self._members.give_up(name):
+        if not self.members.give_up(name):
             return
-        if self._members.policy(name) == DETACH and name != self._members.roster.world:
+        if self.members.policy(name) == DETACH and name != self.members.roster.world:
             self._effects.note(f"{name}: {why}; it is detached (on_loss)")
-            self._planning.ask(Request("", Detach(name, cascade=True), self._clock()))
+            self.planning.ask(Request("", Detach(name, cascade=True), self._clock()))
         else:
             self._effects.stop(f"{name}: {why}")

@@ -15,25 +15,12 @@ from hierax.runtime.owner.epoch_progress import EpochProgress
 from hierax.runtime.owner.inquiry import Inquiry
 from hierax.runtime.owner.losses import Losses
 from hierax.runtime.owner.members import Members, Tried
-from hierax.runtime.owner.plan import Born, Request, Stage, Trial
+from hierax.runtime.owner.plan import Born, Request, Stage
 from hierax.runtime.owner.planning import MAX_TRIES, Planning
 from hierax.runtime.owner.roster_changes import apply
 from hierax.runtime.owner.suspicions import Suspicions
+from hierax.schemas import control
 from hierax.schemas.changes import read_change
-from hierax.schemas.control import (
-    NEVER,
-    Control,
-    Failed,
-    Fetch,
-    Join,
-    Lost,
-    Prepare,
-    Propose,
-    Ready,
-    State,
-    Status,
-    Taken,
-)
 from hierax.schemas.errors import SchemaError
 from hierax.schemas.roster import Roster
 
@@ -54,7 +41,7 @@ class Owner(OwnerPart):
         policy: OwnerPolicy,  # what the deployment says
         *,
         epoch: int = 0,  # the last one committed
-        attempt: int = NEVER,  # the last one of the epoch after that; NEVER: none was begun
+        attempt: int = control.NEVER,  # the last one of the epoch after that; NEVER: none was begun
         highest: int = 0,  # the highest version that was ever prepared
         # By node, the version with which it came in, the first epoch that it took part in, and the request of it; None:
         # all were there at the beginning.
@@ -71,151 +58,109 @@ class Owner(OwnerPart):
         )
         context = OwnerContext(effects, clock, policy, members, progress, Answers(members, effects))
         super().__init__(context)
-        self._planning = Planning(context, self.proceed, highest)
+        self.planning = Planning(context, self.proceed, highest)
         self._suspicions = Suspicions(context)
-        self._arrivals = Arrivals(context, self._planning, self._suspicions)
-        self._losses = Losses(context, self._planning)
+        self._arrivals = Arrivals(context, self.planning, self._suspicions)
+        self._losses = Losses(context, self.planning)
         self._refusals = Refusals()
         self._told_s: dict[str, float] = {}
 
     @property
     def roster(self) -> Roster:
         """The roster in force."""
-        return self._members.roster
+        return self.members.roster
 
     @property
     def processes(self) -> Mapping[str, str]:
         """The processes by node in force; of a lost node, the one that it had."""
-        return self._members.processes
+        return self.members.processes
 
     @property
     def epoch(self) -> int:
         """The last epoch that is committed."""
-        return self._progress.epoch
-
-    @property
-    def attempt(self) -> int:
-        """The attempt begun last of the epoch after that; NEVER: none was."""
-        return self._progress.attempt
-
-    @property
-    def last_attempt(self) -> int:
-        """Which attempt of the last epoch was committed."""
-        return self._progress.last_attempt
-
-    @property
-    def drains(self) -> bool:
-        """Whether the epoch under way does not overlap with the next one."""
-        return self._progress.drains
-
-    @property
-    def highest(self) -> int:
-        """The highest version that was ever prepared."""
-        return self._planning.highest
-
-    @property
-    def lost(self) -> frozenset[str]:
-        """The nodes that have no process."""
-        return frozenset(self._members.lost)
-
-    def born(self, name: str) -> Born:
-        """The version with which a node came in, the first epoch that it took part in, and the request of it.
-
-        What a process wrote under an older version, it wrote as another node of that name.
-        """
-        return self._members.born[name]
-
-    @property
-    def alone(self) -> frozenset[str]:
-        """The nodes that fail alone."""
-        return self._members.alone
-
-    @property
-    def trial(self) -> Trial | None:
-        """The node that has replaced another one, and whose first epoch is not committed yet."""
-        return self._members.trial
+        return self.progress.epoch
 
     def take_back(self, process: str) -> None:
         """Come back as a new process of the world's; the epoch is begun again once its neighbours are ready."""
         world = self.roster.world
-        self._members.lose(world)
-        self._members.newcomers[world, ""] = process
-        self._planning.reconsider()
+        self.members.lose(world)
+        self.members.newcomers[world, ""] = process
+        self.planning.reconsider()
 
     def proceed(self) -> None:
         """The world may begin the next epoch."""
-        progress = self._progress
+        progress = self.progress
         if progress.running:
             return
-        plan = self._planning.plan
-        if not self._members.lost:
+        plan = self.planning.plan
+        if not self.members.lost:
             ready = plan is not None and plan.stage is Stage.READY
             if plan is not None and ready and (progress.drained or not self._policy.overlaps):
-                self._planning.take_effect(plan)
+                self.planning.take_effect(plan)
             elif plan is None or ready or plan.stage is Stage.PREPARE:
                 progress.drains = ready
                 progress.begin()
         if not progress.running:
             self._effects.write_record()  # nobody hears of a commit that a crash could undo
-        self._members.dismiss_outlived()
+        self.members.dismiss_outlived()
         self._answers.report(progress.epoch)
 
     def committed(self, epoch: int) -> None:
         """An epoch is committed; `proceed` or `finish` follows."""
-        self._progress.committed(epoch)
-        self._planning.end_trial()
-        if self._members.lost:
+        self.progress.committed(epoch)
+        self.planning.end_trial()
+        if self.members.lost:
             self._arrivals.judge_again()
-        if self._planning.queue:
-            self._planning.reconsider()
+        if self.planning.queue:
+            self.planning.reconsider()
 
     def finish(self) -> None:
         """The last epoch is committed and recorded: what is still asked for comes too late."""
-        self._progress.over = True
-        self._members.dismiss_outlived()
+        self.progress.over = True
+        self.members.dismiss_outlived()
         self._answers.report(self.epoch)
-        self._planning.finish(OVER)
+        self.planning.finish(OVER)
 
-    def hear(self, word: Control) -> None:
+    def hear(self, word: control.Control) -> None:
         """Take in what a process, a supervisor or a user says."""
-        if isinstance(word, (Join, Ready, Fetch)):
-            self._members.hear(word.process)
-        if self._progress.over:
-            if isinstance(word, Propose):
+        if isinstance(word, (control.Join, control.Ready, control.Fetch)):
+            self.members.hear(word.process)
+        if self.progress.over:
+            if isinstance(word, control.Propose):
                 self._answer_late(word.request)
-        elif isinstance(word, (Ready, State, Taken)):
-            self._planning.hear(word)
-        elif isinstance(word, Join):
+        elif isinstance(word, (control.Ready, control.State, control.Taken)):
+            self.planning.hear(word)
+        elif isinstance(word, control.Join):
             self._arrivals.hear(word)
-        elif isinstance(word, Lost):
+        elif isinstance(word, control.Lost):
             self._losses.hear(word)
-        elif isinstance(word, Failed):
+        elif isinstance(word, control.Failed):
             self._losses.fail(word)
-        elif isinstance(word, Fetch):
+        elif isinstance(word, control.Fetch):
             self._on_fetch(word)
-        elif isinstance(word, Status):
+        elif isinstance(word, control.Status):
             self._inquiry.hear(word)
             self._suspicions.answer(word)
-        elif isinstance(word, Propose):
+        elif isinstance(word, control.Propose):
             self._on_propose(word)
 
     def tick(self) -> None:
         """Time has passed."""
-        if self._progress.over:
+        if self.progress.over:
             return
         self._losses.tick()
-        self._planning.tick()
-        self._progress.tick()
+        self.planning.tick()
+        self.progress.tick()
 
-    def _on_propose(self, word: Propose) -> None:
+    def _on_propose(self, word: control.Propose) -> None:
         key = word.request
         if self._answers.repeat(key):
             return
-        if any(request.key == key for request in self._planning.asked) or self._answers.owes(key):
+        if any(request.key == key for request in self.planning.asked) or self._answers.owes(key):
             return  # asked twice
         if self._answers.owe_what_was_made(key):
             return
-        version = self.highest + 1
+        version = self.planning.highest + 1
         try:
             change = read_change(word.change)
             Allowance(self._policy.modules).check_all(change)
@@ -225,7 +170,7 @@ class Owner(OwnerPart):
                 self._effects.note(f"a change is refused: {error}")
             self._answers.give(key, 0, str(error))
             return
-        self._planning.ask(Request(key, change, self._clock(), word.on_loss, word.rejoin_timeout_s, word.alone))
+        self.planning.ask(Request(key, change, self._clock(), word.on_loss, word.rejoin_timeout_s, word.alone))
 
     def _answer_late(self, key: str) -> None:
         """The run is over; what is asked for may have been made before the world's last process died."""
@@ -236,13 +181,13 @@ class Owner(OwnerPart):
         else:
             self._answers.give(key, 0, OVER)
 
-    def _on_fetch(self, word: Fetch) -> None:
+    def _on_fetch(self, word: control.Fetch) -> None:
         """Only who has a place in a version is told of it: another process of that node would take part as well."""
         if word.version != self.roster.version or self.processes.get(word.name) != word.process:
             return
         now = self._clock()
         if now - self._told_s.get(word.name, -inf) >= FETCH_S:  # who asks more often is not the process
             self._told_s[word.name] = now
-            alone, trial = tuple(sorted(self._members.alone)), self.trial
+            alone, trial = tuple(sorted(self.members.alone)), self.members.trial
             tried = () if trial is None else (trial.name,)
-            self._effects.send_order(word.process, Prepare(self.roster.plain(), alone, tried))
+            self._effects.send_order(word.process, control.Prepare(self.roster.plain(), alone, tried))

@@ -23,7 +23,7 @@ class Planning(OwnerPart):
 
     def __init__(self, context: OwnerContext, proceed: Callable[[], None], highest: int) -> None:
         super().__init__(context)
-        self.highest = max(highest, self._members.roster.version)  # the highest version ever prepared
+        self.highest = max(highest, self.members.roster.version)  # the highest version ever prepared
         self.plan: Plan | None = None  # what is prepared; None: nothing
         self.queue: deque[Request] = deque()  # what is asked for, and is not in the plan
         self._proceed = proceed  # to be called when nothing is planned any more, as an epoch may wait for that
@@ -56,7 +56,7 @@ class Planning(OwnerPart):
 
     def _refuse(self, request: Request, why: str) -> None:
         if request.key:
-            self._members.turn_away(request.key, why)
+            self.members.turn_away(request.key, why)
             self._answers.give(request.key, 0, why)
         else:
             self._effects.stop(why)
@@ -80,7 +80,7 @@ class Planning(OwnerPart):
             self._hurry(self.plan, now)
 
     def _missing(self, request: Request) -> list[str]:
-        return self._members.missing(request.new_nodes, request.key)
+        return self.members.missing(request.new_nodes, request.key)
 
     # --- from the queue to a plan
 
@@ -88,7 +88,7 @@ class Planning(OwnerPart):
         """Prepare the next version, where there is something to do and nothing else under way."""
         if self.plan is not None:
             return
-        back = self._members.back
+        back = self.members.back
         for request in [*self.queue, None]:
             if request is not None and not self._can_be_tried(request):
                 continue
@@ -102,28 +102,28 @@ class Planning(OwnerPart):
             self._proceed()
 
     def _can_be_tried(self, request: Request) -> bool:
-        if self._progress.over or request not in self.queue:
+        if self.progress.over or request not in self.queue:
             return False
         change = request.change
-        lost = self._members.lost
+        lost = self.members.lost
         if isinstance(change, Undo) and not self._replaced_process(change.name):
-            why = self._members.failures.get(change.name, "")
+            why = self.members.failures.get(change.name, "")
             self._effects.stop(f"{why}; and the process of what {change.name} has replaced has died")
             return False
         if not request.key and isinstance(change, Detach) and change.name not in lost:
             self.queue.remove(request)  # it is back, or detached already
             return False
-        if request.key and self._progress.settled:
+        if request.key and self.progress.settled:
             return False
         if isinstance(change, Replace) and change.name in lost:
             return False  # its state is handed over, so it has to come back first
-        if isinstance(change, Replace) and lost and self._progress.running:
+        if isinstance(change, Replace) and lost and self.progress.running:
             return False  # the epoch under way may be committed after all, with another state than was handed over
         return not self._missing(request)
 
     def _replaced_process(self, name: str) -> str:
         """The process that takes its place again when what has replaced it fails; empty: it has died."""
-        trial = self._members.trial
+        trial = self.members.trial
         return trial.process if trial is not None and trial.name == name else ""
 
     def _try(self, request: Request | None, back: set[str]) -> bool:
@@ -139,7 +139,7 @@ class Planning(OwnerPart):
                     self.withdraw(request, str(error))
                 return False
         back = back & roster.nodes.keys() - {undone}
-        if (self._members.lost.keys() - back - {undone}) & roster.nodes.keys() or not (request or along or back):
+        if (self.members.lost.keys() - back - {undone}) & roster.nodes.keys() or not (request or along or back):
             return False  # others are lost and not back, or there is nothing to do
         instances = {**roster.instances, **dict.fromkeys(sorted(back), version)}
         self._prepare(replace(roster, version=version, instances=instances), request, along, frozenset(back))
@@ -147,12 +147,12 @@ class Planning(OwnerPart):
 
     def _without_lost(self, request: Request | None, undone: str) -> tuple[Roster, tuple[Request, ...]]:
         """The roster without the lost nodes that are to be detached: one after the other, each would wait for all."""
-        roster = self._members.roster
-        lost = self._members.lost
+        roster = self.members.roster
+        lost = self.members.lost
         along = []
         for each in self.queue:
             change = each.change
-            if each is request or not isinstance(change, Detach) or (each.key and self._progress.settled):
+            if each is request or not isinstance(change, Detach) or (each.key and self.progress.settled):
                 continue
             if change.name not in lost or change.name not in roster.nodes or change.name == undone:
                 continue
@@ -170,7 +170,7 @@ class Planning(OwnerPart):
         self.highest = roster.version
         self._effects.write_record()  # the number is used from now on, whatever becomes of it
         now = self._clock()
-        members = self._members
+        members = self.members
         gone = removed(members.roster, roster)
         processes = {name: process for name, process in members.processes.items() if name not in gone}
         processes.update({name: members.newcomers[name, ""] for name in back})
@@ -219,19 +219,19 @@ class Planning(OwnerPart):
             plan.waiting = set(plan.replaced)
             self._send_to_waiting(plan)
             return
-        away = self._members.lost.keys() - plan.back - {plan.undone}
+        away = self.members.lost.keys() - plan.back - {plan.undone}
         if away & plan.roster.nodes.keys():
             return
-        first = self._progress.epoch + 1
+        first = self.progress.epoch + 1
         self.plan = None
         if plan.undone:
-            key = self._members.born[plan.undone][2]
-            self._answers.undo(key, f"{self._members.failures[plan.undone]}; what it was to replace goes on")
-        gone = self._members.take_effect(plan, first)
+            key = self.members.born[plan.undone][2]
+            self._answers.undo(key, f"{self.members.failures[plan.undone]}; what it was to replace goes on")
+        gone = self.members.take_effect(plan, first)
         for request in plan.requests:
             if request.key:
                 self._answers.owe(request.key, first, request.new_nodes)
-        self._progress.begin()  # recorded first: a process that was told to go cannot be had back
+        self.progress.begin()  # recorded first: a process that was told to go cannot be had back
         for name, process in gone.items():
             instead = "another process runs it" if name in plan.processes else "it is detached"
             self._effects.send_order(process, Dismiss(f"{name}: {instead} from epoch {first} on"))
@@ -239,8 +239,8 @@ class Planning(OwnerPart):
 
     def _send_to_waiting(self, plan: Plan) -> None:
         plan.told_s = self._clock()
-        prepare = Prepare(plan.roster.plain(), self._members.alone_in(plan), self._members.tried_in(plan))
-        epoch, attempt = self._progress.epoch, self._progress.last_attempt
+        prepare = Prepare(plan.roster.plain(), self.members.alone_in(plan), self.members.tried_in(plan))
+        epoch, attempt = self.progress.epoch, self.progress.last_attempt
         for name in sorted(plan.waiting):
             if plan.stage is Stage.PREPARE:
                 self._effects.send_order(plan.processes[name], prepare)
@@ -260,7 +260,7 @@ class Planning(OwnerPart):
         plan.waiting.discard(word.name)
         if not plan.waiting:
             plan.stage = Stage.READY
-            if plan.urgent or not self._progress.running:
+            if plan.urgent or not self.progress.running:
                 self.take_effect(plan)
 
     def _on_state(self, plan: Plan, word: State) -> None:
@@ -289,7 +289,7 @@ class Planning(OwnerPart):
 
     def end_trial(self) -> None:
         """The first epoch of what replaces another node is committed."""
-        if self._members.end_trial() and self.plan is not None and self.plan.urgent:
+        if self.members.end_trial() and self.plan is not None and self.plan.urgent:
             self.redo(self.plan)  # it says that the node is tried still
             self.reconsider()
 
@@ -315,10 +315,10 @@ class Planning(OwnerPart):
         elif plan.request is not None:
             self.queue.appendleft(plan.request)
         if refuser in plan.back:
-            del self._members.newcomers[refuser, ""]
-            self._members.send_away(refuser, plan.processes[refuser], why)
+            del self.members.newcomers[refuser, ""]
+            self.members.send_away(refuser, plan.processes[refuser], why)
         elif refuser:
-            self._members.end(refuser, plan.processes[refuser], why)
+            self.members.end(refuser, plan.processes[refuser], why)
         self.go_on()
 
     def _hurry(self, plan: Plan, now: float) -> None:
@@ -333,12 +333,12 @@ class Planning(OwnerPart):
                 return
             plan.since_s = now
             for name in silent:
-                self._members.end(name, plan.processes[name], "it does not answer the roster's owner")
+                self.members.end(name, plan.processes[name], "it does not answer the roster's owner")
         elif now - plan.told_s > TELL_AGAIN_S:
             self._send_to_waiting(plan)
 
     def _silent(self, plan: Plan) -> list[str]:
         """Who is to blame: who says nothing at all; the others may only wait for its end of a link."""
-        waiting = sorted(plan.waiting - {self._members.roster.world})
-        silent = [name for name in waiting if self._members.heard_s(plan.processes[name]) < plan.since_s]
-        return silent or waiting or [self._members.roster.world]
+        waiting = sorted(plan.waiting - {self.members.roster.world})
+        silent = [name for name in waiting if self.members.heard_s(plan.processes[name]) < plan.since_s]
+        return silent or waiting or [self.members.roster.world]

@@ -26,8 +26,8 @@ class Suspicions(OwnerPart):
 
     def is_ahead(self, said: Join | Status) -> bool:
         """Whether a node that has a place says that it is further than the world has begun."""
-        place, begun = (said.epoch, said.attempt), (self._progress.epoch + 1, self._progress.attempt)
-        version = self._members.roster.version
+        place, begun = (said.epoch, said.attempt), (self.progress.epoch + 1, self.progress.attempt)
+        version = self.members.roster.version
         if said.version < version:  # that attempt was begun under another version, if it was
             return place >= begun
         return said.version > version or place > begun
@@ -37,7 +37,7 @@ class Suspicions(OwnerPart):
 
         Nobody else will ever be in that attempt.
         """
-        return said.epoch == self._progress.epoch and said.attempt > self._progress.last_attempt
+        return said.epoch == self.progress.epoch and said.attempt > self.progress.last_attempt
 
     def hear(self, word: Join) -> None:
         """A node says that it is where nobody else is: ask it."""
@@ -56,12 +56,12 @@ class Suspicions(OwnerPart):
         if not self.is_ahead(status):
             self._report_lie(status.name)
             return
-        progress = self._progress
+        progress = self.progress
         where = f"epoch {status.epoch}, attempt {status.attempt}, roster version {status.version}"
-        lowers = sorted(edge.lower for edge in self._members.roster.edges if edge.upper == status.name)
+        lowers = sorted(edge.lower for edge in self.members.roster.edges if edge.upper == status.name)
         who = f"somebody else has sent it observations in the name of {' or '.join(lowers)}"
         what = f"{status.name} is in {where}, which the world has not begun: {who}"
-        if status.version > self._members.roster.version or status.epoch != progress.epoch + 1:
+        if status.version > self.members.roster.version or status.epoch != progress.epoch + 1:
             self._effects.stop(f"{what}, or the world's record was damaged; the world is in epoch {progress.epoch + 1}")
             return
         self._repeats = self._repeats + 1 if self._epoch == status.epoch else 1
@@ -70,7 +70,7 @@ class Suspicions(OwnerPart):
             self._effects.stop(f"{what}, and {MAX_REPEATS} times before")
             return
         progress.attempt = max(progress.attempt, status.attempt)  # the next one is after it
-        if progress.running and not self._members.lost:
+        if progress.running and not self.members.lost:
             self._effects.note(f"{what}; the epoch is begun again")
             progress.begin()
 
@@ -78,8 +78,8 @@ class Suspicions(OwnerPart):
         """A node waits in vain; its checkpoint is of the committed attempt, or the epoch would not have ended."""
         if status.waits_for and not status.busy:
             where = f"attempt {status.attempt} of epoch {status.epoch}"
-            why = f"it waits in {where}, and attempt {self._progress.last_attempt} counts"
-            self._members.end(status.name, self._members.processes[status.name], why)
+            why = f"it waits in {where}, and attempt {self.progress.last_attempt} counts"
+            self.members.end(status.name, self.members.processes[status.name], why)
 
     def _report_lie(self, name: str) -> None:
         """The first time, the second, the fourth, the eighth, …: it may be said any number of times."""

@@ -50,7 +50,7 @@ def latest_roster_fetched() -> Iterator[None]:
     original = Engine.receive
 
     def on_fetch(self: Owner, word: Fetch) -> None:
-        plan = self._planning.plan
+        plan = self.planning.plan
         latest = plan.roster if plan is not None else self.roster
         if word.name in latest.nodes:
             self._effects.send_order(word.process, Prepare(latest.plain()))

@@ -60,7 +60,7 @@ class Owned(OwnerEffects):
         self.calls.append((process, order))
 
     def write_record(self) -> None:
-        self.calls.append(("keep", self.owner.highest))
+        self.calls.append(("keep", self.owner.planning.highest))
 
     def begin(self, epoch: int, attempt: int, version: int) -> None:
         self.calls.append(("begin", epoch, attempt, version))
@@ -263,7 +263,7 @@ def test_what_fails_in_the_place_of_another_is_undone() -> None:
     assert begins == ("begin", 2, 1, 2)
     assert dismisses[0] == "high.2"
     assert owned.owner.roster.content_hash() == CHAIN.content_hash()
-    assert owned.owner.born("high") == (0, 1, "")
+    assert owned.owner.members.born["high"] == (0, 1, "")
     assert owned.commit() == [("begin", 3, 0, 2)]
 
 
@@ -436,7 +436,7 @@ def test_of_which_attempt_a_checkpoint_is_counts_from_the_commit_on() -> None:
     assert prepares(owned.hear(join("high.3", 1))), "sound, as long as epoch 1 is not committed"
     why = "its checkpoint is of attempt 0 of epoch 1, and attempt 1 counts"
     assert ("high.3", Dismiss(why)) in owned.commit()
-    assert owned.owner.last_attempt == 1
+    assert owned.owner.progress.last_attempt == 1
 
 
 def test_a_commit_may_leave_one_that_is_back_behind() -> None:
@@ -521,7 +521,7 @@ def test_several_lost_nodes_are_detached_at_once() -> None:
     settings = OwnerPolicy(on_loss={"a": "detach", "b": "detach"})
     owned = begun(settings=settings, roster=roster, processes={name: f"{name}.1" for name in roster.nodes})
     owned.hear(Lost("a", "a.1", False), Lost("b", "b.1", False))
-    assert owned.ready(owned.owner.highest, "world.1")[0][:3] == ("begin", 1, 1)
+    assert owned.ready(owned.owner.planning.highest, "world.1")[0][:3] == ("begin", 1, 1)
     assert set(owned.owner.roster.nodes) == {"world"}
 
 
@@ -662,7 +662,7 @@ def test_processes_that_nobody_knows_are_not_all_remembered() -> None:
     owned = begun()
     for number in range(2 * REMEMBERED):
         owned.hear(join(f"low.x{number}", 1))
-    assert len(owned.owner._members._heard_s) <= REMEMBERED
+    assert len(owned.owner.members._heard_s) <= REMEMBERED
 
 
 def test_who_asks_for_the_roster_again_and_again_is_told_it_some_times() -> None:
@@ -761,6 +761,6 @@ def test_a_keeper_that_is_cut_off_as_well() -> None:
     owned.hear(Status("world", 1, 1, 0, (("low", "ctx"),), ""), Status("low", 1, 1, 0, (("high", "ctx"),), ""))
     assert owned.wait(0.3) == [("high.1", AskStatus(1))]
     assert owned.wait(0.1)[0][:2] == ("end", "high.1")
-    assert owned.owner.lost == frozenset()
+    assert owned.owner.members.lost.keys() == set()
     owned.wait(2.1)
-    assert owned.owner.lost == {"high"}
+    assert owned.owner.members.lost.keys() == {"high"}
