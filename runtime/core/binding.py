@@ -198,10 +198,7 @@ class BoundNode:
         return str.__str__(policy)  # the characters also of a str-Enum's member
 
     def accept_none(self, operator: Call, epoch: int) -> None:
-        """An operator has given None for a belief, as one without a `return` does.
-
-        Raises `OperatorError` if the node's initial belief is something else.
-        """
+        """An operator gave None for a belief, as without a `return`: raises `OperatorError`, if that may not be."""
         if self._may_be_none is None:
             self._may_be_none = self.initial_belief(0, 0.0) is None
         if not self._may_be_none:
@@ -233,11 +230,7 @@ def is_finished(name: str, world: World, belief: Value, epoch: int) -> bool:
 
 
 def metrics_of(name: str, node: Node, belief: Value, epoch: int) -> dict[str, float]:
-    """The figures that a node reports of its belief, checked.
-
-    Raises:
-        OperatorError: its `metrics` raised, or gave no numbers by name.
-    """
+    """The figures that a node reports of its belief. Raises `OperatorError` if it gives none by name."""
     try:
         metrics = {metric: float(value) for metric, value in node.metrics(belief).items()}
     except Exception as error:
@@ -249,10 +242,7 @@ def metrics_of(name: str, node: Node, belief: Value, epoch: int) -> dict[str, fl
 
 
 def epoch_time_s(name: str, world: World, belief: Value, epoch: int) -> float:
-    """The time of an epoch, as the world sets it, checked.
-
-    Raises `OperatorError` if the world's `time_s` raised, or gave no finite number.
-    """
+    """The time of an epoch, by the world. Raises `OperatorError` if it raised, or gave no finite number."""
     try:
         time_s = float(world.time_s(belief, epoch))
     except Exception as error:
@@ -273,22 +263,14 @@ def _policies_of(name: str, node: Node) -> Mapping[str, Operator]:
 
 
 def require_world(name: str, node: Node) -> World:
-    """The node as N₀.
-
-    Raises:
-        HierarchyError: its class does not derive from `World`.
-    """
+    """The node as N₀. Raises `HierarchyError` if its class does not derive from `World`."""
     if not isinstance(node, World):
         raise HierarchyError(f"{name}: the world's class must derive from World, {type(node).__name__} does not")
     return node
 
 
 def require_no_world(name: str, node: Node) -> None:
-    """A node above N₀, which nothing would ask for the time, nor to act.
-
-    Raises:
-        HierarchyError: its class derives from `World`.
-    """
+    """A node above N₀, which nothing would ask for the time, nor to act: raises `HierarchyError` if it is a `World`."""
     if isinstance(node, World):
         raise HierarchyError(
             f"{name}: only N₀ may derive from World, and {type(node).__name__} does; derive it from Node"
@@ -305,17 +287,9 @@ def bind_edge(
 
 
 def check_signature(function: Operator, operator: str) -> bool:
-    """Whether a function can be called as an operator or edge function is; it is not called.
+    """Whether a function, which is not called, wants the tick, too, where it is called as one of `TAKES` is.
 
-    Args:
-        function: any.
-        operator: one of `TAKES`.
-
-    Returns:
-        Whether it wants the tick, too.
-
-    Raises:
-        HierarchyError: it takes something else.
+    Raises `HierarchyError` if it takes something else.
     """
     return _takes(function, operator, TAKES[operator])
 

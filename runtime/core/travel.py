@@ -14,15 +14,7 @@ _FUNCTIONS = {OBSERVATIONS: "sense", TASKS: "task", CONTEXT: "context"}
 
 
 def cannot_travel(name: str, epoch: int, sensed: Value, state: ActiveNode, error: SchemaError) -> OperatorError:
-    """Whose fault it is that a node's state cannot be encoded.
-
-    Args:
-        name: of the node.
-        epoch: that it has done.
-        sensed: its belief after `observe`.
-        state: after `predict`.
-        error: what encoding said.
-    """
+    """Whose fault it is that a node's state cannot be encoded; `sensed` was its belief after `observe`."""
     made = (
         ("observe", "its belief", sensed),
         (f"policy {state.policy}", "its actions", state.actions),

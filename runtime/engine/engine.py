@@ -44,9 +44,9 @@ _PERHAPS_AGAIN = (Verdict.DOUBLE, Verdict.LATE, Verdict.OLD_ROSTER)
 
 
 class Engine:
-    """One node's part in every epoch.
+    """One node's part in every epoch; not for two threads at once.
 
-    Not for two threads at once.
+    What has operators called raises `OperatorError` if one failed.
     """
 
     def __init__(
@@ -123,11 +123,7 @@ class Engine:
         self._enter(Phase.DONE)
 
     def begin(self, attempt: int = 0) -> None:
-        """Begin the next epoch; only the world, when it is done with the last one.
-
-        `attempt`: its first number; not 0 where the world's process has died at this epoch. Raises `OperatorError` if
-        an operator failed.
-        """
+        """Begin the next epoch; only the world. `attempt`: its first one; not 0 where its process has died."""
         if self._world is None or self.phase is not Phase.DONE:
             raise ValueError(f"{self.name}: only a world that is done with an epoch begins the next one")
         self._after = self.attempt
@@ -135,20 +131,14 @@ class Engine:
         self._begin(self._world)
 
     def begin_again(self, attempt: int) -> None:
-        """Do the epoch under way again, from its start; only the world.
-
-        `attempt`: later than any before. Raises `OperatorError` if an operator failed.
-        """
+        """Do the epoch under way again, from its start, as a later attempt; only the world."""
         if self._world is None or self.phase is Phase.DONE or attempt <= self.attempt:
             raise ValueError(f"{self.name}: only a world that has begun an epoch begins it again, as a later attempt")
         self._undo(attempt)
         self._begin(self._world)
 
     def prepare(self, wiring: Wiring) -> None:
-        """Have the wiring of a roster's version at hand, for when a message of it comes; it may be held already.
-
-        Raises `OperatorError` if an operator failed.
-        """
+        """Have the wiring of a roster's version at hand, for when a message of it comes; it may be held already."""
         if wiring.roster <= self.wiring.roster:
             return
         self._prepared[wiring.roster] = wiring
@@ -175,11 +165,7 @@ class Engine:
                 self._effects.send(self._sent[receiver, kind])
 
     def receive(self, message: Message) -> None:
-        """Take a message in, by the table.
-
-        Raises `OperatorError` if an operator failed, and `ContradictionError` if it says something else than another
-        one with its header's numbers.
-        """
+        """Take a message in, by the table. Raises `ContradictionError` if it contradicts another one."""
         header = message.header
         kind, sender, receiver, epoch, attempt, roster, instance, _, digest, _ = header
         slot = (sender, kind)
@@ -224,10 +210,7 @@ class Engine:
             self._hold(message, verdict)
 
     def go_back_to(self, attempt: int) -> None:
-        """Have the state after the attempt of the last epoch that counts, where somebody has had another one done.
-
-        Raises `ContradictionError` if this process has not done the one that counts.
-        """
+        """Have the state after the attempt that counts. Raises `ContradictionError` if it was not done here."""
         if attempt == self.attempt:
             return
         if attempt not in self._superseded:
@@ -254,10 +237,7 @@ class Engine:
         return slot in self._inbox
 
     def compare(self, message: Message) -> None:
-        """Take nothing more in, but see whether a message contradicts one that was.
-
-        Raises `ContradictionError` if it does.
-        """
+        """Take nothing more in. Raises `ContradictionError` if a message contradicts one that was."""
         self._is_again((message.header.sender, message.header.kind), message)
 
     _epochs_ahead: float = EPOCHS_AHEAD
@@ -269,10 +249,7 @@ class Engine:
         return epoch - self.epoch > self._epochs_ahead and not self._joins
 
     def _is_again(self, slot: Slot, message: Message) -> bool:
-        """Whether a message was taken before, in this epoch or the last one.
-
-        Raises `ContradictionError` if one was that says something else.
-        """
+        """Whether a message was taken before. Raises `ContradictionError` if that said something else."""
         for taken in (self._inbox, self._heard, self._told, self._heard_before, self._told_before):
             known = taken.get(slot)
             if known is not None and known.header[:SLOT_FIELDS] == message.header[:SLOT_FIELDS]:

@@ -27,14 +27,9 @@ class Held:
         return bool(self._slots)
 
     def put(self, message: Message, is_neighbour: bool) -> list[Message]:
-        """Hold a message, but for one that is held already.
+        """Hold a message, if it is not held already; those that are from no neighbours have less room.
 
-        Args:
-            message: to be held.
-            is_neighbour: whether it may be from a neighbour; the others have less room.
-
-        Returns:
-            Those for which there is no room: this one, or others that are further ahead.
+        Gives those for which there is no room: this one, or others that are further ahead.
         """
         slot = (message.header.sender, message.header.kind)
         held = self._slots.get(slot, [])

@@ -53,10 +53,7 @@ class Ages:
 
 
 class StaleEngine(Engine):
-    """One node's part in epochs that overlap.
-
-    In free running it takes part in an epoch only when `poll` is called.
-    """
+    """One node's part in epochs that overlap; in free running only when `poll` is called."""
 
     def __init__(
         self,

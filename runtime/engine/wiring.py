@@ -41,10 +41,7 @@ class Place:
 class Wiring:
     """A node and all that joins it to its neighbours, laid out for the engine.
 
-    `edges`: of the node; of each at least the functions that run on its side.
-
-    Attributes:
-        below, above: for each slot that is filled from there in an epoch, the instance of its sender.
+    `below` and `above` have, for each slot that is filled from there in an epoch, the instance of its sender.
     """
 
     __slots__ = ("above", "below", "context", "instance", "node", "place", "roster", "sense", "task", "tasking")

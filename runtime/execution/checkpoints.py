@@ -29,18 +29,14 @@ class Checkpoints:
         self._slots.write(encode_checkpoint(checkpoint))
 
     def save_first(self, checkpoint: Checkpoint) -> None:
-        """Write one to both slots: one that is damaged beside an empty one would count as never whole.
-
-        Raises `HieraxError` if the storage failed.
-        """
+        """Write one to both slots: one that is damaged beside an empty one would count as never whole."""
         for _ in range(SLOTS):
             self.save(checkpoint)
 
     def read(self) -> tuple[Checkpoint, Saved] | None:
         """What a process that comes in the place of a lost one goes on with; None: at the beginning.
 
-        Raises `HieraxError` if what there is is damaged, and nothing older is whole, and `SchemaError` if what there is
-        is whole, and no checkpoint that this version reads.
+        Raises `HieraxError` if none is whole, and `SchemaError` if this version cannot read what is.
         """
         reads = self._slots.read()
         data, faults = newest_whole(reads)
@@ -69,12 +65,7 @@ def never_whole(reads: Sequence[Read]) -> bool:
 
 
 def taken_over(node: BoundNode, state: bytes) -> ActiveNode:
-    """The state with which a node goes on in the place of another.
-
-    Raises:
-        HieraxError: it refuses.
-        SchemaError: that is no state.
-    """
+    """The state with which a node goes on in another's place. Raises `HieraxError` or `SchemaError` if it cannot."""
     belief, policy, actions = decode_state(state)
     try:
         belief = node.node.take_over(belief)

@@ -13,11 +13,7 @@ from hierax.schemas.limits import MAX_MESSAGE_BYTES
 
 
 class Log:
-    """A file as a stream of msgpack arrays.
-
-    Raises:
-        HieraxError: it cannot be written, now or later.
-    """
+    """A file as a stream of msgpack arrays. Raises `HieraxError` if it cannot be written, now or later."""
 
     def __init__(self, path: Path, append: bool = False) -> None:
         self._path = path  # of the file

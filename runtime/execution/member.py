@@ -49,11 +49,11 @@ class Seat:
 
 
 class Member(Host):
-    """A node's process, as far as it is no matter of processes.
+    """A node's process, as far as it is no matter of processes. It has a runner from when a roster with its node has
+    come.
 
-    It has a runner from when a roster with its node has come.
-
-    `seat`: what the process has for it.
+    What it is told to do raises `OperatorError` if an operator failed, and `ContradictionError` if it was told
+    something else before.
     """
 
     def __init__(
@@ -100,21 +100,15 @@ class Member(Host):
         return self.runner is not None and self.runner.engine.begun
 
     def run(self, wiring: Wiring, saved: Saved | None = None, joins: bool = False) -> NodeRunner:
-        """Have a runner from now on; the arguments are those of `Engine`.
-
-        Raises `OperatorError` if the initial belief cannot be had.
-        """
+        """Have a runner from now on; the arguments are those of `Engine`."""
         parts = (self.port, self.observers, self, self._world)
         self.runner = NodeRunner(wiring, *parts, staleness=self.staleness, saved=saved, joins=joins)
         return self.runner
 
     def join(self, request: str = "") -> None:
-        """Offer this process to the owner, or ask whether it is still part of the hierarchy.
+        """Offer this process to the owner, or ask whether it is still wanted; to be called again while nothing comes.
 
-        To be called again and again while nothing comes.
-
-        `request`: the change that it was started for; empty: it comes in the place of a process that had a place in the
-        roster.
+        `request`: the change that it was started for; empty: it comes in the place of a process that had a place.
         """
         if self._failure is not None:
             self._report(self._failure)
@@ -133,18 +127,12 @@ class Member(Host):
         self.run(wiring, None if found is None else found[1])
 
     def take_word(self, word: Control) -> None:
-        """Do what the owner says; what others say is nothing to this process.
-
-        Raises `OperatorError` if an operator failed, and `ContradictionError` if it was told something else before.
-        """
+        """Do what the owner says; what others say is nothing to this process."""
         if isinstance(word, control.Order):
             self.obey(word)
 
     def obey(self, order: control.Order) -> None:
-        """Do what the owner says.
-
-        Raises `OperatorError` if an operator failed, and `ContradictionError` if it was told something else before.
-        """
+        """Do what the owner says."""
         try:
             self.do(order)
         except OperatorError as error:
@@ -341,10 +329,7 @@ class Member(Host):
         return full or version - engine.wiring.roster > ROSTERS_AHEAD
 
     def _check_same(self, roster: Roster) -> None:
-        """Whether a version is what it was when it came before.
-
-        Raises `ContradictionError` if it is another roster: one of the two was forged.
-        """
+        """Raises `ContradictionError` if a version is another roster than when it came before: one was forged."""
         known = self._rosters.get(roster.version)
         if known is not None and encode_value(known.plain()) != encode_value(roster.plain()):
             what = f"two rosters of version {roster.version} were sent to it that differ"

@@ -95,10 +95,9 @@ def digest_log(output: Path | None, append: bool = False) -> Log | None:
 def open_probes(
     specs: Sequence[ProbeSpec], name: str, allowance: Allowance, output: Path | None, again: bool = False
 ) -> tuple[Probe, ...]:
-    """The probes of a node, open.
+    """The probes of a node, open; `again`: another process of the node has had them open before in this run.
 
-    `again`: another process of the node has had them open before in this run. Raises `NotAllowedError`, `LoadError` if
-    one may not be loaded, or cannot be built, and `ProbeError` if one cannot be opened.
+    Raises `NotAllowedError`, `LoadError` or `ProbeError` if one may not be loaded, cannot be built, or not be opened.
     """
     own = [(i, spec) for i, spec in enumerate(specs) if spec.node == name]
     probes = tuple(build_probe(spec.reference, f"probes[{i}]", allowance) for i, spec in own)

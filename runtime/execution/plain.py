@@ -30,15 +30,7 @@ Json = Any  # none, a bool, int, finite float, str, list of these or dict from s
 
 
 def plain(value: Value, full: bool = False) -> Json:
-    """A value as plain JSON.
-
-    Args:
-        value: as `hierax.schemas.values` describes it.
-        full: whether large arrays and long bytes are given whole, too.
-
-    Raises:
-        TypeError: it is no value.
-    """
+    """A value as plain JSON; `full`: also large arrays and long bytes. Raises `TypeError` if it is no value."""
     if value is None or isinstance(value, (bool, int, str)):
         return value
     if isinstance(value, float):

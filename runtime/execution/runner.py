@@ -53,11 +53,7 @@ class Host:
         return
 
     def failed(self, error: OperatorError) -> None:
-        """An operator or edge function that ran here has raised, or given what it must not.
-
-        Raises:
-            OperatorError: the same, unless the host sees to it that the epoch is done again without its node.
-        """
+        """An operator or edge function that ran here failed: raise the error, or see that its node is left out."""
         raise error
 
     def log_level(self, header: Header, verdict: Verdict) -> int:
@@ -102,8 +98,7 @@ class World:
 class NodeRunner(EngineEffects):
     """Moves messages between a node's engine and its port.
 
-    Raises:
-        OperatorError: the initial belief cannot be had.
+    Raises `OperatorError` if an operator failed, or gave what cannot travel, and `ProbeError` if a probe raised.
     """
 
     def __init__(
@@ -142,10 +137,7 @@ class NodeRunner(EngineEffects):
         self.observers.watch(watcher)
 
     def step(self, message: Message) -> None:
-        """Take a message in and do all that follows from it.
-
-        Raises `OperatorError` if an operator failed, or gave what cannot travel, and `ProbeError` if a probe raised.
-        """
+        """Take a message in and do all that follows from it."""
         for watcher in self.observers.watchers:
             watcher.received(message)
         try:
@@ -155,10 +147,7 @@ class NodeRunner(EngineEffects):
         self.finish()
 
     def poll(self) -> bool:
-        """In free running: take part in the next epoch, if there is one; whether there was.
-
-        Raises `OperatorError` if an operator failed, or gave what cannot travel, and `ProbeError` if a probe raised.
-        """
+        """In free running: take part in the next epoch, if there is one; whether there was."""
         engine, world = self.engine, self.world
         before = engine.epoch
         for watcher in self.observers.watchers:
@@ -177,10 +166,7 @@ class NodeRunner(EngineEffects):
         return did
 
     def finish(self) -> None:
-        """Do what follows from a step; the world begins the next epoch before anything else is done.
-
-        Also begins the first epoch, if this is the world and there is one to run.
-        """
+        """Do what follows from a step, also from none at the beginning; the world begins the next epoch first."""
         self._serve()
         while self.world is not None and self.world.settle():
             self._serve()
@@ -221,11 +207,7 @@ class NodeRunner(EngineEffects):
             watcher.acted(epoch)
 
     def report(self, committed: int | None = None) -> NodeReport:
-        """The node's state and what it reports of it.
-
-        `committed`: the last epoch that is, where the one after it may be under way; None: none is. Raises
-        `OperatorError` if the node's `metrics` failed.
-        """
+        """The node's state, and its figures, after the last epoch committed; None: after the last that it has done."""
         engine = self.engine
         ahead = committed is not None and self.staleness.barrier and engine.epoch > committed
         state = engine.start if ahead else engine.state

@@ -195,10 +195,7 @@ class _Nodes(Host):
             self._deliver_all()
 
     def reports(self, committed: int | None) -> tuple[dict[str, NodeReport], dict[str, str]]:
-        """What the nodes have come to; of a run that was broken off, also who cannot tell, and why.
-
-        `committed`: the last epoch of a run that was broken off; None: it was not.
-        """
+        """What the nodes have come to; of a run broken off after a committed epoch also who cannot tell, and why."""
         reports: dict[str, NodeReport] = {}
         unreported: dict[str, str] = {}
         for name, runner in sorted(self.runners.items()):
@@ -277,11 +274,7 @@ class _Nodes(Host):
             again = self._begin_again(world)
 
     def _culprit(self, error: OperatorError) -> str:
-        """The node that an error is blamed on.
-
-        Raises:
-            OperatorError: the error, if that node does not fail alone.
-        """
+        """The node that an error is blamed on. Raises the error, if that node does not fail alone."""
         nodes = [name for name in error.subject.split("->") if name in self._roster.nodes]
         ends = [name for name in nodes if name in self._alone or self._is_tried(name)]
         if not ends:

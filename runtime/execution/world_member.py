@@ -65,13 +65,8 @@ class Supervision:
 class WorldMember(World, OwnerEffects):
     """The world's process in a run that may change: its member, its record, and the roster's owner.
 
-    Nothing is sent and nothing is written before `start`.
-
-    Attributes:
-        owner: of the roster.
-
-    Raises:
-        HieraxError: there is no whole record, or the world cannot be loaded.
+    Nothing is sent and nothing is written before `start`. Raises `HieraxError` if there is no whole record, or the
+    world cannot be loaded, and `OperatorError` if an operator failed.
     """
 
     def __init__(
@@ -136,7 +131,7 @@ class WorldMember(World, OwnerEffects):
         )
 
     def start(self) -> None:
-        """Begin the run, or go on with it. Raises `OperatorError` if an operator failed."""
+        """Begin the run, or go on with it."""
         if not self._resumes:
             self.write_record()  # so that nothing was sent yet where the only record turns out to be damaged
             self._proceed()
@@ -147,37 +142,31 @@ class WorldMember(World, OwnerEffects):
         self._runner.finish()
 
     def take_word(self, word: Control) -> None:
-        """Do what the owner says to this process, or take in what anybody says to the owner.
-
-        Raises `OperatorError` if an operator failed, and `ContradictionError` if it was told something else before.
-        """
+        """Do what the owner says to this process, or take in what anybody says to the owner."""
         if isinstance(word, Order):
             self.member.obey(word)
         else:
             self.hear(word)
 
     def hear(self, word: Control) -> None:
-        """Take in what anybody says to the owner. Raises `OperatorError` if an operator failed."""
+        """Take in what anybody says to the owner."""
         self.owner.hear(word)
         self._runner.finish()
 
     def resume(self) -> None:
-        """Begin the next epoch after a pause. Raises `OperatorError` if an operator failed."""
+        """Begin the next epoch after a pause."""
         self.paused = False
         self._proceed()
         self._runner.finish()
 
     def end_soon(self) -> None:
-        """The run was asked to end: where nothing is under way, nothing is waited for.
-
-        Raises `OperatorError` if an operator failed.
-        """
+        """The run was asked to end: where nothing is under way, nothing is waited for."""
         if self._runner.engine.phase is Phase.DONE:
             self._proceed()
             self._runner.finish()
 
     def tick(self) -> None:
-        """Time has passed. Raises `OperatorError` if an operator failed."""
+        """Time has passed."""
         self.owner.tick()
         self._runner.finish()
 

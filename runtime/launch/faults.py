@@ -45,11 +45,7 @@ class Fault(NamedTuple):
 
     @staticmethod
     def read(text: str) -> Fault:
-        """Read a fault from ``INSTANT:N``.
-
-        Raises:
-            HieraxError: that is none.
-        """
+        """Read a fault from ``INSTANT:N``. Raises `HieraxError` if that is none."""
         instant, _, number = text.rpartition(":")
         if instant not in INSTANTS:
             raise HieraxError(f"--fault {text}: {instant!r} is no instant{did_you_mean(instant, INSTANTS, 'they are')}")
@@ -60,10 +56,7 @@ class Fault(NamedTuple):
 
 
 def read_faults(texts: Iterable[str]) -> dict[str, list[str]]:
-    """Read faults from ``NODE:INSTANT:N``, and give those of each node in their order.
-
-    Raises `HieraxError` if one is no fault.
-    """
+    """Faults by node, each in their order, from ``NODE:INSTANT:N``. Raises `HieraxError` if one is none."""
     found: dict[str, list[str]] = {}
     for text in texts:
         name, _, fault = text.partition(":")
@@ -73,16 +66,7 @@ def read_faults(texts: Iterable[str]) -> dict[str, list[str]]:
 
 
 def plant(text: str, member: Member, world: WorldMember | None) -> None:
-    """Have the process kill itself.
-
-    Args:
-        text: ``INSTANT:N``.
-        member: of the process.
-        world: likewise, if it is the world's.
-
-    Raises:
-        HieraxError: that is no fault, or not one of this process.
-    """
+    """Have the process kill itself at ``INSTANT:N``. Raises `HieraxError` if that is none of this process."""
     fault = Fault.read(text)
     strike = _Countdown(fault.number)
     if fault.place == "save":

@@ -113,10 +113,7 @@ class NodeOrder:
 
 
 def leave(epoch: int | None) -> Value:
-    """The command to report at once, and exit, whatever is under way.
-
-    `epoch`: of which the report is, the last one committed; None: the world knows.
-    """
+    """The command to report the last epoch committed (None: the world knows it) at once, and exit."""
     return {_LEAVE: epoch}
 
 

@@ -107,12 +107,7 @@ class GracefulEnd:
         child.report = {**_fields(saved.now), "run": run}
 
     def _read(self, order: NodeOrder, epoch: int) -> ActiveNode:
-        """What a node was after an epoch.
-
-        Raises:
-            HieraxError: its checkpoint does not tell.
-            SchemaError: it is none.
-        """
+        """What a node was after an epoch. Raises `HieraxError` or `SchemaError` if its checkpoint does not tell."""
         with _slots(order) as storage:
             found = Checkpoints(Slots(storage)).read()
         if found is None:

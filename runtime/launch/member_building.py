@@ -39,20 +39,14 @@ def open_observers(order: NodeOrder) -> Observers:
 
 
 def open_slots(order: NodeOrder) -> Slots:
-    """Where an order says that the node's checkpoints are, or the world's record.
-
-    Raises `HieraxError` if the file cannot be opened.
-    """
+    """Where the node's checkpoints are, or the world's record. Raises `HieraxError` if the file cannot be opened."""
     return Slots(MappedFile(Path(order.checkpoint), order.durability))
 
 
 def build_member(
     order: NodeOrder, loader: NodeLoader, port: ZenohPort, line: ControlLine, observers: Observers, slots: Slots
 ) -> Member:
-    """The member that an order asks for, if it is not the world's.
-
-    Raises `HieraxError` if the order's fault is none.
-    """
+    """The member of a process that is not the world's. Raises `HieraxError` if the order's fault is none."""
 
     def report(word: Control) -> None:
         line.send(OWNER, word)
@@ -80,10 +74,7 @@ def build_world(
     pacemaker: Pacemaker,
     processes: Mapping[str, str],
 ) -> WorldMember:
-    """The world's member, when the processes of the run are known; it has not started yet.
-
-    Raises `HieraxError` if there is no whole record, or the order's fault is none.
-    """
+    """The world's member, not started. Raises `HieraxError` if there is no whole record, or the fault is none."""
 
     def send_order(process: str, word: Order) -> None:
         if isinstance(word, Dismiss):  # anybody could say it: who is started here hears it from the supervisor

@@ -44,10 +44,8 @@ class LaunchOptions:
 class Orders:
     """Makes the orders of one run.
 
-    `resumed`: go on with this run, whose checkpoints are in the folder of the state; None: begin.
-
-    Raises:
-        HieraxError: what was written of the run is of another version.
+    `resumed`: go on with this run, whose checkpoints are in the folder of the state; None: begin. Raises `HieraxError`
+    if it is of another version.
     """
 
     def __init__(
@@ -163,12 +161,7 @@ class Orders:
         return replace(order, process=token, life=TO_REPORT, request="", roster=roster)
 
     def elsewhere(self, order: NodeOrder, host: str) -> NodeOrder:
-        """The order for a process on another machine, which decides itself what touches it (`launch.here`).
-
-        Args:
-            order: as it would be here.
-            host: the other machine's address for this one; empty: it is this machine.
-        """
+        """The order for a process on another machine, with its address for this one; empty: it is this machine."""
         return replace(
             order, host=host, output="", checkpoint="", import_paths=(), settings=None, probes=(), elsewhere=True
         )
@@ -205,10 +198,7 @@ class Orders:
             raise HieraxError(f"{self.options.state}: its restarts are not of this version: {error}") from error
 
     def roster(self) -> Roster:
-        """The roster with which the run begins, or goes on.
-
-        Raises `HieraxError` if there is nothing to resume, or its roster names code that the deployment does not allow.
-        """
+        """The roster with which the run begins, or goes on. Raises `HieraxError` if it cannot go on, or may not."""
         if not self.resumes:
             return self.deployment.roster
         path = self._record

@@ -49,11 +49,7 @@ class Overhearing:
 
 
 class Overheard:
-    """Takes in what one process prints.
-
-    Attributes:
-        writing: the pipe's end for the process; to be closed when it has it.
-    """
+    """Takes in what one process prints."""
 
     def __init__(self, lines: Lines) -> None:
         self._lines = lines  # take it

@@ -54,11 +54,7 @@ class PendingChanges:
         return {} if change is None else change.policies
 
     def answer(self, request: str, epoch: int, refusal: str) -> Mapping[str, RestartPolicy] | None:
-        """Take in what became of a change: the first epoch under it, or why it is refused.
-
-        Returns:
-            The policies of its new nodes; None: it is none that waits for an answer.
-        """
+        """Take in the first epoch under a change, or a refusal; its new nodes' policies, or None: nobody waits."""
         change = self._changes.get(request)
         if change is None or change.done.is_set():
             return None

@@ -61,10 +61,7 @@ class ProcessSupervisor(ABC):
         return child
 
     async def end_all(self, timeout_s: float = END_TIMEOUT_S) -> None:
-        """End every process that is left: first kindly, then not.
-
-        `timeout_s`: how long they may take to end by themselves.
-        """
+        """End every process that is left: first kindly, then not; for the first, each has this time."""
         self.ending = True
         for child in self.children:
             child.send_signal(signal.SIGTERM)

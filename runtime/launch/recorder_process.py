@@ -101,10 +101,7 @@ class RecorderChild:
         self._ended.set()
 
     async def finish(self, last: int | None) -> None:
-        """Have it write what it has heard, and end; the nodes' processes are gone.
-
-        `last`: the last epoch of the run; None: not known.
-        """
+        """Have it write what it has heard up to the last epoch (None: not known), and end."""
         process = self._process
         if process is None:
             return

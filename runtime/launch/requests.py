@@ -214,11 +214,7 @@ class Requests:
 
 
 def _policy_of(query: Mapping[str, Any], name: str) -> RestartPolicy:
-    """What is done when a new node's process ends.
-
-    Raises:
-        SchemaError: that is not said as it should be.
-    """
+    """What is done when a new node's process ends. Raises `SchemaError` if that is not said as it should be."""
     restarts = query.get("restarts")
     fields = restarts.get(name) if isinstance(restarts, dict) else None
     where = f"question.restarts.{name}"

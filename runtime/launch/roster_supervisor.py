@@ -36,10 +36,7 @@ SILENCE_S = 1.0  # how long the world's process may say nothing, beyond the epoc
 
 
 class RosterSupervisor(ProcessSupervisor):
-    """Has a process run for every node of a launch's roster: starts them, and others in their place.
-
-    `fail`: called with why the run cannot go on.
-    """
+    """Has a process run for every node of a launch's roster: starts them, and others in their place."""
 
     def __init__(self, tasks: anyio.abc.TaskGroup, orders: Orders, hub: Hub, notify: Notify, fail: Fail) -> None:
         super().__init__(tasks, Overhearing(orders.run_id, lambda: self.epoch), orders.policy, notify, fail)
@@ -75,14 +72,9 @@ class RosterSupervisor(ProcessSupervisor):
         return child
 
     async def begin(self, timeout_s: float) -> list[str]:
-        """Wait until all processes are up, and have the world begin the run with those that there are then.
+        """Wait until all processes are up, and have the world begin the run with them; gives the nodes that are late.
 
         Until it has, a process that is killed is started anew, and shakes hands anew.
-
-        `timeout_s`: how long they may take.
-
-        Returns:
-            The nodes that were not up in time.
         """
         clock = SteadyClock()
         patience = clock() + timeout_s

@@ -56,10 +56,7 @@ class Running:
 
 
 def write_run(state: Path, run: Run) -> None:
-    """Write it into the folder of the checkpoints, whole or not at all.
-
-    Raises `HieraxError` if it cannot be written.
-    """
+    """Write it into the folder of the checkpoints, whole or not at all. Raises `HieraxError` if that fails."""
     content = asdict(run)
     _write(state / _RUN, {**content, "seal": seal_or_warn(STATE, content)})
 
@@ -84,10 +81,7 @@ def read_run(state: Path, trust: bool = False) -> Run:
 
 
 def make_state(state: Path) -> None:
-    """Make a folder for checkpoints, or see that one is fit for them.
-
-    Raises `HieraxError` if it cannot be made or written, or others may write there.
-    """
+    """Make a folder for checkpoints. Raises `HieraxError` if it cannot be written, or others may write there."""
     try:
         write_private(state / _PROBE, b"")
         (state / _PROBE).unlink()
@@ -98,10 +92,7 @@ def make_state(state: Path) -> None:
 
 
 def register(running: Running) -> Path:
-    """Make a run known on this machine; the file is to be removed when it is over.
-
-    Raises `HieraxError` if it cannot be written.
-    """
+    """Make a run known here, by a file to be removed when it is over. Raises `HieraxError` if it cannot be written."""
     path = _fit_folder() / f"{running.run}.json"
     _write(path, asdict(running))
     return path

@@ -105,10 +105,7 @@ async def _run(
 
 
 class Supervisor:
-    """Starts the processes of a launch, has them run, and ends them.
-
-    `recording`: whether and where the run is recorded; told how that ended.
-    """
+    """Starts the processes of a launch, has them run, and ends them."""
 
     def __init__(
         self, orders: Orders, roster: Roster, hub: Hub, notify: Notify, recording: RecordingRequest | None
@@ -164,10 +161,7 @@ class Supervisor:
         self._processes.close_output()
 
     def report(self) -> Report:
-        """What the run has come to.
-
-        Raises `Exception` if it could not go on, and `Interrupted` if a signal has ended it in good order.
-        """
+        """What the run has come to. Raises why it could not go on; `Interrupted` if a signal has ended it."""
         if self._why is not None and not (self._is_interrupted and self._graceful is not None):
             raise self._why
         report = self._make_report()

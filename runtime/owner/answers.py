@@ -41,13 +41,7 @@ class Answers:
         return any(each[0] == key for each in self._owed)
 
     def owe(self, key: str, epoch: int, names: tuple[str, ...]) -> None:
-        """A change is in force.
-
-        Args:
-            key: of the request.
-            epoch: its first one; when that is committed and recorded it is told.
-            names: the nodes that came in with it.
-        """
+        """A change is in force with an epoch, and told when that is committed and recorded; `names`: its nodes."""
         self._owed.append((key, epoch, names))
 
     def undo(self, key: str, why: str) -> None:

@@ -187,11 +187,7 @@ class Members:
         self._outlived.clear()
 
     def take_effect(self, plan: Plan, epoch: int) -> dict[str, str]:
-        """A plan's roster is in force from this epoch on.
-
-        Returns:
-            By node, the processes that have no place any more.
-        """
+        """A plan's roster is in force from this epoch on; gives, by node, the processes that have no place any more."""
         old, trial = self.processes, self.trial
         if plan.tried:
             name = plan.tried

@@ -31,21 +31,11 @@ class Undo:
 
 
 def apply(roster: Roster, change: Change | Undo, version: int, instances: Callable[[str], int]) -> Roster:
-    """The roster after a change.
+    """The roster after a change; nodes that are neither new nor replaced keep their instances.
 
-    Args:
-        roster: a valid one.
-        change: what is wanted.
-        version: of the new roster; higher than the old one's.
-        instances: a new instance number for the process of a node of that name; asked once
-            for each node that is attached or replaced, in name order. Numbers that any
-            process of that name has had must not come again, also after a detach.
-
-    Returns:
-        A valid roster. Nodes that are neither new nor replaced keep their instances.
-
-    Raises:
-        ChangeError: it cannot be done, or the result would be no hierarchy; the reason, and the nearest valid name.
+    `instances` gives a new instance number for the process of a node of that name; it is asked once for each node that
+    is attached or replaced, in name order. Numbers that any process of that name has had must not come again, also
+    after a detach. Raises `ChangeError` if it cannot be done; says why, and the nearest valid name.
     """
     if isinstance(change, Attach):
         return _attach(roster, change, version, instances)

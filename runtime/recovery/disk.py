@@ -29,34 +29,24 @@ class Storage(ABC):
 
     @abstractmethod
     def write(self, slot: int, data: bytes) -> None:
-        """Put data at the start of a slot, which grows if need be; what was behind it may stay.
-
-        Raises `HieraxError` if it cannot be written.
-        """
+        """Put data at the start of a slot, which grows if need be; what was behind it may stay."""
 
     @abstractmethod
     def read(self, slot: int) -> bytes:
-        """All that a slot holds; zeros if it was never written. Raises `HieraxError` if it cannot be read."""
+        """All that a slot holds; zeros if it was never written."""
 
     @abstractmethod
     def flush(self) -> None:
-        """Return when all that was written outlives what the storage promises to outlive.
-
-        Raises `HieraxError` if it may not.
-        """
+        """Return when all that was written outlives what the storage promises to outlive."""
 
 
 class MappedFile(Storage):
     """Two memory-mapped files, ``PATH.0`` and ``PATH.1``, and a lock, ``PATH.lock``.
 
-    What is written is the kernel's at once, so it outlives the process without a call to the kernel. A file appears
-    under its name when it is complete, and only grows, in place: the other one is not touched, and a slot that grows is
-    the one to be written.
-
-    `durability`: ``host``: `flush` waits for the disk.
-
-    Raises:
-        CheckpointError: another process has it, a file is no checkpoint's, or the machine refuses.
+    What is written is the kernel's at once, so it outlives the process without a call to the kernel; with a durability
+    of ``host``, `flush` waits for the disk. A file appears under its name when it is complete, and only grows, in
+    place: the other one is not touched, and a slot that grows is the one to be written. Raises `CheckpointError` if
+    another process has it, a file is no checkpoint's, or the machine refuses.
     """
 
     def __init__(self, path: Path, durability: Durability = "process") -> None:
@@ -112,12 +102,7 @@ class MappedFile(Storage):
 
 
 class _SlotFile:
-    """One slot: `MAGIC`, then its bytes.
-
-    Args:
-        folder: where it is, open.
-        durable: whether a new file waits for the disk before it gets its name.
-    """
+    """One slot: `MAGIC`, then its bytes. A new file that is durable waits for the disk before it gets its name."""
 
     def __init__(self, folder: int, path: Path, *, durable: bool) -> None:
         self._path = path  # made if it is not there

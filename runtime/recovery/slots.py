@@ -34,10 +34,7 @@ class Read(NamedTuple):
 
 
 class Slots:
-    """The last two records of a storage.
-
-    Not for two threads at once.
-    """
+    """The last two records of a storage; not for two threads at once. Raises `HieraxError` if the storage fails."""
 
     def __init__(self, storage: Storage) -> None:
         # Where they are; it is read, and the next record goes where the newest whole one is not.
@@ -45,10 +42,7 @@ class Slots:
         self._sequence = max(read.sequence for read in self.read())
 
     def write(self, data: bytes) -> None:
-        """Write a record over the older of the two; the newer one stays as it is, whatever happens.
-
-        Raises `HieraxError` if the storage failed; the record may be there or not.
-        """
+        """Write a record over the older of the two; the newer one stays as it is, whatever happens."""
         sequence = self._sequence + 1
         head = _HEAD.pack(sequence, len(data))
         checksum = _CHECKSUM.pack(crc32(data, crc32(head)))
@@ -59,8 +53,7 @@ class Slots:
     def read(self) -> tuple[Read, ...]:
         """What both slots hold, newest first.
 
-        A damaged slot stands before a whole one, as its record may have been the newer; an empty one comes last. Raises
-        `HieraxError` if the storage cannot be read.
+        A damaged slot stands before a whole one, as its record may have been the newer; an empty one comes last.
         """
         reads = [_read(slot, self._storage.read(slot)) for slot in range(SLOTS)]
         newest = max(read.sequence for read in reads)

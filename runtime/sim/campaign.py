@@ -94,12 +94,7 @@ def cores() -> int:
 
 
 def shrink(scenario: Scenario, fails: Callable[[Scenario], bool]) -> Scenario:
-    """A smaller scenario that still fails.
-
-    Args:
-        scenario: one that fails.
-        fails: whether another does.
-    """
+    """A smaller scenario that still fails."""
     left = MAX_SHRINKS
     found = True
     while found and left:

@@ -46,11 +46,7 @@ class End(NamedTuple):
 
 
 class Checker:
-    """Follows a run with the formal core.
-
-    Attributes:
-        told: the last epoch that was told to anybody outside.
-    """
+    """Follows a run with the formal core."""
 
     def __init__(self, scenario: Scenario, trace: Callable[[str], None]) -> None:
         self._scenario = scenario  # of the simulation
@@ -88,11 +84,7 @@ class Checker:
         return len(self._ends) - 1
 
     def violate(self, what: str) -> None:
-        """Note that something is wrong.
-
-        Raises:
-            ViolationError: always.
-        """
+        """Something is wrong: raises `ViolationError`."""
         raise ViolationError(what)
 
     def hierarchy_of(self, roster: Roster) -> Hierarchy:
@@ -117,13 +109,7 @@ class Checker:
             self.violate(f"two rosters have version {roster.version}")
 
     def begins(self, base: int, turn: Turn, roster: Roster, processes: Mapping[str, str]) -> None:
-        """The world is told to begin a turn.
-
-        Args:
-            base: the version that was in force before.
-            turn: what begins.
-            roster, processes: from now on in force.
-        """
+        """The world is told to begin a turn; from now on this roster is in force, and was of version `base` before."""
         self._beginnings += 1
         self.version = turn.version
         if turn.epoch != self.told + 1 and turn.epoch - 1 not in self._candidates:
@@ -172,10 +158,7 @@ class Checker:
         self._acted_under = (epoch, self._in_force[self.version])
 
     def commits(self, turn: Turn, encoded: Mapping[str, bytes]) -> None:
-        """The world's engine has committed an epoch; it counts when it is told.
-
-        `encoded`: the states of all living processes that take part.
-        """
+        """The world's engine has committed an epoch, with these living processes' states; it counts when it is told."""
         start = self._starts[turn.epoch, turn.version]
         hierarchy = self.hierarchy_of(start.roster)
         active = update(ActiveHierarchy(hierarchy, MappingProxyType(dict(start.states)), turn.epoch - 1))
@@ -209,10 +192,7 @@ class Checker:
         del self._ends[max(epoch, 1) :]
 
     def finishes(self, answers: Mapping[str, str]) -> None:
-        """The run is over: whether all was done as it was said.
-
-        `answers`: what became of the changes: ``epoch N``, or why not.
-        """
+        """The run is over: whether all was done as was said of the changes (``epoch N``, or why not)."""
         self._check_acts()
         for proposal in self._scenario.proposals:
             answer, change = answers[proposal.key], proposal.change

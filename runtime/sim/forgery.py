@@ -12,15 +12,7 @@ from hierax.schemas.messages import CONTEXT, OBSERVATIONS, Message
 
 
 def forged(kind: str, message: Message) -> list[Message]:
-    """Other messages made of one.
-
-    Args:
-        kind: `CONTRADICT`, `FORETELL` or `STRAY`.
-        message: one that was taken in.
-
-    Returns:
-        All of the kind that can be made of it; what is foretold is what will be said, and something else.
-    """
+    """All messages of a kind that can be made of one; what is foretold is what will be said, and something else."""
     header = message.header
     if kind == FORETELL:
         attempt = header.attempt + 1

@@ -109,13 +109,7 @@ class Network:
         return (one in self.cut) != (other in self.cut) or self._broken[frozenset((one, other))] > 0
 
     def break_link(self, process: Host, number: int, for_s: float) -> None:
-        """Break the link of a process to a neighbour, or to the roster's owner, and mend it after a while.
-
-        Args:
-            process: whose link.
-            number: chooses the other process.
-            for_s: how long it stays broken.
-        """
+        """Break a process's link to the neighbour, or to the owner, that a number says, and mend it after a while."""
         near = process.neighbours
         others = [each for each in self.hosts.values() if each.name in near or each.is_world]
         others = [each for each in others if each is not process]

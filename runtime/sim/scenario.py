@@ -127,13 +127,7 @@ class Scenario:
 
 
 def draw_scenario(seed: int, faults: Collection[str] = FAULTS, epochs: int | None = None) -> Scenario:
-    """The scenario of a seed.
-
-    Args:
-        seed: fixes everything.
-        faults: kinds that may occur.
-        epochs: how many; None: the seed decides.
-    """
+    """The scenario of a seed, with these kinds of faults; a number of epochs of None is for the seed to decide."""
     rng = Random(f"{seed}/scenario")
     roster = _roster(rng)
     count = rng.randint(5, 14) if epochs is None else epochs

@@ -36,13 +36,7 @@ class SimSupervisor(Supervision):
     # --- what processes need
 
     def start(self, name: str, request: str = "", storage: SimStorage | None = None) -> SimProcess:
-        """A process of a node comes up.
-
-        Args:
-            name: of the node.
-            request: the change that it is for; empty: it comes in the place of another.
-            storage: of that other one; None: an empty one.
-        """
+        """A process of a node comes up: for a change, or in the place of another, whose storage it has."""
         around = self._around
         self._started[name] += 1
         token = f"{name}.{self._started[name]}"

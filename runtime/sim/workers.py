@@ -20,15 +20,9 @@ from hierax.runtime.host.interpreter import python_module
 
 
 def done_by_workers(function: Callable[..., Any], tasks: Iterable[tuple[Any, ...]], jobs: int) -> Iterator[Any]:
-    """What a function gives for each task, in order.
+    """What a function of a module gives for each task's arguments, in order, called in other processes.
 
-    Args:
-        function: of a module, called in other processes.
-        tasks: its arguments.
-        jobs: how many processes share the work.
-
-    Raises:
-        HieraxError: a process ended before its task was done.
+    Raises `HieraxError` if a process ended before its task was done.
     """
     with ExitStack() as stack:
         pool = stack.enter_context(ThreadPoolExecutor(jobs))

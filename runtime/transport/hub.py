@@ -33,13 +33,8 @@ _log = logging.getLogger("hierax")
 class Hub:
     """A session that every process connects to and gossips through; messages of the run don't pass it.
 
-    Args:
-        zenoh_config: Zenoh's own configuration.
-        progress: told the number of each committed epoch, from a thread of Zenoh's.
-        host: address of this machine at which others may link; None: this machine's processes only.
-
-    Raises:
-        TransportError: Zenoh refuses its configuration, or no endpoint could be listened on.
+    `progress` is told each committed epoch, from a thread of Zenoh's; `host`: as `BusTap` has it. Raises
+    `TransportError` if Zenoh refuses its configuration, or no endpoint could be listened on.
     """
 
     def __init__(
@@ -90,11 +85,9 @@ class Hub:
         return process in self._living
 
     def introduce(self, process: str) -> None:
-        """Have two processes link again whose link broke, while both kept theirs to the hub.
+        """Have others link again to a process that is missed; where it is not heard of here either, nothing is done.
 
         Gossip tells of everybody anew when somebody comes; a session that comes for a moment will do.
-
-        `process`: the token of the one that is missed; where it is not heard of here either, nothing is done.
         """
         if process not in self._living or not self._introduces.acquire(blocking=False):
             return  # it is dead; or all are just being told
@@ -109,24 +102,16 @@ class Hub:
             self._introduces.release()
 
     def dismiss(self, process: str, why: str, again: bool = False) -> None:
-        """Tell a process that is kept elsewhere, if it can be reached, that nobody needs it any more.
-
-        Args:
-            process: its token.
-            why: nobody does.
-            again: whether another one is to come in its place.
-        """
+        """Tell a process kept elsewhere, if it can be reached, to go, and whether another is to come in its place."""
         try:
             self._session.put(self._keys.control(process), encode_control(Dismiss(why, again)))
         except zenoh.ZError as error:
             _log.info("%s is not dismissed: %s", process, error)
 
     def dismiss_all(self, reasons: Mapping[str, str]) -> None:
-        """Tell processes that are kept elsewhere that the run is over, again and again until they are gone.
+        """Tell processes that are kept elsewhere, by token, that the run is over, again and again until they are gone.
 
         Once is not enough: what is put into a session that is closed then, or on a link that is full, may be lost.
-
-        `reasons`: what they are told, by token.
         """
         patience_s = time.monotonic() + LEAVE_S
         told = dict(reasons)

@@ -59,10 +59,7 @@ class Inbox:
     def relieve(self, wanted: Container[str]) -> set[str]:
         """Look after what waits while the node's thread does not; to be called from time to time, by another one.
 
-        `wanted`: the keys of which messages are kept.
-
-        Returns:
-            Those of which some were dropped, as too much waits.
+        Gives the wanted keys of which messages were dropped, as too much waits.
         """
         dropped: set[str] = set()
         if self._taking.acquire(blocking=False):

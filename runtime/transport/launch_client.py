@@ -70,8 +70,7 @@ class LaunchStatus:
 class LaunchClient:
     """Asks one launch, in a session of its own through the launch's hub, on the keys of that run alone.
 
-    Raises:
-        TransportError: the launch cannot be reached.
+    Raises `TransportError` if the launch cannot be reached, or does not answer.
     """
 
     def __init__(self, endpoint: str, zenoh_config: ZenohConfig = None, keys: Keys | None = None) -> None:
@@ -83,25 +82,13 @@ class LaunchClient:
             raise TransportError(f"the launch at {endpoint} cannot be reached: {error}") from error
 
     def keys(self) -> Keys:
-        """The keys of the run, found out where nobody has said them.
-
-        Raises `TransportError` if no launch answers, or several do.
-        """
+        """The keys of the run, found out where nobody has said them; that fails where several launches answer."""
         if self._keys is None:
             self._keys = self._found()
         return self._keys
 
     def ask(self, question: Value, timeout_s: float = 60.0) -> Answer:
-        """What the supervisor answers.
-
-        Args:
-            question: see `hierax.runtime.launch.requests`.
-            timeout_s: how long the answer may take.
-
-        Raises:
-            TransportError: it does not answer.
-            AnswerError: it refuses, or the answer is no map.
-        """
+        """What the supervisor answers (see `launch.requests`). Raises `AnswerError` if it refuses."""
         patience = time.monotonic() + FIND_TIMEOUT_S
         key = self.keys().control(SUPERVISOR)
         while time.monotonic() < patience:  # whom nobody has heard of yet is not waited for by `get`
@@ -121,10 +108,7 @@ class LaunchClient:
     def ask_nodes(
         self, status: LaunchStatus, question: Mapping[str, Value], names: Collection[str]
     ) -> dict[str, Answer]:
-        """What nodes answer; of a node's processes, only the one that has its place counts.
-
-        `question`: see `hierax.runtime.launch.inspection_server`.
-        """
+        """What nodes answer, as `answers_of`; of a node's processes, only the one that has its place counts."""
         return {
             name: answer
             for name, answers in self.answers_of(question, names).items()
@@ -156,15 +140,9 @@ class LaunchClient:
     def answers_of(
         self, question: Value, names: Collection[str], timeout_s: float = NODES_TIMEOUT_S
     ) -> dict[str, list[Value]]:
-        """All that nodes answer.
+        """All that nodes answer to a question of `launch.inspection_server`, by name; of two processes of a node, both.
 
-        Args:
-            question: see `hierax.runtime.launch.inspection_server`.
-            names: of the nodes; those that answer sooner are asked again where others are waited for.
-            timeout_s: how long all of them may take.
-
-        Returns:
-            The answers of those that gave one, by name; of two processes of a node, both.
+        All have the time together; who answers sooner is asked again where others are waited for.
         """
         patience = time.monotonic() + timeout_s
         answers: dict[str, list[Value]] = {}
@@ -183,10 +161,7 @@ class LaunchClient:
         return answers
 
     def listen(self, key: str, heard: Callable[[str, bytes], None]) -> None:
-        """Have `heard` called with key and bytes of every sample on matching keys, in a thread of Zenoh's.
-
-        Raises `TransportError` if Zenoh refuses the key.
-        """
+        """Have `heard` called with key and bytes of every sample on matching keys, in a thread of Zenoh's."""
 
         def on_sample(sample: zenoh.Sample) -> None:
             heard(str(sample.key_expr), sample.payload.to_bytes())

@@ -15,10 +15,7 @@ QUEUE_SIZE = 1024  # how many messages a lane holds at most
 
 
 class MemoryNetwork:
-    """Ports that reach one another in memory; messages travel as bytes, as they do over Zenoh.
-
-    `seed`: decides which of the messages under way is delivered next.
-    """
+    """Ports that reach one another in memory; messages travel as bytes, in an order that the seed decides."""
 
     # Shown the header and the bytes of every message; None: nobody is.
     tap: Callable[[Header, bytes], None] | None = None

@@ -40,23 +40,14 @@ class Port(ABC):
 
     @abstractmethod
     def receive(self) -> Message | None:
-        """The next message.
+        """The next message; None when the port was interrupted or closed.
 
         A port in a process of its own waits for it; one in a network in memory gives None where nothing is on its way.
-
-        Returns:
-            None when the port was interrupted or closed.
-
-        Raises:
-            SchemaError: bytes came that are no message; they are dropped, and one may go on.
+        Raises `SchemaError` if bytes came that are no message; they are dropped, and one may go on.
         """
 
     def poll(self) -> Message | None:
-        """The next message, if it is there already; as `receive`, but it never waits.
-
-        Raises:
-            SchemaError: as `receive`.
-        """
+        """The next message, if it is there already; as `receive`, but it never waits."""
         return self.receive()
 
     @abstractmethod
@@ -70,10 +61,7 @@ class Port(ABC):
         # by the thread that receives.
         opened: Callable[[int], None],
     ) -> None:
-        """Open links to the neighbours of a version of the roster, beside those that there are.
-
-        Raises `TransportError` if a link cannot be opened.
-        """
+        """Open links to a version's neighbours, beside those that there are. Raises `TransportError` if it fails."""
 
     @abstractmethod
     def unlink(self, version: int) -> None:

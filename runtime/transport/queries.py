@@ -18,15 +18,9 @@ _log = logging.getLogger("hierax")
 
 
 def answer_questions(session: zenoh.Session, key: str, on_question: Callable[[Value, Reply], None]) -> Any:
-    """Have the questions on a key answered; what is no question is refused at once.
+    """Have the questions on a key answered; what is no question is refused. Its `undeclare` stops that.
 
-    Args:
-        session: an open session.
-        key: on which they come.
-        on_question: called with each and what sends the answer, in a thread of Zenoh's: it must not take long.
-
-    Returns:
-        What stops that by its ``undeclare``.
+    `on_question` is called with each and what sends the answer, in a thread of Zenoh's: it must not take long.
     """
 
     def on_query(query: zenoh.Query) -> None:
@@ -48,10 +42,7 @@ def answer_questions(session: zenoh.Session, key: str, on_question: Callable[[Va
 
 
 def answers_on(session: zenoh.Session, key: str, question: Value, timeout_s: float) -> Iterator[tuple[str, Value]]:
-    """The answers on keys that a key matches, as they come, each with the key on which it came.
-
-    Raises `zenoh.ZError` if nobody can be asked, and `SchemaError` if an answer is no value.
-    """
+    """The answers on matching keys, as they come, each with its key. Raises `zenoh.ZError`, `SchemaError`."""
     replies = session.get(
         key,
         payload=encode_value(question),

@@ -54,10 +54,7 @@ class Handshake:
     def hello(self, version: int, asks: bool = True) -> list[tuple[str, Message]]:
         """The greeting: by kind of key, what to put there.
 
-        Args:
-            version: of the roster.
-            asks: whether it wants an answer; an answer wants none, or two that miss the same
-                key would answer each other for ever.
+        An answer does not ask for one, or two that miss the same key would answer each other for ever.
         """
         body = {
             "heard": tuple(sorted(self._heard)),
@@ -99,11 +96,7 @@ class Handshake:
 
 
 class Rendezvous:
-    """One node's side of the handshakes with all its neighbours, under a version of the roster.
-
-    Attributes:
-        handshakes: by neighbour.
-    """
+    """One node's side of the handshakes with all its neighbours, under a version of the roster."""
 
     def __init__(
         self,

@@ -43,12 +43,8 @@ class Link:
 class ZenohPort(Port):
     """A node's end of its edges in a process of its own. It owns its session.
 
-    One thread receives; others may call `greet` and `interrupt`.
-
-    `most_bytes`: how long a message the session's links carry; None: any.
-
-    Raises:
-        TransportError: Zenoh refuses a declaration.
+    One thread receives; others may call `greet` and `interrupt`. Messages may have `most_bytes`; None: any number.
+    Raises `TransportError` if Zenoh refuses a declaration.
     """
 
     def __init__(
@@ -111,11 +107,7 @@ class ZenohPort(Port):
         self._lanes = self._lanes_in()
 
     def connect(self) -> bool:
-        """Do the handshake with every neighbour; in the receiving thread, while another one calls `greet`.
-
-        Returns:
-            Whether it was done; not so where the port was interrupted.
-        """
+        """Do the handshake with every neighbour, while another thread calls `greet`; whether it was not interrupted."""
         while not self.ready:
             try:
                 message = self._next(connecting=True)

@@ -121,11 +121,9 @@ def _opened(config: zenoh.Config) -> zenoh.Session:
 
 
 def shared_memory_fault(folder: Path | None = None, locked_bytes: int | None = None) -> str:
-    """Why large messages do not go through shared memory on this machine; empty: they do.
+    """Why large messages do not go through a folder of shared memory here; empty: they do.
 
-    Args:
-        folder: where the segments are.
-        locked_bytes: how much a process may lock; None: what the system says.
+    `locked_bytes`: how much a process may lock; None: what the system says.
     """
     folder = folder or _SHARED_MEMORY
     if not os.access(folder, os.W_OK | os.X_OK):
@@ -150,11 +148,9 @@ def _lockable() -> int | None:
 
 
 def close_session(session: zenoh.Session) -> bool:
-    """Close a session, but wait no longer than `CLOSE_TIMEOUT_S`.
+    """Close a session; whether it was within `CLOSE_TIMEOUT_S`, beyond which nothing is waited for.
 
-    Returns:
-        Whether it closed in time. Closing can hang beside a peer that is stopped; the
-        process may then end all the same.
+    Closing can hang beside a peer that is stopped; the process may then end all the same.
     """
     closer = threading.Thread(target=session.close, name="zenoh-close", daemon=True)
     closer.start()
@@ -163,10 +159,7 @@ def close_session(session: zenoh.Session) -> bool:
 
 
 def free_endpoint(host: str | None = None) -> str:
-    """An endpoint that is free now, on loopback or at an address of this machine.
-
-    Raises `TransportError` if the machine has no such address.
-    """
+    """An endpoint that is free now. Raises `TransportError` if the machine has no such address."""
     address = host or "127.0.0.1"
     try:
         with socket.socket() as probe:
@@ -177,13 +170,10 @@ def free_endpoint(host: str | None = None) -> str:
 
 
 def remove_orphaned_segments() -> int:
-    """Remove the shared-memory segments of sessions that are gone.
+    """Remove the shared-memory segments of sessions that are gone; how many there were.
 
-    Zenoh holds a shared lock on each segment in use and removes orphans only when the next
-    session opens, so the last one would stay.
-
-    Returns:
-        How many were removed.
+    Zenoh holds a shared lock on each segment in use and removes orphans only when the next session opens, so the last
+    one would stay.
     """
     removed = 0
     for path in sorted(_SHARED_MEMORY.glob("*.zenoh")):
