@@ -49,8 +49,7 @@ def level(belief: Value) -> Elements:
 class LevelWithPicture:
     """ϱ of a relay, with a picture beside the level.
 
-    Args:
-        size: of the picture, in bytes; 0: none.
+    Args: size: of the picture, in bytes; 0: none.
     """
 
     def __init__(self, size: int = 0) -> None:

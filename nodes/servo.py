@@ -74,10 +74,8 @@ class SlidingWorld(World):
     def predict(self, context: Elements, actions: Elements, belief: Value) -> Value:
         """γ: the camera moves to where it is told, the error is read, δt passes.
 
-        Args:
-            context: not used.
-            actions: the commanded position, in metres; of none, the camera stays.
-            belief: as above.
+        Args: context: not used. actions: the commanded position, in metres; of none, the camera stays. belief: as
+            above.
         """
         camera = actions[0] if actions else belief["camera"]
         error = abs(position_at(self.time_s(belief, 0)) - camera)
@@ -162,11 +160,8 @@ class MotionNode(Node):
 class MeasuredPosition:
     """φ from the world to N₁: {½kt² + ν}.
 
-    Args:
-        noise: the standard deviation of ν, which is normal, in metres.
-
-    Raises:
-        ValueError: it is no number of 0 or more.
+    Args: noise: the standard deviation of ν, which is normal, in metres.
+    Raises ValueError: it is no number of 0 or more.
     """
 
     def __init__(self, noise: float = NOISE) -> None:

@@ -50,11 +50,8 @@ class Cell:
 def bench_bayes(sizes: Sequence[int], rounds: int, seed: int, told: Callable[[str], None]) -> list[Cell]:
     """Time all ways.
 
-    Args:
-        sizes: numbers of nodes.
-        rounds: of all ways in turn.
-        seed: of networks and evidence.
-        told: told what is going on.
+    Args: sizes: numbers of nodes. rounds: of all ways in turn. seed: of networks and evidence. told: told what is going
+        on.
     """
     cells = []
     for nodes in sizes:

@@ -17,8 +17,7 @@ class Limit:
 
     Nothing is checked: no evidence, no underflow, no impossible evidence; what is 0 divides by 0.
 
-    Args:
-        network: each parent stands before its children.
+    Args: network: each parent stands before its children.
     """
 
     def __init__(self, network: Sequence[Mapping[str, Any]]) -> None:
@@ -74,9 +73,7 @@ class Limit:
 def reference(network: Sequence[Mapping[str, Any]], evidence: Mapping[str, int]) -> dict[str, Floats]:
     """Posteriors of a tree, node by node in the machine's longest floating-point numbers.
 
-    Args:
-        network: each parent stands before its children.
-        evidence: by node, the number of its state.
+    Args: network: each parent stands before its children. evidence: by node, the number of its state.
     """
     tables = {entry["id"]: np.array(entry.get("cpt", entry.get("prior")), np.longdouble) for entry in network}
     parents = {entry["id"]: entry["parents"][0] if entry["parents"] else "" for entry in network}

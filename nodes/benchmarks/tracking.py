@@ -91,11 +91,8 @@ Generator = GeneratorA | Program
 
 
 def generator(name: str) -> Generator:
-    """A generator of scenes: A, the package's; B, the checkout's, which is another hand's; or a program's path.
-
-    Raises:
-        HieraxError: there is no such program.
-    """
+    """A generator of scenes: A, the package's; B, the checkout's, which is another hand's; or a program's path. Raises
+    HieraxError: there is no such program."""
     if name == "A":
         return GeneratorA()
     path = GENERATOR_B if name == "B" else Path(name)
@@ -182,8 +179,7 @@ def generated(
         exact: whether start and camera are told as they are.
         folder: where the datasets go; told: told what is going on.
 
-    Raises:
-        HieraxError: something cannot be written, or the generator failed.
+    Raises HieraxError: something cannot be written, or the generator failed.
     """
     scenes = []
     for name, seed in product(names, range(seeds)):
@@ -199,12 +195,9 @@ def bench_tracking(
 ) -> list[Row]:
     """Track scenes in several ways.
 
-    Args:
-        scenes: which; ways: of `WAYS`; settings: further ones of the deployment, ``path=value``.
-        folder: where results files go, and what the arm believed; told: told what is going on.
-
-    Raises:
-        HieraxError: a scene cannot be read, or a node failed.
+    Args: scenes: which; ways: of `WAYS`; settings: further ones of the deployment, ``path=value``. folder: where
+        results files go, and what the arm believed; told: told what is going on.
+    Raises HieraxError: a scene cannot be read, or a node failed.
     """
     tracked: dict[tuple[str, str], list[Tracked]] = {}
     for scene, way in product(scenes, ways):
@@ -234,13 +227,9 @@ def gains(rows: Sequence[Row]) -> list[Gain]:
 def bench_speed(frames: int, rounds: int, settings: Sequence[str], folder: Path, told: Tell) -> list[Speed]:
     """Launch the deployment over Zenoh, each node a process, on scenes of one object and of several.
 
-    Args:
-        frames: of each scene, read from disk ahead of time; rounds: how often each is launched, in turn.
-        settings: further ones of the deployment.
-        folder: where the datasets go; told: told what is going on.
-
-    Raises:
-        HieraxError: a process failed.
+    Args: frames: of each scene, read from disk ahead of time; rounds: how often each is launched, in turn. settings:
+        further ones of the deployment. folder: where the datasets go; told: told what is going on.
+    Raises HieraxError: a process failed.
     """
     deployments = {}
     for objects in SPEED_OBJECTS:
@@ -256,11 +245,8 @@ def bench_speed(frames: int, rounds: int, settings: Sequence[str], folder: Path,
 
 
 def chosen(what: str, wanted: Sequence[str], known: Iterable[str]) -> list[str]:
-    """Those of the known names that are wanted, in their order; all, where none are named.
-
-    Raises:
-        HieraxError: there is no such name.
-    """
+    """Those of the known names that are wanted, in their order; all, where none are named. Raises HieraxError: there is
+    no such name."""
     known = list(known)
     unknown = [name for name in wanted if name not in known]
     if unknown:

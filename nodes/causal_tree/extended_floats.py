@@ -86,12 +86,8 @@ def shifted(values: ExtendedFloats, axis: int) -> ExtendedFloats:
 def products(values: ExtendedFloats, starts: Places) -> ExtendedFloats:
     """The products of neighbours along the last axis.
 
-    Args:
-        values: shape (…, n).
-        starts: where each product begins; it ends where the next begins. None is empty.
-
-    Returns:
-        Shape (…, len(starts)).
+    Args: values: shape (…, n). starts: where each product begins; it ends where the next begins. None is empty.
+    Returns: Shape (…, len(starts)).
     """
     size = values.fraction.shape[-1]
     while len(starts) < size:

@@ -31,8 +31,7 @@ Columns = int | slice | Places
 class NothingLeftError(Exception):
     """The evidence is impossible.
 
-    Attributes:
-        variable: the number of one of which no state is left.
+    Attributes: variable: the number of one of which no state is left.
     """
 
     def __init__(self, variable: int) -> None:
@@ -91,11 +90,8 @@ class ExtendedSweep:
         self._supports: dict[int, ExtendedFloats] = {}
 
     def up(self, inputs: Inputs) -> None:
-        """Sweep from the leaves to the roots.
-
-        Raises:
-            NothingLeftError: the evidence is impossible. Without that, none of what follows can be.
-        """
+        """Sweep from the leaves to the roots. Raises NothingLeftError: the evidence is impossible. Without that, none
+        of what follows can be."""
         self._likelihoods = {size: base.copied() for size, base in self._base.items()}
         for size, (columns, values) in inputs.items():
             self._likelihoods[size].take_in(columns, Product.of(values))
@@ -118,11 +114,8 @@ class ExtendedSweep:
     def down(self, at_roots: Inputs) -> None:
         """Sweep from the roots to the leaves, after `up`.
 
-        Args:
-            at_roots: further likelihoods of roots.
-
-        Raises:
-            NothingLeftError: they contradict the evidence.
+        Args: at_roots: further likelihoods of roots.
+        Raises NothingLeftError: they contradict the evidence.
         """
         self._beliefs = {size: likelihood.copied() for size, likelihood in self._likelihoods.items()}
         for size, (columns, values) in at_roots.items():

@@ -60,11 +60,8 @@ class Float64Sweep:
     def up(self, evidence: Mapping[int, Floats]) -> float:
         """Sweep from the leaves to the roots.
 
-        Args:
-            evidence: by number of states, likelihoods of at most 1; shape (size, columns). 0 means 0.
-
-        Returns:
-            The least likelihood that the evidence has not made 0; NaN or 0 where something has underflowed.
+        Args: evidence: by number of states, likelihoods of at most 1; shape (size, columns). 0 means 0.
+        Returns: The least likelihood that the evidence has not made 0; NaN or 0 where something has underflowed.
         """
         for size, base in self._plan.base.items():
             np.multiply(base, evidence[size], out=self.likelihoods[size])
@@ -78,11 +75,8 @@ class Float64Sweep:
     def down(self, at_roots: Mapping[int, tuple[Places, Floats]]) -> float:
         """Sweep from the roots to the leaves, after `up`.
 
-        Args:
-            at_roots: further likelihoods of roots, by number of states: columns, and numbers of at most 1.
-
-        Returns:
-            The least support; NaN or 0 where something has underflowed.
+        Args: at_roots: further likelihoods of roots, by number of states: columns, and numbers of at most 1.
+        Returns: The least support; NaN or 0 where something has underflowed.
         """
         with np.errstate(all="ignore"):
             for size, likelihood in self.likelihoods.items():

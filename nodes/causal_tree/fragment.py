@@ -58,8 +58,7 @@ class Whole(NamedTuple):
 class Fragment:
     """Some nodes of a network.
 
-    Args:
-        network: the whole, or at least these nodes and their parents; names: the nodes.
+    Args: network: the whole, or at least these nodes and their parents; names: the nodes.
 
     Attributes:
         names: the nodes, in the network's order.
@@ -98,11 +97,8 @@ class Fragment:
         self._known: tuple[Heard, str | None] | None = None  # what the last sweep up was of, and what it came to
 
     def own_evidence(self, evidence: Mapping[str, Any]) -> dict[str, int | tuple[float, ...]]:
-        """What of evidence concerns this part.
-
-        Raises:
-            ValueError: likelihoods of a node are not as many as its states, or there is no state of that number.
-        """
+        """What of evidence concerns this part. Raises ValueError: likelihoods of a node are not as many as its states,
+        or there is no state of that number."""
         return {
             name: checked_evidence(seen, len(self.states[name]), name)
             for name, seen in evidence.items()

@@ -29,22 +29,15 @@ def unpacked(message: Floats) -> ExtendedFloats:
 
 
 def checked(message: Floats, size: int, parent: str) -> Floats:
-    """A message about a parent with so many states.
-
-    Raises:
-        ValueError: it has another shape.
-    """
+    """A message about a parent with so many states. Raises ValueError: it has another shape."""
     if message.shape != (2, size):
         raise ValueError(f"a message about {parent}: expected shape (2, {size}), got {message.shape}")
     return message
 
 
 def checked_evidence(seen: Any, size: int, name: str) -> int | tuple[float, ...]:
-    """Evidence for a node with so many states.
-
-    Raises:
-        ValueError: there is no state of that number, or the likelihoods are more or fewer.
-    """
+    """Evidence for a node with so many states. Raises ValueError: there is no state of that number, or the likelihoods
+    are more or fewer."""
     if type(seen) is int:
         if not 0 <= seen < size:
             raise ValueError(f"evidence for {name}: expected a state from 0 to {size - 1}, got {seen}")

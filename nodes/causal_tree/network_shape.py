@@ -11,11 +11,8 @@ Parents = Mapping[Name, Sequence[Name]]  # by node, its parents
 
 
 def check_shape(parents: Parents) -> None:
-    """Whether there is no way back to where one came from, along the arrows or whichever way.
-
-    Raises:
-        NetworkError: there is; prints it.
-    """
+    """Whether there is no way back to where one came from, along the arrows or whichever way. Raises NetworkError:
+    there is; prints it."""
     _, come_from = _outward(parents)
     if sum(map(len, parents.values())) == len(come_from):  # a forest has no further arrows
         return
@@ -41,8 +38,7 @@ def epochs_to_exactness(parents: Parents) -> int:
     its way that it comes down to from one parent, and leaves up to another. So this is 1 for trees, and for a
     polytree 1 more than the most such nodes on any undirected path.
 
-    Args:
-        parents: of a tree or polytree, `check_shape`d.
+    Args: parents: of a tree or polytree, `check_shape`d.
     """
     order, come_from = _outward(parents)
     longest: dict[Name, int] = {}

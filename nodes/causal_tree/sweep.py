@@ -47,11 +47,8 @@ class Sweep:
     def up(self, inputs: Inputs) -> None:
         """Sweep from the leaves to the roots.
 
-        Args:
-            inputs: likelihoods; of columns that are not named, ones.
-
-        Raises:
-            NothingLeftError: the evidence is impossible.
+        Args: inputs: likelihoods; of columns that are not named, ones.
+        Raises NothingLeftError: the evidence is impossible.
         """
         self._inputs = inputs
         if self._take_plain(inputs) and self._float64.can_suffice:
@@ -65,11 +62,8 @@ class Sweep:
     def down(self, at_roots: Inputs = NO_INPUTS) -> None:
         """Sweep from the roots to the leaves, after `up`.
 
-        Args:
-            at_roots: further likelihoods of roots, which `up` had not.
-
-        Raises:
-            NothingLeftError: the evidence is impossible.
+        Args: at_roots: further likelihoods of roots, which `up` had not.
+        Raises NothingLeftError: the evidence is impossible.
         """
         if not self.is_extended:
             plain = {size: (columns, as_float64(values, 0)) for size, (columns, values) in at_roots.items()}

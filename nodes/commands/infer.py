@@ -58,11 +58,7 @@ def infer(
 
 
 def _evidence(network: Network, given: Sequence[str]) -> dict[Any, Any]:
-    """Evidence by node, as likelihoods.
-
-    Raises:
-        HieraxError: an option is no evidence; says which one.
-    """
+    """Evidence by node, as likelihoods. Raises HieraxError: an option is no evidence; says which one."""
     from hierax.nodes.causal_tree import likelihoods
     from hierax.runtime.commands.errors import CommandError
     from hierax.runtime.core.errors import HieraxError

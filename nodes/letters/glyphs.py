@@ -37,9 +37,8 @@ DRAWN = tuple(_STROKES)  # the letters that can be drawn
 def strokes(sign: str, ambiguity: float) -> list[Stroke]:
     """The strokes of a letter, or of the sign between H and A.
 
-    Args:
-        sign: one of `DRAWN`, or `AMBIGUOUS`.
-        ambiguity: how far `AMBIGUOUS` is on the way from H (0) to A (1): the uprights lean together.
+    Args: sign: one of `DRAWN`, or `AMBIGUOUS`. ambiguity: how far `AMBIGUOUS` is on the way from H (0) to A (1): the
+        uprights lean together.
     """
     if sign != AMBIGUOUS:
         return _STROKES[sign]

@@ -35,12 +35,9 @@ def is_number(value: object) -> bool:
 def weights(names: Sequence[str], values: Sequence[float], what: str) -> dict[str, float]:
     """Numbers that a user gave, as a message.
 
-    Args:
-        names: the hypotheses; values: one number of 0 or more for each, not all 0.
-        what: the parameter's name, for the error.
-
-    Raises:
-        ValueError: the values are no such numbers.
+    Args: names: the hypotheses; values: one number of 0 or more for each, not all 0. what: the parameter's name, for
+        the error.
+    Raises ValueError: the values are no such numbers.
     """
     expected = f"{what}: expected {len(names)} numbers, for {', '.join(names)}"
     if isinstance(values, (str, bytes)) or not isinstance(values, Sequence) or len(values) != len(names):
@@ -54,11 +51,7 @@ def weights(names: Sequence[str], values: Sequence[float], what: str) -> dict[st
 
 
 def normalised(message: Weights, what: str) -> dict[str, float]:
-    """The message scaled to sum 1.
-
-    Raises:
-        ImpossibleEvidenceError: all is 0; `what` says of which message.
-    """
+    """The message scaled to sum 1. Raises ImpossibleEvidenceError: all is 0; `what` says of which message."""
     top = max(message.values())
     if not top > 0:
         raise ImpossibleEvidenceError(f"{what}: the evidence is impossible, nothing is left of {', '.join(message)}")
@@ -68,11 +61,8 @@ def normalised(message: Weights, what: str) -> dict[str, float]:
 
 
 def product(names: Sequence[str], factors: Iterable[Weights], what: str) -> dict[str, float]:
-    """The normalised element-wise product of messages; of none, the uniform one.
-
-    Raises:
-        ImpossibleEvidenceError: the product is 0 everywhere.
-    """
+    """The normalised element-wise product of messages; of none, the uniform one. Raises ImpossibleEvidenceError: the
+    product is 0 everywhere."""
     factors = tuple(factors)
     parts = {name: _extended_product(factor[name] for factor in factors) for name in names}
     top = max((exponent for fraction, exponent in parts.values() if fraction > 0), default=0)

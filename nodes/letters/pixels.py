@@ -37,12 +37,9 @@ class PictureWorld(World):
 
     Belief: ``{"letters": …, "ambiguity": …}``; the picture follows from it and is not kept.
 
-    Args:
-        letters: the signs, each of A, C, E, H, T or ``?``, the sign between H and A.
-        ambiguity: how far ``?`` is on the way from H (0) to A (1).
-
-    Raises:
-        ValueError: a sign is unknown, or the ambiguity is not from 0 to 1.
+    Args: letters: the signs, each of A, C, E, H, T or ``?``, the sign between H and A. ambiguity: how far ``?`` is on
+        the way from H (0) to A (1).
+    Raises ValueError: a sign is unknown, or the ambiguity is not from 0 to 1.
     """
 
     def __init__(self, letters: str, ambiguity: float = 0.5) -> None:
@@ -61,12 +58,9 @@ class PictureWorld(World):
 class GlyphCamera:
     """φ from the world to a letter node: a camera that looks at one sign.
 
-    Args:
-        letter: which one, from 1; noise: standard deviation of the sensor's noise, in grey values.
-        size: height and width of a sign, in pixels.
-
-    Raises:
-        ValueError: noise or size are out of range.
+    Args: letter: which one, from 1; noise: standard deviation of the sensor's noise, in grey values. size: height and
+        width of a sign, in pixels.
+    Raises ValueError: noise or size are out of range.
     """
 
     def __init__(self, letter: int, noise: float, size: int = 32) -> None:
@@ -79,11 +73,8 @@ class GlyphCamera:
         self._letter, self._noise, self._size = letter, float(noise), size
 
     def __call__(self, belief: Value, tick: Tick = NO_TICK) -> Elements:
-        """One observation: the sign's part of the picture, shape (size, size), uint8, with fresh noise.
-
-        Raises:
-            ValueError: fewer signs are drawn.
-        """
+        """One observation: the sign's part of the picture, shape (size, size), uint8, with fresh noise. Raises
+        ValueError: fewer signs are drawn."""
         signs = belief["letters"]
         if self._letter > len(signs):
             raise ValueError(f"letter: there is no sign {self._letter} in {signs!r}")
@@ -102,8 +93,7 @@ class PixelLetterNode(LetterNode):
         slip: probability that any letter at all was drawn in place of the one that was meant; it keeps the pixels from
             ever ruling a letter out.
 
-    Raises:
-        ValueError: a letter of the words cannot be drawn, or a number is out of range.
+    Raises ValueError: a letter of the words cannot be drawn, or a number is out of range.
     """
 
     def __init__(self, words: Sequence[str], letter: int, sigma: float, slip: float = 1e-6) -> None:
@@ -120,11 +110,8 @@ class PixelLetterNode(LetterNode):
     def likelihood(self, observation: Value) -> Weights:
         """p(pixels | letter) by letter, scaled to sum 1.
 
-        Args:
-            observation: a square of grey values, uint8.
-
-        Raises:
-            ValueError: it is no such square.
+        Args: observation: a square of grey values, uint8.
+        Raises ValueError: it is no such square.
         """
         is_array = isinstance(observation, np.ndarray) and observation.dtype == GREYS and observation.ndim == 2
         if not is_array or observation.shape[0] != observation.shape[1] or not observation.size:
@@ -156,8 +143,7 @@ class PixelLetterNode(LetterNode):
 class SignPicture(Probe):
     """Writes what a letter node saw last, as a picture, into the run's output folder.
 
-    Args:
-        file: its name, such as ``letter1.png``; enlarge: by which whole factor.
+    Args: file: its name, such as ``letter1.png``; enlarge: by which whole factor.
     """
 
     def __init__(self, file: str, enlarge: int = 6) -> None:
@@ -175,11 +161,7 @@ class SignPicture(Probe):
             self._seen = step.observations[0]
 
     def close(self) -> None:
-        """Write the file.
-
-        Raises:
-            OSError: it cannot be written.
-        """
+        """Write the file. Raises OSError: it cannot be written."""
         if self._file is None or self._seen is None:
             return
         large = np.kron(self._seen, np.ones((self._enlarge, self._enlarge), GREYS))

@@ -32,8 +32,7 @@ class SymbolWorld(World):
         likelihoods: for each place, one number per letter.
         letters: signs by name instead, such as ``C?T``: a letter is seen without doubt, ``?`` tells nothing.
 
-    Raises:
-        ValueError: they do not fit the words.
+    Raises ValueError: they do not fit the words.
     """
 
     def __init__(
@@ -89,8 +88,7 @@ class LetterNode(_HypothesesNode):
     ``diagnostic`` is p(sign | letter), ``causal`` what the word expects there; both are uniform until something is
     known.
 
-    Args:
-        words: the vocabulary; letter: the place, from 1.
+    Args: words: the vocabulary; letter: the place, from 1.
     """
 
     def __init__(self, words: Sequence[str], letter: int) -> None:
@@ -103,12 +101,8 @@ class LetterNode(_HypothesesNode):
     def observe(self, observations: Elements, belief: Value) -> Value:
         """τ: the sign's likelihoods take the diagnostic part's place; without any it stays.
 
-        Args:
-            observations: each a likelihood by letter, all of the same sign, independent.
-            belief: as above.
-
-        Raises:
-            ImpossibleEvidenceError: they leave no letter.
+        Args: observations: each a likelihood by letter, all of the same sign, independent. belief: as above.
+        Raises ImpossibleEvidenceError: they leave no letter.
         """
         if not observations:
             return belief
@@ -116,21 +110,15 @@ class LetterNode(_HypothesesNode):
         return self._belief(diagnostic, belief["causal"])
 
     def likelihood(self, observation: Value) -> Weights:
-        """p(observation | letter) by letter, up to a factor: here the observation itself.
-
-        Raises:
-            ValueError: it is not about this node's letters.
-        """
+        """p(observation | letter) by letter, up to a factor: here the observation itself. Raises ValueError: it is not
+        about this node's letters."""
         if not isinstance(observation, Mapping) or set(observation) != set(self.names):
             raise ValueError(f"expected the likelihoods of {', '.join(self.names)}, got {observation!r}")
         return observation
 
     def predict(self, context: Elements, actions: Elements, belief: Value) -> Value:
-        """γ: the context takes the causal support's place; without any it stays.
-
-        Raises:
-            ImpossibleEvidenceError: the context leaves nothing of what was seen.
-        """
+        """γ: the context takes the causal support's place; without any it stays. Raises ImpossibleEvidenceError: the
+        context leaves nothing of what was seen."""
         if not context:
             return belief
         return self._belief(belief["diagnostic"], product(self.names, context, "the context"))
@@ -145,12 +133,8 @@ class WordNode(_HypothesesNode):
 
     ``diagnostic`` has a part for each letter node, by its name; ``causal`` is the prior.
 
-    Args:
-        words: the vocabulary.
-        priors: one number of 0 or more for each word, up to a factor; by default all equal.
-
-    Raises:
-        ValueError: these are no words or no priors.
+    Args: words: the vocabulary. priors: one number of 0 or more for each word, up to a factor; by default all equal.
+    Raises ValueError: these are no words or no priors.
     """
 
     def __init__(self, words: Sequence[str], priors: Sequence[float] | None = None) -> None:
@@ -164,22 +148,15 @@ class WordNode(_HypothesesNode):
     def observe(self, observations: Elements, belief: Value) -> Value:
         """τ: what a letter node reports takes the place of its part; the others stay.
 
-        Args:
-            observations: ``{"from": node, "likelihood": {word: p, …}}`` each; belief: as above.
-
-        Raises:
-            ImpossibleEvidenceError: the letters leave no word that has a prior.
+        Args: observations: ``{"from": node, "likelihood": {word: p, …}}`` each; belief: as above.
+        Raises ImpossibleEvidenceError: the letters leave no word that has a prior.
         """
         reported = {seen["from"]: seen["likelihood"] for seen in observations}
         return self._belief({**belief["diagnostic"], **reported})
 
     def take_over(self, belief: Value) -> Value:
-        """What the letter nodes have reported to another word node, under this one's prior.
-
-        Raises:
-            ValueError: it is no belief over these words.
-            ImpossibleEvidenceError: the reports leave no word that has a prior.
-        """
+        """What the letter nodes have reported to another word node, under this one's prior. Raises ValueError: it is no
+        belief over these words. ImpossibleEvidenceError: the reports leave no word that has a prior."""
         parts = belief.get("diagnostic") if isinstance(belief, dict) else None
         reported = parts if isinstance(parts, dict) else {}
         difference = structural_difference(self._belief(dict.fromkeys(reported, uniform(self.names))), belief)
@@ -196,8 +173,7 @@ class WordNode(_HypothesesNode):
 class _Place:
     """An edge function of a place in words, checked.
 
-    Args:
-        words: the vocabulary; letter: the place, from 1.
+    Args: words: the vocabulary; letter: the place, from 1.
     """
 
     def __init__(self, words: Sequence[str], letter: int) -> None:
@@ -219,11 +195,8 @@ class WordSupport(_Place):
     """ϱ from the word to a letter node: η·(c ∘ all parts but the letter's own)·M."""
 
     def __call__(self, belief: Value, tick: Tick = NO_TICK) -> Elements:
-        """One context element: what the rest of the word expects at the place, by letter.
-
-        Raises:
-            ImpossibleEvidenceError: the other letters leave no word.
-        """
+        """One context element: what the rest of the word expects at the place, by letter. Raises
+        ImpossibleEvidenceError: the other letters leave no word."""
         own = _lower_name(tick)
         others = [part for name, part in belief["diagnostic"].items() if name != own]
         expected = product(self._words, (*others, belief["causal"]), f"all letters but {own}")

@@ -12,11 +12,7 @@ from hierax.nodes.letters.messages import Weights, normalised
 
 
 def check_words(words: Sequence[str]) -> tuple[str, ...]:
-    """The vocabulary of a deployment.
-
-    Raises:
-        ValueError: these are not different words of one length.
-    """
+    """The vocabulary of a deployment. Raises ValueError: these are not different words of one length."""
     if isinstance(words, str) or not words or not all(isinstance(word, str) and word for word in words):
         raise ValueError(f"words: expected a list of words, got {words!r}")
     if len({len(word) for word in words}) > 1 or len(set(words)) < len(words):
@@ -27,11 +23,8 @@ def check_words(words: Sequence[str]) -> tuple[str, ...]:
 def letters_at(words: Sequence[str], letter: int) -> tuple[str, ...]:
     """The hypotheses of a letter node: the letters at a place, in the order of the words.
 
-    Args:
-        words: the vocabulary; letter: the place, from 1.
-
-    Raises:
-        ValueError: the words have no such place.
+    Args: words: the vocabulary; letter: the place, from 1.
+    Raises ValueError: the words have no such place.
     """
     words = check_words(words)
     if not isinstance(letter, int) or not 1 <= letter <= len(words[0]):

@@ -27,10 +27,8 @@ Command = dict[str, Any]
 def command(gripper: Array, width_m: float, speed_m_s: float) -> Command:
     """A command for the gripper.
 
-    Args:
-        gripper: world_from_gripper.
-        width_m: between the finger pads, metres; less than what is between them squeezes it.
-        speed_m_s: how fast the gripper may go there, m/s.
+    Args: gripper: world_from_gripper. width_m: between the finger pads, metres; less than what is between them squeezes
+        it. speed_m_s: how fast the gripper may go there, m/s.
     """
     return {"gripper": gripper, "width": float(width_m), "speed": float(speed_m_s)}
 
@@ -48,8 +46,7 @@ def name_of(tasks: Elements) -> str:
 class Commanded(Mapping[str, Policy]):
     """Π: ``default``, which does nothing, and for every command the policy whose action is the command.
 
-    Args:
-        turned: from the command and the belief, what is to be done instead.
+    Args: turned: from the command and the belief, what is to be done instead.
     """
 
     def __init__(self, turned: Callable[[Command, Value], Command] | None = None) -> None:

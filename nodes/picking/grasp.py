@@ -39,12 +39,8 @@ class GraspNode(Node):
     the cube, None while watching), ``box_from_gripper`` and ``box_width`` (m) of the chosen grasp, ``gripper``
     (world_from_gripper at the grasp; None while watching) and ``attempts``, how many have begun.
 
-    Args:
-        target: id of the cube to pick up; None for whichever is the easiest.
-        lift_m: how far the cube is lifted.
-
-    Raises:
-        ValueError: a number is out of its range.
+    Args: target: id of the cube to pick up; None for whichever is the easiest. lift_m: how far the cube is lifted.
+    Raises ValueError: a number is out of its range.
     """
 
     initial_policy = "pick"
@@ -66,9 +62,7 @@ class GraspNode(Node):
     def observe(self, observations: Elements, belief: Value, tick: Tick = NO_TICK) -> Value:
         """τ: the scene as it is tracked, and the phase that follows.
 
-        Args:
-            observations: as `hierax.nodes.picking.tracker.scene_known` gives them, or none.
-            belief: as it was.
+        Args: observations: as `hierax.nodes.picking.tracker.scene_known` gives them, or none. belief: as it was.
         """
         if not observations:
             return belief

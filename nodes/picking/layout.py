@@ -46,11 +46,8 @@ def planned(scene: int, cubes: int = len(SIDES_M)) -> tuple[Place, ...]:
     In every other scene the second cube stands on the first. The third one stands close to the first, so that one of
     them hides the other and keeps the gripper from some of its sides.
 
-    Args:
-        scene: number of the scene, from 0; cubes: how many, from 1 to 5.
-
-    Raises:
-        ValueError: a number is out of its range, or there is no room.
+    Args: scene: number of the scene, from 0; cubes: how many, from 1 to 5.
+    Raises ValueError: a number is out of its range, or there is no room.
     """
     if not 1 <= cubes <= len(SIDES_M):
         raise ValueError(f"cubes is {cubes}; expected a number from 1 to {len(SIDES_M)}")

@@ -36,11 +36,8 @@ def panda_file() -> Path:
 
 
 def panda_text() -> bytes:
-    """The model for physics, URDF; its meshes are named by absolute paths.
-
-    Raises:
-        DataError: pybullet_data's model is missing or damaged.
-    """
+    """The model for physics, URDF; its meshes are named by absolute paths. Raises DataError: pybullet_data's model is
+    missing or damaged."""
     path = panda_file()
     try:
         robot = ElementTree.parse(path).getroot()

@@ -48,12 +48,9 @@ def choose(bodies: Sequence[Mapping[str, Any]], eligible: Sequence[int]) -> Gras
     on the box, hand and camera keep clear of all boxes and of the table all along the approach, and the arm reaches
     both ends of it.
 
-    Args:
-        bodies: {"id", "pose": world_from_box, "size": (3,) m} of all boxes; the table is z = 0.
-        eligible: ids of those that may be taken.
-
-    Returns:
-        The grasp; None where there is none.
+    Args: bodies: {"id", "pose": world_from_box, "size": (3,) m} of all boxes; the table is z = 0. eligible: ids of
+        those that may be taken.
+    Returns: The grasp; None where there is none.
     """
     boxes = _boxes(bodies)
     free = [index for index, body in enumerate(bodies) if body["id"] in eligible and _uncovered(boxes, index)]
@@ -81,10 +78,8 @@ def before(gripper: Floats, back_m: float = APPROACH_M) -> Floats:
 def clear(gripper: Floats, width_m: float, boxes: Boxes, clearance_m: float) -> bool:
     """Whether hand and camera keep clear of boxes and table on the whole approach.
 
-    Args:
-        gripper: world_from_gripper at its end; width_m: how wide the gripper is open.
-        boxes: everything that is not to be touched, what is to be taken included.
-        clearance_m: how far they are to keep off.
+    Args: gripper: world_from_gripper at its end; width_m: how wide the gripper is open. boxes: everything that is not
+        to be touched, what is to be taken included. clearance_m: how far they are to keep off.
     """
     hand = _hand(width_m)
     stages = [before(gripper, back) for back in np.linspace(0.0, APPROACH_M, _STAGES)]

@@ -76,9 +76,8 @@ class PickSpatial(CommandedNode, SpatialNode):
     def predict(self, context: Elements, actions: Elements, belief: Value) -> Value:
         """γ of `SpatialNode`, but for the cube that is held: it goes on as the hand went.
 
-        Args:
-            context: one element {"held": id of a cube, or None}, from the grasp node.
-            actions: not used; belief: as `observe` left it.
+        Args: context: one element {"held": id of a cube, or None}, from the grasp node. actions: not used; belief: as
+            `observe` left it.
         """
         predicted = super().predict((), (), belief)
         held = context[0]["held"] if context else None
@@ -96,8 +95,7 @@ class PickSpatial(CommandedNode, SpatialNode):
 def arm(scene: int = 0, cubes: int = len(SIDES_M), **options: Any) -> PickArm:
     """The arm node with a first guess at the cubes' poses, and nothing of their shapes.
 
-    Args:
-        scene, cubes: as for `hierax.nodes.picking.world.PickWorld`; options: further ones of `ArmNode`.
+    Args: scene, cubes: as for `hierax.nodes.picking.world.PickWorld`; options: further ones of `ArmNode`.
     """
     camera_from_world = invert(camera_of(gripper_at(HOME_RAD)))
     objects: list[FirstPose] = [
@@ -110,8 +108,7 @@ def arm(scene: int = 0, cubes: int = len(SIDES_M), **options: Any) -> PickArm:
 def spatial(scene: int = 0, cubes: int = len(SIDES_M), **options: Any) -> PickSpatial:
     """The spatial node with a first guess at the cubes' poses, and with their models; the table carries them.
 
-    Args:
-        scene, cubes: as for `hierax.nodes.picking.world.PickWorld`; options: further ones of `SpatialNode`.
+    Args: scene, cubes: as for `hierax.nodes.picking.world.PickWorld`; options: further ones of `SpatialNode`.
     """
     objects: list[FirstBody] = []
     for place, pose in zip(planned(scene, cubes), guessed(scene, cubes), strict=True):
@@ -133,9 +130,8 @@ def poses_and_hand_seen(belief: Value) -> Elements:
 def scene_known(belief: Value) -> Elements:
     """φ of the spatial node: the bodies as boxes, and the hand.
 
-    Returns:
-        Of each body {"id", "pose": world_from_box, its centre in the origin, "size": (3,) m, "covariance", "status"},
-        then {"hand"}; none before the first observation.
+    Returns: Of each body {"id", "pose": world_from_box, its centre in the origin, "size": (3,) m, "covariance",
+        "status"}, then {"hand"}; none before the first observation.
     """
     if belief["hand"] is None:
         return ()

@@ -121,9 +121,8 @@ def picture_and_hand_seen(belief: Value, tick: Tick = NO_TICK) -> Elements:
 
     The camera is mounted so that nothing of the arm is in its view. The arm throws no shadow.
 
-    Returns:
-        One element {"image", "camera", "intrinsics", "frame", "hand"}; the hand is
-        {"gripper": world_from_gripper, by the joints' angles; "width": metres between the finger pads}.
+    Returns: One element {"image", "camera", "intrinsics", "frame", "hand"}; the hand is {"gripper": world_from_gripper,
+        by the joints' angles; "width": metres between the finger pads}.
     """
     cubes = [Thing(body["pose"], cube(body["side_m"]), tuple(body["colour"])) for body in belief["bodies"]]
     picture = draw(cubes, belief["camera"], belief["intrinsics"], tuple(belief["size"]))

@@ -51,9 +51,7 @@ def world_things(step: Step) -> dict[str, Thing]:
 def arm_things(step: Step, before: Value) -> dict[str, Thing]:
     """The image with edges, the camera in the scene, and the objects' scores.
 
-    Args:
-        step: of the arm.
-        before: what it expected: the red edges; None: there are none.
+    Args: step: of the arm. before: what it expected: the red edges; None: there are none.
     """
     corrected = step.sensed
     objects = corrected["objects"]
@@ -81,9 +79,7 @@ def arm_things(step: Step, before: Value) -> dict[str, Thing]:
 def spatial_things(step: Step, table: bool) -> dict[str, Thing]:
     """The bodies where they are expected, and what the camera is expected to see of them.
 
-    Args:
-        step: of the spatial node.
-        table: whether the plane z = 0 carries the bodies; it is drawn as a grid.
+    Args: step: of the spatial node. table: whether the plane z = 0 carries the bodies; it is drawn as a grid.
     """
     belief = step.belief
     things: dict[str, Thing] = {"/scene/table": Lines3D(_grid(), _GRID, 0.0005)} if table else {}
@@ -100,11 +96,8 @@ def spatial_things(step: Step, table: bool) -> dict[str, Thing]:
 def errors(steps: Mapping[str, Step]) -> dict[str, Thing]:
     """How far the arm's poses are from the truth, seen from the camera, where the world knows it.
 
-    Args:
-        steps: of an epoch, of all nodes.
-
-    Returns:
-        Of each tracked object ``/error_mm/ID`` and ``/turn_deg/ID``.
+    Args: steps: of an epoch, of all nodes.
+    Returns: Of each tracked object ``/error_mm/ID`` and ``/turn_deg/ID``.
     """
     worlds = [step.sensed for step in steps.values() if not step.observations and "bodies" in step.sensed]
     arms = [step.sensed for step in steps.values() if "objects" in step.sensed]

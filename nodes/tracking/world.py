@@ -35,13 +35,9 @@ def world(
 ) -> World:
     """N₀: a `BopWorld` where a scene is given, else a `SimWorld`.
 
-    Args:
-        scene: folder of a BOP scene, or None; cubes, frames, noise, blur_px: of the simulated world.
-        fps: frames per second, of either.
-
-    Raises:
-        DataError: a file of the scene is missing or damaged.
-        ValueError: a number is out of its range.
+    Args: scene: folder of a BOP scene, or None; cubes, frames, noise, blur_px: of the simulated world. fps: frames per
+        second, of either.
+    Raises DataError: a file of the scene is missing or damaged. ValueError: a number is out of its range.
     """
     if scene is not None:
         return BopWorld(scene, fps)
@@ -72,8 +68,7 @@ def arm(
             are looked for.
         options: further ones of `ArmNode` or `PaperArmNode`.
 
-    Raises:
-        ValueError: there is no such method.
+    Raises ValueError: there is no such method.
     """
     if method not in _ARMS:
         raise ValueError(f"method is {method!r}; expected one of {', '.join(_ARMS)}")
@@ -104,8 +99,7 @@ def spatial(
         start: as for `arm`.
         options: further ones of `SpatialNode`.
 
-    Raises:
-        ValueError: objects are to be looked for without a table on which they could rest.
+    Raises ValueError: objects are to be looked for without a table on which they could rest.
     """
     carried = (scene is None if table is None else table) and physics
     objects, camera = _first_objects(scene, cubes, start)

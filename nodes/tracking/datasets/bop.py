@@ -68,11 +68,8 @@ class SceneObject(NamedTuple):
 class BopScene:
     """A scene folder. Reading the constructor's files checks them; images and models are read when asked for.
 
-    Args:
-        folder: ``DATASET/SPLIT/000001``.
-
-    Raises:
-        DataError: a file is missing or damaged; it is named.
+    Args: folder: ``DATASET/SPLIT/000001``.
+    Raises DataError: a file is missing or damaged; it is named.
     """
 
     def __init__(self, folder: str | Path) -> None:
@@ -84,20 +81,14 @@ class BopScene:
 
     @cached_property
     def size(self) -> tuple[int, int]:
-        """Width and height of the first frame's image, which all others have to have.
-
-        Raises:
-            DataError: the image is missing or damaged.
-        """
+        """Width and height of the first frame's image, which all others have to have. Raises DataError: the image is
+        missing or damaged."""
         height, width = read_image(self.frames[0].image).shape[:2]
         return width, height
 
     def image(self, path: Path) -> Array:
-        """The image of one of the frames, as `read_image` gives it.
-
-        Raises:
-            DataError: it is missing or damaged, or has another size than the first one.
-        """
+        """The image of one of the frames, as `read_image` gives it. Raises DataError: it is missing or damaged, or has
+        another size than the first one."""
         image = read_image(path)
         height, width = image.shape[:2]
         if (width, height) != self.size:
@@ -108,11 +99,8 @@ class BopScene:
     def first_objects(self, poses: bool = True) -> tuple[SceneObject, ...]:
         """The objects of the first frame with their true poses there: the only truth that tracking starts from.
 
-        Args:
-            poses: false: they are not read, and every object's is None; as is one that is null in the file.
-
-        Raises:
-            DataError: ``scene_gt.json`` is missing or damaged.
+        Args: poses: false: they are not read, and every object's is None; as is one that is null in the file.
+        Raises DataError: ``scene_gt.json`` is missing or damaged.
         """
         path = self.folder / "scene_gt.json"
         first = str(self.frames[0].im_id)
@@ -152,10 +140,7 @@ class BopScene:
 
 def read_model(folder: Path, obj_id: int) -> tuple[Mesh, Symmetry]:
     """The mesh of a model, in metres, and its symmetry: as ``models_info.json`` has it, else as the mesh shows it.
-
-    Raises:
-        DataError: the model or ``models_info.json`` is missing or damaged.
-    """
+    Raises DataError: the model or ``models_info.json`` is missing or damaged."""
     info = folder / "models_info.json"
     entry = read_json(info).get(str(obj_id))
     if not isinstance(entry, dict):
@@ -166,11 +151,8 @@ def read_model(folder: Path, obj_id: int) -> tuple[Mesh, Symmetry]:
 
 
 def read_image(path: Path) -> Array:
-    """An image as uint8, (h, w) gray or (h, w, 3) RGB.
-
-    Raises:
-        DataError: the file is missing, damaged, or has other than 8 bits.
-    """
+    """An image as uint8, (h, w) gray or (h, w, 3) RGB. Raises DataError: the file is missing, damaged, or has other
+    than 8 bits."""
     data = read_file(path, "an image")
     _check_end(path, data)
     width, height = image_size(data) or (0, 0)
@@ -198,10 +180,7 @@ def _check_end(path: Path, data: bytes) -> None:
 
 def check_no_results(path: Path) -> None:
     """See that nothing is lost where a results file is begun: a header alone, a process had begun that was killed.
-
-    Raises:
-        DataError: there is something in the file already.
-    """
+    Raises DataError: there is something in the file already."""
     if path.is_file() and path.stat().st_size > len(RESULTS_HEADER) + 1:
         raise DataError(f"{path}: is there already; --overwrite replaces it, or name another file")
 
@@ -216,14 +195,9 @@ class ResultsFile:
     A frame that is written again takes the place of its earlier lines and of all behind
     them: whoever tells a frame again tells those after it again, too.
 
-    Args:
-        path: the file; its folder is created.
-        scene_id: the scene's number.
-        again: go on behind what another process has left there; a line that it did not
-            finish is cut off. Else, or where there is no such file, one is begun.
-
-    Raises:
-        DataError: the file cannot be written, now or later, or what is there is no results file.
+    Args: path: the file; its folder is created. scene_id: the scene's number. again: go on behind what another process
+        has left there; a line that it did not finish is cut off. Else, or where there is no such file, one is begun.
+    Raises DataError: the file cannot be written, now or later, or what is there is no results file.
     """
 
     def __init__(self, path: str | Path, scene_id: int, again: bool = False) -> None:
@@ -244,13 +218,8 @@ class ResultsFile:
     def write(self, im_id: int, objects: Sequence[ScoredPose], time_s: float = -1.0) -> None:
         """One image's poses.
 
-        Args:
-            im_id: the image's number.
-            objects: those of the image.
-            time_s: how long the image took.
-
-        Raises:
-            DataError: the file cannot be written.
+        Args: im_id: the image's number. objects: those of the image. time_s: how long the image took.
+        Raises DataError: the file cannot be written.
         """
         lines = [self._line(im_id, item, time_s) for item in objects if item["status"] != LOST]
         with writing(self.path):
@@ -338,12 +307,8 @@ class Result(NamedTuple):
 def read_results(path: str | Path, growing: bool = False) -> list[Result]:
     """The lines of a BOP results file, in the file's order.
 
-    Args:
-        path: the file.
-        growing: somebody may be writing it: a last line without its end is left out.
-
-    Raises:
-        DataError: it is missing or a line is damaged.
+    Args: path: the file. growing: somebody may be writing it: a last line without its end is left out.
+    Raises DataError: it is missing or a line is damaged.
     """
     path = Path(path)
     try:

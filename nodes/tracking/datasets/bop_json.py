@@ -24,11 +24,7 @@ _SYMMETRIES = {"symmetries_discrete", "symmetries_continuous"}
 
 
 def read_json(path: Path) -> dict[str, Any]:
-    """A file that holds one object, with an entry for each number.
-
-    Raises:
-        DataError: it is missing or damaged.
-    """
+    """A file that holds one object, with an entry for each number. Raises DataError: it is missing or damaged."""
     try:
         content = json.loads(read_file(path, "JSON").decode("utf-8"))
     except UnicodeDecodeError as error:
@@ -43,11 +39,7 @@ def read_json(path: Path) -> dict[str, Any]:
 
 
 def read_obj_id(where: str, entry: Any) -> int:
-    """The number of an entry's model.
-
-    Raises:
-        DataError: there is none.
-    """
+    """The number of an entry's model. Raises DataError: there is none."""
     obj_id = entry.get("obj_id") if isinstance(entry, dict) else None
     if type(obj_id) is not int or not 0 <= obj_id <= MAX_NUMBER:
         raise DataError(f"{where}: obj_id: expected the number of a model")
@@ -55,11 +47,8 @@ def read_obj_id(where: str, entry: Any) -> int:
 
 
 def read_pose(where: str, entry: Any, rotation_key: str, translation_key: str) -> Floats:
-    """A pose in metres of an entry's rotation, row by row, and translation in millimetres.
-
-    Raises:
-        DataError: one is missing, or no rotation.
-    """
+    """A pose in metres of an entry's rotation, row by row, and translation in millimetres. Raises DataError: one is
+    missing, or no rotation."""
     rotation = read_numbers(where, entry, rotation_key, 9).reshape(3, 3)
     translation = read_numbers(where, entry, translation_key, 3) * BOP_UNIT_M
     if np.abs(translation).max() > MAX_DISTANCE_M:
@@ -74,11 +63,8 @@ def read_pose(where: str, entry: Any, rotation_key: str, translation_key: str) -
 
 def read_symmetry(where: str, entry: Any) -> Symmetry | None:
     """What an entry of ``models_info.json`` says of symmetry; None where it says nothing, and none where its lists of
-    ``symmetries_discrete`` and ``symmetries_continuous`` are empty.
-
-    Raises:
-        DataError: they are no lists of at most `MAX_SYMMETRIES` rigid motions, row by row, or of axes.
-    """
+    ``symmetries_discrete`` and ``symmetries_continuous`` are empty. Raises DataError: they are no lists of at most
+    `MAX_SYMMETRIES` rigid motions, row by row, or of axes."""
     if not _SYMMETRIES & entry.keys():
         return None
     lists = {key: entry.get(key, []) for key in sorted(_SYMMETRIES)}
@@ -99,11 +85,7 @@ def read_symmetry(where: str, entry: Any) -> Symmetry | None:
 
 
 def read_numbers(where: str, entry: Any, key: str, count: int) -> Floats:
-    """A list of so many finite numbers.
-
-    Raises:
-        DataError: it is missing, or something else.
-    """
+    """A list of so many finite numbers. Raises DataError: it is missing, or something else."""
     values = entry.get(key) if isinstance(entry, dict) else None
     if isinstance(values, list) and len(values) == count and all(type(value) in (int, float) for value in values):
         numbers = np.array([float(min(max(value, -_HUGE), _HUGE)) for value in values])

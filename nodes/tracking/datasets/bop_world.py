@@ -21,13 +21,8 @@ class BopWorld(World):
 
     The belief is a `SceneBelief`, see `hierax.nodes.tracking.schema`.
 
-    Args:
-        scene: ``DATASET/SPLIT/000001``.
-        fps: frames per second; an epoch's time is its frame's place divided by it.
-
-    Raises:
-        DataError: a file of the scene is missing or damaged.
-        ValueError: `fps` is not positive.
+    Args: scene: ``DATASET/SPLIT/000001``. fps: frames per second; an epoch's time is its frame's place divided by it.
+    Raises DataError: a file of the scene is missing or damaged. ValueError: `fps` is not positive.
     """
 
     def __init__(self, scene: str, fps: float = 30.0) -> None:
@@ -55,12 +50,9 @@ class BopWorld(World):
 
 
 def frame_seen(belief: SceneBelief) -> tuple[Picture, ...]:
-    """φ of a `BopWorld`: the frame and what its camera is known to be.
-
-    Returns:
-        One element {"image": uint8 (h, w) or (h, w, 3) RGB; "camera": world_from_camera;
-        "intrinsics": (4,) fx, fy, cx, cy; "frame": im_id}; none after the last frame.
-    """
+    """φ of a `BopWorld`: the frame and what its camera is known to be. Returns: One element {"image": uint8 (h, w) or
+    (h, w, 3) RGB; "camera": world_from_camera; "intrinsics": (4,) fx, fy, cx, cy; "frame": im_id}; none after the last
+    frame."""
     frames = _scene(belief["scene"]).frames
     if belief["index"] >= len(frames):
         return ()
@@ -74,8 +66,7 @@ class ReadAhead:
 
     What `read` returns or raises does not depend on it.
 
-    Args:
-        paths: the images; depth: how many are read ahead at most; read: reads one.
+    Args: paths: the images; depth: how many are read ahead at most; read: reads one.
     """
 
     def __init__(self, paths: Sequence[Path], depth: int = AHEAD, read: Callable[[Path], Array] = read_image) -> None:
@@ -86,11 +77,7 @@ class ReadAhead:
         self._begun: dict[int, Future[Array]] = {}
 
     def read(self, index: int) -> Array:
-        """The image at an index.
-
-        Raises:
-            DataError: it is missing or damaged, or of another size than the others.
-        """
+        """The image at an index. Raises DataError: it is missing or damaged, or of another size than the others."""
         ahead = range(index, min(index + 1 + self._depth, len(self._paths)))
         for at in [at for at in self._begun if at not in ahead]:
             self._begun.pop(at).cancel()

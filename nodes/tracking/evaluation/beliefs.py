@@ -24,8 +24,7 @@ class Beliefs(Probe):
     (camera_from_object, metres) and ``covariance`` (6 × 6, of a twist in the object's frame, m² and rad²). Objects
     that are lost are there, too. A frame that is told again replaces what was told of it.
 
-    Args:
-        file: path, relative to the folder that the run was started in.
+    Args: file: path, relative to the folder that the run was started in.
     """
 
     def __init__(self, file: str) -> None:
@@ -55,8 +54,7 @@ def judge(file: Path, truth: Mapping[int, Sequence[TruePose]]) -> None:
     Adds ``visible`` (share, 0 to 1), ``distance_mm``, ``angle_deg`` and ``twist``, the ξ with which
     ``pose @ exp_se3(ξ)`` is the truth, in metres and radians: what ``covariance`` is of.
 
-    Raises:
-        DataError: the file cannot be written.
+    Raises DataError: the file cannot be written.
     """
     true = {(frame, pose.obj_id): pose for frame, poses in truth.items() for pose in poses}
     with np.load(file) as archive:

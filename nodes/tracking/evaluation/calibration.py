@@ -94,10 +94,7 @@ class Calibration(NamedTuple):
 
 def calibration(files: Sequence[Path]) -> Calibration | None:
     """How true is what was said in files that `beliefs.judge` has added the truth to; None where nothing was tracked.
-
-    Raises:
-        DataError: a file cannot be read, or says nothing of probabilities, or nobody has added the truth.
-    """
+    Raises DataError: a file cannot be read, or says nothing of probabilities, or nobody has added the truth."""
     columns = [_read(file) for file in files]
     probability, right, square, astray = (np.concatenate(each) for each in zip(*columns, strict=True))
     if not len(probability):

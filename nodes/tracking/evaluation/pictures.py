@@ -59,12 +59,9 @@ class Pictures(Probe):
     A frame that is told again is drawn again. The first frame that a new process of the arm
     is told has no red: what was expected died with the process before.
 
-    Args:
-        every: from one picture to the next, in frames; video: whether a video is made.
-        fps: of the video, frames per second.
-
-    Raises:
-        ValueError: `every` is below 1, or `fps` is not positive.
+    Args: every: from one picture to the next, in frames; video: whether a video is made. fps: of the video, frames per
+        second.
+    Raises ValueError: `every` is below 1, or `fps` is not positive.
     """
 
     def __init__(self, every: int = 8, video: bool = False, fps: float = 30.0) -> None:
@@ -141,13 +138,9 @@ class Pictures(Probe):
 def overlay(image: Array, expected: AnyArmBelief | None, corrected: AnyArmBelief) -> Array:
     """An image with the edges of an arm's beliefs over it.
 
-    Args:
-        image: uint8, (h, w) gray or (h, w, 3) RGB.
-        expected: the arm's belief as predicted, before the image; None for none.
-        corrected: its belief after the image, of whose camera it knows.
-
-    Returns:
-        uint8 RGB (h, w, 3).
+    Args: image: uint8, (h, w) gray or (h, w, 3) RGB. expected: the arm's belief as predicted, before the image; None
+        for none. corrected: its belief after the image, of whose camera it knows.
+    Returns: uint8 RGB (h, w, 3).
     """
     picture: Array = cv2.cvtColor(image, cv2.COLOR_GRAY2RGB) if image.ndim == 2 else np.array(image)
     camera, intrinsics = corrected["camera"], corrected["intrinsics"]
@@ -185,11 +178,7 @@ def contact_sheet(pictures: Sequence[Path]) -> Array:
 
 
 def write_video(path: Path, pictures: Sequence[Path], fps: float) -> None:
-    """Put pictures of one size together as an MP4 video.
-
-    Raises:
-        DataError: it cannot be written.
-    """
+    """Put pictures of one size together as an MP4 video. Raises DataError: it cannot be written."""
     height, width = read_image(pictures[0]).shape[:2]
     unfinished = path.with_name(f"unfinished-{path.name}")
     writer = cv2.VideoWriter(str(unfinished), cv2.VideoWriter.fourcc(*"mp4v"), fps, (width, height))
@@ -204,11 +193,8 @@ def write_video(path: Path, pictures: Sequence[Path], fps: float) -> None:
 
 
 def write_picture(path: Path, picture: Array) -> None:
-    """Write an RGB picture as PNG. The file is whole at every moment at which it is there.
-
-    Raises:
-        DataError: it cannot be written.
-    """
+    """Write an RGB picture as PNG. The file is whole at every moment at which it is there. Raises DataError: it cannot
+    be written."""
     _, content = cv2.imencode(".png", np.ascontiguousarray(picture[..., ::-1]))
     unfinished = path.with_name(path.name + _UNFINISHED)
     with writing(path):

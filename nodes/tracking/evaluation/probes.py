@@ -19,9 +19,8 @@ class BopResults(Probe):
     They go to `file` and, where the run has an output folder, to ``poses.csv`` in it. A
     frame that is told again replaces what was written of it.
 
-    Args:
-        file: path, relative to the folder that the run was started in; None for none.
-        scene: the scene's folder, whose name is the scene's number; None gives number 0.
+    Args: file: path, relative to the folder that the run was started in; None for none. scene: the scene's folder,
+        whose name is the scene's number; None gives number 0.
     """
 
     prompt = True
@@ -32,19 +31,12 @@ class BopResults(Probe):
         self._results: list[ResultsFile] = []
 
     def open(self, output: Path | None) -> None:
-        """Begin the files.
-
-        Raises:
-            DataError: one cannot be written, or there are poses in it already, and it may not be written over.
-        """
+        """Begin the files. Raises DataError: one cannot be written, or there are poses in it already, and it may not be
+        written over."""
         self._begin(output, again=False)
 
     def open_again(self, output: Path | None) -> None:
-        """Go on behind what is in the files.
-
-        Raises:
-            DataError: one cannot be written, or is no results file.
-        """
+        """Go on behind what is in the files. Raises DataError: one cannot be written, or is no results file."""
         self._begin(output, again=True)
 
     def record(self, step: Step) -> None:
@@ -96,11 +88,7 @@ class Truth(Probe):
             (output / TRUTH_FILE).unlink(missing_ok=True)
 
     def open_again(self, output: Path | None) -> None:
-        """Go on behind what is in the file.
-
-        Raises:
-            DataError: it cannot be written, or is no results file.
-        """
+        """Go on behind what is in the file. Raises DataError: it cannot be written, or is no results file."""
         self._output = output
         if output is not None and (output / TRUTH_FILE).exists():
             self._results = ResultsFile(output / TRUTH_FILE, 0, again=True)

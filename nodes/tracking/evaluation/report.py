@@ -35,9 +35,8 @@ _INK, _RULE, _PAPER = (60, 60, 60), (222, 222, 222), 255
 class ErrorPlot(Probe):
     """Draws the errors of a run into ``errors.png`` of its output folder at its end, where the truth is known.
 
-    Args:
-        truth: folder with the true poses of a scene folder's frames; None for those that a simulated
-            world's `Truth` has written.
+    Args: truth: folder with the true poses of a scene folder's frames; None for those that a simulated world's `Truth`
+        has written.
     """
 
     def __init__(self, truth: str | None = None) -> None:
@@ -45,11 +44,7 @@ class ErrorPlot(Probe):
         self._output: Path | None = None
 
     def open(self, output: Path | None) -> None:
-        """Remember the folder.
-
-        Raises:
-            DataError: there are no true poses in the folder named.
-        """
+        """Remember the folder. Raises DataError: there are no true poses in the folder named."""
         self._output = output
         if self._truth is not None:
             read_truth(self._truth)
@@ -62,11 +57,7 @@ class ErrorPlot(Probe):
         """Nothing; all is read at the end."""
 
     def close(self) -> None:
-        """Draw.
-
-        Raises:
-            DataError: the poses or the truth are damaged, or it cannot be written.
-        """
+        """Draw. Raises DataError: the poses or the truth are damaged, or it cannot be written."""
         if self._output is None:
             return
         true = _simulated_truth(self._output) if self._truth is None else read_truth(self._truth)
@@ -77,12 +68,9 @@ class ErrorPlot(Probe):
 def read_errors(output: Path, truth: Path | None = None) -> list[ObjectErrors]:
     """Compare a run's poses with the truth.
 
-    Args:
-        output: the run's output folder.
-        truth: folder with ``scene_gt.json`` of all frames; None for ``truth.csv`` of the run.
-
-    Raises:
-        DataError: one of the files is missing or damaged, or there is no true pose.
+    Args: output: the run's output folder. truth: folder with ``scene_gt.json`` of all frames; None for ``truth.csv`` of
+        the run.
+    Raises DataError: one of the files is missing or damaged, or there is no true pose.
     """
     if truth is not None:
         return object_errors(read_results(output / POSES_FILE), read_truth(truth))
@@ -136,11 +124,7 @@ def plot(errors: Sequence[ObjectErrors]) -> Array:
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Print the errors and draw the plot.
-
-    Returns:
-        The exit code: 0, or 1 where a file is missing or damaged.
-    """
+    """Print the errors and draw the plot. Returns: The exit code: 0, or 1 where a file is missing or damaged."""
     parser = argparse.ArgumentParser(prog="python -m hierax.nodes.tracking.evaluation.report", description=__doc__)
     parser.add_argument("output", type=Path, help="the run's output folder")
     parser.add_argument("--truth", type=Path, metavar="DIR", help="folder with scene_gt.json of all frames")

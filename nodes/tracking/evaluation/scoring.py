@@ -217,11 +217,8 @@ def table(rows: Mapping[str, Score]) -> str:
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Print a run's figures, all objects together and each alone.
-
-    Returns:
-        The exit code: 0, or 1 where a file is missing or damaged.
-    """
+    """Print a run's figures, all objects together and each alone. Returns: The exit code: 0, or 1 where a file is
+    missing or damaged."""
     parser = argparse.ArgumentParser(
         prog="python -m hierax.nodes.tracking.evaluation.scoring",
         description=__doc__,

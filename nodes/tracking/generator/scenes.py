@@ -63,7 +63,7 @@ def write_scene(
         objects: take so many of the objects at most, the first; None for all.
 
     Returns: The scene's folder.
-    Raises: ValueError: there is no such kind, or `frames` or `objects` is not positive. DataError: something cannot be
+    Raises ValueError: there is no such kind, or `frames` or `objects` is not positive. DataError: something cannot be
         written.
     """
     shown = film(kind, seed, frames).first(objects)
@@ -84,7 +84,7 @@ def write_said(out: Path, models: Sequence[Mesh], told: Told, silent: Sequence[i
 
     Of the models of `silent` numbers nothing is said of symmetries; of the others, that they have none.
 
-    Raises: DataError: something cannot be written.
+    Raises DataError: something cannot be written.
     """
     scene = out / "test" / SCENE
     with writing():
@@ -101,7 +101,7 @@ def write_truth(
 
     Args: out: the dataset's folder; camera: world_from_camera of each frame; intrinsics: fx, fy, cx, cy in pixels.
         poses: camera_from_object of each object in each frame; shares: of each in each the visible share.
-    Raises: DataError: something cannot be written.
+    Raises DataError: something cannot be written.
     """
     folder = out / "truth" / SCENE
     objects = {str(frame): _objects(each) for frame, each in enumerate(poses)}

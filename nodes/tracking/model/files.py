@@ -33,11 +33,9 @@ _FACE_LISTS = ("vertex_indices", "vertex_index")
 def read_mesh(path: Path, unit_m: float = BOP_UNIT_M) -> Mesh:
     """A mesh from a file; its ending says in which format. Polygons are cut into triangles, vertices stay as they are.
 
-    Args:
-        path: of a PLY, OBJ, STL or glTF file; unit_m: the file's unit of length in metres, but of glTF, where it is 1.
-
-    Raises:
-        DataError: the file is missing or damaged; it names file, element or vertex, and what was expected.
+    Args: path: of a PLY, OBJ, STL or glTF file; unit_m: the file's unit of length in metres, but of glTF, where it is
+        1.
+    Raises DataError: the file is missing or damaged; it names file, element or vertex, and what was expected.
     """
     kind = path.suffix.lower()
     if kind not in _READERS:
@@ -57,9 +55,7 @@ def read_mesh(path: Path, unit_m: float = BOP_UNIT_M) -> Mesh:
 def write_ply(path: Path, mesh: Mesh, unit_m: float = BOP_UNIT_M) -> None:
     """Write a mesh as an ascii PLY file.
 
-    Args:
-        path: the file; its folder must exist.
-        mesh: in metres; unit_m: the file's unit of length in metres.
+    Args: path: the file; its folder must exist. mesh: in metres; unit_m: the file's unit of length in metres.
     """
     lines = ["ply", "format ascii 1.0", f"element vertex {len(mesh.vertices)}"]
     lines += [f"property double {axis}" for axis in "xyz"]

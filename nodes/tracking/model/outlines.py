@@ -23,8 +23,7 @@ class Outline(NamedTuple):
 def outline_of(shape: Shape, viewpoint: Floats) -> Outline:
     """The outline of a shape's smooth surfaces, hidden or not.
 
-    Args:
-        shape: the object; viewpoint: (3,) the camera's centre, object's frame.
+    Args: shape: the object; viewpoint: (3,) the camera's centre, object's frame.
     """
     towards = np.sum(shape.corner_normals * (viewpoint - shape.corners), axis=1)
     one, two, three = (towards > 0.0)[shape.smooth_corners].T
@@ -49,8 +48,7 @@ def outline_of(shape: Shape, viewpoint: Floats) -> Outline:
 def _chained(crossed: NDArray[np.int64]) -> tuple[NDArray[np.intp], NDArray[np.bool_], Ints]:
     """An order in which pieces follow one another, whether each is turned round in it, and the chains' numbers.
 
-    Args:
-        crossed: (n, 2) which side of a triangle each piece begins and ends on.
+    Args: crossed: (n, 2) which side of a triangle each piece begins and ends on.
     """
     slots = crossed.ravel()
     sorted_slots = np.argsort(slots, kind="stable")

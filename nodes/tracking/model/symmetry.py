@@ -112,8 +112,7 @@ def found_symmetry(mesh: Mesh, tolerance_m: float = TOLERANCE_M) -> Symmetry:
     Axes are looked for through the surface's centre: those of inertia and, where these are not unique, those towards
     corners, along edges' middles and square to sides.
 
-    Args:
-        mesh: the surface; tolerance_m: how far points may lie beside it after a turn.
+    Args: mesh: the surface; tolerance_m: how far points may lie beside it after a turn.
     """
     surface = _Surface(mesh)
     centre, tolerance_m = surface.centre, min(tolerance_m, _LEAST_SHARE * float(np.ptp(mesh.vertices, axis=0).max()))

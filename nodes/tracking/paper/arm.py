@@ -45,8 +45,7 @@ class PaperArmNode(Node):
         kept_score: an image in which less of the edges is found does not support a pose.
         patience: images in a row without support until an object is lost.
 
-    Raises:
-        ValueError: ids are doubled or out of range, a pose is no 4 × 4 matrix, or an option is out of range.
+    Raises ValueError: ids are doubled or out of range, a pose is no 4 × 4 matrix, or an option is out of range.
     """
 
     def __init__(
@@ -76,9 +75,8 @@ class PaperArmNode(Node):
     def observe(self, observations: tuple[Picture, ...], belief: PaperArmBelief) -> PaperArmBelief:
         """τ: each object's expected edges matched to the image's line segments, its pose by solvePnP.
 
-        Args:
-            observations: one element {"image", "camera", "intrinsics", "frame"}, or none.
-            belief: as `predict` left it.
+        Args: observations: one element {"image", "camera", "intrinsics", "frame"}, or none. belief: as `predict` left
+            it.
         """
         if not observations:
             return belief
@@ -101,10 +99,8 @@ class PaperArmNode(Node):
     def predict(self, context: tuple[Imagery, ...], actions: Nothing, belief: PaperArmBelief) -> PaperArmBelief:
         """γ: where the objects will be, and which of their edges will be seen, both from the context.
 
-        Args:
-            context: one element as `hierax.nodes.tracking.render.SegmentedDepth` gives it, or
-                none: then the arm knows no shapes, and every object is lost.
-            actions: none; belief: as `observe` left it.
+        Args: context: one element as `hierax.nodes.tracking.render.SegmentedDepth` gives it, or none: then the arm
+            knows no shapes, and every object is lost. actions: none; belief: as `observe` left it.
         """
         camera = belief["camera"]
         expected = {item["id"]: item for item in context[0]["poses"]} if context else {}

@@ -170,10 +170,8 @@ def drive_at(time_s: float) -> Floats | None:
 
 
 def first_bodies(cubes: int) -> tuple[schema.Cube, ...]:
-    """The first so many cubes of `SCENE`, at rest, as they stand in the belief.
-
-    Raises: ValueError: there are not so many.
-    """
+    """The first so many cubes of `SCENE`, at rest, as they stand in the belief. Raises ValueError: there are not so
+    many."""
     if not 1 <= cubes <= len(SCENE):
         raise ValueError(f"cubes is {cubes}; expected a number from 1 to {len(SCENE)}")
     return tuple(
