@@ -31,7 +31,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from hierax.nodes.tracking.evaluation.report import read_errors
-from hierax.nodes.tracking.evaluation.scoring import EpochProgress
+from hierax.nodes.tracking.evaluation.scoring import ObjectErrors
 
 HIERAX = [sys.executable, "-m", "hierax.runtime.commands.main"]
 TIMEOUT_S = 300.0
@@ -89,7 +89,7 @@ def launch(way: str, output: Path) -> Launch:
     return measured(read_errors(output), report, metrics.get("staleness_mean", 0.0))
 
 
-def measured(errors: Sequence[EpochProgress], report: Mapping[str, Any], staleness_mean: float) -> Launch:
+def measured(errors: Sequence[ObjectErrors], report: Mapping[str, Any], staleness_mean: float) -> Launch:
     """The figures of a launch."""
     distances_mm = np.array([item.distance_mm for item in errors])
     angles_deg = np.array([item.angle_deg for item in errors])

@@ -13,13 +13,33 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
-from hierax.nodes.letters.messages import Weights, product, uniform, weights
-from hierax.nodes.letters.words import check_words, letters_at, letters_given_word, words_given_letter
+from hierax.nodes.letters.messages import Weights, normalised, product, uniform, weights
 from hierax.runtime import NO_TICK, Elements, Node, Step, Tick, Value, World
 from hierax.runtime.core.node import structural_difference
 from hierax.runtime.core.showing import Curve, Things, colour_of
 
 UNKNOWN = "?"  # in a string of letters, the one of which the sign tells nothing
+
+
+def check_words(words: Sequence[str]) -> tuple[str, ...]:
+    """The vocabulary of a deployment. Raises ValueError: these are not different words of one length."""
+    if isinstance(words, str) or not words or not all(isinstance(word, str) and word for word in words):
+        raise ValueError(f"words: expected a list of words, got {words!r}")
+    if len({len(word) for word in words}) > 1 or len(set(words)) < len(words):
+        raise ValueError(f"words: expected different words of one length, got {', '.join(words)}")
+    return tuple(words)
+
+
+def letters_at(words: Sequence[str], letter: int) -> tuple[str, ...]:
+    """The hypotheses of a letter node: the letters at a place, in the order of the words.
+
+    Args: words: the vocabulary; letter: the place, from 1.
+    Raises ValueError: the words have no such place.
+    """
+    words = check_words(words)
+    if not isinstance(letter, int) or not 1 <= letter <= len(words[0]):
+        raise ValueError(f"letter: expected a place from 1 to {len(words[0])}, got {letter!r}")
+    return tuple(dict.fromkeys(word[letter - 1] for word in words))
 
 
 class SymbolWorld(World):
@@ -171,10 +191,7 @@ class WordNode(_HypothesesNode):
 
 
 class _Place:
-    """An edge function of a place in words, checked.
-
-    Args: words: the vocabulary; letter: the place, from 1.
-    """
+    """An edge function of a place (from 1) in words; M[w, l] is 1 where word w has letter l there, else 0."""
 
     def __init__(self, words: Sequence[str], letter: int) -> None:
         letters_at(words, letter)
@@ -187,8 +204,8 @@ class LetterEvidence(_Place):
 
     def __call__(self, belief: Value, tick: Tick = NO_TICK) -> Elements:
         """One observation, signed with the letter node's name."""
-        likelihood = words_given_letter(self._words, self._letter, belief["diagnostic"])
-        return ({"from": _lower_name(tick), "likelihood": likelihood},)
+        told = {word: belief["diagnostic"][word[self._letter - 1]] for word in self._words}
+        return ({"from": _lower_name(tick), "likelihood": normalised(told, f"letter {self._letter}")},)
 
 
 class WordSupport(_Place):
@@ -199,8 +216,11 @@ class WordSupport(_Place):
         ImpossibleEvidenceError: the other letters leave no word."""
         own = _lower_name(tick)
         others = [part for name, part in belief["diagnostic"].items() if name != own]
-        expected = product(self._words, (*others, belief["causal"]), f"all letters but {own}")
-        return (letters_given_word(self._words, self._letter, expected),)
+        rest = product(self._words, (*others, belief["causal"]), f"all letters but {own}")
+        expected = dict.fromkeys(letters_at(self._words, self._letter), 0.0)
+        for word in self._words:
+            expected[word[self._letter - 1]] += rest[word]
+        return (normalised(expected, f"letter {self._letter}"),)
 
 
 def _lower_name(tick: Tick) -> str:

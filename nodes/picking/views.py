@@ -8,8 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from hierax.nodes.picking.panda import JOINTS
-from hierax.nodes.picking.panda_model import panda_file
-from hierax.nodes.picking.workcell import FINGERS
+from hierax.nodes.picking.workcell import FINGERS, panda_file
 from hierax.nodes.tracking.evaluation.pictures import CONTACT_SHEET, contact_sheet, write_picture
 from hierax.nodes.tracking.imagery.bullet import Bullet
 from hierax.nodes.tracking.math.geometry import Array, quaternion_of

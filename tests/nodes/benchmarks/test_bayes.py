@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from hierax.nodes.benchmarks import bayes
-from hierax.nodes.benchmarks.bayes_limit import Limit, reference
+from hierax.nodes.benchmarks.bayes import Limit, reference
 from hierax.nodes.causal_tree import posteriors, random_tree
 from hierax.runtime.commands.main import main
 

@@ -11,8 +11,15 @@ import numpy as np
 import pytest
 import yaml
 
-from hierax.nodes.letters.glyphs import DRAWN, draw_glyph, draw_picture
-from hierax.nodes.letters.pixels import GlyphCamera, PictureWorld, PixelLetterNode, SignPicture
+from hierax.nodes.letters.pixels import (
+    DRAWN,
+    GlyphCamera,
+    PictureWorld,
+    PixelLetterNode,
+    SignPicture,
+    draw_glyph,
+    draw_picture,
+)
 from hierax.runtime import Step, Tick
 from hierax.runtime.core.binding import OperatorSetting
 from hierax.runtime.core.errors import OperatorError

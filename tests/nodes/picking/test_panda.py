@@ -15,7 +15,7 @@ from hierax.nodes.picking.panda import (
     gripper_down,
     joints_for,
 )
-from hierax.nodes.picking.panda_model import panda_file
+from hierax.nodes.picking.workcell import panda_file
 from hierax.nodes.tracking.imagery.bullet import Bullet
 from hierax.nodes.tracking.math.geometry import Floats, make_pose, pose_error, rotation_of
 

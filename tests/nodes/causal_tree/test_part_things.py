@@ -2,7 +2,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from hierax.nodes.causal_tree.network_graph import INFERRED, MOST_NODES, SEEN, part_things
+from hierax.nodes.causal_tree.part import INFERRED, MOST_NODES, SEEN, part_things
 from hierax.runtime.core.showing import GREY, Graph
 
 STATES = {"rain": ("no", "yes"), "wet": ("no", "yes"), "slip": ("no", "a bit", "yes")}

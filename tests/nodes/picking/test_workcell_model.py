@@ -9,7 +9,7 @@ import numpy as np
 import pybullet_data
 import pytest
 
-from hierax.nodes.picking.panda_model import FINGER_BOXES_M, FINGERS, panda_file, panda_text
+from hierax.nodes.picking.workcell import FINGER_BOXES_M, FINGER_SIDES, panda_file, panda_text
 from hierax.nodes.tracking.errors import DataError
 
 
@@ -35,7 +35,7 @@ def test_the_fingers_boxes_hold_the_finger() -> None:
 def test_both_fingers_have_boxes_on_their_side() -> None:
     robot = ElementTree.fromstring(panda_text())
     for link in robot.iter("link"):
-        side = FINGERS.get(link.get("name", ""))
+        side = FINGER_SIDES.get(link.get("name", ""))
         if side is None:
             continue
         middles = [origin.get("xyz", "").split() for origin in link.findall("collision/origin")]
