@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from hierax.nodes.benchmarks.tracking import CONTEXT, Scene, Tell, Tracked, track
-from hierax.nodes.tracking.evaluation.scoring import RIGHT, ObjectErrors, is_astray
+from hierax.nodes.tracking.evaluation.scoring import RIGHT, ObjectErrors, frames_until, is_astray
 from hierax.runtime.execution.plain import Json
 
 FRAME = 30  # at which poses are judged
@@ -74,9 +74,6 @@ def changes(item: ObjectErrors, back: bool) -> list[int | None]:
 
     None of one that is not said before the next change.
     """
-    there = item.visible > 0.0
-    said = item.within(RIGHT) if back else np.isnan(item.distance_mm)
-    starts = np.nonzero((there[1:] == back) & (there[:-1] != back))[0] + 1
-    ends = [next((at for at in range(start, len(there)) if there[at] != back), len(there)) for start in starts]
-    spans = [np.nonzero(said[start:end])[0] for start, end in zip(starts, ends, strict=True)]
-    return [int(span[0]) if len(span) else None for span in spans]
+    if back:
+        return frames_until(item.visible > 0.0, item.within(RIGHT))
+    return frames_until(~(item.visible > 0.0), np.isnan(item.distance_mm))

@@ -125,8 +125,10 @@ def _bench_starts(scenes: Sequence[Scene], settings: Sequence[str], folder: Path
 
 
 def _after(frames: Sequence[int | None]) -> str:
+    """After how many frames in the mean, and how often never."""
     known = [each for each in frames if each is not None]
-    return f"{sum(known) / max(1, len(known)):.1f} ({len(frames) - len(known)})" if frames else "–"
+    mean = f"{sum(known) / len(known):.1f}" if known else "–"
+    return f"{mean} ({len(frames) - len(known)})" if frames else "–"
 
 
 def _names(text: str, separator: str) -> list[str]:
@@ -156,26 +158,22 @@ def _print_rows(rows: Sequence[Row]) -> None:
 
 
 def _cells(row: Row) -> tuple[str, ...]:
+    from hierax.nodes.tracking.evaluation.scoring import percent
+
     score = row.score
     bands = (score.hidden, score.band(0.5, 0.9), score.band(0.9, 1.0))
-    back = [frames for frames in score.again_frames if frames is not None]
-    never = len(score.again_frames) - len(back)
     return (
         row.name,
         row.way,
-        *(_percent(share) for share in (*score.shares, *(band.shares[1] for band in bands))),
+        *(percent(share) for share in (*score.shares, *(band.shares[1] for band in bands))),
         f"{score.mean_mm:.2f} ({score.worst_mm:.1f})",
         f"{score.mean_deg:.2f} ({score.worst_deg:.1f})",
-        _percent(score.missing),
-        _percent(score.astray),
+        percent(score.missing),
+        percent(score.astray),
         str(score.lost),
-        f"{sum(back) / len(back):.1f} ({never})" if back else ("–" if not never else f"– ({never})"),
+        _after(score.again_frames),
         *(f"{row.stage_ms.get(stage, float('nan')):.1f}" for stage in ("world", "arm", "spatial")),
     )
-
-
-def _percent(share: float) -> str:
-    return f"{100.0 * share:.1f}" if share == share else "–"
 
 
 def _print_gains(gains: Sequence[Gain]) -> None:

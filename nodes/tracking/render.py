@@ -36,7 +36,6 @@ from hierax.nodes.tracking.schema import (
 LEAST_CHANCE = 0.02
 """Control points that are less likely to be seen are left out."""
 
-
 _NEAR = 0.1  # of a body's covariance, so much is left around each of its other poses
 
 
@@ -56,17 +55,22 @@ class Item(NamedTuple):
     pose: Floats
 
 
-class _Held(NamedTuple):
-    vertices: Floats
-    faces: Array
-    renderer: LayerRenderer
+class _Scene(NamedTuple):
+    """What a camera is expected to see: the bodies, each as it is drawn, and what is drawn of those that are there."""
+
+    camera_from_world: Floats
+    intrinsics: Array
+    size: tuple[int, int]
+    bodies: Sequence[Body]
+    items: Sequence[Item]
+    layers: Mapping[int, Layer]
 
 
 class DepthRenderer:
     """Draws labelled depth; keeps the meshes, prepared, from one image to the next."""
 
     def __init__(self) -> None:
-        self._held: dict[int, _Held] = {}
+        self._held: dict[int, tuple[Item, LayerRenderer]] = {}
 
     def layers(self, items: Sequence[Item], intrinsics: Array, size: tuple[int, int]) -> dict[int, Layer]:
         """Each item alone, by its label, in the order of labels; without those that cannot be in the image.
@@ -103,19 +107,19 @@ class DepthRenderer:
 
     def renderer(self, item: Item) -> LayerRenderer:
         """What draws the item alone; made anew where its mesh is another one."""
-        held = self._held.get(item.label)
-        if held is not None and _same(held.vertices, item.vertices) and _same(held.faces, item.faces):
-            return held.renderer
-        if held is not None:
-            held.renderer.close()
+        if item.label in self._held:
+            held, renderer = self._held[item.label]
+            if _same(held.vertices, item.vertices) and _same(held.faces, item.faces):
+                return renderer
+            renderer.close()
         made = LayerRenderer(shape_of(item.vertices, item.faces))
-        self._held[item.label] = _Held(item.vertices, item.faces, made)
+        self._held[item.label] = item, made
         return made
 
     def close(self) -> None:
         """End what it keeps; the next image starts anew."""
-        for held in self._held.values():
-            held.renderer.close()
+        for _, renderer in self._held.values():
+            renderer.close()
         self._held = {}
 
 
@@ -171,12 +175,13 @@ class SegmentedDepth:
         camera, intrinsics, size = belief["camera"], belief["intrinsics"], belief["size"]
         if camera is None or intrinsics is None or size is None:
             return ()
-        camera_from_world = invert(camera)
-        items = [item_of(body, camera_from_world) for body in belief["bodies"]]
-        missing = {body["id"] for body in belief["bodies"] if is_missing(body, belief)}
+        bodies, camera_from_world = belief["bodies"], invert(camera)
+        items = [item_of(body, camera_from_world) for body in bodies]
+        missing = {body["id"] for body in bodies if is_missing(body, belief)}
         layers = self._renderer.layers([item for item in items if item.label not in missing], intrinsics, size)
-        controls = self._controls(items, belief["bodies"], missing, layers, intrinsics, size)
-        others = self._others(belief["bodies"], items, layers, camera_from_world, intrinsics, size)
+        scene = _Scene(camera_from_world, intrinsics, size, bodies, items, layers)
+        controls = self._controls(scene, missing)
+        others = [self._others(scene, number) for number in range(len(bodies))]
         window = surrounding([layer.window for layer in layers.values()])
         depth, labels = composed(layers, window)
         return (
@@ -187,7 +192,7 @@ class SegmentedDepth:
                 "intrinsics": intrinsics - np.array([0.0, 0.0, window.left, window.top]),
                 "corner": (window.left, window.top),
                 "size": size,
-                "poses": tuple(map(_expected, belief["bodies"], controls, others)),
+                "poses": tuple(map(_expected, bodies, controls, others)),
                 "sweeps": self._sweeps(belief, camera, intrinsics, size),
             },
         )
@@ -210,27 +215,16 @@ class SegmentedDepth:
                 found.append({"id": body["id"], "places": places, "templates": templates})
         return tuple(found)
 
-    def _controls(
-        self,
-        items: Sequence[Item],
-        bodies: Sequence[Body],
-        missing: Collection[int],
-        layers: Mapping[int, Layer],
-        intrinsics: Array,
-        size: tuple[int, int],
-    ) -> list[ControlPoints]:
+    def _controls(self, scene: _Scene, missing: Collection[int]) -> list[ControlPoints]:
         """The fields of each body's `Controls` that are likely enough to be seen."""
-        placed = [
-            Placed(item.pose, np.asarray(body["covariance"], dtype=np.float64), layers.get(item.label))
-            for item, body in zip(items, bodies, strict=True)
-        ]
+        placed = [_placed(scene, number) for number in range(len(scene.items))]
         alone = [
-            controls_of(self._renderer.renderer(item).shape, item.pose, intrinsics, size, layers.get(item.label))
+            controls_of(self._renderer.renderer(item).shape, item.pose, scene.intrinsics, scene.size, each.layer)
             if item.label not in missing
             else gathered([NO_CONTROLS])
-            for item in items
+            for item, each in zip(scene.items, placed, strict=True)
         ]
-        chances = self._chances([controls.points for controls in alone], placed, intrinsics)
+        chances = self._chances([controls.points for controls in alone], placed, scene.intrinsics)
         return [_likely(controls, seen) for controls, seen in zip(alone, chances, strict=True)]
 
     def _chances(self, points: list[Floats], placed: list[Placed], intrinsics: Array) -> list[NDArray[np.float32]]:
@@ -239,45 +233,34 @@ class SegmentedDepth:
             return chances_seen(points, placed, intrinsics)
         return [np.ones(len(own), dtype=np.float32) for own in points]
 
-    def _others(
-        self,
-        bodies: Sequence[Body],
-        items: Sequence[Item],
-        layers: Mapping[int, Layer],
-        camera_from_world: Floats,
-        intrinsics: Array,
-        size: tuple[int, int],
-    ) -> list[tuple[Alternative, ...]]:
-        """Of each body its other poses, each with the controls that it would have there."""
-        found: list[tuple[Alternative, ...]] = []
-        for number, (body, item) in enumerate(zip(bodies, items, strict=True)):
-            if not len(body["others"]):
-                found.append(())
-                continue
-            renderer = self._renderer.renderer(item)
-            poses = [camera_from_world @ pose for pose in body["others"]]
-            hollow = not renderer.shape.convex
-            alone = [
-                controls_of(
-                    renderer.shape, pose, intrinsics, size, renderer.layer(pose, intrinsics, size) if hollow else None
-                )
-                for pose in poses
-            ]
-            hiders = [
-                Placed(other.pose, np.asarray(bodies[at]["covariance"], dtype=np.float64), layers.get(other.label))
-                for at, other in enumerate(items)
-                if at != number
-            ]
-            near = _NEAR * np.asarray(body["covariance"], dtype=np.float64)
-            placed = [*hiders, *(Placed(pose, near, None) for pose in poses)]
-            points = [np.zeros((0, 3))] * len(hiders) + [controls.points for controls in alone]
-            chances = self._chances(points, placed, intrinsics)[len(hiders) :]
-            each: list[Alternative] = [
-                {"pose": pose, "controls": _likely(controls, seen), "kept": place < body["kept"]}
-                for place, (pose, controls, seen) in enumerate(zip(body["others"], alone, chances, strict=True))
-            ]
-            found.append(tuple(each))
-        return found
+    def _others(self, scene: _Scene, number: int) -> tuple[Alternative, ...]:
+        """A body's other poses, each with the controls that it would have there."""
+        body, intrinsics, size = scene.bodies[number], scene.intrinsics, scene.size
+        if not len(body["others"]):
+            return ()
+        renderer = self._renderer.renderer(scene.items[number])
+        poses = [scene.camera_from_world @ pose for pose in body["others"]]
+        hollow = not renderer.shape.convex
+        layers = [renderer.layer(pose, intrinsics, size) if hollow else None for pose in poses]
+        alone = [
+            controls_of(renderer.shape, pose, intrinsics, size, layer)
+            for pose, layer in zip(poses, layers, strict=True)
+        ]
+        hiders = [_placed(scene, other) for other in range(len(scene.items)) if other != number]
+        near = _NEAR * np.asarray(body["covariance"], dtype=np.float64)
+        placed = [*hiders, *(Placed(pose, near, None) for pose in poses)]
+        points = [np.zeros((0, 3))] * len(hiders) + [controls.points for controls in alone]
+        chances = self._chances(points, placed, intrinsics)[len(hiders) :]
+        return tuple(
+            {"pose": pose, "controls": _likely(controls, seen), "kept": place < body["kept"]}
+            for place, (pose, controls, seen) in enumerate(zip(body["others"], alone, chances, strict=True))
+        )
+
+
+def _placed(scene: _Scene, number: int) -> Placed:
+    """A body for what may be behind it."""
+    item, covariance = scene.items[number], scene.bodies[number]["covariance"]
+    return Placed(item.pose, np.asarray(covariance, dtype=np.float64), scene.layers.get(item.label))
 
 
 def is_missing(body: Body, belief: SpatialBelief) -> bool:

@@ -11,7 +11,6 @@ from collections import deque
 from collections.abc import Sequence
 from functools import cached_property
 from pathlib import Path
-from types import TracebackType
 from typing import Any, NamedTuple
 
 import cv2
@@ -76,7 +75,7 @@ class BopScene:
         self.folder = Path(folder)
         if not self.folder.is_dir():
             raise DataError(f"{self.folder}: no such folder; expected a BOP scene, DATASET/SPLIT/000001")
-        self.scene_id = int(self.folder.name) if self.folder.name.isdecimal() else 0
+        self.scene_id = scene_number(self.folder)
         self.frames = self._read_frames()
 
     @cached_property
@@ -136,6 +135,12 @@ class BopScene:
                 )
             frames.append(_frame(path, key, cameras[key], images[im_id]))
         return tuple(frames)
+
+
+def scene_number(folder: str | Path | None) -> int:
+    """A BOP scene's number: its folder's name, where that is one; else 0."""
+    name = Path(folder or "").name
+    return int(name) if name.isdecimal() else 0
 
 
 def read_model(folder: Path, obj_id: int) -> tuple[Mesh, Symmetry]:
@@ -223,7 +228,8 @@ class ResultsFile:
         """
         lines = [self._line(im_id, item, time_s) for item in objects if item["status"] != LOST]
         with writing(self.path):
-            self._go_back(im_id)
+            while any(frame == im_id for frame, _ in self._begins):
+                self._cut(self._begins.pop()[1])
             self._begins.append((im_id, self._end))
             self._append("".join(lines).encode("ascii"))
 
@@ -234,9 +240,7 @@ class ResultsFile:
     def __enter__(self) -> ResultsFile:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *raised: object) -> None:
         self.close()
 
     def _line(self, im_id: int, item: ScoredPose, time_s: float) -> str:
@@ -245,14 +249,6 @@ class ResultsFile:
         translation = " ".join(repr(float(part) / BOP_UNIT_M) for part in pose[:3, 3])
         head = f"{self._scene_id},{im_id},{item['obj_id']},{float(item['score'])!r}"
         return f"{head},{rotation},{translation},{time_s!r}\n"
-
-    def _go_back(self, im_id: int) -> None:
-        if all(frame != im_id for frame, _ in self._begins):
-            return
-        frame, begin = self._begins.pop()
-        while frame != im_id:
-            frame, begin = self._begins.pop()
-        self._cut(begin)
 
     def _cut(self, end: int) -> None:
         self._file.truncate(end)
@@ -273,24 +269,19 @@ class ResultsFile:
 def _last_frames(path: Path, lines: bytes) -> deque[tuple[int, int]]:
     """Of a results file's last frames the number, and the offset in bytes at which each begins."""
     begins: deque[tuple[int, int]] = deque(maxlen=_FRAMES_AGAIN)
-    offset = 0
-    for number, line in enumerate(lines.splitlines(keepends=True), start=1):
+    head, *rest = lines.splitlines(keepends=True) or [RESULTS_HEADER.encode("ascii")]
+    if head.rstrip() != RESULTS_HEADER.encode("ascii"):
+        raise DataError(f"{path}, line 1: expected {RESULTS_HEADER}")
+    offset = len(head)
+    for number, line in enumerate(rest, start=2):
         try:
-            im_id = _frame_of(line, number == 1)
+            im_id = int(line.split(b",")[1])
         except (ValueError, IndexError) as error:
             raise DataError(f"{path}, line {number}: expected {RESULTS_HEADER}") from error
-        if im_id is not None and (not begins or begins[-1][0] != im_id):
+        if not begins or begins[-1][0] != im_id:
             begins.append((im_id, offset))
         offset += len(line)
     return begins
-
-
-def _frame_of(line: bytes, first: bool) -> int | None:
-    if not first:
-        return int(line.split(b",")[1])
-    if line.rstrip() != RESULTS_HEADER.encode("ascii"):
-        raise ValueError(line)
-    return None
 
 
 class Result(NamedTuple):

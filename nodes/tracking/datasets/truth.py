@@ -76,9 +76,7 @@ def _frame(folder: Path, key: str, entries: Any, infos: Any) -> list[TruePose]:
         if any(earlier.obj_id == obj_id for earlier in poses):
             raise DataError(f"{path}: {where}: obj_id {obj_id} stands twice; results files could not tell them apart")
         pose = read_pose(f"{path}: {where}", entry, "cam_R_m2c", "cam_t_m2c")
-        visible = 1.0
-        if infos is not None:
-            visible = _share(f"{folder / SHARES}: {where}", infos[at])
+        visible = 1.0 if infos is None else _share(f"{folder / SHARES}: {where}", infos[at])
         poses.append(TruePose(obj_id, pose, visible))
     return poses
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from hierax.nodes.tracking.datasets.bop import ResultsFile, check_no_results
+from hierax.nodes.tracking.datasets.bop import ResultsFile, check_no_results, scene_number
 from hierax.nodes.tracking.math.geometry import invert
 from hierax.nodes.tracking.schema import ScoredPose
 from hierax.runtime import Probe, Step
@@ -16,8 +16,8 @@ TRUTH_FILE = "truth.csv"
 class BopResults(Probe):
     """The arm's corrected poses as BOP results files, written through at every epoch.
 
-    They go to `file` and, where the run has an output folder, to ``poses.csv`` in it. A
-    frame that is told again replaces what was written of it.
+    They go to `file` and, where the run has an output folder, to ``poses.csv`` in it. A frame that is told again
+    replaces what was written of it.
 
     Args: file: path, relative to the folder that the run was started in; None for none. scene: the scene's folder,
         whose name is the scene's number; None gives number 0.
@@ -26,7 +26,7 @@ class BopResults(Probe):
     prompt = True
 
     def __init__(self, file: str | None = None, scene: str | None = None) -> None:
-        self._file = file
+        self._files = [] if file is None else [Path(file)]
         self._scene_id = scene_number(scene)
         self._results: list[ResultsFile] = []
 
@@ -42,9 +42,7 @@ class BopResults(Probe):
     def record(self, step: Step) -> None:
         """One frame's poses, as the arm has them after its observation."""
         belief = step.sensed
-        if belief["frame"] is None:
-            return
-        for results in self._results:
+        for results in self._results if belief["frame"] is not None else ():
             results.write(belief["frame"], belief["objects"])
 
     def close(self) -> None:
@@ -54,8 +52,7 @@ class BopResults(Probe):
         self._results = []
 
     def _begin(self, output: Path | None, again: bool) -> None:
-        paths = [Path(self._file)] if self._file is not None else []
-        paths += [output / POSES_FILE] if output is not None else []
+        paths = [*self._files, *([] if output is None else [output / POSES_FILE])]
         different = {path.resolve(): path for path in paths}
         if not (again or self.overwrite):
             for path in different.values():
@@ -68,38 +65,34 @@ class BopResults(Probe):
 class Truth(Probe):
     """The simulated world's true poses, seen by its camera, as a BOP results file ``truth.csv`` in the output folder.
 
-    Of a scene folder's world nothing is written: it knows no truth. A frame that is told
-    again replaces what was written of it.
+    Of a scene folder's world nothing is written: it knows no truth. A frame that is told again replaces what was
+    written of it.
     """
 
     prompt = True
 
     def __init__(self) -> None:
         self._results: ResultsFile | None = None
-        self._output: Path | None = None
+        self._file: Path | None = None
 
     def open(self, output: Path | None) -> None:
-        """Remember the folder; the file begins with the first true pose.
-
-        One that another run left there is removed: it is not this run's truth.
-        """
-        self._output = output
-        if output is not None:
-            (output / TRUTH_FILE).unlink(missing_ok=True)
+        """Remember the file, which begins with the first true pose; what another run left there is removed."""
+        self._file = None if output is None else output / TRUTH_FILE
+        if self._file is not None:
+            self._file.unlink(missing_ok=True)
 
     def open_again(self, output: Path | None) -> None:
         """Go on behind what is in the file. Raises DataError: it cannot be written, or is no results file."""
-        self._output = output
-        if output is not None and (output / TRUTH_FILE).exists():
-            self._results = ResultsFile(output / TRUTH_FILE, 0, again=True)
+        self._file = None if output is None else output / TRUTH_FILE
+        if self._file is not None and self._file.exists():
+            self._results = ResultsFile(self._file, 0, again=True)
 
     def record(self, step: Step) -> None:
         """One frame's true poses."""
         belief = step.sensed
-        if self._output is None or "bodies" not in belief:
+        if self._file is None or "bodies" not in belief:
             return
-        if self._results is None:
-            self._results = ResultsFile(self._output / TRUTH_FILE, 0)
+        self._results = self._results or ResultsFile(self._file, 0)
         camera_from_world = invert(belief["camera"])
         objects: list[ScoredPose] = [
             {"obj_id": body["obj_id"], "pose": camera_from_world @ body["pose"], "score": 1.0, "status": "true"}
@@ -112,9 +105,3 @@ class Truth(Probe):
         if self._results is not None:
             self._results.close()
         self._results = None
-
-
-def scene_number(scene: str | None) -> int:
-    """A BOP scene's number: its folder's name, where that is one; else 0."""
-    name = Path(scene).name if scene is not None else ""
-    return int(name) if name.isdigit() else 0

@@ -49,20 +49,15 @@ class ErrorPlot(Probe):
         if self._truth is not None:
             read_truth(self._truth)
 
-    def open_again(self, output: Path | None) -> None:
-        """As `open`."""
-        self.open(output)
+    open_again = open
 
     def record(self, step: Step) -> None:
         """Nothing; all is read at the end."""
 
     def close(self) -> None:
         """Draw. Raises DataError: the poses or the truth are damaged, or it cannot be written."""
-        if self._output is None:
-            return
-        true = _simulated_truth(self._output) if self._truth is None else read_truth(self._truth)
-        if true:
-            write_picture(self._output / PLOT_FILE, plot(object_errors(read_results(self._output / POSES_FILE), true)))
+        if self._output is not None and (errors := _errors(self._output, self._truth)) is not None:
+            write_picture(self._output / PLOT_FILE, plot(errors))
 
 
 def read_errors(output: Path, truth: Path | None = None) -> list[ObjectErrors]:
@@ -72,18 +67,21 @@ def read_errors(output: Path, truth: Path | None = None) -> list[ObjectErrors]:
         the run.
     Raises DataError: one of the files is missing or damaged, or there is no true pose.
     """
-    if truth is not None:
-        return object_errors(read_results(output / POSES_FILE), read_truth(truth))
-    truth_file = output / TRUTH_FILE
-    if not truth_file.is_file():
-        raise DataError(
-            f"{truth_file}: no such file; only a run of the simulated world writes the true poses, "
-            "those of a scene folder are given as --truth"
-        )
-    true = _simulated_truth(output)
-    if not true:
-        raise DataError(f"{truth_file}: no poses")
-    return object_errors(read_results(output / POSES_FILE), true)
+    errors = _errors(output, truth)
+    if errors is not None:
+        return errors
+    if (output / TRUTH_FILE).is_file():
+        raise DataError(f"{output / TRUTH_FILE}: no poses")
+    raise DataError(
+        f"{output / TRUTH_FILE}: no such file; only a run of the simulated world writes the true poses, "
+        "those of a scene folder are given as --truth"
+    )
+
+
+def _errors(output: Path, truth: Path | None) -> list[ObjectErrors] | None:
+    """As `read_errors`; None where there is no true pose."""
+    true = _simulated_truth(output) if truth is None else read_truth(truth)
+    return object_errors(read_results(output / POSES_FILE), true) if true else None
 
 
 def _simulated_truth(output: Path) -> dict[int, list[TruePose]]:
@@ -112,10 +110,8 @@ def table(errors: Sequence[ObjectErrors]) -> str:
 def plot(errors: Sequence[ObjectErrors]) -> Array:
     """The errors over the frames, as an RGB picture: distances above, angles below."""
     picture = np.full((2 * _PANEL, _WIDTH, 3), _PAPER, np.uint8)
-    distances = [item.distance_mm for item in errors]
-    angles = [item.angle_deg for item in errors]
-    _draw_panel(picture[:_PANEL], "position error, mm", errors, distances)
-    _draw_panel(picture[_PANEL:], "rotation error, degrees", errors, angles)
+    _draw_panel(picture[:_PANEL], "position error, mm", errors, [item.distance_mm for item in errors])
+    _draw_panel(picture[_PANEL:], "rotation error, degrees", errors, [item.angle_deg for item in errors])
     for place, item in enumerate(errors):
         x, y = _WIDTH - _RIGHT + 18, _TOP + 8 + 20 * place
         cv2.line(picture, (x, y), (x + 22, y), _colour(place), 2, cv2.LINE_AA)

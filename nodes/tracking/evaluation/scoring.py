@@ -166,6 +166,15 @@ def is_astray(distance_mm: Floats, angle_deg: Floats) -> Array:
     return (distance_mm > _ASTRAY[0]) | (angle_deg > _ASTRAY[1])
 
 
+def frames_until(there: Array, said: Array) -> list[int | None]:
+    """Of each time that something begins to be there (n,) after how many frames that is said (n,); None where it is not
+    said before the end of that."""
+    starts = np.nonzero(there[1:] & ~there[:-1])[0] + 1
+    ends = [start + int(np.append(~there[start:], True).argmax()) for start in starts]
+    found = [np.nonzero(said[start:end])[0] for start, end in zip(starts, ends, strict=True)]
+    return [int(frames[0]) if len(frames) else None for frames in found]
+
+
 def score(all_errors: Sequence[ObjectErrors]) -> Score:
     """The figures of some objects, of one run or of several."""
     counted = [item.counted for item in all_errors]
@@ -190,7 +199,7 @@ def score(all_errors: Sequence[ObjectErrors]) -> Score:
         missing=_of(np.mean, ~known),
         astray=_of(np.mean, astray),
         lost=sum(_is_lost(item) for item in all_errors),
-        again_frames=tuple(frames for item in all_errors for frames in _again(item)),
+        again_frames=tuple(frames for item in all_errors for frames in frames_until(item.counted, item.within(RIGHT))),
     )
 
 
@@ -207,11 +216,11 @@ def table(rows: Mapping[str, Score]) -> str:
         bands = [each.hidden, each.band(0.5, 0.9), each.band(0.9, 1.0)]
         lines.append(
             f"{name:{width}} "
-            + "".join(f" {_percent(share):>5} " for share in each.shares)
-            + "".join(f" {_percent(band.shares[1]):>7} " for band in bands)
+            + "".join(f" {percent(share):>5} " for share in each.shares)
+            + "".join(f" {percent(band.shares[1]):>7} " for band in bands)
             + f" {each.mean_mm:6.2f} ({each.worst_mm:6.1f})  {each.mean_deg:6.2f} ({each.worst_deg:5.1f})"
             + (f"  {each.mssd_mm:5.2f}" if each.mssd_mm >= 0.0 else "      –")
-            + f"  {_percent(each.missing):>5}  {_percent(each.astray):>5}  {each.lost:4}  {_times(each.again_frames)}"
+            + f"  {percent(each.missing):>5}  {percent(each.astray):>5}  {each.lost:4}  {_times(each.again_frames)}"
         )
     return "\n".join(lines)
 
@@ -256,18 +265,6 @@ def _is_lost(item: ObjectErrors) -> bool:
     return len(last) > 0 and not item.within(_NEAR)[last].any()
 
 
-def _again(item: ObjectErrors) -> list[int | None]:
-    """After how many frames an object that was gone, and came back, was right."""
-    counted, right = item.counted, item.within(RIGHT)
-    found: list[int | None] = []
-    for back in np.nonzero(counted[1:] & ~counted[:-1])[0] + 1:
-        gone = np.nonzero(~counted[back:])[0]
-        end = back + gone[0] if len(gone) else len(counted)
-        first = np.nonzero(right[back:end])[0]
-        found.append(int(first[0]) if len(first) else None)
-    return found
-
-
 def _joined(parts: Iterable[Array]) -> Array:
     return np.concatenate([*parts, np.zeros(0)])
 
@@ -288,7 +285,8 @@ def _named(shares: Sequence[float]) -> dict[str, Any]:
     }
 
 
-def _percent(share: float) -> str:
+def percent(share: float) -> str:
+    """A share as a table has it."""
     return "–" if np.isnan(share) else f"{100.0 * share:.1f}"
 
 

@@ -51,7 +51,6 @@ class LineMatch(NamedTuple):
     # independently
     information: Floats
     score: float  # 0 to 1: the share of the expected edges, by length, that a segment was matched to
-    residual_px: float  # root mean square of the end points' distances to their lines
 
 
 def image_lines(image: Array) -> Floats:
@@ -210,9 +209,8 @@ def _judged(pose: Floats, edges: Floats, lines: Floats, score: float, intrinsics
     seen = transform(pose, points)
     along = np.repeat((lines[:, 1] - lines[:, 0]) / _lengths(lines)[:, None], 2, axis=0)
     normals = np.stack((-along[:, 1], along[:, 0]), axis=1)
-    off = np.sum((project(seen, intrinsics) - np.repeat(lines[:, 0], 2, axis=0)) * normals, axis=1)
     scaled = normals * intrinsics[:2] / seen[:, 2:]
     ahead = -np.sum(scaled * seen[:, :2], axis=1) / seen[:, 2]
     towards = np.column_stack((scaled, ahead)) @ pose[:3, :3]
     jacobian = np.concatenate((towards, np.cross(points, towards)), axis=1)
-    return LineMatch(pose, jacobian.T @ jacobian, float(score), float(np.sqrt(np.mean(off * off))))
+    return LineMatch(pose, jacobian.T @ jacobian, float(score))

@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 from support.arm_steps import arm_belief, placed, step
 
-from hierax.nodes.tracking.datasets.bop import RESULTS_HEADER, read_results
+from hierax.nodes.tracking.datasets.bop import RESULTS_HEADER, read_results, scene_number
 from hierax.nodes.tracking.errors import DataError
 from hierax.nodes.tracking.evaluation.pictures import Pictures
-from hierax.nodes.tracking.evaluation.probes import BopResults, Truth, scene_number
+from hierax.nodes.tracking.evaluation.probes import BopResults, Truth
 from hierax.nodes.tracking.math.geometry import invert
 from hierax.nodes.tracking.simworld.world import SimWorld
 from hierax.runtime.commands.main import main
