@@ -244,10 +244,8 @@ class Limit:
 
 
 def reference(network: Description, evidence: Evidence) -> dict[str, Floats]:
-    """Posteriors of a tree, node by node in the machine's longest floating-point numbers.
-
-    Args: network: each parent stands before its children. evidence: by node, the number of its state.
-    """
+    """Posteriors of a tree, node by node in the machine's longest floating-point numbers; network: each parent
+    stands before its children. evidence: by node, the number of its state."""
     tables = {entry["id"]: np.array(entry.get("cpt", entry.get("prior")), np.longdouble) for entry in network}
     parents = {entry["id"]: entry["parents"][0] if entry["parents"] else "" for entry in network}
     own = {name: np.ones(table.shape[-1], np.longdouble) for name, table in tables.items()}

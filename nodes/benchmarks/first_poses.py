@@ -70,10 +70,8 @@ def _starts(name: str, errors: Sequence[ObjectErrors], object_ms: float) -> Star
 
 
 def changes(item: ObjectErrors, back: bool) -> list[int | None]:
-    """Of each time that an object is no longer seen at all, or is seen again, after how many frames that is said.
-
-    None of one that is not said before the next change.
-    """
+    """Of each time that an object is no longer seen at all, or is seen again, after how many frames that is said. None
+    of one that is not said before the next change."""
     if back:
         return frames_until(item.visible > 0.0, item.within(RIGHT))
     return frames_until(~(item.visible > 0.0), np.isnan(item.distance_mm))

@@ -207,10 +207,8 @@ def bench_tracking(
 
 
 def certainty(scenes: Sequence[Scene], ways: Sequence[str], folder: Path) -> Calibration | None:
-    """How true is what the arm said of its certainty, with all; None where that was not tracked.
-
-    Where a model lies in its object cannot be said when it is imprecise: such scenes say nothing of it.
-    """
+    """How true is what the arm said of its certainty, with all; None where that was not tracked. Where a model lies in
+    its object cannot be said when it is imprecise: such scenes say nothing of it."""
     files = [folder / f"{_stem(scene, CONTEXT)}.beliefs.npz" for scene in scenes if scene.name != IMPRECISE]
     return calibration(files) if files and CONTEXT in ways else None
 

@@ -69,10 +69,8 @@ def greatest(values: ExtendedFloats, axis: int) -> Exponents:
 
 
 def as_float64(values: ExtendedFloats, axis: int) -> Floats:
-    """The numbers as float64, scaled by a power of 2 so that the greatest along the axis is from 0.5 to below 1.
-
-    What is smaller by more than float64 can hold becomes 0.
-    """
+    """The numbers as float64, scaled by a power of 2 so that the greatest along the axis is from 0.5 to below 1. What
+    is smaller by more than float64 can hold becomes 0."""
     shift = np.maximum(values.exponent - np.expand_dims(greatest(values, axis), axis), VANISHING)
     return np.ldexp(values.fraction, shift)
 

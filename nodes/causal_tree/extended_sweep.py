@@ -29,10 +29,7 @@ Columns = int | slice | Places
 
 
 class NothingLeftError(Exception):
-    """The evidence is impossible.
-
-    Attributes: variable: the number of one of which no state is left.
-    """
+    """The evidence is impossible; variable: the number of one of which no state is left."""
 
     def __init__(self, variable: int) -> None:
         self.variable = variable

@@ -193,10 +193,8 @@ class PixelLetterNode(LetterNode):
 
 
 class SignPicture(Probe):
-    """Writes what a letter node saw last, as a picture, into the run's output folder.
-
-    Args: file: its name, such as ``letter1.png``; enlarge: by which whole factor.
-    """
+    """Writes what a letter node saw last, as a picture, into the run's output folder; file: its name, such as
+    ``letter1.png``; enlarge: by which whole factor."""
 
     def __init__(self, file: str, enlarge: int = 6) -> None:
         self._name, self._enlarge = file, enlarge

@@ -44,10 +44,8 @@ def name_of(tasks: Elements) -> str:
 
 
 class Commanded(Mapping[str, Policy]):
-    """Π: ``default``, which does nothing, and for every command the policy whose action is the command.
-
-    Args: turned: from the command and the belief, what is to be done instead.
-    """
+    """Π: ``default``, which does nothing, and for every command the policy whose action is the command; turned:
+    from the command and the belief, what is to be done instead."""
 
     def __init__(self, turned: Callable[[Command, Value], Command] | None = None) -> None:
         self._turned = turned

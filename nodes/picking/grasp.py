@@ -60,10 +60,8 @@ class GraspNode(Node):
         return {"phase": WATCH, "since_s": 0.0, "steady_s": None, **seen, **grasp, "attempts": 0}
 
     def observe(self, observations: Elements, belief: Value, tick: Tick = NO_TICK) -> Value:
-        """τ: the scene as it is tracked, and the phase that follows.
-
-        Args: observations: as `hierax.nodes.picking.tracker.scene_known` gives them, or none. belief: as it was.
-        """
+        """τ: the scene as it is tracked, and the phase that follows; observations: as
+        `hierax.nodes.picking.tracker.scene_known` gives them, or none. belief: as it was."""
         if not observations:
             return belief
         bodies = tuple(item for item in observations if "pose" in item)

@@ -93,10 +93,8 @@ class PickSpatial(CommandedNode, SpatialNode):
 
 
 def arm(scene: int = 0, cubes: int = len(SIDES_M), **options: Any) -> PickArm:
-    """The arm node with a first guess at the cubes' poses, and nothing of their shapes.
-
-    Args: scene, cubes: as for `hierax.nodes.picking.world.PickWorld`; options: further ones of `ArmNode`.
-    """
+    """The arm node with a first guess at the cubes' poses, and nothing of their shapes; scene, cubes: as for
+    `hierax.nodes.picking.world.PickWorld`; options: further ones of `ArmNode`."""
     camera_from_world = invert(camera_of(gripper_at(HOME_RAD)))
     objects: list[FirstPose] = [
         {"id": number, "obj_id": number, "pose": camera_from_world @ pose}
@@ -106,10 +104,8 @@ def arm(scene: int = 0, cubes: int = len(SIDES_M), **options: Any) -> PickArm:
 
 
 def spatial(scene: int = 0, cubes: int = len(SIDES_M), **options: Any) -> PickSpatial:
-    """The spatial node with a first guess at the cubes' poses, and with their models; the table carries them.
-
-    Args: scene, cubes: as for `hierax.nodes.picking.world.PickWorld`; options: further ones of `SpatialNode`.
-    """
+    """The spatial node with a first guess at the cubes' poses, and with their models; the table carries them;
+    scene, cubes: as for `hierax.nodes.picking.world.PickWorld`; options: further ones of `SpatialNode`."""
     objects: list[FirstBody] = []
     for place, pose in zip(planned(scene, cubes), guessed(scene, cubes), strict=True):
         mesh = box_mesh([place.side_m] * 3)

@@ -27,10 +27,8 @@ class Swing(NamedTuple):
 
 
 def camera_path(swing: Swing, target_m: Array, frames: int, rng: np.random.Generator) -> Floats:
-    """world_from_camera of each frame, (frames, 4, 4).
-
-    Args: swing: the path; target_m: (3,) what it looks at; frames: how many; rng: draws the hand's tremble.
-    """
+    """world_from_camera of each frame, (frames, 4, 4); swing: the path; target_m: (3,) what it looks at; frames:
+    how many; rng: draws the hand's tremble."""
     if swing.swing_deg == 0.0:
         return np.repeat(_looking(swing, target_m, 0.0, 0.0)[None], frames, axis=0)
     time_s = np.arange(frames) / FPS

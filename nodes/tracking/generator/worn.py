@@ -36,10 +36,8 @@ def worn(shape: Shape, rng: np.random.Generator) -> Shape:
 
 
 def convex_shape(normals: Floats, offsets: Floats) -> Shape:
-    """The body of all points x with ``normals @ x <= offsets``; a plane that nothing of it lies in falls away.
-
-    Args: normals: (n, 3) unit vectors; offsets: (n,) metres.
-    """
+    """The body of all points x with ``normals @ x <= offsets``; a plane that nothing of it lies in falls away;
+    normals: (n, 3) unit vectors; offsets: (n,) metres."""
     corners, on = _corners(normals, offsets)
     sides, polygons = [], []
     for normal, mine in zip(normals, on.T, strict=True):

@@ -53,10 +53,8 @@ def read_mesh(path: Path, unit_m: float = BOP_UNIT_M) -> Mesh:
 
 
 def write_ply(path: Path, mesh: Mesh, unit_m: float = BOP_UNIT_M) -> None:
-    """Write a mesh as an ascii PLY file.
-
-    Args: path: the file; its folder must exist. mesh: in metres; unit_m: the file's unit of length in metres.
-    """
+    """Write a mesh as an ascii PLY file; path: the file; its folder must exist. mesh: in metres; unit_m: the
+    file's unit of length in metres."""
     lines = ["ply", "format ascii 1.0", f"element vertex {len(mesh.vertices)}"]
     lines += [f"property double {axis}" for axis in "xyz"]
     lines += [f"element face {len(mesh.faces)}", "property list uchar int vertex_indices", "end_header"]

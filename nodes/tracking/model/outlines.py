@@ -21,10 +21,8 @@ class Outline(NamedTuple):
 
 
 def outline_of(shape: Shape, viewpoint: Floats) -> Outline:
-    """The outline of a shape's smooth surfaces, hidden or not.
-
-    Args: shape: the object; viewpoint: (3,) the camera's centre, object's frame.
-    """
+    """The outline of a shape's smooth surfaces, hidden or not; shape: the object; viewpoint: (3,) the camera's
+    centre, object's frame."""
     towards = np.sum(shape.corner_normals * (viewpoint - shape.corners), axis=1)
     one, two, three = (towards > 0.0)[shape.smooth_corners].T
     smooth = np.nonzero((one != two) | (two != three))[0]
@@ -46,10 +44,8 @@ def outline_of(shape: Shape, viewpoint: Floats) -> Outline:
 
 
 def _chained(crossed: NDArray[np.int64]) -> tuple[NDArray[np.intp], NDArray[np.bool_], Ints]:
-    """An order in which pieces follow one another, whether each is turned round in it, and the chains' numbers.
-
-    Args: crossed: (n, 2) which side of a triangle each piece begins and ends on.
-    """
+    """An order in which pieces follow one another, whether each is turned round in it, and the chains' numbers;
+    crossed: (n, 2) which side of a triangle each piece begins and ends on."""
     slots = crossed.ravel()
     sorted_slots = np.argsort(slots, kind="stable")
     meeting = np.nonzero(slots[sorted_slots][1:] == slots[sorted_slots][:-1])[0]

@@ -115,10 +115,8 @@ def drawn(body: Thing, camera: Floats, intrinsics: Array, size: tuple[int, int],
 
 
 def visible_shares(bodies: Sequence[Thing], camera: Floats, intrinsics: Array, size: tuple[int, int]) -> Floats:
-    """Of each body the share of its silhouette that is seen: in the picture, and behind no other body.
-
-    Args: as for `drawn`. Returns: (n,) from 0 to 1; sampled once a pixel.
-    """
+    """Of each body the share of its silhouette that is seen: in the picture, and behind no other body; as for
+    `drawn`. Returns: (n,) from 0 to 1; sampled once a pixel."""
     width, height = size
     # The silhouette is counted in a picture three times as large: what is cut off by the edge is hidden.
     wide = np.asarray(intrinsics) + np.array([0.0, 0.0, width, height])
