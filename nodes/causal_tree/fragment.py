@@ -27,7 +27,7 @@ from hierax.nodes.causal_tree.messages import (
     unpacked,
 )
 from hierax.nodes.causal_tree.network import Network
-from hierax.nodes.causal_tree.plan import Family, make_plan
+from hierax.nodes.causal_tree.plan import plan_of
 from hierax.nodes.causal_tree.sweep import Inputs, NothingLeftError, Sweep
 
 
@@ -72,28 +72,12 @@ class Fragment:
         self.states = {name: network.variables[name].states for name in self.names}
         self.sizes = tuple(len(self.states[name]) for name in self.names)
         self._numbers = {name: number for number, name in enumerate(self.names)}
-        self._guests: dict[Arrow, int] = {}
-        sizes, shown, priors, families = list(self.sizes), list(self.names), {}, []
-        for number, name in enumerate(self.names):
-            variable = network.variables[name]
-            members = []
-            for axis, parent in enumerate(variable.parents):
-                if parent in self._numbers:
-                    members.append(self._numbers[str(parent)])
-                    continue
-                members.append(len(sizes))
-                self._guests[name, str(parent)] = len(sizes)
-                sizes.append(variable.table.shape[axis])
-                shown.append(name)
-            if members:
-                families.append(Family((*members, number), variable.table))
-            else:
-                priors[number] = variable.table
-        self._shown = shown
-        self._plan = make_plan(sizes, priors, families, (*self._guests.values(), *priors))
+        self._plan, guests = plan_of(network, self.names)
+        self._guests: dict[Arrow, int] = {(str(child), str(parent)): guest for (child, parent), guest in guests.items()}
+        self._shown = [*self.names, *(child for child, _ in self._guests)]
         self._sweep = Sweep(self._plan)
         self._rooted = set(self._guests.values()) <= set(self._plan.roots)
-        self._hard = {size: np.eye(size) for size in set(sizes)}
+        self._hard = {size: np.eye(size) for size in set(self._plan.sizes)}
         self._known: tuple[Heard, str | None] | None = None  # what the last sweep up was of, and what it came to
 
     def own_evidence(self, evidence: Mapping[str, Any]) -> dict[str, int | tuple[float, ...]]:
@@ -123,9 +107,7 @@ class Fragment:
         sent = {}
         for arrow, guest in self._guests.items():
             told = impossible
-            if (
-                impossible is not None and not self._rooted
-            ):  # what came down along this arrow is no part of what goes up
+            if told is not None and not self._rooted:  # what came down along this arrow is no part of what goes up
                 told = self._swept(heard._replace(supports=_without(heard.supports, arrow)))
             sent[arrow] = self._towards(guest, told)
         return Upward(by_child(sent), impossible, self._rooted)

@@ -10,7 +10,8 @@ import numpy as np
 from hierax.nodes.causal_tree.errors import EvidenceError, ImpossibleEvidence, Name
 from hierax.nodes.causal_tree.extended_floats import Floats, extended
 from hierax.nodes.causal_tree.network import Description, Network, parse
-from hierax.nodes.causal_tree.plan import Family, Plan, make_plan
+from hierax.nodes.causal_tree.networks import checked_vector
+from hierax.nodes.causal_tree.plan import plan_of
 from hierax.nodes.causal_tree.sweep import Inputs, NothingLeftError, Sweep
 
 Evidence = Mapping[Name, Any]
@@ -50,7 +51,7 @@ class Inference:
         self.network = parse(network)
         self._names = list(self.network.variables)
         self._numbers = {name: number for number, name in enumerate(self._names)}
-        self._plan = plan_of(self.network)
+        self._plan, _ = plan_of(self.network, self._names)
         self._sweep = Sweep(self._plan)
         self._sizes = np.array(self._plan.sizes, np.intp)
         self._given = False
@@ -118,43 +119,14 @@ class Inference:
         return inputs
 
 
-def plan_of(network: Network) -> Plan:
-    """The plan of a whole network, rooted in its nodes without parents."""
-    numbers = {name: number for number, name in enumerate(network.variables)}
-    priors, families = {}, []
-    for number, variable in enumerate(network.variables.values()):
-        if variable.parents:
-            families.append(Family((*(numbers[parent] for parent in variable.parents), number), variable.table))
-        else:
-            priors[number] = variable.table
-    sizes = [len(variable.states) for variable in network.variables.values()]
-    return make_plan(sizes, priors, families, tuple(priors))
-
-
 def _flat(evidence: Evidence, vectors: list[Any], sizes: np.ndarray[Any, np.dtype[np.intp]]) -> Floats:
     """All likelihoods one after the other; checked."""
     try:
         lengths = np.fromiter(map(len, vectors), np.intp, len(vectors))
         flat = np.asarray(np.concatenate(vectors))
+        right = flat.dtype.kind in "fiub" and flat.ndim == 1 and bool((lengths == sizes).all())
     except (TypeError, ValueError):
-        lengths, flat = sizes * 0, np.empty(0)
-    total = int(sizes.sum())
-    if flat.dtype.kind not in "fiub" or flat.shape != (total,) or not (lengths == sizes).all():
-        raise _wrong_shape(evidence, sizes)
-    flat = flat.astype(np.float64, copy=False)
-    if not (flat.min() >= 0 and flat.max() < np.inf):  # nor NaN
-        bad = int((~((flat >= 0) & (flat < np.inf))).argmax())
-        name = list(evidence)[int(np.searchsorted(np.cumsum(sizes), bad, side="right"))]
-        raise EvidenceError(f"expected finite numbers of at least 0, got {flat[bad]}", name)
-    return flat
-
-
-def _wrong_shape(evidence: Evidence, sizes: np.ndarray[Any, np.dtype[np.intp]]) -> EvidenceError:
-    for (name, vector), size in zip(evidence.items(), sizes, strict=True):
-        try:
-            found = np.asarray(vector)
-        except ValueError:
-            found = np.empty((0, 0))
-        if found.dtype.kind not in "fiub" or found.shape != (size,):
-            return EvidenceError(f"expected {size} likelihoods, one for each state, got {vector!r:.60}", name)
-    raise AssertionError("each vector is right by itself, but not all together")
+        right = False
+    if not (right and flat.min() >= 0 and flat.max() < np.inf):  # nor NaN
+        return np.concatenate([checked_vector(*each) for each in zip(vectors, sizes, evidence, strict=True)])
+    return flat.astype(np.float64, copy=False)

@@ -1,16 +1,30 @@
-"""Where networks come from: lists, files, and a seed; and what evidence a user may write."""
+"""Where networks come from: lists, a seed, and files (JSON, YAML, and BIF, which pyAgrum reads); and what evidence a
+user may write."""
 
 from __future__ import annotations
 
+import json
+import re
+import warnings
 from collections.abc import Mapping, Sequence
+from importlib import import_module
+from pathlib import Path
 from typing import Any
 
 import numpy as np
+import yaml
 
 from hierax.nodes.causal_tree.errors import EvidenceError, Name, NetworkError
 from hierax.nodes.causal_tree.extended_floats import Floats
 from hierax.nodes.causal_tree.network import MAX_NODES, MAX_STATES, Network, Variable, check_tables, parse
-from hierax.nodes.causal_tree.network_files import read_network
+
+# What a file may have, by its ending.
+MAX_BYTES = {".json": 1 << 26, ".yaml": 1 << 22, ".yml": 1 << 22, ".bif": 1 << 26}
+
+SUFFIXES = tuple(MAX_BYTES)
+
+MAX_YAML_VALUES = 1 << 18  # values of a YAML file, aliases counted wherever they stand
+MAX_DEPTH = 80
 
 # A network; a description; the path of a file; or ``{nodes, states, seed}``: a random tree.
 Source = Network | Sequence[Mapping[str, Any]] | Mapping[str, Any] | str
@@ -79,11 +93,20 @@ def likelihoods(network: Network, name: Name, value: object) -> Floats:
         hard = np.zeros(count)
         hard[_state(variable, value)] = 1.0
         return hard
-    vector = np.asarray(value)
+    return checked_vector(value, count, name)
+
+
+def checked_vector(value: Any, count: int, name: Name) -> Floats:
+    """So many likelihoods. Raises EvidenceError: they are none."""
+    try:
+        vector = np.asarray(value)
+    except ValueError:  # lists of uneven lengths
+        vector = np.empty((0, 0))
     if vector.shape != (count,) or vector.dtype.kind not in "iufb":
         raise EvidenceError(f"expected {count} likelihoods, one for each state, got {value!r:.60}", name)
-    if not (vector.min() >= 0 and vector.max() < np.inf):
-        raise EvidenceError(f"expected finite numbers of at least 0, got {value!r:.60}", name)
+    wrong = ~((vector >= 0) & (vector < np.inf))
+    if wrong.any():
+        raise EvidenceError(f"expected finite numbers of at least 0, got {vector[wrong][0]}", name)
     return vector.astype(np.float64)
 
 
@@ -113,3 +136,164 @@ def _state(variable: Variable, value: object) -> int:
         return variable.states.index(str(value).lower())
     shown = ", ".join(variable.states[:8]) + (", …" if len(variable.states) > 8 else "")
     raise EvidenceError(f"there is no state {value!r:.60}; expected one of {shown}", variable.name)
+
+
+class _Loader(yaml.SafeLoader):
+    """Numbers and booleans as YAML 1.2 has them: 1e-12 is a number, and no and yes are the names of states.
+
+    Stops at what is too much before it is made.
+    """
+
+    _composed = 0
+    _depth = 0
+
+    def compose_node(self, parent: yaml.Node | None, index: Any) -> yaml.Node | None:
+        self._composed += 1
+        self._depth += 1
+        if self._composed > MAX_YAML_VALUES:
+            raise NetworkError(f"has more than {MAX_YAML_VALUES} values in YAML; JSON may have more")
+        if self._depth > MAX_DEPTH:
+            raise NetworkError(f"is nested deeper than {MAX_DEPTH} levels")
+        node: yaml.Node | None = super().compose_node(parent, index)
+        self._depth -= 1
+        return node
+
+    def construct_document(self, node: yaml.Node) -> Any:
+        if _size(node, {}) > MAX_YAML_VALUES:
+            raise NetworkError(f"has more than {MAX_YAML_VALUES} values in YAML, aliases counted wherever they stand")
+        return super().construct_document(node)
+
+
+def _size(node: yaml.Node, known: dict[int, int]) -> int:
+    """How many values a node has; one that is within itself has more than are allowed."""
+    if isinstance(node, yaml.ScalarNode):
+        return 1
+    if id(node) not in known:
+        known[id(node)] = MAX_YAML_VALUES + 1
+        parts = node.value if isinstance(node, yaml.SequenceNode) else [part for pair in node.value for part in pair]
+        known[id(node)] = 1 + sum(_size(part, known) for part in parts)
+    return known[id(node)]
+
+
+_TAG = "tag:yaml.org,2002:"
+_Loader.yaml_implicit_resolvers = {
+    first: [(tag, pattern) for tag, pattern in resolvers if tag not in (f"{_TAG}bool", f"{_TAG}float")]
+    for first, resolvers in yaml.SafeLoader.yaml_implicit_resolvers.items()
+}
+_Loader.add_implicit_resolver(f"{_TAG}bool", re.compile(r"(?:true|True|TRUE|false|False|FALSE)\Z"), list("tTfF"))
+_Loader.add_implicit_resolver(
+    f"{_TAG}float",
+    re.compile(
+        r"[-+]?(?:\.[0-9]+|[0-9]+\.[0-9]*|[0-9]+(?=[eE]))(?:[eE][-+]?[0-9]+)?\Z|[-+]?\.(?:inf|Inf|INF)\Z|\.(?:nan|NaN|NAN)\Z"
+    ),
+    list("-+.0123456789"),
+)
+
+
+def read_network(file: str | Path) -> Network:
+    """Read a network.
+
+    Args:
+        file: JSON or YAML with the list of nodes that `parse` takes, or a map with that list as ``network``; or BIF.
+
+    Raises:
+        NetworkError: the file cannot be read, or holds no network; says which file, and which node.
+    """
+    path = Path(file)
+    suffix = path.suffix.lower()
+    if suffix not in SUFFIXES:
+        raise NetworkError(f"{path}: expected a file with the ending {', '.join(SUFFIXES)}")
+    try:
+        text = _text(path, MAX_BYTES[suffix])
+        return parse(_from_bif(path, text) if suffix == ".bif" else _from_text(text, suffix == ".json"))
+    except NetworkError as error:
+        placed = NetworkError(f"{path}: {error}")
+        placed.node = error.node
+        raise placed from error
+
+
+def _text(path: Path, most: int) -> str:
+    """What is in a file, and nothing of one that is too large, or of something else than a file."""
+    data = b""
+    try:
+        is_other = path.exists() and not path.is_file()  # reading a FIFO waits for ever
+        if not is_other:
+            with path.open("rb") as file:
+                data = file.read(most + 1)
+    except (OSError, ValueError) as error:
+        raise NetworkError(f"cannot be read: {getattr(error, 'strerror', None) or error}") from error
+    if is_other:
+        raise NetworkError("is no file")
+    if len(data) > most:
+        raise NetworkError(f"has more than the {most} bytes that are allowed of {path.suffix.lower()}")
+    try:
+        return data.decode("utf-8-sig")
+    except UnicodeDecodeError as error:
+        raise NetworkError(f"byte {error.object[error.start]:#04x} is not UTF-8") from error
+
+
+def _from_text(text: str, is_json: bool) -> Any:
+    try:
+        content = json.loads(text) if is_json else yaml.load(text, Loader=_Loader)
+    except NetworkError:
+        raise
+    except RecursionError as error:
+        raise NetworkError("is nested too deeply; expected a list of nodes") from error
+    except ValueError as error:
+        raise NetworkError(f"is no {'JSON' if is_json else 'YAML'}: {error}") from error
+    except yaml.YAMLError as error:
+        raise NetworkError(f"is no YAML: {' '.join(str(error).split())}") from error
+    return content["network"] if isinstance(content, dict) and "network" in content else content
+
+
+_BIF_VARIABLE = re.compile(r'\bvariable\s+"?([^"\s{]+)"?\s*\{[^}]*?\[\s*([0-9]{1,18})\s*\]', re.DOTALL)
+_BIF_TABLE = re.compile(r"\bprobability\s*\(([^){]*)\)")
+
+
+def _check_bif(text: str) -> None:
+    """Whether the tables that a BIF file announces may be had: pyAgrum makes them before it reads their numbers."""
+    states = {name: int(count) for name, count in _BIF_VARIABLE.findall(text)}
+    heads = [re.findall(r'[^\s,|"]+', head) for head in _BIF_TABLE.findall(text)]
+    many = next((name for name, count in states.items() if count > MAX_STATES), None)
+    if many is not None:
+        raise NetworkError(f"states: {states[many]:.3g} of them; at most {MAX_STATES} are allowed", many)
+    check_tables({head[0]: [states.get(name, 1) for name in head] for head in heads if head})
+
+
+def import_quietly(name: str) -> Any:
+    """A module whose import warns; where warnings are errors, those would end the process."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        return import_module(name)
+
+
+def _from_bif(path: Path, text: str) -> list[dict[str, Any]]:
+    _check_bif(text)
+    try:
+        pyagrum = import_quietly("pyagrum")
+    except ModuleNotFoundError as error:
+        raise NetworkError("BIF needs pyAgrum, which is not installed: pip install 'hierax[bayes]'") from error
+    try:
+        net = pyagrum.loadBN(str(path))
+    except Exception as error:  # pyAgrum has many
+        told = next((line for line in str(error).splitlines() if line.strip()), type(error).__name__)
+        raise NetworkError(f"is no BIF: {told.strip()}") from error
+    return description_of(net)
+
+
+def description_of(net: Any) -> list[dict[str, Any]]:
+    """The description of a network of pyAgrum's.
+
+    Args:
+        net: a ``pyagrum.BayesNet``.
+    """
+    description = []
+    for node in sorted(net.nodes()):
+        variable, table = net.variable(node), net.cpt(node)
+        name = variable.name()
+        parents = [axis for axis in table.names if axis != name]
+        axes = table.names[::-1]  # its arrays have the axes in the opposite order, whichever the table has
+        array = np.asarray(table.toarray(), np.float64).transpose([axes.index(axis) for axis in (*parents, name)])
+        numbers = {"cpt" if parents else "prior": array.tolist()}
+        description.append({"id": name, "states": list(variable.labels()), "parents": parents, **numbers})
+    return description

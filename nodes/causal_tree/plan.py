@@ -19,7 +19,9 @@ from typing import NamedTuple
 
 import numpy as np
 
+from hierax.nodes.causal_tree.errors import Name
 from hierax.nodes.causal_tree.extended_floats import ExtendedFloats, Floats, Places, extended
+from hierax.nodes.causal_tree.network import Network
 
 
 class Family(NamedTuple):
@@ -87,16 +89,35 @@ class Plan:
         return found
 
 
-def make_plan(
+def plan_of(network: Network, held: Sequence[Name]) -> tuple[Plan, dict[tuple[Name, Name], int]]:
+    """Plan the sweeps of some nodes of a network, the variables of these numbers; rooted in those without parents.
+
+    An arrow from another node ends at a guest, a variable with a number behind theirs: by child and parent, these are
+    returned, too.
+    """
+    numbers = {name: number for number, name in enumerate(held)}
+    sizes = [len(network.variables[name].states) for name in held]
+    guests: dict[tuple[Name, Name], int] = {}
+    priors, families = {}, []
+    for number, name in enumerate(held):
+        variable = network.variables[name]
+        for axis, parent in enumerate(variable.parents):
+            if parent not in numbers:
+                guests[name, parent] = len(sizes)
+                sizes.append(variable.table.shape[axis])
+        if variable.parents:
+            above = (numbers[parent] if parent in numbers else guests[name, parent] for parent in variable.parents)
+            families.append(Family((*above, number), variable.table))
+        else:
+            priors[number] = variable.table
+    return _make_plan(sizes, priors, families, (*guests.values(), *priors)), guests
+
+
+def _make_plan(
     sizes: Sequence[int], priors: Mapping[int, Floats], families: Sequence[Family], roots: Sequence[int]
 ) -> Plan:
-    """Plan the sweeps of a network.
-
-    Args:
-        sizes: of each variable, its number of states; priors: by variable without parents.
-        families: of the variables with parents. There is no loop.
-        roots: variables that are taken for roots of their part of the network, where it has no other before.
-    """
+    """The plan of variables of these numbers of states; those in `roots` are taken for roots of their part of the
+    network, where it has no other before. There is no loop."""
     levels, found = _levels(len(sizes), families, roots)
     has_below = np.zeros(len(sizes), bool)
     shapes: list[list[Placed]] = []
