@@ -49,11 +49,7 @@ class Cell:
 
 
 def bench_bayes(sizes: Sequence[int], rounds: int, seed: int, told: Callable[[str], None]) -> list[Cell]:
-    """Time all ways.
-
-    Args: sizes: numbers of nodes. rounds: of all ways in turn. seed: of networks and evidence. told: told what is going
-        on.
-    """
+    """Time all ways; sizes: numbers of nodes. rounds: of all ways in turn. seed: of networks and evidence."""
     cells = []
     for nodes in sizes:
         network = random_tree(nodes, STATES, seed)

@@ -109,11 +109,8 @@ class ExtendedSweep:
         self._messages.reverse()
 
     def down(self, at_roots: Inputs) -> None:
-        """Sweep from the roots to the leaves, after `up`.
-
-        Args: at_roots: further likelihoods of roots.
-        Raises NothingLeftError: they contradict the evidence.
-        """
+        """Sweep from the roots to the leaves, after `up`; at_roots: further likelihoods of roots. Raises
+        NothingLeftError: they contradict the evidence."""
         self._beliefs = {size: likelihood.copied() for size, likelihood in self._likelihoods.items()}
         for size, (columns, values) in at_roots.items():
             self._beliefs[size].take_in(columns, Product.of(values))

@@ -58,11 +58,9 @@ class Float64Sweep:
         return self._least_log2 > FLOOR_LOG2 / 2
 
     def up(self, evidence: Mapping[int, Floats]) -> float:
-        """Sweep from the leaves to the roots.
-
-        Args: evidence: by number of states, likelihoods of at most 1; shape (size, columns). 0 means 0.
-        Returns: The least likelihood that the evidence has not made 0; NaN or 0 where something has underflowed.
-        """
+        """Sweep from the leaves to the roots; evidence: by number of states, likelihoods of at most 1; shape
+        (size, columns). 0 means 0. Returns: The least likelihood that the evidence has not made 0; NaN or 0 where
+        something has underflowed."""
         for size, base in self._plan.base.items():
             np.multiply(base, evidence[size], out=self.likelihoods[size])
         with np.errstate(all="ignore"):
@@ -88,11 +86,8 @@ class Float64Sweep:
         return float(np.min([support.min() for support in self.supports.values()]))
 
     def suffices(self, least_likelihood: float, least_support: float = 1.0) -> bool:
-        """Whether nothing can have underflowed.
-
-        The smallest product in a sweep is of a table's entry, as many likelihoods as a family has others, and a
-        support; sums are of numbers of at least 0.
-        """
+        """Whether nothing can have underflowed. The smallest product in a sweep is of a table's entry, as many
+        likelihoods as a family has others, and a support; sums are of numbers of at least 0."""
         if not (least_likelihood > 0 and least_support > 0):  # nor NaN
             return False
         logs = self._plan.others * math.log2(least_likelihood) + math.log2(least_support)

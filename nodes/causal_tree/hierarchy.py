@@ -15,11 +15,9 @@ WORLD = "world"
 
 
 def epochs_needed(network: Description | Network) -> int:
-    """How many Updates with the same evidence make all beliefs exact: 1 for trees.
-
-    For a polytree 1 more than the most nodes on an undirected path that it comes down to from one parent, and leaves
-    up to another. This holds with a process for each node; with larger parts it may take fewer.
-    """
+    """How many Updates with the same evidence make all beliefs exact: 1 for trees. For a polytree 1 more than the most
+    nodes on an undirected path that it comes down to from one parent, and leaves up to another. This holds with a
+    process for each node; with larger parts it may take fewer."""
     return epochs_to_exactness({name: each.parents for name, each in parse(network).variables.items()})
 
 
@@ -33,8 +31,7 @@ def as_deployment(
         sets: evidence sets, as `EvidenceWorld` takes them; each is shown as long as it takes to be exact.
         parts: by name of a hierarchy's node, the network's nodes that it holds; by default each by itself.
 
-    Raises:
-        NetworkError: it is no network, a node is in no part or in two, or the parts' arrows go round in a circle.
+    Raises NetworkError: it is no network, a node is in no part or in two, or the parts' arrows go round in a circle.
     """
     network = parse(description)
     if parts is None:

@@ -93,11 +93,8 @@ def parse(description: Description | Network) -> Network:
 
 
 def check_tables(shapes: Mapping[Name, Sequence[int]]) -> None:
-    """Whether tables of these shapes may be had, before any is made.
-
-    Raises:
-        NetworkError: all together they have more than `MAX_TABLE_BYTES`; names the node at which that shows.
-    """
+    """Whether tables of these shapes may be had, before any is made. Raises NetworkError: all together they have more
+    than `MAX_TABLE_BYTES`; names the node at which that shows."""
     numbers = 0
     for name, shape in shapes.items():
         numbers += math.prod(shape)

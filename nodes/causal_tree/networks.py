@@ -31,14 +31,8 @@ Source = Network | Sequence[Mapping[str, Any]] | Mapping[str, Any] | str
 
 
 def network_from(source: Source) -> Network:
-    """A network, from what a deployment's parameter says.
-
-    Args:
-        source: as `Source` has it.
-
-    Raises:
-        NetworkError: it is none, or the file cannot be read.
-    """
+    """A network, from what a deployment's parameter says; source: as `Source` has it. Raises NetworkError: it is
+    none, or the file cannot be read."""
     if isinstance(source, str):
         return read_network(source)
     if not isinstance(source, Mapping):
@@ -53,13 +47,9 @@ def network_from(source: Source) -> Network:
 def random_tree(nodes: int, states: int, seed: int) -> list[dict[str, Any]]:
     """The description of a random tree, ``n0`` its root: each node's parent is drawn among those before it.
 
-    Args:
-        nodes: how many.
-        states: of each node.
-        seed: of all draws; distributions are drawn evenly from all that there are.
-
-    Raises:
-        NetworkError: it would be too large.
+    Args: nodes: how many. states: of each node. seed: of all draws; distributions are drawn evenly from all that there
+        are.
+    Raises NetworkError: it would be too large.
     """
     if nodes > MAX_NODES or states > MAX_STATES:
         raise NetworkError(f"network: at most {MAX_NODES} nodes of {MAX_STATES} states are allowed")
@@ -77,13 +67,9 @@ def random_tree(nodes: int, states: int, seed: int) -> list[dict[str, Any]]:
 def likelihoods(network: Network, name: Name, value: object) -> Floats:
     """Evidence as a user may write it, as a likelihood vector.
 
-    Args:
-        network: that the node is of.
-        name: the node.
-        value: a state's name, its number from 0, or likelihoods, one for each state.
-
-    Raises:
-        EvidenceError: there is no such node or state, or the numbers are no likelihoods.
+    Args: network: that the node is of. name: the node. value: a state's name, its number from 0, or likelihoods, one
+        for each state.
+    Raises EvidenceError: there is no such node or state, or the numbers are no likelihoods.
     """
     if name not in network.variables:
         raise EvidenceError("there is no such node", name)
@@ -139,10 +125,8 @@ def _state(variable: Variable, value: object) -> int:
 
 
 class _Loader(yaml.SafeLoader):
-    """Numbers and booleans as YAML 1.2 has them: 1e-12 is a number, and no and yes are the names of states.
-
-    Stops at what is too much before it is made.
-    """
+    """Numbers and booleans as YAML 1.2 has them: 1e-12 is a number, and no and yes are the names of states. Stops at
+    what is too much before it is made."""
 
     _composed = 0
     _depth = 0
@@ -191,14 +175,9 @@ _Loader.add_implicit_resolver(
 
 
 def read_network(file: str | Path) -> Network:
-    """Read a network.
-
-    Args:
-        file: JSON or YAML with the list of nodes that `parse` takes, or a map with that list as ``network``; or BIF.
-
-    Raises:
-        NetworkError: the file cannot be read, or holds no network; says which file, and which node.
-    """
+    """Read a network; file: JSON or YAML with the list of nodes that `parse` takes, or a map with that list as
+    ``network``; or BIF. Raises NetworkError: the file cannot be read, or holds no network; says which file, and which
+    node."""
     path = Path(file)
     suffix = path.suffix.lower()
     if suffix not in SUFFIXES:
@@ -282,11 +261,7 @@ def _from_bif(path: Path, text: str) -> list[dict[str, Any]]:
 
 
 def description_of(net: Any) -> list[dict[str, Any]]:
-    """The description of a network of pyAgrum's.
-
-    Args:
-        net: a ``pyagrum.BayesNet``.
-    """
+    """The description of a network of pyAgrum's; net: a ``pyagrum.BayesNet``."""
     description = []
     for node in sorted(net.nodes()):
         variable, table = net.variable(node), net.cpt(node)

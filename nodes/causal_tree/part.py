@@ -53,8 +53,7 @@ class Part(Node):
             from messages that are under way: in a polytree, and with a staleness. Such messages are replaced by ones,
             and the posteriors are all 0. null: it never is one.
 
-    Raises:
-        ValueError: the parameters are wrong.
+    Raises ValueError: the parameters are wrong.
     """
 
     def __init__(
@@ -88,15 +87,9 @@ class Part(Node):
         return self._updated({"age": 1, "evidence": {}, "below": {}, "above": {}}, 0)
 
     def observe(self, observations: Elements, belief: Value, tick: Tick = NO_TICK) -> Value:
-        """τ: what was reported takes its slot; the slots of who is no longer below become ones.
-
-        Args:
-            observations: of `evidence_seen` and `diagnostic_support`.
-            belief: as above.
-
-        Raises:
-            ImpossibleEvidence: what lies below this part, or in it, contradicts itself.
-        """
+        """τ: what was reported takes its slot; the slots of who is no longer below become ones; observations: of
+        `evidence_seen` and `diagnostic_support`. Raises ImpossibleEvidence: what lies below this part, or in it,
+        contradicts itself."""
         evidence = {name: each for name, each in belief["evidence"].items() if name in tick.below}
         below = {name: each for name, each in belief["below"].items() if name in tick.below}
         for seen in observations:
@@ -112,26 +105,16 @@ class Part(Node):
         return {**sensed, "diagnostic": found.messages}
 
     def predict(self, context: Elements, actions: Elements, belief: Value, tick: Tick = NO_TICK) -> Value:
-        """γ: causal support takes its slot; the posteriors follow.
-
-        Args:
-            context: of `causal_support`.
-            belief: as `observe` left it.
-
-        Raises:
-            ImpossibleEvidence: the evidence contradicts itself.
-        """
+        """γ: causal support takes its slot; the posteriors follow; context: of `causal_support`. Raises
+        ImpossibleEvidence: the evidence contradicts itself."""
         above = {name: each for name, each in belief["above"].items() if name in tick.above}
         for given in context:
             above[given["from"]] = self._fragment.supports(given["support"])
         return self._updated({**belief, "above": above}, belief["age"])
 
     def take_over(self, belief: Value) -> Value:
-        """The evidence and messages that another part has had, as far as they concern this one's nodes.
-
-        Raises:
-            ValueError: it is no belief of a part.
-        """
+        """The evidence and messages that another part has had, as far as they concern this one's nodes. Raises
+        ValueError: it is no belief of a part."""
         initial = self.initial_belief()
         if not isinstance(belief, dict) or belief.keys() != initial.keys():
             raise ValueError("belief: expected that of a part of a causal tree")
@@ -202,11 +185,8 @@ def causal_support(belief: Value, tick: Tick = NO_TICK) -> Elements:
 
 
 def under(network: Network, top: str, tops: Iterable[str]) -> tuple[str, ...]:
-    """The nodes from one of `tops` on down to where another one of them begins, in the network's order.
-
-    Raises:
-        ValueError: `top` is not one of `tops`, or there is no such node.
-    """
+    """The nodes from one of `tops` on down to where another one of them begins, in the network's order. Raises
+    ValueError: `top` is not one of `tops`, or there is no such node."""
     others = set(tops) - {top}
     for name in (top, *sorted(others, key=str)):
         if name not in network.variables:

@@ -90,11 +90,9 @@ class Plan:
 
 
 def plan_of(network: Network, held: Sequence[Name]) -> tuple[Plan, dict[tuple[Name, Name], int]]:
-    """Plan the sweeps of some nodes of a network, the variables of these numbers; rooted in those without parents.
-
-    An arrow from another node ends at a guest, a variable with a number behind theirs: by child and parent, these are
-    returned, too.
-    """
+    """Plan the sweeps of some nodes of a network, the variables of these numbers; rooted in those without parents. An
+    arrow from another node ends at a guest, a variable with a number behind theirs: by child and parent, these are
+    returned, too."""
     numbers = {name: number for number, name in enumerate(held)}
     sizes = [len(network.variables[name].states) for name in held]
     guests: dict[tuple[Name, Name], int] = {}

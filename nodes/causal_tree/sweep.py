@@ -45,11 +45,8 @@ class Sweep:
         return self._last is self._extended
 
     def up(self, inputs: Inputs) -> None:
-        """Sweep from the leaves to the roots.
-
-        Args: inputs: likelihoods; of columns that are not named, ones.
-        Raises NothingLeftError: the evidence is impossible.
-        """
+        """Sweep from the leaves to the roots; inputs: likelihoods; of columns that are not named, ones. Raises
+        NothingLeftError: the evidence is impossible."""
         self._inputs = inputs
         if self._take_plain(inputs) and self._float64.can_suffice:
             self._least = self._float64.up(self._evidence)
@@ -60,11 +57,8 @@ class Sweep:
         self._extended.up(inputs)
 
     def down(self, at_roots: Inputs = NO_INPUTS) -> None:
-        """Sweep from the roots to the leaves, after `up`.
-
-        Args: at_roots: further likelihoods of roots, which `up` had not.
-        Raises NothingLeftError: the evidence is impossible.
-        """
+        """Sweep from the roots to the leaves, after `up`; at_roots: further likelihoods of roots, which `up` had
+        not. Raises NothingLeftError: the evidence is impossible."""
         if not self.is_extended:
             plain = {size: (columns, as_float64(values, 0)) for size, (columns, values) in at_roots.items()}
             least = min((float(np.where(found > 0, found, 1.0).min()) for _, found in plain.values()), default=1.0)

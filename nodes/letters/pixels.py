@@ -57,11 +57,8 @@ Templates = tuple[np.ndarray[Any, np.dtype[np.int32]], tuple[float, ...]]
 
 
 def strokes(sign: str, ambiguity: float) -> list[Stroke]:
-    """The strokes of a letter, or of the sign between H and A.
-
-    Args: sign: one of `DRAWN`, or `AMBIGUOUS`. ambiguity: how far `AMBIGUOUS` is on the way from H (0) to A (1): the
-        uprights lean together.
-    """
+    """The strokes of a letter, or of the sign between H and A; sign: one of `DRAWN`, or `AMBIGUOUS`. ambiguity:
+    how far `AMBIGUOUS` is on the way from H (0) to A (1): the uprights lean together."""
     if sign != AMBIGUOUS:
         return _STROKES[sign]
     return [(1.0 - ambiguity) * h + ambiguity * a for h, a in zip(_STROKES["H"], _STROKES["A"], strict=True)]
@@ -160,11 +157,8 @@ class PixelLetterNode(LetterNode):
         self._sigma, self._slip = float(sigma), float(slip)
 
     def likelihood(self, observation: Value) -> Weights:
-        """p(pixels | letter) by letter, scaled to sum 1.
-
-        Args: observation: a square of grey values, uint8.
-        Raises ValueError: it is no such square.
-        """
+        """p(pixels | letter) by letter, scaled to sum 1; observation: a square of grey values, uint8. Raises
+        ValueError: it is no such square."""
         is_array = isinstance(observation, np.ndarray) and observation.dtype == GREYS and observation.ndim == 2
         if not is_array or observation.shape[0] != observation.shape[1] or not observation.size:
             what = f"{observation.dtype} of shape {observation.shape}" if is_array else type(observation).__name__

@@ -61,7 +61,7 @@ class GraspNode(Node):
 
     def observe(self, observations: Elements, belief: Value, tick: Tick = NO_TICK) -> Value:
         """τ: the scene as it is tracked, and the phase that follows; observations: as
-        `hierax.nodes.picking.tracker.scene_known` gives them, or none. belief: as it was."""
+        `hierax.nodes.picking.tracker.scene_known` gives them, or none."""
         if not observations:
             return belief
         bodies = tuple(item for item in observations if "pose" in item)

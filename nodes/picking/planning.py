@@ -76,11 +76,9 @@ def before(gripper: Floats, back_m: float = APPROACH_M) -> Floats:
 
 
 def clear(gripper: Floats, width_m: float, boxes: Boxes, clearance_m: float) -> bool:
-    """Whether hand and camera keep clear of boxes and table on the whole approach.
-
-    Args: gripper: world_from_gripper at its end; width_m: how wide the gripper is open. boxes: everything that is not
-        to be touched, what is to be taken included. clearance_m: how far they are to keep off.
-    """
+    """Whether hand and camera keep clear of boxes and table on the whole approach; gripper: world_from_gripper at
+    its end; width_m: how wide the gripper is open. boxes: everything that is not to be touched, what is to be taken
+    included. clearance_m: how far they are to keep off."""
     hand = _hand(width_m)
     stages = [before(gripper, back) for back in np.linspace(0.0, APPROACH_M, _STAGES)]
     placed = Boxes(
@@ -95,11 +93,8 @@ def clear(gripper: Floats, width_m: float, boxes: Boxes, clearance_m: float) -> 
 
 
 def overlapping(first: Boxes, second: Boxes, index: int) -> NDArray[np.bool_]:
-    """Which of the first boxes overlap one of the second, (n,) bool: none of the 15 axes separates them.
-
-    The axes are the faces' normals of both and the cross products of their edges (Gottschalk, Lin and Manocha, OBBTree,
-    1996).
-    """
+    """Which of the first boxes overlap one of the second, (n,) bool: none of the 15 axes separates them. The axes are
+    the faces' normals of both and the cross products of their edges (Gottschalk, Lin and Manocha, OBBTree, 1996)."""
     between = second.centres[index] - first.centres
     turn = np.einsum("nki,kj->nij", first.axes, second.axes[index])
     spread = np.abs(turn) + 1e-9

@@ -74,11 +74,8 @@ class PickSpatial(CommandedNode, SpatialNode):
         return {**sensed, "hand": hands[0], "hand_before": belief["hand"]} if hands else sensed
 
     def predict(self, context: Elements, actions: Elements, belief: Value) -> Value:
-        """γ of `SpatialNode`, but for the cube that is held: it goes on as the hand went.
-
-        Args: context: one element {"held": id of a cube, or None}, from the grasp node. actions: not used; belief: as
-            `observe` left it.
-        """
+        """γ of `SpatialNode`, but for the cube that is held: it goes on as the hand went; context: one element {"held":
+        id of a cube, or None}, from the grasp node."""
         predicted = super().predict((), (), belief)
         held = context[0]["held"] if context else None
         if held is None or belief["hand_before"] is None:

@@ -75,13 +75,9 @@ class DepthRenderer:
     def layers(self, items: Sequence[Item], intrinsics: Array, size: tuple[int, int]) -> dict[int, Layer]:
         """Each item alone, by its label, in the order of labels; without those that cannot be in the image.
 
-        Args:
-            items: what is drawn, in any order.
-            intrinsics: (4,) fx, fy, cx, cy in pixels, pixel centres at integers.
+        Args: items: what is drawn, in any order. intrinsics: (4,) fx, fy, cx, cy in pixels, pixel centres at integers.
             size: width and height in pixels.
-
-        Raises:
-            ValueError: labels are doubled or out of range.
+        Raises ValueError: labels are doubled or out of range.
         """
         ordered = sorted(items, key=lambda item: item.label)
         labels = [item.label for item in ordered]
@@ -93,15 +89,10 @@ class DepthRenderer:
     def render(self, items: Sequence[Item], intrinsics: Array, size: tuple[int, int]) -> tuple[Array, Array]:
         """Depth and labels of the items as a pinhole camera sees them.
 
-        Args:
-            items, intrinsics, size: as for `layers`.
-
-        Returns:
-            depth (h, w) float32, z in the camera's frame in metres, 0 where nothing is;
-            labels (h, w) uint8, 0 where nothing is.
-
-        Raises:
-            ValueError: labels are doubled or out of range.
+        Args: items, intrinsics, size: as for `layers`.
+        Returns: depth (h, w) float32, z in the camera's frame in metres, 0 where nothing is; labels (h, w) uint8, 0
+            where nothing is.
+        Raises ValueError: labels are doubled or out of range.
         """
         return composed(self.layers(items, intrinsics, size), Window(0, 0, *size))
 
@@ -124,15 +115,8 @@ class DepthRenderer:
 
 
 def composed(layers: Mapping[int, Layer], window: Window) -> tuple[Array, Array]:
-    """What is seen of all of them: of two at one depth, the first.
-
-    Args:
-        layers: by label.
-        window: the part of the image that is wanted; it holds all their windows.
-
-    Returns:
-        As `DepthRenderer.render`, of the window.
-    """
+    """What is seen of all of them: of two at one depth, the first; layers: by label. window: the part of the
+    image that is wanted; it holds all their windows. Returns: As `DepthRenderer.render`, of the window."""
     width, height = window.size
     nearest = np.zeros((height, width))
     labels = np.zeros((height, width), dtype=np.uint8)
@@ -152,9 +136,8 @@ class SegmentedDepth:
 
     An edge function with a renderer of its own, which is only a cache.
 
-    Args:
-        occlusion: whether the bodies hide one another; else each one's controls are those of its own model, as if
-            it were alone.
+    Args: occlusion: whether the bodies hide one another; else each one's controls are those of its own model, as if it
+        were alone.
     """
 
     def __init__(self, occlusion: bool = True) -> None:
@@ -165,12 +148,9 @@ class SegmentedDepth:
     def __call__(self, belief: SpatialBelief) -> tuple[Imagery, ...]:
         """One element, or none before the camera is known.
 
-        Args:
-            belief: of the spatial node.
-
-        Returns:
-            The part of the image that holds all bodies; of each body the control points whose chance to be seen is at
-            least `LEAST_CHANCE`.
+        Args: belief: of the spatial node.
+        Returns: The part of the image that holds all bodies; of each body the control points whose chance to be seen is
+            at least `LEAST_CHANCE`.
         """
         camera, intrinsics, size = belief["camera"], belief["intrinsics"], belief["size"]
         if camera is None or intrinsics is None or size is None:

@@ -73,11 +73,8 @@ class Film:
 
 
 def film(kind: str, seed: int, frames: int) -> Film:
-    """A scene of a kind.
-
-    Args: kind: one of `KINDS`; seed: draws everything in it; frames: how many.
-    Raises ValueError: there is no such kind, or `frames` is not positive.
-    """
+    """A scene of a kind; kind: one of `KINDS`; seed: draws everything in it; frames: how many. Raises ValueError:
+    there is no such kind, or `frames` is not positive."""
     if kind not in KINDS:
         raise ValueError(f"kind is {kind!r}; expected one of {', '.join(KINDS)}")
     if frames < 1:

@@ -103,11 +103,8 @@ def drawn_mesh(
 
 
 def drawn(body: Thing, camera: Floats, intrinsics: Array, size: tuple[int, int], samples: int) -> list[Drawn]:
-    """What of a body looks at the camera and may be in the picture.
-
-    Args: camera: world_from_camera; intrinsics: fx, fy, cx, cy in pixels; size: width and height in pixels. samples:
-        per pixel, along each axis.
-    """
+    """What of a body looks at the camera and may be in the picture; camera: world_from_camera; intrinsics: fx,
+    fy, cx, cy in pixels; size: width and height in pixels. samples: per pixel, along each axis."""
     curved, view = body.curved(), (camera, intrinsics, size, samples)
     towards = [face for face in body.faces() if face.normal @ (camera[:3, 3] - face.corner) > 0]
     found = [drawn_face(face, *view) for face in towards] + ([drawn_mesh(curved, *view)] if curved else [])
