@@ -7,7 +7,8 @@ would underflow does not. So impossible and improbable are told apart.
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from collections.abc import Mapping
+from typing import NamedTuple, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,6 +16,7 @@ from numpy.typing import NDArray
 Floats = NDArray[np.float64]
 Exponents = NDArray[np.int64]
 Places = NDArray[np.intp]
+N = TypeVar("N", np.float64, np.int64)
 
 # Stands for the exponent of 0 where the greatest is looked for; sums of true exponents stay far from it.
 NONE = -(1 << 60)
@@ -32,6 +34,15 @@ class ExtendedFloats(NamedTuple):
     def at(self, columns: int | slice | Places | None) -> ExtendedFloats:
         """Some columns; None: the one that there is, as a column."""
         return ExtendedFloats(self.fraction[:, columns], self.exponent[:, columns])
+
+
+# By number of states: columns, once each, and the likelihoods there; shape (size, columns).
+Inputs = Mapping[int, tuple[Places, ExtendedFloats]]
+
+
+def along(array: NDArray[N], axis: int, ndim: int) -> NDArray[N]:
+    """An array of shape (states, n) with `ndim` axes: the states along `axis`, n along the last."""
+    return array.reshape(*(1,) * axis, array.shape[0], *(1,) * (ndim - 2 - axis), array.shape[1])
 
 
 def extended(values: Floats) -> ExtendedFloats:

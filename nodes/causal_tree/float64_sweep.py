@@ -3,17 +3,22 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
-from typing import NamedTuple, TypeVar
+from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-from hierax.nodes.causal_tree.extended_floats import ExtendedFloats, Floats, Places, extended
+from hierax.nodes.causal_tree.extended_floats import (
+    ExtendedFloats,
+    Floats,
+    Inputs,
+    along,
+    as_float64,
+    extended,
+    greatest,
+)
 from hierax.nodes.causal_tree.plan import Group, Plan
 
-N = TypeVar("N", np.float64, np.int64)
-
+LEAST_INPUT = 2.0**-300  # likelihoods further apart than this are none for float64
 FLOOR_LOG2 = -1000.0  # all products stay above 2 to this power: far enough from where float64 loses digits, at 2^-1022
 
 
@@ -34,13 +39,14 @@ class Float64Sweep:
     """One sweep up and one down, all levels' arrays kept and used again.
 
     Every message is scaled so that its greatest number is 1, so all factors of all products are at most 1, and no
-    intermediate result is smaller than its end. `up` and `down` tell the least numbers, from which `suffices` follows.
+    intermediate result is smaller than its end: from the least numbers follows whether something can have underflowed.
 
     Attributes:
         likelihoods: by number of states, L of each variable, from what lies further from the root (the prior and the
             evidence included), up to a factor; shape (size, columns).
         supports: what comes from the root's side, up to a factor; ones at a root.
         beliefs: their products.
+        exponents: by so many powers of 2 likelihoods were scaled.
     """
 
     def __init__(self, plan: Plan) -> None:
@@ -50,47 +56,54 @@ class Float64Sweep:
         )
         self._scales = np.ones(sum(len(group.tops) for group in plan.groups))
         self._steps = self._make_steps()
+        self._evidence = {size: np.ones_like(base) for size, base in plan.base.items()}  # at most 1; 0 means 0
+        self.exponents = 0
+        self._least = 1.0  # likelihood that the evidence has not made 0
         self._least_log2 = math.log2(plan.least) if plan.least > 0 else -math.inf
 
-    @property
-    def can_suffice(self) -> bool:
-        """Whether the tables and priors alone leave room for it."""
-        return self._least_log2 > FLOOR_LOG2 / 2
-
-    def up(self, evidence: Mapping[int, Floats]) -> float:
-        """Sweep from the leaves to the roots; evidence: by number of states, likelihoods of at most 1; shape
-        (size, columns). 0 means 0. Returns: The least likelihood that the evidence has not made 0; NaN or 0 where
-        something has underflowed."""
+    def up(self, inputs: Inputs) -> bool:
+        """Sweep from the leaves to the roots; whether nothing can have underflowed."""
+        self.exponents, plain = 0, True
+        for size, evidence in self._evidence.items():
+            evidence.fill(1.0)
+            if size in inputs:
+                columns, values = inputs[size]
+                evidence[:, columns] = scaled = as_float64(values, 0)
+                self.exponents += int(greatest(values, 0).sum())
+                plain = plain and _is_plain(values, scaled)
+        if not plain or self._least_log2 <= FLOOR_LOG2 / 2:  # the tables and priors alone leave no room
+            return False
         for size, base in self._plan.base.items():
-            np.multiply(base, evidence[size], out=self.likelihoods[size])
+            np.multiply(base, self._evidence[size], out=self.likelihoods[size])
         with np.errstate(all="ignore"):
             for step in reversed(self._steps):
                 self._gather(step)
-        return float(
-            np.min([np.where(evidence[size] > 0, found, 1.0).min() for size, found in self.likelihoods.items()])
-        )
+        found = ((self._evidence[size] > 0, likelihood) for size, likelihood in self.likelihoods.items())
+        self._least = float(np.min([np.where(possible, likelihood, 1.0).min() for possible, likelihood in found]))
+        return self._suffices(1.0)
 
-    def down(self, at_roots: Mapping[int, tuple[Places, Floats]]) -> float:
-        """Sweep from the roots to the leaves, after `up`.
-
-        Args: at_roots: further likelihoods of roots, by number of states: columns, and numbers of at most 1.
-        Returns: The least support; NaN or 0 where something has underflowed.
-        """
+    def down(self, at_roots: Inputs) -> bool:
+        """Sweep from the roots to the leaves, after `up`; whether nothing can have underflowed."""
+        least = 1.0
         with np.errstate(all="ignore"):
             for size, likelihood in self.likelihoods.items():
                 np.copyto(self.beliefs[size], likelihood)  # the roots'; the others' follow
             for size, (columns, values) in at_roots.items():
-                self.beliefs[size][:, columns] *= values
+                scaled = as_float64(values, 0)
+                if not _is_plain(values, scaled):
+                    return False
+                least = min(least, float(np.where(scaled > 0, scaled, 1.0).min()))
+                self.beliefs[size][:, columns] *= scaled
             for step in self._steps:
                 self._spread(step)
-        return float(np.min([support.min() for support in self.supports.values()]))
+        return self._suffices(least * float(np.min([support.min() for support in self.supports.values()])))
 
-    def suffices(self, least_likelihood: float, least_support: float = 1.0) -> bool:
+    def _suffices(self, least_support: float) -> bool:
         """Whether nothing can have underflowed. The smallest product in a sweep is of a table's entry, as many
         likelihoods as a family has others, and a support; sums are of numbers of at least 0."""
-        if not (least_likelihood > 0 and least_support > 0):  # nor NaN
+        if not (self._least > 0 and least_support > 0):  # nor NaN
             return False
-        logs = self._plan.others * math.log2(least_likelihood) + math.log2(least_support)
+        logs = self._plan.others * math.log2(self._least) + math.log2(least_support)
         return self._least_log2 + logs > FLOOR_LOG2
 
     def log_scale(self) -> float:
@@ -172,6 +185,7 @@ class Float64Sweep:
             np.copyto(support, product)
 
 
-def along(array: NDArray[N], axis: int, ndim: int) -> NDArray[N]:
-    """An array of shape (states, n) with `ndim` axes: the states along `axis`, n along the last."""
-    return array.reshape(*(1,) * axis, array.shape[0], *(1,) * (ndim - 2 - axis), array.shape[1])
+def _is_plain(given: ExtendedFloats, scaled: Floats) -> bool:
+    """Whether likelihoods are what they are as float64, and leave a state to each variable."""
+    possible = given.fraction > 0
+    return bool(possible.any(axis=0).all()) and not ((scaled < LEAST_INPUT) & possible).any()

@@ -13,8 +13,16 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from hierax.nodes.causal_tree.extended_floats import ExtendedFloats, Floats, Places, extended, multiply, ones, products
-from hierax.nodes.causal_tree.extended_sweep import Product
+from hierax.nodes.causal_tree.extended_floats import (
+    ExtendedFloats,
+    Floats,
+    Inputs,
+    Places,
+    extended,
+    multiply,
+    ones,
+    products,
+)
 from hierax.nodes.causal_tree.messages import (
     Arrow,
     Evidence,
@@ -28,7 +36,7 @@ from hierax.nodes.causal_tree.messages import (
 )
 from hierax.nodes.causal_tree.network import Network
 from hierax.nodes.causal_tree.plan import plan_of
-from hierax.nodes.causal_tree.sweep import Inputs, NothingLeftError, Sweep
+from hierax.nodes.causal_tree.sweep import NothingLeftError, Product, Sweep
 
 
 class Heard(NamedTuple):

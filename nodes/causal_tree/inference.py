@@ -8,11 +8,11 @@ from typing import Any
 import numpy as np
 
 from hierax.nodes.causal_tree.errors import EvidenceError, ImpossibleEvidence, Name
-from hierax.nodes.causal_tree.extended_floats import Floats, extended
+from hierax.nodes.causal_tree.extended_floats import Floats, Inputs, extended
 from hierax.nodes.causal_tree.network import Description, Network, parse
 from hierax.nodes.causal_tree.networks import checked_vector
 from hierax.nodes.causal_tree.plan import plan_of
-from hierax.nodes.causal_tree.sweep import Inputs, NothingLeftError, Sweep
+from hierax.nodes.causal_tree.sweep import NothingLeftError, Sweep
 
 Evidence = Mapping[Name, Any]
 """Likelihood vectors by node: P(what was seen | state) for each state, at any scale; a 1 among zeros says which

@@ -1,29 +1,174 @@
-"""A network's sweeps: in float64 where that suffices, else with exponents kept apart; which is found out each time."""
+"""A network's sweeps: in float64 where that suffices, else with exponents kept apart; which is found out each time.
+
+The latter are for tables with zeros, and for evidence of any probability.
+"""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
+from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from hierax.nodes.causal_tree.extended_floats import (
     ExtendedFloats,
     Floats,
+    Inputs,
     Places,
+    along,
     as_float64,
-    greatest,
+    divide,
     multiply,
+    ones,
+    products,
     total,
 )
-from hierax.nodes.causal_tree.extended_sweep import ExtendedSweep, Inputs, NothingLeftError
 from hierax.nodes.causal_tree.float64_sweep import Float64Sweep
-from hierax.nodes.causal_tree.plan import Plan
-
-__all__ = ["Inputs", "NothingLeftError", "Sweep"]
+from hierax.nodes.causal_tree.plan import Group, Plan
 
 NO_INPUTS: Inputs = {}
+Columns = int | slice | Places
 
-LEAST_INPUT = 2.0**-300  # likelihoods further apart than this are extended at once
+
+class NothingLeftError(Exception):
+    """The evidence is impossible; variable: the number of one of which no state is left."""
+
+    def __init__(self, variable: int) -> None:
+        self.variable = variable
+        super().__init__(f"variable {variable}")
+
+
+class Product(NamedTuple):
+    """Products from which factors can be taken out again, whatever is 0."""
+
+    rest: ExtendedFloats  # of all factors that are not 0
+    zeros: NDArray[np.int64]  # how many are
+
+    @staticmethod
+    def of(values: ExtendedFloats) -> Product:
+        """Products of one factor each."""
+        zero = values.fraction == 0
+        rest = ExtendedFloats(np.where(zero, 0.5, values.fraction), np.where(zero, 1, values.exponent))
+        return Product(rest, zero * 1)
+
+    @property
+    def value(self) -> ExtendedFloats:
+        """What the product is."""
+        gone = self.zeros > 0
+        return ExtendedFloats(np.where(gone, 0.0, self.rest.fraction), np.where(gone, 0, self.rest.exponent))
+
+    def at(self, columns: Columns) -> Product:
+        """Some columns."""
+        return Product(self.rest.at(columns), self.zeros[:, columns])
+
+    def take_in(self, columns: Columns, factors: Product) -> None:
+        """Multiply some columns, in place."""
+        rest = multiply(self.at(columns).rest, factors.rest)
+        self.rest.fraction[:, columns] = rest.fraction
+        self.rest.exponent[:, columns] = rest.exponent
+        self.zeros[:, columns] += factors.zeros
+
+    def without(self, factors: Product) -> ExtendedFloats:
+        """What the products are without one of their factors each."""
+        return Product(divide(self.rest, factors.rest), self.zeros - factors.zeros).value
+
+    def copied(self) -> Product:
+        """The same, to be changed."""
+        return Product(ExtendedFloats(self.rest.fraction.copy(), self.rest.exponent.copy()), self.zeros.copy())
+
+
+class ExtendedSweep:
+    """One sweep up and one down; messages are as in `hierax.nodes.causal_tree.float64_sweep`, but never scaled."""
+
+    def __init__(self, plan: Plan) -> None:
+        self._plan = plan
+        self._base = {size: Product.of(base) for size, base in plan.extended_base.items()}
+        self._likelihoods: dict[int, Product] = {}
+        self._beliefs: dict[int, Product] = {}
+        self._messages: list[Product] = []
+        self._supports: dict[int, ExtendedFloats] = {}
+
+    def up(self, inputs: Inputs) -> None:
+        """Sweep from the leaves to the roots. Raises NothingLeftError: the evidence is impossible. Without that, none
+        of what follows can be."""
+        self._likelihoods = {size: base.copied() for size, base in self._base.items()}
+        for size, (columns, values) in inputs.items():
+            self._likelihoods[size].take_in(columns, Product.of(values))
+        for size in self._likelihoods:
+            self._check(self._likelihoods, size, slice(None))
+        self._messages = []
+        for group in reversed(self._plan.groups):
+            found = group.extended_table
+            for size, columns in reversed(group.others):
+                found = total(multiply(found, self._likelihoods[size].at(columns).value), axis=-2)
+            nothing = ~found.fraction.any(axis=0)
+            if nothing.any():
+                raise NothingLeftError(group.nodes[int(nothing.argmax())])
+            messages = Product.of(found)
+            self._messages.append(messages)
+            self._likelihoods[group.top_size].take_in(group.targets, _joined(group, messages))
+            self._check(self._likelihoods, group.top_size, group.targets)
+        self._messages.reverse()
+
+    def down(self, at_roots: Inputs) -> None:
+        """Sweep from the roots to the leaves, after `up`; at_roots: further likelihoods of roots. Raises
+        NothingLeftError: they contradict the evidence."""
+        self._beliefs = {size: likelihood.copied() for size, likelihood in self._likelihoods.items()}
+        for size, (columns, values) in at_roots.items():
+            self._beliefs[size].take_in(columns, Product.of(values))
+            self._check(self._beliefs, size, columns)
+        self._supports = {size: ones(*base.shape) for size, base in self._plan.base.items()}
+        for group, messages in zip(self._plan.groups, self._messages, strict=True):
+            self._spread(group, self._beliefs[group.top_size].at(group.tops).without(messages))
+
+    def likelihood(self, size: int, column: int) -> ExtendedFloats:
+        """L of a variable, from what lies further from the root, the prior and the evidence included; shape (size,)."""
+        return self._likelihoods[size].at(column).value
+
+    def support(self, size: int, column: int) -> ExtendedFloats:
+        """What comes to a variable from the root's side; ones at a root; shape (size,)."""
+        return self._supports[size].at(column)
+
+    def float64_belief(self, size: int) -> Floats:
+        """The product of both, of all variables with so many states, in float64; shape (size, columns)."""
+        return as_float64(self._beliefs[size].value, 0)
+
+    def message_up(self, group: int, family: int) -> ExtendedFloats:
+        """What a family of a group told its top; shape (top's states,)."""
+        return self._messages[group].at(family).value
+
+    def _spread(self, group: Group, at_tops: ExtendedFloats) -> None:
+        table = group.extended_table
+        ndim = table.fraction.ndim
+        from_top = total(multiply(table, _along(at_tops, 0, ndim)), axis=0)
+        likelihoods = [self._likelihoods[size].at(columns).value for size, columns in group.others]
+        for other, (size, columns) in enumerate(group.others):
+            found = from_top
+            for axis in reversed(range(len(likelihoods))):
+                if axis != other:
+                    found = total(multiply(found, _along(likelihoods[axis], axis, found.fraction.ndim)), axis)
+            self._supports[size].fraction[:, columns] = found.fraction
+            self._supports[size].exponent[:, columns] = found.exponent
+            self._beliefs[size].take_in(columns, Product.of(found))
+
+    def _check(self, found: Mapping[int, Product], size: int, columns: Columns) -> None:
+        nothing = (found[size].zeros[:, columns] > 0).all(axis=0)
+        if nothing.any():
+            raise NothingLeftError(int(self._plan.members[size][columns][int(nothing.argmax())]))
+
+
+def _joined(group: Group, messages: Product) -> Product:
+    """The messages of all families that have a top in common."""
+    ordered = messages if group.order is None else messages.at(group.order)
+    if group.starts is None:
+        return ordered
+    return Product(products(ordered.rest, group.starts), np.add.reduceat(ordered.zeros, group.starts, axis=-1))
+
+
+def _along(values: ExtendedFloats, axis: int, ndim: int) -> ExtendedFloats:
+    return ExtendedFloats(along(values.fraction, axis, ndim), along(values.exponent, axis, ndim))
 
 
 class Sweep:
@@ -31,44 +176,26 @@ class Sweep:
 
     def __init__(self, plan: Plan) -> None:
         self._plan = plan
-        self._float64 = Float64Sweep(plan)
-        self._extended = ExtendedSweep(plan)
-        self._evidence = {size: np.ones_like(base) for size, base in plan.base.items()}
+        self._float64, self._extended = Float64Sweep(plan), ExtendedSweep(plan)
         self._inputs: Inputs = {}
-        self._exponents = 0
-        self._least = 1.0
-        self._last: Float64Sweep | ExtendedSweep = self._float64
-
-    @property
-    def is_extended(self) -> bool:
-        """Whether the last sweep kept exponents apart."""
-        return self._last is self._extended
+        self.is_extended = False  # whether the last sweep kept exponents apart
 
     def up(self, inputs: Inputs) -> None:
         """Sweep from the leaves to the roots; inputs: likelihoods; of columns that are not named, ones. Raises
         NothingLeftError: the evidence is impossible."""
         self._inputs = inputs
-        if self._take_plain(inputs) and self._float64.can_suffice:
-            self._least = self._float64.up(self._evidence)
-            if self._float64.suffices(self._least):
-                self._last = self._float64
-                return
-        self._last = self._extended
-        self._extended.up(inputs)
+        self.is_extended = not self._float64.up(inputs)
+        if self.is_extended:
+            self._extended.up(inputs)
 
     def down(self, at_roots: Inputs = NO_INPUTS) -> None:
         """Sweep from the roots to the leaves, after `up`; at_roots: further likelihoods of roots, which `up` had
         not. Raises NothingLeftError: the evidence is impossible."""
-        if not self.is_extended:
-            plain = {size: (columns, as_float64(values, 0)) for size, (columns, values) in at_roots.items()}
-            least = min((float(np.where(found > 0, found, 1.0).min()) for _, found in plain.values()), default=1.0)
-            if all(map(_is_plain, at_roots.values(), plain.values())):
-                least *= self._float64.down(plain)
-                if self._float64.suffices(self._least, least):
-                    return
-            self._last = self._extended
+        if not self.is_extended and not self._float64.down(at_roots):
+            self.is_extended = True
             self._extended.up(self._inputs)
-        self._extended.down(at_roots)
+        if self.is_extended:
+            self._extended.down(at_roots)
 
     def posteriors(self, size: int) -> Floats:
         """The posteriors of all variables with so many states, after `down`; shape (columns, size)."""
@@ -85,7 +212,7 @@ class Sweep:
             exponents += int(found.exponent)
         if not self.is_extended:
             logs += self._float64.log_scale()
-            exponents += self._exponents
+            exponents += self._float64.exponents
         return logs + exponents * math.log(2.0)
 
     def message_up(self, group: int, family: int) -> ExtendedFloats:
@@ -104,26 +231,10 @@ class Sweep:
             found = multiply(found, self.message_up(group, family))
         return found
 
-    def _take_plain(self, inputs: Inputs) -> bool:
-        """The likelihoods as float64; whether they can be."""
-        self._exponents = 0
-        plain = True
-        for size, evidence in self._evidence.items():
-            evidence.fill(1.0)
-            if size in inputs:
-                columns, values = inputs[size]
-                scaled = as_float64(values, 0)
-                evidence[:, columns] = scaled
-                self._exponents += int(greatest(values, 0).sum())
-                plain = plain and _is_plain(inputs[size], (columns, scaled))
-        return plain
+    @property
+    def _last(self) -> Float64Sweep | ExtendedSweep:
+        return self._extended if self.is_extended else self._float64
 
     def _place(self, variable: int) -> tuple[int, int]:
         """A variable's number of states, and its column in the array of that size."""
         return self._plan.sizes[variable], int(self._plan.columns[variable])
-
-
-def _is_plain(given: tuple[Places, ExtendedFloats], scaled: tuple[Places, Floats]) -> bool:
-    """Whether likelihoods are what they are as float64, and leave a state to each variable."""
-    possible = given[1].fraction > 0
-    return bool(possible.any(axis=0).all()) and not ((scaled[1] < LEAST_INPUT) & possible).any()
