@@ -23,8 +23,7 @@ import numpy as np
 
 from hierax.nodes.causal_tree.errors import ImpossibleEvidence
 from hierax.nodes.causal_tree.extended_floats import Floats
-from hierax.nodes.causal_tree.fragment import Fragment, Heard
-from hierax.nodes.causal_tree.messages import NOTHING, Arrow, Messages, by_arrow, by_child
+from hierax.nodes.causal_tree.fragment import NOTHING, Arrow, Fragment, Heard, Messages, by_arrow, by_child
 from hierax.nodes.causal_tree.network import Network
 from hierax.nodes.causal_tree.networks import Source, network_from
 from hierax.runtime import NO_TICK, Elements, Node, Step, Tick, Value

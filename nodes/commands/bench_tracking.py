@@ -31,8 +31,7 @@ def tracking(
     ] = "A",
     exact: Annotated[bool, typer.Option("--exact", help="Generated scenes tell start and camera as they are.")] = False,
     scene: Annotated[
-        Path | None,
-        typer.Option(metavar="DIR", help="A scene in the BOP format, in place of generated ones."),
+        Path | None, typer.Option(metavar="DIR", help="A scene in the BOP format, in place of generated ones.")
     ] = None,
     truth: Annotated[
         Path | None,
@@ -51,8 +50,7 @@ def tracking(
     speed: Annotated[bool, typer.Option("--speed", help="Time launches over Zenoh instead.")] = False,
     rounds: Annotated[int, typer.Option(min=1, help="How often each is launched, with --speed.")] = 3,
     keep: Annotated[
-        Path | None,
-        typer.Option(metavar="DIR", help="Folder for scenes, poses and beliefs; by default one that goes."),
+        Path | None, typer.Option(metavar="DIR", help="Folder for scenes, poses and beliefs; by default one that goes.")
     ] = None,
     settings: Overrides = None,
     output_format: OutputFormat = Format.text,

@@ -17,11 +17,7 @@ if TYPE_CHECKING:
 
 def infer(
     network: Annotated[
-        Path,
-        typer.Argument(
-            metavar="NETWORK",
-            help="A causal tree or polytree: JSON, YAML, or BIF (with pyAgrum).",
-        ),
+        Path, typer.Argument(metavar="NETWORK", help="A causal tree or polytree: JSON, YAML, or BIF (with pyAgrum).")
     ],
     evidence: Annotated[
         list[str] | None,

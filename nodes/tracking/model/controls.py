@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import NamedTuple
+from collections.abc import Mapping, Sequence
+from typing import NamedTuple, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -75,26 +75,14 @@ class Controls(NamedTuple):
 
     def sent(self, chances: Array) -> ControlPoints:
         """One object's as they travel, with the chance of each that nothing hides it."""
-        return {
-            "points": self.points,
-            "tangents": self.tangents,
-            "inwards": self.inwards,
-            "kinds": self.kinds,
-            "edges": self.edges,
-            "faces": self.faces,
-            "visible": chances,
-        }
+        own = self._replace(visible=chances)._asdict()
+        del own["owners"]
+        return cast(ControlPoints, own)
 
 
 def gathered(objects: Sequence[ControlPoints]) -> Controls:
     """The controls of objects, as they travelled, one object's after the other's."""
-    return Controls(
-        np.repeat(np.arange(len(objects)), [len(item["points"]) for item in objects]),
-        np.concatenate([item["points"] for item in objects]),
-        np.concatenate([item["tangents"] for item in objects]),
-        np.concatenate([item["inwards"] for item in objects]),
-        np.concatenate([item["kinds"] for item in objects]),
-        np.concatenate([item["edges"] for item in objects]),
-        np.concatenate([item["faces"] for item in objects]),
-        np.concatenate([item["visible"] for item in objects]).astype(np.float64),
-    )
+    owners = np.repeat(np.arange(len(objects)), [len(item["points"]) for item in objects])
+    tables = [cast(Mapping[str, Array], item) for item in objects]
+    columns = [np.concatenate([table[name] for table in tables]) for name in Controls._fields[1:]]
+    return Controls(owners, *columns[:-1], visible=columns[-1].astype(np.float64))

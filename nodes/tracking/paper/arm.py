@@ -7,12 +7,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from hierax.nodes.tracking.errors import check_between, check_positive
-from hierax.nodes.tracking.estimation.tracked import (
-    check_ids,
-    diagonal_covariance,
-    first_pose,
-    tracked_metrics,
-)
+from hierax.nodes.tracking.estimation.tracked import check_ids, diagonal_covariance, first_pose, tracked_metrics
 from hierax.nodes.tracking.math.geometry import NO_POSES, Array, Floats, invert, transform
 from hierax.nodes.tracking.paper.lines import expected_lines, image_lines, match_lines
 from hierax.nodes.tracking.schema import (
