@@ -8,11 +8,7 @@ Name = str | int  # a node's id
 
 
 class NetworkError(HieraxError, ValueError):
-    """A description is no causal tree or polytree.
-
-    Attributes:
-        node: whose entry is wrong, if it is one node's.
-    """
+    """A description is no causal tree or polytree; `node` is whose entry is wrong, if it is one node's."""
 
     def __init__(self, what: str, node: Name | None = None) -> None:
         self.node = node
@@ -20,11 +16,7 @@ class NetworkError(HieraxError, ValueError):
 
 
 class EvidenceError(HieraxError, ValueError):
-    """Evidence that is none: about no node, of a wrong length, or no likelihoods.
-
-    Attributes:
-        node: the one that it is about.
-    """
+    """Evidence for `node` that is none: there is no such node, or it is of a wrong length, or no likelihoods."""
 
     def __init__(self, what: str, node: object) -> None:
         self.node = node
@@ -32,11 +24,8 @@ class EvidenceError(HieraxError, ValueError):
 
 
 class ImpossibleEvidence(HieraxError):  # noqa: N818 - the name says what the caller has to do with
-    """The evidence has probability 0: there is nothing to normalise.
-
-    Attributes:
-        node: where it shows: no state of this node agrees with all that is known below it.
-    """
+    """The evidence has probability 0: there is nothing to normalise. It shows at `node`, of which no state agrees with
+    all that is known below it."""
 
     def __init__(self, node: Name) -> None:
         self.node = node

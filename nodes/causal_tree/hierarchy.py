@@ -1,4 +1,5 @@
-"""From a network to a hierarchy: a deployment with a process for each node, or for each part."""
+"""From a network to a hierarchy: a deployment with a process for each node, or for each part; and its N₀, which shows
+one evidence set after the other."""
 
 from __future__ import annotations
 
@@ -6,12 +7,17 @@ from collections.abc import Mapping, Sequence
 from graphlib import CycleError, TopologicalSorter
 from typing import Any
 
+import numpy as np
+
 from hierax.nodes.causal_tree.errors import NetworkError
-from hierax.nodes.causal_tree.network import Description, Network, parse
-from hierax.nodes.causal_tree.network_shape import epochs_to_exactness
+from hierax.nodes.causal_tree.network import Description, Network, epochs_to_exactness, parse
+from hierax.nodes.causal_tree.networks import Source, likelihoods, network_from, sampled
+from hierax.runtime import NO_TICK, Elements, Tick, Value, World
 
 MODULE = "hierax.nodes.causal_tree"
 WORLD = "world"
+MAX_DRAWN = 1 << 20  # sets, times leaves of the network
+Shown = dict[str, int | tuple[float, ...]]  # an evidence set: by node, the number of its state, or likelihoods
 
 
 def epochs_needed(network: Description | Network) -> int:
@@ -81,3 +87,80 @@ def _held(network: Network, parts: Mapping[str, Sequence[str]]) -> dict[Any, str
     if missing is not None:
         raise NetworkError("is in no part", missing)
     return held
+
+
+class EvidenceWorld(World):
+    """N₀: shows evidence sets in turn, and again from the first.
+
+    Belief: ``{"set", "age", "evidence"}``: the number of the set from 0, for how many epochs it has been shown, and
+    the set itself, ``{node: likelihoods}``, or the number of a state that is certain.
+
+    Args:
+        network: as `network_from` takes it.
+        sets: evidence sets: ``{node: state}`` or ``{node: likelihoods}``; an empty one is no evidence.
+        draw: instead, ``{sets, share, seed}``: so many sets, in each a share of the nodes without children, in the
+            states that they have in a draw from the network.
+        hold: for how many epochs each set is shown.
+
+    Raises ValueError: the parameters are wrong.
+    """
+
+    def __init__(
+        self,
+        network: Source,
+        sets: Sequence[Mapping[str, Any]] | None = None,
+        draw: Mapping[str, Any] | None = None,
+        hold: int = 1,
+    ) -> None:
+        whole = network_from(network)
+        if (sets is None) == (draw is None):
+            raise ValueError("sets: expected either sets or draw")
+        if type(hold) is not int or hold < 1:
+            raise ValueError(f"hold: expected a number of epochs, at least 1, got {hold!r}")
+        self._hold = hold
+        self._sets = _drawn(whole, draw) if draw is not None else _written(whole, sets or ())
+
+    def initial_belief(self) -> Value:
+        """The first set, shown for the first time."""
+        return {"set": 0, "age": 1, "evidence": self._sets[0]}
+
+    def predict(self, context: Elements, actions: Elements, belief: Value) -> Value:
+        """Show the set again, or the next one."""
+        if belief["age"] < self._hold or len(self._sets) == 1:
+            return {**belief, "age": belief["age"] + 1}
+        following = (belief["set"] + 1) % len(self._sets)
+        return {"set": following, "age": 1, "evidence": self._sets[following]}
+
+
+def evidence_seen(belief: Value, tick: Tick = NO_TICK) -> Elements:
+    """φ from the world to a part: the evidence set, of which the part takes what concerns it."""
+    return ({"from": tick.below[0], "age": belief["age"], "evidence": belief["evidence"]},)
+
+
+def _written(network: Network, sets: Sequence[Mapping[str, Any]]) -> list[Shown]:
+    if isinstance(sets, (str, Mapping)) or not sets or not all(isinstance(each, Mapping) for each in sets):
+        raise ValueError(f"sets: expected a list of maps from nodes to states or likelihoods, got {sets!r:.60}")
+    return [{name: _shown(network, name, value) for name, value in each.items()} for each in sets]
+
+
+def _shown(network: Network, name: str, value: Any) -> int | tuple[float, ...]:
+    vector = likelihoods(network, name, value)
+    return tuple(vector.tolist()) if isinstance(value, (list, tuple)) else int(vector.argmax())
+
+
+def _drawn(network: Network, draw: Mapping[str, Any]) -> list[Shown]:
+    share = draw.get("share") if isinstance(draw, Mapping) and set(draw) == {"sets", "share", "seed"} else None
+    if isinstance(share, bool) or not isinstance(share, (int, float)) or not 0 <= share <= 1:
+        raise ValueError(f"draw: expected sets, share (from 0 to 1) and seed, got {draw!r:.80}")
+    if any(type(draw[name]) is not int or draw[name] < least for name, least in (("sets", 1), ("seed", 0))):
+        raise ValueError(f"draw: expected sets (at least 1) and seed as whole numbers, got {draw!r:.80}")
+    random = np.random.Generator(np.random.PCG64(draw["seed"]))
+    parents = {parent for variable in network.variables.values() for parent in variable.parents}
+    leaves = [name for name in network.variables if name not in parents]
+    if draw["sets"] * len(leaves) > MAX_DRAWN:
+        raise ValueError(f"draw: sets of {len(leaves)} leaves: at most {MAX_DRAWN // len(leaves)} are allowed")
+    found: list[Shown] = []
+    for _ in range(draw["sets"]):
+        states = sampled(network, random)
+        found.append({str(leaf): states[leaf] for leaf in leaves if random.random() < share})
+    return found

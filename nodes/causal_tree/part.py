@@ -27,7 +27,7 @@ from hierax.nodes.causal_tree.fragment import NOTHING, Arrow, Fragment, Heard, M
 from hierax.nodes.causal_tree.network import Network
 from hierax.nodes.causal_tree.networks import Source, network_from
 from hierax.runtime import NO_TICK, Elements, Node, Step, Tick, Value
-from hierax.runtime.core.graph import topological_order
+from hierax.runtime.core.graph import depths
 from hierax.runtime.core.showing import GREY, Colour, Graph, Things, colour_of
 
 SHOWN_NODES = 8  # of larger parts the metrics have no posteriors
@@ -253,12 +253,10 @@ def part_things(
 
 def _places(names: Sequence[str], arrows: Sequence[tuple[str, str]]) -> dict[str, tuple[float, float]]:
     """Causes above what they cause, in rows."""
-    depths = dict.fromkeys(names, 0)
-    for child in topological_order(names, arrows):
-        depths[child] = max((depths[parent] + 1 for parent, other in arrows if other == child), default=0)
+    below = depths(names, arrows)
     rows: dict[int, list[str]] = {}
     for name in names:
-        rows.setdefault(depths[name], []).append(name)
+        rows.setdefault(below[name], []).append(name)
     return {
         name: ((at - (len(row) - 1) / 2) * _ACROSS, depth * _DOWN)
         for depth, row in rows.items()

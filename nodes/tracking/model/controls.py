@@ -85,4 +85,4 @@ def gathered(objects: Sequence[ControlPoints]) -> Controls:
     owners = np.repeat(np.arange(len(objects)), [len(item["points"]) for item in objects])
     tables = [cast(Mapping[str, Array], item) for item in objects]
     columns = [np.concatenate([table[name] for table in tables]) for name in Controls._fields[1:]]
-    return Controls(owners, *columns[:-1], visible=columns[-1].astype(np.float64))
+    return Controls(owners, *columns)._replace(visible=columns[-1].astype(np.float64))

@@ -6,7 +6,7 @@ import pytest
 from support.exact_networks import random_network
 
 from hierax.nodes.causal_tree import epochs_needed, parse
-from hierax.nodes.causal_tree.network_shape import epochs_to_exactness
+from hierax.nodes.causal_tree.network import epochs_to_exactness
 
 
 def by_paths(parents: dict[str, tuple[str, ...]]) -> int:
