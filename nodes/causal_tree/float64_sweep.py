@@ -144,16 +144,12 @@ class Float64Sweep:
     def _gather(self, step: _Step) -> None:
         """A group's messages to its tops: table times the others' likelihoods, summed over the others' states."""
         group, messages, scales = step.group, step.messages, step.scales
-        if len(step.likelihoods) == 1:
-            np.multiply(group.table, step.likelihoods[0], out=step.work)
-            np.add.reduce(step.work, axis=1, out=messages)
-        else:
-            product = group.table
-            for likelihood in reversed(step.likelihoods):
-                product = np.add.reduce(product * likelihood, axis=-2)
-            np.copyto(messages, product)
-        np.maximum.reduce(messages, axis=0, out=scales)
-        np.divide(messages, scales, out=messages)
+        *rest, last = step.likelihoods
+        found = np.add.reduce(np.multiply(group.table, last, out=step.work), axis=-2)
+        for likelihood in reversed(rest):
+            found = np.add.reduce(found * likelihood, axis=-2)
+        np.maximum.reduce(found, axis=0, out=scales)
+        np.divide(found, scales, out=messages)
         product = messages if group.order is None else messages.take(group.order, axis=1)
         if group.starts is not None:
             product = np.multiply.reduceat(product, group.starts, axis=1)
@@ -161,28 +157,19 @@ class Float64Sweep:
 
     def _spread(self, step: _Step) -> None:
         """A group's messages to its others, from its tops' beliefs without what the family itself said."""
-        group, at_tops = step.group, step.at_tops
+        group, table, at_tops = step.group, step.group.table, step.at_tops
         self.beliefs[group.top_size].take(group.tops, axis=1, out=at_tops, mode="clip")
         np.divide(at_tops, step.messages, out=at_tops)
-        if len(step.supports) == 1:
-            np.multiply(group.table, at_tops[:, None, :], out=step.work)
-            np.add.reduce(step.work, axis=0, out=step.supports[0])
-        else:
-            self._spread_to_several(step)
-        for likelihood, support, belief in zip(step.likelihoods, step.supports, step.beliefs, strict=True):
-            np.divide(support, np.maximum.reduce(support, axis=0), out=support)
-            np.multiply(likelihood, support, out=belief)
-
-    def _spread_to_several(self, step: _Step) -> None:
-        """Messages to the others of a family that has several: each is summed over the states of the rest."""
-        table = step.group.table
-        from_top = np.add.reduce(table * along(step.at_tops, 0, table.ndim), axis=0)
-        for other, support in enumerate(step.supports):
-            product = from_top
+        from_top = np.add.reduce(np.multiply(table, along(at_tops, 0, table.ndim), out=step.work), axis=0)
+        for other, (likelihood, support, belief) in enumerate(
+            zip(step.likelihoods, step.supports, step.beliefs, strict=True)
+        ):
+            found = from_top
             for axis in reversed(range(len(step.supports))):
                 if axis != other:
-                    product = np.add.reduce(product * along(step.likelihoods[axis], axis, product.ndim), axis=axis)
-            np.copyto(support, product)
+                    found = np.add.reduce(found * along(step.likelihoods[axis], axis, found.ndim), axis=axis)
+            np.divide(found, np.maximum.reduce(found, axis=0), out=support)
+            np.multiply(likelihood, support, out=belief)
 
 
 def _is_plain(given: ExtendedFloats, scaled: Floats) -> bool:

@@ -12,7 +12,7 @@ them is read, and with full confidence.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
@@ -33,18 +33,17 @@ AMBIGUOUS = "?"  # the sign between H and A
 GREYS = np.dtype(np.uint8)
 
 Picture = np.ndarray[Any, np.dtype[np.uint8]]
-Stroke = np.ndarray[Any, np.dtype[np.float64]]  # corners (n, 2) in a unit square, x to the right and y down
 
 _FRACTION_BITS = 6
 _BOW = [(0.54 + 0.34 * math.cos(math.radians(a)), 0.5 + 0.35 * math.sin(math.radians(a))) for a in range(45, 316, 15)]
-_CORNERS: dict[str, list[list[tuple[float, float]]]] = {
+_CORNERS: Mapping[str, list[list[tuple[float, float]]]] = {
     "A": [[(0.22, 0.86), (0.5, 0.14)], [(0.78, 0.86), (0.5, 0.14)], [(0.36, 0.5), (0.64, 0.5)]],
     "C": [_BOW],
     "E": [[(0.72, 0.14), (0.3, 0.14), (0.3, 0.86), (0.72, 0.86)], [(0.3, 0.5), (0.66, 0.5)]],
     "H": [[(0.22, 0.86), (0.22, 0.14)], [(0.78, 0.86), (0.78, 0.14)], [(0.22, 0.5), (0.78, 0.5)]],
     "T": [[(0.2, 0.16), (0.8, 0.16)], [(0.5, 0.16), (0.5, 0.86)]],
 }
-# Each letter's strokes. H and A have the same ones, in other places.
+# Each letter's strokes, (n, 2) in a unit square, x to the right and y down. H and A have the same, in other places.
 _STROKES = {letter: [np.array(stroke) for stroke in strokes] for letter, strokes in _CORNERS.items()}
 
 DRAWN = tuple(_STROKES)  # the letters that can be drawn
@@ -56,20 +55,15 @@ LEANINGS = tuple(step / 20 for step in range(21))  # the values of a at which th
 Templates = tuple[np.ndarray[Any, np.dtype[np.int32]], tuple[float, ...]]
 
 
-def strokes(sign: str, ambiguity: float) -> list[Stroke]:
-    """The strokes of a letter, or of the sign between H and A; sign: one of `DRAWN`, or `AMBIGUOUS`. ambiguity:
-    how far `AMBIGUOUS` is on the way from H (0) to A (1): the uprights lean together."""
-    if sign != AMBIGUOUS:
-        return _STROKES[sign]
-    return [(1.0 - ambiguity) * h + ambiguity * a for h, a in zip(_STROKES["H"], _STROKES["A"], strict=True)]
-
-
 @lru_cache(maxsize=256)
 def draw_glyph(sign: str, ambiguity: float, size: int) -> Picture:
-    """A sign as grey values, shape (size, size), uint8, read-only."""
+    """A sign as grey values, shape (size, size), uint8, read-only; `AMBIGUOUS` is so far on the way from H (0) to A:
+    the uprights lean together."""
     picture = np.full((size, size), PAPER, GREYS)
     scale = size * (1 << _FRACTION_BITS)
-    for stroke in strokes(sign, ambiguity):
+    h_to_a = zip(_STROKES["H"], _STROKES["A"], strict=True)
+    leaning = [(1.0 - ambiguity) * h + ambiguity * a for h, a in h_to_a]
+    for stroke in leaning if sign == AMBIGUOUS else _STROKES[sign]:
         points = np.rint(stroke * scale).astype(np.int32)
         cv2.polylines(picture, [points], False, INK, max(1, size // 10), cv2.LINE_AA, _FRACTION_BITS)
     picture.flags.writeable = False

@@ -68,20 +68,20 @@ class PickWorld(CommandedNode, World):
         check_pictures(frames, width, height, noise, blur_px)
         if fps < 1 or STEP_HZ % fps:
             raise ValueError(f"fps is {fps}; expected a divisor of {STEP_HZ}")
-        self._bodies = _placed(scene, cubes)
         self._frames, self._fps = frames, fps
-        self._pictures = {"size": (width, height), "noise": float(noise), "blur_px": float(blur_px)}
-        focal = FOCAL_LENGTH * width
-        self._intrinsics = np.array([focal, focal, (width - 1) / 2, (height - 1) / 2])
         self._workcell = Workcell()
+        arm = Arm(HOME_RAD, np.zeros(7), np.full(2, WIDEST_M / 2), np.zeros(2))
+        gripper, focal = gripper_at(HOME_RAD), FOCAL_LENGTH * width
+        controller = {"targets": HOME_RAD, "setpoint": gripper, "pace": 0.0}
+        intrinsics = np.array([focal, focal, (width - 1) / 2, (height - 1) / 2])
+        pictures = {"size": (width, height), "noise": float(noise), "blur_px": float(blur_px)}
+        camera = {"camera": camera_of(gripper), "intrinsics": intrinsics, **pictures}
+        start = {"frame": 0, "time_s": 0.0, **arm._asdict(), **controller, **camera}
+        self._first = {**start, "bodies": _placed(scene, cubes)}
 
     def initial_belief(self) -> Value:
         """Frame 0: everything at rest, the gripper open, the camera overlooking the table."""
-        arm = Arm(HOME_RAD, np.zeros(7), np.full(2, WIDEST_M / 2), np.zeros(2))
-        gripper = gripper_at(HOME_RAD)
-        controller = {"targets": HOME_RAD, "setpoint": gripper, "pace": 0.0}
-        camera = {"camera": camera_of(gripper), "intrinsics": self._intrinsics, **self._pictures}
-        return {"frame": 0, "time_s": 0.0, **arm._asdict(), **controller, **camera, "bodies": self._bodies}
+        return self._first
 
     def predict(self, context: Elements, actions: Elements, belief: Value) -> Value:
         """γ: one frame interval of the arm's controller and of physics."""

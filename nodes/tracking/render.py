@@ -40,19 +40,12 @@ _NEAR = 0.1  # of a body's covariance, so much is left around each of its other 
 
 
 class Item(NamedTuple):
-    """One object to draw.
+    """One object to draw."""
 
-    Attributes:
-        label: 1 to 255, unique in the image.
-        vertices: (n, 3) float64, metres, object's frame.
-        faces: (m, 3) int, indices of vertices, counter-clockwise seen from outside.
-        pose: camera_from_object.
-    """
-
-    label: int
-    vertices: Floats
-    faces: Array
-    pose: Floats
+    label: int  # 1 to 255, unique in the image
+    vertices: Floats  # (n, 3) float64, metres, object's frame
+    faces: Array  # (m, 3) int, indices of vertices, counter-clockwise seen from outside
+    pose: Floats  # camera_from_object
 
 
 class _Scene(NamedTuple):

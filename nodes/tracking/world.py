@@ -107,7 +107,7 @@ def spatial(
     if search and not carried:
         raise ValueError("a first pose is not told; expected table=true with it: bodies are looked for as they rest")
     placed: list[FirstBody] = [
-        {**item, "pose": _seen_from(camera, item["pose"]), "model": model_of(mesh, symmetry)}
+        {**item, "pose": None if item["pose"] is None else camera @ item["pose"], "model": model_of(mesh, symmetry)}
         for item, (mesh, symmetry) in zip(objects, _models(scene, objects), strict=True)
     ]
     return SpatialNode(placed, table=carried, search=search, **options)
@@ -128,10 +128,6 @@ def _first_objects(scene: str | None, cubes: int, start: str) -> tuple[list[Firs
 
 def _first_pose(number: int, obj_id: int, pose: Floats | None) -> FirstPose:
     return {"id": number, "obj_id": obj_id, "pose": pose}
-
-
-def _seen_from(camera: Floats, pose: Floats | None) -> Floats | None:
-    return None if pose is None else camera @ pose
 
 
 def _models(scene: str | None, objects: Sequence[FirstPose]) -> list[tuple[Mesh, Symmetry]]:

@@ -177,10 +177,9 @@ def frames_until(there: Array, said: Array) -> list[int | None]:
 
 def score(all_errors: Sequence[ObjectErrors]) -> Score:
     """The figures of some objects, of one run or of several."""
-    counted = [item.counted for item in all_errors]
-    visible = _joined(item.visible[kept] for item, kept in zip(all_errors, counted, strict=True))
-    distance = _joined(item.distance_mm[kept] for item, kept in zip(all_errors, counted, strict=True))
-    angle = _joined(item.angle_deg[kept] for item, kept in zip(all_errors, counted, strict=True))
+    counted = [(item, item.counted) for item in all_errors]
+    parts = [(item.visible[kept], item.distance_mm[kept], item.angle_deg[kept]) for item, kept in counted]
+    visible, distance, angle = (_joined(part[at] for part in parts) for at in range(3))
     mssd = _joined(item.mssd_mm[item.counted] for item in all_errors if item.mssd_mm is not None)
     right = np.array([(distance <= mm) & (angle <= degrees) for mm, degrees in LIMITS])
     whole = np.ones(len(visible), bool)

@@ -86,28 +86,24 @@ class SimWorld(World):
             raise ValueError(f"fps is {fps}; expected a positive number, at most {MAX_FPS:g}")
         self._fps = float(fps)
         self._frames = frames
-        self._size = (width, height)
-        self._noise = float(noise)
-        self._blur_px = float(blur_px)
-        self._bodies = bodies
+        focal = FOCAL_LENGTH * width
+        self._first: SimBelief = {
+            "frame": 0,
+            "time_s": 0.0,
+            "camera": camera_at(0.0),
+            "intrinsics": np.array([focal, focal, (width - 1) / 2, (height - 1) / 2]),
+            "size": (width, height),
+            "noise": float(noise),
+            "blur_px": float(blur_px),
+            "bodies": bodies,
+        }
         sides_m = [body["side_m"] for body in bodies]
         self._solids = [Solid(cube_corners(side), DENSITY_KG_M3 * side**3, FRICTION) for side in sides_m]
         self._simulator = Simulator()
 
     def initial_belief(self) -> SimBelief:
         """Frame 0: everything at rest."""
-        width, height = self._size
-        focal = FOCAL_LENGTH * width
-        return {
-            "frame": 0,
-            "time_s": 0.0,
-            "camera": camera_at(0.0),
-            "intrinsics": np.array([focal, focal, (width - 1) / 2, (height - 1) / 2]),
-            "size": self._size,
-            "noise": self._noise,
-            "blur_px": self._blur_px,
-            "bodies": self._bodies,
-        }
+        return self._first
 
     def predict(self, context: Nothing, actions: Nothing, belief: SimBelief) -> SimBelief:
         """The next frame: gravity, contacts and the thread for one frame interval, and the camera moved on."""
