@@ -4,9 +4,9 @@ See ``docs/causal-trees.md``.
 """
 
 from hierax.nodes.causal_tree.errors import EvidenceError, ImpossibleEvidence, NetworkError
-from hierax.nodes.causal_tree.hierarchy import EvidenceWorld, as_deployment, epochs_needed, evidence_seen
+from hierax.nodes.causal_tree.hierarchy import EvidenceWorld, as_deployment, evidence_seen
 from hierax.nodes.causal_tree.inference import Evidence, Inference, posteriors
-from hierax.nodes.causal_tree.network import Description, Network, Variable, parse
+from hierax.nodes.causal_tree.network import Description, Network, Variable, epochs_needed, parse
 from hierax.nodes.causal_tree.networks import likelihoods, network_from, random_tree, read_network
 from hierax.nodes.causal_tree.part import Part, causal_support, diagnostic_support
 

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from hierax.nodes.causal_tree.errors import NetworkError
-from hierax.nodes.causal_tree.network import Description, Network, epochs_to_exactness, parse
+from hierax.nodes.causal_tree.network import Description, Network, epochs_needed, parse
 from hierax.nodes.causal_tree.networks import Source, likelihoods, network_from, sampled
 from hierax.runtime import NO_TICK, Elements, Tick, Value, World
 
@@ -18,13 +18,6 @@ MODULE = "hierax.nodes.causal_tree"
 WORLD = "world"
 MAX_DRAWN = 1 << 20  # sets, times leaves of the network
 Shown = dict[str, int | tuple[float, ...]]  # an evidence set: by node, the number of its state, or likelihoods
-
-
-def epochs_needed(network: Description | Network) -> int:
-    """How many Updates with the same evidence make all beliefs exact: 1 for trees. For a polytree 1 more than the most
-    nodes on an undirected path that it comes down to from one parent, and leaves up to another. This holds with a
-    process for each node; with larger parts it may take fewer."""
-    return epochs_to_exactness({name: each.parents for name, each in parse(network).variables.items()})
 
 
 def as_deployment(

@@ -40,7 +40,7 @@ _ACROSS, _DOWN = 130.0, 90.0
 class Part(Node):
     """Some nodes of a causal tree or polytree.
 
-    One Update is exact in a tree; in a polytree as many as `epochs_to_exactness` says.
+    One Update is exact in a tree; in a polytree as many as `epochs_needed` says.
 
     Args:
         network: as `network_from` takes it. Of nodes that other parts hold only the states are used, and of those

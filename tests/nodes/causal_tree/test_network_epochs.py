@@ -2,11 +2,16 @@
 
 from __future__ import annotations
 
+import numpy as np
 import pytest
 from support.exact_networks import random_network
 
-from hierax.nodes.causal_tree import epochs_needed, parse
-from hierax.nodes.causal_tree.network import epochs_to_exactness
+from hierax.nodes.causal_tree import Network, Variable, epochs_needed, parse
+
+
+def shaped(parents: dict[str, list[str]]) -> Network:
+    """A network of these arrows."""
+    return Network({name: Variable(name, ("0",), tuple(above), np.ones(1)) for name, above in parents.items()})
 
 
 def by_paths(parents: dict[str, tuple[str, ...]]) -> int:
@@ -38,14 +43,14 @@ def test_trees_take_one(seed: int) -> None:
 
 
 def test_a_zigzag_takes_one_for_each_turn() -> None:
-    parents: dict[str | int, list[str | int]] = {}
+    parents: dict[str, list[str]] = {}
     for number in range(1000):  # p0 -> c0 <- p1 -> c1 <- p2 …
         parents[f"p{number}"] = []
         parents[f"c{number}"] = [f"p{number}", f"p{number + 1}"]
     parents["p1000"] = []
-    assert epochs_to_exactness(parents) == 1001
+    assert epochs_needed(shaped(parents)) == 1001
 
 
 def test_at_most_the_longest_undirected_path() -> None:
-    assert epochs_to_exactness({"alone": []}) == 1
-    assert epochs_to_exactness({"a": [], "b": [], "c": ["a", "b"]}) == 2
+    assert epochs_needed(shaped({"alone": []})) == 1
+    assert epochs_needed(shaped({"a": [], "b": [], "c": ["a", "b"]})) == 2
