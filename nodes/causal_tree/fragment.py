@@ -228,8 +228,7 @@ class Fragment:
     def _vector(self, name: str, seen: int | Sequence[float]) -> Floats:
         """Evidence of a node as likelihoods."""
         if isinstance(seen, int):
-            hard: Floats = self._hard[len(self.states[name])][seen]
-            return hard
+            return np.asarray(self._hard[len(self.states[name])][seen])
         return np.array(seen, np.float64)
 
     def _towards(self, guest: int, impossible: str | None) -> Floats:

@@ -200,8 +200,7 @@ class Sweep:
     def posteriors(self, size: int) -> Floats:
         """The posteriors of all variables with so many states, after `down`; shape (columns, size)."""
         beliefs = self._last.float64_belief(size)
-        shares: Floats = np.divide(beliefs, np.add.reduce(beliefs, axis=0)).T
-        return shares
+        return np.asarray(np.divide(beliefs, np.add.reduce(beliefs, axis=0)).T)
 
     def log_evidence(self) -> float:
         """The natural logarithm of the sum over all states of their probability times the likelihoods given."""

@@ -101,5 +101,4 @@ def _radius(side: float) -> float:
 def _within(rng: np.random.Generator, radius: float) -> Floats:
     """A vector in a ball, anywhere in it alike."""
     direction = rng.standard_normal(3)
-    scaled: Floats = direction / np.linalg.norm(direction) * radius * np.cbrt(rng.uniform())
-    return scaled
+    return np.asarray(direction / np.linalg.norm(direction) * radius * np.cbrt(rng.uniform()))

@@ -68,8 +68,7 @@ def joints_for(gripper: Floats, start: Floats, iterations: int = 60) -> tuple[Fl
 
 def camera_of(gripper: Floats) -> Floats:
     """world_from_camera of world_from_gripper."""
-    camera: Floats = gripper @ GRIPPER_FROM_CAMERA
-    return camera
+    return np.asarray(gripper @ GRIPPER_FROM_CAMERA)
 
 
 def gripper_down(position_m: Array, yaw_rad: float = 0.0, tilt_rad: float = 0.0) -> Floats:

@@ -110,8 +110,7 @@ def overlapping(first: Boxes, second: Boxes, index: int) -> NDArray[np.bool_]:
             reach = first.halves[:, i1] * spread[:, i2, j] + first.halves[:, i2] * spread[:, i1, j]
             reach = reach + other[j1] * spread[:, i, j2] + other[j2] * spread[:, i, j1]
             apart |= np.abs(offset[:, i2] * turn[:, i1, j] - offset[:, i1] * turn[:, i2, j]) > reach
-    touching: NDArray[np.bool_] = ~apart
-    return touching
+    return np.asarray(~apart)
 
 
 def _boxes(bodies: Sequence[Mapping[str, Any]]) -> Boxes:

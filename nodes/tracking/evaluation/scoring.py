@@ -157,8 +157,7 @@ def _errors(
 def nearest_off(true: TruePose, given: Floats) -> Floats:
     """true_from_given, of the poses that look like the given one the nearest's."""
     symmetry = NONE if true.likeness is None else true.likeness.symmetry
-    found: Floats = invert(true.pose) @ given @ turns_back(symmetry, given, true.pose)[0]
-    return found
+    return np.asarray(invert(true.pose) @ given @ turns_back(symmetry, given, true.pose)[0])
 
 
 def is_astray(distance_mm: Floats, angle_deg: Floats) -> Array:

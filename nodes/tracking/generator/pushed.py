@@ -52,8 +52,7 @@ def pushed(
 
     def camera(radius_m: float) -> Floats:
         swing = Swing(azimuth_deg, elevation_deg, (radius_m, radius_m), 0.0, 1.0, 0.0)
-        eye: Floats = camera_path(swing, target, 1, rng)[0]
-        return eye
+        return np.asarray(camera_path(swing, target, 1, rng)[0])
 
     trial_m = 0.8
     fastest = _fastest_px(poses, camera(trial_m), intrinsics)

@@ -129,5 +129,4 @@ def footprint(thing: Thing, gap_m: float) -> Array:
     corners = np.concatenate(thing.parts())[:, :2]
     around = 0.5 * gap_m * np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]])
     grown = (corners[:, None] + around[None]).reshape(-1, 2)
-    hull: Array = cv2.convexHull((1000.0 * grown).astype(np.float32))
-    return hull
+    return np.asarray(cv2.convexHull((1000.0 * grown).astype(np.float32)))

@@ -69,8 +69,7 @@ def hat_many(vectors: Floats) -> Floats:
     """The skew-symmetric matrices (m, 3, 3) of cross products with vectors (m, 3)."""
     half = np.zeros((len(vectors), 3, 3))
     half[:, 2, 1], half[:, 0, 2], half[:, 1, 0] = vectors.T
-    skew: Floats = half - half.transpose(0, 2, 1)
-    return skew
+    return np.asarray(half - half.transpose(0, 2, 1))
 
 
 def solved(matrices: Floats, right: Floats) -> Floats:
@@ -81,8 +80,7 @@ def solved(matrices: Floats, right: Floats) -> Floats:
 def inverse(matrices: Floats) -> Floats:
     """The inverses (m, n, n) of symmetric, positive definite matrices, symmetric again."""
     found = np.asarray(np.linalg.inv(matrices), dtype=np.float64)
-    result: Floats = 0.5 * (found + np.swapaxes(found, -1, -2))
-    return result
+    return np.asarray(0.5 * (found + np.swapaxes(found, -1, -2)))
 
 
 def only(table: Table, chosen: Array) -> Table:
@@ -97,21 +95,18 @@ def joined(tables: Sequence[Table]) -> Table:
 
 def placed(poses: Floats, owners: Array, points: Floats) -> Floats:
     """Points (n, 3) in the camera's frame, by the poses (m, 4, 4) of the objects (n,) that they are on."""
-    moved: Floats = (poses[owners, :3, :3] @ points[:, :, None])[..., 0] + poses[owners, :3, 3]
-    return moved
+    return np.asarray((poses[owners, :3, :3] @ points[:, :, None])[..., 0] + poses[owners, :3, 3])
 
 
 def pixels_of(seen: Floats, intrinsics: Array) -> Floats:
     """Pixels (n, 2) of points (n, 3) in the camera's frame; what is nearer than `NEAREST_M` counts as that far away."""
-    pixels: Floats = seen[:, :2] / np.maximum(seen[:, 2:], NEAREST_M) * intrinsics[:2] + intrinsics[2:]
-    return pixels
+    return np.asarray(seen[:, :2] / np.maximum(seen[:, 2:], NEAREST_M) * intrinsics[:2] + intrinsics[2:])
 
 
 def tukey(residuals: Floats, end: Floats | float) -> Floats:
     """Tukey's weight of residuals (n,), 0 to 1: 0 from `end` on."""
     part = np.minimum(np.abs(residuals) / end, 1.0)
-    weights: Floats = (1.0 - part * part) ** 2
-    return weights
+    return np.asarray((1.0 - part * part) ** 2)
 
 
 def summed(owners: Array, values: Floats, count: int) -> Floats:

@@ -40,8 +40,7 @@ def invert(pose: Floats) -> Floats:
 
 def transform(pose: Floats, points: Floats) -> Floats:
     """Points (..., 3) of frame b in frame a."""
-    moved: Floats = points @ pose[:3, :3].T + pose[:3, 3]
-    return moved
+    return np.asarray(points @ pose[:3, :3].T + pose[:3, 3])
 
 
 def hat(vector: Array) -> Floats:
@@ -58,8 +57,7 @@ def cross(first: Floats, second: Floats) -> Floats:
 
 def unit(vectors: Floats) -> Floats:
     """Vectors (..., 3) made as long as 1; zeros stay."""
-    made: Floats = vectors / np.maximum(np.linalg.norm(vectors, axis=-1, keepdims=True), 1e-300)
-    return made
+    return np.asarray(vectors / np.maximum(np.linalg.norm(vectors, axis=-1, keepdims=True), 1e-300))
 
 
 def lens_matrix(intrinsics: Array) -> Floats:
@@ -90,8 +88,7 @@ def log_so3(rotation: Array) -> Floats:
     length = float(np.linalg.norm(vector))
     angle = 2.0 * np.arctan2(length, quaternion[3])
     scale = 2.0 if length < 1e-12 else angle / length
-    result: Floats = scale * vector
-    return result
+    return np.asarray(scale * vector)
 
 
 def exp_se3(twist: Array) -> Floats:

@@ -69,8 +69,7 @@ def turns_back(symmetry: Symmetry, pose: Floats, reference: Floats) -> Floats:
     away = away @ free
     angle = np.arccos(np.clip((np.trace(away, axis1=1, axis2=2) - 2.0) / 2.0, -1.0, 1.0))
     sizes = np.hypot(LEVER_M * angle, np.linalg.norm(away[:, :3, 3], axis=1))
-    nearest_first: Floats = (symmetry["turns"] @ free)[np.argsort(sizes, kind="stable")]
-    return nearest_first
+    return np.asarray((symmetry["turns"] @ free)[np.argsort(sizes, kind="stable")])
 
 
 def moved_along(covariance: Floats, before: Floats, after: Floats) -> Floats:
@@ -82,8 +81,7 @@ def moved_along(covariance: Floats, before: Floats, after: Floats) -> Floats:
 def open_to(symmetry: Symmetry) -> Floats:
     """(6, 6) what takes a twist's part away that no image tells."""
     basis = np.linalg.qr(symmetry["free"].T)[0]
-    told: Floats = np.eye(6) - basis @ basis.T
-    return told
+    return np.asarray(np.eye(6) - basis @ basis.T)
 
 
 def kept_free(symmetry: Symmetry, covariance: Floats, predicted: Floats) -> Floats:

@@ -87,8 +87,7 @@ def expected_lines(depth: Array, labels: Array, label: int, intrinsics: Array) -
     lines = _distinct(found.reshape(-1, 2, 2).astype(np.float64))
     seen = _inverse_depths(lines.reshape(-1, 2), inverse).reshape(-1, 2)
     whole = (seen > 0.0).all(axis=1)
-    lifted: Floats = rays(lines[whole] + np.array([left, top]), intrinsics) / seen[whole][:, :, None]
-    return lifted
+    return np.asarray(rays(lines[whole] + np.array([left, top]), intrinsics) / seen[whole][:, :, None])
 
 
 def _edge_pixels(inverse: Floats, others: Floats) -> NDArray[np.uint8]:
@@ -192,8 +191,7 @@ def _feet(pixels: Floats, lines: Floats) -> Floats:
     """The points (m, 2, 2) on the lines that are nearest to the edges' end points."""
     along = (lines[:, 1] - lines[:, 0]) / _lengths(lines)[:, None]
     places = np.sum((pixels - lines[:, :1]) * along[:, None], axis=2)
-    feet: Floats = lines[:, :1] + places[..., None] * along[:, None]
-    return feet
+    return np.asarray(lines[:, :1] + places[..., None] * along[:, None])
 
 
 def _solved(points: Floats, pixels: Floats, pose: Floats, intrinsics: Array) -> Floats | None:

@@ -36,8 +36,7 @@ class Lamp:
     @property
     def direction(self) -> Floats:
         """The unit vector towards its middle."""
-        unit: Floats = np.array(self.towards) / np.linalg.norm(self.towards)
-        return unit
+        return np.asarray(np.array(self.towards) / np.linalg.norm(self.towards))
 
 
 LAMP = Lamp()
@@ -133,5 +132,4 @@ def _rays(lamp: Lamp) -> Floats:
     index = np.arange(LAMP_POINTS)
     radius = lamp.radius * np.sqrt((index + 0.5) / LAMP_POINTS)
     turn = index * np.pi * (3.0 - np.sqrt(5.0))
-    rays: Floats = middle + np.outer(radius * np.cos(turn), across) + np.outer(radius * np.sin(turn), down)
-    return rays
+    return np.asarray(middle + np.outer(radius * np.cos(turn), across) + np.outer(radius * np.sin(turn), down))

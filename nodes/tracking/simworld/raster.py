@@ -131,5 +131,4 @@ def visible_shares(bodies: Sequence[Thing], camera: Floats, intrinsics: Array, s
         np.maximum(nearest, own, out=nearest)
     middle = owner[height : 2 * height, width : 2 * width]
     seen = np.array([np.count_nonzero(middle == index) for index in range(len(bodies))])
-    shares: Floats = seen / np.maximum(alone, 1.0)
-    return shares
+    return np.asarray(seen / np.maximum(alone, 1.0))

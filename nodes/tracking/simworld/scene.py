@@ -73,8 +73,7 @@ def develop(image: Array, blur_px: float, noise: float, rng: np.random.Generator
     image = np.float32(255.0) * cv2.pow(np.clip(image, 0.0, 1.0), 1.0 / GAMMA)
     if noise > 0.0:
         image = image + np.float32(noise) * rng.standard_normal(image.shape, dtype=np.float32)
-    developed: Array = np.clip(np.rint(image), 0, 255).astype(np.uint8)
-    return developed
+    return np.asarray(np.clip(np.rint(image), 0, 255).astype(np.uint8))
 
 
 def _draw_table(
@@ -133,8 +132,7 @@ def _coloured(seen: Drawn, where: Array, colour: tuple[int, int, int], parts: Se
     scale = FACE_PX / np.where(where, seen.nearness, 1.0)
     a, b = seen.at * scale - 0.5
     texture = _face_texture(seen.face, colour, parts, lamp)
-    found: Array = cv2.remap(texture, a, b, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
-    return found
+    return np.asarray(cv2.remap(texture, a, b, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE))
 
 
 def _face_texture(face: Face, colour: tuple[int, int, int], parts: Sequence[Floats], lamp: Lamp) -> Array:
@@ -162,8 +160,7 @@ def _grain() -> Array:
 def _wall(size: tuple[int, int]) -> Array:
     """What is behind the table, uint8 RGB, before the light is taken into account."""
     grey = np.linspace(86.0, 43.0, size[1], dtype=np.float32)[:, None, None] * np.array([0.96, 1.0, 1.06], np.float32)
-    wall: Array = np.repeat(grey.astype(np.uint8), size[0], axis=1)
-    return wall
+    return np.asarray(np.repeat(grey.astype(np.uint8), size[0], axis=1))
 
 
 @lru_cache(maxsize=4)
@@ -193,5 +190,4 @@ def _streaks(rng: np.random.Generator, shape: tuple[int, int], width_px: int) ->
     coarse = (rows // width_px + 2, columns // (width_px * 12) + 2)
     noise = rng.standard_normal(coarse).astype(np.float32)
     smooth: Array = cv2.resize(noise, (columns, rows), interpolation=cv2.INTER_CUBIC)
-    even: Array = smooth / smooth.std()
-    return even
+    return np.asarray(smooth / smooth.std())

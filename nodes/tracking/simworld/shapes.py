@@ -26,8 +26,7 @@ class Face(NamedTuple):
     def normal(self) -> Floats:
         """Unit vector that points outwards."""
         normal = np.cross(self.right, self.up)
-        unit: Floats = normal / np.linalg.norm(normal)
-        return unit
+        return np.asarray(normal / np.linalg.norm(normal))
 
     def moved(self, pose: Floats) -> Face:
         """The same face in the frame that the pose leads to."""

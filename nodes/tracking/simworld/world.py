@@ -161,8 +161,7 @@ def drive_at(time_s: float) -> Floats | None:
     part = (time_s - DRIVE_FROM_S) / (DRIVE_TO_S - DRIVE_FROM_S)
     if not 0.0 < part < 1.0:
         return None
-    speed: Floats = DRIVE_M_S * np.sin(np.pi * part) ** 2
-    return speed
+    return np.asarray(DRIVE_M_S * np.sin(np.pi * part) ** 2)
 
 
 def first_bodies(cubes: int) -> tuple[schema.Cube, ...]:
