@@ -96,21 +96,13 @@ def overlapping(first: Boxes, second: Boxes, index: int) -> NDArray[np.bool_]:
     """Which of the first boxes overlap one of the second, (n,) bool: none of the 15 axes separates them. The axes are
     the faces' normals of both and the cross products of their edges (Gottschalk, Lin and Manocha, OBBTree, 1996)."""
     between = second.centres[index] - first.centres
-    turn = np.einsum("nki,kj->nij", first.axes, second.axes[index])
-    spread = np.abs(turn) + 1e-9
-    offset = np.einsum("nki,nk->ni", first.axes, between)
-    other = second.halves[index]
-    apart = (np.abs(offset) > first.halves + spread @ other).any(axis=1)
-    across = between @ second.axes[index]
-    apart |= (np.abs(across) > other + np.einsum("nij,ni->nj", spread, first.halves)).any(axis=1)
-    for i in range(3):
-        i1, i2 = (i + 1) % 3, (i + 2) % 3
-        for j in range(3):
-            j1, j2 = (j + 1) % 3, (j + 2) % 3
-            reach = first.halves[:, i1] * spread[:, i2, j] + first.halves[:, i2] * spread[:, i1, j]
-            reach = reach + other[j1] * spread[:, i, j2] + other[j2] * spread[:, i, j1]
-            apart |= np.abs(offset[:, i2] * turn[:, i1, j] - offset[:, i1] * turn[:, i2, j]) > reach
-    return np.asarray(~apart)
+    mine = first.axes.transpose(0, 2, 1)
+    theirs = np.broadcast_to(second.axes[index].T, mine.shape)
+    crossed = np.cross(mine[:, :, None], theirs[:, None]).reshape(-1, 9, 3)
+    axes = np.concatenate((mine, theirs, crossed), axis=1)
+    reach = np.einsum("nij,nj->ni", np.abs(axes @ first.axes), first.halves)
+    reach += np.abs(axes @ second.axes[index]) @ second.halves[index] + 1e-9  # of edges that run alike no axis is left
+    return np.asarray((np.abs(np.einsum("nij,nj->ni", axes, between)) <= reach).all(axis=1))
 
 
 def _boxes(bodies: Sequence[Mapping[str, Any]]) -> Boxes:

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hierax.nodes.tracking.math.geometry import Floats, unit
-from hierax.nodes.tracking.model.shapes import Ints, Shape
+from hierax.nodes.tracking.model.shapes import Ints, Shape, chained
 
 
 class Outline(NamedTuple):
@@ -38,34 +38,17 @@ def outline_of(shape: Shape, viewpoint: Floats) -> Outline:
     normals = shape.corner_normals[apex] + share * (shape.corner_normals[others] - shape.corner_normals[apex])
     outwards = unit(normals.sum(axis=1))
     crossed = np.minimum(apex, others).astype(np.int64) * len(shape.corners) + np.maximum(apex, others)
-    order, turned, chains = _chained(crossed)
+    order, turned, chains = chained(_beyond(crossed), 0)
     ends = np.where(turned[:, None, None], ends[order, ::-1], ends[order])
     return Outline(ends, outwards[order], smooth[order], chains)
 
 
-def _chained(crossed: NDArray[np.int64]) -> tuple[NDArray[np.intp], NDArray[np.bool_], Ints]:
-    """An order in which pieces follow one another, whether each is turned round in it, and the chains' numbers;
-    crossed: (n, 2) which side of a triangle each piece begins and ends on."""
-    slots = crossed.ravel()
-    sorted_slots = np.argsort(slots, kind="stable")
-    meeting = np.nonzero(slots[sorted_slots][1:] == slots[sorted_slots][:-1])[0]
-    beyond = np.full(len(slots), -1)
-    beyond[sorted_slots[meeting]] = sorted_slots[meeting + 1]
-    beyond[sorted_slots[meeting + 1]] = sorted_slots[meeting]
-    across = beyond.tolist()
-    # From the ends of open chains first; what is left after that are rings.
-    starts = np.concatenate((np.nonzero(beyond < 0)[0], np.arange(0, len(slots), 2)))
-    order: list[int] = []
-    turned: list[bool] = []
-    chains: list[int] = []
-    done = [False] * len(crossed)
-    for start in starts.tolist():
-        slot = start
-        chain = chains[-1] + 1 if chains else 0
-        while slot >= 0 and not done[slot >> 1]:
-            done[slot >> 1] = True
-            order.append(slot >> 1)
-            turned.append(bool(slot & 1))
-            chains.append(chain)
-            slot = across[slot ^ 1]
-    return np.array(order, dtype=np.intp), np.array(turned, dtype=bool), np.array(chains, dtype=np.int32)
+def _beyond(crossed: NDArray[np.int64]) -> NDArray[np.intp]:
+    """The ends that meet, as `chained` takes them; crossed: (n, 2) which side of a triangle each piece begins and ends
+    on."""
+    sides = crossed.ravel()
+    order = np.argsort(sides, kind="stable")
+    meeting = np.nonzero(sides[order][1:] == sides[order][:-1])[0]
+    beyond = np.full(len(sides), -1)
+    beyond[order[meeting]], beyond[order[meeting + 1]] = order[meeting + 1], order[meeting]
+    return beyond

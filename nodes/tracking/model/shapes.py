@@ -71,8 +71,9 @@ def shape_of(vertices: Floats, faces: Array) -> Shape:
     bend = _bend(normals, pairs)
     sharp = bend > SHARP_RADIANS
     patches = _components(len(faces), pairs.faces[~sharp])
-    order, chains = _chained(vertices, pairs.edges[sharp])
-    edges, edge_faces = _directed(pairs.edges[sharp][order], chains), pairs.faces[sharp][order]
+    order, turned, chains = chained(_straight_on(vertices, pairs.edges[sharp]), 1)
+    edges, edge_faces = pairs.edges[sharp][order], pairs.faces[sharp][order]
+    edges = np.where(turned[:, None], edges[:, ::-1], edges)
     bent = (bend > _PLANAR_RADIANS) & ~sharp
     smooth = np.unique(pairs.faces[bent])
     convex = bool(closed.all()) and sheets.max(initial=0) == 0 and _is_convex(vertices, faces, normals, pairs)
@@ -205,50 +206,44 @@ def _inwards(vertices: Floats, faces: Ints, normals: Floats, edges: Ints, edge_f
     return found
 
 
-def _chained(vertices: Floats, edges: Ints) -> tuple[NDArray[np.intp], Ints]:
-    """An order of the edges in which each chain's follow one another, and the chain's number of each in that order."""
-    at: dict[int, list[int]] = {}
-    for number, (start, end) in enumerate(edges.tolist()):
-        at.setdefault(start, []).append(number)
-        at.setdefault(end, []).append(number)
+def _straight_on(vertices: Floats, edges: Ints) -> NDArray[np.intp]:
+    """Of each end of each edge the end that meets it and goes on about straight, as `chained` takes it."""
     along = unit(vertices[edges[:, 1]] - vertices[edges[:, 0]])
-    after: list[list[int]] = [[] for _ in edges]
-    for vertex, beside in at.items():
-        if len(beside) != 2:
-            continue
-        one, other = beside
-        # Both point away from the vertex or both to it where the dot product of the directions is turned over.
-        turn = 1.0 if (edges[one, 0] == vertex) != (edges[other, 0] == vertex) else -1.0
-        if turn * float(along[one] @ along[other]) > _STRAIGHT:
-            after[one].append(other)
-            after[other].append(one)
+    ends = edges.ravel()
+    order = np.argsort(ends, kind="stable")
+    _, first, counts = np.unique(ends[order], return_index=True, return_counts=True)
+    one, other = order[first[counts == 2]], order[first[counts == 2] + 1]
+    # Both point away from the vertex or both to it where the dot product of the directions is turned over.
+    turn = np.where(one % 2 != other % 2, 1.0, -1.0)
+    straight = turn * np.sum(along[one // 2] * along[other // 2], axis=1) > _STRAIGHT
+    beyond = np.full(len(ends), -1)
+    beyond[one[straight]], beyond[other[straight]] = other[straight], one[straight]
+    return beyond
+
+
+def chained(beyond: NDArray[np.intp], ring_end: int) -> tuple[NDArray[np.intp], Flags, Ints]:
+    """An order in which pieces follow one another, whether each is turned round in it, and the chains' numbers.
+
+    Args: beyond: (2n,) of each piece's two ends the end that it meets, one after the other; -1: none. ring_end: with
+        which end of its first piece, 0 or 1, a ring begins.
+    """
+    across = beyond.tolist()
+    # From the ends of open chains first; what is left after that are rings.
+    starts = np.concatenate((np.nonzero(beyond < 0)[0], np.arange(ring_end, len(across), 2)))
     order: list[int] = []
+    turned: list[bool] = []
     chains: list[int] = []
-    seen = [False] * len(edges)
-    # From the ends of chains first; what is left after that are rings.
-    for start in sorted(range(len(edges)), key=lambda number: (len(after[number]) == 2, number)):
-        here: int | None = None if seen[start] else start
+    done = [False] * (len(across) // 2)
+    for start in starts.tolist():
+        end = start
         chain = chains[-1] + 1 if chains else 0
-        while here is not None:
-            seen[here] = True
-            order.append(here)
+        while end >= 0 and not done[end >> 1]:
+            done[end >> 1] = True
+            order.append(end >> 1)
+            turned.append(bool(end & 1))
             chains.append(chain)
-            here = next((number for number in after[here] if not seen[number]), None)
-    return np.array(order, dtype=np.intp), np.array(chains, dtype=np.int32)
-
-
-def _directed(edges: Ints, chains: Ints) -> Ints:
-    """The edges, each turned so that within a chain it begins where the one before it ended."""
-    turned: Ints = edges.copy()
-    for at in range(1, len(edges)):
-        if chains[at] != chains[at - 1]:
-            continue
-        second = at < 2 or chains[at - 2] != chains[at]
-        if second and turned[at - 1, 0] in turned[at]:
-            turned[at - 1] = turned[at - 1, ::-1]  # the first one ends where both meet
-        if turned[at, 1] == turned[at - 1, 1]:
-            turned[at] = turned[at, ::-1]
-    return turned
+            end = across[end ^ 1]
+    return np.array(order, dtype=np.intp), np.array(turned, dtype=bool), np.array(chains, dtype=np.int32)
 
 
 def _bent(vertices: Floats, edges: Ints, chains: Ints) -> Ints:
