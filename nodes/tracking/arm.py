@@ -12,6 +12,7 @@ import numpy as np
 
 from hierax.nodes.tracking.display import arm_things
 from hierax.nodes.tracking.errors import check_between, check_positive
+from hierax.nodes.tracking.estimation.certainty import right
 from hierax.nodes.tracking.estimation.profiles import Image, smoothed
 from hierax.nodes.tracking.estimation.tracked import (
     NO_CONTROLS,
@@ -55,6 +56,7 @@ _VAGUE_RAD = 0.3
 # Of what its motion may change in a frame, what stands on something rises, and tilts, by so much.
 _UPWARDS, _TILTING = 0.1, 0.15
 
+_NO_IMAGE = np.zeros((0, 0, 1), dtype=np.float32)  # where nothing is expected that it could show
 _UNKNOWN = np.diag([0.1**2] * 3 + [0.6**2] * 3)  # a covariance that says next to nothing of a pose (m², rad²)
 
 
@@ -156,8 +158,9 @@ class ArmNode(Node):
         )
         still = belief["reported"] is None or np.array_equal(belief["reported"], reported)
         sweeps = _moved(belief["sweeps"], moved)
-        image = smoothed(seen["image"])
         present = tuple(item for item in objects if sweeps is None or not _is_missing(item))
+        shown = sweeps is not None or any(len(item["controls"]["points"]) for item in present)
+        image = smoothed(seen["image"]) if shown else _NO_IMAGE
         shift, corrected = self._corrected(present, image, seen["intrinsics"], still)
         after = {item["id"]: item for item in corrected}
         objects = tuple(after.get(item["id"], item) for item in objects)
@@ -201,8 +204,8 @@ class ArmNode(Node):
         return tracked_metrics(belief["objects"])
 
     def show(self, step: Step, before: Value) -> Things:
-        """The image with edges, the camera, the scores."""
-        return arm_things(step, before)
+        """The image with edges, the camera, the scores, and what speaks for the poses."""
+        return arm_things(step, before, self._options.motion)
 
     def _corrected(
         self, objects: tuple[TrackedObject, ...], image: Image, intrinsics: Array, still: bool
@@ -307,14 +310,15 @@ def _sighted(item: TrackedObject, sighting: Sighting, swept: bool) -> TrackedObj
     """An object after it was looked for; one that was found just now gives way to what explains its place better."""
     if sighting.pose is None or sighting.covariance is None:
         before = item["failed_searches"] if item["status"] == LOST else 0
-        missed: TrackedObject = {**item, "status": LOST, "score": 0.0}
-        return {**missed, "guesses": sighting.guesses, "failed_searches": before + swept}
+        return {**_unseen(item), "guesses": sighting.guesses, "failed_searches": before + swept}
     return {
         **item,
         "pose": sighting.pose,
         "before": sighting.pose,
         "covariance": sighting.covariance,
         "score": sighting.score,
+        "nats": sighting.nats,
+        "probability": float(right(sighting.covariance[None], np.array([sighting.nats]))[0]),
         "motion_scale": 1.0,
         "trend": np.zeros(6),
         "status": TRACKED,
@@ -337,7 +341,12 @@ def _is_missing(item: TrackedObject) -> bool:
 
 def _shapeless(item: TrackedObject) -> TrackedObject:
     """The same where nobody says what would be seen of it."""
-    return {**item, "controls": NO_CONTROLS, "edges": np.zeros((0, 2, 3)), "score": 0.0, "status": LOST}
+    return {**_unseen(item), "controls": NO_CONTROLS, "edges": np.zeros((0, 2, 3))}
+
+
+def _unseen(item: TrackedObject) -> TrackedObject:
+    """The same where no image says anything of it, and nobody knows where it is."""
+    return {**item, "score": 0.0, "nats": 0.0, "probability": 0.0, "status": LOST}
 
 
 def _sought(item: TrackedObject) -> TrackedObject:

@@ -2,7 +2,8 @@
 
 The views: ``camera``, the image with edges as they were expected (red) and as the correction puts them (green);
 ``imagined``, the depth image with labels that the spatial node expects; ``scene``, the camera and the bodies at their
-poses; ``error_mm`` and ``turn_deg`` against the truth, where the world knows it; ``scores`` of the arm's objects.
+poses; ``error_mm`` and ``turn_deg`` against the truth, where the world knows it; ``scores``, ``probability`` and
+``nats`` of the arm's objects; ``evidence``, the image with edges coloured by what they say, and ``why`` in words.
 """
 
 from __future__ import annotations
@@ -12,6 +13,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from hierax.nodes.tracking.evaluation.pictures import CORRECTED, EXPECTED
+from hierax.nodes.tracking.evidence import Evidence, evidence
 from hierax.nodes.tracking.math.geometry import NEAREST_M, Array, Floats, invert, pose_error, project, transform
 from hierax.nodes.tracking.render import DepthRenderer, item_of
 from hierax.nodes.tracking.schema import PaperObject, SpatialBelief, TrackedObject
@@ -38,6 +40,16 @@ _TRUE_M = 0.06
 _EXPECTED_PX, _CORRECTED_PX = 3.5, 1.5  # widths: where both are at one place, both are seen
 _GRID_M, _GRID_STEP_M = 0.4, 0.1
 _LOST = (120, 120, 120)
+# What edges of at least so many nats are called and drawn as; what is left is as little as the one in the middle.
+_SHARES = (
+    (2.0, "for", (40, 200, 80)),
+    (0.3, "rather for", (170, 220, 90)),
+    (-0.3, "says little", (170, 170, 170)),
+    (-2.0, "rather against", (250, 170, 40)),
+    (-np.inf, "against", (230, 50, 50)),
+)
+_EDGE_PX, _OTHER_PX = 3.0, 1.0
+_OTHERS = 3  # so many of an object's other poses are drawn
 _GRID = (170, 170, 170)
 
 _renderer = DepthRenderer()  # a cache of the bodies' meshes, prepared
@@ -48,14 +60,19 @@ def world_things(step: Step) -> dict[str, Thing]:
     return {f"/scene/true/{body['id']}": Axes(body["pose"], _TRUE_M) for body in step.sensed.get("bodies", ())}
 
 
-def arm_things(step: Step, before: Value) -> dict[str, Thing]:
-    """The image with edges, the camera in the scene, and the objects' scores.
+def arm_things(step: Step, before: Value, motion: Floats) -> dict[str, Thing]:
+    """The image with edges, the camera in the scene, the objects' scores, and the evidence for their poses.
 
-    Args: step: of the arm. before: what it expected: the red edges; None: there are none.
+    Args: step: of the arm. before: what it expected: the red edges; None: there are none. motion: (6, 6) covariance of
+        how far an object may leave its prediction within a frame, when it is pushed.
     """
     corrected = step.sensed
     objects = corrected["objects"]
-    things: dict[str, Thing] = {f"/scores/{item['id']}": _curve(item["id"], item["score"]) for item in objects}
+    things: dict[str, Thing] = {
+        f"/{view}/{item['id']}": _curve(item["id"], item[name])
+        for item in objects
+        for view, name in (("scores", "score"), ("probability", "probability"), ("nats", "nats"))
+    }
     if not step.observations or corrected["camera"] is None:
         return things
     image, intrinsics = step.observations[0]["image"], corrected["intrinsics"]
@@ -73,6 +90,28 @@ def arm_things(step: Step, before: Value) -> dict[str, Thing]:
         image[::_COARSER, ::_COARSER],
         depth_m=_FRUSTUM_M,
     )
+    told = evidence(image, corrected, before, step.belief, motion)
+    return {**things, **_evidence_things(told, image, intrinsics)}
+
+
+def _evidence_things(told: Sequence[Evidence], image: Array, intrinsics: Array) -> dict[str, Thing]:
+    """The image with edges coloured by what they say, thin outlines of other poses, and all of it in words."""
+    if not told:
+        return {}
+    things: dict[str, Thing] = {"why": "\n\n".join(each.text() for each in told), "/evidence/image": Image(image)}
+    dashes: dict[str, list[Floats]] = {}
+    for each in told:
+        for edge in each.edges:
+            name = next(name for least, name, _ in _SHARES if edge.nats >= least)
+            dashes.setdefault(name, []).append(edge.dashes)
+        for number, other in enumerate(each.others[:_OTHERS]):
+            there: TrackedObject = {**each.item, "pose": other.pose, "edges": other.edges}
+            lines = _edges([there], np.eye(4), intrinsics)
+            path = f"/evidence/instead/{each.item['id']}/{number}"
+            things[path] = Lines2D(lines, colour_of(each.item["id"]), _OTHER_PX)
+    for _, name, colour in _SHARES:
+        if name in dashes:
+            things[f"/evidence/{name}"] = Lines2D(np.concatenate(dashes[name]), colour, _EDGE_PX)
     return things
 
 

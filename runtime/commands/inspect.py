@@ -1,58 +1,127 @@
-"""``hierax inspect``: what a node of a launch believes, and why."""
+"""``hierax inspect``: what a node of a launch, or of a recording, believes, and why."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
+from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from hierax.runtime.commands.options import Format, OutputFormat
-from hierax.runtime.commands.which import Connect, NodeArgument, Run, client_of
+from hierax.runtime.commands.errors import CommandError, notify
+from hierax.runtime.commands.options import Format, OutputFormat, Trust
+from hierax.runtime.commands.which import Connect, NodeArgument, Run, client_at, endpoint_of, known_run
 
 if TYPE_CHECKING:
     from hierax.runtime.execution.plain import Json
-    from hierax.runtime.transport.launch_client import Answer, LaunchStatus
+    from hierax.runtime.launch.run_file import Running
+    from hierax.runtime.transport.launch_client import Answer
+
+    Told = Mapping[str, Mapping[str, str | float]]
+
+_UNSAID = ("process", "before")  # of what a node answers
 
 
 def inspect(
     node: NodeArgument,
+    file: Annotated[
+        Path | None, typer.Argument(metavar="FILE", help="A recording, in place of a launch.", dir_okay=False)
+    ] = None,
     run: Run = None,
     connect: Connect = None,
+    epoch: Annotated[
+        int | None, typer.Option("--epoch", min=1, metavar="K", help="Of a recording; by default its last one.")
+    ] = None,
+    trust: Trust = False,
     full: Annotated[bool, typer.Option("--full", help="In JSON, arrays with all their elements.")] = False,
     output_format: OutputFormat = Format.text,
 ) -> int:
-    """Show what a node has observed, believes, was told from above and does, after its last epoch."""
+    """Show what a node has observed, believes, was told from above and does, after its last epoch, and why."""
     from hierax.runtime.commands.show import print_json
 
-    with client_of(run, connect) as client:
-        status = client.status()
-        answer = client.node_state(status, node)
+    if file is None and (epoch is not None or trust):
+        raise CommandError("--epoch and --trust are for recordings")
+    if file is not None and not run is connect is None:
+        raise CommandError("give a recording, or say which launch is meant: not both")
+    named, answer, told = _of_launch(node, run, connect) if file is None else _of_recording(node, file, epoch, trust)
     if output_format is Format.json:
-        print_json(as_json(status, node, answer, full))
+        print_json({**as_json(*named, node, answer, full), "shows": {view: dict(each) for view, each in told.items()}})
     else:
-        _print(status, node, answer)
+        _print(*named, node, answer, told)
     return 0
 
 
-def as_json(status: LaunchStatus, node: str, answer: Answer, full: bool = False) -> Json:
+def _of_launch(node: str, run: str | None, connect: str | None) -> tuple[tuple[str, str], Answer, Told]:
+    """The hierarchy and the run; what a node of a launch answers; and what it shows."""
+    endpoint = endpoint_of(run, connect)
+    running = known_run(endpoint)
+    with client_at(endpoint, running) as client:
+        status = client.status()
+        answer = client.node_state(status, node)
+    told = {} if running is None or "sensed" not in answer else _told(running, node, answer)
+    return (status.hierarchy, status.run), answer, told
+
+
+def _told(running: Running, node: str, answer: Answer) -> Told:
+    """What a node of a launch on this machine shows; nothing where it is another one than its deployment file has."""
+    from hierax.runtime.core.errors import HieraxError
+    from hierax.runtime.core.probe import Step
+    from hierax.runtime.deployment.read import read_deployment
+    from hierax.runtime.deployment.secrets import usable
+    from hierax.runtime.loading.loader import build_node, extend_import_path
+    from hierax.runtime.viewing.told import Look
+
+    try:
+        deployment = read_deployment(running.deployment, usable(running.settings))
+        roster = deployment.roster
+        if node not in roster.nodes:
+            return {}
+        extend_import_path(deployment.import_paths)
+        built = build_node(roster.nodes[node], f"nodes.{node}", deployment.allowance, node == roster.world)
+        if _class_of(built) != answer["class"]:
+            return {}
+        step = Step(*(answer[name] for name in Step._fields))
+        return Look(node, built, step, answer["before"]).told()
+    except HieraxError as error:
+        notify(f"what {node} shows is not told: {error}")
+        return {}
+
+
+def _of_recording(node: str, file: Path, epoch: int | None, trust: bool) -> tuple[tuple[str, str], Answer, Told]:
+    """The same of a recording."""
+    from hierax.runtime.core.hierarchy import neighbours_above, neighbours_below
+    from hierax.runtime.loading.loader import extend_import_path
+    from hierax.runtime.recording.deployments import allowance_of, recorded_deployment
+    from hierax.runtime.recording.reading import Recording
+    from hierax.runtime.viewing.told import recorded_look
+
+    recording = Recording.open(file)
+    allowance = allowance_of(recording, trust)
+    extend_import_path(recorded_deployment(recording.info).import_paths)
+    look, roster = recorded_look(recording, node, epoch, allowance)
+    pairs = [edge.pair for edge in roster.edges]
+    about = {"below": neighbours_below(node, pairs), "above": neighbours_above(node, pairs), "committed": True}
+    answer = {"class": _class_of(look.node), **about, "policies": (look.step.policy,), **look.step._asdict()}
+    return (recording.info.hierarchy, recording.info.run), answer, look.told()
+
+
+def _class_of(node: object) -> str:
+    return f"{type(node).__module__}:{type(node).__qualname__}"
+
+
+def as_json(hierarchy: str, run: str, node: str, answer: Answer, full: bool = False) -> dict[str, Json]:
     """All of it as plain JSON."""
     from hierax.runtime.execution.plain import plain
 
-    told = {key: value for key, value in answer.items() if key != "process"}
-    return {
-        "hierarchy": status.hierarchy,
-        "run": status.run,
-        "node": node,
-        **{key: plain(value, full) for key, value in told.items()},
-    }
+    told = {key: plain(value, full) for key, value in answer.items() if key not in _UNSAID}
+    return {"hierarchy": hierarchy, "run": run, "node": node, **told}
 
 
-def _print(status: LaunchStatus, node: str, answer: Mapping[str, Any]) -> None:
+def _print(hierarchy: str, run: str, node: str, answer: Mapping[str, Any], told: Told) -> None:
     from hierax.runtime.tools.summary import tree
 
     counts = {True: "committed", False: "not committed yet", None: "epochs overlap"}[answer["committed"]]
-    print(f"{node} of {status.hierarchy}, run {status.run}: after epoch {answer['epoch']} ({counts})")
+    print(f"{node} of {hierarchy}, run {run}: after epoch {answer['epoch']} ({counts})")
     print(f"class  {answer['class']}")
     for where in ("below", "above"):
         print(f"{where}  {', '.join(answer[where]) or 'nothing'}")
@@ -60,3 +129,9 @@ def _print(status: LaunchStatus, node: str, answer: Mapping[str, Any]) -> None:
     for what in ("observations", "sensed", "tasks", "context", "actions", "belief"):
         if what in answer:
             print("\n".join(tree(answer[what], what)))
+    for view, things in told.items():
+        figures = {label: each for label, each in things.items() if not isinstance(each, str)}
+        if figures:
+            print("\n".join(tree(figures, f"shows {view}")))
+        for text in (each for each in things.values() if isinstance(each, str)):
+            print(f"\n{text}")

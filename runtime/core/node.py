@@ -127,6 +127,8 @@ class Node(ABC):
     def show(self, step: Step, before: Value) -> Things:
         """What a viewer is to show of an epoch; never called while nobody looks, nor in the node's process.
 
+        `hierax inspect` prints its texts and figures.
+
         Args:
             step: what the node did in it.
             before: the belief that the epoch began in; None where the viewer does not know it.

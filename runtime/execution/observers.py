@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from contextlib import ExitStack
 
+from hierax.runtime.core.elements import Value
 from hierax.runtime.core.errors import ProbeError
 from hierax.runtime.core.probe import Probe
 from hierax.runtime.engine.effects import Completed
@@ -24,6 +25,7 @@ class Observers:
         self.watchers: tuple[Watcher, ...] = ()  # who sees what the node does
         self.engine: Engine | None = None  # of the node; None: there is none yet
         self.last: Completed | None = None  # the last epoch that it has completed; None: none yet
+        self.before: Value = None  # the belief that this epoch began in, where the one before was completed here, too
         self._name = name  # of the node
         self._probes = probes  # of the node, open
         # Where of every completed epoch [epoch, attempt, state, digest] is written; None: nowhere. The state is the
@@ -62,6 +64,8 @@ class Observers:
     def completed(self, completed: Iterable[Completed]) -> None:
         """The node is done with these epochs, and nobody waits for it. Raises `ProbeError` if a probe raised."""
         for each in completed:
+            follows = self.last is not None and self.last.step.epoch == each.step.epoch - 1
+            self.before = self.last.step.belief if self.last is not None and follows else None
             self.last = each
             for watcher in self.watchers:
                 watcher.completed(each)

@@ -135,6 +135,7 @@ class InspectionServer:
             **step._asdict(),
             "committed": None if isinstance(engine, StaleEngine) else engine.epoch > step.epoch or engine.is_world,
             "digest": last.digest,
+            "before": self.observers.before,
         }
 
     def _answer_neighbours(self, question: Mapping[str, Any]) -> dict[str, Value]:

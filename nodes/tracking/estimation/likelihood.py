@@ -7,6 +7,8 @@ seen with the chance that nothing hides it, and then found but for a few; so the
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 
 from hierax.nodes.tracking.estimation.alignment import Aligned
@@ -24,21 +26,53 @@ _LEAST_VARIED = 30.0  # standard deviation of the colours of places anywhere, at
 ALIKE = 0.15  # control points of one edge err alike: what they say together counts by this exponent
 
 
+class Shares(NamedTuple):
+    """Nats by which poses explain an image better than clutter does, by where they come from; together `explains`."""
+
+    peaks: Floats  # (n,) of each line: where its peak is, or that it has none
+    looks: Floats  # (n,) of each line: that its peak looks strange
+    wholes: Floats  # (e,) of each edge: that it is off as a whole
+
+
 def explains(aligned: Aligned) -> Floats:
     """(m,) nats by which each pose explains the image better than clutter does; where its edges are off as a whole
     counts against it by how unlikely that was, and how exactly it had to be fitted."""
-    stage, matches, count = aligned.stage, aligned.matches, len(aligned.poses)
+    stage, count = aligned.stage, len(aligned.poses)
     owners = stage.controls.owners
-    clutter = np.maximum(np.isfinite(stage.profiles.places).mean(axis=1), LEAST_CLUTTER)
-    seen = FOUND * stage.controls.visible * stage.memory.apart
-    near = np.exp(-0.5 * np.minimum(np.abs(matches.pixels) / _PEAK_PX, 9.0) ** 2) / (_PEAK_PX * np.sqrt(2.0 * np.pi))
-    ratio = 1.0 - seen + seen / clutter * near * np.exp(-STRANGE_WEIGHT * matches.strange)
-    first = stage.firsts
-    off = aligned.off[first] / stage.spread
-    held = np.bincount(stage.edges, weights=np.where(aligned.supported, seen, 0.0)) / _PEAK_PX**2
-    fitted = 0.5 * off * off + 0.5 * np.log1p(stage.spread**2 * ALIKE * held)
-    found: Floats = ALIKE * summed(owners, np.log(ratio), count) - summed(owners[first], fitted, count)
+    said = _said(aligned, np.exp(-STRANGE_WEIGHT * aligned.matches.strange))
+    found: Floats = ALIKE * summed(owners, said, count) - summed(owners[stage.firsts], _off(aligned), count)
     return found
+
+
+def shares(aligned: Aligned) -> Shares:
+    """The same by line and by edge."""
+    peaks = ALIKE * _said(aligned, 1.0)
+    said = ALIKE * _said(aligned, np.exp(-STRANGE_WEIGHT * aligned.matches.strange))
+    return Shares(peaks, said - peaks, -_off(aligned))
+
+
+def expected(aligned: Aligned) -> Floats:
+    """(n,) of each line the chance that its edge is seen, if the pose is right."""
+    chance: Floats = FOUND * aligned.stage.controls.visible * aligned.stage.memory.apart
+    return chance
+
+
+def _said(aligned: Aligned, familiar: Floats | float) -> Floats:
+    """(n,) of each line the logarithm of the ratio."""
+    clutter = np.maximum(np.isfinite(aligned.stage.profiles.places).mean(axis=1), LEAST_CLUTTER)
+    seen, away = expected(aligned), np.abs(aligned.matches.pixels) / _PEAK_PX
+    near = np.exp(-0.5 * np.minimum(away, 9.0) ** 2) / (_PEAK_PX * np.sqrt(2.0 * np.pi))
+    said: Floats = np.log(1.0 - seen + seen / clutter * near * familiar)
+    return said
+
+
+def _off(aligned: Aligned) -> Floats:
+    """(e,) nats that it costs that each edge is off as a whole."""
+    stage = aligned.stage
+    off = aligned.off[stage.firsts] / stage.spread
+    held = np.bincount(stage.edges, weights=np.where(aligned.supported, expected(aligned), 0.0)) / _PEAK_PX**2
+    cost: Floats = 0.5 * off * off + 0.5 * np.log1p(stage.spread**2 * ALIKE * held)
+    return cost
 
 
 def painted(aligned: Aligned) -> Floats:

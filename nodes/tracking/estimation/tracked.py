@@ -127,7 +127,6 @@ def imagined(item: TrackedObject, expected: ExpectedObject, camera: Floats) -> T
         camera: (4, 4) world_from_camera.
     """
     controls = bent(expected["controls"], item["slots"])
-    half = _DASH_M / 2.0 * controls["tangents"]
     return {
         **item,
         **looking_alike(expected),
@@ -141,5 +140,11 @@ def imagined(item: TrackedObject, expected: ExpectedObject, camera: Floats) -> T
             for other in expected["others"]
         ),
         "controls": controls,
-        "edges": np.stack((controls["points"] - half, controls["points"] + half), axis=1),
+        "edges": dashes(controls),
     }
+
+
+def dashes(controls: ControlPoints) -> Floats:
+    """(n, 2, 3) a dash along the edge at each control point, m, object's frame."""
+    half = _DASH_M / 2.0 * controls["tangents"]
+    return np.stack((controls["points"] - half, controls["points"] + half), axis=1)

@@ -31,7 +31,8 @@ _RATHER = 2.5  # nats by which a model is rather imprecise than exact, before an
 class _Tried(NamedTuple):
     """One alternative of one object."""
 
-    worth: float  # nats
+    worth: float  # nats, and how likely its pose was before
+    nats: float
     tolerance: float
     aligned: Aligned  # of all objects that were tried with it
     at: int  # which of those it is
@@ -62,10 +63,11 @@ def with_models_judged(
         if aligned is None:
             continue
         away = log_many(invert_many(start.poses[rows]) @ aligned.poses)
-        worth = explains(aligned) - 0.5 * squared(away, start.information[rows])
+        nats = explains(aligned)
+        worth = nats - 0.5 * squared(away, start.information[rows])
         for number, at in enumerate(rows):
             if at in tried:
-                tried[at].append(_Tried(float(worth[number]), tolerance, aligned, number))
+                tried[at].append(_Tried(float(worth[number]), float(nats[number]), tolerance, aligned, number))
     after, looks = found.copied(), {}
     for at, alternatives in tried.items():
         first = max(alternatives, key=lambda each: each.worth + _RATHER * (each.tolerance > 0.0), default=None)
@@ -76,6 +78,7 @@ def with_models_judged(
             pose, blocks = first.aligned.poses[first.at], first.aligned.blocks[first.at, 6:, 6:]
             after.poses[at], after.covariance[at] = pose, inverse(start.information[at] + blocks)
             after.scores[at], after.gains[at] = first.aligned.scores[first.at], first.aligned.gains[first.at]
+            after.nats[at] = first.nats
             known = bent_after(known, first.aligned, first.at, pose, task.intrinsics)
         looks[at] = known
     return after, looks

@@ -55,6 +55,7 @@ class Sighting(NamedTuple):
     pose: Floats | None = None  # camera_from_object where it is; None: that is not known
     covariance: Floats | None = None  # (6, 6)
     score: float = 0.0
+    nats: float = 0.0  # by how much it explains the image better than clutter does
 
 
 class _Judged(NamedTuple):
@@ -62,7 +63,8 @@ class _Judged(NamedTuple):
 
     owners: Array  # (n,) whose
     fine: Aligned
-    worth: Floats  # (n,) nats
+    nats: Floats  # (n,) by how much each explains the image better than clutter does
+    worth: Floats  # (n,) the same, and how likely it was before
     covariance: Floats  # (n, 6, 6)
     boxes: Floats  # (n, 2, 3) low and high corner in the object's frame
     edges: list[Floats]  # of each, (k, 4) pixels and normals of those edges that the image shows
@@ -143,12 +145,13 @@ def _judged(
     if found is None:
         return None
     fine, unlikely, covariance = found
-    worth = explains(fine) + painted(fine) - unlikely
+    nats = explains(fine)
+    worth = nats + painted(fine) - unlikely
     boxes = np.stack([_box(each) for each in controls])
     lines = np.concatenate((fine.stage.lines.pixels, fine.stage.lines.normals), axis=1)
     owners = fine.stage.controls.owners
     edges = [lines[(owners == row) & fine.supported] for row in range(len(rows))]
-    return _Judged(np.array([at for at, _ in rows]), fine, worth, covariance, boxes, edges)
+    return _Judged(np.array([at for at, _ in rows]), fine, nats, worth, covariance, boxes, edges)
 
 
 def _decided(
@@ -183,7 +186,8 @@ def _decided(
         guesses = np.stack([fine.poses[other] for other in kept]) if kept else NO_POSES
         found[at] = Sighting(guesses)
         if row is not None and sure:
-            found[at] = Sighting(guesses, fine.poses[row], judged.covariance[row], float(fine.scores[row]))
+            said = float(fine.scores[row]), float(judged.nats[row])
+            found[at] = Sighting(guesses, fine.poses[row], judged.covariance[row], *said)
     return found
 
 

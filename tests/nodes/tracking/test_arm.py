@@ -2,48 +2,16 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 import pytest
-from support.boxes import INTRINSICS, SIZE, Box, photograph
+from support.boxes import SIZE
+from support.cube_arm import FIRST_CAMERA, NEXT_CAMERA, WORLD_FROM_OBJECT, after_first_epoch, imagined, node, picture
 
+from hierax.nodes.tracking import arm as tracking_arm
 from hierax.nodes.tracking.arm import ArmNode, poses_seen
-from hierax.nodes.tracking.math.geometry import exp_so3, invert, make_pose, pose_error
-from hierax.nodes.tracking.model.mesh import box_mesh
-from hierax.nodes.tracking.render import SegmentedDepth
+from hierax.nodes.tracking.math.geometry import NO_POSES, exp_so3, make_pose, pose_error
+from hierax.nodes.tracking.search.missing import Sighting
 from hierax.schemas.values import decode_value, encode_value
-
-CUBE = (0.08, 0.07, 0.09)
-MESH = box_mesh(CUBE)
-WORLD_FROM_OBJECT = make_pose(exp_so3(np.array([0.5, 0.6, 0.1])), [0.02, -0.01, 0.5])
-FIRST_CAMERA = np.eye(4)
-NEXT_CAMERA = make_pose(exp_so3(np.array([0.02, -0.03, 0.01])), [0.03, 0.01, 0.0])
-
-
-def picture(camera: np.ndarray, pose: np.ndarray | None, seed: int, frame: int = 0) -> dict[str, Any]:
-    boxes = [] if pose is None else [Box(3, CUBE, invert(camera) @ pose)]
-    image = photograph(boxes, 2.0, np.random.default_rng(seed))
-    return {"image": image, "camera": camera, "intrinsics": INTRINSICS, "frame": frame}
-
-
-def imagined(camera: np.ndarray, pose: np.ndarray, covariance: np.ndarray) -> tuple[Any, ...]:
-    body = {"id": 3, "obj_id": 1, "pose": pose, "covariance": covariance, "status": "tracked"}
-    body.update(support=np.zeros(3), stands=False, others=np.zeros((0, 4, 4)), kept=0)
-    body["model"] = {"vertices": MESH.vertices, "faces": MESH.faces}
-    return SegmentedDepth()(
-        {"camera": camera, "intrinsics": INTRINSICS, "size": SIZE, "bodies": (body,), "sweeping": None}
-    )
-
-
-def node(**options: Any) -> ArmNode:
-    first = invert(FIRST_CAMERA) @ WORLD_FROM_OBJECT
-    return ArmNode([{"id": 3, "obj_id": 1, "pose": first}], **options)
-
-
-def after_first_epoch(arm: ArmNode, predicted: np.ndarray = WORLD_FROM_OBJECT) -> Any:
-    belief = arm.observe((picture(FIRST_CAMERA, WORLD_FROM_OBJECT, 1),), arm.initial_belief())
-    return arm.predict(imagined(FIRST_CAMERA, predicted, belief["objects"][0]["covariance"]), (), belief)
 
 
 def test_the_first_frame_is_as_given() -> None:
@@ -78,7 +46,32 @@ def test_without_context_everything_is_lost() -> None:
     belief = arm.predict((), (), belief)
     belief = arm.observe((picture(FIRST_CAMERA, WORLD_FROM_OBJECT, 2),), belief)
     assert [(item["status"], item["score"]) for item in belief["objects"]] == [("lost", 0.0)]
+    assert [(item["nats"], item["probability"]) for item in belief["objects"]] == [(0.0, 0.0)]
     assert arm.metrics(belief) == {"tracked": 0.0, "lost": 1.0, "score_mean": 0.0}
+
+
+def test_what_context_no_longer_tells_of_is_no_longer_probable() -> None:
+    arm = node()
+    belief = arm.observe((picture(FIRST_CAMERA, WORLD_FROM_OBJECT, 1),), after_first_epoch(arm))
+    assert belief["objects"][0]["probability"] > 0.9
+    (item,) = arm.predict((), (), belief)["objects"]
+    assert (item["status"], item["score"], item["nats"], item["probability"]) == ("lost", 0.0, 0.0, 0.0)
+
+
+def test_where_nothing_is_expected_the_image_is_not_read(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(tracking_arm, "smoothed", lambda image: pytest.fail("the image was smoothed"))
+    arm = node()
+    arm.observe((picture(FIRST_CAMERA, WORLD_FROM_OBJECT, 1),), arm.initial_belief())
+
+
+@pytest.mark.parametrize("found", [True, False])
+def test_what_is_looked_for_everywhere_is_as_probable_as_it_explains_the_image(found: bool) -> None:
+    (item,) = node().initial_belief()["objects"]
+    stale = {**item, "nats": 30.0, "probability": 0.99, "status": "lost"}
+    pose, covariance = (WORLD_FROM_OBJECT, np.diag([1e-6] * 3 + [1e-4] * 3)) if found else (None, None)
+    seen = tracking_arm._sighted(stale, Sighting(NO_POSES, pose, covariance, 0.9, 20.0 if found else 0.0), False)
+    assert seen["nats"] == (20.0 if found else 0.0)
+    assert (seen["probability"] > 0.9) == found
 
 
 def test_what_vanishes_is_lost_and_what_returns_is_found() -> None:

@@ -9,9 +9,23 @@ from support.live import Live
 
 from hierax.runtime.commands.inspect import as_json
 from hierax.runtime.commands.main import main
-from hierax.runtime.transport.launch_client import LaunchStatus
+from hierax.runtime.core.node import Node
+from hierax.runtime.core.probe import Step
+from hierax.runtime.core.showing import Box, Curve, Things
+from hierax.runtime.viewing.told import Look
 
-SEEN = LaunchStatus("toys", "aa", 3, 0, {})
+
+class Telling(Node):
+    def initial_belief(self) -> Any:
+        return 0.0
+
+    def show(self, step: Step, before: Any) -> Things:
+        return {
+            "why": f"from {before} to {step.belief}",
+            "level/a": Curve(step.belief),
+            "level/b": step.sensed,
+            "/scene/box": Box([1.0, 1.0, 1.0]),
+        }
 
 
 def test_a_node_as_json_says_what_it_believes_and_why(live: Live, capsys: pytest.CaptureFixture[str]) -> None:
@@ -22,7 +36,8 @@ def test_a_node_as_json_says_what_it_believes_and_why(live: Live, capsys: pytest
     assert told["epoch"] > 0
     assert told["policy"] in told["policies"]
     assert {"observations", "sensed", "tasks", "context", "actions", "belief", "committed"} <= told.keys()
-    assert "process" not in told
+    assert not {"process", "before"} & told.keys()
+    assert told["shows"] == {}
 
 
 def test_it_is_what_the_run_in_one_process_has_in_that_epoch(live: Live, capsys: pytest.CaptureFixture[str]) -> None:
@@ -43,6 +58,52 @@ def test_a_node_as_text(live: Live, capsys: pytest.CaptureFixture[str]) -> None:
     assert any(line.startswith("belief") for line in lines)
 
 
+@pytest.fixture(scope="module")
+def recorded(tmp_path_factory: pytest.TempPathFactory) -> str:
+    pytest.importorskip("mcap", reason="the extra [record] is not installed")
+    path = tmp_path_factory.mktemp("recorded") / "servo.mcap"
+    assert main(["run", "servo", "--epochs", "6", "--seed", "5", "--record", str(path)]) == 0
+    return str(path)
+
+
+@pytest.mark.parametrize(("options", "epoch"), [([], 6), (["--epoch", "4"], 4), (["--epoch", "1"], 1)])
+def test_a_node_of_a_recording(
+    recorded: str, options: list[str], epoch: int, capsys: pytest.CaptureFixture[str]
+) -> None:
+    capsys.readouterr()
+    assert main(["inspect", "camera", recorded, *options, "--format", "json"]) == 0
+    told = json.loads(capsys.readouterr().out)
+    assert (told["hierarchy"], told["class"], told["epoch"]) == ("servo", "hierax.nodes.servo:CameraNode", epoch)
+    assert (told["below"], told["above"]) == (["world"], ["motion"])
+    assert set(told["shows"]["error_m"]) == {"error_m"}
+    assert main(["inspect", "camera", recorded, *options]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert lines[0].endswith(f"after epoch {epoch} (committed)")
+    assert f"shows error_m  {{error_m: {told['shows']['error_m']['error_m']:.6g}}}" in lines
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        (["camrea", "FILE"], "FILE: there is no node 'camrea' in it; did you mean 'camera'?"),
+        (["camera", "FILE", "--epoch", "7"], "FILE: what camera did in epoch 7 is not in it"),
+        (["camera", "FILE", "--run", "a"], "give a recording, or say which launch is meant: not both"),
+        (["camera", "--epoch", "7"], "--epoch and --trust are for recordings"),
+    ],
+)
+def test_what_is_not_in_a_recording(
+    recorded: str, arguments: list[str], said: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    capsys.readouterr()
+    assert main(["inspect", *(recorded if each == "FILE" else each for each in arguments)]) == 1
+    assert capsys.readouterr().err == f"error: {said.replace('FILE', recorded)}\n"
+
+
+def test_what_a_node_shows_is_told_with_the_belief_that_the_epoch_began_in() -> None:
+    node, step = Telling(), Step(1, 0, 0.0, (), 1.0, (), (), "default", (), 2.0)
+    assert Look("arm", node, step, 7.0).told() == {"why": {"why": "from 7.0 to 2.0"}, "level": {"a": 2.0, "b": 1.0}}
+
+
 def test_a_node_that_there_is_not(live: Live, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["inspect", "hihg"]) == 1
     said = capsys.readouterr()
@@ -53,6 +114,6 @@ def test_a_node_that_there_is_not(live: Live, capsys: pytest.CaptureFixture[str]
 @pytest.mark.parametrize(("full", "shown"), [(True, list), (False, dict)])
 def test_arrays_are_summarised_unless_all_is_wanted(full: bool, shown: type) -> None:
     answer: dict[str, Any] = {"process": "a", "belief": np.zeros(100)}
-    told = as_json(SEEN, "arm", answer, full)
+    told = as_json("toys", "aa", "arm", answer, full)
     assert isinstance(told["belief"], shown)
     json.dumps(told, allow_nan=False)

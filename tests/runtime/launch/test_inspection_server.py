@@ -115,6 +115,14 @@ def test_steps_are_shown_while_somebody_wants_them(room: Room) -> None:
     assert room.observers.watchers == ()
 
 
+def test_the_belief_that_the_last_epoch_began_in_is_known_where_the_one_before_was_seen(room: Room) -> None:
+    for epoch, before in ((3, None), (4, 3.0), (6, None), (6, None)):
+        belief = float(epoch)
+        step = Step(epoch, 0, 0.0, (), belief, (), (), "default", (), belief)
+        room.observers.completed([Completed(step, b"", b"")])
+        assert room.ask("state")["before"] == before
+
+
 def test_the_worlds_steps_come_with_the_roster(room: Room) -> None:
     roster = Roster("mid", {"mid": Reference("a:B", {})}, ())
     room.roster = roster

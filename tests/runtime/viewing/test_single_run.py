@@ -40,8 +40,12 @@ def test_tracking_shows_image_edges_scene_and_errors() -> None:
     errors = [things[f"error_mm/together/{number}"] for number in range(1, 7)]
     assert all(isinstance(error, Curve) and 0.0 < error.value < 5.0 for error in errors)
     assert sum(isinstance(thing, Mesh) for thing in things.values()) == 6
+    probable = [things[f"probability/arm/{number}"] for number in range(1, 7)]
+    assert all(isinstance(each, Curve) and each.value > 0.9 for each in probable)
+    assert str(things["arm/why"]).count("### object") == 6
+    assert isinstance(things["evidence/arm/for"], Lines2D)
     assert {"scene/arm/camera", "scene/spatial/table", "scene/world/true/1", "imagined/spatial/depth"} <= things.keys()
-    assert canvas.names[0] == [["camera"], ["imagined"]]
+    assert canvas.names[0] == [["camera", "evidence"], ["imagined"]]
     assert canvas.names[1][0] == ["scene"]
 
 
