@@ -37,10 +37,10 @@ FOLDERS = ("estimation", "imagery", "search", "math")
 FILES = ("arm.py", "spatial.py", "render.py", "constants.py")
 FACTORS = (0.5, 2.0)
 
-GIVEN = (("pushed", 0), ("hidden", 2), ("low-contrast", 1))
-"""Kinds and seeds of the scenes with first poses."""
+GIVEN = (("pushed", 0, 40, None), ("hidden", 2, 16, None))
+"""Kinds, seeds, frames and numbers of objects (None: all) of the scenes with first poses."""
 
-FOUND = (("scattered", 1),)
+FOUND = (("scattered", 0, 14, 2),)
 """Of those without."""
 
 SEARCHING = ("search/missing.py", "search/sweep.py", "imagery/proposals.py")
@@ -65,6 +65,10 @@ class Constant(NamedTuple):
     def key(self) -> str:
         """What tells it from the others."""
         return f"{self.file}:{self.name}"
+
+
+Task = tuple[Constant | None, float, Path]
+"""What is changed (None: nothing), by what factor (of nothing, 0: without first poses), and the scenes' folder."""
 
 
 class Figures(NamedTuple):
@@ -149,7 +153,7 @@ def changed(value: Any, factor: float) -> Any:
     return (value * factor).astype(value.dtype) if hasattr(value, "dtype") else value
 
 
-def figures(constant: Constant | None, factor: float, scenes: Path, frames: int) -> Figures:
+def figures(constant: Constant | None, factor: float, scenes: Path) -> Figures:
     """The figures with a constant changed; in a process that has loaded nothing of the tracker yet."""
     if constant is not None:
         _change(constant, factor)
@@ -164,7 +168,7 @@ def figures(constant: Constant | None, factor: float, scenes: Path, frames: int)
     errors: list[Any] = []
     digest = blake2b(digest_size=16)
     with TemporaryDirectory() as name:
-        for kind, seed in FOUND if searched else GIVEN:
+        for kind, seed, frames, _ in FOUND if searched else GIVEN:
             folder = _folder(scenes, kind, seed, frames) / "test" / "000001"
             scene = Scene(kind, seed, folder, folder.parents[1] / "truth" / folder.name, True)
             tracked = track(scene, "with all", ["start=search"] if searched else [], Path(name))
@@ -208,34 +212,32 @@ def _folder(scenes: Path, kind: str, seed: int, frames: int) -> Path:
     return scenes / f"{kind}-{seed}-{frames}"
 
 
-def _draw(scenes: Path, frames: int) -> None:
+def _draw(scenes: Path) -> None:
     from hierax.nodes.tracking.generator.scenes import write_scene
 
-    for kind, seed in (*GIVEN, *FOUND):
+    for kind, seed, frames, objects in (*GIVEN, *FOUND):
         folder = _folder(scenes, kind, seed, frames)
         if not folder.is_dir():
-            write_scene(folder, kind, seed, frames, False)
+            write_scene(folder, kind, seed, frames, False, objects)
 
 
-def _one(task: tuple[Constant | None, float, Path, int]) -> tuple[str, dict[str, Any]]:
-    constant, factor, scenes, frames = task
+def _one(task: Task) -> tuple[str, dict[str, Any]]:
+    constant, factor, scenes = task
     key = f"{constant.key if constant else ''} {factor} {constant.text if constant else ''}"
     try:
-        return key, figures(constant, factor, scenes, frames)._asdict()
+        return key, figures(constant, factor, scenes)._asdict()
     except Exception as error:  # what a constant's value breaks is told of it
         return key, {"failed": f"{type(error).__name__}: {error}"[:80]}
 
 
-def measure(
-    tasks: Sequence[tuple[Constant | None, float, Path, int]], log: Path | None, processes: int
-) -> dict[str, Any]:
+def measure(tasks: Sequence[Task], log: Path | None, processes: int) -> dict[str, Any]:
     """What each change comes to, by constant, factor and text."""
     found: dict[str, Any] = {}
     if log is not None and log.is_file():
         found = dict(map(json.loads, log.read_text(encoding="utf-8").splitlines()))
 
-    def wanted(task: tuple[Constant | None, float, Path, int]) -> bool:
-        constant, factor = task[:2]
+    def wanted(task: Task) -> bool:
+        constant, factor, _ = task
         return f"{constant.key if constant else ''} {factor} {constant.text if constant else ''}" not in found
 
     left = [task for task in tasks if wanted(task)]
@@ -311,22 +313,21 @@ def main() -> int:
         "scenes", type=Path, metavar="SCENES", help="Folder for scenes; those that are there are taken."
     )
     parser.add_argument("--list", action="store_true", help="Print the constants alone.")
-    parser.add_argument("--frames", type=int, default=40, help="Of each scene.")
-    parser.add_argument("--only", default="", help="Only constants whose file and name contain this.")
+    parser.add_argument("--only", default="", help="Only constants whose file and name contain one of these.")
     parser.add_argument("--processes", type=int, default=1)
     parser.add_argument("--log", type=Path, help="File of what was found; what stands there is not measured again.")
     parser.add_argument("--write", type=Path, help="File for the table; by default it is printed.")
     options = parser.parse_args()
-    known = [each for each in constants() if options.only in each.key]
+    known = [each for each in constants() if any(part in each.key for part in options.only.split(","))]
     if options.list:
         for each in known:
             print(f"{each.key}  {each.text}  {each.about}")
         print(f"{len(known)} constants")
         return 0
-    _draw(options.scenes, options.frames)
+    _draw(options.scenes)
     bases: list[tuple[Constant | None, float]] = [(None, 1.0), (None, 0.0)]
     changes = [(each, factor) for each in known for factor in FACTORS]
-    tasks = [(constant, factor, options.scenes, options.frames) for constant, factor in bases + changes]
+    tasks = [(constant, factor, options.scenes) for constant, factor in bases + changes]
     found = measure(tasks, options.log, options.processes)
     text = summary(found, known) + table(found, known)
     if options.write is None:
