@@ -48,34 +48,24 @@ GENERATOR_B = Path("benchmarks/generator_b")  # in a checkout; no part of the pa
 _BELIEFS = "hierax.nodes.tracking.evaluation.beliefs:Beliefs"
 
 
-class GeneratorA:
-    """The generator that is part of the package."""
+@dataclass(frozen=True)
+class Generator:
+    """A generator of scenes: the package's, or a program of its own, a Python file or a folder with ``__main__.py``.
+
+    ``PROGRAM --kinds`` prints the kinds of scenes that it makes, ``PROGRAM OUT --kind K --seed N --frames N [--exact]``
+    writes one as `write_scene` does, and prints its folder. What fails raises `HieraxError`.
+    """
+
+    path: Path | None  # the program; None: the package's
 
     def kinds(self) -> list[str]:
         """Kinds of scenes that it makes."""
-        return list(KINDS)
+        return list(KINDS) if self.path is None else self._run("--kinds").split()
 
     def write(self, out: Path, kind: str, seed: int, frames: int, exact: bool) -> Path:
         """Write a scene; its folder."""
-        return write_scene(out, kind, seed, frames, exact)
-
-
-@dataclass(frozen=True)
-class Program:
-    """A generator that is a program of its own: a Python file, or a folder with ``__main__.py``.
-
-    ``PROGRAM --kinds`` prints the kinds of scenes that it makes, ``PROGRAM OUT --kind K --seed N --frames N [--exact]``
-    writes one as `write_scene` does, and prints its folder.
-    """
-
-    path: Path  # the program
-
-    def kinds(self) -> list[str]:
-        """Kinds of scenes that it makes. Raises `HieraxError` where it fails."""
-        return self._run("--kinds").split()
-
-    def write(self, out: Path, kind: str, seed: int, frames: int, exact: bool) -> Path:
-        """Write a scene; its folder. Raises `HieraxError` where the program fails."""
+        if self.path is None:
+            return write_scene(out, kind, seed, frames, exact)
         numbers = (f"--seed={seed}", f"--frames={frames}")
         return Path(self._run(str(out), f"--kind={kind}", *numbers, *(["--exact"] if exact else [])).strip())
 
@@ -87,19 +77,14 @@ class Program:
         return done.stdout
 
 
-Generator = GeneratorA | Program
-
-
 def generator(name: str) -> Generator:
     """A generator of scenes: A, the package's; B, the checkout's, which is another hand's; or a program's path. Raises
     HieraxError: there is no such program."""
-    if name == "A":
-        return GeneratorA()
-    path = GENERATOR_B if name == "B" else Path(name)
-    if not path.exists():
+    path = {"A": None, "B": GENERATOR_B}.get(name, Path(name))
+    if path is not None and not path.exists():
         hint = "; B is part of a checkout, to be run from there" if name == "B" else ""
         raise HieraxError(f"{path}: no such program; expected A, B or the path of a generator{hint}")
-    return Program(path)
+    return Generator(path)
 
 
 @dataclass(frozen=True)

@@ -105,15 +105,10 @@ def _bench_starts(scenes: Sequence[Scene], settings: Sequence[str], folder: Path
         print_json({"starts": [each.plain() for each in found]})
         return 0
     heads = ("seen by 0.6", "right", "given", "wrong", "ms an object", "gone after (never)", "found after (never)")
-    rows = [
-        (
-            each.name,
-            *(str(number) for number in (each.seen, each.right, each.given, each.wrong, round(each.object_ms))),
-            _after(each.gone),
-            _after(each.found),
-        )
-        for each in found
-    ]
+    rows = []
+    for each in found:
+        counts = (each.seen, each.right, each.given, each.wrong, round(each.object_ms))
+        rows.append((each.name, *map(str, counts), _after(each.gone), _after(each.found)))
     print_table({"scene": {}, **dict.fromkeys(heads, _RIGHT)}, rows)
     print(
         "Objects in frame 30: seen by 0.6 of them or more, and right within 5 mm and 5°; poses given, and wrong by\n"
