@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
 from hierax.nodes.benchmarks.tracking import CONTEXT, Scene, Tell, Tracked, track
 from hierax.nodes.tracking.evaluation.scoring import RIGHT, ObjectErrors, frames_until, is_astray
-from hierax.runtime.execution.plain import Json
 
 FRAME = 30  # at which poses are judged
 SEEN = 0.6  # of objects that are seen by this share at least
@@ -28,10 +27,6 @@ class Starts:
     object_ms: float  # the processor's time up to the end for each object, of all nodes but the world, median of scenes
     gone: Sequence[int | None]  # of each time that an object was taken out, after how many frames no pose was given
     found: Sequence[int | None]  # of each time that one was put in again, after how many frames it was right
-
-    def plain(self) -> dict[str, Json]:
-        """The row as plain JSON."""
-        return {**asdict(self), "gone": list(self.gone), "found": list(self.found)}
 
 
 def bench_starts(scenes: Sequence[Scene], settings: Sequence[str], folder: Path, told: Tell) -> list[Starts]:
@@ -57,11 +52,11 @@ def _object_ms(tracked: Tracked) -> float:
 
 
 def _starts(name: str, errors: Sequence[ObjectErrors], object_ms: float) -> Starts:
-    at = [min(FRAME, len(item.frames) - 1) for item in errors]
-    seen = [(item, frame) for item, frame in zip(errors, at, strict=True) if item.visible[frame] >= SEEN]
+    at = [(item, min(FRAME, len(item.frames) - 1)) for item in errors]
+    seen = [(item, frame) for item, frame in at if item.visible[frame] >= SEEN]
     right = sum(bool(item.within(RIGHT)[frame]) for item, frame in seen)
-    distance = np.array([item.distance_mm[frame] for item, frame in zip(errors, at, strict=True)])
-    angle = np.array([item.angle_deg[frame] for item, frame in zip(errors, at, strict=True)])
+    distance = np.array([item.distance_mm[frame] for item, frame in at])
+    angle = np.array([item.angle_deg[frame] for item, frame in at])
     given = ~np.isnan(distance)
     wrong = is_astray(distance, angle)
     gone = [frames for item in errors for frames in changes(item, False)]

@@ -22,17 +22,10 @@ state it is. Nodes that are left out have no evidence."""
 def posteriors(network: Description | Network, evidence: Evidence) -> dict[Name, Floats]:
     """All exact posteriors of a causal tree or polytree.
 
-    Args:
-        network: as `parse` takes it.
-        evidence: likelihood vectors by node.
-
-    Returns:
-        By node, in the order of the description, P(state | evidence); shape (states,), float64, read-only.
-
-    Raises:
-        NetworkError: it is no network, or has a loop.
-        EvidenceError: it is no evidence.
-        ImpossibleEvidence: its probability is 0; names the node where this shows.
+    Args: network: as `parse` takes it. evidence: likelihood vectors by node.
+    Returns: By node, in the order of the description, P(state | evidence); shape (states,), float64, read-only.
+    Raises NetworkError: it is no network, or has a loop. EvidenceError: it is no evidence. ImpossibleEvidence: its
+        probability is 0; names the node where this shows.
     """
     return Inference(network).update(evidence)
 
@@ -40,11 +33,8 @@ def posteriors(network: Description | Network, evidence: Evidence) -> dict[Name,
 class Inference:
     """The posteriors of one network, for a stream of evidence sets. For one thread at a time.
 
-    Args:
-        network: as `parse` takes it.
-
-    Raises:
-        NetworkError: it is no network, or has a loop.
+    Args: network: as `parse` takes it.
+    Raises NetworkError: it is no network, or has a loop.
     """
 
     def __init__(self, network: Description | Network) -> None:
@@ -62,9 +52,7 @@ class Inference:
 
     def update(self, evidence: Evidence) -> dict[Name, Floats]:
         """All posteriors given an evidence set; what the last one said of a node that this one leaves out is retracted.
-
-        What it takes, returns and raises is told at `posteriors`.
-        """
+        What it takes, returns and raises is told at `posteriors`."""
         self._given = False
         inputs = self._inputs(evidence)
         try:
@@ -87,10 +75,7 @@ class Inference:
     @property
     def log_evidence(self) -> float:
         """ln P(evidence) of the last update: of likelihood vectors at other scales, plus the logarithms of the scales.
-
-        Raises:
-            ValueError: there was none, or its evidence was refused.
-        """
+        Raises ValueError: there was none, or its evidence was refused."""
         if not self._given:
             raise ValueError("there are no posteriors yet: call update with evidence that is possible")
         return self._sweep.log_evidence()

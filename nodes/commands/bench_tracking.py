@@ -5,6 +5,7 @@ from __future__ import annotations
 import tempfile
 from collections.abc import Sequence
 from contextlib import ExitStack
+from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -102,7 +103,7 @@ def _bench_starts(scenes: Sequence[Scene], settings: Sequence[str], folder: Path
 
     found = bench_starts(scenes, settings, folder, show_progress)
     if as_json:
-        print_json({"starts": [each.plain() for each in found]})
+        print_json({"starts": [asdict(each) for each in found]})
         return 0
     heads = ("seen by 0.6", "right", "given", "wrong", "ms an object", "gone after (never)", "found after (never)")
     rows = []

@@ -21,7 +21,7 @@ class Swing(NamedTuple):
     azimuth_deg: float  # azimuth_deg, elevation_deg: around which it swings
     elevation_deg: float
     radius_m: tuple[float, float]  # its distance at the beginning and at the end
-    swing_deg: float  # how far to each side, 0 for a still camera
+    swing_deg: float  # how far to each side
     period_s: float  # of the swinging
     phase: float  # of the swinging at the beginning, rad
 
@@ -29,8 +29,6 @@ class Swing(NamedTuple):
 def camera_path(swing: Swing, target_m: Array, frames: int, rng: np.random.Generator) -> Floats:
     """world_from_camera of each frame, (frames, 4, 4); swing: the path; target_m: (3,) what it looks at; frames:
     how many; rng: draws the hand's tremble."""
-    if swing.swing_deg == 0.0:
-        return np.repeat(_looking(swing, target_m, 0.0, 0.0)[None], frames, axis=0)
     time_s = np.arange(frames) / FPS
     tremble = np.zeros((frames, 6))
     for frequency_hz in rng.uniform(0.8, 4.0, 5):

@@ -10,10 +10,19 @@ from typing import NamedTuple
 
 import numpy as np
 
-from hierax.nodes.tracking.generator.camera import FPS, Swing, camera_path
+from hierax.nodes.tracking.generator.camera import FPS
 from hierax.nodes.tracking.generator.things import LYING, Item, colours
 from hierax.nodes.tracking.imagery.bullet import Bullet, box_shape, create_body, hull_shape, pose_of, prepare
-from hierax.nodes.tracking.math.geometry import Array, Floats, exp_so3, invert, make_pose, project, quaternion_of
+from hierax.nodes.tracking.math.geometry import (
+    Array,
+    Floats,
+    exp_so3,
+    invert,
+    looking_down,
+    make_pose,
+    project,
+    quaternion_of,
+)
 from hierax.nodes.tracking.simworld.raster import visible_shares
 from hierax.nodes.tracking.simworld.shapes import Thing, box, regular, wedge
 
@@ -51,8 +60,7 @@ def pushed(
     target = np.array([0.0, 0.02, 0.03])
 
     def camera(radius_m: float) -> Floats:
-        swing = Swing(azimuth_deg, elevation_deg, (radius_m, radius_m), 0.0, 1.0, 0.0)
-        return np.asarray(camera_path(swing, target, 1, rng)[0])
+        return looking_down(np.radians(azimuth_deg), np.radians(elevation_deg), radius_m, target)
 
     trial_m = 0.8
     fastest = _fastest_px(poses, camera(trial_m), intrinsics)
