@@ -15,8 +15,7 @@ import numpy as np
 
 from hierax.nodes.tracking.datasets.bop import read_results
 from hierax.nodes.tracking.datasets.truth import read_truth
-from hierax.nodes.tracking.evaluation.beliefs import judge
-from hierax.nodes.tracking.evaluation.calibration import Calibration, calibration
+from hierax.nodes.tracking.evaluation.calibration import Calibration, calibration, judge
 from hierax.nodes.tracking.evaluation.scoring import ObjectErrors, Score, object_errors, score
 from hierax.nodes.tracking.generator.kinds import IMPRECISE, KINDS
 from hierax.nodes.tracking.generator.scenes import write_scene
@@ -45,7 +44,7 @@ SPEED_KIND = "scattered"
 SPEED_OBJECTS = (1, 5)
 Tell = Callable[[str], None]
 GENERATOR_B = Path("benchmarks/generator_b")  # in a checkout; no part of the package, and nothing is fitted to it
-_BELIEFS = "hierax.nodes.tracking.evaluation.beliefs:Beliefs"
+_BELIEFS = "hierax.nodes.tracking.evaluation.calibration:Beliefs"
 
 
 @dataclass(frozen=True)
