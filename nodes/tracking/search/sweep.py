@@ -1,9 +1,9 @@
-"""Where an object may be of which nothing is known: poses all over the image, judged by maps of the image's edges.
+"""Where an object may be of which nothing is known: poses all over the image, judged by how faces stand out.
 
-For each direction that an edge can have there is a map of the image: by how many nats a control point of that direction
-speaks for a pose that puts it there, by how far the nearest edge of that direction is and how many there are around.
-It is the likelihood of `hierax.nodes.tracking.estimation.likelihood`, coarse: a pose costs as many look-ups as it has
-control points. The best poses are looked at more closely, then aligned.
+At each control point the image is looked at a little inside of the edge and a little outside. A pose is worth much
+where what is inside looks alike, face by face, and what is outside does not: a log-likelihood ratio of Gaussians, for
+which no edge has to be found, and neither contrast nor noise to be known. The best poses are looked at more closely,
+with a map of the image's edges besides, then aligned.
 """
 
 from __future__ import annotations
@@ -18,26 +18,35 @@ from numpy.typing import NDArray
 from hierax.nodes.tracking.estimation.likelihood import ALIKE, FOUND, LEAST_CLUTTER
 from hierax.nodes.tracking.estimation.profiles import Image, Singles, grey_levels
 from hierax.nodes.tracking.math.batched import only
-from hierax.nodes.tracking.math.geometry import Array, Floats, exp_so3
+from hierax.nodes.tracking.math.geometry import Array, Floats, exp_so3, invert
+from hierax.nodes.tracking.model.controls import CREASE
 from hierax.nodes.tracking.schema import ControlPoints, Sweep
 
 cv2.setNumThreads(1)
 
 _DIRECTIONS = 8
 _SHRUNK = 2  # maps are smaller than the image by this
-_CONTRAST = 2.0  # smallest slope that counts as an edge, grey levels per pixel of a map
-_COARSE_PX, _NEAR_PX = 2.2, 1.1  # standard deviations of where an edge is, pixels of a map
+_CONTRAST, _SLOPES = 2.0, 2.0  # smallest slope of an edge: grey levels per pixel of a map, medians of the slopes
+_NEAR_PX = 1.1  # standard deviation of where an edge is, pixels of a map
 _AROUND_PX = 31  # clutter is counted in windows of that width
+_SOFT_PX = 3  # width of what colours are averaged over, pixels of a map
+_BESIDE_PX = 5.0  # so far beside an edge colours are read
+_SAME = 4.0  # standard deviation of the colours of one face at least, grey levels
+_MOST = 2.0  # nats that a control point says at most
+_CREASE = 0.3  # what faces of one body differ by counts so much
+_EDGES = 1.0  # and what edges say
 _KEPT, _BEST = 240, 32  # poses that are looked at more closely, and that are given
 _APART_PX, _APART_RAD = 14.0, 0.2  # poses nearer than that, from one to the next, are one
 _TRY_PX, _TRY_RAD = 5.0, 0.09  # steps of the closer look
+_LEAST_LOOKS = 3  # places on a face that tell what it looks like
+_CHUNK = 4096  # poses that are judged at once
 
 
 class Maps(NamedTuple):
-    """(d, h, w) nats, by direction; the last row and column are what is not in the image: 0."""
+    """What an image shows, at half its size; the last row and column are what is not in the image: 0."""
 
-    coarse: Singles
-    near: Singles
+    near: Singles  # (d, h, w) nats of an edge by its direction
+    colours: Singles  # (c + 1, h, w) grey levels, the last one 1 where they say something of missing objects, or 0
 
 
 class Proposed(NamedTuple):
@@ -58,44 +67,117 @@ def maps_of(image: Image, outlines: Sequence[Floats] = ()) -> Maps:
     height, width = image.shape[0] // _SHRUNK, image.shape[1] // _SHRUNK
     light = cv2.resize(image, (width, height), interpolation=cv2.INTER_AREA).reshape(height, width, -1)
     small = grey_levels(light)
-    across, down = (cv2.Sobel(small, cv2.CV_32F, *order, scale=0.125) for order in ((1, 0), (0, 1)))
-    across, down = across.reshape(small.shape), down.reshape(small.shape)
-    size = across * across + down * down
-    strongest = size.argmax(axis=2)[..., None]
-    gx, gy = (np.take_along_axis(part, strongest, axis=2)[..., 0] for part in (across, down))
-    edges = _thinned(gx.astype(np.float32), gy.astype(np.float32))
+    seen = np.zeros((height, width), dtype=np.uint8)
+    for pixels in outlines:
+        cv2.fillConvexPoly(seen, cv2.convexHull(np.rint((pixels - 0.5) / _SHRUNK).astype(np.int32)), 1)
+    free = cv2.dilate(seen, np.ones((3, 3), dtype=np.uint8)) == 0
+    soft = cv2.blur(small, (_SOFT_PX, _SOFT_PX)).reshape(small.shape)
+    colours = np.concatenate((soft, np.ones_like(soft[..., :1])), axis=2) * free[..., None]
+    gx, gy = _gradient(small)
+    edges = _thinned(gx, gy)
     turn = np.arctan2(gy, gx) % np.pi * (_DIRECTIONS / np.pi)
-    coarse = np.zeros((_DIRECTIONS, height + 1, width + 1), dtype=np.float32)
-    near = coarse.copy()
+    near = np.zeros((_DIRECTIONS, height, width), dtype=np.float32)
     for at in range(_DIRECTIONS):
         off = np.abs((turn - at + _DIRECTIONS / 2) % _DIRECTIONS - _DIRECTIONS / 2)
         chosen = edges & (off < 1.0)
         clutter = cv2.boxFilter(chosen.astype(np.float32), -1, (_AROUND_PX, _AROUND_PX))
-        clutter = np.maximum(clutter, LEAST_CLUTTER)
         away = cv2.distanceTransform((~chosen).astype(np.uint8), cv2.DIST_L2, cv2.DIST_MASK_3)
-        for kept, spread in ((coarse, _COARSE_PX), (near, _NEAR_PX)):
-            density = np.exp(-0.5 * np.minimum(away / spread, 6.0) ** 2) / (spread * np.sqrt(2.0 * np.pi))
-            kept[at, :-1, :-1] = ALIKE * np.log(1.0 - FOUND + FOUND * density / clutter)
-    seen = np.zeros((height + 1, width + 1), dtype=np.uint8)
-    for pixels in outlines:
-        cv2.fillConvexPoly(seen, cv2.convexHull(np.rint((pixels - 0.5) / _SHRUNK).astype(np.int32)), 1)
-    seen = cv2.dilate(seen, np.ones((3, 3), dtype=np.uint8))
-    return Maps(np.where(seen, np.float32(0.0), coarse), np.where(seen, np.float32(0.0), near))
+        density = np.exp(-0.5 * np.minimum(away / _NEAR_PX, 6.0) ** 2) / (_NEAR_PX * np.sqrt(2.0 * np.pi))
+        near[at] = ALIKE * np.log(1.0 - FOUND + FOUND * density / np.maximum(clutter, LEAST_CLUTTER)) * free
+    beyond = ((0, 0), (0, 1), (0, 1))
+    return Maps(np.pad(near, beyond), np.pad(colours.transpose(2, 0, 1), beyond))
 
 
 def swept(maps: Maps, sweep: Sweep, intrinsics: Array) -> Proposed:
     """The poses of a sweep, its places seen from the camera, that the image speaks for most, the best first."""
     places, templates = sweep["places"], sweep["templates"]
-    nats = np.stack([_nats(maps.coarse, places @ other["pose"], other["controls"], intrinsics) for other in templates])
-    order = np.argsort(-nats, axis=None, kind="stable")[: 4 * _KEPT]
+    middle = places[len(places) // 2]
+    sides = [_sides(other["controls"], other["pose"], middle, intrinsics) for other in templates]
+    nats = np.stack([_stands_out(maps.colours, places, side, intrinsics) for side in sides])
+    order = np.argsort(-nats, axis=None, kind="stable")[: 8 * _KEPT]
     numbers, where = np.unravel_index(order, nats.shape)
     poses = places[where] @ np.stack([templates[number]["pose"] for number in numbers])
     first = Proposed(poses, numbers, nats[numbers, where])
     kept = _apart(first, 0.5 * _APART_PX, intrinsics, _KEPT)
-    return _closer(maps, sweep, only(first, np.array(kept, dtype=np.intp)), intrinsics)
+    return _closer(maps, sweep, sides, only(first, np.array(kept, dtype=np.intp)), intrinsics)
 
 
-def _closer(maps: Maps, sweep: Sweep, first: Proposed, intrinsics: Array) -> Proposed:
+class _Sides(NamedTuple):
+    """Of a template, what is looked at beside its control points."""
+
+    points: Singles  # (3, n + n) in a place's frame, inside of each and outside
+    faces: Singles  # (n + n, f) 1 where a point is on a face of the body
+    beside: NDArray[np.intp]  # (k,) those outside, or on another face
+    of: NDArray[np.intp]  # (k,) on which face their control points are
+    worth: Singles  # (k,)
+
+
+def _sides(controls: ControlPoints, pose: Floats, place: Floats, intrinsics: Array) -> _Sides:
+    """What is looked at of a template at all places, as it is seen at one of them."""
+    seen = place @ pose
+    points, tangents, inwards = (controls[name] @ seen[:3, :3].T for name in ("points", "tangents", "inwards"))
+    points = points + seen[:3, 3]
+    flat = points[:, :2] / points[:, 2:]
+    along = tangents[:, :2] - flat * tangents[:, 2:]
+    across = np.stack((-along[:, 1], along[:, 0]), axis=1)
+    across /= np.maximum(np.linalg.norm(across, axis=1, keepdims=True), 1e-9)
+    side = np.einsum("nk,nk->n", across, inwards[:, :2] - flat * inwards[:, 2:])
+    across *= np.where(side < 0, -_BESIDE_PX, _BESIDE_PX)[:, None] * points[:, 2:] / intrinsics[:2]
+    moved = np.pad(across, ((0, 0), (0, 1)))
+    both = np.concatenate((points + moved, points - moved)) - place[:3, 3]
+    crease = controls["kinds"] == CREASE
+    numbers = np.concatenate((controls["faces"][:, 0], np.where(crease, controls["faces"][:, 1], -1)))
+    known = np.unique(numbers[numbers >= 0])
+    faces = (numbers[:, None] == known).astype(np.float32)
+    own = faces[: len(crease)]
+    used = np.nonzero(own.any(axis=1))[0]
+    worth = np.where(crease[used], _CREASE, 1.0).astype(np.float32)
+    local = (both @ place[:3, :3]).T.astype(np.float32)
+    return _Sides(local, faces, used + len(crease), own[used].argmax(axis=1), worth)
+
+
+def _stands_out(colours: Singles, places: Floats, sides: _Sides, intrinsics: Array) -> Floats:
+    """(n,) by how many nats what is seen inside of a template's edges, face by face, differs from what is outside."""
+    if not sides.worth.size:
+        return np.full(len(places), -np.inf)
+    fx, fy, cx, cy = intrinsics
+    lens = np.array([[fx, 0.0, cx - 0.5 + 0.5 * _SHRUNK], [0.0, fy, cy - 0.5 + 0.5 * _SHRUNK], [0.0, 0.0, _SHRUNK]])
+    views = (lens @ places[:, :3]).astype(np.float32)
+    _, height, width = colours.shape
+    planes = colours.reshape(len(colours), -1)
+    found = np.empty(len(places))
+    for start in range(0, len(places), _CHUNK):
+        chunk = np.s_[start : start + _CHUNK]
+        x, y, z = (views[chunk, axis, :3] @ sides.points + views[chunk, axis, 3:] for axis in range(3))
+        inverse = np.float32(1.0) / np.maximum(z, np.float32(0.02))
+        x *= inverse
+        y *= inverse
+        inside = (x >= 0) & (x < width - 1) & (y >= 0) & (y < height - 1)
+        index = np.where(inside, y.astype(np.int32) * width + x.astype(np.int32), height * width - 1)
+        found[chunk] = _differing(planes.take(index, axis=1), sides)
+    return found
+
+
+def _differing(looks: Singles, sides: _Sides) -> Singles:
+    """(n,) nats by what is looked at, (c + 1, n, k): of each face its mean and its variance, and how far from the mean
+    in standard deviations what lies beside it is."""
+    free, channels = looks[-1], np.float32(len(looks) - 1)
+    count = free @ sides.faces
+    least = np.maximum(count, np.float32(1.0))
+    means = np.stack([plane @ sides.faces / least for plane in looks[:-1]])
+    square = np.einsum("cnk,cnk->nk", looks[:-1], looks[:-1]) @ sides.faces
+    within = np.maximum(square - least * (means * means).sum(axis=0), 0.0) / np.maximum(least - 1.0, 1.0)
+    variance = within / channels + np.float32(_SAME**2)
+    away = np.zeros((len(free), len(sides.of)), dtype=np.float32)
+    for plane, mean in zip(looks, means, strict=False):
+        away += (plane[:, sides.beside] - mean[:, sides.of]) ** 2
+    said = np.float32(0.5) * np.log1p(away / (channels * variance[:, sides.of]))
+    said = np.minimum(said, np.float32(_MOST)) * free[:, sides.beside] * (count[:, sides.of] >= _LEAST_LOOKS)
+    total: Singles = said @ sides.worth
+    return total
+
+
+def _closer(maps: Maps, sweep: Sweep, sides: Sequence[_Sides], first: Proposed, intrinsics: Array) -> Proposed:
     """Each pose where it is best, a little beside and turned; the best of those."""
     upright = sweep["places"][0, :3, 2]
     level = np.array([1.0, 0.0, 0.0]) - upright[0] * upright
@@ -111,11 +193,13 @@ def _closer(maps: Maps, sweep: Sweep, first: Proposed, intrinsics: Array) -> Pro
         tried[..., :3, :3] = turns[:, None, None] @ tried[..., :3, :3]
         metres = first.poses[rows, 2, 3] / intrinsics[0]
         tried[..., :3, 3] += metres[:, None] * steps[:, None]
-        tried = tried.reshape(-1, len(rows), 4, 4)
-        controls = sweep["templates"][number]["controls"]
-        found = _nats(maps.near, tried.reshape(-1, 4, 4), controls, intrinsics).reshape(len(tried), len(rows))
+        tried = tried.reshape(-1, 4, 4)
+        template = sweep["templates"][number]
+        found = _EDGES * _nats(maps.near, tried, template["controls"], intrinsics)
+        found += _stands_out(maps.colours, tried @ invert(template["pose"]), sides[number], intrinsics)
+        found = found.reshape(-1, len(rows))
         best = found.argmax(axis=0)
-        poses[rows], nats[rows] = tried[best, np.arange(len(rows))], found.max(axis=0)
+        poses[rows], nats[rows] = tried.reshape(-1, len(rows), 4, 4)[best, np.arange(len(rows))], found.max(axis=0)
     order = np.argsort(-nats, kind="stable")
     closer = Proposed(poses[order], first.templates[order], nats[order])
     return only(closer, np.array(_apart(closer, _APART_PX, intrinsics, _BEST), dtype=np.intp))
@@ -145,13 +229,22 @@ def _nats(maps: Singles, poses: Floats, controls: ControlPoints, intrinsics: Arr
     return total
 
 
+def _gradient(small: Singles) -> tuple[Singles, Singles]:
+    """Of the channel that changes most, across and down."""
+    across, down = (cv2.Sobel(small, cv2.CV_32F, *order, scale=0.125) for order in ((1, 0), (0, 1)))
+    across, down = across.reshape(small.shape), down.reshape(small.shape)
+    strongest = (across * across + down * down).argmax(axis=2)[..., None]
+    gx, gy = (np.take_along_axis(part, strongest, axis=2)[..., 0] for part in (across, down))
+    return gx.astype(np.float32), gy.astype(np.float32)
+
+
 def _thinned(gx: Singles, gy: Singles) -> NDArray[np.bool_]:
     """Where a gradient is strong, and as strong as anything before and behind it."""
     size = np.sqrt(gx * gx + gy * gy)
     padded = np.pad(size, 1)
     height, width = size.shape
     sector = np.rint(np.arctan2(gy, gx) % np.pi * (4.0 / np.pi)).astype(np.int32) % 4
-    kept = size > _CONTRAST
+    kept = size > max(_CONTRAST, _SLOPES * float(np.median(size)))
     for number, (right, below) in enumerate(((1, 0), (1, 1), (0, 1), (-1, 1))):
         after = padded[1 + below : 1 + below + height, 1 + right : 1 + right + width]
         before = padded[1 - below : 1 - below + height, 1 - right : 1 - right + width]
