@@ -78,8 +78,12 @@ class FirstBody(FirstPose):
     model: Model
 
 
+class _ToldCamera(TypedDict, total=False):
+    camera: CameraPose  # of the frame that is seen next, where a tag tells it
+
+
 @final
-class SceneBelief(TypedDict):
+class SceneBelief(_ToldCamera):
     """What the world that plays a scene folder is."""
 
     scene: str  # the folder

@@ -12,6 +12,7 @@ from typing import Any
 from hierax.nodes.tracking.arm import ArmNode
 from hierax.nodes.tracking.datasets.bop import BopScene
 from hierax.nodes.tracking.datasets.bop_world import BopWorld, frame_seen
+from hierax.nodes.tracking.datasets.tag import FAMILY, tag_camera, tag_of
 from hierax.nodes.tracking.math.geometry import Floats, invert
 from hierax.nodes.tracking.model.mesh import Mesh, box_mesh
 from hierax.nodes.tracking.model.symmetry import NONE, model_of
@@ -32,15 +33,22 @@ def world(
     noise: float = 2.0,
     blur_px: float = 0.7,
     fps: float = 30.0,
+    tag_mm: float | None = None,
+    tag: str = FAMILY,
 ) -> World:
     """N₀: a `BopWorld` where a scene is given, else a `SimWorld`.
 
     Args: scene: folder of a BOP scene, or None; cubes, frames, noise, blur_px: of the simulated world. fps: frames per
-        second, of either.
-    Raises DataError: a file of the scene is missing or damaged. ValueError: a number is out of its range.
+        second, of either; tag_mm, tag: of a scene folder: side of a tag on the table that tells where the camera is,
+        None for none; and which, see `tag_of`.
+    Raises DataError: a file of the scene is missing or damaged. ValueError: a number is out of its range, or a
+        tag is told for the simulated world.
     """
+    found = tag_of(tag_mm, tag)
     if scene is not None:
-        return BopWorld(scene, fps)
+        return BopWorld(scene, fps, found)
+    if found is not None:
+        raise ValueError(f"tag_mm is {tag_mm}; expected it with a scene folder alone")
     return SimWorld(cubes=cubes, frames=frames, noise=noise, blur_px=blur_px, fps=fps)
 
 
@@ -87,6 +95,8 @@ def spatial(
     table: bool | None = None,
     physics: bool = True,
     start: str = GIVEN,
+    tag_mm: float | None = None,
+    tag: str = FAMILY,
     **options: Any,
 ) -> SpatialNode:
     """The spatial node with the objects' first poses and their models.
@@ -96,13 +106,16 @@ def spatial(
         table: whether the world's plane z = 0 carries the objects; None for yes in the
             simulated world, no in a scene folder, where nobody says which way is up.
         physics: false for constant velocities in any case, without gravity and contacts.
-        start: as for `arm`.
+        start: as for `arm`; tag_mm, tag: as for `world`.
         options: further ones of `SpatialNode`.
 
     Raises ValueError: objects are to be looked for without a table on which they could rest.
     """
     carried = (scene is None if table is None else table) and physics
     objects, camera = _first_objects(scene, cubes, start)
+    found = tag_of(tag_mm, tag)
+    if scene is not None and found is not None:
+        camera = tag_camera(scene, found).first()
     search = any(item["pose"] is None for item in objects)
     if search and not carried:
         raise ValueError("a first pose is not told; expected table=true with it: bodies are looked for as they rest")

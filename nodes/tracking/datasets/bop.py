@@ -54,6 +54,7 @@ class Frame(NamedTuple):
     image: Path  # the file
     intrinsics: Floats  # (4,) fx, fy, cx, cy in pixels
     camera: Floats  # world_from_camera; the identity where the scene gives no camera pose
+    told: bool  # whether it does
 
 
 class SceneObject(NamedTuple):
@@ -339,10 +340,9 @@ def _frame(path: Path, key: str, entry: Any, image: Path) -> Frame:
     if others[1, 0] or others[2].any() or matrix[2, 2] != 1:
         raise DataError(f"{where}: cam_K: expected [fx, 0, cx, 0, fy, cy, 0, 0, 1]")
     intrinsics = np.array([matrix[0, 0], matrix[1, 1], matrix[0, 2], matrix[1, 2]])
-    camera = np.eye(4)
-    if "cam_R_w2c" in entry or "cam_t_w2c" in entry:
-        camera = invert(read_pose(where, entry, "cam_R_w2c", "cam_t_w2c"))
-    return Frame(int(key), image, intrinsics, camera)
+    told = "cam_R_w2c" in entry or "cam_t_w2c" in entry
+    camera = invert(read_pose(where, entry, "cam_R_w2c", "cam_t_w2c")) if told else np.eye(4)
+    return Frame(int(key), image, intrinsics, camera, told)
 
 
 def _scene_object(path: Path, frame: str, at: int, entry: Any, told: bool) -> SceneObject:

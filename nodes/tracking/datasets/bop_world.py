@@ -9,6 +9,7 @@ from functools import lru_cache
 from pathlib import Path
 
 from hierax.nodes.tracking.datasets.bop import BopScene, read_image
+from hierax.nodes.tracking.datasets.tag import Tag, tag_camera
 from hierax.nodes.tracking.math.geometry import Array
 from hierax.nodes.tracking.schema import Nothing, Picture, SceneBelief
 from hierax.runtime import NO_TICK, Tick, World
@@ -22,23 +23,30 @@ class BopWorld(World):
     The belief is a `SceneBelief`, see `hierax.nodes.tracking.schema`.
 
     Args: scene: ``DATASET/SPLIT/000001``. fps: frames per second; an epoch's time is its frame's place divided by it.
+        tag: on the table, that tells where the camera is; None: the scene does.
     Raises DataError: a file of the scene is missing or damaged. ValueError: `fps` is not positive.
     """
 
-    def __init__(self, scene: str, fps: float = 30.0) -> None:
+    def __init__(self, scene: str, fps: float = 30.0, tag: Tag | None = None) -> None:
         if not 0 < fps < math.inf:
             raise ValueError(f"fps must be positive and finite, got {fps}")
         self._scene = str(scene)
         self._fps = float(fps)
         self._count = len(_scene(self._scene).frames)
+        self._camera = None if tag is None else tag_camera(self._scene, tag)
 
     def initial_belief(self) -> SceneBelief:
         """The first frame is yet to be seen."""
-        return {"scene": self._scene, "index": 0}
+        belief: SceneBelief = {"scene": self._scene, "index": 0}
+        return belief if self._camera is None else {**belief, "camera": self._camera.first()}
 
     def predict(self, context: Nothing, actions: Nothing, belief: SceneBelief, tick: Tick = NO_TICK) -> SceneBelief:
         """Time passes: the next frame; after the last one it stays."""
-        return {**belief, "index": min(belief["index"] + 1, self._count)}
+        index = min(belief["index"] + 1, self._count)
+        if self._camera is None or index == self._count:
+            return {**belief, "index": index}
+        image = _images(self._scene).read(index)
+        return {**belief, "index": index, "camera": self._camera.at(index, image, belief["camera"])}
 
     def time_s(self, belief: SceneBelief, epoch: int) -> float:
         """The frame's place over the frames per second."""
@@ -58,7 +66,8 @@ def frame_seen(belief: SceneBelief) -> tuple[Picture, ...]:
         return ()
     frame = frames[belief["index"]]
     image = _images(belief["scene"]).read(belief["index"])
-    return ({"image": image, "camera": frame.camera, "intrinsics": frame.intrinsics, "frame": frame.im_id},)
+    camera = belief.get("camera", frame.camera)
+    return ({"image": image, "camera": camera, "intrinsics": frame.intrinsics, "frame": frame.im_id},)
 
 
 class ReadAhead:
@@ -84,7 +93,7 @@ class ReadAhead:
         for at in ahead:
             if at not in self._begun:
                 self._begun[at] = self._thread.submit(self._read, self._paths[at])
-        return self._begun.pop(index).result()
+        return self._begun[index].result()
 
 
 @lru_cache(maxsize=4)

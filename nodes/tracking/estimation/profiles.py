@@ -52,9 +52,13 @@ def smoothed(image: Array) -> Image:
     Args:
         image: uint8, (h, w) gray or (h, w, 3) RGB, encoded as cameras do.
     """
-    light = np.asarray(cv2.LUT(image, _LIGHT), dtype=np.float32)
-    soft = np.asarray(cv2.GaussianBlur(light, (5, 5), 0.9), dtype=np.float32)
+    soft = np.asarray(cv2.GaussianBlur(light_of(image), (5, 5), 0.9), dtype=np.float32)
     return soft[:, :, None] if soft.ndim == 2 else soft
+
+
+def light_of(image: Array) -> Image:
+    """The light of a picture, 0 to 255, which is encoded as cameras do: uint8 of any shape."""
+    return np.asarray(cv2.LUT(image, _LIGHT), dtype=np.float32)
 
 
 def grey_levels(light: Array) -> Singles:
