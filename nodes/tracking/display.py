@@ -12,9 +12,9 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from hierax.nodes.tracking.evaluation.pictures import CORRECTED, EXPECTED
+from hierax.nodes.tracking.evaluation.pictures import CORRECTED, EXPECTED, edges_seen
 from hierax.nodes.tracking.evidence import Evidence, evidence
-from hierax.nodes.tracking.math.geometry import NEAREST_M, Array, Floats, invert, pose_error, project, transform
+from hierax.nodes.tracking.math.geometry import NEAREST_M, Array, Floats, invert, pose_error, project
 from hierax.nodes.tracking.render import DepthRenderer, item_of
 from hierax.nodes.tracking.schema import PaperObject, SpatialBelief, TrackedObject
 from hierax.runtime import Step, Value
@@ -79,9 +79,9 @@ def arm_things(step: Step, before: Value, motion: Floats) -> dict[str, Thing]:
     things["/camera/image"] = Image(image)
     if before is not None and before["camera"] is not None:
         moved = invert(corrected["camera"]) @ before["camera"]
-        things["/camera/expected"] = Lines2D(_edges(before["objects"], moved, intrinsics), EXPECTED, _EXPECTED_PX)
+        things["/camera/expected"] = Lines2D(edges_seen(before["objects"], moved, intrinsics), EXPECTED, _EXPECTED_PX)
     tracked = [item for item in objects if item["status"] == "tracked"]
-    things["/camera/corrected"] = Lines2D(_edges(tracked, np.eye(4), intrinsics), CORRECTED, _CORRECTED_PX)
+    things["/camera/corrected"] = Lines2D(edges_seen(tracked, np.eye(4), intrinsics), CORRECTED, _CORRECTED_PX)
     things.update(_names(objects, intrinsics))
     things["/scene/camera"] = Camera(
         corrected["camera"],
@@ -106,7 +106,7 @@ def _evidence_things(told: Sequence[Evidence], image: Array, intrinsics: Array) 
             dashes.setdefault(name, []).append(edge.dashes)
         for number, other in enumerate(each.others[:_OTHERS]):
             there: TrackedObject = {**each.item, "pose": other.pose, "edges": other.edges}
-            lines = _edges([there], np.eye(4), intrinsics)
+            lines = edges_seen([there], np.eye(4), intrinsics)
             path = f"/evidence/instead/{each.item['id']}/{number}"
             things[path] = Lines2D(lines, colour_of(each.item["id"]), _OTHER_PX)
     for _, name, colour in _SHARES:
@@ -153,16 +153,6 @@ def errors(steps: Mapping[str, Step]) -> dict[str, Thing]:
 
 def _curve(number: int, value: float) -> Curve:
     return Curve(value, colour_of(number))
-
-
-def _edges(objects: Sequence[TrackedObject | PaperObject], moved: Floats, intrinsics: Array) -> Floats:
-    """The expected edges of objects in the image, (n, 2, 2) pixels; `moved` goes before their poses."""
-    lines = [transform(moved @ item["pose"], np.asarray(item["edges"])) for item in objects if len(item["edges"])]
-    if not lines:
-        return np.zeros((0, 2, 2))
-    points = np.concatenate(lines)
-    ahead = points[points[..., 2].min(axis=1) > NEAREST_M]
-    return project(ahead, intrinsics)
 
 
 def _names(objects: Sequence[TrackedObject | PaperObject], intrinsics: Array) -> dict[str, Thing]:

@@ -14,7 +14,7 @@ import numpy as np
 from hierax.nodes.tracking.datasets.bop import read_image
 from hierax.nodes.tracking.errors import DataError, writing
 from hierax.nodes.tracking.math.geometry import NEAREST_M, Array, Floats, invert, project, transform
-from hierax.nodes.tracking.schema import AnyArmBelief
+from hierax.nodes.tracking.schema import AnyArmBelief, PaperObject, TrackedObject
 from hierax.runtime import Probe, Step
 
 cv2.setNumThreads(1)
@@ -148,11 +148,9 @@ def overlay(image: Array, expected: AnyArmBelief | None, corrected: AnyArmBelief
     assert intrinsics is not None
     if expected is not None and expected["camera"] is not None:
         moved = invert(camera) @ expected["camera"]
-        for item in expected["objects"]:
-            _draw_edges(picture, item["edges"], moved @ item["pose"], intrinsics, EXPECTED, _EXPECTED_PX)
-    for item in corrected["objects"]:
-        if item["status"] == "tracked":
-            _draw_edges(picture, item["edges"], item["pose"], intrinsics, CORRECTED, _CORRECTED_PX)
+        _draw_lines(picture, edges_seen(expected["objects"], moved, intrinsics), EXPECTED, _EXPECTED_PX)
+    tracked = [item for item in corrected["objects"] if item["status"] == "tracked"]
+    _draw_lines(picture, edges_seen(tracked, np.eye(4), intrinsics), CORRECTED, _CORRECTED_PX)
     counts = {status: sum(item["status"] == status for item in corrected["objects"]) for status in _STATUSES}
     text = "  ".join(f"{count} {status}" for status, count in counts.items() if count)
     height, width = picture.shape[:2]
@@ -161,6 +159,13 @@ def overlay(image: Array, expected: AnyArmBelief | None, corrected: AnyArmBelief
     _write_text(picture, "expected", (width - 160, height - 8), EXPECTED)
     _write_text(picture, "corrected", (width - 82, height - 8), CORRECTED)
     return picture
+
+
+def edges_seen(objects: Sequence[TrackedObject | PaperObject], moved: Floats, intrinsics: Array) -> Floats:
+    """The expected edges of objects in the image, (n, 2, 2) pixels; `moved` goes before their poses."""
+    lines = [transform(moved @ item["pose"], np.asarray(item["edges"])) for item in objects if len(item["edges"])]
+    points = np.concatenate([np.zeros((0, 2, 3)), *lines])
+    return project(points[points[..., 2].min(axis=1) > NEAREST_M], intrinsics)
 
 
 def contact_sheet(pictures: Sequence[Path]) -> Array:
@@ -202,12 +207,8 @@ def write_picture(path: Path, picture: Array) -> None:
         os.replace(unfinished, path)
 
 
-def _draw_edges(
-    picture: Array, edges: Floats, pose: Floats, intrinsics: Array, colour: tuple[int, int, int], width_px: int
-) -> None:
-    points = transform(pose, np.asarray(edges))
-    ahead = points[points[..., 2].min(axis=1) > NEAREST_M] if len(points) else points
-    pixels = np.rint(np.clip(project(ahead, intrinsics), -4096, 8192) * (1 << _SHIFT)).astype(np.int32)
+def _draw_lines(picture: Array, lines: Floats, colour: tuple[int, int, int], width_px: int) -> None:
+    pixels = np.rint(np.clip(lines, -4096, 8192) * (1 << _SHIFT)).astype(np.int32)
     cv2.polylines(picture, list(pixels), False, colour, width_px, cv2.LINE_AA, _SHIFT)
 
 
