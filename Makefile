@@ -6,7 +6,7 @@ INSTALLED := $(VENV)/.installed
 RUNS := $(VENV)/.runs
 CHECKED := .build/checked
 
-.PHONY: demo test check docs sweep model sim mutations kills changes fuzz rival generator_b tutorial interrupts clean test-quick format junk
+.PHONY: demo test check docs sweep model sim sensitivities mutations kills changes fuzz rival generator_b tutorial interrupts clean test-quick format junk
 
 # what runs, recordings included, and what tests need besides: the viewer alone is some hundreds of megabytes
 $(RUNS): pyproject.toml
@@ -71,6 +71,12 @@ fuzz: $(INSTALLED)
 # docs/recording.md: recordings with junk in every field, and all commands that read them; some twenty minutes
 junk: $(INSTALLED)
 	$(BIN)/python benchmarks/junk.py
+
+# docs/tracking-constants.md: each constant of the tracker, halved and doubled; some hours, and goes on where it was stopped
+sensitivities: $(INSTALLED)
+	mkdir -p .build/sensitivities
+	$(BIN)/python benchmarks/sensitivities.py .build/sensitivities --log .build/sensitivities/found.jsonl \
+		--write docs/tracking-constants.md
 
 # docs/tutorial.md word by word, from both of its beginnings, with a fresh clone and what pip fetches; some ten minutes
 tutorial: $(INSTALLED)
