@@ -10,6 +10,7 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
+from hierax.nodes.tracking.constants import LEAST_SHOWN, LESS
 from hierax.nodes.tracking.display import arm_things
 from hierax.nodes.tracking.errors import check_between, check_positive
 from hierax.nodes.tracking.estimation.certainty import right
@@ -45,8 +46,6 @@ from hierax.runtime.core.showing import Things
 
 _DRIFT_GAIN = 0.3
 _PROBATION = 20  # for so many images an object that was found again is looked for elsewhere, too
-_LEAST_SHOWN = 10.0  # an object of which fewer control points should be seen is neither supported nor missed
-_LESS = 0.85  # something happens to an object that the image supports by less than this part of what it did before
 _LEAST_FOUND = 20.0  # one whose place is vague is not found by fewer control points than these
 
 # An object whose place is less certain than this (standard deviation) has to be found, not kept.
@@ -258,7 +257,7 @@ class ArmNode(Node):
         """One object after the image: where it was found, or where it was expected."""
         gone = _is_vague(item) or item["status"] == LOST
         needed = self._found_score if gone else self._kept_score
-        enough = _LEAST_FOUND if gone else _LEAST_SHOWN
+        enough = _LEAST_FOUND if gone else LEAST_SHOWN
         if estimate.shown < enough or estimate.score < needed or (gone and not estimate.sure):
             # Not enough to say that it is there; but enough to look there, at what would be seen of it, next.
             searched = estimate.elsewhere and not item["others"]
@@ -286,7 +285,7 @@ class ArmNode(Node):
 
         That something which nothing is to be seen of is not seen says nothing against it.
         """
-        hidden = estimate is None or float(item["controls"]["visible"].sum()) < _LEAST_SHOWN
+        hidden = estimate is None or float(item["controls"]["visible"].sum()) < LEAST_SHOWN
         misses = item["misses"] + (not hidden)
         lost = item["status"] == LOST or misses >= self._patience
         score = 0.0 if lost or estimate is None else estimate.score
@@ -359,7 +358,7 @@ def _failed_searches(item: TrackedObject, estimate: Estimate) -> int:
     """For how many images it was not found elsewhere; that counts anew when something happens to it."""
     startled = estimate.motion_scale == 1.0 and item["motion_scale"] < 1.0
     startled |= len(estimate.guesses) > 0
-    return 0 if startled or estimate.score < _LESS * item["score"] else estimate.failed_searches
+    return 0 if startled or estimate.score < LESS * item["score"] else estimate.failed_searches
 
 
 def _is_vague(item: TrackedObject) -> bool:

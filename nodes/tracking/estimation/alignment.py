@@ -13,10 +13,10 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from hierax.nodes.tracking.constants import STRANGE_WEIGHT
 from hierax.nodes.tracking.estimation.appearance import Memory
 from hierax.nodes.tracking.estimation.profiles import Image
 from hierax.nodes.tracking.estimation.stages import (
-    STRANGE_WEIGHT,
     Matches,
     Search,
     Seen,

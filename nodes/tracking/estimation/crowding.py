@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from hierax.nodes.tracking.constants import PARALLEL
 from hierax.nodes.tracking.math.batched import pixels_of, placed
 from hierax.nodes.tracking.math.geometry import NEAREST_M, Array, Floats
 from hierax.nodes.tracking.model.controls import Controls
@@ -16,7 +17,6 @@ from hierax.nodes.tracking.model.controls import Controls
 # Parallel edges that far apart have peaks of their own: three standard deviations of the lens's blur and ours.
 _APART_PX = 3.0
 
-_PARALLEL = 0.9
 _BEYOND_PX = 4.0  # how far beyond its last control points an edge goes on
 
 # Edges that are as near as this, and in depth by this share of it, are one that is listed twice.
@@ -44,7 +44,7 @@ def apartness(controls: Controls, poses: Floats, intrinsics: Array) -> Floats:
     place = away[..., 0] * along[:, 0] + away[..., 1] * along[:, 1]
     distance = np.abs(away[..., 0] * along[:, 1] - away[..., 1] * along[:, 0])
     beside = (place > -_BEYOND_PX) & (place < length + _BEYOND_PX) & (distance < _APART_PX)
-    beside &= (np.abs(along @ along.T) > _PARALLEL)[own]
+    beside &= (np.abs(along @ along.T) > PARALLEL)[own]
     beside[np.arange(len(own)), own] = False
     rows, edges = np.nonzero(beside)
     there = depth[first] + (depth[last] - depth[first]) * np.clip(place / np.maximum(length, 1e-9), 0.0, 1.0)

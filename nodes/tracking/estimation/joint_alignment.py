@@ -7,6 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from hierax.nodes.tracking.constants import AT_REST
 from hierax.nodes.tracking.estimation.alignment import Aligned, Start, align
 from hierax.nodes.tracking.estimation.appearance import Memory, only_found
 from hierax.nodes.tracking.estimation.bending import memory_of
@@ -28,7 +29,6 @@ _SETTLED_M = 0.004  # where no object moves, and all are known better than this,
 _LEAST_FREEDOM = 0.3  # share of a push's motion that the search leaves open for an object at rest
 
 # An object with a smaller motion scale rests; by so much of its control points another explanation is clearly better.
-_AT_REST = 0.1
 _CLEARLY = 0.1
 
 _JUMP_PX = 2.0  # a camera's error that moves an object's origin by more is large
@@ -125,7 +125,7 @@ def _from(task: Task, shift: Floats) -> Explained | None:
     if free is None:
         return None
     fused = fuse(free, prior)
-    held = (fused.motion_scale == 1.0) & (prior.motion_scale < _AT_REST)
+    held = (fused.motion_scale == 1.0) & (prior.motion_scale < AT_REST)
     calm = inverse(prior.spread())
     for _ in range(2):  # all of them, then those alone of which resting explains enough
         information = np.where(held[:, None, None], calm, task.start.information)

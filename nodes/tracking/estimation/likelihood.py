@@ -11,8 +11,8 @@ from typing import NamedTuple
 
 import numpy as np
 
+from hierax.nodes.tracking.constants import STRANGE_WEIGHT
 from hierax.nodes.tracking.estimation.alignment import Aligned
-from hierax.nodes.tracking.estimation.stages import STRANGE_WEIGHT
 from hierax.nodes.tracking.math.batched import summed
 from hierax.nodes.tracking.math.geometry import Floats
 

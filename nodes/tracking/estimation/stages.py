@@ -8,13 +8,13 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from hierax.nodes.tracking.constants import STRANGE_WEIGHT
 from hierax.nodes.tracking.estimation.appearance import Memory, strangeness
 from hierax.nodes.tracking.estimation.profiles import Image, Lines, Profiles, Singles, lines_of, read_profiles
 from hierax.nodes.tracking.math.batched import only, pixels_of, placed, tukey
 from hierax.nodes.tracking.math.geometry import NEAREST_M, Array, Floats, cross
 from hierax.nodes.tracking.model.controls import CREASE, Controls, Indices
 
-STRANGE_WEIGHT = 0.5
 _USUAL_SHARPNESS = 0.7  # quantile of the control points' sharpness that counts as an edge in focus
 
 # Standard deviations of how far an edge is off as a whole: the shadow at an object's foot, light, blur and the model's

@@ -12,6 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from hierax.nodes.tracking.constants import AT_REST, LEAST_SHOWN
 from hierax.nodes.tracking.estimation.alignment import Aligned, offsets_at
 from hierax.nodes.tracking.estimation.appearance import measured, moved, remembered, sought
 from hierax.nodes.tracking.estimation.bending import bent_after
@@ -39,12 +40,10 @@ from hierax.nodes.tracking.search.multistart import Found, Looking, in_turn
 from hierax.nodes.tracking.search.reacquisition import look_elsewhere
 
 _SEARCHED_AT_ONCE = 3
-_LEAST_SHOWN = 10.0  # an object of which fewer control points should be seen is not judged by the image
 _SURE_SEEN = 0.9
 _LEARNED_SCORE = 0.6  # with a lower score an object tells nothing of its looks
 # What is predicted to move less than this from one image to the next, and is as calm, tells where its edges are off: by
 # its shadows. Of what moves, the prediction is, and an edge that comes into view would soon not be trusted.
-_LEARNED_MOTION_SCALE = 0.1
 _STILL_M, _STILL_RAD = 0.0005, 0.002
 
 _FOUND_PX = 1.0
@@ -189,7 +188,7 @@ def _doubtful(found: Found, objects: Sequence[TrackedObject], options: Options) 
 def _is_doubtful(found: Found, at: int, item: TrackedObject, options: Options) -> bool:
     if item["others"]:
         return True
-    if found.shown[at] < _LEAST_SHOWN:
+    if found.shown[at] < LEAST_SHOWN:
         return False
     enough = options.certain_score if item["probation"] else options.sure_score
     return bool(found.scores[at] < enough or (found.motion_scale[at] == 1.0 and item["motion_scale"] < 1.0))
@@ -198,7 +197,7 @@ def _is_doubtful(found: Found, at: int, item: TrackedObject, options: Options) -
 def _is_still(item: TrackedObject, motion_scale: float) -> bool:
     motion = motion_of(item)
     slow = np.linalg.norm(motion[:3]) < _STILL_M and np.linalg.norm(motion[3:]) < _STILL_RAD
-    return bool(slow and motion_scale < _LEARNED_MOTION_SCALE)
+    return bool(slow and motion_scale < AT_REST)
 
 
 def _learned(

@@ -13,6 +13,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from hierax.nodes.tracking.constants import PARALLEL
 from hierax.nodes.tracking.estimation.alignment import Aligned, Start, align
 from hierax.nodes.tracking.estimation.bending import memory_of
 from hierax.nodes.tracking.estimation.likelihood import explains, painted
@@ -39,7 +40,7 @@ _ALIKE_M = 0.004  # poses whose outlines are no farther apart than that in the m
 _RIVALS = 8  # so many missing objects are chosen for together at most
 _INSIDE = 0.2  # of a body's box: more of it in another's cannot be
 # Poses of which so many edges are those of another are of the same thing: so near, and about parallel.
-_CLAIMED, _CLAIM_PX, _PARALLEL = 0.35, 4.0, 0.9
+_CLAIMED, _CLAIM_PX = 0.35, 4.0
 _SAMPLES = np.stack(np.meshgrid(*[np.linspace(-0.45, 0.45, 6)] * 3), axis=-1).reshape(-1, 3)
 
 # How far a pose in which a body rests may be off (standard deviations), and of that upwards, and about level axes: by
@@ -246,7 +247,7 @@ def _is_claimed(edges: Floats, others: Floats) -> bool:
     if not len(edges) or not len(others):
         return False
     near = np.linalg.norm(edges[:, None, :2] - others[None, :, :2], axis=-1) < _CLAIM_PX
-    parallel = np.abs(edges[:, 2:] @ others[:, 2:].T) > _PARALLEL
+    parallel = np.abs(edges[:, 2:] @ others[:, 2:].T) > PARALLEL
     return bool((near & parallel).any(axis=1).mean() > _CLAIMED)
 
 

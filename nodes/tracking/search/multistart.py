@@ -13,6 +13,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from hierax.nodes.tracking.constants import LESS
 from hierax.nodes.tracking.estimation.alignment import Aligned, Start, align
 from hierax.nodes.tracking.estimation.joint_alignment import Task
 from hierax.nodes.tracking.estimation.likelihood import explains
@@ -44,7 +45,6 @@ UNLIKELIEST = 0.25
 # second where an image of a still camera supports the expected one suddenly less.
 _EVENT, _EVENT_SEEN = 0.18, 0.08
 
-_WORSE = 0.85  # by less than this part of what it did before
 
 # An object that the image supports by that score where it was expected is not farther away than a push can have moved
 # it (one of which no image has told yet: than its first pose can be off): the square of the distance, in standard
@@ -232,7 +232,7 @@ def in_turn(item: TrackedObject) -> bool:
 
 
 def _is_worse(score: float, item: TrackedObject) -> bool:
-    return bool(item["status"] == TRACKED and score < _WORSE * item["score"])
+    return bool(item["status"] == TRACKED and score < LESS * item["score"])
 
 
 def _is_astray(item: TrackedObject) -> bool:

@@ -12,6 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from hierax.nodes.tracking.constants import PARALLEL, STRANGE_WEIGHT
 from hierax.nodes.tracking.estimation.alignment import Aligned, Start
 from hierax.nodes.tracking.estimation.bending import memory_of
 from hierax.nodes.tracking.estimation.joint_alignment import Task
@@ -56,10 +57,8 @@ _SEEN = 0.5
 _SUPPORTED = 0.5
 _CLAIM_PX = 2.5
 _CLAIM_ALONG_PX = 4.0
-_PARALLEL = 0.9
 
 _NEAR_PX = 3.0
-_STRANGE = 0.5
 
 _APART_M = 0.008
 _APART_RAD = 0.14
@@ -143,7 +142,7 @@ def _evidence(looking: Looking, found: Found, fine: Aligned, candidates: _Candid
     """(n,) how much the image speaks for each candidate, in control points, and how many of those are its own."""
     stage, matches, count = fine.stage, fine.matches, len(candidates.owners)
     numbers = stage.controls.owners
-    gain = tukey(matches.pixels, _NEAR_PX) * np.exp(-_STRANGE * matches.strange) - _CHANCE
+    gain = tukey(matches.pixels, _NEAR_PX) * np.exp(-STRANGE_WEIGHT * matches.strange) - _CHANCE
     known = (stage.memory.precision > 0).any(axis=1) & fine.supported & (matches.strange < 1.0)
     own = stage.controls.visible * ~_claimed(looking, found, fine, candidates.owners[numbers])
     return summed(numbers, own * (gain + _FAMILIAR * known), count), summed(numbers, own, count)
@@ -161,7 +160,7 @@ def _claimed(looking: Looking, found: Found, fine: Aligned, owners: Indices) -> 
     away = middle[:, None, :] - claims[None]
     across = np.abs(np.einsum("nmk,mk->nm", away, normals)) < _CLAIM_PX
     along = np.abs(away[..., 0] * normals[None, :, 1] - away[..., 1] * normals[None, :, 0]) < _CLAIM_ALONG_PX
-    parallel = np.abs(mine.normals @ normals.T) > _PARALLEL
+    parallel = np.abs(mine.normals @ normals.T) > PARALLEL
     claimed: Array = (across & along & parallel & (owners[:, None] != whose[None])).any(axis=1)
     return claimed
 
