@@ -13,7 +13,6 @@ from hierax.nodes.causal_tree.extended_floats import (
     Inputs,
     along,
     as_float64,
-    extended,
     greatest,
 )
 from hierax.nodes.causal_tree.plan import Group, Plan
@@ -46,6 +45,7 @@ class Float64Sweep:
             evidence included), up to a factor; shape (size, columns).
         supports: what comes from the root's side, up to a factor; ones at a root.
         beliefs: their products.
+        messages: of each group what its families told their tops, up to a factor; shape (tops' states, families).
         exponents: by so many powers of 2 likelihoods were scaled.
     """
 
@@ -56,6 +56,7 @@ class Float64Sweep:
         )
         self._scales = np.ones(sum(len(group.tops) for group in plan.groups))
         self._steps = self._make_steps()
+        self.messages = [step.messages for step in self._steps]
         self._evidence = {size: np.ones_like(base) for size, base in plan.base.items()}  # at most 1; 0 means 0
         self.exponents = 0
         self._least = 1.0  # likelihood that the evidence has not made 0
@@ -109,22 +110,6 @@ class Float64Sweep:
     def log_scale(self) -> float:
         """The natural logarithm of what the messages up have been divided by."""
         return float(np.log(self._scales).sum())
-
-    def likelihood(self, size: int, column: int) -> ExtendedFloats:
-        """L of a variable; shape (size,)."""
-        return extended(self.likelihoods[size][:, column])
-
-    def support(self, size: int, column: int) -> ExtendedFloats:
-        """What comes to a variable from the root's side; shape (size,)."""
-        return extended(self.supports[size][:, column])
-
-    def float64_belief(self, size: int) -> Floats:
-        """The product of both, of all variables with so many states; shape (size, columns)."""
-        return self.beliefs[size]
-
-    def message_up(self, group: int, family: int) -> ExtendedFloats:
-        """What a family of a group told its top; shape (top's states,)."""
-        return extended(self._steps[group].messages[:, family])
 
     def _make_steps(self) -> list[_Step]:
         steps = []

@@ -20,6 +20,7 @@ from hierax.nodes.causal_tree.extended_floats import (
     along,
     as_float64,
     divide,
+    extended,
     multiply,
     ones,
     products,
@@ -80,78 +81,62 @@ class Product(NamedTuple):
 
 
 class ExtendedSweep:
-    """One sweep up and one down; messages are as in `hierax.nodes.causal_tree.float64_sweep`, but never scaled."""
+    """One sweep up and one down; its attributes are as those of `Float64Sweep`, but messages are never scaled."""
 
     def __init__(self, plan: Plan) -> None:
         self._plan = plan
         self._base = {size: Product.of(base) for size, base in plan.extended_base.items()}
-        self._likelihoods: dict[int, Product] = {}
-        self._beliefs: dict[int, Product] = {}
-        self._messages: list[Product] = []
-        self._supports: dict[int, ExtendedFloats] = {}
+        self.likelihoods: dict[int, Product] = {}
+        self.beliefs: dict[int, Product] = {}
+        self.messages: list[Product] = []
+        self.supports: dict[int, ExtendedFloats] = {}
 
     def up(self, inputs: Inputs) -> None:
         """Sweep from the leaves to the roots. Raises NothingLeftError: the evidence is impossible. Without that, none
         of what follows can be."""
-        self._likelihoods = {size: base.copied() for size, base in self._base.items()}
+        self.likelihoods = {size: base.copied() for size, base in self._base.items()}
         for size, (columns, values) in inputs.items():
-            self._likelihoods[size].take_in(columns, Product.of(values))
-        for size in self._likelihoods:
-            self._check(self._likelihoods, size, slice(None))
-        self._messages = []
+            self.likelihoods[size].take_in(columns, Product.of(values))
+        for size in self.likelihoods:
+            self._check(self.likelihoods, size, slice(None))
+        self.messages = []
         for group in reversed(self._plan.groups):
             found = group.extended_table
             for size, columns in reversed(group.others):
-                found = total(multiply(found, self._likelihoods[size].at(columns).value), axis=-2)
+                found = total(multiply(found, self.likelihoods[size].at(columns).value), axis=-2)
             nothing = ~found.fraction.any(axis=0)
             if nothing.any():
                 raise NothingLeftError(group.nodes[int(nothing.argmax())])
             messages = Product.of(found)
-            self._messages.append(messages)
-            self._likelihoods[group.top_size].take_in(group.targets, _joined(group, messages))
-            self._check(self._likelihoods, group.top_size, group.targets)
-        self._messages.reverse()
+            self.messages.append(messages)
+            self.likelihoods[group.top_size].take_in(group.targets, _joined(group, messages))
+            self._check(self.likelihoods, group.top_size, group.targets)
+        self.messages.reverse()
 
     def down(self, at_roots: Inputs) -> None:
         """Sweep from the roots to the leaves, after `up`; at_roots: further likelihoods of roots. Raises
         NothingLeftError: they contradict the evidence."""
-        self._beliefs = {size: likelihood.copied() for size, likelihood in self._likelihoods.items()}
+        self.beliefs = {size: likelihood.copied() for size, likelihood in self.likelihoods.items()}
         for size, (columns, values) in at_roots.items():
-            self._beliefs[size].take_in(columns, Product.of(values))
-            self._check(self._beliefs, size, columns)
-        self._supports = {size: ones(*base.shape) for size, base in self._plan.base.items()}
-        for group, messages in zip(self._plan.groups, self._messages, strict=True):
-            self._spread(group, self._beliefs[group.top_size].at(group.tops).without(messages))
-
-    def likelihood(self, size: int, column: int) -> ExtendedFloats:
-        """L of a variable, from what lies further from the root, the prior and the evidence included; shape (size,)."""
-        return self._likelihoods[size].at(column).value
-
-    def support(self, size: int, column: int) -> ExtendedFloats:
-        """What comes to a variable from the root's side; ones at a root; shape (size,)."""
-        return self._supports[size].at(column)
-
-    def float64_belief(self, size: int) -> Floats:
-        """The product of both, of all variables with so many states, in float64; shape (size, columns)."""
-        return as_float64(self._beliefs[size].value, 0)
-
-    def message_up(self, group: int, family: int) -> ExtendedFloats:
-        """What a family of a group told its top; shape (top's states,)."""
-        return self._messages[group].at(family).value
+            self.beliefs[size].take_in(columns, Product.of(values))
+            self._check(self.beliefs, size, columns)
+        self.supports = {size: ones(*base.shape) for size, base in self._plan.base.items()}
+        for group, messages in zip(self._plan.groups, self.messages, strict=True):
+            self._spread(group, self.beliefs[group.top_size].at(group.tops).without(messages))
 
     def _spread(self, group: Group, at_tops: ExtendedFloats) -> None:
         table = group.extended_table
         ndim = table.fraction.ndim
         from_top = total(multiply(table, _along(at_tops, 0, ndim)), axis=0)
-        likelihoods = [self._likelihoods[size].at(columns).value for size, columns in group.others]
+        likelihoods = [self.likelihoods[size].at(columns).value for size, columns in group.others]
         for other, (size, columns) in enumerate(group.others):
             found = from_top
             for axis in reversed(range(len(likelihoods))):
                 if axis != other:
                     found = total(multiply(found, _along(likelihoods[axis], axis, found.fraction.ndim)), axis)
-            self._supports[size].fraction[:, columns] = found.fraction
-            self._supports[size].exponent[:, columns] = found.exponent
-            self._beliefs[size].take_in(columns, Product.of(found))
+            self.supports[size].fraction[:, columns] = found.fraction
+            self.supports[size].exponent[:, columns] = found.exponent
+            self.beliefs[size].take_in(columns, Product.of(found))
 
     def _check(self, found: Mapping[int, Product], size: int, columns: Columns) -> None:
         nothing = (found[size].zeros[:, columns] > 0).all(axis=0)
@@ -199,14 +184,17 @@ class Sweep:
 
     def posteriors(self, size: int) -> Floats:
         """The posteriors of all variables with so many states, after `down`; shape (columns, size)."""
-        beliefs = self._last.float64_belief(size)
+        beliefs = self._last.beliefs[size]
+        if isinstance(beliefs, Product):
+            beliefs = as_float64(beliefs.value, 0)
         return np.asarray(np.divide(beliefs, np.add.reduce(beliefs, axis=0)).T)
 
     def log_evidence(self) -> float:
         """The natural logarithm of the sum over all states of their probability times the likelihoods given."""
         logs, exponents = 0.0, 0.0
         for root in self._plan.roots:
-            found = total(self._last.likelihood(*self._place(root)), axis=0)
+            size, column = self._place(root)
+            found = total(_column(self._last.likelihoods[size], column), axis=0)
             logs += math.log(found.fraction)
             exponents += int(found.exponent)
         if not self.is_extended:
@@ -216,11 +204,12 @@ class Sweep:
 
     def message_up(self, group: int, family: int) -> ExtendedFloats:
         """What a family told its top, after `up`, up to a factor; shape (top's states,)."""
-        return self._last.message_up(group, family)
+        return _column(self._last.messages[group], family)
 
     def support(self, variable: int) -> ExtendedFloats:
         """What comes to a variable from the root's side, after `down`, up to a factor; shape (its states,)."""
-        return self._last.support(*self._place(variable))
+        size, column = self._place(variable)
+        return _column(self._last.supports[size], column)
 
     def inner(self, variable: int) -> ExtendedFloats:
         """All that comes to a variable but its own input, after `down`, up to a factor; shape (its states,)."""
@@ -237,3 +226,11 @@ class Sweep:
     def _place(self, variable: int) -> tuple[int, int]:
         """A variable's number of states, and its column in the array of that size."""
         return self._plan.sizes[variable], int(self._plan.columns[variable])
+
+
+def _column(values: Floats | ExtendedFloats | Product, column: int) -> ExtendedFloats:
+    """One column, in whichever way its numbers are kept."""
+    if isinstance(values, np.ndarray):
+        return extended(values[:, column])
+    one = values.at(column)
+    return one.value if isinstance(one, Product) else one
