@@ -127,10 +127,8 @@ def main() -> None:
     """One process of the chain, at most until standard input ends: until whoever has started it is gone."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("role", choices=("world", "arm", "spatial", "echo"))
-    parser.add_argument("--listen", default="")
-    parser.add_argument("--connect", default="")
-    parser.add_argument("--epochs", type=int, default=1000)
-    parser.add_argument("--picture", type=int, default=0)
+    for name, default in (("--listen", ""), ("--connect", ""), ("--epochs", 1000), ("--picture", 0)):
+        parser.add_argument(name, type=type(default), default=default)
     options = parser.parse_args()
     own_streams()
     chain = Chain(options.listen, options.connect)

@@ -19,16 +19,11 @@ from hierax.runtime.host.interpreter import python_module
 from hierax.runtime.launch.supervisor import launch
 from hierax.runtime.transport.zenoh_session import free_endpoint
 
-Times = NDArray[np.float64]
-"""How long epochs took, in microseconds."""
+Times = NDArray[np.float64]  # how long epochs took, in microseconds
 
 PICTURE_BYTES = 2_400_000
-LOW_LATENCY, ORDINARY = "low-latency", "ordinary"
-"""Kinds of links of ours; the bare chain has ordinary ones."""
-
-WARM_UP = 0.1
-"""Share of the epochs, at the beginning of each run, that is not counted."""
-
+LOW_LATENCY, ORDINARY = "low-latency", "ordinary"  # kinds of links of ours; the bare chain has ordinary ones
+WARM_UP = 0.1  # share of the epochs, at the beginning of each run, that is not counted
 TIMEOUT_S = 120.0
 
 
@@ -52,14 +47,9 @@ class Row:
 
     def plain(self) -> dict[str, Json]:
         """Give it as plain JSON."""
-        low, high = float(self.ratios.min()), float(self.ratios.max())
-        return {
-            "name": self.name,
-            "ours_us": _quantiles(self.ours_us),
-            "bare_us": _quantiles(self.bare_us),
-            "ratio": self.ratio,
-            "ratio_range": [low, high],
-        }
+        ours_us, bare_us = _quantiles(self.ours_us), _quantiles(self.bare_us)
+        span = [float(self.ratios.min()), float(self.ratios.max())]
+        return {"name": self.name, "ours_us": ours_us, "bare_us": bare_us, "ratio": self.ratio, "ratio_range": span}
 
 
 def bench_epoch(epochs: int, rounds: int, progress: Callable[[str], None]) -> list[Row]:

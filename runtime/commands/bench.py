@@ -6,43 +6,27 @@ from typing import Annotated
 
 import typer
 
-from hierax.runtime.commands.options import Format, OutputFormat
-
-_RIGHT = {"justify": "right"}
+from hierax.runtime.commands.options import Format, OutputFormat, option
+from hierax.runtime.commands.show import RIGHT, print_json, print_table, show_progress
 
 
 def epoch(
     epochs: Annotated[int, typer.Option(min=100, help="Epochs in each round.")] = 2000,
-    rounds: Annotated[int, typer.Option(min=1, help="How often ours and the rival take turns.")] = 5,
+    rounds: Annotated[int, option("--rounds", min=1)] = 5,
     output_format: OutputFormat = Format.text,
 ) -> int:
     """Time an epoch of three processes beside the same chain in bare Zenoh and msgpack."""
     from hierax.runtime.bench.epoch import bench_epoch
-    from hierax.runtime.commands.show import print_json, print_table, show_progress
 
-    rows = bench_epoch(epochs, rounds, show_progress)
+    rows = [row.plain() for row in bench_epoch(epochs, rounds, show_progress)]
     if output_format is Format.json:
-        print_json({"rows": [row.plain() for row in rows]})
+        print_json({"rows": rows})
         return 0
-    shown = [row.plain() for row in rows]
-    print_table(
-        {
-            "work": {},
-            "ours p50 µs": _RIGHT,
-            "ours p99": _RIGHT,
-            "bare p50 µs": _RIGHT,
-            "bare p99": _RIGHT,
-            "ratio": _RIGHT,
-            "of rounds": _RIGHT,
-        },
-        [
-            (
-                row["name"],
-                *(f"{row[side][q]:.0f}" for side in ("ours_us", "bare_us") for q in ("p50", "p99")),
-                f"{row['ratio']:.2f}",
-                "{:.2f} to {:.2f}".format(*row["ratio_range"]),
-            )
-            for row in shown
-        ],
-    )
+    figures = ("ours p50 µs", "ours p99", "bare p50 µs", "bare p99", "ratio", "of rounds")
+    cells = []
+    for row in rows:
+        times = [f"{row[side][quantile]:.0f}" for side in ("ours_us", "bare_us") for quantile in ("p50", "p99")]
+        low, high = row["ratio_range"]
+        cells.append((row["name"], *times, f"{row['ratio']:.2f}", f"{low:.2f} to {high:.2f}"))
+    print_table({"work": {}, **dict.fromkeys(figures, RIGHT)}, cells)
     return 0

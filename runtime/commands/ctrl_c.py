@@ -28,11 +28,7 @@ CTRL_C = _CtrlC()
 
 
 def guarded(main: Callable[[Sequence[str]], int]) -> NoReturn:
-    """Do what the command line says, and end the process. Ctrl-C is never answered by a traceback.
-
-    Args:
-        main: does it; it may import first what it takes.
-    """
+    """Do what the command line says by `main`, and end the process. Ctrl-C is never answered by a traceback."""
     if signal.getsignal(signal.SIGINT) is not signal.SIG_IGN:  # else who has started it wants it so
         signal.signal(signal.SIGINT, CTRL_C)
     try:

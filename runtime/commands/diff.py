@@ -11,84 +11,64 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from hierax.runtime.commands.errors import FAILED, OK, CommandError
-from hierax.runtime.commands.options import Format, OutputFormat, Overrides, Trust
-from hierax.runtime.commands.recordings import (
-    First,
-    Last,
-    RecordingFile,
-    Tolerance,
-    WorldMode,
-    comparison_json,
-    print_comparison,
-    recording_of,
-)
+from hierax.runtime.commands.options import Format, RecordingFile, RunOptions, WorldMode, offers, option
+from hierax.runtime.commands.recordings import comparison_json, print_comparison, recording_of
+from hierax.runtime.commands.show import print_json
 
 if TYPE_CHECKING:
     from hierax.runtime.recording.diff import EpochView
     from hierax.runtime.recording.reading import Recording
+    from hierax.runtime.recording.replay import Replay
 
 
+@offers("first", "last", "tolerance", "overrides", "trust", "output_format")
 def diff(
     file: RecordingFile,
     other: Annotated[
-        str,
-        typer.Argument(metavar="OTHER", help="A recording, a deployment file, or the name of a shipped one."),
+        str, typer.Argument(metavar="OTHER", help="A recording, a deployment file, or the name of a shipped one.")
     ],
-    first: First = 1,
-    last: Last = None,
-    tolerance: Tolerance = 0.0,
+    options: RunOptions,
     world: Annotated[
         WorldMode | None,
-        typer.Option(
+        option(
             "--world",
             help="With a deployment: its world is done again, or gives what was recorded. By default again, "
             "unless it has actuators.",
         ),
     ] = None,
-    overrides: Overrides = None,
-    trust: Trust = False,
-    output_format: OutputFormat = Format.text,
 ) -> int:
     """Name the first epoch, node, operator and field in which two runs differ. Exit code 1 where they do.
 
     The other run is a recording, or a deployment that is given what the first one's nodes were given.
     """
-    from hierax.runtime.commands.show import print_json
     from hierax.runtime.recording.diff import compare
 
     recording = recording_of(file)
-    epochs = _other(recording, other, first, last, world, overrides or (), trust)
+    if _is_recording(other):
+        if options.overrides or world is not None:
+            raise CommandError("--set and --world: only with a deployment as the other run")
+        epochs: Iterable[EpochView] = recording_of(Path(other)).epochs(options.first, options.last)
+    else:
+        epochs = _replay(recording, other, world, options).epochs()
     with redirect_stdout(sys.stderr):
-        comparison = compare(recording.epochs(first, last), epochs, tolerance)
+        comparison = compare(recording.epochs(options.first, options.last), epochs, options.tolerance)
     if not comparison.epochs:
         raise CommandError(f"{file} and {other}: there is no epoch that both have")
-    if output_format is Format.json:
+    if options.output_format is Format.json:
         print_json({"a": str(file), "b": other, **comparison_json(comparison)})
     else:
         print_comparison(comparison, str(file), other)
     return OK if comparison.alike else FAILED
 
 
-def _other(
-    recording: Recording,
-    other: str,
-    first: int,
-    last: int | None,
-    world: WorldMode | None,
-    overrides: Iterable[str],
-    trust: bool,
-) -> Iterable[EpochView]:
+def _replay(recording: Recording, other: str, world: WorldMode | None, options: RunOptions) -> Replay:
+    """What does a recording's epochs with a deployment in the place of its own."""
     from hierax.runtime.deployment.read import read_deployment
     from hierax.runtime.loading.loader import extend_import_path
     from hierax.runtime.recording.deployments import allowance_of, in_place_of
     from hierax.runtime.recording.replay import Replay, has_actuators
 
-    overrides = list(overrides)
-    if _is_recording(other):
-        if overrides or world is not None:
-            raise CommandError("--set and --world: only with a deployment as the other run")
-        return recording_of(Path(other)).epochs(first, last)
-    deployment = read_deployment(other, overrides)
+    deployment = read_deployment(other, options.overrides or ())
     extend_import_path(deployment.import_paths)
     rosters = recording.rosters()
     if not rosters:
@@ -96,9 +76,9 @@ def _other(
     again = world is WorldMode.again or (world is None and not has_actuators(deployment.roster, deployment.allowance))
     rewrite = in_place_of(rosters[min(rosters)], deployment)
     allowance = deployment.allowance  # what the recording names besides, after changes, is another matter
-    if trust or recording.info.is_ours:
-        allowance = allowance_of(recording, trust).with_modules(deployment.modules)
-    return Replay(recording, allowance, world=again, rewrite=rewrite, first=first, last=last).epochs()
+    if options.trust or recording.info.is_ours:
+        allowance = allowance_of(recording, options.trust).with_modules(deployment.modules)
+    return Replay(recording, allowance, world=again, rewrite=rewrite, first=options.first, last=options.last)
 
 
 def _is_recording(name: str) -> bool:

@@ -4,33 +4,25 @@ from __future__ import annotations
 
 from typing import Annotated
 
-import typer
+from hierax.runtime.commands.options import Format, OutputFormat, option
+from hierax.runtime.commands.show import print_json
 
-from hierax.runtime.commands.options import Format, OutputFormat
 
-
-def doctor(
-    mend: Annotated[
-        bool, typer.Option("--mend", help="First remove what launches that were killed have left behind.")
-    ] = False,
-    output_format: OutputFormat = Format.text,
-) -> int:
+def doctor(mend: Annotated[bool, option("--mend")] = False, output_format: OutputFormat = Format.text) -> int:
     """Look for what keeps launches from running well on this machine; exit code 1 where something is wrong."""
-    from hierax.runtime.commands.show import print_json
     from hierax.runtime.tools import doctor as doctors
-    from hierax.runtime.tools.finding import WRONG
+    from hierax.runtime.tools.packages import WRONG
 
     mended = doctors.mend() if mend else []
     findings = list(doctors.examine())
     wrong = [finding for finding in findings if finding.state == WRONG]
     if output_format is Format.json:
-        print_json({"mended": mended, "findings": doctors.as_json(findings), "wrong": len(wrong)})
-        return int(bool(wrong))
-    for line in mended:
-        print(line)
-    for finding in findings:
-        print(f"{finding.state:5}  {finding.check}: {finding.what}")
-        if finding.mend:
-            print(f"       -> {finding.mend}")
-    print(f"{len(wrong)} wrong" if wrong else "nothing is wrong")
+        print_json({"mended": mended, "findings": [each._asdict() for each in findings], "wrong": len(wrong)})
+    else:
+        print(*mended, sep="\n", end="\n" if mended else "")
+        for finding in findings:
+            print(f"{finding.state:5}  {finding.check}: {finding.what}")
+            if finding.mend:
+                print(f"       -> {finding.mend}")
+        print(f"{len(wrong)} wrong" if wrong else "nothing is wrong")
     return int(bool(wrong))

@@ -8,42 +8,31 @@ import time
 from collections.abc import Iterator
 from typing import TYPE_CHECKING, Annotated
 
-import typer
-
-from hierax.runtime.commands.options import Format, OutputFormat
-from hierax.runtime.commands.which import Connect, Run, client_of, keys_here
+from hierax.runtime.commands.options import Connect, Format, Full, Key, OutputFormat, Run, option
+from hierax.runtime.commands.which import client_of
 
 if TYPE_CHECKING:
     from hierax.runtime.execution.plain import Json
     from hierax.runtime.tools.echoes import Echo, Edge
-    from hierax.runtime.transport.launch_client import LaunchClient, LaunchStatus
+    from hierax.runtime.transport.launch_client import LaunchClient
 
 ASK_AGAIN_S = 1.5  # well within the time for which nodes show copies when they are asked
 QUEUE_SIZE = 10_000  # how many messages wait to be printed; of more than that, new ones are left out
 
 
 def echo(
-    key: Annotated[
-        str,
-        typer.Argument(
-            metavar="KEY",
-            help="KIND/FROM/TO, where KIND is obs, task or ctx; * stands for any name, ** for all that is left.",
-            autocompletion=keys_here,
-        ),
-    ],
+    key: Key,
     run: Run = None,
     connect: Connect = None,
-    count: Annotated[int | None, typer.Option("--count", "-n", min=1, help="End after so many messages.")] = None,
-    full: Annotated[bool, typer.Option("--full", help="In JSON, arrays with all their elements.")] = False,
+    count: Annotated[int | None, option("--count", "-n", min=1)] = None,
+    full: Full = False,
     output_format: OutputFormat = Format.text,
 ) -> int:
     """Show messages as they go, with size and rate, until Ctrl-C. The run never waits for this."""
     with client_of(run, connect) as client:
         for number, each in enumerate(echoes(client, key), start=1):
-            if output_format is Format.json:
-                print(json.dumps(as_json(each, full), allow_nan=False), flush=True)
-            else:
-                print(line(each), flush=True)
+            is_json = output_format is Format.json
+            print(json.dumps(as_json(each, full), allow_nan=False) if is_json else line(each), flush=True)
             if number == count:
                 return 0
     print("the launch is over")
@@ -62,10 +51,9 @@ def echoes(client: LaunchClient, pattern: str) -> Iterator[Echo]:
         if not came.full():  # what is left out is seen by its epoch
             came.put_nowait(data)
 
-    status = client.status()
-    _ask(client, status, pattern)
+    _ask(client, pattern)
     client.listen(f"{client.keys().root}/seen/**", heard)
-    wanted = _ask(client, status, pattern)
+    wanted = _ask(client, pattern)
     asked_s = time.monotonic()
     counter = Counter()
     while True:
@@ -75,8 +63,7 @@ def echoes(client: LaunchClient, pattern: str) -> Iterator[Echo]:
             data = b""
         if time.monotonic() - asked_s >= ASK_AGAIN_S:
             try:
-                status = client.status()
-                wanted = _ask(client, status, pattern)
+                wanted = _ask(client, pattern)
             except TransportError:
                 return
             asked_s = time.monotonic()
@@ -86,10 +73,11 @@ def echoes(client: LaunchClient, pattern: str) -> Iterator[Echo]:
                 yield counter.take(message, len(data))
 
 
-def _ask(client: LaunchClient, status: LaunchStatus, pattern: str) -> set[Edge]:
+def _ask(client: LaunchClient, pattern: str) -> set[Edge]:
     """Have the nodes show what is wanted for some seconds more."""
     from hierax.runtime.tools.echoes import chosen, edges_of
 
+    status = client.status()
     wanted = chosen(pattern, edges_of(client.edges(status)))
     senders = {sender for _, sender, _ in wanted}
     client.ask_nodes(status, {"look": "echo", "edges": [list(edge) for edge in wanted]}, senders & status.nodes.keys())
@@ -101,13 +89,8 @@ def as_json(echo: Echo, full: bool = False) -> Json:
     from hierax.runtime.execution.plain import plain
 
     header, payload = echo.message
-    fields = {**header._asdict(), "payload": payload}
-    return {
-        **{name: plain(value, full) for name, value in fields.items()},
-        "size": echo.size,
-        "rate_hz": echo.rate_hz,
-        "missed": echo.missed,
-    }
+    fields = plain({**header._asdict(), "payload": payload}, full)
+    return {**fields, "size": echo.size, "rate_hz": echo.rate_hz, "missed": echo.missed}
 
 
 def line(echo: Echo) -> str:

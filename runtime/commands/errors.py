@@ -16,7 +16,6 @@ OK = 0
 FAILED = 1
 USAGE = 2
 BUG = 3
-
 TRACEBACK_VARIABLE = "HIERAX_TRACEBACK"  # set to anything, expected failures show where in the code they arose, too
 
 
@@ -25,12 +24,7 @@ class CommandError(HieraxError):
 
 
 def exit_code(command: Callable[[], int]) -> int:
-    """Run a command, and say on standard error what failed.
-
-    Returns:
-        What the command returned; 1 for an expected failure, told in one line; 3 for a
-        bug, told with its traceback; 130 after Ctrl-C.
-    """
+    """Run a command; its exit code, or, told in a line, that of what failed, with the traceback of a bug."""
     try:
         code = command()
         sys.stdout.flush()

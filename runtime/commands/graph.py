@@ -6,14 +6,15 @@ from collections.abc import Mapping
 from enum import Enum
 from typing import TYPE_CHECKING, Annotated
 
-import typer
-
-from hierax.runtime.commands.options import File, Overrides
+from hierax.runtime.commands.options import File, Overrides, option
+from hierax.runtime.commands.show import RIGHT, print_json, print_table
 
 if TYPE_CHECKING:
     from hierax.runtime.deployment import Deployment
     from hierax.runtime.execution.plain import Json
     from hierax.schemas.roster import Reference, Roster
+
+_FUNCTIONS = ("sense", "task", "context")
 
 
 class GraphFormat(str, Enum):
@@ -28,11 +29,10 @@ def graph(
     file: File,
     overrides: Overrides = None,
     output_format: Annotated[
-        GraphFormat, typer.Option("--format", help="Tables, JSON, or source of a Mermaid flowchart.")
+        GraphFormat, option("--format", help="Tables, JSON, or source of a Mermaid flowchart.")
     ] = GraphFormat.text,
 ) -> int:
     """Show the nodes and edges of a deployment file. None of its classes is loaded."""
-    from hierax.runtime.commands.show import print_json
     from hierax.runtime.deployment.read import read_deployment
 
     deployment = read_deployment(file, overrides or ())
@@ -50,7 +50,7 @@ def graph_json(deployment: Deployment) -> Json:
     from hierax.runtime.core.hierarchy import neighbours_above, neighbours_below
 
     roster = deployment.roster
-    pairs = [(edge.lower, edge.upper) for edge in roster.edges]
+    pairs = [edge.pair for edge in roster.edges]
     return {
         "hierarchy": deployment.name,
         "world": roster.world,
@@ -64,13 +64,8 @@ def graph_json(deployment: Deployment) -> Json:
             for name, depth in depths(roster).items()
         },
         "edges": [
-            {
-                "lower": edge.lower,
-                "upper": edge.upper,
-                "sense": _target(edge.sense),
-                "task": _target(edge.task),
-                "context": _target(edge.context),
-            }
+            {"lower": edge.lower, "upper": edge.upper}
+            | {kind: getattr(getattr(edge, kind), "target", None) for kind in _FUNCTIONS}
             for edge in roster.edges
         ],
     }
@@ -88,8 +83,7 @@ def mermaid(roster: Roster) -> str:
     ids = {name: f"n{index}" for index, name in enumerate(depths(roster))}
     lines = ["flowchart BT"]
     for name, number in ids.items():
-        shape = f'{number}[("{name}")]' if name == roster.world else f'{number}["{name}"]'
-        lines.append(f"    {shape}")
+        lines.append(f'    {number}[("{name}")]' if name == roster.world else f'    {number}["{name}"]')
     for edge in roster.edges:
         lower, upper = ids[edge.lower], ids[edge.upper]
         label = f"|{_name(edge.sense)}| " if edge.sense else ""
@@ -101,27 +95,20 @@ def mermaid(roster: Roster) -> str:
 
 
 def _print_tables(deployment: Deployment) -> None:
-    from hierax.runtime.commands.show import print_table
-
     content = graph_json(deployment)
     print(f"{deployment.name}: {deployment.description}".rstrip(": "), end="\n\n")
     nodes = [
         (name, node["class"], ", ".join(node["below"]), ", ".join(node["above"]), str(node["depth"]))
         for name, node in content["nodes"].items()
     ]
-    print_table({"node": {}, "class": {}, "below": {}, "above": {}, "depth": {"justify": "right"}}, nodes)
+    print_table({"node": {}, "class": {}, "below": {}, "above": {}, "depth": RIGHT}, nodes)
     if not content["edges"]:
         return
     print()
     edges = [
-        (f"{edge['lower']} -> {edge['upper']}", edge["sense"] or "", edge["task"] or "", edge["context"] or "")
-        for edge in content["edges"]
+        (f"{edge['lower']} -> {edge['upper']}", *(edge[kind] or "" for kind in _FUNCTIONS)) for edge in content["edges"]
     ]
-    print_table({"edge": {}, "sense": {}, "task": {}, "context": {}}, edges)
-
-
-def _target(reference: Reference | None) -> str | None:
-    return None if reference is None else reference.target
+    print_table({"edge": {}, **{kind: {} for kind in _FUNCTIONS}}, edges)
 
 
 def _name(reference: Reference) -> str:

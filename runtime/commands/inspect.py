@@ -9,8 +9,9 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from hierax.runtime.commands.errors import CommandError, notify
-from hierax.runtime.commands.options import Format, OutputFormat, Trust
-from hierax.runtime.commands.which import Connect, NodeArgument, Run, client_at, endpoint_of, known_run
+from hierax.runtime.commands.options import Format, Full, Node, RunOptions, offers
+from hierax.runtime.commands.show import print_json
+from hierax.runtime.commands.which import client_at, endpoint_of, known_run
 
 if TYPE_CHECKING:
     from hierax.runtime.execution.plain import Json
@@ -22,38 +23,35 @@ if TYPE_CHECKING:
 _UNSAID = ("process", "before")  # of what a node answers
 
 
+@offers("run", "connect", "trust", "output_format")
 def inspect(
-    node: NodeArgument,
+    node: Node,
+    options: RunOptions,
     file: Annotated[
         Path | None, typer.Argument(metavar="FILE", help="A recording, in place of a launch.", dir_okay=False)
     ] = None,
-    run: Run = None,
-    connect: Connect = None,
     epoch: Annotated[
         int | None, typer.Option("--epoch", min=1, metavar="K", help="Of a recording; by default its last one.")
     ] = None,
-    trust: Trust = False,
-    full: Annotated[bool, typer.Option("--full", help="In JSON, arrays with all their elements.")] = False,
-    output_format: OutputFormat = Format.text,
+    full: Full = False,
 ) -> int:
     """Show what a node has observed, believes, was told from above and does, after its last epoch, and why."""
-    from hierax.runtime.commands.show import print_json
-
-    if file is None and (epoch is not None or trust):
+    if file is None and (epoch is not None or options.trust):
         raise CommandError("--epoch and --trust are for recordings")
-    if file is not None and not run is connect is None:
+    if file is not None and not options.run is options.connect is None:
         raise CommandError("give a recording, or say which launch is meant: not both")
-    named, answer, told = _of_launch(node, run, connect) if file is None else _of_recording(node, file, epoch, trust)
-    if output_format is Format.json:
+    seen = _of_launch(node, options) if file is None else _of_recording(node, file, epoch, options.trust)
+    named, answer, told = seen
+    if options.output_format is Format.json:
         print_json({**as_json(*named, node, answer, full), "shows": {view: dict(each) for view, each in told.items()}})
     else:
         _print(*named, node, answer, told)
     return 0
 
 
-def _of_launch(node: str, run: str | None, connect: str | None) -> tuple[tuple[str, str], Answer, Told]:
+def _of_launch(node: str, options: RunOptions) -> tuple[tuple[str, str], Answer, Told]:
     """The hierarchy and the run; what a node of a launch answers; and what it shows."""
-    endpoint = endpoint_of(run, connect)
+    endpoint = endpoint_of(options.run, options.connect)
     running = known_run(endpoint)
     with client_at(endpoint, running) as client:
         status = client.status()

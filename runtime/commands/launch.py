@@ -4,26 +4,14 @@ from __future__ import annotations
 
 import functools
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING
 
-import typer
-
-from hierax.runtime.commands.errors import OK, CommandError, notify
-from hierax.runtime.commands.options import OF_A_RUN, RunOptions, deployments_here, offers
-from hierax.runtime.commands.recordings import claimed_file, report_ending, report_violations, selection_of
+from hierax.runtime.commands.errors import CommandError, notify
+from hierax.runtime.commands.options import OF_A_RUN, LaunchedFile, RunOptions, offers
+from hierax.runtime.commands.recordings import claimed_file, report_outcome, selection_of
 
 if TYPE_CHECKING:
-    from hierax.runtime.launch.recorder_process import RecordingRequest
     from hierax.runtime.launch.run_file import Run
-
-LaunchedFile = Annotated[
-    str | None,
-    typer.Argument(
-        metavar="FILE",
-        help="A deployment file, or the name of a shipped deployment; none with --resume.",
-        autocompletion=deployments_here,
-    ),
-]
 
 
 @offers(*OF_A_RUN, "state", "resume", "host", "faults", "trust")
@@ -41,7 +29,7 @@ def launch(options: RunOptions, file: LaunchedFile = None) -> int:
     if file is None:
         raise CommandError("expected a deployment file, or --resume DIR")
     output, state = options.output, options.state
-    selection = selection_of(options.exclude, options.max_size, options.max_duration, options.record is not None)
+    selection = selection_of(options, options.record is not None)
     with claimed_file(options.record, options.overwrite) as target:
         recording = RecordingRequest(target, options.check, selection) if target or options.check else None
         runner = functools.partial(
@@ -56,7 +44,11 @@ def launch(options: RunOptions, file: LaunchedFile = None) -> int:
         )
         goes_on = run is not None and output is not None and output.absolute() == Path(run.output).absolute()
         code = run_deployment(runner, file, options, goes_on)
-    return code if recording is None else max(code, _print_outcome(recording))
+    if recording is None:
+        return code
+    if recording.failure:
+        raise CommandError(recording.failure)
+    return max(code, report_outcome(recording.file, recording.ending, recording.violations))
 
 
 def _resumed(file: str | None, options: RunOptions) -> Run | None:
@@ -76,11 +68,3 @@ def _resumed(file: str | None, options: RunOptions) -> Run | None:
     options.epochs = run.epochs if options.epochs is None else options.epochs
     options.output = options.output or (Path(run.output) if run.output else None)
     return run
-
-
-def _print_outcome(recording: RecordingRequest) -> int:
-    """Say what is wrong with a recording or a check; the exit code."""
-    if recording.failure:
-        raise CommandError(recording.failure)
-    code = OK if recording.file is None or recording.ending is None else report_ending(recording.file, recording.ending)
-    return max(code, report_violations(recording.violations))

@@ -7,16 +7,14 @@ import time
 from collections.abc import Iterator
 from datetime import datetime, timezone
 from enum import Enum
-from typing import TYPE_CHECKING, Annotated
+from pathlib import Path
+from typing import Annotated
 
-import typer
-
-from hierax.runtime.commands.options import Format, OutputFormat
-
-if TYPE_CHECKING:
-    from pathlib import Path
-
-    from hierax.runtime.tools.logs import Entry, LogFilter
+from hierax.runtime.commands.options import Format, OutputFormat, option
+from hierax.runtime.core.errors import HieraxError
+from hierax.runtime.host.run_folder import about_run, is_alive, known_folders
+from hierax.runtime.loading.nearest import did_you_mean
+from hierax.runtime.tools.logs import Entry, LogFilter, Reader, find_folder, line, read_pattern, read_since
 
 POLL_S = 0.2
 
@@ -33,25 +31,19 @@ class Level(str, Enum):
 
 def _runs_logged() -> list[tuple[str, str]]:
     """Give, for completion, the launches that have left logs."""
-    from hierax.runtime.host.run_folder import about_run, known_folders
-
     return [(folder.name, str(about_run(folder).get("hierarchy", ""))) for folder in known_folders()]
 
 
 def _names_logged() -> list[str]:
     """Give, for completion, those that have a log."""
-    from hierax.runtime.host.run_folder import known_folders
-    from hierax.runtime.tools.logs import Reader
-
     return sorted({name for folder in known_folders() for name in Reader(folder).names})
 
 
 def logs(
     run: Annotated[
         str | None,
-        typer.Option(
+        option(
             "--run",
-            metavar="RUN",
             help="Which launch, also one that has ended: its identification, or how that begins, or its hierarchy's "
             "name. By default, and of several, the youngest that runs, or else the last one.",
             autocompletion=_runs_logged,
@@ -59,32 +51,20 @@ def logs(
     ] = None,
     node: Annotated[
         list[str] | None,
-        typer.Option(
+        option(
             "--node",
             metavar="NODE",
             help="Of this node alone; `launch` is what happened to the processes. May be given several times.",
             autocompletion=_names_logged,
         ),
     ] = None,
-    level: Annotated[Level, typer.Option("--level", help="From this level on.")] = Level.debug,
-    since: Annotated[
-        str | None,
-        typer.Option(
-            "--since",
-            metavar="TIME",
-            help="From then on: how long ago, such as 30s, 10m, 2h, 1d, or a time such as 2030-01-02T03:04.",
-        ),
-    ] = None,
-    grep: Annotated[
-        str | None,
-        typer.Option("--grep", metavar="REGEX", help="With this in message or traceback."),
-    ] = None,
-    follow: Annotated[bool, typer.Option("--follow", "-f", help="Go on until the launch is over, or Ctrl-C.")] = False,
+    level: Annotated[Level, option("--level")] = Level.debug,
+    since: Annotated[str | None, option("--since")] = None,
+    grep: Annotated[str | None, option("--grep")] = None,
+    follow: Annotated[bool, option("--follow", "-f")] = False,
     output_format: OutputFormat = Format.text,
 ) -> int:
     """Show the log of a launch: of all its processes, in order of time. JSON is one object a line."""
-    from hierax.runtime.tools.logs import LogFilter, find_folder, line, read_pattern, read_since
-
     log_filter = LogFilter(
         nodes=tuple(node or ()),
         level=level.value.upper(),
@@ -97,11 +77,6 @@ def logs(
 
 
 def _entries(folder: Path, log_filter: LogFilter, follow: bool) -> Iterator[Entry]:
-    from hierax.runtime.core.errors import HieraxError
-    from hierax.runtime.host.run_folder import is_alive
-    from hierax.runtime.loading.nearest import did_you_mean
-    from hierax.runtime.tools.logs import Reader
-
     reader = Reader(folder)
     unknown = [name for name in log_filter.nodes if name not in reader.names]
     if unknown and not follow:  # else it may come yet

@@ -53,14 +53,7 @@ app = typer.Typer(
 
 
 def main(arguments: Sequence[str]) -> int:
-    """Do what the command line says.
-
-    Args:
-        arguments: without the program's name.
-
-    Returns:
-        The exit code.
-    """
+    """Do what the command line says. Returns the exit code."""
     code = exit_code(lambda: _dispatch(arguments))
     return INTERRUPTED if CTRL_C.came and code != OK else code
 
@@ -102,7 +95,7 @@ def _register(command: Callable[..., int], group: typer.Typer, name: str = "") -
 
     if offered:
         hints = get_type_hints(RunOptions, include_extras=True) | get_type_hints(command, include_extras=True)
-        every = signature(command).parameters | signature(RunOptions).parameters
+        every = signature(RunOptions).parameters | signature(command).parameters
         names = [name for name in (*signature(command).parameters, *offered) if name != "options"]
         own = [every[name].replace(annotation=hints[name], kind=Parameter.KEYWORD_ONLY) for name in names]
         guarded.__signature__ = Signature(own)  # type: ignore[attr-defined]

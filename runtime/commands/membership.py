@@ -5,129 +5,95 @@ from __future__ import annotations
 import re
 import time
 from collections.abc import Mapping, Sequence
+from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from hierax.runtime.commands.errors import CommandError, notify
-from hierax.runtime.commands.options import DeploymentFile, Format, OutputFormat, Trust
-from hierax.runtime.commands.which import Connect, NodeArgument, Run, client_at, endpoint_of, known_run
+from hierax.runtime.commands.options import Format, Node, RunOptions, Snippet, offers, option
+from hierax.runtime.commands.show import RIGHT, print_json, print_table
+from hierax.runtime.commands.which import client_at, endpoint_of, own_deployment
+from hierax.runtime.core.errors import HieraxError
+from hierax.runtime.launch.run_file import known_runs
 
 if TYPE_CHECKING:
     from hierax.runtime.deployment import Deployment
     from hierax.runtime.deployment.deployment import RestartPolicy
     from hierax.runtime.launch.here import AttachedHere
-    from hierax.runtime.launch.run_file import Running
     from hierax.schemas.changes import Attach, Change
 
 _LOOPBACK = re.compile(r"[a-z]+/(127\.|localhost|\[::1\])")
-
 TIMEOUT_S = 120.0  # how long a change may take: new processes import what they need, and the epoch under way must end
 WAIT_S = 60.0  # how long `ps --wait` waits
-
 LOOK_S = 0.1
 
-Source = Annotated[str, typer.Argument(metavar="SOURCE", help="A YAML snippet with nodes and edges.")]
 
-
+@offers("run", "connect", "deployment_file", "trust", "output_format")
 def attach(
+    options: RunOptions,
     source: Annotated[
         str,
         typer.Argument(
-            metavar="SOURCE",
-            help="A YAML snippet with nodes and edges, or the name of a node of the deployment file.",
+            metavar="SOURCE", help="A YAML snippet with nodes and edges, or the name of a node of the deployment file."
         ),
     ],
-    run: Run = None,
-    connect: Connect = None,
-    deployment: DeploymentFile = None,
-    here: Annotated[
-        bool, typer.Option("--here", help="Keep the new nodes' processes on this machine, until Ctrl-C.")
-    ] = False,
-    host: Annotated[
-        str | None,
-        typer.Option("--host", metavar="ADDRESS", help="With --here: this machine's address for the others."),
-    ] = None,
-    trust: Trust = False,
-    output_format: OutputFormat = Format.text,
+    here: Annotated[bool, option("--here")] = False,
+    host: Annotated[str | None, option("--host", help="With --here: this machine's address for the others.")] = None,
 ) -> int:
     """Attach nodes to a hierarchy that runs, and print the epoch at which they took effect."""
     from hierax.runtime.deployment.snippet import read_attach, read_restarts
 
     if host is not None and not here:
         raise CommandError("--host: only with --here; the new processes come up where the launch runs")
-    if here and host is None and connect is not None and not _LOOPBACK.match(connect):
+    if here and host is None and options.connect is not None and not _LOOPBACK.match(options.connect):
         raise CommandError("--here: the others have to reach the new processes: give this machine's address by --host")
-    if trust and not here:
+    if options.trust and not here:
         raise CommandError("--trust: only with --here; without it nothing is loaded on this machine")
-    endpoint = endpoint_of(run, connect)
-    own = _own_deployment(endpoint, deployment) if here else None
-    if here and own is None and not trust:
+    endpoint = endpoint_of(options.run, options.connect)
+    own = own_deployment(endpoint, options.deployment_file) if here else None
+    if here and own is None and not options.trust:
         raise CommandError(
             "--here: give the launch's deployment file by --deployment, as no launch of yours answers there: what runs "
             "here is what that file and SOURCE name; or --trust, to run whatever the launch names"
         )
-    file = _deployment(endpoint, deployment)
+    file = _deployment(endpoint, options.deployment_file)
     change = read_attach(source, file)
     restarts = read_restarts(source, file, attached=True)
     what = f"attached {', '.join(change.nodes)}"
     if not here:
-        return _print_epoch(_change(endpoint, change, restarts), what, output_format)
-    named = _here(source, change, own, trust, endpoint, host)
+        return _print_epoch(_change(endpoint, change, restarts), what, options.output_format)
+    named = _here(source, change, own, options.trust, endpoint, host)
     offer = _change(endpoint, change, restarts, here=True, host=named.host)
-    return _run_here(offer, restarts, what, named, output_format)
+    return _run_here(offer, restarts, what, named, options.output_format)
 
 
-def detach(
-    node: NodeArgument,
-    cascade: Annotated[bool, typer.Option("--cascade", help="Also what only this node joins to the world.")] = False,
-    run: Run = None,
-    connect: Connect = None,
-    output_format: OutputFormat = Format.text,
-) -> int:
+@offers("run", "connect", "output_format")
+def detach(node: Node, options: RunOptions, cascade: Annotated[bool, option("--cascade")] = False) -> int:
     """Detach a node from a hierarchy that runs, and print the epoch at which it took effect."""
     from hierax.schemas.changes import Detach
 
-    answer = _change(endpoint_of(run, connect), Detach(node, cascade), {})
-    return _print_epoch(answer, f"detached {node}", output_format)
+    answer = _change(endpoint_of(options.run, options.connect), Detach(node, cascade), {})
+    return _print_epoch(answer, f"detached {node}", options.output_format)
 
 
-def replace(
-    node: NodeArgument,
-    source: Source,
-    run: Run = None,
-    connect: Connect = None,
-    deployment: DeploymentFile = None,
-    output_format: OutputFormat = Format.text,
-) -> int:
+@offers("run", "connect", "deployment_file", "output_format")
+def replace(node: Node, source: Snippet, options: RunOptions) -> int:
     """Let another class or other parameters take a node's place and belief, and print the epoch."""
     from hierax.runtime.deployment.snippet import read_replace, read_restarts
 
-    endpoint = endpoint_of(run, connect)
-    file = _deployment(endpoint, deployment)
+    endpoint = endpoint_of(options.run, options.connect)
+    file = _deployment(endpoint, options.deployment_file)
     answer = _change(endpoint, read_replace(source, node, file), read_restarts(source, file))
-    return _print_epoch(answer, f"replaced {node}", output_format)
+    return _print_epoch(answer, f"replaced {node}", options.output_format)
 
 
-def ps(
-    run: Run = None,
-    connect: Connect = None,
-    wait: Annotated[
-        str | None,
-        typer.Option(
-            "--wait",
-            metavar="EPOCH|NODE",
-            help="First wait until a launch has committed this epoch, or has this node: a minute at most, and not for "
-            "one that is over.",
-        ),
-    ] = None,
-    output_format: OutputFormat = Format.text,
-) -> int:
+@offers("run", "connect", "output_format")
+def ps(options: RunOptions, wait: Annotated[str | None, option("--wait")] = None) -> int:
     """List the launches on this machine, and the processes of their nodes."""
-    from hierax.runtime.commands.show import print_json
-
+    run, connect = options.run, options.connect
     found, silent = _awaited(run, connect, wait) if wait is not None else _runs(run, connect)
-    if output_format is Format.json:
+    if options.output_format is Format.json:
         print_json({"runs": found})
     elif not found and not silent:
         print("no launch runs on this machine")
@@ -140,7 +106,6 @@ def ps(
 
 def _awaited(run: str | None, connect: str | None, what: str) -> tuple[list[dict[str, Any]], list[str]]:
     """What runs, when one of it has come to an epoch, or has a node."""
-    from hierax.runtime.core.errors import HieraxError
     from hierax.runtime.transport.launch_client import is_gone
     from hierax.runtime.transport.port import TransportError
 
@@ -168,30 +133,22 @@ def _awaited(run: str | None, connect: str | None, what: str) -> tuple[list[dict
 
 def _runs(run: str | None, connect: str | None) -> tuple[list[dict[str, Any]], list[str]]:
     """What runs, and the launches that do not answer."""
-    from hierax.runtime.launch.run_file import known_runs
     from hierax.runtime.transport.port import TransportError
 
     if run is not None or connect is not None:
         return [_ask(endpoint_of(run, connect), {"ask": "ps"})], []
     found: list[dict[str, Any]] = []
     silent: list[str] = []
-
-    def look(running: Running) -> None:
+    for running in known_runs():
         try:
             found.append(_ask(running.endpoint, {"ask": "ps"}))
-        except TransportError:
+        except TransportError:  # noqa: PERF203 - each answers for itself
             if running.alive:  # else it is over since it was listed
                 silent.append(f"{running.run} ({running.hierarchy}, process {running.pid})")
-
-    for each in known_runs():
-        look(each)
     return found, silent
 
 
 def _print_runs(runs: Sequence[Mapping[str, Any]]) -> None:
-    from hierax.runtime.commands.show import print_table
-
-    right = {"justify": "right"}
     for number, each in enumerate(runs):
         space = "\n" if number else ""
         print(f"{space}{each['hierarchy']}, run {each['run']}: epoch {each['epoch']}, roster version {each['roster']}")
@@ -199,7 +156,7 @@ def _print_runs(runs: Sequence[Mapping[str, Any]]) -> None:
             (name, node["state"], str(node["pid"] or ""), str(node["instance"]), str(node["restarts"]))
             for name, node in each["nodes"].items()
         ]
-        print_table({"node": {}, "state": {}, "pid": right, "instance": right, "restarts": right}, rows)
+        print_table({"node": {}, "state": {}, "pid": RIGHT, "instance": RIGHT, "restarts": RIGHT}, rows)
 
 
 def _deployment(endpoint: str, file: str | None) -> Deployment:
@@ -209,26 +166,10 @@ def _deployment(endpoint: str, file: str | None) -> Deployment:
     return read_deployment(file or said["file"], said["settings"])
 
 
-def _own_deployment(endpoint: str, file: str | None) -> Deployment | None:
-    """The deployment of a launch as its user on this machine knows it; None: no more is known than the launch says."""
-    from hierax.runtime.deployment.read import read_deployment
-
-    running = known_run(endpoint)
-    if running is not None:
-        return read_deployment(file or running.deployment, running.settings)
-    return None if file is None else read_deployment(file)  # with the launch's settings it could name anything
-
-
 def _here(
     source: str, change: Attach, own: Deployment | None, trust: bool, endpoint: str, host: str | None
 ) -> AttachedHere:
-    """What is decided on this machine about nodes that are kept here.
-
-    Raises:
-        HieraxError: the source names code that may not be loaded here.
-    """
-    from pathlib import Path
-
+    """What is decided on this machine about nodes kept here; `HieraxError` if code of the source may not be loaded."""
     from hierax.runtime.deployment.snippet import read_attach
     from hierax.runtime.launch.here import AttachedHere
     from hierax.runtime.loading.allowance import Allowance, module_of, references
@@ -252,13 +193,10 @@ def _change(
     endpoint: str, change: Change, restarts: Mapping[str, RestartPolicy], here: bool = False, host: str = ""
 ) -> dict[str, Any]:
     policies = {name: vars(policy) for name, policy in restarts.items()}
-    question = {"ask": "change", "change": change.plain(), "restarts": policies, "here": here, "host": host}
-    return _ask(endpoint, question)
+    return _ask(endpoint, {"ask": "change", "change": change.plain(), "restarts": policies, "here": here, "host": host})
 
 
 def _print_epoch(answer: Mapping[str, Any], what: str, output_format: Format) -> int:
-    from hierax.runtime.commands.show import print_json
-
     if output_format is Format.json:
         print_json({"epoch": answer["epoch"]})
     else:

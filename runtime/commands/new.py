@@ -8,6 +8,7 @@ from typing import Annotated
 import typer
 
 from hierax.runtime.commands.options import Format, OutputFormat
+from hierax.runtime.commands.show import print_json
 
 
 def new(
@@ -15,7 +16,6 @@ def new(
     output_format: OutputFormat = Format.text,
 ) -> int:
     """Begin a project: a folder with a node, a deployment file that runs at once, and tests. Overwrites nothing."""
-    from hierax.runtime.commands.show import print_json
     from hierax.runtime.tools.project import make_project
 
     made = make_project(name)
@@ -23,9 +23,5 @@ def new(
     if output_format is Format.json:
         print_json({"folder": str(name), "files": [str(path) for path in made], "next": steps})
         return 0
-    for path in made:
-        print(f"made {path}")
-    print("\nnow:")
-    for step in steps:
-        print(f"  {step}")
+    print("\n".join([*(f"made {path}" for path in made), "\nnow:", *(f"  {step}" for step in steps)]))
     return 0

@@ -1,20 +1,89 @@
-"""Arguments and options that several commands share."""
+"""Arguments and options that several commands share, and the words for those of all."""
 
 from __future__ import annotations
 
 import glob
+import re
 from collections.abc import Callable
 from dataclasses import dataclass
 from enum import Enum
 from pathlib import Path
-from typing import Annotated, TypeVar
+from typing import Annotated, Any, TypeVar
 
 import typer
 
-from hierax.runtime.commands.recordings import Exclude, First, Last, MaxDuration, MaxSize, Tolerance, WorldMode
-from hierax.runtime.commands.which import Connect, Run
+from hierax.runtime.commands.which import keys_here, nodes_here, runs_here
 
 LARGEST = 2**63 - 1  # what a message can carry
+
+_WORDS = """
+--at EPOCH:CHANGE: Change the roster at the start of an epoch: EPOCH:attach:FILE, EPOCH:detach:NODE[:cascade] or
+    EPOCH:replace:NODE:FILE. May be given several times.
+--cascade: Also what only this node joins to the world.
+--check: Check the formal order while it runs. Exit code 1 where it is broken.
+--connect ENDPOINT: The launch on another machine: the endpoint that `hierax launch --host` prints.
+--count: End after so many messages.
+--deployment FILE: The launch's deployment file, where it has another path on this machine.
+--dry: Also call every operator and edge function once, on the initial beliefs; no actuator is moved, no probe is told,
+    and nothing is written.
+--epochs N: How many epochs; by default what the file says, or until the world has finished.
+--exclude KEY-PATTERN: Leave out of the recording what comes on such keys: KIND/FROM/TO or steps/NODE, with * for any,
+    as in obs/camera/*. May be given several times.
+--fault NODE:INSTANT:N: Have a node's process kill itself the N-th time it comes to an instant; its next process takes
+    the node's next one. For tests.
+--faults KIND,…: Kinds of faults; by default all. 'none': only changes.
+--follow: Go on until the launch is over, or Ctrl-C.
+--format: How the result is printed.
+--from K: The first epoch; by default the first that can be done.
+--full: In JSON, arrays with all their elements.
+--grep REGEX: With this in message or traceback.
+--here: Keep the new nodes' processes on this machine, until Ctrl-C.
+--host ADDRESS: An address of this machine at which processes on others may join; by default none may.
+--interval SECONDS: How long each look takes.
+--jobs N: Processes; by default one for each core.
+--level: From this level on.
+--max-duration TIME: End the recording after this time, such as 90s, 15m or 2h; the run goes on.
+--max-size SIZE: End the recording with the last whole epoch before it is larger, such as 500MB; the run goes on.
+--memory SIZE: How much the viewer keeps; what is older is dropped.
+--mend: First remove what launches that were killed have left behind.
+--native: In a window of Rerun's, in place of a browser.
+--node NAME: This node alone, on its recorded inputs.
+--once: Look for one interval, print it, and end.
+--open: Open the page in a browser.
+--output DIR: A folder for states, digests, the report and what probes write; made where it lacks.
+--overwrite: Replace the output or recording of another run; of other files none is touched.
+--port PORT: Of the page, on this machine's loopback; by default 9090, or a free one where that is taken.
+--record FILE: Record the run into this MCAP file. Exit code 1 if something said is not in it.
+--resume DIR: Go on with the run whose checkpoints are in this folder, at its next epoch.
+--rounds: How often ours and the rival take turns.
+--run RUN: Which launch: its identification, or how that begins, or its hierarchy's name; `hierax ps` lists them.
+--save FILE.rrd: Into a file, for `rerun FILE.rrd`; no viewer.
+--seed S: Of all random numbers.
+--seeds A:B: Which seeds: from A to before B; or one.
+--set PATH=VALUE: Change a value of the file: a name in its parameters, or a path such as nodes.arm.parameters.gain. The
+    value is read as YAML. May be given several times.
+--since TIME: From then on: how long ago, such as 30s, 10m, 2h, 1d, or a time such as 2030-01-02T03:04.
+--speed S: S times as fast as it was; 0: as fast as it goes.
+--state DIR: A folder for the nodes' checkpoints; it stays, for --resume. By default it goes with the run.
+--to K: The last epoch; by default the last one.
+--tolerance T: Numbers are alike that differ by no more than T, or than this share of the greater one. 0: to the bit.
+--trace: Print all events of a single seed.
+--trust: Load and run, as yourself, whatever code is named by who is not known to be you.
+--verify: Compare every result and digest with the recording; exit code 1 where one differs.
+--wait EPOCH|NODE: First wait until a launch has committed this epoch, or has this node: a minute at most, and not for
+    one that is over.
+--with NODE=MODULE:CLASS: Another class in a node's place. May be given several times.
+--world: The world gives what it gave, or, one without actuators, is done again like the others.
+"""
+"""Each option with its placeholder, and what it is for; a command that means something else by it says so itself."""
+
+_OPTIONS = {found[1]: found for found in re.finditer(r"^(--\S+?)(?: (\S+?))?: ((?:.|\n )+)", _WORDS, re.M)}
+
+
+def option(name: str, *more_names: str, **given: Any) -> Any:
+    """An option by its name, with its words; what else is given is as `typer.Option` has it."""
+    _, metavar, words = _OPTIONS[name].groups()
+    return typer.Option(name, *more_names, **{"metavar": metavar, "help": " ".join(words.split()), **given})
 
 
 class Format(str, Enum):
@@ -22,6 +91,13 @@ class Format(str, Enum):
 
     text = "text"
     json = "json"
+
+
+class WorldMode(str, Enum):
+    """What the world does in a replay."""
+
+    recorded = "recorded"
+    again = "again"
 
 
 def deployments_here(incomplete: str) -> list[str]:
@@ -40,174 +116,75 @@ def deployments_here(incomplete: str) -> list[str]:
     return found
 
 
-File = Annotated[
+_FILE = "A deployment file, or the name of a shipped deployment."
+File = Annotated[str, typer.Argument(metavar="FILE", help=_FILE, autocompletion=deployments_here)]
+LaunchedFile = Annotated[
+    str | None,
+    typer.Argument(metavar="FILE", help=f"{_FILE[:-1]}; none with --resume.", autocompletion=deployments_here),
+]
+RecordingFile = Annotated[Path, typer.Argument(metavar="FILE", help="A recording.", dir_okay=False)]
+Node = Annotated[str, typer.Argument(metavar="NODE", help="A node's name.", autocompletion=nodes_here)]
+Snippet = Annotated[str, typer.Argument(metavar="SOURCE", help="A YAML snippet with nodes and edges.")]
+Key = Annotated[
     str,
     typer.Argument(
-        metavar="FILE",
-        help="A deployment file, or the name of a shipped deployment.",
-        autocompletion=deployments_here,
+        metavar="KEY",
+        help="KIND/FROM/TO, where KIND is obs, task or ctx; * stands for any name, ** for all that is left.",
+        autocompletion=keys_here,
     ),
 ]
-Overrides = Annotated[
-    list[str] | None,
-    typer.Option(
-        "--set",
-        metavar="PATH=VALUE",
-        help="Change a value of the file: a name in its parameters, or a path such as "
-        "nodes.arm.parameters.gain. The value is read as YAML. May be given several times.",
-    ),
-]
-OutputFormat = Annotated[Format, typer.Option("--format", help="How the result is printed.")]
-Trust = Annotated[
-    bool,
-    typer.Option("--trust", help="Load and run, as yourself, whatever code is named by who is not known to be you."),
-]
-Overwrite = Annotated[
-    bool,
-    typer.Option("--overwrite", help="Replace the output or recording of another run; of other files none is touched."),
-]
-DeploymentFile = Annotated[
-    str | None,
-    typer.Option(
-        "--deployment",
-        metavar="FILE",
-        help="The launch's deployment file, where it has another path on this machine.",
-    ),
-]
+Run = Annotated[str | None, option("--run", autocompletion=runs_here)]
+Connect = Annotated[str | None, option("--connect")]
+Overrides = Annotated[list[str] | None, option("--set")]
+OutputFormat = Annotated[Format, option("--format")]
+Trust = Annotated[bool, option("--trust")]
+Overwrite = Annotated[bool, option("--overwrite")]
+DeploymentFile = Annotated[str | None, option("--deployment")]
+First = Annotated[int, option("--from", min=1)]
+Last = Annotated[int | None, option("--to", min=1)]
+Tolerance = Annotated[float, option("--tolerance", min=0.0)]
+Exclude = Annotated[list[str] | None, option("--exclude")]
+MaxSize = Annotated[str | None, option("--max-size")]
+MaxDuration = Annotated[str | None, option("--max-duration")]
+Full = Annotated[bool, option("--full")]
 
 
 @dataclass(kw_only=True)
 class RunOptions:
     """All options of ``run``, ``launch``, ``replay`` and ``view``; what a command lacks stays at its default."""
 
-    epochs: Annotated[
-        int | None,
-        typer.Option(
-            "--epochs",
-            min=1,
-            max=LARGEST,
-            metavar="N",
-            help="How many epochs; by default what the file says, or until the world has finished.",
-        ),
-    ] = None
-    seed: Annotated[int, typer.Option("--seed", min=0, max=LARGEST, metavar="S", help="Of all random numbers.")] = 0
+    epochs: Annotated[int | None, option("--epochs", min=1, max=LARGEST)] = None
+    seed: Annotated[int, option("--seed", min=0, max=LARGEST)] = 0
     overrides: Overrides = None
     overwrite: Overwrite = False
     trust: Trust = False
     output_format: OutputFormat = Format.text
-    output: Annotated[
-        Path | None,
-        typer.Option(
-            "--output",
-            metavar="DIR",
-            help="A folder for states, digests, the report and what probes write; made where it lacks.",
-        ),
-    ] = None
-    record: Annotated[
-        Path | None,
-        typer.Option(
-            "--record",
-            metavar="FILE",
-            help="Record the run into this MCAP file. Exit code 1 if something said is not in it.",
-            dir_okay=False,
-        ),
-    ] = None
-    check: Annotated[
-        bool, typer.Option("--check", help="Check the formal order while it runs. Exit code 1 where it is broken.")
-    ] = False
+    output: Annotated[Path | None, option("--output")] = None
+    record: Annotated[Path | None, option("--record", dir_okay=False)] = None
+    check: Annotated[bool, option("--check")] = False
     exclude: Exclude = None
     max_size: MaxSize = None
     max_duration: MaxDuration = None
     first: First = 1
     last: Last = None
-    at: Annotated[
-        list[str] | None,
-        typer.Option(
-            "--at",
-            metavar="EPOCH:CHANGE",
-            help="Change the roster at the start of an epoch: EPOCH:attach:FILE, EPOCH:detach:NODE[:cascade] or "
-            "EPOCH:replace:NODE:FILE. May be given several times.",
-        ),
-    ] = None
-    state: Annotated[
-        Path | None,
-        typer.Option(
-            "--state",
-            metavar="DIR",
-            help="A folder for the nodes' checkpoints; it stays, for --resume. By default it goes with the run.",
-        ),
-    ] = None
-    resume: Annotated[
-        Path | None,
-        typer.Option(
-            "--resume",
-            metavar="DIR",
-            help="Go on with the run whose checkpoints are in this folder, at its next epoch.",
-        ),
-    ] = None
-    host: Annotated[
-        str | None,
-        typer.Option(
-            "--host",
-            metavar="ADDRESS",
-            help="An address of this machine at which processes on others may join; by default none may.",
-        ),
-    ] = None
-    faults: Annotated[
-        list[str] | None,
-        typer.Option(
-            "--fault",
-            metavar="NODE:INSTANT:N",
-            help="Have a node's process kill itself the N-th time it comes to an instant; its next process takes the "
-            "node's next one. For tests.",
-            hidden=True,
-        ),
-    ] = None
+    at: Annotated[list[str] | None, option("--at")] = None
+    state: Annotated[Path | None, option("--state")] = None
+    resume: Annotated[Path | None, option("--resume")] = None
+    host: Annotated[str | None, option("--host")] = None
+    faults: Annotated[list[str] | None, option("--fault", hidden=True)] = None
     run: Run = None
     connect: Connect = None
-    native: Annotated[bool, typer.Option("--native", help="In a window of Rerun's, in place of a browser.")] = False
-    save: Annotated[
-        Path | None, typer.Option("--save", metavar="FILE.rrd", help="Into a file, for `rerun FILE.rrd`; no viewer.")
-    ] = None
-    port: Annotated[
-        int | None,
-        typer.Option(
-            "--port",
-            min=1,
-            max=65535,
-            metavar="PORT",
-            help="Of the page, on this machine's loopback; by default 9090, or a free one where that is taken.",
-        ),
-    ] = None
+    native: Annotated[bool, option("--native")] = False
+    save: Annotated[Path | None, option("--save")] = None
+    port: Annotated[int | None, option("--port", min=1, max=65535)] = None
     deployment_file: DeploymentFile = None
-    opens: Annotated[bool, typer.Option("--open", help="Open the page in a browser.")] = False
-    memory: Annotated[
-        str, typer.Option("--memory", metavar="SIZE", help="How much the viewer keeps; what is older is dropped.")
-    ] = "1GiB"
-    node: Annotated[
-        str | None, typer.Option("--node", metavar="NAME", help="This node alone, on its recorded inputs.")
-    ] = None
-    world: Annotated[
-        WorldMode,
-        typer.Option(
-            "--world", help="The world gives what it gave, or, one without actuators, is done again like the others."
-        ),
-    ] = WorldMode.recorded
-    speed: Annotated[
-        float, typer.Option("--speed", min=0.0, metavar="S", help="S times as fast as it was; 0: as fast as it goes.")
-    ] = 0.0
-    classes: Annotated[
-        list[str] | None,
-        typer.Option(
-            "--with", metavar="NODE=MODULE:CLASS", help="Another class in a node's place. May be given several times."
-        ),
-    ] = None
-    verify: Annotated[
-        bool,
-        typer.Option(
-            "--verify", help="Compare every result and digest with the recording; exit code 1 where one differs."
-        ),
-    ] = False
+    opens: Annotated[bool, option("--open")] = False
+    memory: Annotated[str, option("--memory")] = "1GiB"
+    node: Annotated[str | None, option("--node")] = None
+    world: Annotated[WorldMode, option("--world")] = WorldMode.recorded
+    speed: Annotated[float, option("--speed", min=0.0)] = 0.0
+    classes: Annotated[list[str] | None, option("--with")] = None
+    verify: Annotated[bool, option("--verify")] = False
     tolerance: Tolerance = 0.0
 
 

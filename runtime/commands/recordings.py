@@ -5,15 +5,13 @@ from __future__ import annotations
 import sys
 from collections.abc import Sequence
 from contextlib import AbstractContextManager, nullcontext
-from enum import Enum
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
-
-import typer
+from typing import TYPE_CHECKING, Any
 
 from hierax.runtime.commands.errors import FAILED, OK, CommandError, notify
 
 if TYPE_CHECKING:
+    from hierax.runtime.commands.options import RunOptions
     from hierax.runtime.recording.diff import Comparison
     from hierax.runtime.recording.info import Ending
     from hierax.runtime.recording.reading import Recording
@@ -21,59 +19,11 @@ if TYPE_CHECKING:
     from hierax.runtime.recording.writing import Target
 
 SHOWN = 10  # how many gaps or violations are listed
-
 SHOWN_CHARS = 400
-
-RecordingFile = Annotated[Path, typer.Argument(metavar="FILE", help="A recording.", dir_okay=False)]
-First = Annotated[
-    int, typer.Option("--from", min=1, metavar="K", help="The first epoch; by default the first that can be done.")
-]
-Last = Annotated[
-    int | None,
-    typer.Option("--to", min=1, metavar="K", help="The last epoch; by default the last one."),
-]
-Tolerance = Annotated[
-    float,
-    typer.Option(
-        "--tolerance",
-        min=0.0,
-        metavar="T",
-        help="Numbers are alike that differ by no more than T, or than this share of the greater one. 0: to the bit.",
-    ),
-]
-Exclude = Annotated[
-    list[str] | None,
-    typer.Option(
-        "--exclude",
-        metavar="KEY-PATTERN",
-        help="Leave out of the recording what comes on such keys: KIND/FROM/TO or steps/NODE, with * for any, as in "
-        "obs/camera/*. May be given several times.",
-    ),
-]
-MaxSize = Annotated[
-    str | None,
-    typer.Option(
-        "--max-size",
-        metavar="SIZE",
-        help="End the recording with the last whole epoch before it is larger, such as 500MB; the run goes on.",
-    ),
-]
-MaxDuration = Annotated[
-    str | None,
-    typer.Option(
-        "--max-duration",
-        metavar="TIME",
-        help="End the recording after this time, such as 90s, 15m or 2h; the run goes on.",
-    ),
-]
 
 
 def claimed_file(path: Path | None, overwrite: bool) -> AbstractContextManager[Target | None]:
-    """Have the file of a recording for this process, before anything starts; None where none is wanted.
-
-    Raises:
-        RecordingError: it cannot be written, another process writes it, or there is something that is not replaced.
-    """
+    """Have the file of a recording, where one is wanted, before anything starts. Raises as `writing.claimed` does."""
     if path is None:
         return nullcontext()
     from hierax.runtime.recording.writing import claimed, require_mcap
@@ -82,32 +32,18 @@ def claimed_file(path: Path | None, overwrite: bool) -> AbstractContextManager[T
     return claimed(path, overwrite)
 
 
-def selection_of(
-    exclude: Sequence[str] | None, max_size: str | None, max_duration: str | None, is_recorded: bool = True
-) -> Selection:
-    """What is recorded, by the options.
-
-    Raises:
-        HieraxError: one is wrong, or nothing is recorded at all.
-    """
+def selection_of(options: RunOptions, is_recorded: bool = True) -> Selection:
+    """What is recorded, by the options. Raises `HieraxError` if one is wrong, or nothing is recorded at all."""
     from hierax.runtime.recording.selection import Selection, check_pattern, read_duration, read_size
 
-    given = {"--exclude": exclude, "--max-size": max_size, "--max-duration": max_duration}
+    size, duration = options.max_size, options.max_duration
+    given = {"--exclude": options.exclude, "--max-size": size, "--max-duration": duration}
     alone = next((name for name, value in given.items() if value and not is_recorded), None)
     if alone is not None:
         raise CommandError(f"{alone}: only with --record, of which it leaves something out")
-    return Selection(
-        tuple(check_pattern(each) for each in exclude or ()),
-        None if max_size is None else read_size(max_size),
-        None if max_duration is None else read_duration(max_duration),
-    )
-
-
-class WorldMode(str, Enum):
-    """What the world does in a replay."""
-
-    recorded = "recorded"
-    again = "again"
+    max_bytes = None if size is None else read_size(size)
+    max_duration_s = None if duration is None else read_duration(duration)
+    return Selection(tuple(map(check_pattern, options.exclude or ())), max_bytes, max_duration_s)
 
 
 def recording_of(path: Path) -> Recording:
@@ -121,11 +57,7 @@ def recording_of(path: Path) -> Recording:
 
 
 def report_ending(file: Path, ending: Ending) -> int:
-    """Say what a recording lacks.
-
-    Returns:
-        The exit code: 1 where it lacks something.
-    """
+    """Say what a recording lacks. Returns the exit code: 1 where it lacks something."""
     for pattern, count in ending.left_out.items():
         if not count:
             notify(f"--exclude {pattern}: nothing came on such a key")
@@ -141,12 +73,14 @@ def report_ending(file: Path, ending: Ending) -> int:
     return FAILED
 
 
-def report_violations(violations: Sequence[Any]) -> int:
-    """Say where the formal order is broken.
+def report_outcome(file: Path | None, ending: Ending | None, violations: Sequence[Any]) -> int:
+    """Say what is wrong with a recording, if there is to be one, and a check; the exit code."""
+    code = OK if file is None or ending is None else report_ending(file, ending)
+    return max(code, report_violations(violations))
 
-    Returns:
-        The exit code: 1 where it is.
-    """
+
+def report_violations(violations: Sequence[Any]) -> int:
+    """Say where the formal order is broken. Returns the exit code: 1 where it is."""
     if not violations:
         return OK
     for violation in violations[:SHOWN]:
@@ -173,12 +107,7 @@ def comparison_json(comparison: Comparison) -> dict[str, Any]:
 
 
 def print_comparison(comparison: Comparison, a: str, b: str) -> None:
-    """A comparison as text.
-
-    Args:
-        comparison: to be printed.
-        a, b: what the two sides are called.
-    """
+    """A comparison as text. `a`, `b`: what the two sides are called."""
     for roster in comparison.rosters:
         print(f"rosters differ from epoch {roster.epoch}: {roster.path}")
         _print_sides(a, roster.a, b, roster.b)

@@ -9,8 +9,9 @@ from contextlib import redirect_stdout
 from typing import TYPE_CHECKING
 
 from hierax.runtime.commands.errors import FAILED, OK, CommandError
-from hierax.runtime.commands.options import Format, RunOptions, offers
-from hierax.runtime.commands.recordings import RecordingFile, WorldMode, comparison_json, print_comparison, recording_of
+from hierax.runtime.commands.options import Format, RecordingFile, RunOptions, WorldMode, offers
+from hierax.runtime.commands.recordings import comparison_json, print_comparison, recording_of
+from hierax.runtime.commands.show import print_json, print_report
 
 if TYPE_CHECKING:
     from hierax.runtime.execution.report import Report
@@ -24,7 +25,6 @@ if TYPE_CHECKING:
 )
 def replay(file: RecordingFile, options: RunOptions) -> int:
     """Do a recording again, in this process: whole, from an epoch on, or one node on its recorded inputs."""
-    from hierax.runtime.commands.show import print_json, print_report
     from hierax.runtime.loading.allowance import module_of
     from hierax.runtime.loading.loader import extend_import_path
     from hierax.runtime.recording.deployments import allowance_of, check_names, other_settings, recorded_deployment
@@ -58,7 +58,9 @@ def replay(file: RecordingFile, options: RunOptions) -> int:
             for _ in epochs:
                 pass
     if not epochs.times_s:
-        raise CommandError(f"{file}: there is no epoch to replay{_range(options.first, options.last)}")
+        to = "" if options.last is None else f" to {options.last}"
+        which = f" from {options.first}{to}" if options.first > 1 or to else ""
+        raise CommandError(f"{file}: there is no epoch to replay{which}")
     report = epochs.report()
     if options.output_format is Format.json:
         print_json({**report.plain(), "verify": None if comparison is None else comparison_json(comparison)})
@@ -118,9 +120,3 @@ def _classes(texts: Sequence[str]) -> Mapping[str, str]:
             raise CommandError(f"--with {text}: expected NODE=package.module:Class")
         found[name.strip()] = target.strip()
     return found
-
-
-def _range(first: int, last: int | None) -> str:
-    if first == 1 and last is None:
-        return ""
-    return f" from {first}" + ("" if last is None else f" to {last}")

@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from hierax.runtime.commands.options import OF_A_RUN, File, RunOptions, offers
-from hierax.runtime.commands.recordings import claimed_file, report_ending, report_violations, selection_of
+from hierax.runtime.commands.recordings import claimed_file, report_outcome, selection_of
 
 if TYPE_CHECKING:
     from hierax.runtime.deployment import Deployment
@@ -25,7 +24,7 @@ def run(file: File, options: RunOptions) -> int:
     from hierax.runtime.recording.in_process import InProcess
 
     overrides, recorded = options.overrides or (), options.record is not None
-    selection = selection_of(options.exclude, options.max_size, options.max_duration, recorded)
+    selection = selection_of(options, recorded)
     taking: list[InProcess] = []
 
     def run_scheduled(deployment: Deployment, **given: Any) -> Report:
@@ -43,13 +42,10 @@ def run(file: File, options: RunOptions) -> int:
 
     with claimed_file(options.record, options.overwrite) as target:
         code = run_deployment(run_scheduled, file, options)
-    return max([code, *(_print_outcome(each, options.record) for each in taking)])
-
-
-def _print_outcome(taking: InProcess, file: Path | None) -> int:
-    """Say what is wrong with a recording or a check; the exit code."""
-    code = 0 if file is None or taking.ending is None else report_ending(file, taking.ending)
-    return code if taking.checker is None else max(code, report_violations(taking.checker.close()))
+    for each in taking:
+        violations = () if each.checker is None else each.checker.close()
+        code = max(code, report_outcome(options.record, each.ending, violations))
+    return code
 
 
 def _spans(deployment: Deployment) -> Watch | None:

@@ -7,21 +7,18 @@ import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, nullcontext, redirect_stdout
 from dataclasses import replace
-from pathlib import Path
-from typing import Any
 
 from hierax.runtime.commands.ctrl_c import INTERRUPTED
 from hierax.runtime.commands.errors import OK, CommandError, interrupted, notify
 from hierax.runtime.commands.options import Format, RunOptions
 from hierax.runtime.commands.show import print_json, print_report
-from hierax.runtime.core.errors import HieraxError
 from hierax.runtime.deployment.read import read_deployment
 from hierax.runtime.execution.breaker import called
 from hierax.runtime.execution.output_folder import SUMMARY, claimed_output
 from hierax.runtime.execution.report import Interrupted, Report
 from hierax.runtime.host.private_files import errors_named, write_result
 from hierax.runtime.loading.loader import extend_import_path
-from hierax.runtime.watch.prints import named_lines
+from hierax.runtime.watch.prints import NamedLines
 
 Runner = Callable[..., Report]  # `hierax.runtime.execution.single.run` or `hierax.runtime.launch.supervisor.launch`
 
@@ -29,39 +26,29 @@ Runner = Callable[..., Report]  # `hierax.runtime.execution.single.run` or `hier
 def run_deployment(runner: Runner, file: str, options: RunOptions, goes_on: bool = False) -> int:
     """Read a deployment, run it, print its report.
 
-    Args:
-        runner: does it.
-        file: of the deployment, or the name of a shipped one.
-        options: as the command line has them.
-        goes_on: whether the run that is there is resumed.
-
-    Returns:
-        The exit code: 0, or 130 where a signal has broken the run off; its report is printed and kept all the same.
-
-    Raises:
-        HieraxError: the file is wrong, the output folder cannot be made, or the run failed.
+    `goes_on`: whether the run that is there is resumed. Returns the exit code: 0, or 130 where a signal has broken the
+    run off; its report is printed and kept all the same. Raises `HieraxError` if the file is wrong, the output folder
+    cannot be made, or the run failed.
     """
     deployment = read_deployment(file, options.overrides or ())
     probes = tuple(replace(each, overwrite=options.overwrite) for each in deployment.probes)
     deployment = replace(deployment, probes=probes)
     extend_import_path(deployment.import_paths)
     limit = deployment.epochs if options.epochs is None else options.epochs
-    output = options.output
-    code = OK
+    output, code = options.output, OK
+    prints = NamedLines(sys.stderr, lambda: called(sys._getframe()))
     with nullcontext() if output is None else claimed_output(output, options.overwrite, goes_on):
         try:
             # what a node prints must not mix with the report
-            with _progress(deployment.name, limit) as progress, redirect_stdout(named_lines(sys.stderr, _who)):
+            with deployment.explaining(), _progress(deployment.name, limit) as progress, redirect_stdout(prints):
                 report = runner(deployment, epochs=limit, seed=options.seed, output=output, progress=progress)
         except Interrupted as broken:
             report, code = broken.report, INTERRUPTED
-        except HieraxError as error:
-            explained = deployment.explain(error)
-            if explained is error:
-                raise
-            raise explained from error
         if output is not None:
-            _write_summary(output / SUMMARY, report)
+            start = {} if report.start_s is None else {"start_s": report.start_s}
+            summary = json.dumps({**report.plain(), **start}, indent=2, allow_nan=False)
+            with errors_named(output / SUMMARY, kind=CommandError):
+                write_result(output / SUMMARY, summary.encode() + b"\n")
     if options.output_format is Format.json:
         print_json(report.plain())
     else:
@@ -71,18 +58,6 @@ def run_deployment(runner: Runner, file: str, options: RunOptions, goes_on: bool
             notify(f"{name}: its state after epoch {report.epochs} is not told: {why}")
         return interrupted()
     return code
-
-
-def _who() -> str:
-    """The node that prints."""
-    return called(sys._getframe())
-
-
-def _write_summary(path: Path, report: Report) -> None:
-    start: dict[str, Any] = {} if report.start_s is None else {"start_s": report.start_s}
-    text = json.dumps({**report.plain(), **start}, indent=2, allow_nan=False)
-    with errors_named(path, kind=CommandError):
-        write_result(path, text.encode() + b"\n")
 
 
 @contextmanager

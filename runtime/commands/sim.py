@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import sys
 import time
 from typing import TYPE_CHECKING, Annotated
 
-import typer
-
 from hierax.runtime.commands.errors import FAILED, OK, CommandError
-from hierax.runtime.commands.options import LARGEST, Format, OutputFormat
+from hierax.runtime.commands.options import LARGEST, Format, OutputFormat, option
+from hierax.runtime.commands.show import print_json, show_progress
+from hierax.runtime.loading.nearest import did_you_mean
 
 if TYPE_CHECKING:
     from hierax.runtime.sim.campaign import Summary
@@ -23,24 +22,16 @@ TRACE_LINES = 80  # how many of a failing simulation's last events are shown
 
 
 def sim(
-    seeds: Annotated[str, typer.Option(metavar="A:B", help="Which seeds: from A to before B; or one.")] = "0:1000",
-    faults: Annotated[
-        str | None,
-        typer.Option(metavar="KIND,…", help="Kinds of faults; by default all. 'none': only changes."),
-    ] = None,
+    seeds: Annotated[str, option("--seeds")] = "0:1000",
+    faults: Annotated[str | None, option("--faults")] = None,
     epochs: Annotated[
-        int | None,
-        typer.Option(min=1, max=LARGEST, metavar="N", help="In each simulation; by default the seed decides."),
+        int | None, option("--epochs", min=1, max=LARGEST, help="In each simulation; by default the seed decides.")
     ] = None,
-    jobs: Annotated[
-        int | None,
-        typer.Option(min=1, metavar="N", help="Processes; by default one for each core."),
-    ] = None,
-    trace: Annotated[bool, typer.Option("--trace", help="Print all events of a single seed.")] = False,
+    jobs: Annotated[int | None, option("--jobs", min=1)] = None,
+    trace: Annotated[bool, option("--trace")] = False,
     output_format: OutputFormat = Format.text,
 ) -> int:
     """Simulate runs with crashes, losses, hangs and partitions; shows what does not hold, made small."""
-    from hierax.runtime.commands.show import print_json
     from hierax.runtime.sim.campaign import cores, simulate_many
     from hierax.runtime.sim.scenario import FAULTS
 
@@ -51,16 +42,10 @@ def sim(
     began = time.monotonic()
 
     def show(summary: Summary) -> None:
-        if sys.stderr.isatty():
-            print(
-                f"\r{summary.seeds} of {len(wanted)} seeds, {len(summary.violations)} violations",
-                end="",
-                file=sys.stderr,
-            )
+        show_progress(f"\r{summary.seeds} of {len(wanted)} seeds, {len(summary.violations)} violations", end="")
 
     summary = simulate_many(wanted, kinds, epochs, jobs or cores(), show)
-    if sys.stderr.isatty():
-        print(file=sys.stderr)
+    show_progress("")
     if output_format is Format.json:
         print_json(summary.plain())
     else:
@@ -86,7 +71,6 @@ def _seeds(text: str) -> range:
 
 
 def _kinds(text: str | None) -> tuple[str, ...]:
-    from hierax.runtime.loading.nearest import did_you_mean
     from hierax.runtime.sim.scenario import FAULTS
 
     if text is None:

@@ -6,12 +6,12 @@ import json
 import sys
 import time
 from collections.abc import Callable, Iterator, Mapping
+from itertools import islice
 from typing import TYPE_CHECKING, Annotated, Any
 
-import typer
-
-from hierax.runtime.commands.options import Format, OutputFormat
-from hierax.runtime.commands.which import Connect, Run, client_of
+from hierax.runtime.commands.options import Connect, Format, OutputFormat, Run, option
+from hierax.runtime.commands.show import console, print_json, table_of
+from hierax.runtime.commands.which import client_of
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -21,6 +21,7 @@ if TYPE_CHECKING:
 _TIMES = ("observe", "policy", "predict", "edges", "act", "other", "waiting")
 _COLUMNS = ("node", "state", "epoch", *_TIMES, "for", "cpu", "memory", "restarts")
 _DISPENSABLE = ("state", "other", "cpu")
+_LEFT = ("node", "state", "for")
 WIDE, NARROW = 140, 100
 """Widths of a terminal, from which columns have space between them, and below which some are left out."""
 
@@ -31,20 +32,18 @@ _WAITED_FOR = 3  # how many of those that a node waits for are named in its row
 def top(
     run: Run = None,
     connect: Connect = None,
-    once: Annotated[bool, typer.Option("--once", help="Look for one interval, print it, and end.")] = False,
-    interval: Annotated[
-        float, typer.Option("--interval", min=0.1, max=3600, metavar="SECONDS", help="How long each look takes.")
-    ] = 1.0,
+    once: Annotated[bool, option("--once")] = False,
+    interval: Annotated[float, option("--interval", min=0.1, max=3600)] = 1.0,
     output_format: OutputFormat = Format.text,
 ) -> int:
     """Show where the time of a launch's nodes goes, until Ctrl-C: per epoch, in which operator, waiting for whom."""
     with client_of(run, connect) as client:
         looks = overviews(client, interval, time.sleep)
-        if once:
-            _print_one(next(looks), output_format)
-        elif output_format is Format.json or not sys.stdout.isatty():
-            for look in looks:
-                _print_next(look, output_format)
+        if once and output_format is Format.json:
+            print_json(next(looks))
+        elif once or output_format is Format.json or not sys.stdout.isatty():
+            for look in islice(looks, 1 if once else None):
+                _print(look, output_format)
         else:
             _show_live(looks)
     return 0
@@ -69,30 +68,19 @@ def overviews(client: LaunchClient, interval_s: float, sleep: Callable[[float], 
         before = after
 
 
-def _print_one(look: Mapping[str, Any], output_format: Format) -> None:
-    from hierax.runtime.commands.show import console, print_json
-
+def _print(look: Mapping[str, Any], output_format: Format) -> None:
+    """One of many: a line of JSON each, or one table below the other."""
     if output_format is Format.json:
-        print_json(look)
+        print(json.dumps(look, allow_nan=False), flush=True)
         return
     print(headline(look), flush=True)
     out = console()
     out.print(table(look, out.width))
 
 
-def _print_next(look: Mapping[str, Any], output_format: Format) -> None:
-    """One of many, on no terminal: a line of JSON each, or one table below the other."""
-    if output_format is Format.json:
-        print(json.dumps(look, allow_nan=False), flush=True)
-    else:
-        _print_one(look, output_format)
-
-
 def _show_live(looks: Iterator[Mapping[str, Any]]) -> None:
     from rich.console import Group
     from rich.live import Live
-
-    from hierax.runtime.commands.show import console
 
     out = console()
     with Live(console=out, auto_refresh=False, transient=True) as live:
@@ -114,28 +102,15 @@ def headline(look: Mapping[str, Any]) -> str:
 
 
 def table(look: Mapping[str, Any], width: int = WIDE) -> Table:
-    """The nodes of a launch as rows: times are per epoch.
-
-    Args:
-        look: an overview.
-        width: of the terminal, in characters; on a narrow one, some columns are left out.
-    """
-    from rich.box import SIMPLE_HEAD
-    from rich.table import Table
-    from rich.text import Text
-
-    made = Table(box=SIMPLE_HEAD, pad_edge=False, show_edge=False, padding=(0, 1) if width >= WIDE else 0)
+    """The nodes of a launch as rows: times are per epoch. On a narrow terminal, some columns are left out."""
     acts = any((node.get("per_epoch_us") or {}).get("act") for node in look["nodes"].values())
     shown = [column for column in _COLUMNS if column != "act" or acts]
     if width < NARROW:
         shown = [column for column in shown if column not in _DISPENSABLE]
-    for heading in shown:
-        left = heading in ("node", "state", "for")
-        made.add_column(heading, justify="left" if left else "right", overflow="fold", no_wrap=not left)
-    for name, node in look["nodes"].items():
-        cells = _cells(name, node)
-        made.add_row(*(Text(cells.get(heading, "")) for heading in shown))
-    return made
+    columns = {heading: {} if heading in _LEFT else {"justify": "right", "no_wrap": True} for heading in shown}
+    rows = [_cells(name, node) for name, node in look["nodes"].items()]
+    cells = [tuple(row.get(heading, "") for heading in shown) for row in rows]
+    return table_of(columns, cells, padding=(0, 1) if width >= WIDE else 0)
 
 
 def _cells(name: str, node: Mapping[str, Any]) -> dict[str, str]:

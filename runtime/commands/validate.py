@@ -6,9 +6,8 @@ import sys
 from contextlib import redirect_stdout
 from typing import TYPE_CHECKING, Annotated
 
-import typer
-
-from hierax.runtime.commands.options import File, Format, OutputFormat, Overrides
+from hierax.runtime.commands.options import File, Format, OutputFormat, Overrides, option
+from hierax.runtime.commands.show import print_json
 
 if TYPE_CHECKING:
     from hierax.runtime.deployment import Deployment
@@ -17,42 +16,27 @@ if TYPE_CHECKING:
 def validate(
     file: File,
     overrides: Overrides = None,
-    dry: Annotated[
-        bool,
-        typer.Option(
-            "--dry",
-            help="Also call every operator and edge function once, on the initial beliefs; no actuator is moved, no "
-            "probe is told, and nothing is written.",
-        ),
-    ] = False,
+    dry: Annotated[bool, option("--dry")] = False,
     output_format: OutputFormat = Format.text,
 ) -> int:
     """Check a deployment file: read it, import and make what it names, and see that that forms a hierarchy."""
-    from hierax.runtime.commands.show import print_json
-    from hierax.runtime.core.errors import HieraxError
     from hierax.runtime.deployment.read import read_deployment
+    from hierax.runtime.execution.dry import run_dry
     from hierax.runtime.loading.loader import extend_import_path
 
     deployment = read_deployment(file, overrides or ())
     roster = deployment.roster
     extend_import_path(deployment.import_paths)
-    try:
-        with redirect_stdout(sys.stderr):  # what a node prints must not mix with the result
-            _check(deployment)
-            calls = _dry_run(deployment) if dry else 0
-    except HieraxError as error:
-        raise deployment.explain(error) from error
-    content = roster.content_hash().hex()
+    with deployment.explaining(), redirect_stdout(sys.stderr):  # what a node prints must not mix with the result
+        _check(deployment)
+        calls = run_dry(deployment) if dry else 0
+    content, nodes, edges = roster.content_hash().hex(), len(roster.nodes), len(roster.edges)
     if output_format is Format.json:
-        result = {"hierarchy": deployment.name, "file": str(deployment.path)}
-        called = {"dry_calls": calls} if dry else {}
-        print_json({**result, "nodes": len(roster.nodes), "edges": len(roster.edges), "content": content, **called})
+        result = {"hierarchy": deployment.name, "file": str(deployment.path), "nodes": nodes, "edges": edges}
+        print_json({**result, "content": content, **({"dry_calls": calls} if dry else {})})
     else:
-        called_too = f", {calls} dry calls" if dry else ""
-        print(
-            f"{deployment.path}: OK, {len(roster.nodes)} nodes, {len(roster.edges)} edges{called_too}, "
-            f"content {content}"
-        )
+        called = f", {calls} dry calls" if dry else ""
+        print(f"{deployment.path}: OK, {nodes} nodes, {edges} edges{called}, content {content}")
     return 0
 
 
@@ -61,7 +45,7 @@ def _check(deployment: Deployment) -> None:
     from hierax.runtime.core.binding import OperatorSetting
     from hierax.runtime.host.waiting import wait_for
     from hierax.runtime.loading.loader import LoadError, build_hierarchy, build_probe, check_initial_belief
-    from hierax.runtime.loading.spelling import misspelt_operators
+    from hierax.runtime.loading.node_loader import misspelt_operators
 
     hierarchy = build_hierarchy(deployment.roster, OperatorSetting(wait=wait_for), deployment.allowance)
     for name, node in hierarchy.nodes.items():
@@ -70,9 +54,3 @@ def _check(deployment: Deployment) -> None:
         check_initial_belief(name, node)
     for index, probe in enumerate(deployment.probes):
         build_probe(probe.reference, f"probes[{index}]", deployment.allowance)
-
-
-def _dry_run(deployment: Deployment) -> int:
-    from hierax.runtime.execution.dry import run_dry
-
-    return run_dry(deployment)

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable, Iterator
-from contextlib import AbstractContextManager, contextmanager, redirect_stdout
+from collections.abc import Callable
+from contextlib import AbstractContextManager, nullcontext, redirect_stdout
+from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -33,25 +34,13 @@ Shown = Annotated[
 
 
 @offers(
-    "epochs",
-    "seed",
-    "overrides",
-    "overwrite",
-    "run",
-    "connect",
-    "native",
-    "save",
-    "port",
-    "deployment_file",
-    "opens",
-    "memory",
-    "first",
-    "last",
-    "trust",
+    *("epochs", "seed", "overrides", "overwrite", "run", "connect", "native", "save"),
+    *("port", "deployment_file", "opens", "memory", "first", "last", "trust"),
 )
 def view(options: RunOptions, source: Shown = None) -> int:
     """See what the nodes believe: of a launch that runs, a recording, or a run in this process."""
-    _require_rerun()
+    if find_spec("rerun") is None:
+        raise CommandError("hierax view needs Rerun, the extra [view]: pip install 'hierax[view]'")
     if options.native and options.save is not None:
         raise CommandError("--native and --save: give one of them")
     if source is not None and not (options.run is options.connect is options.deployment_file is None):
@@ -66,10 +55,10 @@ def view(options: RunOptions, source: Shown = None) -> int:
 
     stream = stream_of(hierarchy)
     with _viewer(stream, options) as place:
-        notify(f"seen at {place.name}")
         endless = source is None
         try:
-            with _explained(deployment):
+            notify(f"seen at {place.name}")
+            with nullcontext() if deployment is None else deployment.explaining():
                 show(_presenter(deployment, stream))
             if place.until_closed is not None:
                 endless = True
@@ -120,21 +109,16 @@ def _of_recording(file: Path, options: RunOptions) -> Source:
 
 
 def _of_launch(options: RunOptions) -> Source:
-    from hierax.runtime.commands.which import client_at, endpoint_of, known_run
+    from hierax.runtime.commands.which import client_at, endpoint_of, known_run, own_deployment
     from hierax.runtime.core.errors import HieraxError
-    from hierax.runtime.deployment.read import read_deployment
-    from hierax.runtime.deployment.secrets import usable
     from hierax.runtime.loading.allowance import ANYTHING
     from hierax.runtime.viewing.live import show_launch
 
-    endpoint, file = endpoint_of(options.run, options.connect), options.deployment_file
+    endpoint = endpoint_of(options.run, options.connect)
     running = known_run(endpoint)
     deployment: Deployment | None = None
     try:
-        if running is not None:
-            deployment = read_deployment(file or running.deployment, usable(running.settings))
-        elif file is not None:
-            deployment = read_deployment(file)
+        deployment = own_deployment(endpoint, options.deployment_file)
     except HieraxError as error:
         notify(f"the layout is not that of the deployment, whose file cannot be read any more: {error}")
 
@@ -150,27 +134,6 @@ def _of_launch(options: RunOptions) -> Source:
             show_launch(client, presenter, allowance)
 
     return deployment, "launch" if running is None else running.hierarchy, show
-
-
-@contextmanager
-def _explained(deployment: Deployment | None) -> Iterator[None]:
-    """Errors with their place in the deployment file, where they have one."""
-    from hierax.runtime.core.errors import HieraxError
-
-    try:
-        yield
-    except HieraxError as error:
-        explained = error if deployment is None else deployment.explain(error)
-        if explained is error:
-            raise
-        raise explained from error
-
-
-def _require_rerun() -> None:
-    from importlib.util import find_spec
-
-    if find_spec("rerun") is None:
-        raise CommandError("hierax view needs Rerun, the extra [view]: pip install 'hierax[view]'")
 
 
 def _viewer(stream: Stream, options: RunOptions) -> AbstractContextManager[Place]:

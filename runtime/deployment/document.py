@@ -2,33 +2,26 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Container
 from dataclasses import dataclass, field
 from typing import Any
 
-from hierax.runtime.deployment.errors import DeploymentError
-from hierax.runtime.deployment.paths import Keys, field_text, longest_key, normal_path
+from hierax.runtime.deployment.paths import DeploymentError, Keys, field_text, longest_key, normal_path
 from hierax.runtime.deployment.secrets import public_setting
 
 
 @dataclass
 class Document:
-    """The values of a deployment file after ``--set``, and the places they come from.
+    """The values of a deployment file after ``--set``, and the places they come from."""
 
-    Attributes:
-        place: the file's name, as errors show it.
-        root: the map at the top.
-        lines, changed, origins: by path, the line of every value in the file, the ``--set`` that a value comes from,
-            and the parameter that it was taken from.
-        outer: the document whose parameters are meant, where it is another one.
-    """
-
-    place: str
-    root: dict[str, Any]
+    place: str  # the file's name, as errors show it
+    root: dict[str, Any]  # the map at the top
+    # By path, the line of every value in the file, the ``--set`` that a value comes from, and the parameter that it was
+    # taken from
     lines: dict[Keys, int]
     changed: dict[Keys, str] = field(default_factory=dict)
     origins: dict[Keys, str] = field(default_factory=dict)
-    outer: Document | None = None
+    outer: Document | None = None  # the document whose parameters are meant, where it is another one
 
     @property
     def parameters(self) -> Any:
@@ -52,10 +45,7 @@ class Document:
         return 0 if self._changed(keys) is not None else self._line(keys)
 
     def keys(self, text: str) -> Keys:
-        """A path given as text, as far as there is anything on it: ``edges.world -> arm.sense.function``.
-
-        A node's name may have dots; the longest key that fits is taken.
-        """
+        """A path given as text, as far as anything is on it; names may have dots, the longest that fits is taken."""
         keys: Keys = ()
         rest = normal_path(text)
         value: Any = self.root
@@ -71,20 +61,19 @@ class Document:
 
     def _changed(self, keys: Keys) -> str | None:
         """The ``--set`` that a value comes from: what it changed has no line any more."""
-        return next((self.changed[path] for path in _upward(keys) if path in self.changed), None)
+        return self.changed.get(_nearest(keys, self.changed))
 
     def _line(self, keys: Keys) -> int:
-        return next((self.lines[path] for path in _upward(keys) if path in self.lines), 0)
+        return self.lines.get(_nearest(keys, self.lines), 0)
 
     def _origin(self, keys: Keys) -> str:
-        path = next((path for path in _upward(keys) if path in self.origins), None)
-        if path is None:
+        path = _nearest(keys, self.origins)
+        if path not in self.origins:
             return ""
-        name = self.origins[path]
-        place = (self.outer or self).where(("parameters", name, *keys[len(path) :]))
-        return f" (from ${{{name}}}, {place})"
+        place = (self.outer or self).where(("parameters", self.origins[path], *keys[len(path) :]))
+        return f" (from ${{{self.origins[path]}}}, {place})"
 
 
-def _upward(keys: Keys) -> Iterator[Keys]:
-    """A path, and those above it up to the root."""
-    return (keys[:length] for length in range(len(keys), -1, -1))
+def _nearest(keys: Keys, known: Container[Keys]) -> Keys:
+    """The nearest path that is known of this one and those above it; else the root."""
+    return next((keys[:length] for length in range(len(keys), -1, -1) if keys[:length] in known), ())

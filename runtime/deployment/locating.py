@@ -5,11 +5,10 @@ from __future__ import annotations
 from importlib.resources import files
 from pathlib import Path
 
-from hierax.runtime.deployment.errors import DeploymentError
+from hierax.runtime.deployment.paths import DeploymentError
 from hierax.runtime.loading.nearest import did_you_mean
 
 MAX_FILE_BYTES = 1 << 22
-
 _SUFFIXES = (".yaml", ".yml")
 
 

@@ -7,7 +7,7 @@ They check one field at a time. What joins several (an edge's nodes, the world's
 from __future__ import annotations
 
 import re
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, get_origin
 
 from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field, WithJsonSchema
 
@@ -38,9 +38,8 @@ def check_modules_pattern(pattern: str) -> str:
     if not _MODULES.match(pattern) or pattern.endswith("\n"):
         raise ValueError(f"expected 'package.module' or 'package.*', got {pattern!r:.60}")
     if pattern == "hierax.*":
-        raise ValueError(
-            "all of hierax is more than nodes; name the packages whose nodes may join, as 'hierax.nodes.*'"
-        )
+        instead = "name the packages whose nodes may join, as 'hierax.nodes.*'"
+        raise ValueError(f"all of hierax is more than nodes; {instead}")
     return pattern
 
 
@@ -52,17 +51,14 @@ def split_edge(name: str) -> tuple[str, str]:
     return check_name(lower.strip(), "node's name"), check_name(upper.strip(), "node's name")
 
 
-def _edge(name: str) -> str:
-    split_edge(name)
-    return name
+def _none_as_empty(kind: Any) -> BeforeValidator:
+    """Let null stand for the empty list or map, or the model of one."""
+    empty = list if get_origin(kind) is list else dict
+    return BeforeValidator(lambda value: empty() if value is None else value, json_schema_input_type=kind | None)
 
 
-def _none_as_map(value: Any) -> Any:
-    return {} if value is None else value
-
-
-def _none_as_list(value: Any) -> Any:
-    return [] if value is None else value
+def _like(pattern: str) -> WithJsonSchema:
+    return WithJsonSchema({"type": "string", "pattern": pattern})
 
 
 def _written_out(value: Any) -> Any:
@@ -76,62 +72,35 @@ def _zenoh(value: Any) -> Any:
     return value
 
 
-Name = Annotated[
-    str,
-    AfterValidator(lambda name: check_name(name, "hierarchy's name")),
-    WithJsonSchema({"type": "string", "pattern": NAME_PATTERN}),
-]
-NodeName = Annotated[
-    str,
-    AfterValidator(lambda name: check_name(name, "node's name")),
-    WithJsonSchema({"type": "string", "pattern": NAME_PATTERN}),
-]
-EdgeName = Annotated[str, AfterValidator(_edge), WithJsonSchema({"type": "string", "pattern": EDGE_PATTERN})]
-Modules = Annotated[
-    str, AfterValidator(check_modules_pattern), WithJsonSchema({"type": "string", "pattern": MODULES_PATTERN})
-]
-Target = Annotated[str, AfterValidator(check_target), WithJsonSchema({"type": "string", "pattern": TARGET_PATTERN})]
-Parameters = Annotated[dict[str, Any], BeforeValidator(_none_as_map, json_schema_input_type=dict[str, Any] | None)]
-
-
+Name = Annotated[str, AfterValidator(lambda name: check_name(name, "hierarchy's name")), _like(NAME_PATTERN)]
+NodeName = Annotated[str, AfterValidator(lambda name: check_name(name, "node's name")), _like(NAME_PATTERN)]
+EdgeName = Annotated[str, AfterValidator(lambda name: split_edge(name) and name), _like(EDGE_PATTERN)]
+Modules = Annotated[str, AfterValidator(check_modules_pattern), _like(MODULES_PATTERN)]
+Target = Annotated[str, AfterValidator(check_target), _like(TARGET_PATTERN)]
+Parameters = Annotated[dict[str, Any], _none_as_empty(dict[str, Any])]
 NotNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 
 
 class _Model(BaseModel):
-    model_config = ConfigDict(extra="forbid", strict=True, frozen=True)
+    model_config = ConfigDict(extra="forbid", strict=True, frozen=True, use_attribute_docstrings=True)
 
 
 class RestartModel(_Model):
     """What is done when a node's process ends or cannot be reached; durations are in seconds."""
 
-    restart_policy: Literal["never", "on-failure", "always"] = Field(
-        default=RestartPolicy.restart_policy,
-        description="after which end of a process another one is started: none, one by a failure or signal, any",
-    )
-    max_restarts: int = Field(
-        default=RestartPolicy.max_restarts, ge=0, description="how often within restart_window; 0: no limit"
-    )
-    restart_delay_s: NotNegative = Field(
-        default=RestartPolicy.restart_delay_s,
-        alias="restart_delay",
-        description="before a restart, doubled for each one within restart_window; a node's very first one is at once",
-    )
-    max_restart_delay_s: NotNegative = Field(
-        default=RestartPolicy.max_restart_delay_s,
-        alias="max_restart_delay",
-        description="the longest that restart_delay grows to",
-    )
-    restart_window_s: Positive | None = Field(
-        default=RestartPolicy.restart_window_s,
-        alias="restart_window",
-        description="restarts longer ago than this are forgotten; null: none ever is",
-    )
-    rejoin_timeout_s: Positive = Field(
-        default=RestartPolicy.rejoin_timeout_s,
-        alias="rejoin_timeout",
-        description="how long the epoch waits for a lost node to come back, before on_loss",
-    )
+    restart_policy: Literal["never", "on-failure", "always"] = RestartPolicy.restart_policy
+    """after which end of a process another one is started: none, one by a failure or signal, any"""
+    max_restarts: int = Field(default=RestartPolicy.max_restarts, ge=0)
+    """how often within restart_window; 0: no limit"""
+    restart_delay_s: NotNegative = Field(default=RestartPolicy.restart_delay_s, alias="restart_delay")
+    """before a restart, doubled for each one within restart_window; a node's very first one is at once"""
+    max_restart_delay_s: NotNegative = Field(default=RestartPolicy.max_restart_delay_s, alias="max_restart_delay")
+    """the longest that restart_delay grows to"""
+    restart_window_s: Positive | None = Field(default=RestartPolicy.restart_window_s, alias="restart_window")
+    """restarts longer ago than this are forgotten; null: none ever is"""
+    rejoin_timeout_s: Positive = Field(default=RestartPolicy.rejoin_timeout_s, alias="rejoin_timeout")
+    """how long the epoch waits for a lost node to come back, before on_loss"""
     on_loss: Literal["restart", "detach", "stop"] = Field(
         default=RestartPolicy.on_loss,
         description="a node that does not come back: wait on while it is being restarted, else stop; "
@@ -142,14 +111,11 @@ class RestartModel(_Model):
 class NodeModel(RestartModel):
     """A node: the class, and what it is made with. For its restarts, what is left out is as 'restart' at the top."""
 
-    target: Target = Field(
-        alias="class", description="module:name of a class, or of a function that is annotated to return a node"
-    )
+    target: Target = Field(alias="class")
+    """module:name of a class, or of a function that is annotated to return a node"""
     parameters: Parameters = Field(default={}, description="keyword arguments of the class")
-    rate_hz: Positive | None = Field(
-        default=None,
-        description="in free running (staleness: null), how often at most it takes part in an epoch; null: as it can",
-    )
+    rate_hz: Positive | None = None
+    """in free running (staleness: null), how often at most it takes part in an epoch; null: as it can"""
 
 
 class FunctionModel(_Model):
@@ -177,32 +143,25 @@ class ProbeModel(_Model):
     """A probe of a node: sees each epoch, changes nothing."""
 
     node: NodeName = Field(description="the node that it watches")
-    target: Target = Field(
-        alias="class", description="module:name of a class, or of a function that is annotated to return a probe"
-    )
+    target: Target = Field(alias="class")
+    """module:name of a class, or of a function that is annotated to return a probe"""
     parameters: Parameters = Field(default={}, description="keyword arguments of the class")
 
 
 class ViewModel(_Model):
     """What `hierax view` shows of the deployment, beside what each node shows of itself."""
 
-    show: Target | None = Field(
-        default=None,
-        description="module:name of a function from all nodes' steps of an epoch, by name, to things by path",
-    )
-    layout: list[list[str | list[str]]] | None = Field(
-        default=None,
-        description="columns of views, each from top to bottom; a list of views in place of one: behind tabs",
-    )
+    show: Target | None = None
+    """module:name of a function from all nodes' steps of an epoch, by name, to things by path"""
+    layout: list[list[str | list[str]]] | None = None
+    """columns of views, each from top to bottom; a list of views in place of one: behind tabs"""
 
 
-Edges = Annotated[
-    dict[EdgeName, EdgeModel], BeforeValidator(_none_as_map, json_schema_input_type=dict[EdgeName, EdgeModel] | None)
-]
-Probes = Annotated[list[ProbeModel], BeforeValidator(_none_as_list, json_schema_input_type=list[ProbeModel] | None)]
-ModuleList = Annotated[list[Modules], BeforeValidator(_none_as_list, json_schema_input_type=list[Modules] | None)]
-Restart = Annotated[RestartModel, BeforeValidator(_none_as_map, json_schema_input_type=RestartModel | None)]
-Views = Annotated[ViewModel, BeforeValidator(_none_as_map, json_schema_input_type=ViewModel | None)]
+Edges = Annotated[dict[EdgeName, EdgeModel], _none_as_empty(dict[EdgeName, EdgeModel])]
+Probes = Annotated[list[ProbeModel], _none_as_empty(list[ProbeModel])]
+ModuleList = Annotated[list[Modules], _none_as_empty(list[Modules])]
+Restart = Annotated[RestartModel, _none_as_empty(RestartModel)]
+Views = Annotated[ViewModel, _none_as_empty(ViewModel)]
 ZenohSettings = Annotated[
     Any, AfterValidator(_zenoh), WithJsonSchema({"anyOf": [{"type": "string"}, {"type": "object"}, {"type": "null"}]})
 ]
@@ -215,9 +174,8 @@ class DeploymentModel(_Model):
     description: str = Field(default="", description="what it is, in one line")
     epochs: int | None = Field(default=None, ge=1, description="how many; else until the world says finished")
     world: NodeName = Field(description="which node is the external world")
-    parameters: Parameters = Field(
-        default={}, description="named values: ${NAME} stands for one, --set NAME=VALUE changes it"
-    )
+    parameters: Parameters = {}
+    """named values: ${NAME} stands for one, --set NAME=VALUE changes it"""
     nodes: dict[NodeName, NodeModel] = Field(description="by name")
     edges: Edges = Field(default={}, description="by 'lower -> upper'")
     probes: Probes = Field(default=[], description="side outputs, no part of the run")
@@ -227,46 +185,30 @@ class DeploymentModel(_Model):
         "package.module, or package.* for all inside it",
     )
     restart: Restart = Field(default=RestartModel(), description="of all nodes that say nothing else")
-    durability: Literal["process", "host"] = Field(
-        default="process",
-        description="what checkpoints outlive: the death of a process, or also that of the machine (slower)",
-    )
-    epoch_deadline_s: Positive | None = Field(
-        default=EPOCH_DEADLINE_S,
-        description="how long an epoch may take before who holds it up counts as lost, in seconds; null: for ever",
-    )
-    on_uncertain_act: Literal["repeat", "skip"] = Field(
-        default="repeat",
-        description="the world's process died, and nobody knows whether it acted: "
-        "act again (at least once) or not (at most once)",
-    )
-    staleness: int | None = Field(
-        default=0,
-        ge=0,
-        le=MAX_STALENESS,
-        description="by how many epochs inputs from above may be older than the node's own; null: free running",
-    )
-    exact: bool = Field(
-        default=False, description="with a staleness: they are exactly so old, and the run can be repeated to the bit"
-    )
+    durability: Literal["process", "host"] = "process"
+    """what checkpoints outlive: the death of a process, or also that of the machine (slower)"""
+    epoch_deadline_s: Positive | None = EPOCH_DEADLINE_S
+    """how long an epoch may take before who holds it up counts as lost, in seconds; null: for ever"""
+    on_uncertain_act: Literal["repeat", "skip"] = "repeat"
+    """the world's process died, and nobody knows whether it acted: act again (at least once) or not (at most once)"""
+    staleness: int | None = Field(default=0, ge=0, le=MAX_STALENESS)
+    """by how many epochs inputs from above may be older than the node's own; null: free running"""
+    exact: bool = False
+    """with a staleness: they are exactly so old, and the run can be repeated to the bit"""
     start_timeout_s: Positive = Field(default=30.0, description="how long launch waits for all nodes to come up")
-    low_latency: bool = Field(
-        default=False,
-        description="quicker links between processes, for messages of at most 32 KiB; a longer one ends the run",
-    )
+    low_latency: bool = False
+    """quicker links between processes, for messages of at most 32 KiB; a longer one ends the run"""
     view: Views = Field(default=ViewModel(), description="how `hierax view` shows it; no part of the run")
-    zenoh: ZenohSettings = Field(
-        default=None, description="Zenoh's own settings: a file (relative to this one), JSON5 text, or a map"
-    )
+    zenoh: ZenohSettings = None
+    """Zenoh's own settings: a file (relative to this one), JSON5 text, or a map"""
 
 
 class SnippetModel(_Model):
     """Nodes for a running hierarchy, and the edges that join them to it."""
 
     nodes: dict[NodeName, NodeModel] = Field(description="by name")
-    edges: dict[EdgeName, EdgeModel] | None = Field(
-        default=None, description="by 'lower -> upper'; one end may be a node that is running"
-    )
+    edges: dict[EdgeName, EdgeModel] | None = None
+    """by 'lower -> upper'; one end may be a node that is running"""
 
 
 TopModel = type[DeploymentModel] | type[SnippetModel]
@@ -289,20 +231,15 @@ def field_meaning(keys: Keys, top: TopModel = DeploymentModel) -> str:
 
 
 def _model_at(keys: Keys, top: TopModel) -> type[_Model] | None:
-    match keys:
-        case ():
-            return top
-        case ("nodes", _):
-            return NodeModel
-        case ("edges", _):
-            return EdgeModel
-        case ("edges", _, _):
-            return FunctionModel
-        case ("probes", _):
-            return ProbeModel
-        case ("restart",):
-            return RestartModel
-        case ("view",):
-            return ViewModel
-        case _:
-            return None
+    return _MODELS.get((keys[0], len(keys))) if keys else top
+
+
+_MODELS: dict[tuple[str | int, int], type[_Model]] = {
+    ("nodes", 2): NodeModel,
+    ("edges", 2): EdgeModel,
+    ("edges", 3): FunctionModel,
+    ("probes", 2): ProbeModel,
+    ("restart", 1): RestartModel,
+    ("view", 1): ViewModel,
+}
+"""What stands at a path, by its first key and how many there are."""

@@ -5,9 +5,8 @@ from __future__ import annotations
 from typing import Any
 
 from hierax.runtime.deployment.document import Document
-from hierax.runtime.deployment.errors import DeploymentError
 from hierax.runtime.deployment.models import field_names
-from hierax.runtime.deployment.paths import Keys, field_text, inside, longest_key, normal_path
+from hierax.runtime.deployment.paths import DeploymentError, Keys, field_text, inside, longest_key, normal_path
 from hierax.runtime.deployment.secrets import public_setting
 from hierax.runtime.deployment.tree import read_tree
 from hierax.runtime.loading.nearest import did_you_mean
@@ -23,10 +22,11 @@ def apply_override(document: Document, text: str) -> None:
     YAML. Raises `DeploymentError` if there is no such path, with the nearest valid name, or the value is no YAML.
     """
     path, equals, value_text = text.partition("=")
+    place = f"--set {public_setting(text)}"
     if not equals or not path.strip():
-        raise DeploymentError("expected PATH=VALUE, e.g. noise=0.1", f"--set {public_setting(text)}")
-    value = read_tree(value_text, f"--set {public_setting(text)}", has_lines=False).value
-    keys = _resolve(document, path, text)
+        raise DeploymentError("expected PATH=VALUE, e.g. noise=0.1", place)
+    value = read_tree(value_text, place, has_lines=False).value
+    keys = _resolve(document, path, place)
     container = _container(document.root, keys[:-1])
     container[keys[-1]] = value
     for old in [known for known in document.changed if known[: len(keys)] == keys]:
@@ -34,7 +34,7 @@ def apply_override(document: Document, text: str) -> None:
     document.changed[keys] = text
 
 
-def _resolve(document: Document, path: str, text: str) -> Keys:
+def _resolve(document: Document, path: str, place: str) -> Keys:
     """The keys of a path, every one checked."""
     parameters = document.root.get("parameters")
     if isinstance(parameters, dict) and path.strip() in parameters:
@@ -45,22 +45,22 @@ def _resolve(document: Document, path: str, text: str) -> Keys:
         rest = rest if longest_key(parameters, rest) is None else f"parameters.{rest}"
     value: Any = document.root
     while rest:
-        key = _next_key(document, keys, value, rest, text)
+        key = _next_key(document, keys, value, rest, place)
         keys, rest = (*keys, key), rest[len(str(key)) + 1 :]
         value = _written_out(inside(value, key), keys)
     return keys
 
 
-def _next_key(document: Document, keys: Keys, value: Any, rest: str, text: str) -> str | int:
+def _next_key(document: Document, keys: Keys, value: Any, rest: str, place: str) -> str | int:
     if value is not None and not isinstance(value, (dict, list)):
-        raise DeploymentError(f"{field_text(keys)} is no map, nothing is inside it", f"--set {public_setting(text)}")
+        raise DeploymentError(f"{field_text(keys)} is no map, nothing is inside it", place)
     key = longest_key(value, rest)
     if key is not None:
         return key
     token = rest.partition(".")[0]
     if isinstance(value, list):
         items = "1 item" if len(value) == 1 else f"{len(value)} items"
-        raise DeploymentError(f"{field_text(keys)} has {items}, counted from 0", f"--set {public_setting(text)}")
+        raise DeploymentError(f"{field_text(keys)} has {items}, counted from 0", place)
     fields = field_names(keys)
     closed = keys in _CLOSED
     if token in fields or not (fields or closed):
@@ -71,7 +71,7 @@ def _next_key(document: Document, keys: Keys, value: Any, rest: str, text: str) 
         names += parameters
     wrong = rest if keys == ("edges",) else token
     where = f" in {field_text(keys)}" if keys else ""
-    raise DeploymentError(f"there is no {wrong!r}{where}{did_you_mean(wrong, names)}", f"--set {public_setting(text)}")
+    raise DeploymentError(f"there is no {wrong!r}{where}{did_you_mean(wrong, names)}", place)
 
 
 def _container(root: dict[str, Any], keys: Keys) -> Any:

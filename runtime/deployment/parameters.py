@@ -6,13 +6,11 @@ import re
 from typing import Any
 
 from hierax.runtime.deployment.document import Document
-from hierax.runtime.deployment.errors import DeploymentError
-from hierax.runtime.deployment.paths import Keys
+from hierax.runtime.deployment.paths import DeploymentError, Keys
+from hierax.runtime.loading.arguments import in_words
 from hierax.runtime.loading.nearest import did_you_mean
 
-MAX_EXPANDED = 1 << 24
-"""Characters and values of a document after substitution."""
-
+MAX_EXPANDED = 1 << 24  # characters and values of a document after substitution
 _NAME = re.compile(r"[A-Za-z_][A-Za-z0-9_-]*")
 _REFERENCE = re.compile(r"\$\$\{|\$\{(?P<name>[^}]*)\}|\$\{")
 
@@ -26,11 +24,9 @@ def substitute(document: Document) -> dict[str, Any]:
     bounds.
     """
     substitution = _Substitution(document)
-    parameters = document.parameters
-    if parameters is None:
-        parameters = {}
+    parameters = {} if document.parameters is None else document.parameters
     if not isinstance(parameters, dict):
-        raise document.error(("parameters",), f"expected a map from names to values, got {_kind(parameters)}")
+        raise document.error(("parameters",), f"expected a map from names to values, got {in_words(parameters)}")
     for name, value in parameters.items():
         substitution.define(name, value)
     return {
@@ -47,7 +43,6 @@ class _Substitution:
         self.size = 0
 
     def define(self, name: str, value: Any) -> None:
-        """Take a further parameter in."""
         if not _NAME.fullmatch(name):
             what = f"{name!r} is no parameter's name: expected letters, digits, '_' or '-', beginning with a letter"
             raise self.document.error(("parameters", name), what)
@@ -56,7 +51,6 @@ class _Substitution:
         self.sizes[name] = self.size - before
 
     def replace(self, value: Any, keys: Keys) -> Any:
-        """A value with its references replaced."""
         if isinstance(value, dict):
             self.grow(len(value) + 1, keys)
             return {key: self.replace(item, (*keys, key)) for key, item in value.items()}
@@ -75,8 +69,6 @@ class _Substitution:
         return self.text(value, keys)
 
     def text(self, value: str, keys: Keys) -> str:
-        """Text with its references written out."""
-
         def grown(match: re.Match[str]) -> str:
             written = self.written(match, keys)
             self.grow(len(written), keys)
@@ -86,7 +78,6 @@ class _Substitution:
         return _REFERENCE.sub(grown, value)
 
     def written(self, match: re.Match[str], keys: Keys) -> str:
-        """What stands for a reference within text."""
         if match[0] == "$${":
             return "${"
         if match["name"] is None:
@@ -97,11 +88,9 @@ class _Substitution:
             return "true" if value else "false"
         if isinstance(value, (str, int, float)):
             return str(value)
-        what = f"${{{name}}} is {_kind(value)} and cannot stand within text"
-        raise self.document.error(keys, what)
+        raise self.document.error(keys, f"${{{name}}} is {in_words(value)} and cannot stand within text")
 
     def known(self, name: str, keys: Keys) -> str:
-        """The name of a parameter that is there."""
         if name in self.values:
             return name
         above = " above it" if keys[0] == "parameters" else ""
@@ -111,12 +100,6 @@ class _Substitution:
         raise self.document.error(keys, f"unknown parameter ${{{name}}}{nearest}")
 
     def grow(self, size: int, keys: Keys) -> None:
-        """Count what was added."""
         self.size += size
         if self.size > MAX_EXPANDED:
             raise DeploymentError("the parameters make the document too large", self.document.where(keys))
-
-
-def _kind(value: Any) -> str:
-    names = {dict: "a map", list: "a list", type(None): "null", bytes: "bytes"}
-    return names.get(type(value), repr(value))

@@ -1,15 +1,28 @@
-"""Paths in a deployment file: as keys, and as text that errors show and ``--set`` takes."""
+"""Paths in a deployment file, as keys, and as text that errors show and ``--set`` takes; and these errors."""
 
 from __future__ import annotations
 
 import re
 from typing import Any
 
-Keys = tuple[str | int, ...]
-"""The path of a value: names and, in lists, numbers from 0."""
+from hierax.runtime.core.errors import HieraxError
+
+Keys = tuple[str | int, ...]  # the path of a value: names and, in lists, numbers from 0
 
 _INDEX = re.compile(r"\[(\d+)\]")
 _ARROW = re.compile(r"\s*->\s*")
+
+
+class DeploymentError(HieraxError):
+    """A deployment file, or a ``--set``, is wrong.
+
+    The place is ``file:line``, the file alone, or the ``--set`` as it was given; the field is its path, or empty; what
+    is wrong is told with what was expected, and the nearest valid name.
+    """
+
+    def __init__(self, what: str, place: str, field: str = "") -> None:
+        self.what, self.place, self.field = what, place, field
+        super().__init__(": ".join(part for part in (place, field, what) if part))
 
 
 def field_text(keys: Keys) -> str:

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -11,31 +12,27 @@ from pydantic import ValidationError
 from hierax.runtime.core.errors import HierarchyError
 from hierax.runtime.core.graph import check_graph
 from hierax.runtime.core.staleness import Staleness
+from hierax.runtime.deployment import models
 from hierax.runtime.deployment.deployment import Deployment, RestartPolicy, ViewSpec
 from hierax.runtime.deployment.document import Document
-from hierax.runtime.deployment.errors import DeploymentError
 from hierax.runtime.deployment.locating import find_file, import_paths, read_text
-from hierax.runtime.deployment.models import DeploymentModel, ViewModel, split_edge
 from hierax.runtime.deployment.overrides import apply_override
 from hierax.runtime.deployment.parameters import substitute
-from hierax.runtime.deployment.parts import check_known, reference, restart_policy, roster_edges, roster_nodes
-from hierax.runtime.deployment.paths import Keys
+from hierax.runtime.deployment.paths import DeploymentError, Keys
 from hierax.runtime.deployment.tree import read_tree
 from hierax.runtime.deployment.validation import first_error
 from hierax.runtime.loading.allowance import module_of
-from hierax.schemas.roster import FUNCTIONS, ProbeSpec, Roster
+from hierax.runtime.loading.nearest import did_you_mean
+from hierax.schemas.errors import SchemaError
+from hierax.schemas.roster import FUNCTIONS, ProbeSpec, Reference, Roster, RosterEdge
+from hierax.schemas.values import decode_value, encode_value
 
 
 def read_deployment(file: str | Path, overrides: Sequence[str] = ()) -> Deployment:
-    """Read a deployment file; nothing of what it names is imported.
+    """Read a deployment file, by its path or the name of a shipped one; nothing of what it names is imported.
 
-    Args:
-        file: the path of a file, or the name of a shipped deployment.
-        overrides: as ``--set`` has them, ``PATH=VALUE``, in order.
-
-    Raises:
-        DeploymentError: the file, or an override, is wrong: file, line, field, what was expected, and the nearest valid
-            name.
+    Overrides are as ``--set`` has them, ``PATH=VALUE``, in order. Raises `DeploymentError` if the file, or an override,
+    is wrong: file, line, field, what was expected, and the nearest valid name.
     """
     path = find_file(file)
     document = read_document(path, "hierarchy, world, nodes and edges")
@@ -43,7 +40,7 @@ def read_deployment(file: str | Path, overrides: Sequence[str] = ()) -> Deployme
         apply_override(document, override)
     root = substitute(document)
     try:
-        model = DeploymentModel.model_validate(root)
+        model = models.DeploymentModel.model_validate(root)
     except ValidationError as error:
         raise first_error(error, document, root) from error
     roster = _roster(model, document)
@@ -51,24 +48,24 @@ def read_deployment(file: str | Path, overrides: Sequence[str] = ()) -> Deployme
     return Deployment(
         path=path,
         name=model.hierarchy,
-        description=model.description,
-        epochs=model.epochs,
         roster=roster,
         probes=_probes(model, document),
         modules=_modules(model),
         restarts={name: restart_policy(node, restart, document, ("nodes", name)) for name, node in model.nodes.items()},
         restart=restart,
-        durability=model.durability,
-        epoch_deadline_s=model.epoch_deadline_s,
-        on_uncertain_act=model.on_uncertain_act,
         staleness=_staleness(model, document),
         rates_hz={name: node.rate_hz for name, node in model.nodes.items() if node.rate_hz is not None},
-        start_timeout_s=model.start_timeout_s,
         zenoh=_zenoh(model.zenoh, path, document),
-        low_latency=_low_latency(model, document),
         import_paths=import_paths(path),
         document=document,
         view=_view(model.view),
+        description=model.description,
+        epochs=model.epochs,
+        durability=model.durability,
+        epoch_deadline_s=model.epoch_deadline_s,
+        on_uncertain_act=model.on_uncertain_act,
+        start_timeout_s=model.start_timeout_s,
+        low_latency=model.low_latency,
     )
 
 
@@ -83,11 +80,11 @@ def read_document(path: Path, fields: str) -> Document:
     return Document(str(path), tree.value, tree.lines)
 
 
-def _roster(model: DeploymentModel, document: Document) -> Roster:
+def _roster(model: models.DeploymentModel, document: Document) -> Roster:
     nodes = roster_nodes(model.nodes, document)
     check_known(model.world, nodes, document, ("world",))
     for name in model.edges:
-        for end in split_edge(name):
+        for end in models.split_edge(name):
             check_known(end, nodes, document, ("edges", name))
     edges = roster_edges(model.edges, document)
     try:
@@ -97,16 +94,16 @@ def _roster(model: DeploymentModel, document: Document) -> Roster:
     return Roster(model.world, nodes, edges)
 
 
-def _probes(model: DeploymentModel, document: Document) -> tuple[ProbeSpec, ...]:
-    specs = []
+def _probes(model: models.DeploymentModel, document: Document) -> tuple[ProbeSpec, ...]:
     for index, probe in enumerate(model.probes):
-        keys: Keys = ("probes", index)
-        check_known(probe.node, model.nodes, document, (*keys, "node"))
-        specs.append(ProbeSpec(probe.node, reference(probe.target, probe.parameters, document, keys)))
-    return tuple(specs)
+        check_known(probe.node, model.nodes, document, ("probes", index, "node"))
+    return tuple(
+        ProbeSpec(probe.node, reference(probe.target, probe.parameters, document, ("probes", index)))
+        for index, probe in enumerate(model.probes)
+    )
 
 
-def _modules(model: DeploymentModel) -> tuple[str, ...]:
+def _modules(model: models.DeploymentModel) -> tuple[str, ...]:
     """What the file names, in functions that are not enabled too, and what it lists."""
     targets = [node.target for node in model.nodes.values()] + [probe.target for probe in model.probes]
     for edge in model.edges.values():
@@ -117,28 +114,24 @@ def _modules(model: DeploymentModel) -> tuple[str, ...]:
     return tuple(sorted({*model.modules, *map(module_of, targets)}))
 
 
-def _view(model: ViewModel) -> ViewSpec:
+def _view(model: models.ViewModel) -> ViewSpec:
     if model.layout is None:
         return ViewSpec(model.show)
     columns = [[(cell,) if isinstance(cell, str) else tuple(cell) for cell in column] for column in model.layout]
     return ViewSpec(model.show, tuple(map(tuple, columns)))
 
 
-def _staleness(model: DeploymentModel, document: Document) -> Staleness:
+def _staleness(model: models.DeploymentModel, document: Document) -> Staleness:
     staleness = Staleness(model.staleness, model.exact)
     if model.exact and (staleness.barrier or staleness.free):
         raise document.error(("exact",), "means something only with a staleness of 1 or more")
     for name, node in model.nodes.items():
         if node.rate_hz is not None and not staleness.free:
             raise document.error(("nodes", name, "rate_hz"), "nodes have rates only in free running (staleness: null)")
-    return staleness
-
-
-def _low_latency(model: DeploymentModel, document: Document) -> bool:
-    if model.low_latency and model.staleness != 0:
+    if model.low_latency and not staleness.barrier:
         what = "goes with a staleness of 0 only: nodes that do not wait for one another may fill its links"
         raise document.error(("low_latency",), what)
-    return model.low_latency
+    return staleness
 
 
 def _zenoh(value: str | dict[str, Any] | None, path: Path, document: Document) -> dict[str, Any] | str | None:
@@ -148,3 +141,56 @@ def _zenoh(value: str | dict[str, Any] | None, path: Path, document: Document) -
     if not file.is_file():
         raise document.error(("zenoh",), f"there is no file {str(file)!r}; expected a file, JSON5 text or a map")
     return str(file)
+
+
+def roster_nodes(given: Mapping[str, models.NodeModel], document: Document) -> dict[str, Reference]:
+    """Classes and parameters by name. Raises `DeploymentError` if a parameter is no value."""
+    return {name: reference(node.target, node.parameters, document, ("nodes", name)) for name, node in given.items()}
+
+
+def roster_edges(given: Mapping[str, models.EdgeModel], document: Document) -> tuple[RosterEdge, ...]:
+    """Edges, by names, without functions that are not enabled. Raises `DeploymentError` if a parameter is no value."""
+    edges = []
+    for name, edge in given.items():
+        functions = {kind: _function(getattr(edge, kind), document, ("edges", name, kind)) for kind in FUNCTIONS}
+        lower, upper = models.split_edge(name)
+        edges.append(RosterEdge(lower, upper, **functions))
+    return tuple(sorted(edges, key=lambda edge: edge.pair))
+
+
+def reference(target: str, parameters: Mapping[str, Any], document: Document, keys: Keys) -> Reference:
+    """A reference with parameters as after travelling, lists as tuples; `DeploymentError` if one is no value."""
+    try:
+        travelled = decode_value(encode_value(parameters))
+    except SchemaError as error:
+        raise document.error((*keys, "parameters"), str(error)) from error
+    return Reference(target, travelled)
+
+
+def check_known(name: str, nodes: Iterable[str], document: Document, keys: Keys) -> None:
+    """Whether there is a node of this name. Raises `DeploymentError` if there is none, with the nearest one."""
+    if name not in nodes:
+        raise document.error(keys, f"there is no node {name!r}{did_you_mean(name, nodes, 'the nodes are')}")
+
+
+def restart_policy(
+    model: models.RestartModel, otherwise: RestartPolicy, document: Document, keys: Keys
+) -> RestartPolicy:
+    """What the model of a node, or of all, says about restarts, with the rest as another policy has it.
+
+    The longest delay is then at least the first one; if it is given, and shorter, `DeploymentError` names its place in
+    the document.
+    """
+    given = {name: getattr(model, name) for name in models.RestartModel.model_fields if name in model.model_fields_set}
+    first_s = given.get("restart_delay_s", otherwise.restart_delay_s)
+    longest_s = given.setdefault("max_restart_delay_s", max(first_s, otherwise.max_restart_delay_s))
+    if longest_s < first_s:
+        what = f"expected at least restart_delay, {first_s:g}, got {longest_s:g}"
+        raise document.error((*keys, "max_restart_delay"), what)
+    return replace(otherwise, **given)
+
+
+def _function(model: models.FunctionModel | None, document: Document, keys: Keys) -> Reference | None:
+    if model is None or not model.enabled:
+        return None
+    return reference(model.function, model.parameters, document, keys)

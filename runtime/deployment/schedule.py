@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
 from hierax.runtime.deployment.deployment import Deployment, RestartPolicy
-from hierax.runtime.deployment.errors import DeploymentError
+from hierax.runtime.deployment.paths import DeploymentError
 from hierax.runtime.deployment.snippet import read_attach, read_replace, read_restarts
 from hierax.runtime.loading.allowance import NotAllowedError
 from hierax.runtime.loading.nearest import did_you_mean
@@ -14,40 +14,27 @@ from hierax.runtime.owner.roster_changes import ChangeError, apply
 from hierax.schemas.changes import Change, Detach
 from hierax.schemas.roster import Roster
 
-FORMS = {
-    "attach": "EPOCH:attach:FILE",
-    "detach": "EPOCH:detach:NAME[:cascade]",
-    "replace": "EPOCH:replace:NAME:FILE",
-}
+FORMS = {"attach": "EPOCH:attach:FILE", "detach": "EPOCH:detach:NAME[:cascade]", "replace": "EPOCH:replace:NAME:FILE"}
 """How each change is written."""
 
 _DIGITS = 19
 
 
 class Scheduled(NamedTuple):
-    """A change that is known before the run, and takes effect at the start of an epoch.
-
-    Attributes:
-        alone: of its new nodes, those that are detached when an operator or edge function of theirs raises.
-    """
+    """A change that is known before the run, and takes effect at the start of an epoch."""
 
     epoch: int
     change: Change
+    # Of its new nodes, those that are detached when an operator or edge function of theirs raises
     alone: frozenset[str] = frozenset()
 
 
 def read_schedule(texts: Sequence[str], deployment: Deployment) -> tuple[Scheduled, ...]:
     """Changes, sorted by the epoch at whose start each takes effect; those of one epoch are made in the given order.
 
-    They are tried on the deployment's roster, so that none is refused in the middle of a run.
-
-    Args:
-        texts: as ``--at`` has them, see `FORMS`. ``FILE`` is a snippet, or in an attach the name of a node of the
-            deployment file.
-        deployment: what will be run.
-
-    Raises:
-        DeploymentError: one is written wrongly, its snippet is wrong, or it cannot be made.
+    The texts are as ``--at`` has them, see `FORMS`; ``FILE`` is a snippet, or in an attach the name of a node of the
+    deployment file. Changes are tried on the deployment's roster, so that none is refused in the middle of a run.
+    Raises `DeploymentError` if one is written wrongly, its snippet is wrong, or it cannot be made.
     """
     read = [(_read(text, deployment), text) for text in texts]
     read.sort(key=lambda entry: entry[0].epoch)
@@ -75,14 +62,16 @@ def _read(text: str, deployment: Deployment) -> Scheduled:
         if not kind:
             raise DeploymentError(f"expected {', '.join(FORMS.values())}", place)
         raise DeploymentError(f"there is no change {kind!r}{did_you_mean(kind, FORMS)}", place)
-    epoch = _epoch(number.strip(), place)
+    number = number.strip()
+    if not number.isascii() or not number.isdigit() or len(number) > _DIGITS or int(number) == 0:
+        raise DeploymentError(f"expected the number of an epoch, from 1, got {number!r:.40}", place)
+    epoch = int(number)
     if kind == "attach" and rest:
-        policies = read_restarts(rest, deployment, attached=True)
-        return Scheduled(epoch, read_attach(rest, deployment), _alone(policies))
+        alone = _alone(read_restarts(rest, deployment, attached=True))
+        return Scheduled(epoch, read_attach(rest, deployment), alone)
     name, colon, rest = rest.partition(":")
     if kind == "replace" and name and rest:
-        policies = read_restarts(rest, deployment)
-        return Scheduled(epoch, read_replace(rest, name, deployment), _alone(policies))
+        return Scheduled(epoch, read_replace(rest, name, deployment), _alone(read_restarts(rest, deployment)))
     if kind == "detach" and name and (not colon or rest == "cascade"):
         return Scheduled(epoch, Detach(name, bool(colon)))
     raise DeploymentError(f"expected {FORMS[kind]}", place)
@@ -90,9 +79,3 @@ def _read(text: str, deployment: Deployment) -> Scheduled:
 
 def _alone(policies: Mapping[str, RestartPolicy]) -> frozenset[str]:
     return frozenset(name for name, policy in policies.items() if policy.fails_alone)
-
-
-def _epoch(text: str, place: str) -> int:
-    if not text.isascii() or not text.isdigit() or len(text) > _DIGITS or int(text) == 0:
-        raise DeploymentError(f"expected the number of an epoch, from 1, got {text!r:.40}", place)
-    return int(text)

@@ -19,8 +19,7 @@ _REFERENCE = {
     "pattern": r"\$\{[A-Za-z_][A-Za-z0-9_-]*\}",
     "description": "${NAME} stands for the parameter of that name",
 }
-_LITERAL = ("parameters", "nodes", "edges", "probes")
-"""Fields of the whole file that cannot be a ``${NAME}``."""
+_LITERAL = ("parameters", "nodes", "edges", "probes")  # fields of the whole file that cannot be a ``${NAME}``
 
 
 def deployment_schema() -> dict[str, Any]:

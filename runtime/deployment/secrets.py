@@ -15,8 +15,7 @@ from hierax.runtime.core.errors import HieraxError
 if TYPE_CHECKING:
     import yaml
 
-HIDDEN = "(not stored)"
-"""What stands for something secret in a text."""
+HIDDEN = "(not stored)"  # what stands for something secret in a text
 
 _SECRET = re.compile(
     r"\w*(password|passwd|passphrase|secret|credential|token|private_key_(pem|base64))(?!\w*_(file|path)\b)\w*", re.I
@@ -24,8 +23,7 @@ _SECRET = re.compile(
 _VALUE = r"""("(?:\\.|[^"\\])*"|'(?:\\.|[^'\\])*'|[^\s,;}"']+)"""
 _IN_TEXT = re.compile(rf"""(["']?{_SECRET.pattern}["']?\s*[:=]\s*){_VALUE}""", re.I)
 _ANCHOR = re.compile(r"&\S+\s+")
-_SURE_CHARS = 4
-"""Shorter secrets may be part of other words by chance."""
+_SURE_CHARS = 4  # shorter secrets may be part of other words by chance
 
 
 def is_secret(name: str) -> bool:
@@ -94,12 +92,12 @@ def _secret_scalars(text: str, secrets: frozenset[str]) -> Iterator[yaml.ScalarN
     for key, value in root.value:
         if key.value in ("zenoh", "parameters"):
             for scalar in _scalars(value, set()):
-                if any(secret == scalar.value or (secret in scalar.value and _sure(secret, key)) for secret in secrets):
+                if _has_secret(scalar.value, secrets, 0 if key.value == "zenoh" else _SURE_CHARS):
                     yield scalar
 
 
-def _sure(secret: str, key: yaml.Node) -> bool:
-    return key.value == "zenoh" or len(secret) >= _SURE_CHARS
+def _has_secret(text: str, secrets: frozenset[str], sure_chars: int = _SURE_CHARS) -> bool:
+    return any(secret == text or (len(secret) >= sure_chars and secret in text) for secret in secrets)
 
 
 def _scalars(node: yaml.Node, seen: set[int]) -> Iterator[yaml.ScalarNode]:
@@ -123,7 +121,7 @@ def _is_hidden(text: str, secrets: frozenset[str]) -> bool:
     names = path.strip().split(".")
     if names[0] == "zenoh" and (any(map(is_secret, names)) or _IN_TEXT.search(value)):
         return True
-    return any(secret == value or (len(secret) >= _SURE_CHARS and secret in value) for secret in secrets)
+    return _has_secret(value, secrets)
 
 
 def _values(zenoh: Any, inside: bool = False) -> Iterator[str]:

@@ -9,18 +9,17 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import replace
+from functools import reduce
 from pathlib import Path
-from typing import Any
 
 from pydantic import ValidationError
 
 from hierax.runtime.deployment.deployment import Deployment, RestartPolicy
 from hierax.runtime.deployment.document import Document
-from hierax.runtime.deployment.errors import DeploymentError
 from hierax.runtime.deployment.models import SnippetModel, split_edge
 from hierax.runtime.deployment.parameters import substitute
-from hierax.runtime.deployment.parts import restart_policy, roster_edges, roster_nodes
-from hierax.runtime.deployment.read import read_document
+from hierax.runtime.deployment.paths import DeploymentError, inside
+from hierax.runtime.deployment.read import read_document, restart_policy, roster_edges, roster_nodes
 from hierax.runtime.deployment.validation import first_error
 from hierax.runtime.loading.nearest import did_you_mean
 from hierax.schemas.changes import Attach, Replace
@@ -74,9 +73,7 @@ def read_restarts(source: str | Path, deployment: Deployment, *, attached: bool 
 
 def _says(deployment: Deployment, *keys: str) -> bool:
     """Whether the deployment file says at this path what follows on a loss."""
-    found: Any = deployment.document.root
-    for key in keys:
-        found = found.get(key) if isinstance(found, dict) else None
+    found = reduce(inside, keys, deployment.document.root)
     return isinstance(found, dict) and "on_loss" in found
 
 

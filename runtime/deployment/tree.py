@@ -15,14 +15,11 @@ from typing import Any
 
 import yaml
 
-from hierax.runtime.deployment.errors import DeploymentError
-from hierax.runtime.deployment.paths import Keys, edge_name, field_text
+from hierax.runtime.deployment.paths import DeploymentError, Keys, edge_name, field_text
 from hierax.schemas.limits import MAX_DEPTH
 
 MAX_TEXT_CHARS = 1 << 22
-MAX_PARTS = 1 << 18
-"""Values in a document, aliases and what '<<' brings in counted wherever they stand."""
-
+MAX_PARTS = 1 << 18  # values in a document, aliases and what '<<' brings in counted wherever they stand
 _TAG = "tag:yaml.org,2002:"
 _INTEGERS = range(-(1 << 63), 1 << 64)
 _BOOLS = {"true": True, "false": False}
@@ -68,17 +65,13 @@ for _kind, _pattern, _first in (
 
 @dataclass
 class Tree:
-    """Values read from YAML.
+    """Values read from YAML."""
 
-    Attributes:
-        place, has_lines: what errors name: the file, or the ``--set``; and whether they name the line, too.
-        value: the root.
-        lines: of every value, by path, counted from 1; of a map's entry, its key's.
-    """
-
+    # What errors name: the file, or the ``--set``; and whether they name the line, too
     place: str
     has_lines: bool = True
-    value: Any = None
+    value: Any = None  # the root
+    # Of every value, by path, counted from 1; of a map's entry, its key's
     lines: dict[Keys, int] = field(default_factory=dict)
 
     def at(self, line: int) -> str:
@@ -161,8 +154,7 @@ class _Builder:
             key = self.key(key_node, keys)
             line = key_node.start_mark.line + 1
             if key in seen:
-                what = f"given twice, in line {seen[key]} and in line {line}"
-                raise self.error(key_node, (*keys, key), what)
+                raise self.error(key_node, (*keys, key), f"given twice, in line {seen[key]} and in line {line}")
             seen[key] = line
             self.entry(result, key_node, value_node, (*keys, key))
         for key_node, value_node in merged:
@@ -225,11 +217,8 @@ def _bool(text: str) -> bool:
 
 
 def _int(text: str) -> int:
-    if len(text) > 100:
-        raise ValueError("expected a whole number of 64 bits")
     base = {"0o": 8, "0x": 16}.get(text[:2], 10)
-    number = int(text, base)
-    if number not in _INTEGERS:
+    if len(text) > 100 or (number := int(text, base)) not in _INTEGERS:
         raise ValueError("expected a whole number of 64 bits")
     return number
 

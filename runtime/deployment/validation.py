@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-from types import NoneType
 from typing import Any
 
 from pydantic import ValidationError
 
 from hierax.runtime.deployment.document import Document
-from hierax.runtime.deployment.errors import DeploymentError
 from hierax.runtime.deployment.models import DeploymentModel, TopModel, field_meaning, field_names
-from hierax.runtime.deployment.paths import Keys, inside
+from hierax.runtime.deployment.paths import DeploymentError, Keys, inside
+from hierax.runtime.loading.arguments import in_words
 from hierax.runtime.loading.nearest import did_you_mean
 
 _EXPECTED = {
@@ -34,10 +33,7 @@ _EXPECTED = {
 def first_error(
     error: ValidationError, document: Document, root: dict[str, Any], top: TopModel = DeploymentModel
 ) -> DeploymentError:
-    """The fault of what pydantic found that comes first in the file, or in a ``--set``.
-
-    `root` are the values that were validated by the model `top`; the document knows their places.
-    """
+    """The fault of values that were validated by a model that comes first in the file, or in a ``--set``."""
     found = [(_keys(details["loc"], root), details) for details in error.errors(include_url=False)]
     misspelt = {keys[:-1] for keys, details in found if details["type"] == "extra_forbidden"}
     faults = [
@@ -72,10 +68,5 @@ def _what(keys: Keys, details: Any, top: TopModel) -> str:
     expected = _EXPECTED.get(kind)
     if expected is None:
         return f"{details['msg']}, got {details['input']!r:.60}"
-    return f"expected {expected.format(**context)}, got {_given(details['input'])}"
-
-
-def _given(value: Any) -> str:
-    if isinstance(value, bool):
-        return "true" if value else "false"
-    return {dict: "a map", list: "a list", NoneType: "nothing"}.get(type(value)) or f"{value!r:.60}"
+    given = "nothing" if details["input"] is None else in_words(details["input"])
+    return f"expected {expected.format(**context)}, got {given}"

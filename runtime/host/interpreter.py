@@ -21,8 +21,5 @@ def python_module(module: str, *arguments: str) -> Sequence[str]:
 
 
 def python_code(code: str, *arguments: str) -> Sequence[str]:
-    """The command that runs code as ``python -c`` does, but for the current folder; see `python_module`.
-
-    ``sys`` is imported, and the arguments are ``sys.argv[:]``, with nothing before them.
-    """
+    """The command that runs code, as `python_module` does, with ``sys`` imported, and ``sys.argv`` the arguments."""
     return [sys.executable, "-c", f"{_BEGIN}{code}", *arguments]

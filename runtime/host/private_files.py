@@ -19,12 +19,8 @@ from secrets import token_hex
 from hierax.runtime.core.errors import HieraxError
 
 FILE_MODE, FOLDER_MODE = 0o600, 0o700
-LARGEST = 16 << 20
-"""How many bytes a private file that is read at once may have."""
-
-_AT_ONCE = os.O_NOFOLLOW | os.O_CLOEXEC | os.O_NONBLOCK
-"""The flags for all files; a FIFO is refused, not waited for."""
-
+LARGEST = 16 << 20  # how many bytes a private file that is read at once may have
+_AT_ONCE = os.O_NOFOLLOW | os.O_CLOEXEC | os.O_NONBLOCK  # the flags for all files; a FIFO is refused, not waited for
 _LOOK = os.O_PATH | os.O_NOFOLLOW | os.O_CLOEXEC
 _MOST_LINKS = 40
 _OTHERS_WRITE = stat.S_IWGRP | stat.S_IWOTH
@@ -94,10 +90,11 @@ def read_private(path: Path) -> bytes:
     return content
 
 
-def write_private(path: Path, content: bytes) -> None:
+def write_private(path: Path, content: bytes, replaces: bool = True) -> None:
     """Write a private file, whole or not at all; its folder is made where it lacks.
 
-    Raises `UnsafeFileError` if its folder is not of this user alone, and `OSError` if it cannot be written.
+    One that `replaces` none is on the disk for good, or, where another process has made one meanwhile, left out. Raises
+    `UnsafeFileError` if its folder is not of this user alone, and `OSError` if it cannot be written.
     """
     unfinished = f".{path.name}.{token_hex(4)}.tmp"
     with private_folder(path.parent, make=True) as folder:
@@ -105,11 +102,17 @@ def write_private(path: Path, content: bytes) -> None:
         try:
             with os.fdopen(file, "wb") as stream:
                 stream.write(content)
-            os.rename(unfinished, path.name, src_dir_fd=folder, dst_dir_fd=folder)
-        except BaseException:
-            with suppress(FileNotFoundError):
+                if not replaces:
+                    stream.flush()
+                    os.fsync(stream.fileno())
+            if replaces:
+                os.rename(unfinished, path.name, src_dir_fd=folder, dst_dir_fd=folder)
+            else:
+                with suppress(FileExistsError):
+                    os.link(unfinished, path.name, src_dir_fd=folder, dst_dir_fd=folder)
+        finally:
+            with suppress(FileNotFoundError):  # renamed
                 os.unlink(unfinished, dir_fd=folder)
-            raise
 
 
 def open_result(path: Path | str, append: bool = False, private: bool = False) -> int:
@@ -134,10 +137,7 @@ def write_result(path: Path, content: bytes) -> None:
 
 
 def hold(file: int, refusal: Callable[[str], HieraxError]) -> None:
-    """Have an open file for this process, and those that inherit it, alone; until it is closed or they have ended.
-
-    Raises the refusal of who has it, if another process has it.
-    """
+    """Have an open file for this process, and those that inherit it; else the refusal of who has it is raised."""
     try:
         fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except BlockingIOError as error:

@@ -11,9 +11,7 @@ from typing import Any, TypeVar
 
 from hierax.runtime.host.private_files import UnsafeFileError, private_folder, read_private, write_private
 
-KEPT_RUNS = 20
-"""How many folders stay of launches that have ended, the last ones."""
-
+KEPT_RUNS = 20  # how many folders stay of launches that have ended, the last ones
 LOGS = "logs"
 ABOUT = "about.json"
 
@@ -96,13 +94,7 @@ def is_process(pid: int) -> bool:
 
 
 def meant(which: str, runs: Sequence[Run], names: Callable[[Run], tuple[str, str]]) -> list[Run]:
-    """Those that are meant by an identification, by a hierarchy's name, or by how an identification begins.
-
-    Args:
-        which: what a user has called it.
-        runs: among these.
-        names: gives the identification and the hierarchy's name of each.
-    """
+    """Those that are called so by run or hierarchy, as `names` gives them, or whose run begins so."""
     named = [(each, *names(each)) for each in runs]
     ways = (
         [each for each, run, _ in named if run == which],

@@ -10,21 +10,17 @@ import functools
 import hmac
 import json
 import logging
-import os
 from collections.abc import Mapping
-from contextlib import suppress
 from hashlib import blake2b
 from pathlib import Path
-from secrets import token_bytes, token_hex
+from secrets import token_bytes
 from typing import Any
 
 from hierax.runtime.core.errors import HieraxError
-from hierax.runtime.host.private_files import UnsafeFileError, open_private, private_folder
+from hierax.runtime.host.private_files import UnsafeFileError, read_private, write_private
 from hierax.runtime.host.run_folder import runs_folder
 
-RECORDING, STATE = "recording", "state"
-"""What is sealed: no seal of one fits the other."""
-
+RECORDING, STATE = "recording", "state"  # what is sealed: no seal of one fits the other
 KEY_BYTES = 32
 SEAL_BYTES = 32
 
@@ -85,39 +81,15 @@ def _key(make: bool) -> bytes:
     """The user's key. Raises `NoKeyError` if there is none, or it is not this user's alone."""
     path = key_file()
     try:
-        with private_folder(path.parent, make=make) as folder:
-            with suppress(FileNotFoundError):
-                return _read(folder, path)
-            if make:
-                _make(folder, path)
-            return _read(folder, path)
+        if make and not path.exists():  # where another process makes one at the same time, it is that one
+            write_private(path, token_bytes(KEY_BYTES), replaces=False)
+        key = read_private(path)
     except UnsafeFileError as error:
         raise NoKeyError(str(error)) from error
     except OSError as error:
         raise NoKeyError(f"{path}: {error.strerror or error}") from error
-
-
-def _read(folder: int, path: Path) -> bytes:
-    file = open_private(folder, path.name, os.O_RDONLY, path)
-    with os.fdopen(file, "rb") as stream:
-        found = os.fstat(stream.fileno())
-        key = stream.read(KEY_BYTES + 1)
-    if len(key) != KEY_BYTES or found.st_mode & 0o077:
-        what = f"expected {KEY_BYTES} bytes that nobody else can read"
-        raise NoKeyError(f"{path}: {what}; remove it to have another made")
+    if len(key) != KEY_BYTES:
+        raise NoKeyError(
+            f"{path}: expected {KEY_BYTES} bytes that nobody else can read; remove it to have another made"
+        )
     return key
-
-
-def _make(folder: int, path: Path) -> None:
-    """Whole or not at all; where another process makes one at the same time, it is that one."""
-    unfinished = f".{path.name}.{token_hex(4)}.tmp"
-    file = open_private(folder, unfinished, os.O_WRONLY | os.O_CREAT | os.O_EXCL, path)
-    try:
-        with os.fdopen(file, "wb") as stream:
-            stream.write(token_bytes(KEY_BYTES))
-            stream.flush()
-            os.fsync(stream.fileno())
-        with suppress(FileExistsError):
-            os.link(unfinished, path.name, src_dir_fd=folder, dst_dir_fd=folder)
-    finally:
-        os.unlink(unfinished, dir_fd=folder)

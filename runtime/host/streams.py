@@ -13,8 +13,7 @@ from typing import Any, TextIO
 
 from hierax.runtime.core.errors import HieraxError
 
-_REPLACED = "backslashreplace"
-"""What becomes of characters that the stream's encoding does not have."""
+_REPLACED = "backslashreplace"  # what becomes of characters that the stream's encoding does not have
 
 
 class StandardOutputError(HieraxError):
@@ -22,10 +21,7 @@ class StandardOutputError(HieraxError):
 
 
 def own_output() -> int:
-    """Have all that others write to descriptor 1 go to standard error; a descriptor for standard output.
-
-    Where that was closed, writing to it fails as it would have.
-    """
+    """Have all that others write to descriptor 1 go to standard error; a descriptor for standard output."""
     for descriptor, stream in enumerate((sys.__stdin__, sys.__stdout__, sys.__stderr__)):
         if stream is None:  # closed: what is opened next must not take its place
             nothing = os.open(os.devnull, os.O_WRONLY if descriptor == 2 else os.O_RDONLY)

@@ -72,7 +72,7 @@ class RecorderChild:
             "file": "" if request.file is None else str(request.file),
             "descriptor": -1 if request.target is None else request.target.descriptor,
             "check": request.check,
-            "selection": request.selection.plain(),
+            "selection": vars(request.selection),
             "settings": zenoh_config,
             "host": host,
         }

@@ -25,12 +25,7 @@ _TARGET = re.compile(TARGET_PATTERN)
 
 
 class NotAllowedError(HieraxError):
-    """Something names code that may not be loaded.
-
-    Attributes:
-        what: the target, and what would have to be done.
-        where: the path in the roster, which is also that in the deployment file.
-    """
+    """Something names code that may not be loaded: `what`, and what would have to be done; and `where`, as a path."""
 
     def __init__(self, what: str, where: str) -> None:
         self.what = what
@@ -50,12 +45,9 @@ def module_of(target: str) -> str:
 
 @dataclass(frozen=True)
 class Allowance:
-    """The modules from which code may be loaded.
+    """The modules from which code may be loaded."""
 
-    Attributes:
-        modules: ``package.module`` is that module alone, ``package.*`` the package and all that is inside it.
-    """
-
+    # ``package.module`` is that module alone, ``package.*`` the package and all that is inside it
     modules: tuple[str, ...]
 
     def with_modules(self, modules: Iterable[str]) -> Allowance:
@@ -64,50 +56,33 @@ class Allowance:
 
     def covers(self, module: str) -> bool:
         """Whether code may be loaded from a module."""
-        return any(_covers(pattern, module) for pattern in self.modules)
+        packages = [pattern.removesuffix("*") for pattern in self.modules if pattern == "*" or pattern.endswith(".*")]
+        inside = any(f"{module}.".startswith(package) for package in packages)
+        return inside or module in self.modules
 
     def check(self, target: str, where: str) -> None:
-        """Whether a class or function may be loaded.
-
-        Args:
-            target: ``package.module:name``.
-            where: the field that names it.
-
-        Raises:
-            NotAllowedError: it may not, or is written otherwise.
-        """
+        """Raise `NotAllowedError` if a target may not be loaded, or is none; `where` is the field that names it."""
         if not is_target(target):
             raise NotAllowedError(f"expected 'package.module:name', one name in a module, got {target!r:.80}", where)
         module = module_of(target)
         if not self.covers(module):
-            what = (
-                f"{target!r} may not be loaded in this run: its deployment file neither names the module {module!r} "
-                f"nor allows it; add {module!r} to 'modules' there and start the run anew"
-            )
-            raise NotAllowedError(what, where)
+            what = f"its deployment file neither names the module {module!r} nor allows it"
+            instead = f"add {module!r} to 'modules' there and start the run anew"
+            raise NotAllowedError(f"{target!r} may not be loaded in this run: {what}; {instead}", where)
 
     def check_all(self, named: Roster | Change) -> None:
-        """Whether all code that a roster or change names may be loaded.
-
-        Raises:
-            NotAllowedError: the first that may not, with the field that names it.
-        """
+        """Raise `NotAllowedError` of the first code that a roster or change names which may not be loaded."""
         for where, reference in references(named):
             self.check(reference.target, where)
 
     def check_part(self, roster: Roster, name: str) -> None:
-        """Whether all code may be loaded that a roster names for one node and its edges.
-
-        Raises:
-            NotAllowedError: as `check_all`.
-        """
+        """Raise `NotAllowedError` as `check_all` does, of what a roster names for one node and its edges."""
         nodes = {name: roster.nodes[name]} if name in roster.nodes else {}
         edges = tuple(edge for edge in roster.edges if name in edge.pair)
         self.check_all(Attach(nodes, edges))
 
 
-ANYTHING = Allowance(("*",))
-"""Whatever is named: for who has said that its source is trusted. No file can say so."""
+ANYTHING = Allowance(("*",))  # whatever is named: for who has said that its source is trusted. No file can say so.
 
 
 class Refusals:
@@ -118,10 +93,9 @@ class Refusals:
 
     def is_new(self, what: str) -> bool:
         """Whether this is to be told."""
-        if what in self._told or len(self._told) >= MOST_REFUSALS:
-            return False
-        self._told.add(what)
-        return True
+        is_new = what not in self._told and len(self._told) < MOST_REFUSALS
+        self._told.update([what] if is_new else [])
+        return is_new
 
 
 def references(named: Roster | Change) -> Iterable[tuple[str, Reference]]:
@@ -139,10 +113,3 @@ def references(named: Roster | Change) -> Iterable[tuple[str, Reference]]:
             reference: Reference | None = getattr(edge, kind)
             if reference is not None:
                 yield f"edges.{edge.lower} -> {edge.upper}.{kind}", reference
-
-
-def _covers(pattern: str, module: str) -> bool:
-    package = pattern.removesuffix(".*")
-    if pattern == "*":
-        return True
-    return module == package or (package != pattern and module.startswith(f"{package}."))

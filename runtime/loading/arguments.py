@@ -19,29 +19,19 @@ _EXPECTED: dict[Any, str] = {bool: "true or false", int: "a whole number", float
 
 
 def wrong_argument(target: Callable[..., Any], parameters: Mapping[str, Value]) -> tuple[str, str] | None:
-    """The first parameter that is of another type than annotated, and what was expected; None: there is none.
-
-    Args:
-        target: a class or function.
-        parameters: by name.
-    """
-    annotations = _annotations(target)
+    """The first parameter of another type than a class or function says, and what was expected; None: none is."""
+    try:
+        known = inspect.signature(target, eval_str=True).parameters
+    except (NameError, TypeError, ValueError, AttributeError, SyntaxError):
+        return None
     for name, value in parameters.items():
-        allowed = _allowed(annotations.get(name))
+        allowed = _allowed(known[name].annotation) if name in known else ()
         if allowed and not any(_is_of(value, kind) for kind in allowed):
             expected = " or ".join("null" if kind is type(None) else _EXPECTED[kind] for kind in allowed)
-            return name, f"expected {expected}, got {_shown(value)}"
+            return name, f"expected {expected}, got {in_words(value)}"
         if float in allowed and isinstance(value, float) and math.isnan(value):
             return name, "expected a number, got .nan"
     return None
-
-
-def _annotations(target: Callable[..., Any]) -> dict[str, Any]:
-    try:
-        signature = inspect.signature(target, eval_str=True)
-    except (NameError, TypeError, ValueError, AttributeError, SyntaxError):
-        return {}
-    return {name: parameter.annotation for name, parameter in signature.parameters.items()}
 
 
 def _allowed(annotation: Any) -> tuple[Any, ...]:
@@ -52,16 +42,15 @@ def _allowed(annotation: Any) -> tuple[Any, ...]:
 
 
 def _is_of(value: Value, kind: Any) -> bool:
-    if kind is float:
-        return isinstance(value, (int, float)) and not isinstance(value, bool)
-    if kind is int:
-        return isinstance(value, int) and not isinstance(value, bool)
+    if kind in (int, float):
+        return isinstance(value, (int, kind)) and not isinstance(value, bool)
     return isinstance(value, kind)
 
 
-def _shown(value: Value) -> str:
+def in_words(value: Value) -> str:
+    """A value as errors show one that is of the wrong kind."""
     if isinstance(value, (dict, list, tuple)):
         return "a map" if isinstance(value, dict) else "a list"
     if isinstance(value, bool):
         return "true" if value else "false"
-    return "null" if value is None else f"{value!r:.60}"
+    return "null" if value is None else "bytes" if isinstance(value, bytes) else f"{value!r:.60}"

@@ -33,10 +33,8 @@ from hierax.schemas.values import encode_value
 class LoadError(HieraxError):
     """What a roster names cannot be loaded.
 
-    Attributes:
-        what: what is wrong, what was expected, and the nearest valid name.
-        where: the path in the roster, which is also that in the deployment file:
-            ``nodes.world.parameters.noise``, ``edges.world -> arm.sense.function``.
+    `what` is wrong, with what was expected, and the nearest valid name; `where` is the path in the roster, which is
+    also that in the deployment file, as ``nodes.world.parameters.noise`` or ``edges.world -> arm.sense.function``.
     """
 
     def __init__(self, what: str, where: str) -> None:
@@ -54,17 +52,10 @@ def extend_import_path(paths: Iterable[str]) -> None:
 
 
 def load(target: str, where: str, allowance: Allowance) -> Any:
-    """The object that ``package.module:name`` names.
+    """The object that ``package.module:name`` names, which the field at `where` says; the allowance is asked before.
 
-    Args:
-        target: one name in a module.
-        where: the field that names it.
-        allowance: which code may be loaded; asked before anything is imported.
-
-    Raises:
-        NotAllowedError: it may not be loaded.
-        LoadError: there is no such module or name (with the nearest one), the module only
-            imports it from one that is not allowed, or the module's import raised.
+    Raises `NotAllowedError` if it may not be loaded, and `LoadError` if there is no such module or name (with the
+    nearest one), the module only imports it from one that is not allowed, or the module's import raised.
     """
     allowance.check(target, where)
     module_name, _, name = target.partition(":")
@@ -90,48 +81,26 @@ def _check_home(found: Any, module_name: str, name: str, where: str, allowance: 
 
 
 def build_node(reference: Reference, where: str, allowance: Allowance, is_world: bool = False) -> Node:
-    """Build a node.
+    """Build a node, or a `World`, of its class and parameters; `where` is its path in the file, ``nodes.NAME``.
 
-    Args:
-        reference: its class and parameters.
-        where: its path in the deployment file, ``nodes.NAME``.
-        allowance: which code may be loaded.
-        is_world: whether it has to be a `World`.
-
-    Raises:
-        NotAllowedError, LoadError: see `load`; or it is no class of nodes, which is
-            found out before that is called; or a parameter is unknown, lacks or is refused by it.
+    Raises `NotAllowedError` or `LoadError` as `load` does, or if it is no class of nodes, which is found out before
+    that is called; or a parameter is unknown, lacks or is refused by it.
     """
     node: Node = _build(reference, where, allowance, World if is_world else Node)
     return node
 
 
 def build_probe(reference: Reference, where: str, allowance: Allowance) -> Probe:
-    """Build a probe.
-
-    Args:
-        reference: its class and parameters.
-        where: its path in the deployment file, ``probes[i]``.
-        allowance: which code may be loaded.
-
-    Raises:
-        NotAllowedError, LoadError: as `build_node`.
-    """
+    """Build a probe; `where` is its path in the file, ``probes[i]``. Raises as `build_node` does."""
     probe: Probe = _build(reference, where, allowance, Probe)
     return probe
 
 
 def build_edge(edge: RosterEdge, allowance: Allowance, side: str = "both") -> Edge:
-    """Build an edge's functions.
+    """Build an edge's functions; of its side ``lower`` φ only, of ``upper`` ψ and ϱ, of ``both`` all three.
 
-    Args:
-        edge: by names.
-        allowance: which code may be loaded.
-        side: ``lower`` builds φ only, ``upper`` ψ and ϱ, ``both`` all three.
-
-    Raises:
-        NotAllowedError, LoadError: see `load`; or what is named is no function of the
-            edge's kind, and no class whose objects are, which is found out before it is called.
+    Raises `NotAllowedError` or `LoadError` as `load` does, or if what is named is no function of the edge's kind, and
+    no class whose objects are, which is found out before it is called.
     """
     where = f"edges.{edge.lower} -> {edge.upper}"
     wanted = {"lower": ("sense",), "upper": ("task", "context"), "both": ("sense", "task", "context")}[side]
@@ -146,10 +115,8 @@ def build_edge(edge: RosterEdge, allowance: Allowance, side: str = "both") -> Ed
 def build_hierarchy(roster: Roster, setting: OperatorSetting, allowance: Allowance) -> Hierarchy:
     """Build all nodes and edges in this process.
 
-    Raises:
-        NotAllowedError: something may not be loaded; then nothing is.
-        LoadError: something cannot be loaded, or an operator cannot be called.
-        HierarchyError: they form no hierarchy.
+    Raises `NotAllowedError` if something may not be loaded (then nothing is), `LoadError` if something cannot be
+    loaded, or an operator not be called, and `HierarchyError` if they form no hierarchy.
     """
     allowance.check_all(roster)
     nodes = {
@@ -166,11 +133,7 @@ def build_hierarchy(roster: Roster, setting: OperatorSetting, allowance: Allowan
 
 
 def load_function(target: str, where: str, allowance: Allowance) -> Callable[..., Any]:
-    """A function by name.
-
-    Raises:
-        NotAllowedError, LoadError: see `load`; or it is no function.
-    """
+    """A function by name. Raises `NotAllowedError` or `LoadError` as `load` does, or if it is no function."""
     found = load(target, where, allowance)
     if not inspect.isfunction(found):
         raise LoadError(f"expected a function, but {target} is {_shown(found)}", where)
@@ -178,11 +141,7 @@ def load_function(target: str, where: str, allowance: Allowance) -> Callable[...
 
 
 def bind_node(name: str, node: Node, world: str, pairs: Sequence[Pair], setting: OperatorSetting) -> BoundNode:
-    """A node with its neighbours, ready to be called.
-
-    Raises:
-        LoadError: an operator cannot be called, λ(∅) is not π⁰, N₀ is no world, or another node is one.
-    """
+    """A node with its neighbours, ready to be called; `LoadError` if it cannot be, or just N₀ is to be a world."""
     where = f"nodes.{name}"
     if name == world and not isinstance(node, World):
         raise LoadError(f"the world's class must derive from World, {type(node).__name__} does not", f"{where}.class")
@@ -195,11 +154,7 @@ def bind_node(name: str, node: Node, world: str, pairs: Sequence[Pair], setting:
 
 
 def bind_edge(edge: Edge, setting: OperatorSetting, side: str = "both") -> BoundEdge:
-    """An edge's functions on one side or both, ready to be called.
-
-    Raises:
-        LoadError: one of them cannot be called.
-    """
+    """An edge's functions on one side or both, ready to be called. Raises `LoadError` if one of them cannot be."""
     name = f"{edge.lower}->{edge.upper}"
     try:
         return BoundEdge.of(edge, setting, side)
@@ -208,11 +163,7 @@ def bind_edge(edge: Edge, setting: OperatorSetting, side: str = "both") -> Bound
 
 
 def check_initial_belief(name: str, node: Node) -> None:
-    """Whether s⁰ can be had and travel.
-
-    Raises:
-        LoadError: it raised, or gave no value.
-    """
+    """Whether s⁰ can be had and travel. Raises `LoadError` if it raised, or gave no value."""
     where = f"nodes.{name}"
     try:
         encode_value(node.initial_belief())
@@ -232,8 +183,7 @@ def _edge_function(reference: Reference, edge: str, kind: str, allowance: Allowa
         return made
     if not inspect.isfunction(target):
         raise LoadError(_no_edge_function(target, reference), f"{where}.function")
-    _check_names(target, reference, where)
-    _check_types(target, reference, where)
+    _check_given(target, reference, where)
     function = functools.partial(target, **reference.parameters) if reference.parameters else target
     _check_signature(function, edge, kind)
     return function
@@ -295,53 +245,36 @@ def _call(target: Callable[..., Any], reference: Reference, where: str, field: s
     if inspect.isabstract(target):
         lacking = ", ".join(sorted(vars(target)["__abstractmethods__"]))
         raise LoadError(f"{reference.target} lacks {lacking}, which every subclass must define", f"{where}.{field}")
-    _check_names(target, reference, where)
-    _check_types(target, reference, where)
-    _check_complete(target, reference, where)
+    _check_given(target, reference, where)
+    for parameter in _parameters(target):
+        can_be_named = parameter.kind in (parameter.POSITIONAL_OR_KEYWORD, parameter.KEYWORD_ONLY)
+        if can_be_named and parameter.default is parameter.empty and parameter.name not in reference.parameters:
+            raise LoadError(f"missing; {reference.target} needs it", f"{where}.parameters.{parameter.name}")
     try:
         return target(**reference.parameters)
     except (HieraxError, ValueError, OSError) as error:
-        raise _refused(error, reference, f"{where}.parameters") from error
+        text = str(error) or type(error).__name__
+        name = re.split(r"\W", text, maxsplit=1)[0]  # the parameter that it names first
+        if name in reference.parameters:
+            raise LoadError(text.removeprefix(f"{name}: "), f"{where}.parameters.{name}") from error
+        raise LoadError(text, f"{where}.parameters") from error
     except Exception as error:
         raise LoadError(f"{reference.target} raised {_told(error)}", f"{where}.parameters") from error
 
 
-def _refused(error: Exception, reference: Reference, where: str) -> LoadError:
-    """What a class says of its parameters, at the one that it names first."""
-    text = str(error) or type(error).__name__
-    first = re.match(r"\w*", text)
-    name = first[0] if first else ""
-    if name in reference.parameters:
-        return LoadError(text.removeprefix(f"{name}: "), f"{where}.{name}")
-    return LoadError(text, where)
-
-
-def _check_names(target: Callable[..., Any], reference: Reference, where: str) -> None:
+def _check_given(target: Callable[..., Any], reference: Reference, where: str) -> None:
+    """Whether all parameters that are given are known, and of the annotated types."""
     known = _parameters(target)
-    if any(parameter.kind is parameter.VAR_KEYWORD for parameter in known):
-        return
     names = [parameter.name for parameter in known if parameter.kind is not parameter.POSITIONAL_ONLY]
-    for name in reference.parameters:
+    takes_any = any(parameter.kind is parameter.VAR_KEYWORD for parameter in known)
+    for name in () if takes_any else reference.parameters:
         if name not in names:
             nearest = did_you_mean(name, names, "it takes") or "; it takes none"
             raise LoadError(f"{reference.target} has no such parameter{nearest}", f"{where}.parameters.{name}")
-
-
-def _check_types(target: Callable[..., Any], reference: Reference, where: str) -> None:
     wrong = wrong_argument(target, reference.parameters)
     if wrong is not None:
         name, what = wrong
         raise LoadError(what, f"{where}.parameters.{name}")
-
-
-def _check_complete(target: Callable[..., Any], reference: Reference, where: str) -> None:
-    for parameter in _parameters(target):
-        needed = parameter.default is parameter.empty and parameter.kind in (
-            parameter.POSITIONAL_OR_KEYWORD,
-            parameter.KEYWORD_ONLY,
-        )
-        if needed and parameter.name not in reference.parameters:
-            raise LoadError(f"missing; {reference.target} needs it", f"{where}.parameters.{parameter.name}")
 
 
 def _parameters(target: Callable[..., Any]) -> list[inspect.Parameter]:

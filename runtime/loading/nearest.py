@@ -5,21 +5,11 @@ from __future__ import annotations
 from collections.abc import Iterable
 from difflib import get_close_matches
 
-SHOWN = 8
-"""How many valid names an error lists where none is near."""
+SHOWN = 8  # how many valid names an error lists where none is near
 
 
 def did_you_mean(wrong: str, valid: Iterable[str], what: str = "expected one of") -> str:
-    """The end of an error message about a name that is none of the valid ones.
-
-    Args:
-        wrong: the name as it was given.
-        valid: the names that would have been right.
-        what: stands before the list of valid names where none is near.
-
-    Returns:
-        ``"; did you mean 'x'?"``, or a list of valid names; empty where there are none.
-    """
+    """The end of an error about a name that is not valid: "; did you mean 'x'?", or after `what` some valid names."""
     names = sorted(set(valid))
     if not names:
         return ""

@@ -2,30 +2,27 @@
 
 from __future__ import annotations
 
+import inspect
 import logging
+from collections.abc import Iterator
+from difflib import SequenceMatcher
 
 from hierax.runtime.core.binding import BoundNode, OperatorSetting
 from hierax.runtime.core.graph import Pair
 from hierax.runtime.core.hierarchy import BoundEdge
-from hierax.runtime.core.node import Node
+from hierax.runtime.core.node import Node, World
 from hierax.runtime.engine.wiring import Place, Wiring
 from hierax.runtime.loading.allowance import Allowance
 from hierax.runtime.loading.loader import bind_edge, bind_node, build_edge, build_node
-from hierax.runtime.loading.spelling import misspelt_operators
 from hierax.schemas.roster import Roster, RosterEdge
 from hierax.schemas.values import encode_value
 
+NEAR = 0.8  # how alike two names are, from 0 to 1, of which one is taken for the other misspelt
 _log = logging.getLogger("hierax")
 
 
 class NodeLoader:
-    """Builds a node and its edges' functions; what a later version does not change is kept.
-
-    Args:
-        name: of the node.
-        setting: the run's seed, and what drives async operators.
-        allowance: which code may be loaded.
-    """
+    """Builds a node and its edges' functions; what a later version does not change is kept."""
 
     def __init__(self, name: str, setting: OperatorSetting, allowance: Allowance) -> None:
         self._name = name
@@ -37,12 +34,7 @@ class NodeLoader:
         self._pairs: list[Pair] = []
 
     def wiring(self, roster: Roster) -> Wiring:
-        """The node's wiring under a version of the roster.
-
-        Raises:
-            NotAllowedError: something may not be loaded; then nothing is.
-            LoadError: something cannot be loaded or called.
-        """
+        """The node's wiring under a version of the roster; `NotAllowedError` or `LoadError` if it cannot be had."""
         if self._name == roster.world:  # it answers for the others, too
             self._allowance.check_all(roster)
         self._allowance.check_part(roster, self._name)
@@ -78,5 +70,37 @@ class NodeLoader:
         return self._edges[key]
 
 
-RosterEdgeKey = tuple[tuple[str, str], bytes]
-"""An edge's pair and its functions, encoded."""
+RosterEdgeKey = tuple[tuple[str, str], bytes]  # an edge's pair and its functions, encoded
+
+
+def misspelt_operators(given: type) -> list[str]:
+    """What is wrong with the names of a node class's methods, a line for each.
+
+    A public method counts that overrides nothing and whose name is near that of an operator which
+    the class does not define either; a helper beside the operator that it is named after is none.
+    """
+    base: type = World if issubclass(given, World) else Node
+    operators = [name for name, _ in _methods(base)]
+    left_out = [name for name in operators if getattr(given, name) is getattr(base, name)]
+    found = []
+    for name, defined in _methods(given):
+        near = [] if name in operators else [each for each in left_out if _alike(name, each) >= NEAR]
+        if near:
+            meant = max(near, key=lambda each: _alike(name, each))
+            found.append(
+                f"{defined.__module__}:{defined.__qualname__} defines {name!r}, which nothing calls; did you mean "
+                f"{meant!r}? (else begin its name with an underscore)"
+            )
+    return found
+
+
+def _methods(of: type) -> Iterator[tuple[str, type]]:
+    """The public methods of a class, by name, and the class that defines each; what every object has left out."""
+    for name in sorted(dir(of)):
+        defined = next((each for each in of.__mro__ if name in vars(each)), object)
+        if not name.startswith("_") and defined is not object and inspect.isroutine(inspect.getattr_static(of, name)):
+            yield name, defined
+
+
+def _alike(one: str, other: str) -> float:
+    return SequenceMatcher(None, one.lower(), other.lower()).ratio()

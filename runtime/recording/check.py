@@ -25,6 +25,7 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
+from math import inf
 from typing import NamedTuple
 from zlib import crc32
 
@@ -40,17 +41,13 @@ from hierax.schemas.messages import CONTEXT, OBSERVATIONS, TASKS
 from hierax.schemas.roster import Roster
 from hierax.schemas.steps import NodeStep, Passage
 
-KEPT_EPOCHS = 64
-"""How many epochs back what a port saw is remembered."""
-
+KEPT_EPOCHS = 64  # how many epochs back what a port saw is remembered
 SETTLED_EPOCHS = 4096
 SETTLED_BYTES = 64 << 20
 """So many commits, or so much, later everything of an epoch is here: links may be far behind each other."""
 
 SHOWN = 100
-
-HELD_STEPS = 10_000
-"""How many steps may wait for their roster."""
+HELD_STEPS = 10_000  # how many steps may wait for their roster
 
 
 class Violation(NamedTuple):
@@ -71,6 +68,7 @@ class _Seat:
 
     below: Sequence[str]
     above: Sequence[str]
+    to_above: Sequence[tuple[str, str]]
     from_above: Sequence[tuple[str, str]]
     to_below: Sequence[tuple[str, str]]
 
@@ -97,16 +95,11 @@ class _PortLog:
 
 
 class Checker:
-    """Sees all that is recorded of a run of this staleness, as it comes, and says what breaks the order.
-
-    Attributes:
-        violations: what was found so far, the first ones.
-        epochs, checked: how many commits were seen, and how many steps were checked.
-    """
+    """Sees all that is recorded of a run of this staleness, as it comes, and says what breaks the order."""
 
     def __init__(self, staleness: Staleness = BARRIER) -> None:
-        self.violations: list[Violation] = []
-        self.epochs = self.checked = 0
+        self.violations: list[Violation] = []  # the first ones
+        self.epochs = self.checked = 0  # how many commits were seen, and steps checked
         self._staleness = staleness
         self._rosters: dict[int, Roster] = {}
         self._seats: dict[tuple[int, str], _Seat] = {}
@@ -178,7 +171,8 @@ class Checker:
             settled = step.epoch - SETTLED_EPOCHS
             while self._waiting and (self._waiting[0].epoch <= settled or self._bytes > SETTLED_BYTES):
                 self._check_digest(self._waiting.popleft())
-            self._forget(settled)
+            while (oldest := next(iter(self._messages), None)) is not None and oldest[0] < settled:
+                del self._messages[oldest], self._times[oldest]
 
     def close(self) -> Sequence[Violation]:
         """What was found, the first ones; after the end."""
@@ -208,44 +202,38 @@ class Checker:
     def _check_order(self, step: NodeStep, log: _PortLog, seat: _Seat) -> None:
         self.checked += 1
         when = step.when
-        ups = {peer: log.place(True, OBSERVATIONS, peer, when) for peer in seat.above}
-        downs = {(kind, peer): log.place(True, kind, peer, when) for kind, peer in seat.to_below}
-        lacking = [f"{OBSERVATIONS} to {peer}" for peer, at in ups.items() if at is None]
-        lacking += [f"{kind} to {peer}" for (kind, peer), at in downs.items() if at is None]
+        sent = {line: log.place(True, *line, when) for line in (*seat.to_above, *seat.to_below)}
+        lacking = [f"{kind} to {peer}" for (kind, peer), at in sent.items() if at is None]
         if lacking:
             self._break("ALL", when, f"{step.name} has not sent {', '.join(lacking)}")
-        first_up = min((at for at in ups.values() if at is not None), default=None)
-        last_up = max((at for at in ups.values() if at is not None), default=0)
-        first_down = min((at for at in downs.values() if at is not None), default=None)
-        if first_down is not None and first_down < last_up:
+        ups = [at for line in seat.to_above if (at := sent[line]) is not None]
+        first_up, last_up = min(ups, default=inf), max(ups, default=0)
+        first_down = min((at for line in seat.to_below if (at := sent[line]) is not None), default=inf)
+        if first_down < last_up:
             self._break("UP", when, f"{step.name} sent something down before its observations had all gone up")
-        used = self._used(step, seat, when)
+        used = self._used(step, when)
         for peer in seat.below:
             received = log.place(False, OBSERVATIONS, peer, used.get((peer, OBSERVATIONS), when))
-            if received is None or (first_up is not None and received > first_up):
+            if received is None or received > first_up:
                 self._break("SENSE", when, f"{step.name} sent observations without those of {peer}")
         for kind, peer in seat.from_above:
             received = log.place(False, kind, peer, used.get((peer, kind), when))
-            if received is None or (first_down is not None and received > first_down):
+            if received is None or received > first_down:
                 self._break("PREDICT", when, f"{step.name} predicted without {kind} of {peer}")
 
-    def _used(self, step: NodeStep, seat: _Seat, when: Attempt) -> dict[tuple[str, str], Attempt]:
+    def _used(self, step: NodeStep, when: Attempt) -> dict[tuple[str, str], Attempt]:
         """The epochs that the inputs were of, which are found fault with where they may not be."""
         used = step.used_of
         bound = self._staleness.epochs
+        since = step.epoch - self._since.get(step.roster, step.epoch)  # no inputs are of before their roster
         for (peer, kind), (epoch, _) in used.items():
             age = step.epoch - epoch
             oldest = 0 if bound == 0 or (kind == OBSERVATIONS and bound is not None) else bound
             if age < 0 or (oldest is not None and age > oldest):
                 self._break("EPOCH", when, f"{step.name} used {kind} of {peer} of epoch {epoch}")
-            elif self._staleness.exact and kind != OBSERVATIONS and not self._is_exact(step, age):
+            elif self._staleness.exact and kind != OBSERVATIONS and age not in (0, min(bound or 0, since)):
                 self._break("EPOCH", when, f"{step.name} used {kind} of {peer} of epoch {epoch}, not exactly as old")
         return used
-
-    def _is_exact(self, step: NodeStep, age: int) -> bool:
-        """Whether inputs are exactly as old as the staleness has it; none are of before their roster."""
-        since = step.epoch - self._since.get(step.roster, step.epoch)
-        return age in (0, min(self._staleness.epochs or 0, since))
 
     def _commit(self, step: NodeStep, roster: Roster) -> None:
         epoch, attempt, chain = self._committed
@@ -297,16 +285,11 @@ class Checker:
             pairs = [edge.pair for edge in roster.edges]
             tasks = {edge.pair for edge in roster.edges if edge.task is not None}
             below, above = neighbours_below(name, pairs), neighbours_above(name, pairs)
-            from_above = [(CONTEXT, peer) for peer in above] + [
-                (TASKS, peer) for peer in above if (name, peer) in tasks
-            ]
+            to_above, from_above = ([(kind, peer) for peer in above] for kind in (OBSERVATIONS, CONTEXT))
+            from_above += [(TASKS, peer) for peer in above if (name, peer) in tasks]
             to_below = [(CONTEXT, peer) for peer in below] + [(TASKS, peer) for peer in below if (peer, name) in tasks]
-            self._seats[key] = _Seat(below, above, from_above, to_below)
+            self._seats[key] = _Seat(below, above, to_above, from_above, to_below)
         return self._seats[key]
-
-    def _forget(self, oldest: int) -> None:
-        while (when := next(iter(self._messages), None)) is not None and when[0] < oldest:
-            del self._messages[when], self._times[when]
 
     def _break(self, rule: str, when: Attempt, what: str) -> None:
         if len(self.violations) < SHOWN:

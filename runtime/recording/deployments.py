@@ -20,10 +20,7 @@ from hierax.schemas.roster import Reference, Roster
 
 
 def recorded_deployment(info: RunInfo, settings: Sequence[str] = ()) -> Deployment:
-    """The deployment as it was recorded, whether or not its file is still there, with further settings (``--set``).
-
-    Raises `DeploymentError` if a setting is wrong.
-    """
+    """The deployment as it was recorded, with further settings; `DeploymentError` if one of these is wrong."""
     with tempfile.TemporaryDirectory(prefix="hierax-") as folder:
         path = Path(folder) / (Path(info.deployment).name or "deployment")
         try:
@@ -36,10 +33,7 @@ def recorded_deployment(info: RunInfo, settings: Sequence[str] = ()) -> Deployme
 
 
 def allowance_of(recording: Recording, trust: bool = False) -> Allowance:
-    """Which code may be loaded to do a recording again; all that it names, whoever has written it, where it is trusted.
-
-    Raises `RecordingError` if it is not known to be this user's own, and not trusted.
-    """
+    """Which code may be loaded to do a recording again that is ours, or trusted; `RecordingError` if it is neither."""
     if trust:
         return ANYTHING
     if not recording.info.is_ours:
@@ -48,22 +42,15 @@ def allowance_of(recording: Recording, trust: bool = False) -> Allowance:
 
 
 def other_settings(info: RunInfo, settings: Sequence[str], classes: Mapping[str, str]) -> Rewrite | None:
-    """What replays a recording with other parameters or classes; None where none are given.
-
-    Args:
-        info: of the recording.
-        settings: as ``--set`` has them, of the deployment file; `DeploymentError` is raised if one is wrong.
-        classes: ``package.module:Class`` by node.
-    """
+    """What replays a recording with other parameters (``--set``), or classes by node; None where none are given."""
     if not settings and not classes:
         return None
     rewrite = rewriting(recorded_deployment(info).roster, recorded_deployment(info, settings).roster)
 
     def rewritten(roster: Roster) -> Roster:
         roster = rewrite(roster)
-        others = {
-            name: Reference(classes[name], roster.nodes[name].parameters) for name in roster.nodes if name in classes
-        }
+        known = [name for name in classes if name in roster.nodes]
+        others = {name: Reference(classes[name], roster.nodes[name].parameters) for name in known}
         return replace(roster, nodes={**roster.nodes, **others})
 
     return rewritten
@@ -83,22 +70,16 @@ def in_place_of(recorded: Roster, deployment: Deployment) -> Rewrite:
 
 
 def rewriting(old: Roster, new: Roster) -> Rewrite:
-    """What puts new classes, parameters and edge functions in the place of old ones, wherever these are.
-
-    Args:
-        old, new: two rosters of one deployment file, read with other settings.
-    """
-    nodes = {name: (old.nodes[name], new.nodes[name]) for name in old.nodes.keys() & new.nodes.keys()}
-    new_edges = {edge.pair: edge for edge in new.edges}
-    edges = {edge.pair: (edge, new_edges[edge.pair]) for edge in old.edges if edge.pair in new_edges}
+    """What puts a new roster's classes, parameters and edge functions in an old one's place, wherever these are."""
+    old_edges, new_edges = ({edge.pair: edge for edge in each.edges} for each in (old, new))
 
     def rewrite(roster: Roster) -> Roster:
-        changed: Mapping[str, Reference] = {
-            name: nodes[name][1] if name in nodes and nodes[name][0] == reference else reference
+        nodes = {
+            name: new.nodes.get(name, reference) if old.nodes.get(name) == reference else reference
             for name, reference in roster.nodes.items()
         }
-        joined = tuple(edges[e.pair][1] if e.pair in edges and edges[e.pair][0] == e else e for e in roster.edges)
-        return Roster(roster.world, changed, joined, roster.version, roster.instances)
+        edges = [new_edges.get(e.pair, e) if old_edges.get(e.pair) == e else e for e in roster.edges]
+        return replace(roster, nodes=nodes, edges=tuple(edges))
 
     return rewrite
 

@@ -12,7 +12,7 @@ from dataclasses import dataclass, field
 from typing import NamedTuple
 
 from hierax.runtime.core.difference import ABSENT, first_unlike
-from hierax.runtime.core.elements import Elements, Value
+from hierax.runtime.core.elements import Value
 from hierax.runtime.core.hierarchy import neighbours_above, neighbours_below
 from hierax.runtime.recording.replayed_epoch import ReplayedEpoch
 from hierax.runtime.recording.trace import EpochTrace
@@ -23,21 +23,16 @@ LINE_OPERATORS = {OBSERVATIONS: "sense", TASKS: "task", CONTEXT: "context"}
 """By kind of message, the edge function that gives it."""
 
 
-EpochView = EpochTrace | ReplayedEpoch
-"""An epoch as it can be compared, recorded or replayed."""
+EpochView = EpochTrace | ReplayedEpoch  # an epoch as it can be compared, recorded or replayed
 
 
 class Difference(NamedTuple):
-    """Where two runs differ first: in which epoch, at which path of a field, and what is there in each run.
-
-    Attributes:
-        subject: the node, or the edge as ``lower->upper``.
-        operator: whose result differs: an operator, a policy as ``policy NAME``, an edge function; ``time`` and
-            ``digest`` where that is all that does.
-    """
+    """Where two runs differ first: in which epoch, at which path of a field, and what is there in each run."""
 
     epoch: int
-    subject: str
+    subject: str  # the node, or the edge as ``lower->upper``
+    # Whose result differs: an operator, a policy as ``policy NAME``, an edge function; ``time`` and ``digest`` where
+    # that is all that does
     operator: str
     path: str
     a: Value
@@ -55,23 +50,17 @@ class RosterDifference(NamedTuple):
 
 @dataclass
 class Comparison:
-    """What became of a comparison of two runs.
+    """What became of a comparison of two runs."""
 
-    Attributes:
-        epochs, equal: how many there are on both sides, and how many of them were equal, up to the first difference.
-        last: the last epoch that was compared; 0: none.
-        difference, rosters: the first one; where the rosters differ, the first time that they do.
-        unknown: how many results one of both did not tell, so that they were not compared.
-        digests: how many digests were compared.
-    """
-
+    # How many there are on both sides, and how many of them were equal, up to the first difference
     epochs: int = 0
     equal: int = 0
-    last: int = 0
+    last: int = 0  # the last epoch that was compared; 0: none
+    # The first one; where the rosters differ, the first time that they do
     difference: Difference | None = None
     rosters: list[RosterDifference] = field(default_factory=list)
-    unknown: int = 0
-    digests: int = 0
+    unknown: int = 0  # how many results one of both did not tell, so that they were not compared
+    digests: int = 0  # how many digests were compared
 
     @property
     def alike(self) -> bool:
@@ -92,8 +81,10 @@ def compare(a: Iterable[EpochView], b: Iterable[EpochView], tolerance: float = 0
         if not result.rosters:
             result.rosters = roster_differences(left.epoch, left.roster, right.roster)
         result.difference = next(_differences(left, right, tolerance, result), None)
-        if result.difference is None and not tolerance and not result.rosters:
-            result.difference = _digest_difference(left, right, result)
+        if result.difference is None and not (tolerance or result.rosters) and left.digest and right.digest:
+            result.digests += 1
+            if left.digest != right.digest:
+                result.difference = Difference(left.epoch, "run", "digest", "digest", left.digest, right.digest)
         if result.difference is not None:
             return result
         result.equal += 1
@@ -125,6 +116,7 @@ def _differences(a: EpochView, b: EpochView, tolerance: float, result: Compariso
     if a.time_s is not None and b.time_s is not None and a.time_s != b.time_s:
         yield Difference(epoch, a.roster.world, "time", "time_s", a.time_s, b.time_s)
     pairs = sorted({edge.pair for edge in a.roster.edges} & {edge.pair for edge in b.roster.edges})
+    tasks = [{edge.pair for edge in each.roster.edges if edge.task is not None} for each in (a, b)]
     names = [name for name in a.order if name in b.roster.nodes]
 
     def unlike(subject: str, operator: str, path: str, left: Value, right: Value) -> Iterator[Difference]:
@@ -137,8 +129,9 @@ def _differences(a: EpochView, b: EpochView, tolerance: float, result: Compariso
 
     def line(kind: str, sender: str, receiver: str) -> Iterator[Difference]:
         subject = f"{sender}->{receiver}" if kind == OBSERVATIONS else f"{receiver}->{sender}"
-        sides = (_wrapped(view.elements(kind, sender, receiver)) for view in (a, b))
-        yield from unlike(subject, LINE_OPERATORS[kind], "elements", *sides)
+        given = [each.elements(kind, sender, receiver) for each in (a, b)]
+        left, right = (None if elements is None else (elements,) for elements in given)
+        yield from unlike(subject, LINE_OPERATORS[kind], "elements", left, right)
 
     for name in names:
         starts = a.start_of(name), b.start_of(name)
@@ -161,7 +154,7 @@ def _differences(a: EpochView, b: EpochView, tolerance: float, result: Compariso
             yield from unlike(name, "select_policy", "policy", (left.policy,), (right.policy,))
             yield from unlike(name, f"policy {left.policy}", "actions", (left.actions,), (right.actions,))
         for lower in below:
-            if _has_task(a.roster, lower, name) and _has_task(b.roster, lower, name):
+            if all((lower, name) in edges for edges in tasks):
                 yield from line(TASKS, name, lower)
         if left is not None and right is not None:
             yield from unlike(name, "predict", "belief", (left.belief,), (right.belief,))
@@ -179,23 +172,6 @@ def _used_unlike(a: EpochView, b: EpochView, name: str, upward: bool) -> Iterato
         if (kind == OBSERVATIONS) == upward and left[slot][0] != right[slot][0]:
             path = f"epoch of the {kind} message {sender} -> {name}"
             yield Difference(a.epoch, name, "inputs", path, left[slot][0], right[slot][0])
-
-
-def _digest_difference(a: EpochView, b: EpochView, result: Comparison) -> Difference | None:
-    if not a.digest or not b.digest:
-        return None
-    result.digests += 1
-    if a.digest == b.digest:
-        return None
-    return Difference(a.epoch, "run", "digest", "digest", a.digest, b.digest)
-
-
-def _wrapped(elements: Elements | None) -> tuple[Elements] | None:
-    return None if elements is None else (elements,)
-
-
-def _has_task(roster: Roster, lower: str, upper: str) -> bool:
-    return any(edge.pair == (lower, upper) and edge.task is not None for edge in roster.edges)
 
 
 def _parts(roster: Roster) -> dict[str, Value]:

@@ -32,22 +32,7 @@ class _Sink:
 
 
 class InProcess:
-    """Hands what is said between the nodes of one process to a recorder.
-
-    Args:
-        deployment, seed: what is run.
-        settings: with which the deployment was read.
-        file: to be written; None: none.
-        check: whether the formal order is checked.
-        selection: what is written of what is said.
-
-    Attributes:
-        checker: what checks the order; None: nothing.
-        ending: how the recording ended; None: it goes on.
-
-    Raises:
-        RecordingError: the file cannot be written.
-    """
+    """Hands what is said between the nodes of one process to a recorder, as `open_recorder` opens it."""
 
     def __init__(
         self,
@@ -62,7 +47,7 @@ class InProcess:
         info = RunInfo.of(deployment, run, "run", seed, settings, from_start=True)
         self._recorder = open_recorder(info, file, check, selection)
         self.checker = self._recorder.checker
-        self.ending: Ending | None = None
+        self.ending: Ending | None = None  # it goes on
         self._keys = Keys(deployment.name, run)
         self._last = 0
 

@@ -23,9 +23,7 @@ from hierax.schemas.errors import SchemaError, shown
 from hierax.schemas.keys import check_name
 
 FORMAT = 2
-READ = (1, FORMAT)
-"""What this version reads; the first format has neither modules nor a seal."""
-
+READ = (1, FORMAT)  # what this version reads; the first format has neither modules nor a seal
 _PACKAGES = ("hierax", "numpy", "opencv-python-headless", "eclipse-zenoh", "msgpack", "mcap", "pybullet")
 
 
@@ -35,59 +33,44 @@ class RecordingError(HieraxError):
 
 @dataclass(frozen=True)
 class RunInfo:
-    """What is recorded.
+    """What is recorded."""
 
-    Attributes:
-        hierarchy, run, mode, seed: the hierarchy's name, the run's identification, ``launch`` or ``run``, and its seed.
-        staleness, exact: as the deployment has them.
-        deployment, deployment_text: path of the deployment file, and what it said, but for what is secret.
-        settings: with which it was read; of secret ones the paths alone.
-        import_paths: where the deployment's own modules were looked for.
-        from_start: whether the recording begins with the run.
-        left_out: patterns of the keys that are not recorded, as `hierax.runtime.recording.selection` has them.
-        started_ns: when it began, since 1970.
-        machine, versions: what it was recorded on; the versions of hierax and what it uses.
-        format: of the recording.
-        modules: from which code may be loaded, as `hierax.runtime.loading.allowance.Allowance` has them.
-        seal: of all that, by the user who has recorded it; empty: there is none.
-    """
-
+    # The hierarchy's name, the run's identification, ``launch`` or ``run``, and its seed
     hierarchy: str
     run: str
     mode: str
     seed: int
+    # As the deployment has them
     staleness: int | None
     exact: bool
+    # Path of the deployment file, and what it said, but for what is secret
     deployment: str
     deployment_text: str
-    settings: Sequence[str]
-    import_paths: Sequence[str]
-    from_start: bool
+    settings: Sequence[str]  # with which it was read; of secret ones the paths alone
+    import_paths: Sequence[str]  # where the deployment's own modules were looked for
+    from_start: bool  # whether the recording begins with the run
+    # Patterns of the keys that are not recorded, as `hierax.runtime.recording.selection` has them
     left_out: Sequence[str] = ()
-    started_ns: int = field(default_factory=time.time_ns)
+    started_ns: int = field(default_factory=time.time_ns)  # when it began, since 1970
+    # What it was recorded on; the versions of hierax and what it uses
     machine: Mapping[str, Any] = field(default_factory=lambda: _machine())
     versions: Mapping[str, str] = field(default_factory=lambda: _versions())
-    format: int = FORMAT
+    format: int = FORMAT  # of the recording
+    # From which code may be loaded, as `hierax.runtime.loading.allowance.Allowance` has them
     modules: Sequence[str] = ()
-    seal: str = ""
+    seal: str = ""  # of all that, by the user who has recorded it; empty: there is none
 
     @staticmethod
     def of(
         deployment: Deployment, run: str, mode: str, seed: int, settings: Sequence[str], from_start: bool
     ) -> RunInfo:
         """What is recorded of a run of a deployment."""
+        with errors_named(deployment.path, "read", RecordingError):
+            text = public_text(deployment.path.read_text(encoding="utf-8-sig"), deployment.zenoh)
         info = RunInfo(
-            deployment.name,
-            run,
-            mode,
-            seed,
-            deployment.staleness.epochs,
-            deployment.staleness.exact,
-            str(deployment.path.resolve()),
-            public_text(_text(deployment), deployment.zenoh),
-            public_settings(settings, deployment.zenoh),
-            deployment.import_paths,
-            from_start,
+            *(deployment.name, run, mode, seed, deployment.staleness.epochs, deployment.staleness.exact),
+            *(str(deployment.path.resolve()), text, public_settings(settings, deployment.zenoh)),
+            *(deployment.import_paths, from_start),
             modules=deployment.modules,
         )
         return replace(info, seal=seal_or_warn(RECORDING, info._sealed))
@@ -117,15 +100,11 @@ class RunInfo:
         if plain.get("format") not in READ:
             read = " and ".join(map(str, READ))
             raise RecordingError(f"format {plain.get('format')!r:.20}; this version reads formats {read}")
-        given = {each.name: plain[each.name] for each in fields(RunInfo) if each.name in plain}
-        lacking = [name for name in _FIELDS if name not in given and (plain["format"] == FORMAT or name not in _NEW)]
+        wanted = [each.name for each in fields(RunInfo) if plain["format"] == FORMAT or each.name not in _NEW]
+        lacking = [name for name in wanted if name not in plain]
         if lacking:
             raise RecordingError(f"it says too little of its run: {', '.join(lacking)}")
-        for name, value in given.items():
-            expected, is_such = _FIELDS[name]
-            if not is_such(value):
-                raise RecordingError(f"{name}: expected {expected}, got {shown(value)}")
-        return RunInfo(**given)
+        return RunInfo(**_checked(RunInfo, plain, hierarchy=_NAME, run=_NAME))
 
 
 @dataclass(frozen=True)
@@ -142,25 +121,18 @@ class Gap:
 
 @dataclass(frozen=True)
 class Ending:
-    """How a recording ended; it lacks where the recorder was killed.
+    """How a recording ended; it lacks where the recorder was killed."""
 
-    Attributes:
-        first, last: the epochs that were committed meanwhile; 0: none.
-        messages: how many things were heard.
-        gaps: what lacks, the first ones.
-        lost: how many things lack in all.
-        cut_short: messages that lack as their senders' processes died while they were sent; no fault of the recorder's.
-        cut: by which option it ends before the run; empty: by none.
-        left_out: how much came on keys that are left out, by their pattern.
-    """
-
+    # The epochs that were committed meanwhile; 0: none
     first: int
     last: int
-    messages: int
-    gaps: tuple[Gap, ...]
-    lost: int
+    messages: int  # how many things were heard
+    gaps: tuple[Gap, ...]  # what lacks, the first ones
+    lost: int  # how many things lack in all
+    # Messages that lack as their senders' processes died while they were sent; no fault of the recorder's
     cut_short: tuple[Gap, ...] = ()
-    cut: str = ""
+    cut: str = ""  # by which option it ends before the run; empty: by none
+    # How much came on keys that are left out, by their pattern
     left_out: Mapping[str, int] = field(default_factory=dict)
 
     def plain(self) -> dict[str, Any]:
@@ -170,23 +142,12 @@ class Ending:
     @staticmethod
     def read(plain: Mapping[str, Any]) -> Ending:
         """Read it from a value. Raises `RecordingError` if a field lacks or is something else."""
-        unreadable = "what it says of its end cannot be read"
         try:
-            given = {each.name: plain[each.name] for each in fields(Ending) if each.name in plain}
-            gaps = {name: tuple(Gap(**gap) for gap in given.get(name, ())) for name in ("gaps", "cut_short")}
-            ending = Ending(**{**given, **gaps, "left_out": dict(given.get("left_out", {}))})
-        except (TypeError, ValueError) as error:
-            raise RecordingError(f"{unreadable}: {error}") from error
-        told = [*ending.gaps, *ending.cut_short]
-        numbers = [ending.first, ending.last, ending.messages, ending.lost]
-        numbers += [number for gap in told for number in (gap.epoch, gap.count)]
-        if not all(map(_is_whole, numbers)) or not all(isinstance(gap.what, str) for gap in told):
-            raise RecordingError(f"{unreadable}: expected whole numbers from 0, and texts")
-        if not all(map(_is_text, (ending.cut, *ending.left_out))):
-            raise RecordingError(f"{unreadable}: expected texts for what is left out")
-        if not all(map(_is_whole, ending.left_out.values())):
-            raise RecordingError(f"{unreadable}: expected how much is left out")
-        return ending
+            kinds = {name: plain.get(name, ()) for name in ("gaps", "cut_short")}
+            gaps = {name: tuple(Gap(**_checked(Gap, gap)) for gap in given) for name, given in kinds.items()}
+            return Ending(**{**_checked(Ending, plain), **gaps})
+        except (RecordingError, TypeError) as error:
+            raise RecordingError(f"what it says of its end cannot be read: {error}") from error
 
 
 def to_metadata(plain: Mapping[str, Any]) -> dict[str, str]:
@@ -234,23 +195,25 @@ _BY_TYPE: dict[object, Expected] = {
         "a map of texts",
         lambda value: isinstance(value, Mapping) and all(map(_is_text, [*value, *value.values()])),
     ),
+    "Mapping[str, int]": (
+        "whole numbers from 0 by texts",
+        lambda value: isinstance(value, Mapping) and all(map(_is_text, value)) and all(map(_is_whole, value.values())),
+    ),
     "Mapping[str, Any]": ("a map", lambda value: isinstance(value, Mapping)),
+    "tuple[Gap, ...]": ("a list of gaps", lambda value: isinstance(value, (list, tuple))),
 }
 _NAME: Expected = ("a name", _is_name)
-_FIELDS: dict[str, Expected] = {
-    **{each.name: _BY_TYPE[each.type] for each in fields(RunInfo)},
-    "hierarchy": _NAME,
-    "run": _NAME,
-}
-"""What each field of `RunInfo` has to be."""
-
-_NEW = ("modules", "seal", "left_out")
-"""Fields that the first format lacks."""
+_NEW = ("modules", "seal", "left_out")  # fields that the first format lacks
 
 
-def _text(deployment: Deployment) -> str:
-    with errors_named(deployment.path, "read", RecordingError):
-        return deployment.path.read_text(encoding="utf-8-sig")
+def _checked(record: type, plain: Mapping[str, Any], **others: Expected) -> dict[str, Any]:
+    """The fields of a record that a map has; `RecordingError` says which one is not what its type, or another, says."""
+    given = {each.name: (each.type, plain[each.name]) for each in fields(record) if each.name in plain}
+    for name, (kind, value) in given.items():
+        expected, is_such = others.get(name) or _BY_TYPE[kind]
+        if not is_such(value):
+            raise RecordingError(f"{name}: expected {expected}, got {shown(value)}")
+    return {name: value for name, (_, value) in given.items()}
 
 
 def _machine() -> dict[str, Any]:

@@ -15,22 +15,13 @@ from hierax.runtime.recording.info import Gap
 from hierax.runtime.recording.trace import Attempt, Line
 from hierax.schemas.steps import NodeStep
 
-PATIENCE_S = 30.0
-"""How long steps may come after the messages that they tell of."""
-
+PATIENCE_S = 30.0  # how long steps may come after the messages that they tell of
 KEPT_GAPS = 1000
 
 
 @dataclass(eq=False, repr=False)
 class Ledger:
-    """Keeps account of one recording.
-
-    Attributes:
-        last: the last epoch whose commit was recorded.
-        cut: the last epoch that is wanted; None: all are.
-        cut_short: messages that reached their receivers and not the recorder, as their senders' processes died
-            meanwhile.
-    """
+    """Keeps account of one recording."""
 
     from_start: bool  # whether it begins with the run; else with the first epoch that all nodes have told of
     epochs: int | None = None  # how many are wanted; None: all
@@ -43,6 +34,7 @@ class Ledger:
         self._sent: dict[Attempt, int] = {}
         self._deaths: set[str] = set()
         self._names: frozenset[str] = frozenset()
+        # messages that reached their receivers and not the recorder, as their senders' processes died meanwhile
         self.cut_short: list[Gap] = []
         self._ages: deque[tuple[float, Attempt]] = deque()
         self._streams: dict[str, tuple[str, int]] = {}
@@ -51,8 +43,8 @@ class Ledger:
         self._gaps: list[Gap] = []
         self._lost = 0
         self._told: dict[str, int] = {}
-        self.last = 0
-        self.cut: int | None = None
+        self.last = 0  # the last epoch whose commit was recorded
+        self.cut: int | None = None  # the last epoch that is wanted; None: all are
 
     @property
     def first(self) -> int:
@@ -145,10 +137,7 @@ class Ledger:
             self._gaps.append(gap)
 
     def close(self, last: int | None = None) -> tuple[tuple[Gap, ...], int]:
-        """What lacks, the first ones, and how much in all; after the end.
-
-        With `last`, the last epoch of a run, every node is known to have done all epochs up to it.
-        """
+        """What lacks, the first ones, and how much in all; all nodes are known to have done the last epoch, if any."""
         first = self.first
         for name in sorted(self._names if last is not None else ()):
             told = self._told.get(name, 0)

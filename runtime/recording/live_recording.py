@@ -29,15 +29,9 @@ from hierax.runtime.transport.launch_client import LaunchClient
 from hierax.runtime.watch.logs import log_console
 from hierax.schemas.keys import Keys
 
-BATCH_S = 0.05
-"""How long what is heard may wait to be written."""
-
-LINGER_S = 2.0
-"""How long what was said, by the words of others, may still be on its way at the end."""
-
-QUIET_S = 0.3
-"""How long nothing may come at the end before it is the end."""
-
+BATCH_S = 0.05  # how long what is heard may wait to be written
+LINGER_S = 2.0  # how long what was said, by the words of others, may still be on its way at the end
+QUIET_S = 0.3  # how long nothing may come at the end before it is the end
 LOOK_S = 1.0
 CUT_OFF_LOOKS = 5
 """How often the launch is asked; how often in a row it has to be further, and nothing come, for a recorder to end."""
@@ -47,17 +41,11 @@ LISTENING, DONE, FAILED = "listening", "done", "failed"
 
 
 class LiveRecording:
-    """A recorder at work: hears a run, until it is told to stop.
+    """A recorder at work: hears a run of an endpoint's hub, until it is told to stop.
 
-    Args:
-        info, endpoint: of the run, and of its hub.
-        file, check, epochs, selection: as `open_recorder` has them.
-        settings: Zenoh's own.
-        host: of this machine, for processes on others.
-        watches: whether nobody else tells when the launch is over, and how far it came.
-
-    Raises:
-        HieraxError: the file cannot be written, or the run cannot be reached.
+    `file`, `check`, `epochs`, `selection` are as `open_recorder` has them. The settings are Zenoh's own, the host is
+    this machine's for processes on others, and it `watches` where nobody else tells when the launch is over, and how
+    far it came. Raises `HieraxError` if the file cannot be written, or the run cannot be reached.
     """
 
     def __init__(
@@ -163,33 +151,23 @@ def main() -> int:
     if not order:
         return 0
     try:
-        recording = start(order)
+        recording = _begun(order)
         _say({"status": LISTENING})
         threading.Thread(target=_obey, args=(recording,), daemon=True).start()
         ending = recording.record()
     except HieraxError as error:
         _say({"status": FAILED, "why": str(error)})
         return 1
-    _say({"status": DONE, "ending": ending.plain(), "violations": violations(recording)})
+    violations = [] if recording.checker is None else [str(each) for each in recording.checker.close()]
+    _say({"status": DONE, "ending": ending.plain(), "violations": violations})
     return 0
 
 
-def start(order: Mapping[str, Any]) -> LiveRecording:
-    """A recorder at work, by its order."""
-    return LiveRecording(
-        RunInfo.read(order["info"]),
-        order["endpoint"],
-        Target(Path(order["file"]), order["descriptor"]) if order["file"] else None,
-        order["check"],
-        order["settings"],
-        order["host"],
-        selection=Selection(**order["selection"]),
-    )
-
-
-def violations(recording: LiveRecording) -> list[str]:
-    """What the checker has found."""
-    return [] if recording.checker is None else [str(each) for each in recording.checker.close()]
+def _begun(order: Mapping[str, Any]) -> LiveRecording:
+    info, selection = RunInfo.read(order["info"]), Selection(**order["selection"])
+    file = Target(Path(order["file"]), order["descriptor"]) if order["file"] else None
+    given = (order["endpoint"], file, order["check"], order["settings"], order["host"])
+    return LiveRecording(info, *given, selection=selection)
 
 
 def _obey(recording: LiveRecording) -> None:
@@ -198,8 +176,7 @@ def _obey(recording: LiveRecording) -> None:
 
 
 def _say(value: Mapping[str, Any]) -> None:
-    sys.stdout.write(json.dumps(value) + "\n")
-    sys.stdout.flush()
+    print(json.dumps(value), flush=True)
 
 
 if __name__ == "__main__":

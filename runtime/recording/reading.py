@@ -9,9 +9,8 @@ from pathlib import Path
 from typing import Any
 
 from hierax.runtime.core.errors import HierarchyError
-from hierax.runtime.recording.entries import Entry, Fault
 from hierax.runtime.recording.info import ENDING_TEXTS, INFO_TEXTS, Ending, RecordingError, RunInfo, from_metadata
-from hierax.runtime.recording.topics import EPOCH, MESSAGE, NOTE, ROSTER, STEP, TOKEN, Topic, topic_of
+from hierax.runtime.recording.topics import EPOCH, MESSAGE, NOTE, ROSTER, STEP, TOKEN, Entry, Fault, Topic, topic_of
 from hierax.runtime.recording.trace import Assembly, EpochTrace, check_roster
 from hierax.runtime.recording.writing import CHUNK_BYTES, ENDING, INFO, MAGIC, PROFILE, require_mcap
 from hierax.schemas.errors import SchemaError
@@ -75,19 +74,18 @@ class Recording:
         Raises:
             RecordingError: the file is damaged.
         """
-        topics: dict[int, tuple[str, Topic] | None] = {}
         from mcap.records import Channel
         from mcap.records import Message as McapMessage
 
+        topics: dict[int, tuple[str, Topic]] = {}
         for record in _records(self.path):
-            if isinstance(record, McapMessage):
-                known = topics.get(record.channel_id)
-                if known is not None:
-                    yield Entry(known[0], known[1], record.log_time, record.sequence, record.data)
+            if isinstance(record, McapMessage) and record.channel_id in topics:
+                yield Entry(*topics[record.channel_id], record.log_time, record.sequence, record.data)
             elif isinstance(record, Channel):
                 topic = topic_of(record.topic)
-                wanted = topic is not None and (not what or topic.what in what)
-                topics[record.id] = (record.topic, topic) if topic is not None and wanted else None
+                topics.pop(record.id, None)
+                if topic is not None and (not what or topic.what in what):
+                    topics[record.id] = (record.topic, topic)
 
     def messages(
         self, first: int = 0, last: int | None = None, node: str | None = None, kind: str | None = None
@@ -133,14 +131,14 @@ class Recording:
 
     def epochs(self, first: int = 1, last: int | None = None) -> Iterator[EpochTrace]:
         """The epochs that were committed, of these ones, in order; of each the attempt that was."""
-        assembly = Assembly(self.info.how_stale, str(self.path))
-        for epoch in self._assembled(assembly):
+        for epoch in self._assembled():
             if last is not None and epoch.epoch > last:
                 return
             if epoch.epoch >= first:
                 yield epoch
 
-    def _assembled(self, assembly: Assembly) -> Iterator[EpochTrace]:
+    def _assembled(self) -> Iterator[EpochTrace]:
+        assembly = Assembly(self.info.how_stale, str(self.path))
         for entry in self.entries(MESSAGE, STEP, ROSTER, EPOCH):
             if self._read(entry, lambda entry=entry: assembly.take(entry)):
                 yield from assembly.ripe()
@@ -157,16 +155,12 @@ def _metadata(path: Path) -> tuple[RunInfo, Ending | None]:
     """The first metadata, and the last if the file has its end."""
     from mcap.records import Header, Metadata
 
-    info: RunInfo | None = None
     for record in _records(path):
         if isinstance(record, Header) and record.profile != PROFILE:
             raise RecordingError(f"is an MCAP file of profile {record.profile!r:.40}, not one that hierax wrote")
         if isinstance(record, Metadata) and record.name == INFO:
-            info = RunInfo.read(from_metadata(record.metadata, INFO_TEXTS))
-            break
-    if info is None:
-        raise RecordingError("was cut off before it says what it is of")
-    return info, _ending(path)
+            return RunInfo.read(from_metadata(record.metadata, INFO_TEXTS)), _ending(path)
+    raise RecordingError("was cut off before it says what it is of")
 
 
 def _ending(path: Path) -> Ending | None:
@@ -175,8 +169,7 @@ def _ending(path: Path) -> Ending | None:
     from mcap.reader import make_reader
 
     with path.open("rb") as file:
-        file.seek(0, 2)
-        if file.tell() < 2 * len(MAGIC):
+        if file.seek(0, 2) < 2 * len(MAGIC):
             return None
         file.seek(-len(MAGIC), 2)
         if file.read() != MAGIC:

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import logging
 from dataclasses import replace
+from functools import cache
 from pathlib import Path
-from typing import NamedTuple
 
 import msgpack
 
@@ -13,7 +13,7 @@ from hierax.runtime.recording.check import Checker
 from hierax.runtime.recording.info import Ending, Gap, RunInfo
 from hierax.runtime.recording.ledger import Ledger
 from hierax.runtime.recording.selection import EVERYTHING, Selection
-from hierax.runtime.recording.topics import EPOCH, MESSAGE, ROSTER, STEP, TOKEN, Topic, glance, topic_of
+from hierax.runtime.recording.topics import EPOCH, MESSAGE, ROSTER, STEP, TOKEN, Entry, Topic, glance, topic_of
 from hierax.runtime.recording.writing import McapFile, Target
 from hierax.runtime.transport.bus_tap import Sample
 from hierax.schemas.messages import HELLO
@@ -21,8 +21,7 @@ from hierax.schemas.roster import Roster
 from hierax.schemas.steps import decode_step
 from hierax.schemas.values import decode_value, encode_value
 
-INDEX_BYTES = 64 << 10
-"""What the index at a file's end takes at most, where it has no more than some hundred channels."""
+INDEX_BYTES = 64 << 10  # what the index at a file's end takes at most, where it has no more than some hundred channels
 
 HELD_BYTES = 64 << 20
 """How much may wait, in a recording that joins a run, for its first whole epoch; with more, all is written."""
@@ -30,28 +29,11 @@ HELD_BYTES = 64 << 20
 _log = logging.getLogger("hierax")
 
 
-class _Entry(NamedTuple):
-    """What came on a key, as it is written."""
-
-    heard: Sample
-    what: str
-    epoch: int
-    data: bytes
-
-
 class Recorder:
-    """Takes in what comes on the keys of a run.
+    """Takes in what comes on the keys of a run, for a file, if there is one, and for a checker, which sees all of it.
 
-    Args:
-        file: where it is written; None: nowhere.
-        checker: sees everything as well, as it comes; None: the formal order is not checked.
-        from_start, epochs: as the `Ledger` has them.
-        barrier: whether every node does every epoch.
-        selection: what is written of what comes; the checker sees all.
-
-    Attributes:
-        ledger: its account.
-        cut: by which option of the selection nothing more is written; empty: by none.
+    `from_start` and `epochs` are as the `Ledger` has them; `barrier` says whether every node does every epoch, and the
+    selection, what is written.
     """
 
     def __init__(
@@ -63,21 +45,18 @@ class Recorder:
         barrier: bool = True,
         selection: Selection = EVERYTHING,
     ) -> None:
-        self.cut = ""
-        self._selection = selection
-        self._left_out = dict.fromkeys(selection.exclude, 0)
-        self._patterns: dict[str, str] = {}
-        self._begun_ns = 0
-        self._newest = 0
-        self._largest = self._bytes = self._mark = 0
-        self._file = file
         self.checker = checker
         self.ledger = Ledger(from_start, epochs)
+        self.cut = ""  # by which option of the selection nothing more is written
+        self._selection = selection
+        self._left_out = dict.fromkeys(selection.exclude, 0)
+        self._pattern = cache(selection.leaves_out)
+        self._begun_ns = self._newest = self._largest = self._bytes = self._mark = 0
+        self._file = file
         self._barrier = barrier
         self._versions: set[int] = set()
-        self._messages = 0
-        self._held: list[_Entry] | None = None if from_start else []
-        self._held_bytes = 0
+        self._held: list[Entry] | None = None if from_start else []
+        self._messages = self._held_bytes = 0
 
     def take(self, heard: Sample) -> None:
         """Take in what came on a key. Raises `RecordingError` if the file cannot be written."""
@@ -92,7 +71,7 @@ class Recorder:
             return
         if epoch < 0 or not self.ledger.wants(epoch) or self._is_left_out(heard.key):
             return
-        entry = _Entry(heard, topic.what, epoch, data)
+        entry = Entry(heard.key, topic, heard.time_ns, epoch, data)
         if self._held is None:
             self._write(entry)
             return
@@ -136,18 +115,17 @@ class Recorder:
         ledger.cut = None
         gaps, lost = ledger.close(last if self._barrier else None)
         first = ledger.first if ledger.last >= ledger.first else 0
-        ending = Ending(
-            first, ledger.last, self._messages, gaps, lost, tuple(ledger.cut_short), self.cut, self._left_out
-        )
+        cut_short = tuple(ledger.cut_short)
+        ending = Ending(first, ledger.last, self._messages, gaps, lost, cut_short, self.cut, self._left_out)
         if self._file is not None:
             self._file.close(ending)
         return ending
 
-    def _write(self, entry: _Entry) -> None:
+    def _write(self, entry: Entry) -> None:
         self._messages += 1
         if self._file is not None:
-            self._file.add(entry.heard.key, entry.what, entry.heard.time_ns, entry.epoch, entry.data)
-            self._keep_bounds(self._file, entry.heard.time_ns, entry.epoch, len(entry.data))
+            self._file.add(entry)
+            self._keep_bounds(self._file, entry)
 
     def _write_held(self) -> None:
         """Until every node has told of an epoch, it is not known with which one the recording begins.
@@ -156,31 +134,31 @@ class Recorder:
         """
         held, self._held = self._held, None
         first = self.ledger.first - 1 if self._barrier else 0
-        for entry in sorted(held or (), key=lambda entry: entry.what != ROSTER):  # no epoch is read before its roster
+        for entry in sorted(
+            held or (), key=lambda entry: entry.topic.what != ROSTER
+        ):  # no epoch is read before its roster
             if (not entry.epoch or entry.epoch >= first) and self.ledger.wants(entry.epoch):
                 self._write(entry)
 
     def _is_left_out(self, key: str) -> bool:
-        if key not in self._patterns:
-            self._patterns[key] = self._selection.leaves_out(key)
-        pattern = self._patterns[key]
+        pattern = self._pattern(key)
         if pattern:
             self._left_out[pattern] += 1
         return bool(pattern)
 
-    def _keep_bounds(self, file: McapFile, time_ns: int, epoch: int, size: int) -> None:
+    def _keep_bounds(self, file: McapFile, entry: Entry) -> None:
         """The last epoch that is recorded is the one under way when another one may be too much."""
         longest_s, most = self._selection.max_duration_s, self._selection.max_bytes
         if self.cut or (longest_s is None and most is None):
             return
-        self._begun_ns = self._begun_ns or time_ns
-        self._bytes += size
-        if epoch > self._newest:
+        self._begun_ns = self._begun_ns or entry.time_ns
+        self._bytes += len(entry.data)
+        if entry.epoch > self._newest:
             self._largest = max(self._largest, self._bytes - self._mark)
-            self._newest, self._mark = epoch, self._bytes
+            self._newest, self._mark = entry.epoch, self._bytes
             if most is not None and self._is_near(file, most):
                 self.cut = f"--max-size {most} bytes"
-        if longest_s is not None and time_ns - self._begun_ns > longest_s * 1e9:
+        if longest_s is not None and entry.time_ns - self._begun_ns > longest_s * 1e9:
             self.cut = f"--max-duration {longest_s:g} s"
         if self.cut:
             self.ledger.cut = max(self._newest, self.ledger.first)  # one whole epoch there is in any case
@@ -196,7 +174,7 @@ class Recorder:
         """Epoch and bytes of what is recorded; an epoch below 0: it is not."""
         data = heard.data
         if topic.what == MESSAGE:
-            return self._on_message(data)
+            return self._on_message(data), data
         if topic.what == STEP:
             step = decode_step(data)
             self.ledger.step(step)
@@ -204,7 +182,7 @@ class Recorder:
                 self.checker.step(step)
             return step.epoch, data
         if topic.what == ROSTER:
-            return self._on_roster(data)
+            return self._on_roster(Roster.read(decode_value(data, "roster"))), data
         if topic.what == EPOCH:
             epoch, _ = decode_value(data, "epoch")
             return int(epoch), data
@@ -212,41 +190,32 @@ class Recorder:
             return 0, encode_value((*topic.names, heard.is_up))
         return 0, data
 
-    def _on_message(self, data: bytes) -> tuple[int, bytes]:
+    def _on_message(self, data: bytes) -> int:
         seen = glance(data)
         if seen.kind == HELLO:
-            return -1, data
+            return -1
         wanted = self.ledger.wants(seen.epoch)
         if wanted:
             self.ledger.message(seen.line, *seen.when)
         if self.checker is not None and (wanted or self.cut):
             self.checker.message(data)
-        return seen.epoch, data
+        return seen.epoch
 
-    def _on_roster(self, data: bytes) -> tuple[int, bytes]:
+    def _on_roster(self, roster: Roster) -> int:
         """Versions are told again and again; each is recorded once."""
-        roster = Roster.read(decode_value(data, "roster"))
         if roster.version in self._versions:
-            return -1, data
+            return -1
         self._versions.add(roster.version)
         self.ledger.expect(roster.nodes)
         if self.checker is not None:
             self.checker.roster(roster)
-        return 0, data
+        return 0
 
 
 def open_recorder(
-    info: RunInfo,
-    file: Path | Target | None,
-    check: bool,
-    selection: Selection,
-    epochs: int | None = None,
+    info: RunInfo, file: Path | Target | None, check: bool, selection: Selection, epochs: int | None = None
 ) -> Recorder:
-    """A recorder that writes a file, if one is given, and checks the formal order, if that is wanted.
-
-    The selection and the number of epochs are as `Recorder` has them. Raises `RecordingError` if the file cannot be
-    written.
-    """
+    """A `Recorder` for a file, if one is given, with a checker, if wanted; `RecordingError` if it cannot be written."""
     info = replace(info, left_out=tuple(selection.exclude))
     written = None if file is None else McapFile(file, info)
     checker = Checker(info.how_stale) if check else None

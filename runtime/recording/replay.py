@@ -30,37 +30,26 @@ from hierax.schemas.errors import SchemaError
 from hierax.schemas.messages import CONTEXT, OBSERVATIONS, TASKS
 from hierax.schemas.roster import Roster
 
-Rewrite = Callable[[Roster], Roster]
-"""What replays a roster in place of another: for other parameters or classes."""
+Rewrite = Callable[[Roster], Roster]  # what replays a roster in place of another: for other parameters or classes
 
 
 @dataclass
 class Replay:
-    """Does a recording's epochs again.
+    """Does a recording's epochs again."""
 
-    Attributes:
-        recording: what is replayed.
-        allowance: which code may be loaded.
-        node: the one node that is live; None: all but the world.
-        world: whether the world is live, too.
-        rewrite: other parameters or classes; None: as recorded.
-        first, last: which epochs; None: all.
-        states: of the live nodes, after the last epoch done.
-        wirings: of the live nodes, in the last epoch done.
-        roster: of the last epoch done.
-    """
-
-    recording: Recording
-    allowance: Allowance
+    recording: Recording  # what is replayed
+    allowance: Allowance  # which code may be loaded
     _: KW_ONLY
-    node: str | None = None
-    world: bool = False
-    rewrite: Rewrite | None = None
+    node: str | None = None  # the one node that is live; None: all but the world
+    world: bool = False  # whether the world is live, too
+    rewrite: Rewrite | None = None  # other parameters or classes; None: as recorded
+    # Which epochs; None: all
     first: int = 1
     last: int | None = None
+    # Of the live nodes, after the last epoch done
     states: dict[str, ActiveNode] = field(default_factory=dict, init=False)
-    wirings: dict[str, Wiring] = field(default_factory=dict, init=False)
-    roster: Roster | None = field(default=None, init=False)
+    wirings: dict[str, Wiring] = field(default_factory=dict, init=False)  # of the live nodes, in the last epoch done
+    roster: Roster | None = field(default=None, init=False)  # of the last epoch done
 
     def __post_init__(self) -> None:
         self._barrier = self.recording.info.how_stale.barrier
@@ -70,11 +59,7 @@ class Replay:
         self._rewritten: dict[int, Roster] = {}
 
     def epochs(self) -> Iterator[ReplayedEpoch]:
-        """Do the epochs again, one at a time, from the first one before which all states are known.
-
-        Raises:
-            HieraxError: a node cannot be loaded or failed, or the recording does not tell what is needed.
-        """
+        """Do the epochs again, from the first one before which all states are known; `HieraxError` if one cannot be."""
         before: EpochTrace | None = None
         for recorded in self.recording.epochs(last=self.last):
             follows = before is None or recorded.epoch == before.epoch + 1
@@ -92,28 +77,27 @@ class Replay:
             before = recorded
 
     def live(self, roster: Roster) -> tuple[str, ...]:
-        """The nodes whose operators are called.
-
-        Raises:
-            RecordingError: there is no node of the name that was asked for.
-        """
+        """The nodes whose operators are called."""
         if self.node is None:
             return tuple(sorted(name for name in roster.nodes if self.world or name != roster.world))
-        if self.node not in roster.nodes:
-            return ()
-        return (self.node,)
+        return (self.node,) if self.node in roster.nodes else ()
 
     # --- an epoch
 
     def _do(self, recorded: EpochTrace, before: EpochTrace | None) -> ReplayedEpoch | None:
         """Do an epoch again; None: the world, done again, has finished before it."""
-        roster = self._roster(recorded.roster)
+        roster = recorded.roster
+        if self.rewrite is not None:
+            if roster.version not in self._rewritten:
+                self._rewritten[roster.version] = self.rewrite(roster)
+            roster = self._rewritten[roster.version]
         replayed = ReplayedEpoch(recorded, roster, recorded.time_s)
         live = self.live(roster)
         self._take_up(replayed, live, before)
         if roster.world in live and not self._begin_world(replayed):
             return None
-        doing = [name for name in replayed.order if name in live and self._did(recorded, name)]
+        # with the barrier, all have a part in the epoch, told or not
+        doing = [name for name in replayed.order if name in live and (self._barrier or name in recorded.nodes)]
         time_s = replayed.time_s if replayed.time_s is not None else 0.0
         for name in doing:
             self._sense(replayed, name, time_s)
@@ -177,18 +161,7 @@ class Replay:
         else:
             self._digest = recorded.digest  # it cannot be taken again; the next one follows from what was told
 
-    def _did(self, recorded: EpochTrace, name: str) -> bool:
-        """Whether a node had a part in the epoch; with the barrier, all have, told or not."""
-        return self._barrier or name in recorded.nodes
-
     # --- nodes that come, stay and go
-
-    def _roster(self, recorded: Roster) -> Roster:
-        roster = self._rewritten.get(recorded.version)
-        if roster is None:
-            roster = recorded if self.rewrite is None else self.rewrite(recorded)
-            self._rewritten[recorded.version] = roster
-        return roster
 
     def _take_up(self, replayed: ReplayedEpoch, live: Collection[str], before: EpochTrace | None) -> None:
         """Have every live node's wiring and state under the epoch's roster."""
@@ -207,7 +180,11 @@ class Replay:
                 self._loaders[name] = NodeLoader(name, setting, self.allowance)
             self.wirings[name] = wiring = self._loaders[name].wiring(roster)
             if name in self.states and (changed or _took_over(replayed.recorded, before, name)):
-                self.states[name] = replayed.starts[name] = _taken_over(wiring, self.states[name])
+                try:
+                    state = taken_over(wiring.node, encode_state(*self.states[name]))
+                except HieraxError as error:
+                    raise HieraxError(f"{name}: cannot take over the belief: {error}") from error
+                self.states[name] = replayed.starts[name] = state
             elif name not in self.states:
                 self.states[name] = self._first_state(replayed, name, wiring, before)
 
@@ -232,12 +209,11 @@ class Replay:
         if self._barrier and recorded.lacking:
             return False
 
-        def knows(name: str) -> bool:
-            if before is not None and (name in before.nodes or name not in before.roster.nodes):
-                return True
-            return recorded.start_of(name) is not None
-
-        return all(knows(name) for name in self.live(recorded.roster))
+        return all(
+            (before is not None and (name in before.nodes or name not in before.roster.nodes))
+            or recorded.start_of(name) is not None
+            for name in self.live(recorded.roster)
+        )
 
 
 def _took_over(recorded: EpochTrace, before: EpochTrace | None, name: str) -> bool:
@@ -248,19 +224,7 @@ def _took_over(recorded: EpochTrace, before: EpochTrace | None, name: str) -> bo
     return bool(start) and start != before.nodes[name].step.state
 
 
-def _taken_over(wiring: Wiring, state: ActiveNode) -> ActiveNode:
-    """The state with which a node goes on in the place of another."""
-    try:
-        return taken_over(wiring.node, encode_state(*state))
-    except HieraxError as error:
-        raise HieraxError(f"{wiring.node.name}: cannot take over the belief: {error}") from error
-
-
 def has_actuators(roster: Roster, allowance: Allowance) -> bool:
-    """Whether the world moves something outside when it acts.
-
-    Raises:
-        NotAllowedError, LoadError: its class may not, or cannot, be loaded.
-    """
+    """Whether the world moves something outside when it acts. Raises as `build_node` does."""
     world = build_node(roster.nodes[roster.world], f"nodes.{roster.world}", allowance, is_world=True)
     return isinstance(world, World) and type(world).act is not World.act

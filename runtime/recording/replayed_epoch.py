@@ -18,31 +18,22 @@ from hierax.schemas.messages import CONTEXT
 from hierax.schemas.roster import Roster
 from hierax.schemas.values import decode_value, encode_value
 
-KEPT_MESSAGES = 64
-"""Where epochs overlap: how many messages of a line are kept, as a later epoch may use them."""
+KEPT_MESSAGES = 64  # where epochs overlap: how many messages of a line are kept, as a later epoch may use them
 
 
 @dataclass
 class ReplayedEpoch:
-    """An epoch done again; what is not live is as it was recorded.
+    """An epoch done again; what is not live is as it was recorded."""
 
-    Attributes:
-        recorded: the epoch as it was.
-        roster: under which it was done again.
-        time_s: its time.
-        digest: of the run.
-        starts, sensed, states: of the nodes that are live.
-        lines: what the live nodes gave, by kind, sender and receiver.
-    """
-
-    recorded: EpochTrace
-    roster: Roster
-    time_s: float | None = None
-    digest: bytes = b""
+    recorded: EpochTrace  # the epoch as it was
+    roster: Roster  # under which it was done again
+    time_s: float | None = None  # its time
+    digest: bytes = b""  # of the run
+    # Of the nodes that are live
     starts: dict[str, ActiveNode] = field(default_factory=dict)
     sensed: dict[str, Value] = field(default_factory=dict)
     states: dict[str, ActiveNode] = field(default_factory=dict)
-    lines: dict[Line, Elements] = field(default_factory=dict)
+    lines: dict[Line, Elements] = field(default_factory=dict)  # what the live nodes gave, by kind, sender and receiver
 
     @property
     def epoch(self) -> int:
@@ -60,7 +51,6 @@ class ReplayedEpoch:
 
     def used_of(self, name: str) -> None:
         """Inputs are of the epochs that they were of then."""
-        return
 
     def sensed_of(self, name: str) -> tuple[Value] | None:
         """A node's belief after `observe`, in a tuple; None: not known."""
@@ -102,26 +92,18 @@ class Exchange:
                 self._put(line, (recorded.epoch, attempt), data)
 
     def give(self, replayed: ReplayedEpoch, line: Line, elements: Elements, digest: bytes = b"") -> None:
-        """Have what a live node gives, in the place of what it gave in the attempt of its own that was committed.
-
-        Raises:
-            OperatorError: it cannot travel.
-        """
+        """Have what a live node gives, in place of what it gave when it committed; `OperatorError` if it cannot go."""
         try:
             travelled = decode_value(encode_value(elements))
         except SchemaError as error:
             raise elements_cannot_travel(*line, replayed.epoch, error) from error
         replayed.lines[line] = travelled
-        trace = replayed.recorded.nodes.get(line[1])
-        attempt = replayed.recorded.attempt if trace is None else trace.step.attempt
+        recorded = replayed.recorded
+        attempt = recorded.nodes[line[1]].step.attempt if line[1] in recorded.nodes else recorded.attempt
         self._put(line, (replayed.epoch, attempt), Given(travelled, digest))
 
     def elements(self, recorded: EpochTrace, kind: str, senders: Iterable[str], receiver: str) -> Elements:
-        """All that a node used in an epoch, of a kind.
-
-        Raises:
-            RecordingError: something of it is not recorded.
-        """
+        """All that a node used in an epoch, of a kind. Raises `RecordingError` if something of it is not recorded."""
         found: Elements = ()
         for sender in senders:
             given = self.given(recorded, (kind, sender, receiver))

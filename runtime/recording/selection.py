@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import re
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from fnmatch import fnmatchcase
-from typing import Any
 
 from hierax.runtime.loading.nearest import did_you_mean
 from hierax.runtime.recording.info import RecordingError
@@ -23,20 +22,12 @@ _SECONDS = {"": 1.0, "s": 1.0, "m": 60.0, "h": 3600.0, "d": 86400.0}
 
 @dataclass(frozen=True)
 class Selection:
-    """What of a run is recorded.
+    """What of a run is recorded."""
 
-    Attributes:
-        exclude: patterns of keys, as `leaves_out` has them.
-        max_bytes, max_duration_s: how large the file may become, and how many seconds are recorded; None: no bound.
-    """
-
-    exclude: Sequence[str] = ()
+    exclude: Sequence[str] = ()  # patterns of keys, as `leaves_out` has them
+    # How large the file may become, and how many seconds are recorded; None: no bound
     max_bytes: int | None = None
     max_duration_s: float | None = None
-
-    def plain(self) -> dict[str, Any]:
-        """Give it as a value, from which it can be made again."""
-        return asdict(self)
 
     def leaves_out(self, key: str) -> str:
         """The pattern by which what comes on a key is left out; empty: it is recorded."""

@@ -1,4 +1,4 @@
-"""What is on which key, and how it is described in the file."""
+"""What is on which key, how it is read, and how it is described in the file."""
 
 from __future__ import annotations
 
@@ -7,9 +7,11 @@ from typing import Any, NamedTuple, get_origin, get_type_hints
 
 import msgpack
 
-from hierax.schemas.errors import SchemaError
-from hierax.schemas.messages import CONTEXT, KINDS, OBSERVATIONS, TASKS, Header
-from hierax.schemas.steps import NodeStep
+from hierax.schemas.errors import SchemaError, shown
+from hierax.schemas.messages import CONTEXT, KINDS, OBSERVATIONS, TASKS, Header, Message, decode_message
+from hierax.schemas.roster import Roster
+from hierax.schemas.steps import NodeStep, decode_step
+from hierax.schemas.values import decode_value
 
 MESSAGE, STEP, ROSTER, EPOCH, NOTE, CONTROL, TOKEN = "message", "step", "roster", "epoch", "note", "control", "token"
 """What there is in a recording."""
@@ -20,17 +22,11 @@ _ROOT_SEGMENTS = 3
 
 
 class Topic(NamedTuple):
-    """A key, taken apart.
+    """A key, taken apart."""
 
-    Attributes:
-        what: one of `MESSAGE` to `TOKEN`.
-        kind: of a message, one of obs, task and ctx; else empty.
-        names: what stands behind: sender and receiver, a node, an address, a node and its process.
-    """
-
-    what: str
-    kind: str
-    names: tuple[str, ...]
+    what: str  # one of `MESSAGE` to `TOKEN`
+    kind: str  # of a message, one of obs, task and ctx; else empty
+    names: tuple[str, ...]  # what stands behind: sender and receiver, a node, an address, a node and its process
 
 
 def topic_of(key: str) -> Topic | None:
@@ -81,16 +77,65 @@ def glance(data: bytes) -> MessageSummary:
         unpacker.read_array_header()
         _, code, *fields = (unpacker.unpack() for _ in range(10))
         unpacker.skip()  # the extensions
-        if tuple(map(type, (code, *fields))) == _HEAD and min(code, *fields[2:6]) >= 0:
-            return MessageSummary._make((KINDS[code], *fields, unpacker.tell()))
+        if tuple(map(type, (code, *fields))) != _HEAD or min(code, *fields[2:6]) < 0:
+            raise ValueError("another one is not so typed")
+        return MessageSummary._make((KINDS[code], *fields, unpacker.tell()))
     except (ValueError, TypeError, IndexError, RecursionError, msgpack.exceptions.UnpackException) as error:
         raise SchemaError(f"does not begin like a message: {data[:8].hex()}", "message") from error
-    raise SchemaError(f"does not begin like a message: {data[:8].hex()}", "message")
+
+
+class Entry(NamedTuple):
+    """Something that was recorded."""
+
+    # On which it came, as it was and taken apart
+    key: str
+    topic: Topic
+    time_ns: int  # when, since 1970
+    epoch: int  # of it, modulo 2³²; 0: of none
+    data: bytes
+
+    def message(self) -> Message:
+        """The message that it is. Raises `SchemaError` if it is none."""
+        return decode_message(self.data)
+
+    def step(self) -> NodeStep:
+        """The step that it is. Raises `SchemaError` if it is none."""
+        return decode_step(self.data)
+
+    def roster(self) -> Roster:
+        """The roster that it is. Raises `SchemaError` if it is none."""
+        return Roster.read(decode_value(self.data, "roster"))
+
+    def commit(self) -> tuple[int, bytes]:
+        """The epoch and the run's digest that it tells. Raises `SchemaError` if it tells none."""
+        value = decode_value(self.data, "epoch")
+        if type(value) is not tuple or tuple(map(type, value)) != (int, bytes) or value[0] < 0:
+            raise SchemaError(f"expected an epoch's number and digest, got {shown(value)}", "epoch")
+        return value
+
+    def fault(self) -> Fault:
+        """What happened to a process. Raises `SchemaError` if it tells nothing of the kind."""
+        value = decode_value(self.data, self.topic.what)
+        if self.topic.what == NOTE:
+            if type(value) is not str:
+                raise SchemaError(f"expected a text, got {shown(value)}", "note")
+            return Fault(self.time_ns, value)
+        if type(value) is not tuple or tuple(map(type, value)) != (str, str, bool):
+            raise SchemaError(f"expected a node, its process and whether it is there, got {shown(value)}", "token")
+        name, process, up = value
+        return Fault(self.time_ns, f"process {process} {'is there' if up else 'is gone'}", name)
+
+
+class Fault(NamedTuple):
+    """Something that happened to a process, in words, and when, since 1970. Without a node the words say whose."""
+
+    time_ns: int
+    what: str
+    node: str = ""
 
 
 _GLANCED_BYTES = 4096
 _HEAD = (int, str, str, int, int, int, int, float, bytes)
-
 _WHOLE: dict[str, Any] = {"type": "integer", "minimum": 0}
 _TEXT: dict[str, Any] = {"type": "string"}
 _BYTES: dict[str, Any] = {"description": "bytes"}

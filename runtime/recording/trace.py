@@ -11,8 +11,7 @@ from hierax.runtime.core.elements import Elements, Value
 from hierax.runtime.core.graph import check_graph, topological_order
 from hierax.runtime.core.process import ActiveNode
 from hierax.runtime.core.staleness import Staleness
-from hierax.runtime.recording.entries import Entry
-from hierax.runtime.recording.topics import EPOCH, MESSAGE, ROSTER, glance
+from hierax.runtime.recording.topics import EPOCH, MESSAGE, ROSTER, Entry, glance
 from hierax.schemas.checkpoint import decode_state
 from hierax.schemas.errors import SchemaError
 from hierax.schemas.messages import CONTEXT, OBSERVATIONS, TASKS, Message, decode_message
@@ -24,11 +23,8 @@ PENDING_BYTES = 256 << 20
 PENDING_EPOCHS = 20_000
 """So much is kept while a node that has not told of an epoch may still do so: links may be far behind each other."""
 
-Attempt = tuple[int, int]
-"""An epoch and which attempt of it."""
-
-Line = tuple[str, str, str]
-"""Kind, sender and receiver."""
+Attempt = tuple[int, int]  # an epoch and which attempt of it
+Line = tuple[str, str, str]  # kind, sender and receiver
 
 
 @dataclass(frozen=True)
@@ -59,28 +55,22 @@ class NodeTrace:
 
 @dataclass
 class EpochTrace:
-    """A committed epoch.
+    """A committed epoch."""
 
-    Attributes:
-        epoch, attempt: which one, and which attempt of it was committed.
-        roster: under which it was done.
-        nodes: what each node did, by name; one that is not told of lacks: its process died first, or, where epochs
-            overlap, it left the epoch out.
-        lines: messages as bytes, by kind, sender and receiver, then by attempt.
-        digest, previous: of the run, after this epoch and after the one before; empty: not told.
-        heard_ns: when the world told of it, since 1970; 0: it did not.
-        place: of the recording, for errors: `SchemaError` where a message is none.
-    """
-
+    # Which one, and which attempt of it was committed
     epoch: int
     attempt: int
-    roster: Roster
+    roster: Roster  # under which it was done
+    # What each node did, by name; one that is not told of lacks: its process died first, or, where epochs overlap, it
+    # left the epoch out
     nodes: Mapping[str, NodeTrace]
+    # Messages as bytes, by kind, sender and receiver, then by attempt
     lines: Mapping[Line, Mapping[int, bytes]] = field(repr=False)
+    # Of the run, after this epoch and after the one before; empty: not told
     digest: bytes
-    heard_ns: int = 0
+    heard_ns: int = 0  # when the world told of it, since 1970; 0: it did not
     previous: bytes = b""
-    place: str = ""
+    place: str = ""  # of the recording, for errors: `SchemaError` where a message is none
 
     def message(self, data: bytes) -> Message:
         """Read one of the messages."""
@@ -111,46 +101,35 @@ class EpochTrace:
 
     def start_of(self, name: str) -> ActiveNode | None:
         """A node's state at its beginning, where that was told."""
-        trace = self.nodes.get(name)
-        return None if trace is None else trace.start
+        return self.nodes[name].start if name in self.nodes else None
 
     def used_of(self, name: str) -> Mapping[tuple[str, str], tuple[int, int]] | None:
         """The epoch and attempt of a node's inputs, by sender and kind; None: they were of this one."""
-        trace = self.nodes.get(name)
-        return None if trace is None else trace.step.used_of or None
+        return (self.nodes[name].step.used_of or None) if name in self.nodes else None
 
     def sensed_of(self, name: str) -> tuple[Value] | None:
         """A node's belief after `observe`, in a tuple; None: not told."""
-        trace = self.nodes.get(name)
-        return None if trace is None else trace.sensed
+        return self.nodes[name].sensed if name in self.nodes else None
 
     def state_of(self, name: str) -> ActiveNode | None:
         """A node's state after it; None: not told."""
-        trace = self.nodes.get(name)
-        return None if trace is None else trace.state
+        return self.nodes[name].state if name in self.nodes else None
 
     @cached_property
     def lacking(self) -> tuple[str, ...]:
         """What a barrier's epoch has and this one lacks, in words."""
+        lines: list[Line] = []
+        for lower, upper, task in ((edge.lower, edge.upper, edge.task) for edge in self.roster.edges):
+            lines += [(OBSERVATIONS, lower, upper), (CONTEXT, upper, lower)]
+            lines += [] if task is None else [(TASKS, upper, lower)]
         lacking = [f"step of {name}" for name in sorted(self.roster.nodes.keys() - self.nodes.keys())]
-        for kind, sender, receiver in wanted_lines(self.roster):
-            if self.attempt not in self.lines.get((kind, sender, receiver), {}):
-                lacking.append(f"{kind} message {sender} -> {receiver}")
-        return tuple(lacking)
+        unheard = [line for line in lines if self.attempt not in self.lines.get(line, {})]
+        return (*lacking, *(f"{kind} message {sender} -> {receiver}" for kind, sender, receiver in unheard))
 
 
 def order_of(roster: Roster) -> tuple[str, ...]:
     """The nodes of a roster from below to above, ties by name."""
     return topological_order(roster.nodes, [edge.pair for edge in roster.edges])
-
-
-def wanted_lines(roster: Roster) -> Iterator[Line]:
-    """Kind, sender and receiver of every message of an epoch."""
-    for edge in roster.edges:
-        yield OBSERVATIONS, edge.lower, edge.upper
-        yield CONTEXT, edge.upper, edge.lower
-        if edge.task is not None:
-            yield TASKS, edge.upper, edge.lower
 
 
 @dataclass

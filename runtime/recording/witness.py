@@ -18,11 +18,8 @@ from hierax.schemas.roster import Roster
 from hierax.schemas.steps import NodeStep, Passage, encode_step
 from hierax.schemas.values import Value, encode_value
 
-ROSTER_EVERY_S = 0.5
-"""How often the roster is told again, for those who have begun to record meanwhile."""
-
-_KEPT = 64
-"""How many epochs that were begun, and may still be completed, are remembered."""
+ROSTER_EVERY_S = 0.5  # how often the roster is told again, for those who have begun to record meanwhile
+_KEPT = 64  # how many epochs that were begun, and may still be completed, are remembered
 
 
 class StepSink(Protocol):

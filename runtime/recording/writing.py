@@ -8,24 +8,22 @@ from collections.abc import Iterator
 from contextlib import AbstractContextManager, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 from hierax.runtime.host.private_files import HeldError, errors_named, hold, open_result
 from hierax.runtime.recording.info import Ending, RecordingError, RunInfo, to_metadata
-from hierax.runtime.recording.topics import schema_of
+from hierax.runtime.recording.topics import Entry, schema_of
 
 MAGIC = b"\x89MCAP0\r\n"
 PROFILE = "hierax"
-INFO, ENDING = "hierax.run", "hierax.ending"
-"""Names of the file's metadata."""
-
+INFO, ENDING = "hierax.run", "hierax.ending"  # names of the file's metadata
 CHUNK_BYTES = 4 << 20
 CHUNK_S = 1.0
 """A chunk is written when it is this large or old: what a killed recorder loses. An array that is told of twice in a
 chunk, as a message and in a belief, takes its room once."""
 
-ZSTD_LEVEL = 1
-"""The level of Zstandard; the default, 3, takes four times as long for images, for 7 % less."""
+ZSTD_LEVEL = 1  # the level of Zstandard; the default, 3, takes four times as long for images, for 7 % less
 
 
 @dataclass(frozen=True)
@@ -83,18 +81,14 @@ class McapFile:
             self._writer.add_attachment(info.started_ns, info.started_ns, "deployment.yaml", "application/yaml", text)
             self._writer.flush()
 
-    def add(self, key: str, what: str, time_ns: int, epoch: int, data: bytes) -> None:
-        """Add the bytes that came on a key, which is the channel's name, at a time since 1970.
-
-        `what` is one of the kinds of `hierax.runtime.recording.topics`, and epoch 0 stands for none. Raises
-        `RecordingError` if the file cannot be written.
-        """
-        channel = self._channels.get(key)
+    def add(self, entry: Entry) -> None:
+        """Add what came on a key, which is the channel's name. Raises `RecordingError` if it cannot be written."""
         with self._mapped():
-            if channel is None:
-                channel = self._channels[key] = self._register(key, what)
-            self._writer.add_message(channel, time_ns, data, time_ns, epoch & 0xFFFFFFFF)
-        self._pending += len(data)
+            if entry.key not in self._channels:
+                self._channels[entry.key] = self._register(entry.key, entry.topic.what)
+            channel, time_ns = self._channels[entry.key], entry.time_ns
+            self._writer.add_message(channel, time_ns, entry.data, time_ns, entry.epoch & 0xFFFFFFFF)
+        self._pending += len(entry.data)
         if self._dirty_s is None:
             self._dirty_s = time.monotonic()
 
@@ -123,33 +117,24 @@ class McapFile:
             self._file.close()
 
     def _register(self, key: str, what: str) -> int:
-        schema = self._schemas.get(what)
-        if schema is None:
+        if what not in self._schemas:
             name, text = schema_of(what)
-            schema = self._schemas[what] = self._writer.register_schema(name, "jsonschema", text)
-        channel: int = self._writer.register_channel(key, "msgpack", schema, {"what": what})
+            self._schemas[what] = self._writer.register_schema(name, "jsonschema", text)
+        channel: int = self._writer.register_channel(key, "msgpack", self._schemas[what], {"what": what})
         return channel
 
     def _mapped(self) -> AbstractContextManager[None]:
         return errors_named(self._path, kind=RecordingError)
 
 
-class _Zstd:
-    """What the writer calls of the package ``zstandard``."""
-
-    @staticmethod
-    def compress(data: bytes) -> bytes:
-        from zstandard import ZstdCompressor
-
-        return ZstdCompressor(level=ZSTD_LEVEL).compress(data)
-
-
 def _writer(file: Any) -> Any:
     require_mcap()
     import mcap.writer
     from mcap.writer import CompressionType, Writer
+    from zstandard import ZstdCompressor
 
-    setattr(mcap.writer, "zstandard", _Zstd)  # noqa: B010 - the writer has no option for the level
+    compressing = SimpleNamespace(compress=lambda data: ZstdCompressor(level=ZSTD_LEVEL).compress(data))
+    setattr(mcap.writer, "zstandard", compressing)  # noqa: B010 - the writer has no option for the level
     return Writer(file, chunk_size=CHUNK_BYTES, compression=CompressionType.ZSTD)
 
 

@@ -113,11 +113,9 @@ class _Trial:
     def __init__(self, node: Node, name: str, below: Sequence[str], above: Sequence[str], seed: int) -> None:
         self._name = name
         self._node = node
-        is_world = isinstance(node, World)
         try:
-            self._bound = BoundNode(
-                name, node, () if is_world else tuple(below), tuple(above), OperatorSetting(seed, wait_for)
-            )
+            below = () if isinstance(node, World) else tuple(below)
+            self._bound = BoundNode(name, node, below, tuple(above), OperatorSetting(seed, wait_for))
         except HieraxError as error:
             raise AssertionError(str(error)) from error
         self._calls: list[_Called] = []
@@ -135,7 +133,8 @@ class _Trial:
             else:
                 sensed = self._call(bound.observe, epoch, time_s, observations, belief)
             if bound.above:
-                policy = self._choose(epoch, time_s, tasks)
+                self._call(bound.select_policy, epoch, time_s, tasks)
+                policy = self._expected(partial(bound.choose, epoch, time_s, tasks))  # says what is wrong with it
             actions = self._call(bound.policies[policy], epoch, time_s, sensed)
             belief = self._call(bound.predict, epoch, time_s, context, actions, sensed)
             steps.append(Step(epoch, 0, time_s, observations, sensed, tasks, context, policy, actions, belief))
@@ -177,14 +176,8 @@ class _Trial:
             self._expected(partial(metrics_of, name, node, belief, epoch))
             if isinstance(node, World):
                 self._expected(partial(is_finished, name, node, belief, epoch))
-            self._same(
-                encoded, encode_value(belief), f"{name}: metrics or finished changed the belief of epoch {epoch}"
-            )
-
-    def _choose(self, epoch: int, time_s: float, tasks: Elements) -> str:
-        self._call(self._bound.select_policy, epoch, time_s, tasks)
-        chosen: str = self._expected(partial(self._bound.choose, epoch, time_s, tasks))  # says what is wrong with it
-        return chosen
+            what = f"{name}: metrics or finished changed the belief of epoch {epoch}"
+            self._same(encoded, encode_value(belief), what)
 
     def _call(self, call: Call, epoch: int, time_s: float, *arguments: Value) -> Any:
         """A call with arguments as they come from a message or checkpoint, twice."""
@@ -192,12 +185,9 @@ class _Trial:
         encoded_arguments = encode_value(arguments)
         given = decode_value(encoded_arguments)
         result = self._made(call, epoch, time_s, given)
-        self._same(
-            encoded_arguments,
-            encode_value(given),
-            f"{where} changed what it was given; make a copy, or a new value",
-            [f"argument {number}" for number in range(1, len(arguments) + 1)],
-        )
+        names = [f"argument {number}" for number in range(1, len(arguments) + 1)]
+        what = f"{where} changed what it was given; make a copy, or a new value"
+        self._same(encoded_arguments, encode_value(given), what, names)
         encoded = self._encoded(call, epoch, result)
         again = self._made(call, epoch, time_s, decode_value(encoded_arguments))
         what = "gave two results for the same arguments; random numbers come from tick.rng, time from tick.time_s"

@@ -9,7 +9,7 @@ from typing import TypeVar
 
 from hierax.runtime.core.binding import BoundNode, OperatorSetting
 from hierax.runtime.core.difference import difference
-from hierax.runtime.core.elements import Elements, Value
+from hierax.runtime.core.elements import Value
 from hierax.runtime.core.errors import HieraxError
 from hierax.runtime.core.hierarchy import neighbours_above, neighbours_below
 from hierax.runtime.core.node import Node
@@ -21,6 +21,7 @@ from hierax.runtime.loading.loader import build_node, extend_import_path
 from hierax.runtime.loading.nearest import did_you_mean
 from hierax.runtime.recording.deployments import allowance_of
 from hierax.runtime.recording.reading import Recording
+from hierax.runtime.recording.replayed_epoch import Exchange
 from hierax.runtime.recording.trace import EpochTrace
 from hierax.runtime.testing.node import Input
 from hierax.schemas.messages import CONTEXT, OBSERVATIONS, TASKS
@@ -32,22 +33,18 @@ Known = TypeVar("Known")
 
 @dataclass(frozen=True)
 class Recorded:
-    """A node in a recording.
+    """A node in a recording."""
 
-    Attributes:
-        name, reference, below, above: the node, its class and parameters, and its neighbours.
-        seed, allowance: of the run, and which code may be loaded.
-        inputs: what it was given in each epoch.
-        start, states: its state before the first of them, and after each of them.
-    """
-
+    # The node, its class and parameters, and its neighbours
     name: str
     reference: Reference
     below: tuple[str, ...]
     above: tuple[str, ...]
+    # Of the run, and which code may be loaded
     seed: int
     allowance: Allowance
-    inputs: Sequence[Input]
+    inputs: Sequence[Input]  # what it was given in each epoch
+    # Its state before the first of them, and after each of them
     start: ActiveNode = field(repr=False)
     states: Sequence[ActiveNode] = field(repr=False)
 
@@ -57,10 +54,7 @@ class Recorded:
         return [state.belief for state in self.states]
 
     def run(self, node: Node | None = None) -> list[Step]:
-        """Do the epochs again, one node alone: the recorded one, its class with its parameters, or another one.
-
-        Raises `HieraxError` if it cannot be loaded, or failed.
-        """
+        """Do the epochs again with the recorded node, or another one; `HieraxError` if it cannot be, or failed."""
         made = build_node(self.reference, f"nodes.{self.name}", self.allowance) if node is None else node
         bound = BoundNode(self.name, made, self.below, self.above, OperatorSetting(self.seed, wait_for))
         state = self.start
@@ -73,10 +67,7 @@ class Recorded:
         return steps
 
     def check(self, node: Node | None = None) -> list[Step]:
-        """Do the epochs again, as `run` does, and see that they are as recorded, to the bit.
-
-        Raises `AssertionError` if they are not; says in which epoch, and where.
-        """
+        """Do the epochs again, as `run` does; `AssertionError` says in which one, and where, it is not as recorded."""
         steps = self.run(node)
         for step, state in zip(steps, self.states, strict=True):
             for what in ("policy", "actions", "belief"):
@@ -90,12 +81,9 @@ class Recorded:
 def read_recorded(file: str | Path, name: str, epochs: int | None = None, trust: bool = False) -> Recorded:
     """The inputs of the node of a name in a recording.
 
-    Args:
-        epochs: how many at most; None: all.
-        trust: whether the code that it names is loaded also where it is not known to be this user's own.
-
-    Raises:
-        HieraxError: the file is no recording, is not trusted, has no such node, or lacks something that it was given.
+    At most so many epochs are read; with `trust`, code that it names is loaded also where it is not known to be this
+    user's own. Raises `HieraxError` if the file is no recording, is not trusted, has no such node, or lacks
+    something that it was given.
     """
     recording = Recording.open(file)
     if not recording.info.how_stale.barrier:
@@ -105,6 +93,7 @@ def read_recorded(file: str | Path, name: str, epochs: int | None = None, trust:
     inputs: list[Input] = []
     states: list[ActiveNode] = []
     first: EpochTrace | None = None
+    exchange = Exchange(barrier=True)
     for trace in recording.epochs():
         if name not in trace.roster.nodes:
             if first is None:
@@ -113,8 +102,8 @@ def read_recorded(file: str | Path, name: str, epochs: int | None = None, trust:
         first = first or trace
         if _place(trace.roster, name) != _place(first.roster, name) or len(inputs) == epochs:
             break
-        inputs.append(_input(file, trace, name))
         states.append(_known(file, trace, name, trace.state_of(name), "its state"))
+        inputs.append(_input(exchange, trace, name))
     if first is None:
         names = {known for roster in recording.rosters().values() for known in roster.nodes}
         raise HieraxError(f"{file}: there is no node {name!r} in it{did_you_mean(name, names, 'the nodes are')}")
@@ -128,20 +117,13 @@ def _place(roster: Roster, name: str) -> tuple[Reference, tuple[str, ...], tuple
     return roster.nodes[name], neighbours_below(name, pairs), neighbours_above(name, pairs)
 
 
-def _input(file: str | Path, trace: EpochTrace, name: str) -> Input:
+def _input(exchange: Exchange, trace: EpochTrace, name: str) -> Input:
     _, below, above = _place(trace.roster, name)
     tasking = {edge.upper for edge in trace.roster.edges if edge.task is not None and edge.lower == name}
-
-    def given(kind: str, senders: Sequence[str]) -> Elements:
-        found: Elements = ()
-        for sender in senders:
-            elements = trace.elements(kind, sender, name)
-            found += _known(file, trace, name, elements, f"the {kind} message from {sender}")
-        return found
-
-    taskers = [upper for upper in above if upper in tasking]
-    time_s = _known(file, trace, name, trace.time_s, "its time")
-    return Input(trace.epoch, time_s, given(OBSERVATIONS, below), given(TASKS, taskers), given(CONTEXT, above))
+    lines = ((OBSERVATIONS, below), (TASKS, [upper for upper in above if upper in tasking]), (CONTEXT, above))
+    exchange.recall(trace)
+    given = [exchange.elements(trace, kind, senders, name) for kind, senders in lines]
+    return Input(trace.epoch, trace.nodes[name].step.time_s, *given)
 
 
 def _known(file: str | Path, trace: EpochTrace, name: str, value: Known | None, what: str) -> Known:

@@ -23,23 +23,18 @@ from hierax.runtime.execution.runner import NodeRunner, World
 from hierax.runtime.execution.single import run
 from hierax.runtime.host.waiting import wait_for
 from hierax.runtime.loading.loader import extend_import_path
+from hierax.runtime.testing.node import check_node
 from hierax.runtime.transport.memory import MemoryNetwork
 from hierax.runtime.watch.watcher import Watcher
 
 
 @dataclass(frozen=True)
 class Ran:
-    """A hierarchy after some epochs.
+    """A hierarchy after some epochs."""
 
-    Attributes:
-        report: as the commands print it.
-        digests: hexadecimal, of the first epoch, the second one, …
-        steps: by node: what it was given and did in each epoch.
-    """
-
-    report: Report
-    digests: Sequence[str]
-    steps: Mapping[str, Sequence[Step]]
+    report: Report  # as the commands print it
+    digests: Sequence[str]  # hexadecimal, of the first epoch, the second one, …
+    steps: Mapping[str, Sequence[Step]]  # by node: what it was given and did in each epoch
 
     @property
     def digest(self) -> str:
@@ -61,40 +56,56 @@ class Ran:
         return [step.belief for step in self.steps[node]]
 
 
-def run_deployment(
-    file: str | Path, *, epochs: int | None = None, seed: int = 0, settings: Mapping[str, Any] | None = None
+def run_given(
+    folder: Path,
+    deployment: str | Path | None = None,
+    *,
+    nodes: Mapping[str, Node] | None = None,
+    edges: Sequence[Edge] = (),
+    world: str = "world",
+    epochs: int | None = None,
+    seed: int = 0,
+    set: Mapping[str, Any] | None = None,
 ) -> Ran:
-    """Run a deployment file, or the shipped deployment of a name, in this process.
+    """Run a deployment file, or nodes and edges made by the test.
 
     Args:
-        epochs: how many; None: what the file says, or until the world has finished.
-        seed: of all random numbers, and of the order of delivery.
-        settings: as ``--set`` has them, by path.
+        folder: of the test.
+        deployment: a file there or in the current folder, or the name of a shipped deployment.
+        nodes, edges, world: in its place: nodes by name, the edges between them, and which one is N₀.
+        epochs: how many; by default what the file says, or until the world has finished; of nodes, one.
+        seed: of all random numbers, and of the order in which messages are delivered.
+        set: changes of the file, as ``--set`` has them, by path.
 
     Raises:
-        HieraxError: the file is wrong, or a node failed.
+        HieraxError: the file is wrong, the nodes form no hierarchy, or one failed.
     """
-    overrides = [f"{path}={json.dumps(value)}" for path, value in (settings or {}).items()]
-    deployment = read_deployment(file, overrides)
-    extend_import_path(deployment.import_paths)
+    if (deployment is None) == (nodes is None):
+        raise TypeError("hierax_run: expected a deployment or nodes, one of them")
+    if nodes is not None:
+        return run_hierarchy(nodes, edges, world=world, epochs=1 if epochs is None else epochs, seed=seed)
+    overrides = [f"{path}={json.dumps(value)}" for path, value in (set or {}).items()]
+    read = read_deployment(found(folder, str(deployment)), overrides)
+    extend_import_path(read.import_paths)
     kept = _Kept()
-    report = run(deployment, epochs=epochs, seed=seed, watch=kept.watch)
-    return kept.ran(report)
+    return kept.ran(run(read, epochs=epochs, seed=seed, watch=kept.watch))
+
+
+def found(folder: Path, file: str | Path) -> Path:
+    """A file beside the test, else in the current folder."""
+    return folder / file if (folder / file).is_file() else Path(file)
+
+
+def run_node(node: Node, *, epochs: int | None = None, **given: Any) -> list[Step]:
+    """Run a node by itself, and check it, as `check_node` does; by default for as many epochs as there are inputs."""
+    longest = max(1, *(len(given.get(kind, ())) for kind in ("observations", "tasks", "context")))
+    return check_node(node, epochs=longest if epochs is None else epochs, **given)
 
 
 def run_hierarchy(
     nodes: Mapping[str, Node], edges: Sequence[Edge], *, world: str = "world", epochs: int = 1, seed: int = 0
 ) -> Ran:
-    """Run nodes, by name, and edges (`hierax.runtime.core.hierarchy.Edge`, with functions) that a test has made.
-
-    Args:
-        world: the name of N₀.
-        epochs: how many at most; fewer where the world has finished.
-        seed: as `run_deployment` has it.
-
-    Raises:
-        HieraxError: they form no hierarchy, or a node failed.
-    """
+    """Run nodes and edges that a test has made; `HieraxError` if they form no hierarchy, or a node failed."""
     hierarchy = Hierarchy(nodes, world, edges, OperatorSetting(seed, wait_for))
     network = MemoryNetwork(seed)
     kept = _Kept()
@@ -133,13 +144,13 @@ class _Kept:
         return Ran(report, tuple(self.digests), {name: tuple(steps) for name, steps in sorted(self.steps.items())})
 
 
+@dataclass(eq=False)
 class _Keeper(Watcher):
-    def __init__(self, steps: list[Step], digests: list[str]) -> None:
-        self._steps = steps
-        self._digests = digests
+    steps: list[Step]
+    digests: list[str]
 
     def completed(self, completed: Completed) -> None:
-        self._steps.append(completed.step)
+        self.steps.append(completed.step)
 
     def committed(self, epoch: int, digest: bytes) -> None:
-        self._digests.append(digest.hex())
+        self.digests.append(digest.hex())

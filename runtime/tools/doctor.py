@@ -10,23 +10,19 @@ import shutil
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
-from typing import Any
 
 from hierax.runtime.core.errors import HieraxError
-from hierax.runtime.tools.finding import FINE, NOTE, WRONG, Finding
-from hierax.runtime.tools.packages import check_packages
+from hierax.runtime.tools.packages import FINE, NOTE, WRONG, Finding, check_packages
 
 OLDEST_PYTHON = (3, 10)
 NEWEST_PYTHON = (3, 11)  # the versions that hierax is tested with
-
 FREE_SHARED_BYTES = 64 << 20
 FREE_MEMORY_BYTES = 512 << 20
 OPEN_FILES = 1024
 PROCESSES = 1024
 BUSY_LOAD = 2.0  # how many programs may want each core before times say little
-
 LOOP_TIMEOUT_S = 10.0
 
 
@@ -70,8 +66,7 @@ def check_machine(load: float | None = None, cores: int | None = None) -> Iterat
     except (OSError, IndexError):
         return
     what = f"{_size(free)} of memory free; each node's process takes some 60 MB and what it loads"
-    enough = free >= FREE_MEMORY_BYTES
-    yield Finding("memory", FINE if enough else WRONG, what, "" if enough else "end other programs, or add memory")
+    yield _judged("memory", free >= FREE_MEMORY_BYTES, what, "end other programs, or add memory")
 
 
 def check_limits(files: int | None = None, processes: int | None = None) -> Iterator[Finding]:
@@ -81,12 +76,12 @@ def check_limits(files: int | None = None, processes: int | None = None) -> Iter
         ("processes", resource.RLIMIT_NPROC, PROCESSES, processes, "-u"),
     ):
         limit = resource.getrlimit(kind)[0] if given is None else given
-        shown = "any number of" if limit == resource.RLIM_INFINITY else str(limit)
-        if limit != resource.RLIM_INFINITY and limit < least:
-            mend = f"ulimit {flag} {least}, or more in /etc/security/limits.conf"
-            yield Finding("limits", WRONG, f"at most {shown} {name}; large hierarchies need more", mend)
-        else:
+        if limit == resource.RLIM_INFINITY or limit >= least:
+            shown = "any number of" if limit == resource.RLIM_INFINITY else limit
             yield Finding("limits", FINE, f"{shown} {name}")
+        else:
+            mend = f"ulimit {flag} {least}, or more in /etc/security/limits.conf"
+            yield Finding("limits", WRONG, f"at most {limit} {name}; large hierarchies need more", mend)
 
 
 def check_shared_memory(folder: Path = Path("/dev/shm"), locked_bytes: int | None = None) -> Iterator[Finding]:
@@ -102,9 +97,8 @@ def check_shared_memory(folder: Path = Path("/dev/shm"), locked_bytes: int | Non
         mend = "ulimit -l unlimited, or memlock in /etc/security/limits.conf; until then large messages are copied"
         yield Finding("shared memory", NOTE, fault, mend)
     free = shutil.disk_usage(folder).free
-    enough = free >= FREE_SHARED_BYTES
-    mend = "" if enough else f"mount -o remount,size=512M {folder}; for a container: docker run --shm-size=512m"
-    yield Finding("shared memory", FINE if enough else WRONG, f"{_size(free)} free in {folder}", mend)
+    mend = f"mount -o remount,size=512M {folder}; for a container: docker run --shm-size=512m"
+    yield _judged("shared memory", free >= FREE_SHARED_BYTES, f"{_size(free)} free in {folder}", mend)
     orphans = orphaned_segments(folder)
     if orphans:
         size = _size(sum(path.stat().st_size for path in orphans if path.exists()))
@@ -164,6 +158,10 @@ def check_folders() -> Iterator[Finding]:
     yield Finding("folders", FINE, f"logs of {len(kept)} launches ({_size(size)}) in {folder}")
 
 
+def _judged(check: str, is_fine: bool, what: str, mend: str) -> Finding:
+    return Finding(check, FINE, what) if is_fine else Finding(check, WRONG, what, mend)
+
+
 def _size(count: int) -> str:
     for power, unit in ((30, "GB"), (20, "MB"), (10, "kB")):
         if count >= 1 << power:
@@ -203,14 +201,10 @@ CHECKS: Mapping[str, Callable[[], Iterator[Finding]]] = {
 def examine(checks: Mapping[str, Callable[[], Iterator[Finding]]] = CHECKS) -> Iterator[Finding]:
     """All findings; what cannot be looked at is one, too."""
     for name, check in checks.items():
-        yield from _done(name, check)
-
-
-def _done(name: str, check: Callable[[], Iterator[Finding]]) -> Iterator[Finding]:
-    try:
-        yield from check()
-    except (OSError, subprocess.SubprocessError) as error:
-        yield Finding(name, NOTE, f"cannot be looked at: {error}")
+        try:
+            yield from check()
+        except (OSError, subprocess.SubprocessError) as error:  # noqa: PERF203 - each for itself
+            yield Finding(name, NOTE, f"cannot be looked at: {error}")
 
 
 def mend() -> list[str]:
@@ -229,8 +223,3 @@ def mend() -> list[str]:
         shutil.rmtree(folder)
         done.append(f"removed {folder}")
     return done
-
-
-def as_json(findings: Iterable[Finding]) -> list[dict[str, Any]]:
-    """Findings as plain JSON."""
-    return [finding._asdict() for finding in findings]

@@ -34,13 +34,9 @@ def edges_of(pairs: Iterable[tuple[str, str]]) -> list[Edge]:
 def chosen(pattern: str, edges: Sequence[Edge]) -> list[Edge]:
     """The edges that a pattern stands for.
 
-    Args:
-        pattern: ``KIND/FROM/TO``, where ``*`` stands for any name and ``?`` for any letter, or
-            ``**`` for all that is left; as a key in full it may begin with ``hierax/…/…/``.
-        edges: those that there are.
-
-    Raises:
-        HieraxError: it stands for none; with the nearest one.
+    `pattern`: ``KIND/FROM/TO``, where ``*`` stands for any name and ``?`` for any letter, or ``**`` for all that is
+    left; as a key in full it may begin with ``hierax/…/…/``. `edges`: those that there are. Raises `HieraxError` if it
+    stands for none; with the nearest one.
     """
     given = pattern.split("/")
     parts = given[3:] if given[0] == "hierax" and len(given) > 3 else given
@@ -69,11 +65,7 @@ class _Lane:
 
 
 class Counter:
-    """Counts the messages of each key.
-
-    Args:
-        clock: seconds.
-    """
+    """Counts the messages of each key. `clock`: seconds."""
 
     def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
         self._clock = clock

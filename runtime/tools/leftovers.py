@@ -12,7 +12,6 @@ from pathlib import Path
 from typing import NamedTuple
 
 NODE_PROCESS = "hierax.runtime.launch.node_process"
-
 _FOLDER = re.compile(r"hierax-[a-z0-9_]{8}")
 _SLOT = re.compile(r".+\.(0|1|lock)|run\.json")
 
@@ -34,7 +33,8 @@ def orphaned_processes(proc: Path = Path("/proc")) -> Iterator[Orphan]:
             if folder.stat().st_uid != os.getuid() or NODE_PROCESS not in _command(folder):
                 continue
             state, parent, began = _status(folder)
-            if state != "Z" and "python" not in _executable(proc / parent) and "hierax" not in _command(proc / parent):
+            above = _command(proc / parent) or [""]
+            if state != "Z" and "python" not in Path(above[0]).name and "hierax" not in above:
                 yield Orphan(int(folder.name), began)
         except (OSError, IndexError):
             continue  # it has ended just now
@@ -60,10 +60,6 @@ def _command(process: Path) -> list[str]:
         return [part.decode(errors="replace") for part in (process / "cmdline").read_bytes().split(b"\0")]
     except FileNotFoundError:
         return []
-
-
-def _executable(process: Path) -> str:
-    return Path((_command(process) or [""])[0]).name
 
 
 def _status(process: Path) -> tuple[str, str, str]:

@@ -19,8 +19,6 @@ from hierax.runtime.watch.logs import LAUNCH, LAUNCH_FILE, OUTPUT, SUFFIX
 
 Entry = dict[str, Any]
 
-LEVELS = ("DEBUG", "INFO", "WARNING", "ERROR", "CRITICAL")
-
 _AGO = re.compile(r"(\d+(?:\.\d+)?)\s*([smhd])")
 _SECONDS = {"s": 1, "m": 60, "h": 3600, "d": 86400}
 
@@ -28,8 +26,7 @@ _SECONDS = {"s": 1, "m": 60, "h": 3600, "d": 86400}
 def find_folder(run: str | None) -> Path:
     """The folder of a launch; of several that may be meant the youngest, one that runs before those that have ended.
 
-    Raises:
-        HieraxError: there is none; with the nearest name.
+    Raises `HieraxError` if there is none; with the nearest name.
     """
     folders = known_folders()
     if not folders:
@@ -44,11 +41,7 @@ def find_folder(run: str | None) -> Path:
 
 
 def read_since(text: str, now: datetime) -> datetime:
-    """A point in time: ``10m`` ago (s, m, h, d), or ISO 8601; without a zone, it is local time.
-
-    Raises:
-        HieraxError: it is neither.
-    """
+    """A time ``10m`` ago (s, m, h, d), or as ISO 8601, local without a zone; `HieraxError` if it is neither."""
     ago = _AGO.fullmatch(text.strip())
     if ago is not None:
         return now - timedelta(seconds=float(ago[1]) * _SECONDS[ago[2]])
@@ -60,11 +53,7 @@ def read_since(text: str, now: datetime) -> datetime:
 
 
 def read_pattern(text: str) -> re.Pattern[str]:
-    """Read a regular expression.
-
-    Raises:
-        HieraxError: it is none.
-    """
+    """Read a regular expression. Raises `HieraxError` if it is none."""
     try:
         return re.compile(text)
     except re.error as error:
@@ -93,11 +82,7 @@ class LogFilter:
 
 
 class Reader:
-    """Reads the files of a launch's logs, again and again, each time what is new.
-
-    Args:
-        folder: of the launch.
-    """
+    """Reads the files of a launch's logs, again and again, each time what is new. `folder`: of the launch."""
 
     def __init__(self, folder: Path) -> None:
         self._logs = folder / LOGS

@@ -6,12 +6,13 @@ import re
 import subprocess
 from collections.abc import Iterable, Iterator, Sequence
 from importlib.metadata import PackageNotFoundError, requires, version
+from operator import eq, ge, gt, le, lt, ne
+from typing import NamedTuple
 
 from hierax.runtime.host.interpreter import python_code
-from hierax.runtime.tools.finding import FINE, NOTE, WRONG, Finding
 
+FINE, NOTE, WRONG = "fine", "note", "wrong"
 IMPORT_TIMEOUT_S = 60.0
-
 _IMPORTED_AS = {"eclipse-zenoh": "zenoh", "opencv-python-headless": "cv2", "pyyaml": "yaml"}
 _MARK = "hierax-doctor:"
 _IMPORTER = f"""
@@ -24,7 +25,17 @@ for name in sys.argv:
 """
 _REQUIREMENT = re.compile(r"([A-Za-z0-9._-]+)\s*(?:\[[^]]*\])?\s*([^;]*)(?:;(.*))?")
 _BOUND = re.compile(r"(>=|<|==|>|<=|!=)\s*([0-9.]+)")
+_COMPARISONS = {">=": ge, "<=": le, ">": gt, "<": lt, "==": eq, "!=": ne}
 _EXTRA = re.compile(r"""extra\s*==\s*["']([^"']+)["']""")
+
+
+class Finding(NamedTuple):
+    """What was found in one place."""
+
+    check: str  # what was looked at
+    state: str  # `FINE`, `NOTE` (worth knowing) or `WRONG`
+    what: str  # what is there
+    mend: str = ""  # what to do about it; empty where nothing is to be done
 
 
 def check_packages(wanted: Iterable[str] | None = None) -> Iterator[Finding]:
@@ -63,7 +74,7 @@ def _fault(name: str, bounds: str) -> tuple[str, str] | None:
     except PackageNotFoundError:
         return f"{name} is not installed", mend
     for comparison, bound in _BOUND.findall(bounds):
-        if not _fits(_numbers(found), comparison, _numbers(bound)):
+        if not _COMPARISONS[comparison](_numbers(found), _numbers(bound)):
             return f"{name} {found}: expected {bounds.strip()}", mend
     return None
 
@@ -78,18 +89,6 @@ def _import_faults(modules: Sequence[str]) -> dict[str, str]:
     return faults
 
 
-def _numbers(text: str) -> tuple[int, ...]:
-    return tuple(int(part) for part in re.findall(r"\d+", text)[:3])
-
-
-def _fits(found: tuple[int, ...], comparison: str, bound: tuple[int, ...]) -> bool:
-    size = max(len(found), len(bound))
-    left, right = (each + (0,) * (size - len(each)) for each in (found, bound))
-    return {
-        ">=": left >= right,
-        "<=": left <= right,
-        ">": left > right,
-        "<": left < right,
-        "==": left == right,
-        "!=": left != right,
-    }[comparison]
+def _numbers(text: str) -> list[int]:
+    """The first three numbers of a version."""
+    return [int(part) for part in [*re.findall(r"\d+", text), 0, 0, 0][:3]]

@@ -31,14 +31,8 @@ def module_name(name: str) -> str:
 def make_project(folder: Path) -> list[Path]:
     """Write a project into a folder that is not there yet, or empty.
 
-    Args:
-        folder: its last part is the project's name.
-
-    Returns:
-        The files, in order.
-
-    Raises:
-        HieraxError: the name cannot be one, there is something already, or it cannot be written.
+    `folder`: its last part is the project's name. Returns the files, in order. Raises `HieraxError` if the name cannot
+    be one, there is something already, or it cannot be written.
     """
     name = folder.resolve().name
     module = module_name(name)
@@ -50,8 +44,9 @@ def make_project(folder: Path) -> list[Path]:
         folder.mkdir(parents=True, exist_ok=True)
         for target, template in _TEMPLATES.items():
             path = folder / _filled(target, name, module)
+            text = (files("hierax.runtime.tools") / "template" / template).read_text(encoding="utf-8")
             with path.open("x", encoding="utf-8") as file:
-                file.write(_filled(_template(template), name, module))
+                file.write(_filled(text, name, module))
             made.append(path)
     return made
 
@@ -63,13 +58,8 @@ def _check_name(name: str, module: str) -> None:
         raise HieraxError(str(error)) from error
     if not module.isidentifier() or keyword.iskeyword(module):
         raise HieraxError(f"{name!r} gives no name of a Python module; begin it with a letter")
-    known = module in sys.stdlib_module_names or importlib.util.find_spec(module) is not None
-    if known:
+    if module in sys.stdlib_module_names or importlib.util.find_spec(module) is not None:
         raise HieraxError(f"{name!r}: there is a Python module {module!r} already; give another name")
-
-
-def _template(name: str) -> str:
-    return (files("hierax.runtime.tools") / "template" / name).read_text(encoding="utf-8")
 
 
 def _filled(text: str, name: str, module: str) -> str:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from math import inf
 from typing import Any
 
 import numpy as np
@@ -11,7 +12,6 @@ import numpy as np
 from hierax.runtime.execution.plain import Json
 from hierax.runtime.transport.launch_client import Answer, LaunchStatus
 
-NS_PER_US = 1e3
 NS_PER_S = 1e9
 
 
@@ -45,19 +45,22 @@ class NodeRates:
     @property
     def epochs_per_s(self) -> float:
         """How many epochs it does in a second."""
-        return self.epochs / self.interval_s if self.interval_s > 0 else 0.0
+        return self.epochs / (self.interval_s or inf)
+
+    @property
+    def spent_s(self) -> dict[str, float]:
+        """Time by what it did, ``waiting`` among it."""
+        return {**self.work_s, "waiting": sum(self.waiting_s.values())}
 
     def shares(self) -> dict[str, float]:
-        """Which part of the time it spent at what, ``waiting`` among it."""
-        spent = {**self.work_s, "waiting": sum(self.waiting_s.values())}
-        return {what: seconds / self.interval_s if self.interval_s > 0 else 0.0 for what, seconds in spent.items()}
+        """Which part of the time it spent at what."""
+        return {what: seconds / (self.interval_s or inf) for what, seconds in self.spent_s.items()}
 
     def per_epoch_us(self) -> dict[str, float] | None:
         """How long an epoch took it, in microseconds, by what it did; None where it has completed none."""
         if not self.epochs:
             return None
-        spent = {**self.work_s, "waiting": sum(self.waiting_s.values())}
-        return {what: 1e6 * seconds / self.epochs for what, seconds in spent.items()}
+        return {what: 1e6 * seconds / self.epochs for what, seconds in self.spent_s.items()}
 
     def waits_for(self) -> dict[str, float]:
         """Whom it waited for, longest first, as parts of its waiting."""
@@ -84,14 +87,9 @@ def doing(answer: Answer) -> str:
 
 
 def overview(status: LaunchStatus, before: Mapping[str, Answer], after: Mapping[str, Answer]) -> Json:
-    """All of a launch as plain JSON.
-
-    Args:
-        status: of the launch.
-        before, after: what its nodes have answered, twice; some may not have.
-    """
-    nodes = {name: _node(told, before.get(name), after.get(name)) for name, told in status.nodes.items()}
+    """All of a launch as plain JSON, from what its nodes have answered, twice; some may not have."""
     rates = {name: NodeRates.between(before.get(name), answer) for name, answer in after.items()}
+    nodes = {name: _node(told, rates.get(name), after.get(name)) for name, told in status.nodes.items()}
     quickest = max(rates.values(), key=lambda each: each.epochs_per_s, default=None)
     return {
         "hierarchy": status.hierarchy,
@@ -107,11 +105,10 @@ def overview(status: LaunchStatus, before: Mapping[str, Answer], after: Mapping[
     }
 
 
-def _node(told: Mapping[str, Any], before: Answer | None, after: Answer | None) -> Json:
+def _node(told: Mapping[str, Any], rates: NodeRates | None, after: Answer | None) -> Json:
     common = {key: told[key] for key in ("state", "pid", "instance", "restarts")}
-    if after is None:
+    if after is None or rates is None:
         return {**common, "answers": False}
-    rates = NodeRates.between(before, after)
     return {
         **common,
         "pid": after["pid"],
@@ -123,6 +120,6 @@ def _node(told: Mapping[str, Any], before: Answer | None, after: Answer | None) 
         "per_epoch_us": rates.per_epoch_us(),
         "share": rates.shares(),
         "waits_for": rates.waits_for(),
-        "cpu": rates.cpu_s / rates.interval_s if rates.interval_s > 0 else 0.0,
+        "cpu": rates.cpu_s / (rates.interval_s or inf),
         "rss_bytes": after["rss_bytes"],
     }

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from itertools import islice
 from typing import Any
 
 import numpy as np
@@ -12,7 +13,6 @@ from hierax.schemas.values import Value
 
 SMALL_ARRAY = 16  # arrays of so many elements are shown whole
 SHOWN_ITEMS = 20  # of longer lists and maps, the first ones are shown as text
-
 _LINE_CHARS = 100
 _INDENT = "  "
 
@@ -36,26 +36,32 @@ def tree(value: Value, name: str = "", depth: int = 0) -> Iterator[str]:
         yield from tree(item, str(key), depth + 1)
 
 
-def in_line(value: Value) -> str:
-    """A value in one line, of any length."""
+def in_line(value: Value, most: int | None = None) -> str:
+    """A value in one line, of any length; in short with so many items at most of each list, map and array."""
     if isinstance(value, (float, np.floating)):
         return f"{value:.6g}"
     if isinstance(value, (bytes, bytearray, memoryview)):
-        return f"{len(value)} bytes {bytes(value[:HEAD_BYTES]).hex()}{'…' if len(value) > HEAD_BYTES else ''}"
+        head = f" {bytes(value[:HEAD_BYTES]).hex()}{'…' if len(value) > HEAD_BYTES else ''}"
+        return f"{len(value)} bytes{'' if most else head}"
     if isinstance(value, np.ndarray):
-        return _array_in_line(value)
-    if isinstance(value, dict):
-        return "{" + ", ".join(f"{key}: {in_line(item)}" for key, item in value.items()) + "}"
-    if isinstance(value, (tuple, list)):
-        return "[" + ", ".join(in_line(item) for item in value) + "]"
-    return repr(value) if isinstance(value, str) else str(value)
+        return _array_in_line(value, most)
+    if isinstance(value, (dict, tuple, list)):
+        items = islice(value.items() if isinstance(value, dict) else ((None, item) for item in value), most)
+        texts = [
+            f"{key}: {in_line(item, most)}" if isinstance(value, dict) else in_line(item, most) for key, item in items
+        ]
+        joined = ", ".join(texts + ["…"] * (len(texts) < len(value)))
+        return f"{{{joined}}}" if isinstance(value, dict) else f"[{joined}]"
+    return repr(value) if isinstance(value, str) and most is None else str(value)
 
 
-def _array_in_line(array: np.ndarray[Any, Any]) -> str:
-    if array.size <= SMALL_ARRAY:
-        return in_line(array.tolist())
-    about = statistics(array)
+def _array_in_line(array: np.ndarray[Any, Any], most: int | None) -> str:
+    if array.size <= (most or SMALL_ARRAY):
+        return in_line(array.tolist(), most)
     shape = "×".join(map(str, array.shape))
+    if most is not None:
+        return f"{array.dtype} array {shape}"
+    about = statistics(array)
     if "min" not in about:
         return f"{array.dtype} {shape}"
     return f"{array.dtype} {shape}, {about['min']:.6g} to {about['max']:.6g}, mean {about['mean']:.6g}"

@@ -6,44 +6,29 @@ import time
 from collections import deque
 from collections.abc import Callable
 from math import ceil
-from threading import Condition
+from threading import Event
 
-from hierax.runtime.core.probe import Step
 from hierax.runtime.loading.allowance import Allowance
 from hierax.runtime.transport.launch_client import LaunchClient, LaunchStatus
 from hierax.runtime.transport.port import TransportError
 from hierax.runtime.viewing.presenter import ViewPresenter
-from hierax.runtime.viewing.shown_nodes import ShownNodes
-from hierax.runtime.watch.stepper import read_step
+from hierax.runtime.viewing.views import ShownNodes
+from hierax.runtime.watch.copies import read_step
 from hierax.schemas.keys import STEP
 from hierax.schemas.roster import Roster
 
-MOST_EPOCHS_PER_S = 30.0
-"""How many epochs are shown; a quicker launch is shown every second, third, … epoch."""
-
-ASK_EVERY_S = 1.0
-"""Nodes tell their steps for some seconds after they were asked."""
-
-STEPS_WAITING = 512
-"""How many steps wait to be shown; of more than that, the oldest are forgotten."""
+MOST_EPOCHS_PER_S = 30.0  # how many epochs are shown; a quicker launch is shown every second, third, … epoch
+ASK_EVERY_S = 1.0  # nodes tell their steps for some seconds after they were asked
+STEPS_WAITING = 512  # how many steps wait to be shown; of more than that, the oldest are forgotten
 
 
 def show_launch(
     client: LaunchClient, presenter: ViewPresenter, allowance: Allowance, over: Callable[[], bool] = lambda: False
 ) -> int:
-    """Show a launch until it ends, or until `over`, which is asked often, says that it was looked at long enough.
+    """Show a launch until it ends, or `over`, which is asked often, says that it is enough; how many steps were shown.
 
-    Args:
-        client: asks the launch.
-        presenter: shows it.
-        allowance: which code may be loaded.
-
-    Returns:
-        How many steps of nodes were shown.
-
-    Raises:
-        TransportError: it does not answer from the beginning.
-        HieraxError: a node cannot be loaded here, or what it shows cannot be shown.
+    Raises `TransportError` if it does not answer from the beginning, and `HieraxError` if a node cannot be loaded here,
+    or what it shows cannot be shown.
     """
     status = client.status()
     inbox = _Inbox()
@@ -83,22 +68,17 @@ class _Inbox:
 
     def __init__(self) -> None:
         self._waiting: deque[tuple[str, bytes]] = deque(maxlen=STEPS_WAITING)
-        self._changed = Condition()
+        self._came = Event()
 
     def put(self, key: str, data: bytes) -> None:
-        """A step has come."""
-        with self._changed:
-            self._waiting.append((key.rpartition("/")[2], data))
-            self._changed.notify()
+        self._waiting.append((key.rpartition("/")[2], data))
+        self._came.set()
 
     def take(self, timeout_s: float) -> list[tuple[str, bytes]]:
         """Names and steps since the last time; waits a while for one where there is none."""
-        with self._changed:
-            if not self._waiting:
-                self._changed.wait(timeout_s)
-            taken = list(self._waiting)
-            self._waiting.clear()
-        return taken
+        self._came.wait(timeout_s)
+        self._came.clear()
+        return [self._waiting.popleft() for _ in range(len(self._waiting))]
 
 
 class _Stage:
@@ -113,7 +93,7 @@ class _Stage:
 
     def set_roster(self, roster: Roster | None) -> None:
         """The roster as the world tells it; None: it did not."""
-        if roster is not None and (self._roster is None or roster.version != self._roster.version):
+        if roster is not None:
             self._roster = roster
             self._presenter.set_roster(roster)
 
@@ -124,13 +104,9 @@ class _Stage:
                 continue  # of a roster that this one has not been told of yet
             done_ns, step = read_step(data)
             if name == self._roster.world:
-                self._time(step, done_ns)
+                if self._last is not None and step.epoch > self._last[0]:  # where some are left out, their mean
+                    took_s = (done_ns - self._last[1]) / 1e9 / (step.epoch - self._last[0])
+                    self._presenter.epoch_took(step.epoch, step.time_s, took_s)
+                self._last = (step.epoch, done_ns)
             self._presenter.step(name, self._nodes.node(self._roster, name), step)
             self.shown += 1
-
-    def _time(self, step: Step, done_ns: int) -> None:
-        """Show how long one epoch of the world took; where some are left out, their mean."""
-        if self._last is not None and step.epoch > self._last[0]:
-            took_s = (done_ns - self._last[1]) / 1e9 / (step.epoch - self._last[0])
-            self._presenter.epoch_took(step.epoch, step.time_s, took_s)
-        self._last = (step.epoch, done_ns)

@@ -14,36 +14,18 @@ from hierax.runtime.core.node import Node
 from hierax.runtime.core.probe import Step
 from hierax.runtime.core.showing import Graph, Things, colour_of
 from hierax.runtime.loading.nearest import did_you_mean
-from hierax.runtime.viewing.layout import Column, Layout, arranged, unknown_names
+from hierax.runtime.viewing import views
 from hierax.runtime.viewing.texts import belief_text, figures_text
-from hierax.runtime.viewing.views import (
-    BELIEF,
-    EPOCHS,
-    HIERARCHY,
-    TOGETHER,
-    Kind,
-    Placed,
-    ShowError,
-    View,
-    placed,
-    shown_by,
-)
+from hierax.runtime.viewing.views import BELIEF, EPOCHS, HIERARCHY, TOGETHER, Kind, Placed, ShowError, View
 from hierax.schemas.roster import Roster
 
 Together = Callable[[Mapping[str, Step]], Things]
 """Shows what needs the steps of several nodes: of an epoch that all nodes have done, by name."""
 
-EPOCHS_OPEN = 16
-"""How many epochs the nodes of a hierarchy may be apart until those that are late are not waited for."""
-
-TELL_AFTER_EPOCHS = 20
-"""After so many a view that nothing is shown in is taken for a slip of the layout."""
-
-BELIEFS_KEPT = 4
-"""How many beliefs of each node are kept, as an epoch may be done again."""
-
-_APART = (170.0, 110.0)
-"""Between nodes in the picture of the hierarchy: across and up."""
+EPOCHS_OPEN = 16  # how many epochs the nodes of a hierarchy may be apart until those that are late are not waited for
+TELL_AFTER_EPOCHS = 20  # after so many a view that nothing is shown in is taken for a slip of the layout
+BELIEFS_KEPT = 4  # how many beliefs of each node are kept, as an epoch may be done again
+_APART = (170.0, 110.0)  # between nodes in the picture of the hierarchy: across and up
 
 
 class Canvas(ABC):
@@ -58,7 +40,7 @@ class Canvas(ABC):
         """Show nothing at some paths from an epoch on."""
 
     @abstractmethod
-    def arrange(self, columns: tuple[Column, ...]) -> None:
+    def arrange(self, columns: tuple[views.Column, ...]) -> None:
         """Lay out the views."""
 
 
@@ -74,7 +56,7 @@ class ViewPresenter:
     """Puts what nodes show on a canvas."""
 
     canvas: Canvas
-    layout: Layout | None = None  # of the views; None: one by what they hold
+    layout: views.Layout | None = None  # of the views; None: one by what they hold
     together: Together | None = None  # shows what needs several nodes; None: nothing
     notify: Callable[[str], None] = lambda _: None  # is given what the user should know, a line each
 
@@ -96,21 +78,14 @@ class ViewPresenter:
             del self._figures[name]
 
     def step(self, name: str, node: Node, step: Step, start: Value = None) -> None:
-        """Show what a node did.
+        """Show what a node did, by its `show` and `metrics`, as `OperatorError` or `ShowError` says if that cannot be.
 
-        Args:
-            name, node: the node, as it is built; its `show` and `metrics` are called.
-            step: what it did.
-            start: the belief that the epoch began in, where that is known and no step before it was shown.
-
-        Raises:
-            ShowError: what it shows cannot be shown.
-            OperatorError: its `metrics` failed.
+        `start` is the belief that the epoch began in, where that is known and no step before it was shown.
         """
         assert self._roster is not None, "the roster comes before its nodes' steps"
         if name not in self._roster.nodes:
             return  # it has gone meanwhile
-        things = list(shown_by(name, node, step, self._before(name, step, start)))
+        things = list(views.shown_by(name, node, step, self._before(name, step, start)))
         text = "```\n" + belief_text(step.belief) + "\n```"
         things.append(Placed(View(f"{name}/{BELIEF}", Kind.TEXT), f"{name}/{BELIEF}", name, text))
         self._show(name, step.epoch, step.time_s, things)
@@ -140,21 +115,17 @@ class ViewPresenter:
     def _show(self, source: str, epoch: int, time_s: float, things: Iterable[Placed]) -> None:
         """Draw what a source shows of an epoch, and nothing where it showed something and does no more."""
         things = list(things)
-        for thing in things:
-            self._know(thing.view, source)
+        for view in (thing.view for thing in things):
+            known = self._views.setdefault(view.name, view)
+            if known.kind is not view.kind:
+                kinds = f"a {view.kind.value} as it holds a {known.kind.value}"
+                raise ShowError(f"{source}: the view {view.name!r} cannot hold {kinds}")
         paths = frozenset(thing.path for thing in things)
         gone = self._shown.get(source, frozenset()) - paths
         if gone:
             self.canvas.clear(epoch, time_s, sorted(gone))
         self._shown[source] = paths
         self.canvas.draw(epoch, time_s, things)
-
-    def _know(self, view: View, source: str) -> None:
-        known = self._views.setdefault(view.name, view)
-        if known.kind is not view.kind:
-            raise ShowError(
-                f"{source}: the view {view.name!r} cannot hold a {view.kind.value} as it holds a {known.kind.value}"
-            )
 
     def _gather(self, name: str, step: Step, figures: str) -> None:
         """An epoch is closed when all nodes have done it, or are far behind."""
@@ -193,22 +164,21 @@ class ViewPresenter:
             things = together(dict(steps))
         except Exception as error:
             raise ShowError(f"{where}: {type(error).__name__}: {error}", "view.show") from error
-        return placed(TOGETHER, things, where)
+        return views.placed(TOGETHER, things, where)
 
     def _report_unknown(self) -> None:
         """Say once which views of the layout nothing is shown in."""
         if not self._told:
             self._told = True
-            for name in unknown_names(self._views, self.layout):
+            for name in views.unknown_names(self._views, self.layout):
                 self.notify(f"view.layout: nothing is shown in {name!r}{did_you_mean(name, self._views)}")
 
     def _arrange(self) -> None:
         """Lay out the views, where there are others than before: what the user has moved stays otherwise."""
-        views = tuple(self._views.values())
-        if views == self._arranged:
-            return
-        self._arranged = views
-        self.canvas.arrange(arranged(self._views, self.layout))
+        shown = tuple(self._views.values())
+        if shown != self._arranged:
+            self._arranged = shown
+            self.canvas.arrange(views.arranged(self._views, self.layout))
 
 
 def hierarchy_graph(roster: Roster, figures: Mapping[str, str]) -> Graph:

@@ -12,9 +12,8 @@ from hierax.runtime.recording.reading import Recording
 from hierax.runtime.recording.replayed_epoch import Exchange
 from hierax.runtime.recording.trace import EpochTrace
 from hierax.runtime.viewing.presenter import ViewPresenter
-from hierax.runtime.viewing.shown_nodes import ShownNodes
+from hierax.runtime.viewing.views import ShownNodes
 from hierax.schemas.messages import CONTEXT, OBSERVATIONS, TASKS
-from hierax.schemas.roster import Roster
 
 
 def show_recording(
@@ -22,8 +21,7 @@ def show_recording(
 ) -> int:
     """Show the epochs of a recording from the first to the last one; how many were shown.
 
-    Raises `HieraxError` if the file is damaged, a node cannot or may not
-    be loaded, or what it shows cannot be shown.
+    Raises `HieraxError` if the file is damaged, a node cannot or may not be loaded, or what it shows cannot be shown.
     """
     playing = _Playing(presenter, allowance, Exchange(recording.info.how_stale.barrier))
     shown = 0
@@ -41,16 +39,12 @@ class _Playing:
         self._presenter = presenter
         self._exchange = exchange
         self._nodes = ShownNodes(allowance)
-        self._roster: Roster | None = None
         self._beliefs: dict[str, tuple[int, Value]] = {}
         self._committed = (0, 0)
 
     def epoch(self, trace: EpochTrace) -> None:
         """Show an epoch."""
-        roster = trace.roster
-        if self._roster is None or roster.version != self._roster.version:
-            self._roster = roster
-            self._presenter.set_roster(roster)
+        self._presenter.set_roster(trace.roster)
         self._exchange.recall(trace)
         epoch, heard_ns = self._committed
         self._committed = (trace.epoch, trace.heard_ns)
@@ -75,18 +69,10 @@ class _Playing:
             return
         pairs = [edge.pair for edge in trace.roster.edges]
         below, above = neighbours_below(name, pairs), neighbours_above(name, pairs)
-        step = Step(
-            trace.epoch,
-            trace.attempt,
-            known.step.time_s,
-            self._inputs(trace, name, OBSERVATIONS, below),
-            sensed[0],
-            self._inputs(trace, name, TASKS, above),
-            self._inputs(trace, name, CONTEXT, above),
-            state.policy,
-            state.actions,
-            state.belief,
-        )
+        lines = ((OBSERVATIONS, below), (TASKS, above), (CONTEXT, above))
+        observations, tasks, context = (self._inputs(trace, name, kind, senders) for kind, senders in lines)
+        done = (tasks, context, state.policy, state.actions, state.belief)
+        step = Step(trace.epoch, trace.attempt, known.step.time_s, observations, sensed[0], *done)
         self._presenter.step(name, self._nodes.node(trace.roster, name), step, before)
 
     def _inputs(self, trace: EpochTrace, name: str, kind: str, senders: tuple[str, ...]) -> Elements:

@@ -9,39 +9,14 @@ import numpy as np
 import rerun as rr
 import rerun.blueprint as rrb
 
-from hierax.runtime.core.showing import (
-    Array,
-    Axes,
-    Box,
-    Camera,
-    Curve,
-    Depth,
-    Graph,
-    Image,
-    Labels,
-    Lines2D,
-    Lines3D,
-    Mesh,
-    Points2D,
-    Points3D,
-    Thing,
-    colour_of,
-)
-from hierax.runtime.viewing.layout import Column
+from hierax.runtime.core import showing
 from hierax.runtime.viewing.presenter import Canvas
-from hierax.runtime.viewing.views import Kind, Placed, View
+from hierax.runtime.viewing.views import Column, Kind, Placed, View
 
-TIMELINE, TIME = "epoch", "time"
-"""The timelines: the epoch's number, and the world's time in seconds."""
-
-JPEG_QUALITY = 85
-"""The quality of pictures, which take a tenth of the room by it."""
-
-DEPTH_MARGIN = 0.7
-"""The nearest depth is not drawn as black, which is where nothing is."""
-
-Parts = Sequence[tuple[str, Any]]
-"""Archetypes, each with where it goes, relative to the thing's path."""
+TIMELINE, TIME = "epoch", "time"  # the timelines: the epoch's number, and the world's time in seconds
+JPEG_QUALITY = 85  # the quality of pictures, which take a tenth of the room by it
+DEPTH_MARGIN = 0.7  # the nearest depth is not drawn as black, which is where nothing is
+Parts = Sequence[tuple[str, Any]]  # archetypes, each with where it goes, relative to the thing's path
 
 
 class RerunCanvas(Canvas):
@@ -50,7 +25,7 @@ class RerunCanvas(Canvas):
     def __init__(self, stream: rr.RecordingStream) -> None:
         self._stream = stream
         self._styled: set[str] = set()
-        self._meshes: dict[str, Mesh] = {}
+        self._meshes: dict[str, showing.Mesh] = {}
 
     def draw(self, epoch: int, time_s: float, things: Iterable[Placed]) -> None:
         self._set_time(epoch, time_s)
@@ -77,7 +52,7 @@ class RerunCanvas(Canvas):
         if each.view.kind is not Kind.PLOT or each.path in self._styled:
             return
         self._styled.add(each.path)
-        colours = [each.thing.colour] if isinstance(each.thing, Curve) and each.thing.colour else None
+        colours = [each.thing.colour] if isinstance(each.thing, showing.Curve) and each.thing.colour else None
         self._stream.log(
             each.path,
             rr.SeriesLines(names=each.label, colors=colours, widths=1.5),
@@ -88,7 +63,7 @@ class RerunCanvas(Canvas):
 
     def _parts(self, each: Placed) -> Parts:
         """What is drawn of a thing; of a mesh whose shape is there already the pose alone."""
-        if not isinstance(each.thing, Mesh):
+        if not isinstance(each.thing, showing.Mesh):
             return archetypes(each.thing)
         shape = self._meshes.get(each.path)
         self._meshes[each.path] = each.thing
@@ -97,71 +72,67 @@ class RerunCanvas(Canvas):
         return archetypes(each.thing)
 
 
-def archetypes(thing: Thing) -> Parts:
+def archetypes(thing: showing.Thing) -> Parts:
     """A thing as Rerun's archetypes."""
     match thing:
-        case Curve():
+        case showing.Curve():
             return [("", rr.Scalars(thing.value))]
         case str():
             return [("", rr.TextDocument(thing, media_type=rr.MediaType.MARKDOWN))]
-        case Image():
+        case showing.Image():
             return [("", _compressed(thing.pixels))]
-        case Depth():
+        case showing.Depth():
             return [("", _depth(thing))]
-        case Labels():
+        case showing.Labels():
             return _labels(thing)
-        case Points2D():
+        case showing.Points2D():
             radius, labels = rr.Radius.ui_points(thing.radius_px), thing.labels or None
             return [("", rr.Points2D(thing.points, colors=thing.colour, radii=radius, labels=labels))]
-        case Lines2D():
+        case showing.Lines2D():
             radius = rr.Radius.ui_points(thing.width_px / 2)
             return [("", rr.LineStrips2D(np.asarray(thing.lines), colors=thing.colour, radii=radius))]
-        case Points3D():
+        case showing.Points3D():
             labels = thing.labels or None
             return [("", rr.Points3D(thing.points, colors=thing.colour, radii=thing.radius_m, labels=labels))]
-        case Lines3D():
+        case showing.Lines3D():
             return [("", rr.LineStrips3D(np.asarray(thing.lines), colors=thing.colour, radii=thing.radius_m))]
-        case Mesh():
+        case showing.Mesh():
             return [("", _transform(thing.pose)), ("", _mesh(thing))]
-        case Box():
-            return [("", _transform(thing.pose)), ("", _box(thing))]
-        case Axes():
+        case showing.Box():
+            mode = rr.components.FillMode.Solid if thing.filled else rr.components.FillMode.MajorWireframe
+            half, labels = [np.asarray(thing.size) / 2], [thing.label] if thing.label else None
+            box = rr.Boxes3D(half_sizes=half, colors=thing.colour, fill_mode=mode, labels=labels)
+            return [("", _transform(thing.pose)), ("", box)]
+        case showing.Axes():
             return [("", _transform(thing.pose)), ("", rr.TransformAxes3D(thing.length_m))]
-        case Camera():
+        case showing.Camera():
             image = [] if thing.image is None else [("/image", _compressed(thing.image))]
             return [("", _transform(thing.pose)), ("", _pinhole(thing)), *image]
-        case Graph():
+        case showing.Graph():
             return _graph(thing)
         case _:
             return [("", rr.Scalars(float(thing)))]
 
 
-def _depth(thing: Depth) -> rr.DepthImage:
+def _depth(thing: showing.Depth) -> rr.DepthImage:
     metres = np.asarray(thing.metres, np.float32)
     known = metres[metres > 0.0]
     span = (DEPTH_MARGIN * float(known.min()), float(known.max())) if known.size else None
     return rr.DepthImage(metres, meter=1.0, colormap="grayscale", depth_range=span)
 
 
-def _labels(thing: Labels) -> Parts:
+def _labels(thing: showing.Labels) -> Parts:
     labels = np.asarray(thing.labels)
     names, colours = thing.names or {}, thing.colours or {}
     known = sorted({int(label) for label in np.unique(labels)} | set(names) | set(colours))
-    shown = {label: (*colours.get(label, colour_of(label))[:3], 255) if label else (0, 0, 0, 0) for label in known}
+    shown = {
+        label: (*colours.get(label, showing.colour_of(label))[:3], 255) if label else (0, 0, 0, 0) for label in known
+    }
     classes = [rr.AnnotationInfo(label, names.get(label), colour) for label, colour in shown.items()]
     return [("", rr.AnnotationContext(classes)), ("", rr.SegmentationImage(labels, opacity=thing.opacity))]
 
 
-def _box(thing: Box) -> rr.Boxes3D:
-    return rr.Boxes3D(
-        half_sizes=[np.asarray(thing.size) / 2],
-        colors=thing.colour,
-        fill_mode="solid" if thing.filled else "majorwireframe",
-        labels=[thing.label] if thing.label else None,
-    )
-
-
-def _pinhole(thing: Camera) -> rr.Pinhole:
+def _pinhole(thing: showing.Camera) -> rr.Pinhole:
     fx, fy, cx, cy = np.asarray(thing.intrinsics).tolist()
     return rr.Pinhole(
         focal_length=(fx, fy),
@@ -172,13 +143,13 @@ def _pinhole(thing: Camera) -> rr.Pinhole:
     )
 
 
-def _graph(thing: Graph) -> Parts:
+def _graph(thing: showing.Graph) -> Parts:
     colours = thing.colours or {}
     nodes = rr.GraphNodes(
         list(thing.nodes),
         labels=list(thing.nodes.values()),
         positions=None if thing.places is None else [thing.places[name] for name in thing.nodes],
-        colors=[colours.get(name, colour_of(2)) for name in thing.nodes],
+        colors=[colours.get(name, showing.colour_of(2)) for name in thing.nodes],
     )
     edges = rr.GraphEdges(list(thing.edges), graph_type="directed" if thing.directed else "undirected")
     return [("", nodes), ("", edges)]
@@ -214,7 +185,7 @@ def _transform(pose: Any) -> rr.Transform3D:
     return rr.Transform3D(translation=pose[:3, 3], mat3x3=pose[:3, :3])
 
 
-def _mesh(thing: Mesh) -> rr.Mesh3D:
+def _mesh(thing: showing.Mesh) -> rr.Mesh3D:
     """Each triangle by itself, so that its normal is its own and edges are seen."""
     corners = np.asarray(thing.vertices)[np.asarray(thing.faces)]
     normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
@@ -227,14 +198,11 @@ def _mesh(thing: Mesh) -> rr.Mesh3D:
     )
 
 
-def _same(first: Mesh, second: Mesh) -> bool:
-    return (
-        first.colour == second.colour
-        and np.array_equal(first.vertices, second.vertices)
-        and np.array_equal(first.faces, second.faces)
-    )
+def _same(first: showing.Mesh, second: showing.Mesh) -> bool:
+    shapes = ((first.vertices, second.vertices), (first.faces, second.faces))
+    return first.colour == second.colour and all(np.array_equal(one, other) for one, other in shapes)
 
 
 def _compressed(pixels: Any) -> Any:
-    image: Array = np.ascontiguousarray(pixels)
+    image: showing.Array = np.ascontiguousarray(pixels)
     return rr.Image(image).compress(jpeg_quality=JPEG_QUALITY)

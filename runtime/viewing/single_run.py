@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from dataclasses import dataclass
 
 from hierax.runtime.deployment import Deployment
 from hierax.runtime.engine.effects import Completed
@@ -44,25 +45,27 @@ class _Clock:
         self._stood_s += time.perf_counter() - self._since_s
 
 
+@dataclass(eq=False)
 class _Seen(Watcher):
     """Shows what one node does."""
 
-    def __init__(self, name: str, runner: NodeRunner, presenter: ViewPresenter, clock: _Clock) -> None:
-        self._name = name
-        self._runner = runner
-        self._presenter = presenter
-        self._clock = clock
-        self._begun_s = clock.read_s()
+    name: str
+    runner: NodeRunner
+    presenter: ViewPresenter
+    clock: _Clock
+
+    def __post_init__(self) -> None:
+        self._begun_s = self.clock.read_s()
         self._took_s: tuple[int, float] | None = None
 
     def committed(self, epoch: int, digest: bytes) -> None:
-        now_s = self._clock.read_s()
+        now_s = self.clock.read_s()
         self._took_s = (epoch, now_s - self._begun_s)
         self._begun_s = now_s
 
     def completed(self, completed: Completed) -> None:
         step = completed.step
-        with self._clock:
+        with self.clock:
             if self._took_s is not None and self._took_s[0] == step.epoch:
-                self._presenter.epoch_took(step.epoch, step.time_s, self._took_s[1])
-            self._presenter.step(self._name, self._runner.engine.node.node, step)
+                self.presenter.epoch_took(step.epoch, step.time_s, self._took_s[1])
+            self.presenter.step(self.name, self.runner.engine.node.node, step)

@@ -13,10 +13,9 @@ from hierax.runtime.loading.allowance import Allowance
 from hierax.runtime.loading.nearest import did_you_mean
 from hierax.runtime.recording.info import RecordingError
 from hierax.runtime.recording.reading import Recording
-from hierax.runtime.viewing.layout import Column
 from hierax.runtime.viewing.presenter import Canvas, ViewPresenter
 from hierax.runtime.viewing.recorded_run import show_recording
-from hierax.runtime.viewing.views import Kind, Placed, shown_by
+from hierax.runtime.viewing.views import Column, Kind, Placed, shown_by
 from hierax.schemas.roster import Roster
 
 

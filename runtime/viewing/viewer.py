@@ -27,9 +27,7 @@ WEB_PORT = 9090
 UP_TIMEOUT_S = 20.0
 _TRY_AGAIN_S = 0.02
 _PR_SET_PDEATHSIG = 1
-_RRD = b"RRF"
-"""What Rerun's files begin with."""
-
+_RRD = b"RRF"  # what Rerun's files begin with
 _COLOURS = re.compile(r"\x1b\[[0-9;]*m")
 
 Stream = rr.RecordingStream
@@ -60,15 +58,9 @@ def web_viewer(stream: Stream, port: int | None, memory: str, opens: bool) -> It
     """A web viewer that shows a stream, on this machine's loopback alone; its place is the page's address.
 
     Rerun's own server listens on all addresses where it runs inside of a Python process, so it is started as a process,
-    which is told where to. It ends with this one.
-
-    Args:
-        port: of the page; None: `WEB_PORT`, or a free one where that is taken.
-        memory: how much the server keeps for pages that are opened later, such as ``1GiB``.
-        opens: whether the page is opened in a browser.
-
-    Raises:
-        ViewerError: the port is taken, or the server does not start.
+    which is told where to. It ends with this one, and keeps so much memory, as ``1GiB``, for pages that are opened
+    later. Without a port the page's is `WEB_PORT`, or a free one where that is taken; where it `opens`, it does so in a
+    browser. Raises `ViewerError` if the port is taken, or the server does not start.
     """
     web_port, data_port = _port(port), _free_port()
     options = ["--serve-web", "--web-viewer-port", str(web_port), "--server-memory-limit", memory]

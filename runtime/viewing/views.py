@@ -1,8 +1,11 @@
-"""Which view a thing is seen in, and where it is in there."""
+"""Which view a thing is seen in, where it is in there, and where views stand on the screen.
+
+That is in columns of cells, each of one view or of several behind tabs.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from enum import Enum
 from typing import Any, get_args
@@ -14,12 +17,19 @@ from hierax.runtime.core.errors import HieraxError
 from hierax.runtime.core.node import Node
 from hierax.runtime.core.probe import Step
 from hierax.runtime.core.showing import Curve, Graph, Picture, Scene, Thing
+from hierax.runtime.loading.allowance import Allowance
+from hierax.runtime.loading.loader import build_node
+from hierax.schemas.roster import Roster
+from hierax.schemas.values import encode_value
 
 HIERARCHY, EPOCHS, BELIEF = "hierarchy", "epochs", "belief"
 """The views that the viewer itself fills, the last one for each node."""
 
-TOGETHER = "together"
-"""Who shows what is shown of several nodes together, in errors and paths."""
+TOGETHER = "together"  # who shows what is shown of several nodes together, in errors and paths
+
+Cell = tuple[str, ...]  # names of views; more than one: behind tabs
+Layout = tuple[tuple[Cell, ...], ...]  # columns from left to right, of cells from top to bottom
+MOST_CELLS = 3  # how many cells a column of the default layout has; more views share the last one
 
 
 class ShowError(HieraxError):
@@ -56,6 +66,22 @@ class Placed:
     path: str
     label: str
     thing: Thing
+
+
+class ShownNodes:
+    """Builds the nodes that may be loaded; one whose class and parameters stay is kept."""
+
+    def __init__(self, allowance: Allowance) -> None:
+        self._allowance = allowance
+        self._built: dict[str, tuple[bytes, Node]] = {}
+
+    def node(self, roster: Roster, name: str) -> Node:
+        """A node of a roster. Raises `NotAllowedError` or `LoadError` if it may not, or cannot, be loaded."""
+        reference = roster.nodes[name]
+        key = encode_value(reference.plain())
+        if name not in self._built or self._built[name][0] != key:
+            self._built[name] = (key, build_node(reference, f"nodes.{name}", self._allowance, name == roster.world))
+        return self._built[name][1]
 
 
 def shown_by(name: str, node: Node, step: Step, before: Value) -> tuple[Placed, ...]:
@@ -103,3 +129,51 @@ _KINDS: dict[Kind, tuple[type, ...]] = {
     Kind.GRAPH: (Graph,),
 }
 """What each kind of view holds."""
+
+
+@dataclass(frozen=True)
+class Column:
+    """Cells of views from top to bottom, and their share of the screen's width, beside the other columns' shares."""
+
+    cells: tuple[tuple[View, ...], ...]
+    share: float
+
+
+def arranged(views: Mapping[str, View], layout: Layout | None) -> tuple[Column, ...]:
+    """Views in columns, by the layout, or by what they hold; those that it does not name share a further, last cell."""
+    if layout is None:
+        layout = default_layout(tuple(views.values()))
+    columns = [[tuple(views[name] for name in cell if name in views) for cell in column] for column in layout]
+    columns = [column for column in ([cell for cell in column if cell] for column in columns) if column]
+    named = {view.name for column in columns for cell in column for view in cell}
+    rest = tuple(view for name, view in views.items() if name not in named)
+    if rest:
+        columns = columns or [[]]
+        columns[-1].append(rest)
+    wide = (Kind.PICTURE, Kind.SCENE)
+    shares = [3.0 if any(view.kind in wide for cell in column for view in cell) else 2.0 for column in columns]
+    return tuple(map(Column, map(tuple, columns), shares))
+
+
+def unknown_names(views: Mapping[str, View], layout: Layout | None) -> tuple[str, ...]:
+    """The names in a layout that no view has."""
+    names = [name for column in layout or () for cell in column for name in cell]
+    return tuple(name for name in names if name not in views)
+
+
+def default_layout(views: Sequence[View]) -> Layout:
+    """Pictures to the left, then scenes, then curves, then the hierarchy and what each node believes."""
+
+    def of(*kinds: Kind) -> list[str]:
+        return [view.name for view in views if view.kind in kinds and view.name not in (HIERARCHY, EPOCHS)]
+
+    pictures, scenes, plots = of(Kind.PICTURE), of(Kind.SCENE, Kind.GRAPH), of(Kind.PLOT)
+    last = [(HIERARCHY,), tuple(of(Kind.TEXT)), (EPOCHS,)]
+    columns = [_stacked(names) for names in (pictures, scenes, plots) if names]
+    return (*columns, tuple(last))
+
+
+def _stacked(names: Sequence[str]) -> tuple[Cell, ...]:
+    first = tuple((name,) for name in names[: MOST_CELLS - 1])
+    rest = tuple(names[MOST_CELLS - 1 :])
+    return (*first, rest) if rest else first

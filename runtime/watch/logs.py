@@ -16,8 +16,10 @@ import logging
 import logging.handlers
 import os
 import sys
+import time
 from collections.abc import Callable
 from contextlib import suppress
+from dataclasses import dataclass
 from datetime import datetime, timezone
 from io import TextIOWrapper
 from pathlib import Path
@@ -25,38 +27,96 @@ from typing import Any
 
 from hierax.runtime.host.private_files import UnsafeFileError, open_result, private_folder
 from hierax.runtime.host.run_folder import ABOUT, LOGS, begin_run, run_folder
-from hierax.runtime.watch.throttle import OURS, Throttle
 
-MAX_BYTES = 4 << 20
-"""A file that has grown larger is put aside, in the place of the one put aside before."""
+OURS = "hierax"  # the logger whose records are counted: a node's own records are its user's matter
+FIRST = 20  # so many records of a kind go through; then one for each pause
 
+PAUSES_S = (1.0, 2.0, 5.0, 10.0, 30.0, 60.0)
+"""The pauses, each longer than the one before; the last one is kept. What is quiet for as long begins anew."""
+
+MAX_KINDS = 512  # how many kinds of records are counted apart
+
+MAX_BYTES = 4 << 20  # A file that has grown larger is put aside, in the place of the one put aside before
 SUFFIX = ".jsonl"
-LAUNCH = "launch"
-"""The supervisor's name among those of nodes."""
-
-LAUNCH_FILE = f"_{LAUNCH}"
-"""Its file's name, which no node's can have."""
+LAUNCH = "launch"  # the supervisor's name among those of nodes
+LAUNCH_FILE = f"_{LAUNCH}"  # its file's name, which no node's can have
 
 OUTPUT = "_output-"
 """How the name of a file begins in which a supervisor writes what libraries and programs of its nodes print."""
 
-LEVEL_VARIABLE = "HIERAX_LOG"
-"""From which level on records go to the console; below INFO also to the files."""
+LEVEL_VARIABLE = "HIERAX_LOG"  # from which level on records go to the console; below INFO also to the files
 
 QUIET = {"quiet": True}
 """As ``extra`` of a record: it is told on the console in another way, and goes to the file alone."""
 
-When = Callable[[], tuple[int, int]]
-"""The epoch and attempt under way."""
-
-_throttle = Throttle()
-"""The throttle of this process: on the console and in the file the same is left out."""
+When = Callable[[], tuple[int, int]]  # the epoch and attempt under way
 
 _LOG = logging.getLogger(OURS)
 _CONSOLE_FORMAT = "%(name)s: %(message)s"
 _OURS = ("run", "node", "epoch", "attempt")
 _NOT_TOLD = {"message", "asctime", "taskName", "quiet", "throttled"}
 _STANDARD = frozenset(vars(logging.makeLogRecord({}))) | {*_OURS, *_NOT_TOLD}
+
+
+@dataclass
+class _Kind:
+    passed: int = 0
+    pause: int = 0
+    since_s: float = 0.0
+    left_out: int = 0
+
+
+class Throttle(logging.Filter):
+    """Lets through some records of each kind (of one text before its arguments are put in), and counts the rest."""
+
+    def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
+        super().__init__()
+        self._clock = clock
+        self._kinds: dict[tuple[int, str], _Kind] = {}
+
+    def filter(self, record: logging.LogRecord) -> bool:
+        """Whether a record goes through; one that does says how many like it did not."""
+        if record.name != OURS or record.levelno >= logging.ERROR:
+            return True
+        found = getattr(record, "throttled", None)
+        if found is None:  # else another handler has asked
+            found = record.throttled = self._passes(record)
+        return bool(found)
+
+    def take_left_out(self) -> list[tuple[int, str, int]]:
+        """Level, text and number of the records that were left out and are not told yet; then they are."""
+        found = [(level, text, kind.left_out) for (level, text), kind in self._kinds.items() if kind.left_out]
+        self._kinds.clear()
+        return found
+
+    def _passes(self, record: logging.LogRecord) -> bool:
+        key = (record.levelno, str(record.msg))
+        if key not in self._kinds and len(self._kinds) >= MAX_KINDS:
+            self._kinds.pop(next(iter(self._kinds)))
+        kind = self._kinds.setdefault(key, _Kind(since_s=self._clock()))
+        now = self._clock()
+        quiet_s = now - kind.since_s
+        if kind.passed < FIRST and not kind.left_out:
+            kind.passed += 1
+            if quiet_s > PAUSES_S[0]:
+                kind.passed = 1
+            kind.since_s = now
+            return True
+        if quiet_s < PAUSES_S[kind.pause]:
+            kind.left_out += 1
+            return False
+        if kind.left_out:
+            record.msg = f"{record.getMessage()} (and {kind.left_out} more like it in the last {quiet_s:.0f} s)"
+            record.args = ()
+            kind.pause = min(kind.pause + 1, len(PAUSES_S) - 1)
+            kind.left_out = 0
+        else:
+            kind.passed, kind.pause = 1, 0
+        kind.since_s = now
+        return True
+
+
+_throttle = Throttle()  # the throttle of this process: on the console and in the file the same is left out
 
 
 def log_console() -> None:
@@ -173,28 +233,28 @@ class _File(logging.handlers.RotatingFileHandler):
             print(f"hierax: {self.baseFilename}: cannot be written: {sys.exc_info()[1]}", file=sys.stderr)
 
 
+@dataclass(eq=False)
 class LaunchLog:
     """The supervisor's file of what happens to a run's processes, in which `epoch`; without a handler there is none."""
 
-    def __init__(self, handler: logging.Handler | None, run: str, epoch: Callable[[], int]) -> None:
-        self._handler = handler
-        self._run = run
-        self._epoch = epoch
+    handler: logging.Handler | None
+    run: str
+    epoch: Callable[[], int]
 
     def write(self, message: str, node: str = LAUNCH, logger: str = "hierax.launch") -> None:
         """Write a line."""
-        if self._handler is None:
+        if self.handler is None:
             return
         fields = {"name": logger, "levelno": logging.INFO, "levelname": "INFO", "msg": message}
-        where = {"run": self._run, "node": node, "epoch": self._epoch(), "attempt": 0}
-        self._handler.handle(logging.makeLogRecord({**fields, **where}))
+        where = {"run": self.run, "node": node, "epoch": self.epoch(), "attempt": 0}
+        self.handler.handle(logging.makeLogRecord({**fields, **where}))
 
     def close(self, message: str = "") -> None:
         """Write a last line, if there is one to be written."""
         if message:
             self.write(message)
-        if self._handler is not None:
-            self._handler.close()
+        if self.handler is not None:
+            self.handler.close()
 
 
 def log_of_run(run: str, name: str, epoch: Callable[[], int]) -> LaunchLog:
@@ -206,14 +266,7 @@ def log_of_run(run: str, name: str, epoch: Callable[[], int]) -> LaunchLog:
 def begin_log(
     run: str, hierarchy: str, deployment: Path, tell: Callable[[str], None], epoch: Callable[[], int]
 ) -> LaunchLog:
-    """Make the folder of a launch, and its log; a launch goes on without where that cannot be.
-
-    Args:
-        run: its identification.
-        hierarchy, deployment: what is launched, and from which file.
-        tell: tells people what is wrong.
-        epoch: asked at every line.
-    """
+    """Make the folder of a launch, and its log; it goes on without where that cannot be, which `tell` tells people."""
     about = {"hierarchy": hierarchy, "deployment": str(deployment.resolve()), "pid": os.getpid()}
     try:
         folder = begin_run(run, about)

@@ -17,8 +17,7 @@ OBSERVE, POLICY, PREDICT, EDGES, ACT, OTHER = "observe", "policy", "predict", "e
 WORK = (OBSERVE, POLICY, PREDICT, EDGES, ACT, OTHER)
 """What a node works at: τ; λ and π; γ; φ, ψ and ϱ; a world's actuators; encoding, sending, checkpoints, probes."""
 
-EPOCHS_KEPT = 512
-"""How many durations, of the last epochs, are kept."""
+EPOCHS_KEPT = 512  # how many durations, of the last epochs, are kept
 
 _KINDS = {
     "observe": OBSERVE,
@@ -40,13 +39,9 @@ def kind_of(operator: str) -> str:
 class Meter(Watcher):
     """Takes times, from one event to the next; some microseconds an epoch while it watches.
 
-    The time from the end of all work to the message that makes the node work again is
-    waiting for that message's sender: messages that only add to what is in hand end no wait.
-
-    Args:
-        clock: nanoseconds, of any origin.
-
-    `read` may be called by another thread: numbers may then be of one event more than others.
+    The time from the end of all work to the message that makes the node work again is waiting for that message's
+    sender: messages that only add to what is in hand end no wait. The clock gives nanoseconds, of any origin. `read`
+    may be called by another thread: numbers may then be of one event more than others.
     """
 
     def __init__(self, clock: Clock = time.perf_counter_ns) -> None:

@@ -22,23 +22,17 @@ from typing import Any, TextIO
 
 from hierax.runtime.watch.logs import QUIET
 
-LINE_BYTES = 1 << 16
-"""A longer line is shown, and logged, in pieces."""
+LINE_BYTES = 1 << 16  # A longer line is shown, and logged, in pieces
 
 PATIENCE_S = 0.2
 """How long a line waits for somebody who reads the console; then lines are left out until somebody does."""
 
 _ERRORS = "backslashreplace"
-_BY_LINES = 1
-"""The C library's `_IOLBF`."""
+_BY_LINES = 1  # the C library's `_IOLBF`
 
 
 class Console:
-    """Writes where people read. Somebody who does not read holds nobody up for longer than `PATIENCE_S`.
-
-    Args:
-        descriptor: of the terminal, file or pipe; it has to stay open.
-    """
+    """Writes to a descriptor that stays open. Who does not read holds nobody up for longer than `PATIENCE_S`."""
 
     def __init__(self, descriptor: int) -> None:
         self._given = descriptor
@@ -58,13 +52,10 @@ class Console:
         self._waiting += line
         with suppress(OSError):  # nobody can read it any more; the log has it
             while self._waiting and self._is_read(PATIENCE_S):
-                self._write()
+                with suppress(BlockingIOError):  # others have filled it meanwhile
+                    self._waiting = self._waiting[os.write(self._descriptor, self._waiting) :]
             return
         self._waiting = b""
-
-    def _write(self) -> None:
-        with suppress(BlockingIOError):  # others have filled it meanwhile
-            self._waiting = self._waiting[os.write(self._descriptor, self._waiting) :]
 
     def close(self) -> None:
         """Nothing more is told; the descriptor that was given stays open."""
@@ -86,13 +77,7 @@ def _unblocking(descriptor: int) -> int:
 
 
 class Lines(io.RawIOBase):
-    """Takes bytes, gives lines.
-
-    Args:
-        name: stands before each on the console; empty: nothing does.
-        console: where they go.
-        log: takes each, too.
-    """
+    """Takes bytes, gives lines to a log, and to the console with a name before each, if there is one."""
 
     def __init__(self, name: str, console: Console, log: Callable[[str], None]) -> None:
         super().__init__()
@@ -126,27 +111,12 @@ class Lines(io.RawIOBase):
 
 
 def name_prints(name: str, console: Console) -> None:
-    """Have what this process writes to `sys.stdout` and `sys.stderr` carry a name, and go to its log, too.
-
-    Args:
-        name: of the node.
-        console: where it goes.
-    """
+    """Have what this process writes to `sys.stdout` and `sys.stderr` carry a node's name, and go to its log, too."""
     sys.stdout = _stream(name, console, "stdout")
     sys.stderr = _stream(name, console, "stderr")
     with suppress(AttributeError, OSError, ValueError):  # a C library that calls it otherwise
         library = ctypes.CDLL(None)
         library.setvbuf(ctypes.c_void_p.in_dll(library, "stdout"), None, _BY_LINES, 0)
-
-
-def named_lines(stream: TextIO, name: Callable[[], str]) -> io.TextIOBase:
-    """A stream whose lines carry a name, as far as there is one.
-
-    Args:
-        stream: where they go.
-        name: asked when a line is begun; empty: nobody's.
-    """
-    return _Named(stream, name)
 
 
 def console_stream(console: Console) -> TextIO:
@@ -163,7 +133,9 @@ def _text(lines: Lines) -> TextIO:
     return io.TextIOWrapper(io.BufferedWriter(lines), "utf-8", _ERRORS, line_buffering=True, write_through=True)
 
 
-class _Named(io.TextIOBase):
+class NamedLines(io.TextIOBase):
+    """A stream whose lines go to another one with the name of who begins them, as far as there is one."""
+
     def __init__(self, stream: TextIO, name: Callable[[], str]) -> None:
         super().__init__()
         self._stream = stream

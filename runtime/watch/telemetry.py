@@ -28,13 +28,8 @@ if TYPE_CHECKING:
 
 EXPORTER_VARIABLE = "OTEL_TRACES_EXPORTER"
 OTLP, CONSOLE, NONE = "otlp", "console", "none"
-
-TRACEPARENT, TRACESTATE = "traceparent", "tracestate"
-"""Keys of a header's extensions."""
-
-FLUSH_S = 2.0
-"""How long a node that has come to its end waits for its last spans to be sent."""
-
+TRACEPARENT, TRACESTATE = "traceparent", "tracestate"  # keys of a header's extensions
+FLUSH_S = 2.0  # how long a node that has come to its end waits for its last spans to be sent
 _INSTRUMENTATION = "hierax"
 
 Clock = Callable[[], int]

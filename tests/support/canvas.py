@@ -8,9 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from hierax.runtime.viewing.layout import Column
 from hierax.runtime.viewing.presenter import Canvas
-from hierax.runtime.viewing.views import Placed
+from hierax.runtime.viewing.views import Column, Placed
 
 
 class KeptCanvas(Canvas):

@@ -6,8 +6,8 @@ import pytest
 from support.deployments import TOYS
 
 from hierax.runtime.deployment.document import Document
-from hierax.runtime.deployment.errors import DeploymentError
 from hierax.runtime.deployment.overrides import apply_override
+from hierax.runtime.deployment.paths import DeploymentError
 from hierax.runtime.deployment.tree import read_tree
 
 

@@ -5,8 +5,8 @@ from itertools import pairwise
 import pytest
 
 from hierax.runtime.deployment.document import Document
-from hierax.runtime.deployment.errors import DeploymentError
 from hierax.runtime.deployment.parameters import substitute
+from hierax.runtime.deployment.paths import DeploymentError
 from hierax.runtime.deployment.tree import read_tree
 
 

@@ -6,7 +6,7 @@ import pytest
 from support.deployments import TOYS, write
 
 from hierax.runtime.deployment.deployment import ViewSpec
-from hierax.runtime.deployment.errors import DeploymentError
+from hierax.runtime.deployment.paths import DeploymentError
 from hierax.runtime.deployment.read import read_deployment
 
 

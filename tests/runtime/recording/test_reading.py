@@ -38,7 +38,7 @@ def chunked(recording: Recording, tmp_path_factory: pytest.TempPathFactory) -> P
     path = tmp_path_factory.mktemp("chunked") / "run.mcap"
     file = McapFile(path, recording.info)
     for number, entry in enumerate(recording.entries()):
-        file.add(entry.key, entry.topic.what, entry.time_ns, entry.epoch, entry.data)
+        file.add(entry)
         if number % 5 == 4:
             file.flush(at_once=True)
     assert recording.ending is not None
@@ -134,7 +134,7 @@ def test_what_a_killed_process_did_not_tell_its_next_one_does(recording: Recordi
                 state = step.state
                 continue
             data = encode_step(step._replace(start=state)) if step.epoch == 5 else data
-        file.add(entry.key, entry.topic.what, entry.time_ns, entry.epoch, data)
+        file.add(entry._replace(data=data))
     assert recording.ending is not None
     file.close(recording.ending)
     killed = Recording.open(path)

@@ -10,6 +10,7 @@ from hierax.runtime.recording.check import check_recording
 from hierax.runtime.recording.info import Ending, RecordingError
 from hierax.runtime.recording.reading import Recording
 from hierax.runtime.recording.selection import Selection, check_pattern, read_duration, read_size
+from hierax.runtime.recording.topics import MESSAGE, Entry, Topic
 from hierax.runtime.recording.writing import McapFile
 
 EPOCHS = 300
@@ -112,7 +113,8 @@ def test_an_array_that_is_told_of_twice_takes_its_room_once(tmp_path: Path) -> N
     info = recorded(tmp_path / "x.mcap", epochs=1).info
     file = McapFile(tmp_path / "y.mcap", info)
     for number in range(4):
-        file.add(f"hierax/servo/run/obs/world/{number}", "message", 1, 1, picture)
+        key = f"hierax/servo/run/obs/world/{number}"
+        file.add(Entry(key, Topic(MESSAGE, "obs", ("world", str(number))), 1, 1, picture))
     file.flush(at_once=True)
     size = file.size
     file.close(Ending(1, 1, 4, (), 0))

@@ -58,7 +58,7 @@ def crafted(
         data = entry.data
         if entry.topic.what == ROSTER:
             data = encode_value(rewrite(entry.roster()).plain())
-        file.add(entry.key, entry.topic.what, entry.time_ns, entry.epoch, data)
+        file.add(entry._replace(data=data))
     file.close(recording.ending or Ending(1, 3, 0, (), 0))
     return Recording.open(path)
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import subprocess
 import sys
+from collections.abc import Callable
 from importlib.metadata import entry_points
 from pathlib import Path
 
@@ -15,8 +16,9 @@ from hierax.runtime import Elements, Node, Value, World
 from hierax.runtime.core.binding import OperatorSetting
 from hierax.runtime.core.errors import HieraxError
 from hierax.runtime.core.hierarchy import Edge
+from hierax.runtime.core.probe import Step
 from hierax.runtime.core.process import ActiveHierarchy, update
-from hierax.runtime.testing.plugin import NodeRuns, Runs
+from hierax.runtime.testing.runs import Ran
 from hierax.schemas.values import encode_value
 
 
@@ -64,7 +66,7 @@ def test_the_plugin_imports_nothing_heavy() -> None:
     assert int(count) < 20
 
 
-def test_a_deployment_file(hierax_run: Runs, tmp_path: Path) -> None:
+def test_a_deployment_file(hierax_run: Callable[..., Ran], tmp_path: Path) -> None:
     ran = hierax_run(write(tmp_path), epochs=4, seed=3, set={"step": 5})
     assert ran.beliefs["world"] == 20
     assert ran.history("world") == [5, 10, 15, 20]
@@ -75,12 +77,12 @@ def test_a_deployment_file(hierax_run: Runs, tmp_path: Path) -> None:
     assert hierax_run(write(tmp_path), epochs=4, seed=3, set={"step": 5}).digests == ran.digests
 
 
-def test_a_shipped_deployment(hierax_run: Runs) -> None:
+def test_a_shipped_deployment(hierax_run: Callable[..., Ran]) -> None:
     beliefs = hierax_run("letters").beliefs
     assert beliefs["word"]["posterior"] == {"THE": 0.0, "CAT": 1.0}
 
 
-def test_nodes_that_the_test_has_made(hierax_run: Runs) -> None:
+def test_nodes_that_the_test_has_made(hierax_run: Callable[..., Ran]) -> None:
     edge = Edge("world", "eye", sense=seen, context=lambda belief: (belief,))
     ran = hierax_run(nodes={"world": Clock(), "eye": Follower()}, edges=[edge], epochs=5)
     assert ran.history("eye") == [0, 1, 3, 7, 15]
@@ -89,7 +91,7 @@ def test_nodes_that_the_test_has_made(hierax_run: Runs) -> None:
 
 
 @pytest.mark.parametrize("seed", [0, 1, 2])
-def test_a_run_is_what_the_formal_core_says(hierax_run: Runs, seed: int) -> None:
+def test_a_run_is_what_the_formal_core_says(hierax_run: Callable[..., Ran], seed: int) -> None:
     hierarchy = random_hierarchy(seed, nodes=5, setting=OperatorSetting(seed))
     ran = hierax_run(nodes=hierarchy.nodes, edges=hierarchy.edges, world=hierarchy.world, epochs=3, seed=seed)
     active = ActiveHierarchy.initial(hierarchy)
@@ -99,17 +101,17 @@ def test_a_run_is_what_the_formal_core_says(hierax_run: Runs, seed: int) -> None
             assert encode_value(ran.history(name)[epoch]) == encode_value(state.belief), (name, epoch)
 
 
-def test_one_node(hierax_node: NodeRuns) -> None:
+def test_one_node(hierax_node: Callable[..., list[Step]]) -> None:
     steps = hierax_node(Follower(), observations=[(1,), (), (2, 3)])
     assert [step.belief for step in steps] == [1, 1, 3]
 
 
-def test_either_a_file_or_nodes(hierax_run: Runs) -> None:
+def test_either_a_file_or_nodes(hierax_run: Callable[..., Ran]) -> None:
     for arguments in ({}, {"deployment": "letters", "nodes": {}}):
         with pytest.raises(TypeError, match="expected a deployment or nodes, one of them"):
-            hierax_run(**arguments)  # type: ignore[arg-type]
+            hierax_run(**arguments)
 
 
-def test_what_is_wrong_with_a_file_is_told(hierax_run: Runs) -> None:
+def test_what_is_wrong_with_a_file_is_told(hierax_run: Callable[..., Ran]) -> None:
     with pytest.raises(HieraxError, match="did you mean 'letters'"):
         hierax_run("leters")

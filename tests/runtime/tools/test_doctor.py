@@ -10,9 +10,9 @@ import pytest
 from hierax.runtime.host.run_folder import begin_run
 from hierax.runtime.recovery.disk import MappedFile
 from hierax.runtime.tools import doctor, leftovers
-from hierax.runtime.tools.doctor import as_json, check_folders, check_limits, check_machine, check_python, examine
-from hierax.runtime.tools.finding import FINE, NOTE, WRONG, Finding
+from hierax.runtime.tools.doctor import check_folders, check_limits, check_machine, check_python, examine
 from hierax.runtime.tools.leftovers import Orphan
+from hierax.runtime.tools.packages import FINE, NOTE, WRONG, Finding
 from hierax.runtime.transport import zenoh_session
 
 
@@ -89,7 +89,8 @@ def test_what_cannot_be_looked_at_is_a_note_and_all_is_json() -> None:
 
     found = list(examine({"first": fails, "second": lambda: iter([Finding("b", WRONG, "two", "do this")])}))
     assert [finding.state for finding in found] == [FINE, NOTE, WRONG]
-    assert json.loads(json.dumps(as_json(found)))[2] == {"check": "b", "state": WRONG, "what": "two", "mend": "do this"}
+    plain = json.loads(json.dumps([each._asdict() for each in found]))
+    assert plain[2] == {"check": "b", "state": WRONG, "what": "two", "mend": "do this"}
 
 
 def test_mending_removes_what_nobody_uses(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -4,8 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from hierax.runtime.tools.finding import FINE, NOTE, WRONG
-from hierax.runtime.tools.packages import check_packages
+from hierax.runtime.tools.packages import FINE, NOTE, WRONG, check_packages
 
 
 def test_what_hierax_needs_is_here() -> None:

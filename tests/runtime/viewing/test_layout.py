@@ -1,7 +1,6 @@
 from __future__ import annotations
 
-from hierax.runtime.viewing.layout import Layout, arranged, default_layout, unknown_names
-from hierax.runtime.viewing.views import EPOCHS, HIERARCHY, Kind, View
+from hierax.runtime.viewing.views import EPOCHS, HIERARCHY, Kind, Layout, View, arranged, default_layout, unknown_names
 
 KINDS = {
     "camera": Kind.PICTURE,

@@ -23,9 +23,8 @@ from hierax.runtime.core.showing import (
     Points2D,
     Points3D,
 )
-from hierax.runtime.viewing.layout import Column
 from hierax.runtime.viewing.rerun_canvas import RerunCanvas, archetypes
-from hierax.runtime.viewing.views import Kind, View, placed
+from hierax.runtime.viewing.views import Column, Kind, View, placed
 
 IMAGE = np.zeros((4, 6, 3), np.uint8)
 CORNERS = [[0, 0, 0], [1, 0, 0], [0, 1, 0]]

@@ -20,21 +20,19 @@ def test_a_belief_is_an_outline() -> None:
     assert belief_text(belief).splitlines() == [
         "frame: 3",
         "name: arm",
-        "nothing: None",
+        "nothing: null",
         "size: [640, 480]",
         "pose:",
-        "  [0.3333, 0.0]",
-        "  [0.0, 0.3333]",
+        "- [0.333333, 0.0]",
+        "- [0.0, 0.333333]",
         "image: uint8 480 × 640 × 3",
         "raw: 3 bytes",
         "empty: {}",
         "objects:",
-        "  -",
-        "    id: 1",
-        "    score: 0.123457",
-        "  -",
-        "    id: 2",
-        "    score: 1",
+        "- id: 1",
+        "  score: 0.123457",
+        "- id: 2",
+        "  score: 1.0",
     ]
 
 
@@ -42,7 +40,7 @@ def test_what_is_too_long_is_cut_off_and_says_so() -> None:
     lines = belief_text({str(number): number for number in range(240)}).splitlines()
     assert len(lines) == MOST_LINES + 1
     assert lines[-1] == "… 40 more lines"
-    assert belief_text(tuple(range(30))).splitlines()[-1] == "… 14 more"
+    assert belief_text(tuple(range(30))).endswith(", 15, … 14 more]")
     assert len(belief_text("x" * 500)) == 80
     assert belief_text(0.5) == "0.5"
 

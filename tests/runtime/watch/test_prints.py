@@ -11,7 +11,7 @@ import pytest
 from support.launched import environment
 
 from hierax.runtime.commands.main import main
-from hierax.runtime.watch.prints import Console, Lines, named_lines
+from hierax.runtime.watch.prints import Console, Lines, NamedLines
 
 TALKING = """
 import logging
@@ -174,7 +174,7 @@ def test_in_one_process_it_has_the_name_of_the_node_whose_turn_it_is(tmp_path: P
 def test_a_line_is_named_once() -> None:
     stream = io.StringIO()
     names = iter(("arm", "arm", "", "camera->arm"))
-    out = named_lines(stream, lambda: next(names))
+    out = NamedLines(stream, lambda: next(names))
     for text in ("a", "b\nc\n", "by nobody\n", "d\n"):
         out.write(text)
     assert stream.getvalue() == "arm: ab\narm: c\nby nobody\ncamera->arm: d\n"

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import logging
 
-from hierax.runtime.watch.throttle import FIRST, OURS, Throttle
+from hierax.runtime.watch.logs import FIRST, OURS, Throttle
 
 
 class Told:

@@ -5,8 +5,9 @@ import pytest
 
 from hierax.runtime.core.probe import Step
 from hierax.runtime.engine.effects import Completed
-from hierax.runtime.watch.stepper import STEPS_KEPT, Stepper, read_step
+from hierax.runtime.watch.copies import STEPS_KEPT, Copier, Stepper, read_step
 from hierax.schemas.errors import SchemaError
+from hierax.schemas.messages import CONTEXT, OBSERVATIONS, Header, Message, decode_message
 from hierax.schemas.values import encode_value
 
 
@@ -47,3 +48,17 @@ def test_what_cannot_travel_is_left_out() -> None:
 def test_what_is_no_step_is_refused(value: object) -> None:
     with pytest.raises(SchemaError, match="is no step of a node"):
         read_step(encode_value(value))
+
+
+def test_only_what_is_wanted_is_shown() -> None:
+    shown: list[tuple[str, str, str, bytes]] = []
+    copier = Copier(lambda *what: shown.append(what))
+    up = Message(Header(OBSERVATIONS, "arm", "top", 3), (1.5,))
+    copier.sent(up)
+    assert shown == []
+    copier.wanted = {(OBSERVATIONS, "arm", "top")}
+    copier.sent(up)
+    copier.sent(Message(Header(CONTEXT, "arm", "low", 3), ()))
+    ((kind, sender, receiver, data),) = shown
+    assert (kind, sender, receiver) == (OBSERVATIONS, "arm", "top")
+    assert decode_message(data) == up

@@ -9,7 +9,7 @@ import pytest
 
 import hierax.nodes
 from hierax.runtime import Elements, Node, Value, World
-from hierax.runtime.loading.spelling import misspelt_operators
+from hierax.runtime.loading.node_loader import misspelt_operators
 
 
 class Helped(Node):

@@ -1,19 +1,34 @@
-"""What a node did in its last epochs, for who wants to see it; the run never waits for them."""
+"""Copies of a node's messages, and what it did in its last epochs, for who wants to see it; no run waits for them."""
 
 from __future__ import annotations
 
 import time
 from collections import deque
-from collections.abc import Iterator
+from collections.abc import Callable, Collection, Iterator
+from dataclasses import dataclass
 
 from hierax.runtime.core.probe import Step
 from hierax.runtime.engine.effects import Completed
 from hierax.runtime.watch.watcher import Watcher
 from hierax.schemas.errors import SchemaError
+from hierax.schemas.messages import Message, encode_message
 from hierax.schemas.values import decode_value, encode_value
 
-STEPS_KEPT = 16
-"""How many steps wait until somebody takes them; of more than that, the oldest are forgotten."""
+Edge = tuple[str, str, str]  # kind, sender and receiver
+STEPS_KEPT = 16  # how many steps wait until somebody takes them; of more than that, the oldest are forgotten
+
+
+@dataclass(eq=False)
+class Copier(Watcher):
+    """Shows copies of the `wanted` messages, a set that is replaced and never changed; `show` must not wait."""
+
+    show: Callable[[str, str, str, bytes], None]
+    wanted: Collection[Edge] = frozenset()
+
+    def sent(self, message: Message) -> None:
+        kind, sender, receiver = message.header[:3]
+        if (kind, sender, receiver) in self.wanted:
+            self.show(kind, sender, receiver, encode_message(message))
 
 
 class Stepper(Watcher):
