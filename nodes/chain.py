@@ -47,7 +47,7 @@ def level(belief: Value) -> Elements:
 
 
 class LevelWithPicture:
-    """ϱ of a relay, with a picture beside the level; size: of the picture, in bytes; 0: none."""
+    """ϱ of a relay, with a picture of so many bytes beside the level; none of 0."""
 
     def __init__(self, size: int = 0) -> None:
         if type(size) is not int or not 0 <= size <= MAX_MESSAGE_BYTES:

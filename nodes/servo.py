@@ -72,8 +72,7 @@ class SlidingWorld(World):
         return CameraPolicies()
 
     def predict(self, context: Elements, actions: Elements, belief: Value) -> Value:
-        """γ: the camera moves to where it is told, the error is read, δt passes; actions: the commanded position, in
-        metres; of none, the camera stays."""
+        """γ: the camera moves to where it is told, in metres, or stays; the error is read, δt passes."""
         camera = actions[0] if actions else belief["camera"]
         error = abs(position_at(self.time_s(belief, 0)) - camera)
         sums = {"error_sum": belief["error_sum"] + error, "square_sum": belief["square_sum"] + error**2}

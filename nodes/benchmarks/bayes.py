@@ -49,7 +49,7 @@ class Cell:
 
 
 def bench_bayes(sizes: Sequence[int], rounds: int, seed: int, told: Callable[[str], None]) -> list[Cell]:
-    """Time all ways; sizes: numbers of nodes. rounds: of all ways in turn. seed: of networks and evidence."""
+    """Time all ways, round by round, on random trees of these sizes; `told` is told what is going on."""
     cells = []
     for nodes in sizes:
         network = random_tree(nodes, STATES, seed)
@@ -240,8 +240,8 @@ class Limit:
 
 
 def reference(network: Description, evidence: Evidence) -> dict[str, Floats]:
-    """Posteriors of a tree, node by node in the machine's longest floating-point numbers; network: each parent
-    stands before its children. evidence: by node, the number of its state."""
+    """Posteriors of a tree whose parents stand before their children, by the numbers of the states that are seen, node
+    by node in the machine's longest floating-point numbers."""
     tables = {entry["id"]: np.array(entry.get("cpt", entry.get("prior")), np.longdouble) for entry in network}
     parents = {entry["id"]: entry["parents"][0] if entry["parents"] else "" for entry in network}
     own = {name: np.ones(table.shape[-1], np.longdouble) for name, table in tables.items()}

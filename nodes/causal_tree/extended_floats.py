@@ -93,8 +93,7 @@ def shifted(values: ExtendedFloats, axis: int) -> ExtendedFloats:
 
 
 def products(values: ExtendedFloats, starts: Places) -> ExtendedFloats:
-    """The products of neighbours along the last axis; values: shape (…, n). starts: where each product begins; it
-    ends where the next begins. None is empty. Returns: Shape (…, len(starts))."""
+    """The products of neighbours along the last axis (…, n), each from one of `starts` to the next; none is empty."""
     size = values.fraction.shape[-1]
     while len(starts) < size:
         ends = np.append(starts[1:], size)

@@ -31,8 +31,8 @@ Source = Network | Sequence[Mapping[str, Any]] | Mapping[str, Any] | str
 
 
 def network_from(source: Source) -> Network:
-    """A network, from what a deployment's parameter says; source: as `Source` has it. Raises NetworkError: it is
-    none, or the file cannot be read."""
+    """A network, from what a deployment's parameter says. Raises NetworkError: it is none, or the file cannot be
+    read."""
     if isinstance(source, str):
         return read_network(source)
     if not isinstance(source, Mapping):
@@ -175,9 +175,8 @@ _Loader.add_implicit_resolver(
 
 
 def read_network(file: str | Path) -> Network:
-    """Read a network; file: JSON or YAML with the list of nodes that `parse` takes, or a map with that list as
-    ``network``; or BIF. Raises NetworkError: the file cannot be read, or holds no network; says which file, and which
-    node."""
+    """Read a network: JSON or YAML with the list of nodes that `parse` takes, or a map with that list as ``network``;
+    or BIF. Raises NetworkError: the file cannot be read, or holds no network; says which file, and which node."""
     path = Path(file)
     suffix = path.suffix.lower()
     if suffix not in SUFFIXES:
@@ -261,7 +260,7 @@ def _from_bif(path: Path, text: str) -> list[dict[str, Any]]:
 
 
 def description_of(net: Any) -> list[dict[str, Any]]:
-    """The description of a network of pyAgrum's; net: a ``pyagrum.BayesNet``."""
+    """The description of a network of pyAgrum's, a ``pyagrum.BayesNet``."""
     description = []
     for node in sorted(net.nodes()):
         variable, table = net.variable(node), net.cpt(node)

@@ -86,9 +86,8 @@ class Part(Node):
         return self._updated({"age": 1, "evidence": {}, "below": {}, "above": {}}, 0)
 
     def observe(self, observations: Elements, belief: Value, tick: Tick = NO_TICK) -> Value:
-        """τ: what was reported takes its slot; the slots of who is no longer below become ones; observations: of
-        `evidence_seen` and `diagnostic_support`. Raises ImpossibleEvidence: what lies below this part, or in it,
-        contradicts itself."""
+        """τ: what `evidence_seen` and `diagnostic_support` report takes its slot; the slots of who is no longer below
+        become ones. Raises ImpossibleEvidence: what lies below this part, or in it, contradicts itself."""
         evidence = {name: each for name, each in belief["evidence"].items() if name in tick.below}
         below = {name: each for name, each in belief["below"].items() if name in tick.below}
         for seen in observations:
@@ -104,8 +103,8 @@ class Part(Node):
         return {**sensed, "diagnostic": found.messages}
 
     def predict(self, context: Elements, actions: Elements, belief: Value, tick: Tick = NO_TICK) -> Value:
-        """γ: causal support takes its slot; the posteriors follow; context: of `causal_support`. Raises
-        ImpossibleEvidence: the evidence contradicts itself."""
+        """γ: what `causal_support` gives takes its slot; the posteriors follow. Raises ImpossibleEvidence: the evidence
+        contradicts itself."""
         above = {name: each for name, each in belief["above"].items() if name in tick.above}
         for given in context:
             above[given["from"]] = self._fragment.supports(given["support"])

@@ -34,7 +34,7 @@ Columns = int | slice | Places
 
 
 class NothingLeftError(Exception):
-    """The evidence is impossible; variable: the number of one of which no state is left."""
+    """The evidence is impossible: it leaves no state of the variable of this number."""
 
     def __init__(self, variable: int) -> None:
         self.variable = variable
@@ -114,7 +114,7 @@ class ExtendedSweep:
         self.messages.reverse()
 
     def down(self, at_roots: Inputs) -> None:
-        """Sweep from the roots to the leaves, after `up`; at_roots: further likelihoods of roots. Raises
+        """Sweep from the roots, of which there are further likelihoods, to the leaves, after `up`. Raises
         NothingLeftError: they contradict the evidence."""
         self.beliefs = {size: likelihood.copied() for size, likelihood in self.likelihoods.items()}
         for size, (columns, values) in at_roots.items():
@@ -166,7 +166,7 @@ class Sweep:
         self.is_extended = False  # whether the last sweep kept exponents apart
 
     def up(self, inputs: Inputs) -> None:
-        """Sweep from the leaves to the roots; inputs: likelihoods; of columns that are not named, ones. Raises
+        """Sweep from the leaves to the roots; likelihoods of columns that are not named are ones. Raises
         NothingLeftError: the evidence is impossible."""
         self._inputs = inputs
         self.is_extended = not self._float64.up(inputs)
@@ -174,8 +174,8 @@ class Sweep:
             self._extended.up(inputs)
 
     def down(self, at_roots: Inputs = NO_INPUTS) -> None:
-        """Sweep from the roots to the leaves, after `up`; at_roots: further likelihoods of roots, which `up` had
-        not. Raises NothingLeftError: the evidence is impossible."""
+        """Sweep from the roots, of which `up` had not these likelihoods, to the leaves, after `up`. Raises
+        NothingLeftError: the evidence is impossible."""
         if not self.is_extended and not self._float64.down(at_roots):
             self.is_extended = True
             self._extended.up(self._inputs)

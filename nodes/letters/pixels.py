@@ -151,8 +151,8 @@ class PixelLetterNode(LetterNode):
         self._sigma, self._slip = float(sigma), float(slip)
 
     def likelihood(self, observation: Value) -> Weights:
-        """p(pixels | letter) by letter, scaled to sum 1; observation: a square of grey values, uint8. Raises
-        ValueError: it is no such square."""
+        """p(pixels | letter) by letter, scaled to sum 1, of a square of grey values, uint8. Raises ValueError: it is
+        none."""
         is_array = isinstance(observation, np.ndarray) and observation.dtype == GREYS and observation.ndim == 2
         if not is_array or observation.shape[0] != observation.shape[1] or not observation.size:
             what = f"{observation.dtype} of shape {observation.shape}" if is_array else type(observation).__name__
@@ -181,8 +181,8 @@ class PixelLetterNode(LetterNode):
 
 
 class SignPicture(Probe):
-    """Writes what a letter node saw last, as a picture, into the run's output folder; file: its name, such as
-    ``letter1.png``; enlarge: by which whole factor."""
+    """Writes what a letter node saw last, enlarged by a whole factor, as a picture, such as ``letter1.png``, into the
+    run's output folder."""
 
     def __init__(self, file: str, enlarge: int = 6) -> None:
         self._name, self._enlarge = file, enlarge

@@ -31,8 +31,8 @@ def check_words(words: Sequence[str]) -> tuple[str, ...]:
 
 
 def letters_at(words: Sequence[str], letter: int) -> tuple[str, ...]:
-    """The hypotheses of a letter node: the letters at a place, in the order of the words; words: the vocabulary;
-    letter: the place, from 1. Raises ValueError: the words have no such place."""
+    """The hypotheses of a letter node: the letters at a place, from 1, in the order of the words. Raises ValueError:
+    the words have no such place."""
     words = check_words(words)
     if not isinstance(letter, int) or not 1 <= letter <= len(words[0]):
         raise ValueError(f"letter: expected a place from 1 to {len(words[0])}, got {letter!r}")
@@ -116,9 +116,8 @@ class LetterNode(_HypothesesNode):
         return self._belief(uniform(self.names), uniform(self.names))
 
     def observe(self, observations: Elements, belief: Value) -> Value:
-        """τ: the sign's likelihoods take the diagnostic part's place; without any it stays; observations: each a
-        likelihood by letter, all of the same sign, independent. Raises ImpossibleEvidenceError: they leave no
-        letter."""
+        """τ: the sign's likelihoods, by letter and independent of one another, take the diagnostic part's place;
+        without any it stays. Raises ImpossibleEvidenceError: they leave no letter."""
         if not observations:
             return belief
         diagnostic = product(self.names, (self.likelihood(seen) for seen in observations), "the sign")
@@ -161,9 +160,8 @@ class WordNode(_HypothesesNode):
         return self._belief({})
 
     def observe(self, observations: Elements, belief: Value) -> Value:
-        """τ: what a letter node reports takes the place of its part; the others stay; observations: ``{"from": node,
-        "likelihood": {word: p, …}}`` each. Raises ImpossibleEvidenceError: the letters leave no word that has a
-        prior."""
+        """τ: what a letter node reports, ``{"from": node, "likelihood": {word: p, …}}``, takes the place of its part;
+        the others stay. Raises ImpossibleEvidenceError: the letters leave no word that has a prior."""
         reported = {seen["from"]: seen["likelihood"] for seen in observations}
         return self._belief({**belief["diagnostic"], **reported})
 

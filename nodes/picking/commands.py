@@ -25,8 +25,8 @@ Command = dict[str, Any]
 
 
 def command(gripper: Array, width_m: float, speed_m_s: float) -> Command:
-    """A command for the gripper; gripper: world_from_gripper. width_m: between the finger pads, metres; less than
-    what is between them squeezes it. speed_m_s: how fast the gripper may go there, m/s."""
+    """A command: world_from_gripper, metres between the finger pads (less than what is between them squeezes it), and
+    how fast the gripper may go there, m/s."""
     return {"gripper": gripper, "width": float(width_m), "speed": float(speed_m_s)}
 
 

@@ -60,8 +60,7 @@ class GraspNode(Node):
         return {"phase": WATCH, "since_s": 0.0, "steady_s": None, **seen, **grasp, "attempts": 0}
 
     def observe(self, observations: Elements, belief: Value, tick: Tick = NO_TICK) -> Value:
-        """τ: the scene as it is tracked, and the phase that follows; observations: as
-        `hierax.nodes.picking.tracker.scene_known` gives them, or none."""
+        """τ: the scene as `hierax.nodes.picking.tracker.scene_known` tells it, and the phase that follows."""
         if not observations:
             return belief
         bodies = tuple(item for item in observations if "pose" in item)

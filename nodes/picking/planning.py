@@ -76,9 +76,8 @@ def before(gripper: Floats, back_m: float = APPROACH_M) -> Floats:
 
 
 def clear(gripper: Floats, width_m: float, boxes: Boxes, clearance_m: float) -> bool:
-    """Whether hand and camera keep clear of boxes and table on the whole approach; gripper: world_from_gripper at
-    its end; width_m: how wide the gripper is open. boxes: everything that is not to be touched, what is to be taken
-    included. clearance_m: how far they are to keep off."""
+    """Whether hand and camera keep so far off all boxes, what is to be taken included, and off the table on the whole
+    approach to world_from_gripper, the gripper being so wide open."""
     hand = _hand(width_m)
     stages = [before(gripper, back) for back in np.linspace(0.0, APPROACH_M, _STAGES)]
     placed = Boxes(

@@ -74,8 +74,8 @@ class PickSpatial(CommandedNode, SpatialNode):
         return {**sensed, "hand": hands[0], "hand_before": belief["hand"]} if hands else sensed
 
     def predict(self, context: Elements, actions: Elements, belief: Value) -> Value:
-        """γ of `SpatialNode`, but for the cube that is held: it goes on as the hand went; context: one element {"held":
-        id of a cube, or None}, from the grasp node."""
+        """γ of `SpatialNode`, but for the cube that the grasp node says is held, {"held": id of a cube, or None}: it
+        goes on as the hand went."""
         predicted = super().predict((), (), belief)
         held = context[0]["held"] if context else None
         if held is None or belief["hand_before"] is None:
@@ -90,8 +90,8 @@ class PickSpatial(CommandedNode, SpatialNode):
 
 
 def arm(scene: int = 0, cubes: int = len(SIDES_M), **options: Any) -> PickArm:
-    """The arm node with a first guess at the cubes' poses, and nothing of their shapes; scene, cubes: as for
-    `hierax.nodes.picking.world.PickWorld`; options: further ones of `ArmNode`."""
+    """The arm node with a first guess at the cubes' poses, and nothing of their shapes; options are further ones of
+    `ArmNode`."""
     camera_from_world = invert(camera_of(gripper_at(HOME_RAD)))
     objects: list[FirstPose] = [
         {"id": number, "obj_id": number, "pose": camera_from_world @ pose}
@@ -101,8 +101,8 @@ def arm(scene: int = 0, cubes: int = len(SIDES_M), **options: Any) -> PickArm:
 
 
 def spatial(scene: int = 0, cubes: int = len(SIDES_M), **options: Any) -> PickSpatial:
-    """The spatial node with a first guess at the cubes' poses, and with their models; the table carries them;
-    scene, cubes: as for `hierax.nodes.picking.world.PickWorld`; options: further ones of `SpatialNode`."""
+    """The spatial node with a first guess at the cubes' poses, and with their models; the table carries them. Options
+    are further ones of `SpatialNode`."""
     objects: list[FirstBody] = []
     for place, pose in zip(planned(scene, cubes), guessed(scene, cubes), strict=True):
         mesh = box_mesh([place.side_m] * 3)

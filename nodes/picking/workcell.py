@@ -95,9 +95,8 @@ class Workcell:
             file.write(panda_text())
 
     def run(self, arm: Arm, cubes: Sequence[Cube], order: Order, steps: int) -> tuple[Arm, list[Cube], list[Touch]]:
-        """Let the arm move and things fall, slide and be held; arm, cubes: as they are; order: what the arm is to
-        do; steps: how long, in steps of `STEP_S`. Returns: How arm and cubes are afterwards, and what each cube then
-        touches."""
+        """Let the arm follow an order, and things fall, slide and be held, for so many steps of `STEP_S`: how arm and
+        cubes are afterwards, and what each cube then touches."""
         iterations = {"numSolverIterations": _SOLVER_ITERATIONS}
         table = prepare(self.bullet, STEP_S, _TABLE_HALF_M, TABLE_FRICTION, **iterations)
         robot = self._create_arm(arm, table)

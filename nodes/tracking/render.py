@@ -108,8 +108,8 @@ class DepthRenderer:
 
 
 def composed(layers: Mapping[int, Layer], window: Window) -> tuple[Array, Array]:
-    """What is seen of all of them: of two at one depth, the first; layers: by label. window: the part of the
-    image that is wanted; it holds all their windows. Returns: As `DepthRenderer.render`, of the window."""
+    """What is seen of layers, by label, in a part of the image that holds all of their windows: depth and labels as
+    `DepthRenderer.render` has them; of two at one depth, the first."""
     width, height = window.size
     nearest = np.zeros((height, width))
     labels = np.zeros((height, width), dtype=np.uint8)

@@ -220,8 +220,7 @@ class ResultsFile:
                 self._append(f"{RESULTS_HEADER}\n".encode("ascii"))
 
     def write(self, im_id: int, objects: Sequence[ScoredPose], time_s: float = -1.0) -> None:
-        """One image's poses; im_id: the image's number. objects: those of the image. time_s: how long the image
-        took. Raises DataError: the file cannot be written."""
+        """One image's poses, and how long it took. Raises DataError: the file cannot be written."""
         lines = [self._line(im_id, item, time_s) for item in objects if item["status"] != LOST]
         with writing(self.path):
             while any(frame == im_id for frame, _ in self._begins):
@@ -292,8 +291,8 @@ class Result(NamedTuple):
 
 
 def read_results(path: str | Path, growing: bool = False) -> list[Result]:
-    """The lines of a BOP results file, in the file's order; path: the file. growing: somebody may be writing it:
-    a last line without its end is left out. Raises DataError: it is missing or a line is damaged."""
+    """The lines of a BOP results file, in the file's order; a last line without its end is left out while the file is
+    growing. Raises DataError: it is missing or a line is damaged."""
     path = Path(path)
     try:
         text = path.read_text(encoding="ascii", errors="replace")

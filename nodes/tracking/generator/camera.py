@@ -27,8 +27,7 @@ class Swing(NamedTuple):
 
 
 def camera_path(swing: Swing, target_m: Array, frames: int, rng: np.random.Generator) -> Floats:
-    """world_from_camera of each frame, (frames, 4, 4); swing: the path; target_m: (3,) what it looks at; frames:
-    how many; rng: draws the hand's tremble."""
+    """world_from_camera (frames, 4, 4) along a path around what it looks at, with a hand's tremble."""
     time_s = np.arange(frames) / FPS
     tremble = np.zeros((frames, 6))
     for frequency_hz in rng.uniform(0.8, 4.0, 5):

@@ -50,8 +50,8 @@ _UPRIGHT = ("objects/mug.obj", "lego/lego.obj", "duck.obj")
 
 
 def turned(profile: Sequence[tuple[float, float]], parts: Sequence[tuple[int, int]] = ()) -> Shape:
-    """What turning a profile about z makes; profile: (radius, height) of its corners from the axis below, outside, to
-    the axis above, metres. parts: pairs of corners between which its outside is convex; none where all of it is."""
+    """What turning a profile about z makes: (radius, height) of its corners from the axis below, outside, to the axis
+    above, metres. Between pairs of corners its outside is convex; where there are none, all of it is."""
     import trimesh
 
     made = trimesh.creation.revolve(np.array(profile), sections=_SECTIONS)

@@ -154,8 +154,7 @@ def pose_error(first: Floats, second: Floats) -> tuple[float, float]:
 
 
 def project(points: Floats, intrinsics: Array) -> Floats:
-    """Pixels (..., 2) of points (..., 3) in the camera's frame, z > 0; points: metres. intrinsics: (4,) fx, fy,
-    cx, cy in pixels."""
+    """Pixels (..., 2) of points (..., 3) in the camera's frame, metres, z > 0, by fx, fy, cx, cy in pixels."""
     fx, fy, cx, cy = (float(part) for part in intrinsics)
     inverse = 1.0 / points[..., 2]
     return np.stack((fx * points[..., 0] * inverse + cx, fy * points[..., 1] * inverse + cy), axis=-1)

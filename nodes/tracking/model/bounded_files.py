@@ -12,8 +12,7 @@ MAX_PIXELS = 1 << 25  # of an image: a small file may unpack to gigabytes
 
 
 def read_file(path: Path, expected: str) -> bytes:
-    """What is in a file; path: of the file; expected: what it should be, for errors. Raises DataError: it is
-    missing, no file, or too large."""
+    """What is in a file. Raises DataError, which says what was expected: it is missing, no file, or too large."""
     try:
         if path.exists() and not path.is_file():  # reading a FIFO waits for ever
             raise DataError(f"{path}: is no file; expected {expected}")

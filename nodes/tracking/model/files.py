@@ -53,8 +53,7 @@ def read_mesh(path: Path, unit_m: float = BOP_UNIT_M) -> Mesh:
 
 
 def write_ply(path: Path, mesh: Mesh, unit_m: float = BOP_UNIT_M) -> None:
-    """Write a mesh as an ascii PLY file; path: the file; its folder must exist. mesh: in metres; unit_m: the
-    file's unit of length in metres."""
+    """Write a mesh (metres) as an ascii PLY file, in a unit of so many metres; its folder must exist."""
     lines = ["ply", "format ascii 1.0", f"element vertex {len(mesh.vertices)}"]
     lines += [f"property double {axis}" for axis in "xyz"]
     lines += [f"element face {len(mesh.faces)}", "property list uchar int vertex_indices", "end_header"]

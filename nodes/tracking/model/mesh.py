@@ -19,8 +19,7 @@ class Mesh(NamedTuple):
 
 
 def box_mesh(size: Sequence[float]) -> Mesh:
-    """A box with its centre at the origin; size: lengths along x, y and z in metres. Raises ValueError: a length
-    is not positive."""
+    """A box with its centre at the origin, by its lengths in metres. Raises ValueError: a length is not positive."""
     lengths = np.asarray(size, dtype=np.float64)
     if lengths.shape != (3,) or not np.all(lengths > 0) or not np.all(np.isfinite(lengths)):
         raise ValueError(f"a box's size must be three positive lengths in metres, got {tuple(size)}")

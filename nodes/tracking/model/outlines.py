@@ -21,8 +21,7 @@ class Outline(NamedTuple):
 
 
 def outline_of(shape: Shape, viewpoint: Floats) -> Outline:
-    """The outline of a shape's smooth surfaces, hidden or not; shape: the object; viewpoint: (3,) the camera's
-    centre, object's frame."""
+    """The outline of a shape's smooth surfaces, hidden or not, from the camera's centre (3,) in the object's frame."""
     towards = np.sum(shape.corner_normals * (viewpoint - shape.corners), axis=1)
     one, two, three = (towards > 0.0)[shape.smooth_corners].T
     smooth = np.nonzero((one != two) | (two != three))[0]
@@ -44,8 +43,7 @@ def outline_of(shape: Shape, viewpoint: Floats) -> Outline:
 
 
 def _beyond(crossed: NDArray[np.int64]) -> NDArray[np.intp]:
-    """The ends that meet, as `chained` takes them; crossed: (n, 2) which side of a triangle each piece begins and ends
-    on."""
+    """The ends that meet, as `chained` takes them, by the side of a triangle on which each begins and ends, (n, 2)."""
     sides = crossed.ravel()
     order = np.argsort(sides, kind="stable")
     meeting = np.nonzero(sides[order][1:] == sides[order][:-1])[0]

@@ -56,7 +56,7 @@ class _Pairs(NamedTuple):
 
 
 def shape_of(vertices: Floats, faces: Array) -> Shape:
-    """Prepare a mesh; vertices: (n, 3) metres; faces: (m, 3) indices of vertices, wound in any way."""
+    """Prepare a mesh of vertices (n, 3) in metres, and faces (m, 3), their indices, wound in any way."""
     vertices, faces = _welded(vertices, np.asarray(faces, dtype=np.int32))
     pairs = _paired(faces)
     if pairs.twisted.any():

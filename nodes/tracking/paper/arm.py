@@ -68,8 +68,7 @@ class PaperArmNode(Node):
         return {"camera": None, "intrinsics": None, "size": None, "frame": None, "objects": self._objects}
 
     def observe(self, observations: tuple[Picture, ...], belief: PaperArmBelief) -> PaperArmBelief:
-        """τ: each object's expected edges matched to the image's line segments, its pose by solvePnP; observations: one
-        element {"image", "camera", "intrinsics", "frame"}, or none."""
+        """τ: each object's expected edges matched to the image's line segments, its pose by solvePnP."""
         if not observations:
             return belief
         seen = observations[0]
@@ -89,9 +88,9 @@ class PaperArmNode(Node):
         }
 
     def predict(self, context: tuple[Imagery, ...], actions: Nothing, belief: PaperArmBelief) -> PaperArmBelief:
-        """γ: where the objects will be, and which of their edges will be seen, both from the context; context: one
-        element as `hierax.nodes.tracking.render.SegmentedDepth` gives it, or none: then the arm knows no shapes, and
-        every object is lost."""
+        """γ: where the objects will be, and which of their edges will be seen, both from the context that
+        `hierax.nodes.tracking.render.SegmentedDepth` gives; without any the arm knows no shapes, and every object is
+        lost."""
         camera = belief["camera"]
         expected = {item["id"]: item for item in context[0]["poses"]} if context else {}
         objects: tuple[PaperObject, ...] = tuple(

@@ -29,7 +29,7 @@ class Drawn(NamedTuple):
 
 
 def homography(face: Face, camera: Floats, intrinsics: Array) -> Floats:
-    """From a face's coordinates (a, b, 1) to pixels, times the depth; camera: world_from_camera."""
+    """From a face's coordinates (a, b, 1) to pixels, times the depth, by world_from_camera and fx, fy, cx, cy."""
     from_world = invert(camera)
     rotation = from_world[:3, :3]
     columns = (rotation @ face.right, rotation @ face.up, transform(from_world, face.corner))
@@ -103,8 +103,8 @@ def drawn_mesh(
 
 
 def drawn(body: Thing, camera: Floats, intrinsics: Array, size: tuple[int, int], samples: int) -> list[Drawn]:
-    """What of a body looks at the camera and may be in the picture; camera: world_from_camera; intrinsics: fx,
-    fy, cx, cy in pixels; size: width and height in pixels. samples: per pixel, along each axis."""
+    """What of a body looks at the camera (world_from_camera; fx, fy, cx, cy in pixels) and may be in the picture
+    (width, height), with so many samples per pixel along each axis."""
     curved, view = body.curved(), (camera, intrinsics, size, samples)
     towards = [face for face in body.faces() if face.normal @ (camera[:3, 3] - face.corner) > 0]
     found = [drawn_face(face, *view) for face in towards] + ([drawn_mesh(curved, *view)] if curved else [])

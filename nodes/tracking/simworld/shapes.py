@@ -110,9 +110,8 @@ def regular(corners: int, radius_m: float, length_m: float) -> Shape:
 def extruded(
     outline: Floats | Sequence[tuple[float, float]], length_m: float, cells: Sequence[Sequence[int]] = ()
 ) -> Shape:
-    """A prism over a polygon in the plane of x and y, from z = -length_m / 2 to length_m / 2; outline: (n, 2)
-    corners, counter-clockwise, metres; length_m: along z. cells: indices of corners of convex polygons that the outline
-    consists of; none where it is convex."""
+    """A prism over a polygon in the plane of x and y, its corners counter-clockwise, from z = -length_m / 2 to length_m
+    / 2. Where the outline is not convex, `cells` are the convex polygons, by corners, of which it consists."""
     corners = np.asarray(outline, dtype=np.float64)
     count = len(corners)
     pieces = [list(cell) for cell in cells] or [list(range(count))]
