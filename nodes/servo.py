@@ -154,11 +154,8 @@ class MotionNode(Node):
 
 
 class MeasuredPosition:
-    """φ from the world to N₁: {½kt² + ν}.
-
-    Args: noise: the standard deviation of ν, which is normal, in metres.
-    Raises ValueError: it is no number of 0 or more.
-    """
+    """φ from the world to N₁: {½kt² + ν}; ν is normal, with this standard deviation in metres. Raises ValueError: that
+    is no number of 0 or more."""
 
     def __init__(self, noise: float = NOISE) -> None:
         is_number = isinstance(noise, (int, float)) and math.isfinite(noise)

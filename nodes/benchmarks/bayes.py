@@ -182,12 +182,8 @@ def _pgmpy(network: Description) -> Update:
 
 
 class Limit:
-    """Level by level in float64, for a tree whose nodes have equally many states.
-
-    Nothing is checked: no evidence, no underflow, no impossible evidence; what is 0 divides by 0.
-
-    Args: network: each parent stands before its children.
-    """
+    """Level by level in float64, for a tree whose parents stand before their children and whose nodes have equally many
+    states. Nothing is checked: no evidence, no underflow, no impossible evidence; what is 0 divides by 0."""
 
     def __init__(self, network: Description) -> None:
         parents = {entry["id"]: entry["parents"][0] if entry["parents"] else "" for entry in network}

@@ -30,12 +30,8 @@ class Starts:
 
 
 def bench_starts(scenes: Sequence[Scene], settings: Sequence[str], folder: Path, told: Tell) -> list[Starts]:
-    """Track scenes without first poses.
-
-    Args: scenes: which; settings: further ones of the deployment, ``path=value``. folder: where results files go; told:
-        told what is going on.
-    Raises HieraxError: a scene cannot be read, or a node failed.
-    """
+    """Track scenes without first poses, with further settings ``path=value`` of the deployment; results files go into
+    the folder. Raises HieraxError: a scene cannot be read, or a node failed."""
     errors: dict[str, list[ObjectErrors]] = {}
     times: dict[str, list[float]] = {}
     for scene in scenes:

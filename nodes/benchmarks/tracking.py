@@ -156,15 +156,8 @@ class Speed:
 def generated(
     by: Generator, names: Sequence[str], seeds: int, frames: int, exact: bool, folder: Path, told: Tell
 ) -> list[Scene]:
-    """Write scenes.
-
-    Args:
-        by: what writes them; names: of their kinds; seeds: how many of each kind, from seed 0 on; frames: of each.
-        exact: whether start and camera are told as they are.
-        folder: where the datasets go; told: told what is going on.
-
-    Raises HieraxError: something cannot be written, or the generator failed.
-    """
+    """Write scenes of these kinds, seeds from 0 on, as datasets into a folder; `exact`: start and camera are told as
+    they are. Raises HieraxError: something cannot be written, or the generator failed."""
     scenes = []
     for name, seed in product(names, range(seeds)):
         told(f"{name}, seed {seed}: drawing {frames} frames")
@@ -177,12 +170,8 @@ def generated(
 def bench_tracking(
     scenes: Sequence[Scene], ways: Sequence[str], settings: Sequence[str], folder: Path, told: Tell
 ) -> list[Row]:
-    """Track scenes in several ways.
-
-    Args: scenes: which; ways: of `WAYS`; settings: further ones of the deployment, ``path=value``. folder: where
-        results files go, and what the arm believed; told: told what is going on.
-    Raises HieraxError: a scene cannot be read, or a node failed.
-    """
+    """Track scenes in several of `WAYS`, with further settings ``path=value`` of the deployment; results files go into
+    the folder, and what the arm believed. Raises HieraxError: a scene cannot be read, or a node failed."""
     tracked: dict[tuple[str, str], list[Tracked]] = {}
     for scene, way in product(scenes, ways):
         told(f"{scene.name}, seed {scene.seed}: {way}")
@@ -207,12 +196,8 @@ def gains(rows: Sequence[Row]) -> list[Gain]:
 
 
 def bench_speed(frames: int, rounds: int, settings: Sequence[str], folder: Path, told: Tell) -> list[Speed]:
-    """Launch the deployment over Zenoh, each node a process, on scenes of one object and of several.
-
-    Args: frames: of each scene, read from disk ahead of time; rounds: how often each is launched, in turn. settings:
-        further ones of the deployment. folder: where the datasets go; told: told what is going on.
-    Raises HieraxError: a process failed.
-    """
+    """Launch the deployment over Zenoh in turn, each node a process, on scenes of one object and of several, with
+    frames that are read from disk ahead of time. Raises HieraxError: a process failed."""
     deployments = {}
     for objects in SPEED_OBJECTS:
         told(f"drawing {frames} frames with {objects} objects")

@@ -31,11 +31,8 @@ def posteriors(network: Description | Network, evidence: Evidence) -> dict[Name,
 
 
 class Inference:
-    """The posteriors of one network, for a stream of evidence sets. For one thread at a time.
-
-    Args: network: as `parse` takes it.
-    Raises NetworkError: it is no network, or has a loop.
-    """
+    """The posteriors of one network, as `parse` takes it, for a stream of evidence sets. For one thread at a time.
+    Raises NetworkError: it is no network, or has a loop."""
 
     def __init__(self, network: Description | Network) -> None:
         self.network = parse(network)

@@ -45,12 +45,8 @@ def network_from(source: Source) -> Network:
 
 
 def random_tree(nodes: int, states: int, seed: int) -> list[dict[str, Any]]:
-    """The description of a random tree, ``n0`` its root: each node's parent is drawn among those before it.
-
-    Args: nodes: how many. states: of each node. seed: of all draws; distributions are drawn evenly from all that there
-        are.
-    Raises NetworkError: it would be too large.
-    """
+    """The description of a random tree, ``n0`` its root: each node's parent is drawn among those before it,
+    distributions evenly from all that there are. Raises NetworkError: it would be too large."""
     if nodes > MAX_NODES or states > MAX_STATES:
         raise NetworkError(f"network: at most {MAX_NODES} nodes of {MAX_STATES} states are allowed")
     check_tables({"n0": (states,), "others": (max(nodes - 1, 0), states, states)})
@@ -65,12 +61,8 @@ def random_tree(nodes: int, states: int, seed: int) -> list[dict[str, Any]]:
 
 
 def likelihoods(network: Network, name: Name, value: object) -> Floats:
-    """Evidence as a user may write it, as a likelihood vector.
-
-    Args: network: that the node is of. name: the node. value: a state's name, its number from 0, or likelihoods, one
-        for each state.
-    Raises EvidenceError: there is no such node or state, or the numbers are no likelihoods.
-    """
+    """Evidence of a node as a user may write it, a state's name, its number from 0, or likelihoods, one for each state,
+    as a likelihood vector. Raises EvidenceError: there is no such node or state, or the numbers are no likelihoods."""
     if name not in network.variables:
         raise EvidenceError("there is no such node", name)
     variable = network.variables[name]

@@ -227,14 +227,9 @@ def part_things(
     posteriors: Mapping[str, Floats],
     seen: Collection[str],
 ) -> Things:
-    """The part's network, each node with its most probable state; the posteriors, or how sure the part is on average.
-
-    Args:
-        arrows: from parents, which may be in other parts, to the part's nodes.
-        states: by node of the part, its states' names.
-        posteriors: by node, P(state | evidence); all 0 where the evidence contradicts itself.
-        seen: the nodes of which there is evidence.
-    """
+    """The part's network, each node with its most probable state, in another colour where there is evidence of it; the
+    posteriors, or how sure the part is on average. Arrows are from parents, which may be in other parts; posteriors are
+    all 0 where the evidence contradicts itself."""
     if len(posteriors) <= FEW_NODES:
         rows = {name: zip(states[name], row, strict=True) for name, row in posteriors.items()}
         things = {f"posterior/{name}/{state}": float(p) for name, row in rows.items() for state, p in row}

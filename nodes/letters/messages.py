@@ -33,12 +33,8 @@ def is_number(value: object) -> bool:
 
 
 def weights(names: Sequence[str], values: Sequence[float], what: str) -> dict[str, float]:
-    """Numbers that a user gave, as a message.
-
-    Args: names: the hypotheses; values: one number of 0 or more for each, not all 0. what: the parameter's name, for
-        the error.
-    Raises ValueError: the values are no such numbers.
-    """
+    """Numbers that a user gave as a parameter, one of 0 or more for each hypothesis and not all 0, as a message. Raises
+    ValueError: they are none."""
     expected = f"{what}: expected {len(names)} numbers, for {', '.join(names)}"
     if isinstance(values, (str, bytes)) or not isinstance(values, Sequence) or len(values) != len(names):
         raise ValueError(f"{expected}; got {values!r}")

@@ -99,12 +99,8 @@ class PictureWorld(World):
 
 
 class GlyphCamera:
-    """φ from the world to a letter node: a camera that looks at one sign.
-
-    Args: letter: which one, from 1; noise: standard deviation of the sensor's noise, in grey values. size: height and
-        width of a sign, in pixels.
-    Raises ValueError: noise or size are out of range.
-    """
+    """φ from the world to a letter node: a camera that looks at one sign, from 1, of so many pixels' height and width;
+    noise: standard deviation of the sensor's, in grey values. Raises ValueError: noise or size are out of range."""
 
     def __init__(self, letter: int, noise: float, size: int = 32) -> None:
         if not is_number(noise) or noise < 0:

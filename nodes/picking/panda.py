@@ -47,12 +47,8 @@ def gripper_at(joints: Floats) -> Floats:
 
 
 def joints_for(gripper: Floats, start: Floats, iterations: int = 60) -> tuple[Floats, float]:
-    """Joint angles that bring the gripper to a pose: damped least squares.
-
-    Args: gripper: world_from_gripper; start: (7,) where to begin, radians; iterations: at most so many steps.
-    Returns: (7,) radians, within the joints' limits, and how far off the gripper then is: metres or radians, whichever
-        is more.
-    """
+    """Joint angles (7,), within the joints' limits, that bring the gripper to a pose, from a start by at most so many
+    steps of damped least squares; and how far off it then is: metres or radians, whichever is more."""
     joints = np.array(start, dtype=np.float64)
     for _ in range(iterations):
         error, jacobian = _error(gripper, joints)

@@ -57,11 +57,8 @@ class PickArm(CommandedNode, ArmNode):
 
 
 class PickSpatial(CommandedNode, SpatialNode):
-    """A spatial node in whose imagination the cube that the hand holds moves with the hand.
-
-    Its belief has ``hand``, as the arm felt it (None before the first observation), and ``hand_before``, the same an
-    epoch earlier.
-    """
+    """A spatial node in whose imagination the cube that the hand holds moves with the hand. Its belief has ``hand``, as
+    the arm felt it (None before the first observation), and ``hand_before``, the same an epoch earlier."""
 
     def initial_belief(self) -> Value:
         """The belief of `SpatialNode`; nothing is known of the hand yet."""
@@ -121,11 +118,8 @@ def poses_and_hand_seen(belief: Value) -> Elements:
 
 
 def scene_known(belief: Value) -> Elements:
-    """φ of the spatial node: the bodies as boxes, and the hand.
-
-    Returns: Of each body {"id", "pose": world_from_box, its centre in the origin, "size": (3,) m, "covariance",
-        "status"}, then {"hand"}; none before the first observation.
-    """
+    """φ of the spatial node: of each body {"id", "pose": world_from_box, its centre in the origin, "size": (3,) m,
+    "covariance", "status"}, then {"hand"}; none before the first observation."""
     if belief["hand"] is None:
         return ()
     boxes = []

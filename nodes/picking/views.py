@@ -35,12 +35,8 @@ class SceneView:
     def draw(
         self, belief: Value, view: Sequence[float], lens: Sequence[float], size: tuple[int, int]
     ) -> tuple[Array, Array]:
-        """The scene of a world's belief.
-
-        Args: belief: of `hierax.nodes.picking.world.PickWorld`. view, lens: OpenGL's view and projection matrices,
-            (16,), by columns; size: width and height in pixels.
-        Returns: uint8 RGB (h, w, 3), and int32 (h, w), whose body is seen, -1 for none.
-        """
+        """The scene of a world's belief, by OpenGL's view and projection matrices (16,), by columns: uint8 RGB (h, w,
+        3), and int32 (h, w), whose body is seen, -1 for none."""
         bullet = self._bullet
         for joint, place in zip((*range(JOINTS), *FINGERS), (*belief["joints"], *belief["fingers"]), strict=True):
             bullet.resetJointState(self.arm, joint, place)
@@ -68,11 +64,8 @@ class SceneView:
 
 
 class Views(Probe):
-    """Draws the world from beside the table, into ``views/`` in the output folder, with a contact sheet at the end.
-
-    Args: every: from one picture to the next, in frames; width, height: of the pictures, in pixels.
-    Raises ValueError: `every` is below 1.
-    """
+    """Draws the world from beside the table, one frame of so many, into ``views/`` in the output folder, with a
+    contact sheet at the end. Raises ValueError: `every` is below 1."""
 
     def __init__(self, every: int = 16, width: int = 480, height: int = 360) -> None:
         if every < 1:

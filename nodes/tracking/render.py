@@ -66,12 +66,9 @@ class DepthRenderer:
         self._held: dict[int, tuple[Item, LayerRenderer]] = {}
 
     def layers(self, items: Sequence[Item], intrinsics: Array, size: tuple[int, int]) -> dict[int, Layer]:
-        """Each item alone, by its label, in the order of labels; without those that cannot be in the image.
-
-        Args: items: what is drawn, in any order. intrinsics: (4,) fx, fy, cx, cy in pixels, pixel centres at integers.
-            size: width and height in pixels.
-        Raises ValueError: labels are doubled or out of range.
-        """
+        """Each item alone, by its label, in the order of labels, without those that cannot be in the image (width,
+        height) of a camera (fx, fy, cx, cy in pixels, pixel centres at integers). Raises ValueError: labels are doubled
+        or out of range."""
         ordered = sorted(items, key=lambda item: item.label)
         labels = [item.label for item in ordered]
         if len(set(labels)) != len(labels) or not all(1 <= label <= 255 for label in labels):
@@ -80,13 +77,8 @@ class DepthRenderer:
         return {label: layer for label, layer in found.items() if layer is not None}
 
     def render(self, items: Sequence[Item], intrinsics: Array, size: tuple[int, int]) -> tuple[Array, Array]:
-        """Depth and labels of the items as a pinhole camera sees them.
-
-        Args: items, intrinsics, size: as for `layers`.
-        Returns: depth (h, w) float32, z in the camera's frame in metres, 0 where nothing is; labels (h, w) uint8, 0
-            where nothing is.
-        Raises ValueError: labels are doubled or out of range.
-        """
+        """What a pinhole camera sees of the items: depth (h, w) float32, z in the camera's frame in metres, and labels
+        (h, w) uint8, both 0 where nothing is. Raises ValueError: labels are doubled or out of range."""
         return composed(self.layers(items, intrinsics, size), Window(0, 0, *size))
 
     def renderer(self, item: Item) -> LayerRenderer:
@@ -125,13 +117,9 @@ def composed(layers: Mapping[int, Layer], window: Window) -> tuple[Array, Array]
 
 
 class SegmentedDepth:
-    """ϱ of the spatial node: the scene that it expects, as a depth image and a label image (theory, example 3).
-
-    An edge function with a renderer of its own, which is only a cache.
-
-    Args: occlusion: whether the bodies hide one another; else each one's controls are those of its own model, as if it
-        were alone.
-    """
+    """ϱ of the spatial node: the scene that it expects, as a depth image and a label image (theory, example 3). An edge
+    function with a renderer of its own, which is only a cache. Without `occlusion` each body's controls are those of
+    its own model, as if it were alone."""
 
     def __init__(self, occlusion: bool = True) -> None:
         self._renderer = DepthRenderer()
@@ -139,12 +127,8 @@ class SegmentedDepth:
         self._occlusion = occlusion
 
     def __call__(self, belief: SpatialBelief) -> tuple[Imagery, ...]:
-        """One element, or none before the camera is known.
-
-        Args: belief: of the spatial node.
-        Returns: The part of the image that holds all bodies; of each body the control points whose chance to be seen is
-            at least `LEAST_CHANCE`.
-        """
+        """The part of the image that holds all bodies, and of each body the control points whose chance to be seen is
+        at least `LEAST_CHANCE`: one element, or none before the camera is known."""
         camera, intrinsics, size = belief["camera"], belief["intrinsics"], belief["size"]
         if camera is None or intrinsics is None or size is None:
             return ()

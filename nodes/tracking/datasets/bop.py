@@ -66,11 +66,8 @@ class SceneObject(NamedTuple):
 
 
 class BopScene:
-    """A scene folder. Reading the constructor's files checks them; images and models are read when asked for.
-
-    Args: folder: ``DATASET/SPLIT/000001``.
-    Raises DataError: a file is missing or damaged; it is named.
-    """
+    """A scene folder, ``DATASET/SPLIT/000001``. Reading the constructor's files checks them; images and models are read
+    when asked for. Raises DataError: a file is missing or damaged; it is named."""
 
     def __init__(self, folder: str | Path) -> None:
         self.folder = Path(folder)

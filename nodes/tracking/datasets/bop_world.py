@@ -71,12 +71,8 @@ def frame_seen(belief: SceneBelief) -> tuple[Picture, ...]:
 
 
 class ReadAhead:
-    """Files in an order, of which the next are read in a thread while one is used.
-
-    What `read` returns or raises does not depend on it.
-
-    Args: paths: the images; depth: how many are read ahead at most; read: reads one.
-    """
+    """Images in an order, of which the next, at most `depth`, are read in a thread while one is used. What `read`
+    returns or raises does not depend on it."""
 
     def __init__(self, paths: Sequence[Path], depth: int = AHEAD, read: Callable[[Path], Array] = read_image) -> None:
         self._read = read

@@ -35,12 +35,9 @@ class TruePose(NamedTuple):
 
 
 def read_truth(folder: Path) -> dict[int, list[TruePose]]:
-    """All frames of a folder with ``scene_gt.json`` and, where visible shares are known, ``scene_gt_info.json``.
-
-    Args: folder: of a scene in the BOP format, or apart from one; models are looked for where such a scene has them.
-    Returns: By frame, in order.
-    Raises DataError: a file is missing or damaged, or an object stands twice in a frame.
-    """
+    """By frame, in order, all of a folder with ``scene_gt.json`` and, where visible shares are known,
+    ``scene_gt_info.json``; models are looked for where a scene in the BOP format has them. Raises DataError: a file is
+    missing or damaged, or an object stands twice in a frame."""
     path = folder / POSES
     entries = read_json(path)
     infos = read_json(folder / SHARES) if (folder / SHARES).is_file() else {}

@@ -136,12 +136,8 @@ class Pictures(Probe):
 
 
 def overlay(image: Array, expected: AnyArmBelief | None, corrected: AnyArmBelief) -> Array:
-    """An image with the edges of an arm's beliefs over it.
-
-    Args: image: uint8, (h, w) gray or (h, w, 3) RGB. expected: the arm's belief as predicted, before the image; None
-        for none. corrected: its belief after the image, of whose camera it knows.
-    Returns: uint8 RGB (h, w, 3).
-    """
+    """An image, uint8, (h, w) gray or (h, w, 3) RGB, with the edges of an arm's beliefs over it, as predicted before it
+    (None for none) and after it, when the camera is known; uint8 RGB (h, w, 3)."""
     picture: Array = cv2.cvtColor(image, cv2.COLOR_GRAY2RGB) if image.ndim == 2 else np.array(image)
     camera, intrinsics = corrected["camera"], corrected["intrinsics"]
     assert camera is not None

@@ -64,10 +64,8 @@ class BopResults(Probe):
 
 class Truth(Probe):
     """The simulated world's true poses, seen by its camera, as a BOP results file ``truth.csv`` in the output folder.
-
     Of a scene folder's world nothing is written: it knows no truth. A frame that is told again replaces what was
-    written of it.
-    """
+    written of it."""
 
     prompt = True
 

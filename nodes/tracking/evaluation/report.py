@@ -33,11 +33,8 @@ _INK, _RULE, _PAPER = (60, 60, 60), (222, 222, 222), 255
 
 
 class ErrorPlot(Probe):
-    """Draws the errors of a run into ``errors.png`` of its output folder at its end, where the truth is known.
-
-    Args: truth: folder with the true poses of a scene folder's frames; None for those that a simulated world's `Truth`
-        has written.
-    """
+    """Draws the errors of a run into ``errors.png`` of its output folder at its end, where the truth is known: from the
+    folder with the true poses of a scene folder's frames, or as a simulated world's `Truth` has written it."""
 
     def __init__(self, truth: str | None = None) -> None:
         self._truth = None if truth is None else Path(truth)
@@ -61,12 +58,8 @@ class ErrorPlot(Probe):
 
 
 def read_errors(output: Path, truth: Path | None = None) -> list[ObjectErrors]:
-    """Compare a run's poses with the truth.
-
-    Args: output: the run's output folder. truth: folder with ``scene_gt.json`` of all frames; None for ``truth.csv`` of
-        the run.
-    Raises DataError: one of the files is missing or damaged, or there is no true pose.
-    """
+    """Compare the poses in a run's output folder with the truth: ``scene_gt.json`` of all frames in a folder, or
+    ``truth.csv`` of the run. Raises DataError: one of the files is missing or damaged, or there is no true pose."""
     errors = _errors(output, truth)
     if errors is not None:
         return errors

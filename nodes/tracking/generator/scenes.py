@@ -80,12 +80,9 @@ def write_scene(
 
 
 def write_said(out: Path, models: Sequence[Mesh], told: Told, silent: Sequence[int] = ()) -> Path:
-    """Write all of a scene but its pictures: models, and what is told of camera and start; its folder.
-
-    Of the models of `silent` numbers nothing is said of symmetries; of the others, that they have none.
-
-    Raises DataError: something cannot be written.
-    """
+    """Write all of a scene but its pictures: models, and what is told of camera and start; its folder. Of the models of
+    `silent` numbers nothing is said of symmetries; of the others, that they have none. Raises DataError: something
+    cannot be written."""
     scene = out / "test" / SCENE
     with writing():
         _write_models(out / "models", models, silent)

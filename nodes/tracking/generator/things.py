@@ -89,12 +89,8 @@ def greys(rng: np.random.Generator, count: int, middle: float) -> list[tuple[int
 def scattered(
     items: Sequence[Item], rng: np.random.Generator, radius_m: float, gap_m: float, taken: Sequence[Thing] = ()
 ) -> list[Thing] | None:
-    """Put items on the table, at random in a disc around the origin.
-
-    Args: items: in the order in which they take their places; rng: draws places and turns; radius_m: of the disc.
-        gap_m: least room between two of them; taken: what stands there already.
-    Returns: One thing for each item; None where no room was found.
-    """
+    """Put items on the table, one after the other, at random in a disc around the origin, with some room between them
+    and what is taken already; None where no room was found."""
     placed: list[Thing] = []
     prints = [footprint(thing, gap_m) for thing in taken]
     for item in items:

@@ -31,12 +31,9 @@ _FACE_LISTS = ("vertex_indices", "vertex_index")
 
 
 def read_mesh(path: Path, unit_m: float = BOP_UNIT_M) -> Mesh:
-    """A mesh from a file; its ending says in which format. Polygons are cut into triangles, vertices stay as they are.
-
-    Args: path: of a PLY, OBJ, STL or glTF file; unit_m: the file's unit of length in metres, but of glTF, where it is
-        1.
-    Raises DataError: the file is missing or damaged; it names file, element or vertex, and what was expected.
-    """
+    """A mesh from a PLY, OBJ, STL or glTF file; polygons are cut into triangles, vertices stay as they are. The unit of
+    length, in metres, is not that of glTF, where it is 1. Raises DataError: the file is missing or damaged; it names
+    file, element or vertex, and what was expected."""
     kind = path.suffix.lower()
     if kind not in _READERS:
         raise DataError(f"{path}: expected a model that ends in {', '.join(_READERS)}")

@@ -65,12 +65,8 @@ def image_lines(image: Array) -> Floats:
 
 
 def expected_lines(depth: Array, labels: Array, label: int, intrinsics: Array) -> Floats:
-    """The visible edges of one object, by Laplacian and Hough transform.
-
-    Args: depth: (h, w) metres along the camera's z, 0 where nothing is; labels: (h, w) uint8, which object is seen.
-        label: the object; intrinsics: (4,) fx, fy, cx, cy of the images in pixels.
-    Returns: End points (n, 2, 3) in the frame of the camera that the images were rendered from, metres.
-    """
+    """The visible edges of one object, by Laplacian and Hough transform, from depth (h, w) in metres, 0 where nothing
+    is, and labels (h, w): end points (n, 2, 3) in the frame of the camera that these were rendered from, metres."""
     left, top, width, height = cv2.boundingRect((labels == label).view(np.uint8))
     if width == 0:
         return np.zeros((0, 2, 3))
@@ -102,12 +98,8 @@ def _edge_pixels(inverse: Floats, others: Floats) -> NDArray[np.uint8]:
 
 
 def match_lines(lines: Floats, expected: Floats, predicted: Floats, intrinsics: Array) -> LineMatch | None:
-    """Correct a predicted pose by line segments.
-
-    Args: lines: (n, 2, 2) of `image_lines`. expected: (m, 2, 3) end points of the expected edges, object's frame,
-        metres. predicted: camera_from_object; intrinsics: (4,) fx, fy, cx, cy in pixels.
-    Returns: The corrected pose; None where too few of the edges are found.
-    """
+    """Correct a predicted pose, camera_from_object, by line segments (n, 2, 2) of `image_lines` and the end points (m,
+    2, 3) of the expected edges, object's frame, metres; None where too few of the edges are found."""
     pose = predicted
     matched = np.zeros(0, dtype=np.intp)
     for gate_px in _GATES_PX:

@@ -73,12 +73,9 @@ def light_on(
 
 
 def shadows(corners: Floats, face: Face, lamp: Lamp = LAMP) -> list[Floats]:
-    """Where a convex part keeps the lamp's light from a face's plane.
-
-    Args: corners: of the part, (n, 3), world frame; face: whose plane it falls on; lamp: the light.
-    Returns: For each point of the lamp a convex polygon (n, 2) in the face's coordinates a and b; none where nothing of
-        the part is between the plane and the light, or where the face is out of the shadow.
-    """
+    """Where a convex part (corners (n, 3), world frame) keeps the lamp's light from a face's plane: for each point of
+    the lamp a convex polygon (n, 2) in the face's coordinates a and b; none where nothing of the part is between the
+    plane and the light, or where the face is out of the shadow."""
     normal = face.normal
     heights = (corners - face.corner) @ normal
     rays = _rays(lamp)

@@ -62,12 +62,8 @@ def draw(
 
 
 def develop(image: Array, blur_px: float, noise: float, rng: np.random.Generator) -> Array:
-    """What a sensor makes of a picture.
-
-    Args: image: light of `draw`; blur_px: standard deviation of the lens's blur, in pixels. noise: standard deviation
-        of the sensor's noise, in grey levels of 256. rng: draws the noise.
-    Returns: uint8 RGB, encoded as screens want it.
-    """
+    """What a sensor makes of the light of a picture, RGB uint8, encoded as screens want it; blur of the lens in pixels,
+    noise of the sensor in grey levels of 256, both standard deviations."""
     if blur_px > 0.0:
         image = cv2.GaussianBlur(image, (0, 0), blur_px)
     image = np.float32(255.0) * cv2.pow(np.clip(image, 0.0, 1.0), 1.0 / GAMMA)
