@@ -61,15 +61,8 @@ class Whole(NamedTuple):
 
 
 class Fragment:
-    """Some nodes of a network.
-
-    Args: network: the whole, or at least these nodes and their parents; names: the nodes.
-
-    Attributes:
-        names: the nodes, in the network's order.
-        sizes: their numbers of states.
-        states: by node, its states' names.
-    """
+    """Some nodes of a network, of which the whole is given, or at least these nodes and their parents; `names` are the
+    nodes in the network's order, `sizes` their numbers of states, `states`, by node, the states' names."""
 
     def __init__(self, network: Network, names: Iterable[str]) -> None:
         held = set(names)

@@ -23,15 +23,10 @@ Shown = dict[str, int | tuple[float, ...]]  # an evidence set: by node, the numb
 def as_deployment(
     description: Description, sets: Sequence[Mapping[str, Any]], parts: Mapping[str, Sequence[str]] | None = None
 ) -> dict[str, Any]:
-    """A network as the content of a deployment file.
-
-    Args:
-        description: of the network.
-        sets: evidence sets, as `EvidenceWorld` takes them; each is shown as long as it takes to be exact.
-        parts: by name of a hierarchy's node, the network's nodes that it holds; by default each by itself.
-
-    Raises NetworkError: it is no network, a node is in no part or in two, or the parts' arrows go round in a circle.
-    """
+    """A network as the content of a deployment file, with evidence sets as `EvidenceWorld` takes them, each shown as
+    long as it takes to be exact, and by name of a hierarchy's node the network's nodes that it holds, by default each
+    by itself. Raises NetworkError: it is no network, a node is in no part or in two, or the parts' arrows go round in a
+    circle."""
     network = parse(description)
     if parts is None:
         parts = {str(name): (str(name),) for name in network.variables}

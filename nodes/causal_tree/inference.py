@@ -20,13 +20,9 @@ state it is. Nodes that are left out have no evidence."""
 
 
 def posteriors(network: Description | Network, evidence: Evidence) -> dict[Name, Floats]:
-    """All exact posteriors of a causal tree or polytree.
-
-    Args: network: as `parse` takes it. evidence: likelihood vectors by node.
-    Returns: By node, in the order of the description, P(state | evidence); shape (states,), float64, read-only.
-    Raises NetworkError: it is no network, or has a loop. EvidenceError: it is no evidence. ImpossibleEvidence: its
-        probability is 0; names the node where this shows.
-    """
+    """All exact posteriors of a causal tree or polytree, as `parse` takes it: by node, in the order of the description,
+    P(state | evidence), shape (states,), float64, read-only. Raises NetworkError: it is no network, or has a loop.
+    EvidenceError: it is no evidence. ImpossibleEvidence: its probability is 0; names the node where this shows."""
     return Inference(network).update(evidence)
 
 

@@ -76,14 +76,9 @@ def draw_picture(letters: str, ambiguity: float, size: int) -> Picture:
 
 
 class PictureWorld(World):
-    """N₀: signs drawn in a row.
-
-    Belief: ``{"letters": …, "ambiguity": …}``; the picture follows from it and is not kept.
-
-    Args: letters: the signs, each of A, C, E, H, T or ``?``, the sign between H and A. ambiguity: how far ``?`` is on
-        the way from H (0) to A (1).
-    Raises ValueError: a sign is unknown, or the ambiguity is not from 0 to 1.
-    """
+    """N₀: signs drawn in a row, each of A, C, E, H, T or ``?``, which is so far on the way from H (0) to A (1). Belief:
+    ``{"letters": …, "ambiguity": …}``; the picture follows from it and is not kept. Raises ValueError: a sign is
+    unknown, or the ambiguity is not from 0 to 1."""
 
     def __init__(self, letters: str, ambiguity: float = 0.5) -> None:
         known = (*DRAWN, AMBIGUOUS)

@@ -100,13 +100,8 @@ class _HypothesesNode(Node):
 
 
 class LetterNode(_HypothesesNode):
-    """N₁, N₂, N₃: which letter a sign is.
-
-    ``diagnostic`` is p(sign | letter), ``causal`` what the word expects there; both are uniform until something is
-    known.
-
-    Args: words: the vocabulary; letter: the place, from 1.
-    """
+    """N₁, N₂, N₃: which letter, of those that the words have at a place from 1, a sign is. ``diagnostic`` is p(sign |
+    letter), ``causal`` what the word expects there; both are uniform until something is known."""
 
     def __init__(self, words: Sequence[str], letter: int) -> None:
         self.names = letters_at(words, letter)
@@ -143,13 +138,9 @@ class LetterNode(_HypothesesNode):
 
 
 class WordNode(_HypothesesNode):
-    """N₄: which word the letters are.
-
-    ``diagnostic`` has a part for each letter node, by its name; ``causal`` is the prior.
-
-    Args: words: the vocabulary. priors: one number of 0 or more for each word, up to a factor; by default all equal.
-    Raises ValueError: these are no words or no priors.
-    """
+    """N₄: which word the letters are. ``diagnostic`` has a part for each letter node, by its name; ``causal`` is the
+    prior, one number of 0 or more for each word, up to a factor; by default all are equal. Raises ValueError: these are
+    no words or no priors."""
 
     def __init__(self, words: Sequence[str], priors: Sequence[float] | None = None) -> None:
         self.names = check_words(words)

@@ -41,14 +41,9 @@ class Place(NamedTuple):
 
 
 def planned(scene: int, cubes: int = len(SIDES_M)) -> tuple[Place, ...]:
-    """The places of all cubes of a scene.
-
-    In every other scene the second cube stands on the first. The third one stands close to the first, so that one of
-    them hides the other and keeps the gripper from some of its sides.
-
-    Args: scene: number of the scene, from 0; cubes: how many, from 1 to 5.
-    Raises ValueError: a number is out of its range, or there is no room.
-    """
+    """The places of all cubes, 1 to 5, of a scene, from 0. In every other scene the second cube stands on the first.
+    The third one stands close to the first, so that one of them hides the other and keeps the gripper from some of its
+    sides. Raises ValueError: a number is out of its range, or there is no room."""
     if not 1 <= cubes <= len(SIDES_M):
         raise ValueError(f"cubes is {cubes}; expected a number from 1 to {len(SIDES_M)}")
     if scene < 0:

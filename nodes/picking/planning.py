@@ -42,16 +42,10 @@ class Grasp(NamedTuple):
 
 
 def choose(bodies: Sequence[Mapping[str, Any]], eligible: Sequence[int]) -> Grasp | None:
-    """The easiest grasp of any eligible box.
-
-    From above is easier than from the side, little turning is easier than much. A grasp is possible where nothing lies
-    on the box, hand and camera keep clear of all boxes and of the table all along the approach, and the arm reaches
-    both ends of it.
-
-    Args: bodies: {"id", "pose": world_from_box, "size": (3,) m} of all boxes; the table is z = 0. eligible: ids of
-        those that may be taken.
-    Returns: The grasp; None where there is none.
-    """
+    """The easiest grasp of any eligible box, by id; None where there is none. Of the bodies, {"id", "pose":
+    world_from_box, "size": (3,) m}, all are told; the table is z = 0. From above is easier than from the side, little
+    turning is easier than much. A grasp is possible where nothing lies on the box, hand and camera keep clear of all
+    boxes and of the table all along the approach, and the arm reaches both ends of it."""
     boxes = _boxes(bodies)
     free = [index for index, body in enumerate(bodies) if body["id"] in eligible and _uncovered(boxes, index)]
     found = [(cost, grasp, pose) for index in free for cost, grasp, pose in _candidates(bodies[index])]

@@ -117,13 +117,9 @@ class PickWorld(CommandedNode, World):
 
 
 def picture_and_hand_seen(belief: Value, tick: Tick = NO_TICK) -> Elements:
-    """φ of the world: the camera's picture and what the arm feels of itself.
-
-    The camera is mounted so that nothing of the arm is in its view. The arm throws no shadow.
-
-    Returns: One element {"image", "camera", "intrinsics", "frame", "hand"}; the hand is {"gripper": world_from_gripper,
-        by the joints' angles; "width": metres between the finger pads}.
-    """
+    """φ of the world: {"image", "camera", "intrinsics", "frame", "hand"}, the camera's picture and what the arm feels
+    of itself, {"gripper": world_from_gripper, by the joints' angles; "width": metres between the finger pads}. The
+    camera is mounted so that nothing of the arm is in its view. The arm throws no shadow."""
     cubes = [Thing(body["pose"], cube(body["side_m"]), tuple(body["colour"])) for body in belief["bodies"]]
     picture = draw(cubes, belief["camera"], belief["intrinsics"], tuple(belief["size"]))
     image = develop(picture, belief["blur_px"], belief["noise"], tick.rng)

@@ -66,13 +66,9 @@ class Beliefs(Probe):
 
 
 def judge(file: Path, truth: Mapping[int, Sequence[TruePose]]) -> None:
-    """Add the truth to a file of `Beliefs`, to those of its entries that are of an object that the truth knows.
-
-    Adds ``visible`` (share, 0 to 1), ``distance_mm``, ``angle_deg`` and ``twist``, the ξ with which
-    ``pose @ exp_se3(ξ)`` is the truth, in metres and radians: what ``covariance`` is of.
-
-    Raises DataError: the file cannot be written.
-    """
+    """Add the truth to a file of `Beliefs`, to those of its entries that are of an object that the truth knows:
+    ``visible`` (share, 0 to 1), ``distance_mm``, ``angle_deg`` and ``twist``, the ξ with which ``pose @ exp_se3(ξ)`` is
+    the truth, in metres and radians: what ``covariance`` is of. Raises DataError: the file cannot be written."""
     true = {(frame, pose.obj_id): pose for frame, poses in truth.items() for pose in poses}
     with np.load(file) as archive:
         columns = dict(archive)

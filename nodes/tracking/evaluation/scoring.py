@@ -115,13 +115,8 @@ class Score(NamedTuple):
 def object_errors(
     results: Iterable[Result], truth: Mapping[int, Sequence[TruePose]], displaced: bool = False
 ) -> list[ObjectErrors]:
-    """Each true object's errors, by its number.
-
-    Args:
-        results: poses that were given, of one scene; truth: by frame, as `read_truth` gives it.
-        displaced: whether models are imprecise: each may lie beside its object by a displacement that is the same in
-            all frames, the median of what was given.
-    """
+    """The errors of each true object, by its number, in the poses given of one scene. Where models are imprecise each
+    may lie beside its object, displaced alike in all frames, by the median of what was given."""
     given = {(result.obj_id, result.im_id): result.pose for result in results}
     true: dict[int, list[tuple[int, TruePose]]] = {}
     for frame, poses in truth.items():

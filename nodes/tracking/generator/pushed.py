@@ -48,12 +48,8 @@ class _Plan(NamedTuple):
 def pushed(
     rng: np.random.Generator, frames: int, intrinsics: Array, size: tuple[int, int]
 ) -> tuple[list[Thing], Floats, Floats, Thing, Floats]:
-    """A scene of six objects; see the module.
-
-    Args: rng: draws everything; frames: how many; intrinsics: fx, fy, cx, cy in pixels; size: of the pictures, (w, h).
-    Returns: The objects, their poses (frames, 6, 4, 4), the camera's (frames, 4, 4), the rod, and its poses (frames, 4,
-        4).
-    """
+    """A scene of six objects, see the module, seen with fx, fy, cx, cy in pictures (w, h): the objects, their poses
+    (frames, 6, 4, 4), the camera's (frames, 4, 4), the rod, and its poses (frames, 4, 4)."""
     plan = _planned(rng)
     poses, rods = _simulated(plan, frames)
     azimuth_deg, elevation_deg = -90.0 + rng.uniform(-4.0, 4.0), rng.uniform(26.0, 30.0)

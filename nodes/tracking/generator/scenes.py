@@ -94,12 +94,9 @@ def write_said(out: Path, models: Sequence[Mesh], told: Told, silent: Sequence[i
 def write_truth(
     out: Path, camera: Floats, intrinsics: Array, poses: Sequence[Sequence[Floats]], shares: Sequence[Floats]
 ) -> None:
-    """Write what is true of a scene.
-
-    Args: out: the dataset's folder; camera: world_from_camera of each frame; intrinsics: fx, fy, cx, cy in pixels.
-        poses: camera_from_object of each object in each frame; shares: of each in each the visible share.
-    Raises DataError: something cannot be written.
-    """
+    """Write what is true of a scene into the dataset's folder: world_from_camera of each frame and fx, fy, cx, cy in
+    pixels, camera_from_object of each object in each frame, and of each in each the visible share. Raises DataError:
+    something cannot be written."""
     folder = out / "truth" / SCENE
     objects = {str(frame): _objects(each) for frame, each in enumerate(poses)}
     infos = [[{"visib_fract": round(float(share), 4)} for share in each] for each in shares]

@@ -222,11 +222,9 @@ def _straight_on(vertices: Floats, edges: Ints) -> NDArray[np.intp]:
 
 
 def chained(beyond: NDArray[np.intp], ring_end: int) -> tuple[NDArray[np.intp], Flags, Ints]:
-    """An order in which pieces follow one another, whether each is turned round in it, and the chains' numbers.
-
-    Args: beyond: (2n,) of each piece's two ends the end that it meets, one after the other; -1: none. ring_end: with
-        which end of its first piece, 0 or 1, a ring begins.
-    """
+    """An order in which pieces follow one another, whether each is turned round in it, and the chains' numbers, from
+    which end of which piece each of its two ends meets, (2n,), -1 for none; a ring begins with this end, 0 or 1, of its
+    first piece."""
     across = beyond.tolist()
     # From the ends of open chains first; what is left after that are rings.
     starts = np.concatenate((np.nonzero(beyond < 0)[0], np.arange(ring_end, len(across), 2)))

@@ -105,13 +105,9 @@ def _turned_back(away: Floats, free: Floats) -> Floats:
 
 
 def found_symmetry(mesh: Mesh, tolerance_m: float = TOLERANCE_M) -> Symmetry:
-    """The motions after which a surface lies where it lay, as far as that can be told from it.
-
-    Axes are looked for through the surface's centre: those of inertia and, where these are not unique, those towards
-    corners, along edges' middles and square to sides.
-
-    Args: mesh: the surface; tolerance_m: how far points may lie beside it after a turn.
-    """
+    """The motions after which a surface lies where it lay, with points at most so far beside it, as far as that can be
+    told from it. Axes are looked for through its centre: those of inertia and, where these are not unique, those
+    towards corners, along edges' middles and square to sides."""
     surface = _Surface(mesh)
     centre, tolerance_m = surface.centre, min(tolerance_m, _LEAST_SHARE * float(np.ptp(mesh.vertices, axis=0).max()))
     radii = np.linalg.norm(surface.asked - centre, axis=1)

@@ -45,17 +45,9 @@ LAMP = Lamp()
 def light_on(
     face: Face, parts: Sequence[Floats], size: tuple[int, int], homography: Floats, lamp: Lamp = LAMP
 ) -> Array:
-    """How bright a white face is, shadows included.
-
-    Args:
-        face: the face.
-        parts: corners (n, 3) of the convex parts that may throw a shadow on it, world frame; its own may be among them.
-        size: width and height of the result.
-        homography: from the face's coordinates to pixels of the result, all of them in front of the camera.
-        lamp: the light.
-
-    Returns: float32 (h, w).
-    """
+    """How bright a white face is, shadows included, float32 (h, w), with a homography from the face's coordinates to
+    pixels of the result, all of them in front of the camera. Of the convex parts, corners (n, 3) in the world's frame,
+    that may throw a shadow on it, its own may be one."""
     slope = max(0.0, float(lamp.direction @ face.normal))
     light = np.full((size[1], size[0]), lamp.ambient + lamp.diffuse * slope, np.float32)
     thrown = [shadows(corners, face, lamp) for corners in parts]

@@ -49,12 +49,10 @@ def draw(
     lamp: Lamp = LAMP,
     wood: Wood = WOOD,
 ) -> Array:
-    """The light of the picture, before a lens blurs and a sensor encodes it.
-
-    Args: bodies: above the plane z = 0, and in front of the camera; camera: world_from_camera, 4x4, above that plane.
-        intrinsics: fx, fy, cx, cy in pixels; size: width and height in pixels; lamp: the light; wood: of the table.
-    Returns: RGB light, float32 (h, w, 3), 0 to 1; colours and lamps are told as a screen shows them.
-    """
+    """The light of the picture, RGB float32 (h, w, 3), 0 to 1, before a lens blurs and a sensor encodes it; colours and
+    lamps are told as a screen shows them. Bodies are above the plane z = 0 and in front of the camera
+    (world_from_camera), which is above that plane, too; intrinsics are fx, fy, cx, cy in pixels, size is (width,
+    height)."""
     parts = [corners for body in bodies for corners in body.parts()]
     image = _draw_table(parts, camera, intrinsics, size, lamp, wood)
     _draw_bodies(image, bodies, parts, camera, intrinsics, lamp)
