@@ -17,6 +17,7 @@ from hierax.schemas.errors import SchemaError
 from hierax.schemas.messages import Message
 
 IDLE_S = 0.5  # how long a node may get no further before it asks whether it is still part of the hierarchy
+AT_ONCE = 256  # how many messages are taken in before anything else is looked at
 REST = 10_000  # how many messages are looked at when the run is over
 
 _log = logging.getLogger("hierax")
@@ -93,8 +94,9 @@ class NodeLoop:
                 return
             if self.watch is not None:
                 self.watch.serve()
-            while self._take_next(self.port.poll):
-                continue
+            for _ in range(AT_ONCE):
+                if not self._take_next(self.port.poll):
+                    break
             if self._due and self.member.runner is not None:
                 self._due = self.order.rate_hz is None  # the next turn may be due before this one is over
                 if self.member.runner.poll():

@@ -92,9 +92,7 @@ class NodeWorker:
     def stop(self) -> None:
         """Make the node's thread come to its end."""
         self._stopping.set()
-        # What wakes a node goes through its queue. Where that is full, and the thread has ended meanwhile, it waits for
-        # ever; who stops the node does not.
-        threading.Thread(target=self._wake, name="wake", daemon=True).start()
+        self._wake()
 
     def finish(self) -> None:
         """Make the run come to its end, if this is the world's process."""

@@ -4,6 +4,9 @@ Zenoh keeps what comes in a queue that is bounded by number, whatever its messag
 them one by one, little waits there. While that thread is elsewhere, in an operator for instance, another one looks in
 from time to time, drops what nobody wants, and keeps the rest as long as its bytes are within `WAITING_BYTES`. It does
 so for the sake of large messages: of small ones it takes a few only, so that who sends many of them waits as ever.
+
+A thread that sleeps in Zenoh's queue is woken by what is put there, which waits where that is full. So that nobody who
+interrupts the node is held up, this is done only while the thread sleeps, and it makes room before it goes on.
 """
 
 from __future__ import annotations
@@ -11,7 +14,7 @@ from __future__ import annotations
 import os
 import threading
 from collections import deque
-from collections.abc import Container
+from collections.abc import Callable, Container
 from typing import Any
 
 import zenoh
@@ -23,22 +26,43 @@ LOOKS = 60  # how often the node's thread looks for a message before it sleeps: 
 WAITING_BYTES = MAX_MESSAGE_BYTES  # how much waits beside Zenoh's queue: any message does, if nothing else does
 LARGE_BYTES = 1 << 20  # from this on a message is a large one
 SMALL_AT_ONCE = 8  # how many small messages are looked through at once, to see what is behind them
+ROOM_S = 0.001  # after which who is woken makes more room for what is to wake it
 SAMPLE_BYTES = 64 * 1024  # as what a message counts at least: the buffer that Zenoh has read it into is kept with it
 
 
 class Inbox:
-    """The messages for one node, in the order in which they came."""
+    """The messages for one node, in the order in which they came.
 
-    def __init__(self, subscriber: zenoh.Subscriber[Any]) -> None:
+    Attributes:
+        interrupted: whether the node's thread is to look at something else; who takes messages takes that back.
+    """
+
+    def __init__(self, subscriber: zenoh.Subscriber[Any], wake: Callable[[], None]) -> None:
+        self.interrupted = False
         self._subscriber = subscriber  # to their keys, with a queue of `QUEUE_SIZE`
+        self._wake = wake  # puts something there; waits while it is full
+        self._deciding = threading.Lock()  # held for no longer than it takes to see whether the node's thread sleeps
+        self._sleeps = False
+        self._putting = threading.Lock()  # held by who wakes it
         self._taking = threading.Lock()  # held by whoever takes from Zenoh's queue
         self._kept: deque[zenoh.Sample] = deque()
         self._kept_bytes = 0
         self._taken = 0  # how many the node's thread has asked for
         self._taken_before = 0  # likewise, when the other one looked in last
 
+    def interrupt(self) -> None:
+        """Have the node's thread look at something else than messages; any thread may, and none waits for long."""
+        self.interrupted = True
+        with self._deciding:  # if it does not sleep, it looks whether it was interrupted before it does
+            wakes = self._sleeps and self._putting.acquire(blocking=False)
+        if wakes:
+            try:
+                self._wake()
+            finally:
+                self._putting.release()
+
     def take(self, waits: bool) -> zenoh.Sample | None:
-        """The next message: looked for a moment, then slept for, if it may wait.
+        """The next message: looked for a moment, then slept for, if it may wait; None: none, or interrupted.
 
         In an epoch of small messages the next one is some ten microseconds away, and a thread that sleeps on a
         processor that sleeps takes longer than that to wake. Raises `zenoh.ZError` if the session is closed.
@@ -54,7 +78,7 @@ class Inbox:
                 if found is not None or not waits:
                     return found
                 os.sched_yield()
-            return self._subscriber.recv()
+            return self._sleep()
 
     def relieve(self, wanted: Container[str]) -> set[str]:
         """Look after what waits while the node's thread does not; to be called from time to time, by another one.
@@ -71,6 +95,23 @@ class Inbox:
                 self._taking.release()
         return dropped
 
+    def _sleep(self) -> zenoh.Sample | None:
+        self._sleeps = True
+        try:
+            return None if self.interrupted else self._subscriber.recv()
+        finally:
+            with self._deciding:
+                self._sleeps = False
+            while not self._putting.acquire(timeout=ROOM_S):
+                sample = self._subscriber.try_recv()
+                if sample is not None:
+                    self._keep(sample, _bytes(sample))
+            self._putting.release()
+
+    def _keep(self, sample: zenoh.Sample, size: int) -> None:
+        self._kept.append(sample)
+        self._kept_bytes += size
+
     def _look_through(self, wanted: Container[str], dropped: set[str]) -> None:
         is_read, self._taken_before = self._taken != self._taken_before, self._taken
         small = SMALL_AT_ONCE if is_read or len(self._kept) >= QUEUE_SIZE else QUEUE_SIZE
@@ -85,8 +126,7 @@ class Inbox:
             if self._kept_bytes + size > WAITING_BYTES:
                 dropped.add(key)
                 continue
-            self._kept.append(sample)
-            self._kept_bytes += size
+            self._keep(sample, size)
 
 
 def _bytes(sample: zenoh.Sample) -> int:

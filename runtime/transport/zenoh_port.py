@@ -55,7 +55,6 @@ class ZenohPort(Port):
         self._keys = keys  # of the run
         self._name = name  # of the node
         self._process = process or "0"
-        self._interrupted = False
         self._closed = False
         self._early: deque[Message] = deque()
         # replaced, never changed in place: other threads read them
@@ -66,7 +65,8 @@ class ZenohPort(Port):
         self.absent = AbsentProcesses()  # processes of the run that were there, and whose links broke
         self._own_key = keys.edge(INTERRUPT, name, name)
         try:
-            self._inbox = Inbox(session.declare_subscriber(keys.inbox(name), zenoh.handlers.FifoChannel(QUEUE_SIZE)))
+            queue = zenoh.handlers.FifoChannel(QUEUE_SIZE)
+            self._inbox = Inbox(session.declare_subscriber(keys.inbox(name), queue), self._wake)
             liveliness = session.liveliness()
             # a token that nobody refers to undeclares itself
             self._token = liveliness.declare_token(keys.alive(name, self._process))
@@ -131,8 +131,6 @@ class ZenohPort(Port):
             peer, kind = self._lanes.get(key, ("", ""))
             _log.warning("%s: dropped %s messages from %s: too much waits", self._name, kind, peer)
             self._lost(peer)
-        if self._interrupted:
-            self.interrupt()  # the wake-up may be among what nobody wanted
 
     def send(self, message: Message) -> None:
         header = message.header
@@ -149,7 +147,9 @@ class ZenohPort(Port):
         return self._next(waits=False)
 
     def interrupt(self) -> None:
-        self._interrupted = True
+        self._inbox.interrupt()
+
+    def _wake(self) -> None:
         try:
             self._session.put(self._own_key, b"", express=True)
         except zenoh.ZError:
@@ -223,18 +223,26 @@ class ZenohPort(Port):
             self._put_all(greeting)
 
     def _next(self, connecting: bool = False, waits: bool = True) -> Message | None:
-        """The next message; None when interrupted, closed, or, while connecting, after a greeting that was the last."""
-        while not self._interrupted:
+        """The next message.
+
+        None: there is none, where nobody waits for one; or it was interrupted or closed, or, while connecting, a
+        greeting came that was the last.
+        """
+        while not (waits and self._inbox.interrupted):
             try:
                 sample = self._inbox.take(waits)
             except zenoh.ZError:
                 return None  # the session is closed
             if sample is None:
-                return None
+                if not waits:
+                    return None
+                break  # it was interrupted
             key = str(sample.key_expr)
             lane = self._lanes.get(key)
-            if lane is None:
-                continue  # a wake-up; or from one that is no neighbour any more, or not yet, and will say it again
+            if lane is None:  # a wake-up; or from one that is no neighbour any more, or not yet, and will say it again
+                if self._inbox.interrupted and not waits:
+                    return None  # there may be any number of them
+                continue
             message = decode_message(sample.payload.to_bytes())
             header = message.header
             if lane == (header.sender, header.kind):
@@ -244,7 +252,7 @@ class ZenohPort(Port):
             self._hear(lane, key, message)
             if connecting and self.ready:
                 return None
-        self._interrupted = False
+        self._inbox.interrupted = False
         return None
 
     def _hear(self, lane: Lane, key: str, message: Message) -> None:

@@ -231,6 +231,51 @@ def test_zenoh_wakes_a_node_whose_wake_up_was_looked_through(pair: dict[str, Zen
             port.close()
 
 
+def test_zenoh_does_not_hold_up_who_interrupts_a_node_that_takes_nothing_any_more(pair: dict[str, ZenohPort]) -> None:
+    low, up = pair["low"], pair["up"]
+
+    def is_full() -> bool:
+        """Whether a put to the port waits."""
+        putting = threading.Thread(target=lambda: up._session.put(up._own_key, b""), daemon=True)
+        putting.start()
+        putting.join(0.5)
+        return putting.is_alive()
+
+    def flood() -> None:
+        for _ in range(4 * inbox.QUEUE_SIZE):
+            low._session.put(low._keys.edge(CONTEXT, "nobody", "up"), b"")
+
+    flooding = threading.Thread(target=flood, daemon=True)
+    flooding.start()
+    try:
+        until(is_full, "a full queue")
+        interrupting = threading.Thread(target=lambda: [up.interrupt() for _ in range(10)], daemon=True)
+        interrupting.start()
+        interrupting.join(60.0)
+        assert not interrupting.is_alive()
+        assert up.receive() is None, "an interruption comes before messages"
+        until(lambda: up.poll() is None and not flooding.is_alive(), "room for all")
+    finally:
+        for port in pair.values():
+            port.close()
+
+
+def test_zenoh_polls_messages_however_often_a_node_is_interrupted(pair: dict[str, ZenohPort]) -> None:
+    low, up = pair["low"], pair["up"]
+    try:
+        low.send(Message(Header(OBSERVATIONS, "low", "up", 7), ()))
+
+        def comes() -> Message | None:
+            up.interrupt()
+            return up.poll()
+
+        until(comes, "a message")
+        assert up.receive() is None, "the interruption is not forgotten"
+    finally:
+        for port in pair.values():
+            port.close()
+
+
 def test_zenoh_connects_whatever_comes_before_a_greeting() -> None:
     hello = encode_message(Message(Header(HELLO, "low", "up", 0), ("hi",)))
     ports = open_zenoh([("low", "up")], early=[b"", b"\xc1\x00", hello]).values()

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import queue
+import threading
 from collections import deque
+from collections.abc import Callable
 from typing import Any, NamedTuple, cast
 
 import zenoh
@@ -36,7 +39,7 @@ class Queue(deque[Sample]):
 
 
 def inbox_of(queue: Queue) -> Inbox:
-    return Inbox(cast("zenoh.Subscriber[Any]", queue))
+    return Inbox(cast("zenoh.Subscriber[Any]", queue), lambda: None)
 
 
 def test_small_messages_stay_in_the_queue_that_holds_their_senders_up() -> None:
@@ -71,3 +74,48 @@ def test_nothing_is_looked_through_while_the_node_waits() -> None:
     with inbox._taking:
         assert not inbox.relieve({KEY})
     assert len(queue) == 1
+
+
+class Full(queue.Queue[Sample]):
+    """Zenoh's, as one who puts into it meets it: others are always quicker, and the next one waits."""
+
+    def __init__(self) -> None:
+        super().__init__(QUEUE_SIZE)
+        self.put_first: Callable[[], None] = lambda: None
+
+    def try_recv(self) -> Sample | None:
+        return None if self.empty() else self.get()
+
+    def recv(self) -> Sample:
+        self.put_first()
+        return self.get()
+
+
+def test_who_interrupts_a_node_is_not_held_up_by_a_queue_that_filled_up_meanwhile() -> None:
+    full, woken = Full(), Sample(Payload(0), "wake")
+    others = [Sample(Payload(size)) for size in range(QUEUE_SIZE)]
+    waking = threading.Event()
+
+    def wake() -> None:
+        for each in others:
+            full.put(each)
+        waking.set()
+        full.put(woken)
+
+    inbox = Inbox(cast("zenoh.Subscriber[Any]", full), wake)
+    interrupting = threading.Thread(target=inbox.interrupt, daemon=True)
+
+    def put_first() -> None:  # the node's thread sleeps, and has what it sleeps for as the other one begins to wake it
+        interrupting.start()
+        assert waking.wait(60.0)
+
+    full.put_first = put_first
+    came = [inbox.take(waits=True)]
+    interrupting.join(60.0)  # nobody takes anything any more
+    assert not interrupting.is_alive()
+    inbox.interrupt()
+    while (sample := inbox.take(waits=False)) is not None:
+        came.append(sample)
+    assert came == [*others, woken]
+    assert inbox.take(waits=True) is None
+    assert inbox.interrupted
