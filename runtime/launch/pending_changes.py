@@ -53,6 +53,11 @@ class PendingChanges:
         change = self._changes.get(request)
         return {} if change is None else change.policies
 
+    def in_force(self, request: str) -> bool:
+        """Whether a change was made, or was answered so long ago that nobody knows."""
+        change = self._changes.get(request)
+        return change is None or "epoch" in change.answer
+
     def answer(self, request: str, epoch: int, refusal: str) -> Mapping[str, RestartPolicy] | None:
         """Take in the first epoch under a change, or a refusal; its new nodes' policies, or None: nobody waits."""
         change = self._changes.get(request)

@@ -196,13 +196,28 @@ class RosterSupervisor(ProcessSupervisor):
             await self.send_to_owner(Lost(name, child.token, True))
             await anyio.sleep(2 * BEAT_S)  # it may have been taken in just now
             if self.current.get(name) is not child:
-                self._on_answer(child.order.request, 0, str(child.failure or f"{name}: its process has ended"))
+                await self._on_end_beside(child)
                 return
         child.state = ProcessState.RESTARTING
         try:
             await self._replace(child)
         finally:
             child.state = ProcessState.ENDED
+
+    async def _on_end_beside(self, child: Child) -> None:
+        """One has ended that was not taken in yet; or was replaced, and waits for what replaces it to do an epoch."""
+        request = child.order.request
+        if request and not self.changes.in_force(request):
+            self._on_answer(request, 0, str(child.failure or f"{child.name}: its process has ended"))
+            return
+        delay_s = None if self.ending or self.finished.is_set() else self._restarts[child.name].delay_s(child)
+        if delay_s is None:
+            await self.send_to_owner(Lost(child.name, child.token, False))
+            return
+        self.notify(f"{child.last_words}; it is started again")
+        await anyio.sleep(delay_s)
+        if not self.ending:
+            await super().start(self.orders.again(child.order, token_hex(8), {}, ()))
 
     async def _replace(self, child: Child) -> None:
         """Have another process come in the place of one that has ended, or end the run."""

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 from hierax.runtime.owner.context import OwnerContext, OwnerPart
 from hierax.runtime.owner.members import UNDONE
-from hierax.runtime.owner.plan import Request
+from hierax.runtime.owner.plan import Born, Request
 from hierax.runtime.owner.planning import Planning
 from hierax.runtime.owner.suspicions import Suspicions
 from hierax.schemas.changes import Attach
@@ -45,6 +47,8 @@ class Arrivals(OwnerPart):
             return
         elif word.request or name not in members.roster.nodes:
             self._effects.send_order(process, Dismiss(f"{name}: nobody asks for it (any more)"))
+        elif word.epoch != NEVER and word.version < members.born[name][0]:
+            self._on_replaced(word)
         elif name in members.lost:
             self._on_back(word)
 
@@ -52,7 +56,7 @@ class Arrivals(OwnerPart):
         """An epoch was committed, as lost processes had done their part: those in their place may be behind."""
         for (name, key), process in list(self.members.newcomers.items()):
             saved = self.members.saved(process)
-            why = "" if key or saved is None else self._unsound(name, *saved)
+            why = "" if key or saved is None else self._unsound(self.members.born[name], *saved)
             if why:
                 del self.members.newcomers[name, key]
                 plan = self.planning.plan
@@ -66,10 +70,7 @@ class Arrivals(OwnerPart):
         members = self.members
         if members.comes_back(name):
             return
-        if word.epoch != NEVER and word.version < members.born[name][0]:
-            self._effects.send_order(process, Dismiss(f"{name}: another node has taken its place"))
-            return
-        why = word.refusal or self._unsound(name, word.epoch, word.attempt)
+        why = word.refusal or self._unsound(members.born[name], word.epoch, word.attempt)
         version = members.roster.version
         if word.version > version:  # the world's record was damaged, and what it falls back to is too old
             why = f"it was in version {word.version} of the roster, and the hierarchy is in {version}"
@@ -79,14 +80,29 @@ class Arrivals(OwnerPart):
         members.come_back(name, process, word.epoch, word.attempt)
         self.planning.reconsider()
 
-    def _unsound(self, name: str, epoch: int, attempt: int) -> str:
-        """Why a process with a checkpoint of this attempt of an epoch cannot go on."""
+    def _on_replaced(self, word: Join) -> None:
+        """A process in the place of one that was replaced and has died."""
+        name, process = word.name, word.process
+        trial = self.members.trial
+        if trial is None or trial.name != name:
+            self._effects.send_order(process, Dismiss(f"{name}: another node has taken its place"))
+        elif not trial.process:
+            why = word.refusal or self._unsound(trial.born, word.epoch, word.attempt)
+            if why:
+                self._effects.send_order(process, Dismiss(why))
+                self.members.trial = replace(trial, gone=why)
+            else:
+                self.members.trial = replace(trial, process=process, came_back=True, gone="")
+            self.planning.reconsider()
+
+    def _unsound(self, born: Born, epoch: int, attempt: int) -> str:
+        """Why a process with a checkpoint of this attempt of an epoch cannot go on; its node was born so."""
         last, last_attempt = self.progress.epoch, self.progress.last_attempt
-        if epoch == NEVER and last >= self.members.born[name][1]:
+        if epoch == NEVER and last >= born[1]:
             return f"it has no checkpoint, and its node has taken part in epoch {last}"
         if self._policy.overlaps and epoch <= last:
             return ""  # where epochs overlap a node may be behind
-        has_part = self.members.born[name][1] <= last  # else it holds the state that it came with, of no attempt
+        has_part = born[1] <= last  # else it holds the state that it came with, of no attempt
         if epoch == last and attempt != last_attempt and has_part:
             why = f"its checkpoint is of attempt {attempt} of epoch {epoch}, and attempt {last_attempt} counts"
             forged = ", the last one: somebody else has sent it observations, or the world's record was damaged"

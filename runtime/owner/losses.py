@@ -6,7 +6,7 @@ from dataclasses import replace
 
 from hierax.runtime.owner.context import OwnerContext, OwnerPart
 from hierax.runtime.owner.effects import DETACH
-from hierax.runtime.owner.plan import Request
+from hierax.runtime.owner.plan import Request, Trial
 from hierax.runtime.owner.planning import Planning
 from hierax.runtime.owner.roster_changes import Undo
 from hierax.schemas.changes import Detach
@@ -84,8 +84,10 @@ class Losses(OwnerPart):
 
     def _on_lost(self, name: str, process: str, restarts: bool) -> None:
         members, planning = self.members, self.planning
-        if members.trial is not None and members.trial.process == process:
-            members.trial = replace(members.trial, process="")
+        trial = members.trial
+        others = (members.processes.get(name), *members.newcomers.values())
+        if trial is not None and trial.name == name and process not in others:
+            self._on_replaced_lost(trial, process, restarts)
         for (other, key), newcomer in list(members.newcomers.items()):
             if newcomer == process:
                 del members.newcomers[other, key]
@@ -104,6 +106,14 @@ class Losses(OwnerPart):
         if not restarts:
             self._give_up(name, "its process is lost and is not started again")
         planning.reconsider()
+
+    def _on_replaced_lost(self, trial: Trial, process: str, restarts: bool) -> None:
+        """A process of what was replaced has died, which waits until what replaces it has done an epoch."""
+        if process == trial.process:
+            trial = replace(trial, process="", came_back=False)
+        if not trial.process and not restarts:
+            trial = replace(trial, gone="its process is lost and is not started again")
+        self.members.trial = trial
 
     def _on_newcomer_lost(self, key: str, name: str) -> None:
         planning = self.planning

@@ -29,11 +29,13 @@ class Trial:
 
     name: str  # of the node
     before: Roster  # the roster that was in force before
-    process: str  # of what it has replaced, which waits; empty: it has died
+    process: str  # of what it has replaced, which waits; empty: it has died, and another one may come
     born: Born  # of that
     alone: bool  # what held for that; None where nothing was said
     on_loss: str | None  # likewise
     rejoin_timeout_s: float | None  # likewise
+    came_back: bool = False  # whether that process has come in the place of one that has died
+    gone: str = ""  # why no process of what it has replaced can come; empty: one may
 
 
 @dataclass

@@ -89,7 +89,8 @@ class Planning(OwnerPart):
         if self.plan is not None:
             return
         back = self.members.back
-        for request in [*self.queue, None]:
+        undo = [request for request in self.queue if isinstance(request.change, Undo)]
+        for request in undo or [*self.queue, None]:  # the epoch cannot be done as it is
             if request is not None and not self._can_be_tried(request):
                 continue
             if self._try(request, back):
@@ -106,10 +107,8 @@ class Planning(OwnerPart):
             return False
         change = request.change
         lost = self.members.lost
-        if isinstance(change, Undo) and not self._replaced_process(change.name):
-            why = self.members.failures.get(change.name, "")
-            self._effects.stop(f"{why}; and the process of what {change.name} has replaced has died")
-            return False
+        if isinstance(change, Undo):
+            return self._can_be_undone(request, change.name)
         if not request.key and isinstance(change, Detach) and change.name not in lost:
             self.queue.remove(request)  # it is back, or detached already
             return False
@@ -121,10 +120,16 @@ class Planning(OwnerPart):
             return False  # the epoch under way may be committed after all, with another state than was handed over
         return not self._missing(request)
 
-    def _replaced_process(self, name: str) -> str:
-        """The process that takes its place again when what has replaced it fails; empty: it has died."""
+    def _can_be_undone(self, request: Request, name: str) -> bool:
+        """Whether what was replaced is there; where it has died, another process of it is waited for."""
         trial = self.members.trial
-        return trial.process if trial is not None and trial.name == name else ""
+        if trial is None or trial.name != name:
+            self.queue.remove(request)  # it is detached
+            return False
+        if trial.gone:
+            why = self.members.failures.get(name, "")
+            self._effects.stop(f"{why}; and what {name} has replaced cannot go on: {trial.gone}")
+        return bool(trial.process)
 
     def _try(self, request: Request | None, back: set[str]) -> bool:
         """Make a plan of a change and the nodes that are back; whether that could be done now."""
@@ -141,7 +146,9 @@ class Planning(OwnerPart):
         back = back & roster.nodes.keys() - {undone}
         if (self.members.lost.keys() - back - {undone}) & roster.nodes.keys() or not (request or along or back):
             return False  # others are lost and not back, or there is nothing to do
-        instances = {**roster.instances, **dict.fromkeys(sorted(back), version)}
+        trial = self.members.trial
+        anew = back | ({undone} if trial is not None and trial.name == undone and trial.came_back else set())
+        instances = {**roster.instances, **dict.fromkeys(sorted(anew), version)}
         self._prepare(replace(roster, version=version, instances=instances), request, along, frozenset(back))
         return True
 
@@ -182,8 +189,8 @@ class Planning(OwnerPart):
             if isinstance(request.change, Replace) and request.change.name not in members.lost:
                 replaced = {request.change.name: members.processes[request.change.name]}
             processes.update({name: members.newcomers[name, request.key] for name in request.new_nodes})
-            if isinstance(request.change, Undo):
-                processes[request.change.name] = self._replaced_process(request.change.name)
+            if isinstance(request.change, Undo) and members.trial is not None:
+                processes[request.change.name] = members.trial.process
         waiting = set(touched(members.roster, roster)) | {roster.world}
         urgent = bool(members.lost) or (request is not None and isinstance(request.change, Undo))
         self.plan = Plan(roster, processes, request, along, back, waiting, urgent, now, now, replaced)

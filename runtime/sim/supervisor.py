@@ -152,7 +152,6 @@ class SimSupervisor(Supervision):
     def stop(self, why: str) -> None:
         self._around.journal.trace(f"owner stops the run: {why}")
         checker = self._around.checker
-        checker.excused |= "has replaced has died" in why  # neither of two nodes in one place can go on
         checker.excused |= checker.foretold and "somebody else" in why
         self.stopped = why
 

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import os
+import signal
+
 from hierax.runtime import NO_TICK, Elements, Tick, Value
 from hierax.runtime.sim.nodes import Mix, Mixer
 
@@ -36,6 +39,23 @@ class Failing(Mixer):
     def _raise(self, operator: str, epoch: int) -> None:
         if operator == self._operator and epoch >= self._epoch:
             raise RuntimeError("out of luck")
+
+
+class Killing(Failing):
+    """Kills a process before it raises.
+
+    Args:
+        name: as `Mixer` has it.
+        pid: of the process.
+    """
+
+    def __init__(self, name: str, pid: int) -> None:
+        super().__init__(name)
+        self._pid = pid
+
+    def observe(self, observations: Elements, belief: Value, tick: Tick = NO_TICK) -> Value:
+        os.kill(self._pid, signal.SIGKILL)
+        return super().observe(observations, belief, tick)
 
 
 class FailingMix(Mix):

@@ -160,6 +160,20 @@ def test_what_fails_in_its_first_epoch_is_refused_and_what_it_was_to_replace_goe
     live.is_repeated_by()
 
 
+def test_what_was_replaced_and_dies_before_what_replaces_it_fails_goes_on_from_its_checkpoint(live: Live) -> None:
+    pid = live.run["nodes"]["high"]["pid"]
+    instead = live.folder / "instead.yaml"
+    node = 'nodes:\n  high: {class: "support.failing_nodes:Killing", parameters: {name: high, pid: %d}}\n'
+    instead.write_text(node % pid, encoding="utf-8")
+    done = live.hierax("replace", "high", str(instead))
+    assert re.match(r"error: high: observe in epoch \d+: RuntimeError: out of luck \(", done.stderr), done.stderr
+    assert done.stderr.endswith("; what it was to replace goes on\n")
+    live.launch.says("high: its process ended by signal SIGKILL; it is started again")
+    live.goes_on()
+    assert live.run["nodes"]["high"]["pid"] not in (0, pid)
+    live.is_repeated_by()
+
+
 def test_what_fails_later_is_detached_there(live: Live) -> None:
     path = failing(live, 0, "low", "count", "Mix", epoch=40)
     epoch = live.change("attach", path)

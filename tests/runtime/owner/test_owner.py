@@ -282,12 +282,59 @@ def test_who_is_told_of_a_trial() -> None:
     assert {order.tried for _, order in owned.hear(propose(Detach("high"), "c2"))[1:]} == {()}
 
 
-def test_where_what_was_replaced_has_died_the_run_ends() -> None:
+@pytest.mark.parametrize("is_back", ["before", "after"])
+def test_where_what_was_replaced_has_died_its_next_process_goes_on(is_back: str) -> None:
     owned = replaced()
     owned.hear(State("high", 1, b"state"), Taken("high", 1, ""), Lost("high", "high.1", True))
-    ((kind, why),) = fails(owned)
-    assert kind == "stop"
-    assert why.startswith("low->high: sense in epoch 2: out of luck; and the process of what high has replaced")
+    back = join("high.3", 1, version=0)
+    if is_back == "before":
+        assert owned.hear(back) == []
+        calls = fails(owned)
+    else:
+        assert fails(owned) == owned.hear(propose(Detach("high"), "c2")) == []
+        calls = owned.hear(back)
+    assert sorted(prepares(calls)) == ["high.3", "low.1", "world.1"]
+    assert {order.alone for _, order in calls[1:]} == {()}
+    calls = owned.ready(2, "high.3", "low.1", "world.1")
+    assert ("begin", 2, 1, 2) in calls
+    assert ("answer", "c1", 0, "low->high: sense in epoch 2: out of luck; what it was to replace goes on") in calls
+    assert ("high.2", Dismiss("high: another process runs it from epoch 2 on")) in calls
+    assert owned.owner.roster.content_hash() == CHAIN.content_hash()
+    assert owned.owner.roster.instance("high") == 2
+
+
+def test_what_was_replaced_and_has_died_again_is_waited_for() -> None:
+    owned = replaced()
+    owned.hear(State("high", 1, b"state"), Taken("high", 1, ""), Lost("high", "high.1", True))
+    owned.hear(join("high.3", 1, version=0))
+    assert fails(owned)
+    assert owned.hear(Lost("high", "high.3", True)) == []
+    assert sorted(prepares(owned.hear(join("high.4", 1, version=0)))) == ["high.4", "low.1", "world.1"]
+
+
+@pytest.mark.parametrize(
+    ("word", "why"),
+    [
+        (Lost("high", "high.1", False), "its process is lost and is not started again"),
+        (join("high.3", 0, version=0), "its checkpoint is of epoch 0, and the hierarchy is in epoch 2"),
+        (join("high.3", 1, version=0, refusal="no camera"), "no camera"),
+    ],
+)
+def test_where_what_was_replaced_cannot_come_back_the_run_ends(word: Control, why: str) -> None:
+    owned = replaced()
+    owned.hear(State("high", 1, b"state"), Taken("high", 1, ""), Lost("high", "high.1", True))
+    owned.hear(word)
+    failed = "low->high: sense in epoch 2: out of luck"
+    assert fails(owned) == [("stop", f"{failed}; and what high has replaced cannot go on: {why}")]
+
+
+def test_a_process_of_what_was_replaced_for_good_is_sent_away() -> None:
+    owned = replaced()
+    owned.hear(State("high", 1, b"state"), Taken("high", 1, ""), Lost("high", "high.1", True))
+    owned.hear(join("high.3", 1, version=0))
+    assert ("high.3", Dismiss("high: another process runs it from epoch 2 on")) in owned.commit()
+    calls = owned.hear(join("high.4", 1, version=0))
+    assert calls == [("high.4", Dismiss("high: another node has taken its place"))]
 
 
 def test_an_owner_that_is_new_knows_what_is_tried() -> None:
