@@ -46,7 +46,7 @@ from hierax.runtime.deployment.read import read_deployment
 from hierax.runtime.owner.owner import OVER
 from hierax.schemas.changes import Attach, Change, Detach
 
-HIERAX = [sys.executable, "-m", "hierax.runtime.commands.main"]
+HIERAX = [sys.executable, "-m", "hierax.runtime.commands.entry"]
 
 HIERARCHIES = ("letters", "servo", "random")
 EPOCHS = {"letters": 20_000, "servo": 40_000, "random": 4_000}

@@ -20,7 +20,7 @@ import tempfile
 import time
 from pathlib import Path
 
-HIERAX = [sys.executable, "-m", "hierax.runtime.commands.main"]
+HIERAX = [sys.executable, "-m", "hierax.runtime.commands.entry"]
 LISTENING = "0A"
 
 

@@ -26,7 +26,7 @@ import numpy as np
 from hierax.nodes.tracking.evaluation.report import read_errors
 from hierax.nodes.tracking.evaluation.scoring import ObjectErrors
 
-HIERAX = [sys.executable, "-m", "hierax.runtime.commands.main"]
+HIERAX = [sys.executable, "-m", "hierax.runtime.commands.entry"]
 TIMEOUT_S = 600.0
 SCENES = "0:20"
 SETTLED_FRAMES = 20

@@ -37,7 +37,7 @@ from hierax.runtime.recording.reading import Recording
 from hierax.runtime.recording.writing import CHUNK_S
 from hierax.runtime.transport.launch_client import LaunchClient
 
-HIERAX = [sys.executable, "-m", "hierax.runtime.commands.main"]
+HIERAX = [sys.executable, "-m", "hierax.runtime.commands.entry"]
 TIMEOUT_S = 120.0
 SETTINGS = {"tracking": ("frames=100000", "cubes=3"), "pick": ("frames=100000",)}
 """With which a deployment goes on for as long as it is let."""

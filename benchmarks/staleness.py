@@ -33,7 +33,7 @@ import numpy as np
 from hierax.nodes.tracking.evaluation.report import read_errors
 from hierax.nodes.tracking.evaluation.scoring import ObjectErrors
 
-HIERAX = [sys.executable, "-m", "hierax.runtime.commands.main"]
+HIERAX = [sys.executable, "-m", "hierax.runtime.commands.entry"]
 TIMEOUT_S = 300.0
 FRAMES = 60
 EPOCHS = ("--epochs", str(FRAMES))

@@ -48,7 +48,7 @@ def block(language: str) -> str:
 
 
 def hierax(folder: Path, *arguments: str) -> str:
-    command = [sys.executable, "-m", "hierax.runtime.commands.main", *arguments]
+    command = [sys.executable, "-m", "hierax.runtime.commands.entry", *arguments]
     done = subprocess.run(command, cwd=folder, capture_output=True, text=True, timeout=60, check=False, env=os.environ)
     assert done.returncode == 0, done.stderr
     return done.stdout

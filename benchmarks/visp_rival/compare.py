@@ -31,7 +31,7 @@ from hierax.nodes.tracking.math.geometry import Floats, invert
 from hierax.nodes.tracking.model.mesh import Mesh
 
 TRACKER = Path(__file__).parents[2] / ".build" / "visp_rival" / "tracker"
-HIERAX = [sys.executable, "-m", "hierax.runtime.commands.main"]
+HIERAX = [sys.executable, "-m", "hierax.runtime.commands.entry"]
 WAYS = {
     "ViSP edge": ("edge",),
     "ViSP edge, scan lines": ("scanline",),

@@ -10,6 +10,7 @@ from types import FrameType
 from typing import NoReturn
 
 INTERRUPTED = 130
+AGAIN_S = 0.01  # after which a Ctrl-C comes again that came where nothing can be raised
 
 
 class _CtrlC:
@@ -23,6 +24,17 @@ class _CtrlC:
         self.came = True
         raise KeyboardInterrupt
 
+    def swallowed(self, what: sys.UnraisableHookArgs) -> None:
+        """As `sys.unraisablehook`: where nothing can be raised, as in the calls that an import's end makes."""
+        if what.exc_type is not KeyboardInterrupt:
+            sys.__unraisablehook__(what)
+        elif self.came:
+            signal.signal(signal.SIGALRM, self._again)
+            signal.setitimer(signal.ITIMER_REAL, AGAIN_S)
+
+    def _again(self, number: int, frame: FrameType | None) -> None:
+        raise KeyboardInterrupt
+
 
 CTRL_C = _CtrlC()
 
@@ -31,6 +43,7 @@ def guarded(main: Callable[[Sequence[str]], int]) -> NoReturn:
     """Do what the command line says by `main`, and end the process. Ctrl-C is never answered by a traceback."""
     if signal.getsignal(signal.SIGINT) is not signal.SIG_IGN:  # else who has started it wants it so
         signal.signal(signal.SIGINT, CTRL_C)
+        sys.unraisablehook = CTRL_C.swallowed
     try:
         from hierax.runtime.host.streams import own_streams
 

@@ -1,4 +1,7 @@
-"""The console script. Until there is somebody to answer Ctrl-C in a line, it ends the process without a word."""
+"""The console script, and `python -m hierax.runtime.commands.entry`.
+
+Until there is somebody to answer Ctrl-C in a line, it ends the process without a word.
+"""
 
 import _signal  # type: ignore[import-not-found]  # `signal` imports others, into which Ctrl-C may come
 
@@ -19,3 +22,7 @@ def _main(arguments: Sequence[str]) -> int:
     from hierax.runtime.commands.main import main
 
     return main(arguments)
+
+
+if __name__ == "__main__":
+    entry()

@@ -12,7 +12,7 @@ import typer
 
 from hierax.runtime.commands.bench import epoch
 from hierax.runtime.commands.check import check
-from hierax.runtime.commands.ctrl_c import CTRL_C, INTERRUPTED, guarded
+from hierax.runtime.commands.ctrl_c import CTRL_C, INTERRUPTED
 from hierax.runtime.commands.diff import diff
 from hierax.runtime.commands.doctor import doctor
 from hierax.runtime.commands.echo import echo
@@ -127,7 +127,3 @@ app.add_typer(bench)
 _register(epoch, bench)
 for _found in sorted(entry_points(group="hierax.benchmarks"), key=lambda found: found.name):
     _register(_load(_found), bench, _found.name)
-
-
-if __name__ == "__main__":
-    guarded(main)

@@ -17,7 +17,7 @@ import anyio.abc
 
 from hierax.runtime.core.errors import HieraxError
 from hierax.runtime.deployment.deployment import RestartPolicy
-from hierax.runtime.host.interpreter import python_module
+from hierax.runtime.host.interpreter import python_module, started_deaf
 from hierax.runtime.launch.frames import CUT_OFF, DISMISSED, FAILED, REPORT, UP, NodeOrder, frame
 from hierax.runtime.launch.overheard import Overheard, Overhearing
 from hierax.schemas.values import Value
@@ -165,14 +165,15 @@ async def start_child(order: NodeOrder, overhearing: Overhearing) -> Child:
     """Start a node's process and give it its order."""
     overheard = overhearing.of(order.name)
     try:
-        process = await anyio.open_process(
-            python_module("hierax.runtime.launch.node_process", str(overhearing.console)),
-            stdin=subprocess.PIPE,
-            stdout=subprocess.PIPE,
-            stderr=overheard.writing,
-            start_new_session=True,
-            pass_fds=(overhearing.console,),
-        )
+        with started_deaf():
+            process = await anyio.open_process(
+                python_module("hierax.runtime.launch.node_process", str(overhearing.console)),
+                stdin=subprocess.PIPE,
+                stdout=subprocess.PIPE,
+                stderr=overheard.writing,
+                start_new_session=True,
+                pass_fds=(overhearing.console,),
+            )
     finally:
         os.close(overheard.writing)
     child = Child(order, process, _handle_of(process.pid), overheard)

@@ -37,7 +37,6 @@ _log = logging.getLogger("hierax")
 
 def main() -> None:
     """Read the order, live, exit."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is the supervisor's to handle
     descriptor = int(sys.argv.pop())
     os.set_inheritable(descriptor, False)
     console = Console(descriptor)

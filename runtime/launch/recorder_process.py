@@ -13,7 +13,7 @@ from typing import Any
 import anyio
 import anyio.abc
 
-from hierax.runtime.host.interpreter import python_module
+from hierax.runtime.host.interpreter import python_module, started_deaf
 from hierax.runtime.launch.child import END_TIMEOUT_S
 from hierax.runtime.recording.info import Ending, RunInfo
 from hierax.runtime.recording.live_recording import DONE, FAILED
@@ -58,14 +58,15 @@ class RecorderChild:
     async def start(self, info: RunInfo, endpoint: str, zenoh_config: Any, host: str | None) -> None:
         """Start the process and give it its order; it need not listen yet, as the nodes' processes wait for it."""
         request = self._request
-        self._process = await anyio.open_process(
-            python_module("hierax.runtime.recording.live_recording"),
-            stdin=subprocess.PIPE,
-            stdout=subprocess.PIPE,
-            stderr=None,
-            start_new_session=True,
-            pass_fds=() if request.target is None else (request.target.descriptor,),
-        )
+        with started_deaf():
+            self._process = await anyio.open_process(
+                python_module("hierax.runtime.recording.live_recording"),
+                stdin=subprocess.PIPE,
+                stdout=subprocess.PIPE,
+                stderr=None,
+                start_new_session=True,
+                pass_fds=() if request.target is None else (request.target.descriptor,),
+            )
         order = {
             "info": info.plain(),
             "endpoint": endpoint,

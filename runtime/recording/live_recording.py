@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import json
 import os
-import signal
 import sys
 import threading
 import time
@@ -146,7 +145,6 @@ def main() -> int:
     """Read the order, record, say how it ended."""
     own_streams()
     log_console()
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is the supervisor's to handle
     order = json.loads(sys.stdin.readline() or "{}")
     if not order:
         return 0

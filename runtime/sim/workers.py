@@ -16,7 +16,7 @@ from queue import SimpleQueue
 from typing import Any
 
 from hierax.runtime.core.errors import HieraxError
-from hierax.runtime.host.interpreter import python_module
+from hierax.runtime.host.interpreter import python_module, started_deaf
 
 
 def done_by_workers(function: Callable[..., Any], tasks: Iterable[tuple[Any, ...]], jobs: int) -> Iterator[Any]:
@@ -45,8 +45,8 @@ def done_by_workers(function: Callable[..., Any], tasks: Iterable[tuple[Any, ...
 @contextmanager
 def _worker() -> Iterator[subprocess.Popen[bytes]]:
     command = python_module("hierax.runtime.sim.workers")
-    # a session of its own: Ctrl-C is for who has started it
-    worker = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, start_new_session=True)
+    with started_deaf():
+        worker = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, start_new_session=True)
     try:
         yield worker
     finally:

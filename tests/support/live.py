@@ -17,7 +17,7 @@ from hierax.runtime.transport.launch_client import LaunchClient
 from support.launched import run_here, said_here
 from support.live_nodes import PACE_S
 
-HIERAX = [sys.executable, "-m", "hierax.runtime.commands.main"]
+HIERAX = [sys.executable, "-m", "hierax.runtime.commands.entry"]
 TESTS = Path(__file__).parents[1]
 TIMEOUT_S = 60.0
 MIXING = "hierax.runtime.sim.nodes"

@@ -58,7 +58,7 @@ def test_without_a_launch_nothing_completes(monkeypatch: pytest.MonkeyPatch, tmp
 
 @pytest.mark.parametrize("shell", ["bash", "zsh", "fish"])
 def test_shells_can_be_shown_how(shell: str, tmp_path: Path) -> None:
-    command = [sys.executable, "-m", "hierax.runtime.commands.main", "--show-completion", shell]
+    command = [sys.executable, "-m", "hierax.runtime.commands.entry", "--show-completion", shell]
     environment = {**os.environ, "_TYPER_COMPLETE_TEST_DISABLE_SHELL_DETECTION": "1"}  # else it is the one that runs us
     done = subprocess.run(command, env=environment, capture_output=True, text=True, timeout=60, check=False)
     assert done.returncode == 0, done.stderr

@@ -52,6 +52,17 @@ class Finder(importlib.abc.MetaPathFinder):
 sys.meta_path.insert(0, Finder())
 import hierax.runtime.commands.entry
 """
+WHERE_NOTHING_CAN_BE_RAISED = """
+import time
+class Last:
+    def __del__(self):
+        press()
+def main(arguments):
+    Last()
+    while True:
+        time.sleep(60)
+guarded(main)
+"""
 AT_THE_END = """
 import atexit
 atexit.register(press)
@@ -66,6 +77,7 @@ guarded(lambda arguments: 0)
         (WHILE_IMPORTING, 130, "interrupted\n"),
         (MADE_AN_ERROR, 130, "interrupted\n"),
         (TWICE, 130, ""),
+        (WHERE_NOTHING_CAN_BE_RAISED, 130, "interrupted\n"),
         (AT_THE_END, -2, ""),
     ],
 )

@@ -1,4 +1,4 @@
-"""A user's module beside the deployment file never stands in the place of one that was there before it."""
+"""Processes that are started: a user's module never stands in another's place, and Ctrl-C is none of their business."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 from support.launched import Command, until
 
-from hierax.runtime.host.interpreter import python_code, python_module
+from hierax.runtime.host.interpreter import python_code, python_module, started_deaf
 
 OWN = """
 from hierax.runtime import Node, World
@@ -79,6 +79,25 @@ def test_what_is_imported_to_see_whether_it_can_be(folder: Path) -> None:
     done = subprocess.run(command, cwd=folder, capture_output=True, text=True, check=True)
     assert str(folder) not in done.stdout
     assert done.stdout.endswith(" a b\n")
+
+
+SIGNALS = "print(open('/proc/self/status').read())"
+
+
+def of_ctrl_c(status: str) -> dict[str, bool]:
+    """By a process's status, whether Ctrl-C is blocked, and whether it is ignored."""
+    lines = (line.split() for line in status.splitlines() if line.startswith(("SigBlk:", "SigIgn:")))
+    return {name: bool(int(mask, 16) & 1 << (signal.SIGINT - 1)) for name, mask in lines}
+
+
+def test_what_is_started_is_deaf_to_ctrl_c_from_its_first_instant_and_then_ignores_it() -> None:
+    own = signal.pthread_sigmask(signal.SIG_BLOCK, ())
+    with started_deaf():
+        at_first = subprocess.run(["cat", "/proc/self/status"], capture_output=True, text=True, check=True).stdout
+        later = subprocess.run(python_code(SIGNALS), capture_output=True, text=True, check=True).stdout
+    assert of_ctrl_c(at_first)["SigBlk:"]
+    assert of_ctrl_c(later) == {"SigBlk:": False, "SigIgn:": True}
+    assert signal.pthread_sigmask(signal.SIG_BLOCK, ()) == own
 
 
 @pytest.mark.parametrize("safe", [{}, {"PYTHONSAFEPATH": "1"}])

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-HIERAX = f"{sys.executable} -m hierax.runtime.commands.main"
+HIERAX = f"{sys.executable} -m hierax.runtime.commands.entry"
 COMMANDS = ("graph servo", "run servo --epochs 2", "run servo --epochs 2 --format json", "--help", "ps")
 
 

@@ -11,6 +11,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterator, Sequence
+from contextlib import suppress
 from pathlib import Path
 
 import pytest
@@ -18,7 +19,7 @@ from support.launched import run_here
 from support.recompute_digest import main as recompute_digest
 from support.sweep import examples
 
-HIERAX = [sys.executable, "-m", "hierax.runtime.commands.main"]
+HIERAX = [sys.executable, "-m", "hierax.runtime.commands.entry"]
 TESTS = Path(__file__).parents[2]
 TIMEOUT_S = 60.0
 ENDED_S = 30.0
@@ -271,6 +272,26 @@ def test_a_signal_while_starting_ends_all(two: Callable[[str], str]) -> None:
     _, err = launch.end()
     assert launch.process.returncode == 130
     assert "Traceback" not in err
+
+
+def test_nodes_and_recorders_are_deaf_to_ctrl_c_from_their_first_instant(tmp_path: Path) -> None:
+    command = [*HIERAX, "launch", "letters", "--epochs", "30", "--record", str(tmp_path / "a.mcap")]
+    launch = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    pressed: set[int] = set()
+    while launch.poll() is None:
+        try:
+            children = Path(f"/proc/{launch.pid}/task/{launch.pid}/children").read_text().split()
+        except FileNotFoundError:
+            break
+        for pid in map(int, children):
+            pressed.add(pid)
+            with suppress(ProcessLookupError):
+                os.kill(pid, signal.SIGINT)
+        time.sleep(0.001)
+    _, err = launch.communicate(timeout=TIMEOUT_S)
+    assert launch.returncode == 0, err
+    assert not err
+    assert len(pressed) >= 3
 
 
 def test_a_second_signal_kills(launched: Launched) -> None:

@@ -94,7 +94,7 @@ def test_a_seed_fixes_everything() -> None:
 
 def test_a_seed_fixes_everything_whatever_order_sets_have() -> None:
     """In seed 121 two nodes come back at once, and are detached again."""
-    command = [sys.executable, "-m", "hierax.runtime.commands.main", "sim", "--seeds", "121", "--trace"]
+    command = [sys.executable, "-m", "hierax.runtime.commands.entry", "sim", "--seeds", "121", "--trace"]
     traces = [
         subprocess.run(command, env={**os.environ, "PYTHONHASHSEED": seed}, capture_output=True, check=False).stdout
         for seed in ("0", "1")

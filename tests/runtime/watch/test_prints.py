@@ -49,7 +49,7 @@ def command(mode: str, folder: Path) -> list[str]:
     return [
         sys.executable,
         "-m",
-        "hierax.runtime.commands.main",
+        "hierax.runtime.commands.entry",
         mode,
         str(folder / "talking.yaml"),
         "--format",
