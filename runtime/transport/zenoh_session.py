@@ -17,7 +17,7 @@ from typing import Any, Literal, TypeAlias
 import zenoh
 
 from hierax.runtime.transport.port import TransportError
-from hierax.schemas.limits import MAX_MESSAGE_BYTES
+from hierax.schemas.limits import MAX_MESSAGE_BYTES, MAX_QUESTION_BYTES
 
 LOOPBACK = "tcp/127.0.0.1:0"  # where a session listens unless told otherwise: a free port that no other machine reaches
 
@@ -48,6 +48,9 @@ with its key and header)."""
 
 LONGEST_BYTES = MAX_MESSAGE_BYTES + 64 * 1024
 """How much of a message Zenoh puts together, its key and header among it; the rest of a longer one is dropped."""
+
+LONGEST_SHORT_BYTES = MAX_QUESTION_BYTES + 64 * 1024
+"""Likewise, where links are low-latency ones: questions are the longest that such a process hears."""
 
 CLOSE_TIMEOUT_S = 1.0
 
@@ -96,7 +99,7 @@ def open_session(
         "scouting/gossip/autoconnect_strategy": {"peer": {"to_router": "always", "to_peer": "greater-zid"}},
         "scouting/delay": 0,
         "transport/link/tx/lease": LEASE_MS,
-        "transport/link/rx/max_message_size": LONGEST_BYTES,
+        "transport/link/rx/max_message_size": LONGEST_SHORT_BYTES if low_latency else LONGEST_BYTES,
         "transport/shared_memory/enabled": shared_memory and not shared_memory_fault(),
     }
     if low_latency:

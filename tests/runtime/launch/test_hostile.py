@@ -39,6 +39,11 @@ def stranger(live: Live) -> Iterator[Stranger]:
         yield stranger
 
 
+def memory_at_most(pid: int) -> int:
+    """How many bytes a process had at most."""
+    return int(re.findall(r"VmHWM:\s*(\d+) kB", Path(f"/proc/{pid}/status").read_text())[0]) << 10
+
+
 def ends_with(live: Live, *words: str) -> None:
     """The launch fails, and says why in one line that has these words."""
     assert live.launch.ends() == 1
@@ -129,22 +134,42 @@ def test_a_dismissal_of_a_process_that_is_kept_elsewhere_is_asked_about(live: Li
 
 def test_what_waits_for_a_node_in_an_operator_is_bounded_by_its_bytes(live: Live, stranger: Stranger) -> None:
     size, count = 64 << 20, 14
-    status = Path(f"/proc/{live.run['nodes']['world']['pid']}/status")
-
-    def most_bytes() -> int:
-        return int(re.findall(r"VmHWM:\s*(\d+) kB", status.read_text())[0]) << 10
-
-    before = most_bytes()
+    pid = live.run["nodes"]["world"]["pid"]
+    before = memory_at_most(pid)
     pause = live.folder / "pause"
     pause.touch()
     for _ in range(count):
         stranger.put(stranger.keys.edge(CONTEXT, "low", "world"), bytes(size))
     pause.unlink()
     live.goes_on()
-    assert most_bytes() - before < WAITING_BYTES + 5 * size < count * size
+    assert memory_at_most(pid) - before < WAITING_BYTES + 5 * size < count * size
     assert any("world: dropped ctx messages from low: too much waits" in line for line in live.launch.err)
     report = live.ends()
     assert report["digest"] == live.repeated(report["epochs"])["digest"], live.launch.err
+
+
+ZENOH_LONGEST = "zenoh={transport: {link: {rx: {max_message_size: 1000000}}}}"
+
+
+@pytest.mark.parametrize("setting", ["low_latency=true", ZENOH_LONGEST])
+def test_where_messages_are_short_long_ones_are_not_put_together(setting: str, tmp_path: Path) -> None:
+    live = Live(tmp_path, "--set", setting)
+    size, sessions = 32 << 20, 4
+    try:
+        pid = live.run["nodes"]["world"]["pid"]
+        before = memory_at_most(pid)
+        strangers = [Stranger(live.endpoint, Keys("live", str(live.run["run"]))) for _ in range(sessions)]
+        with ThreadPoolExecutor(sessions) as pool:
+            for stranger in strangers:
+                pool.submit(stranger.put, stranger.keys.edge(CONTEXT, "low", "world"), bytes(size))
+        live.goes_on()
+        assert memory_at_most(pid) - before < size
+        for stranger in strangers:
+            stranger.close()
+        report = live.ends()
+        assert report["digest"] == live.repeated(report["epochs"])["digest"], live.launch.err
+    finally:
+        live.close()
 
 
 def test_an_attempt_that_nobody_has_begun_is_refused_or_overtaken(live: Live, stranger: Stranger) -> None:
