@@ -264,7 +264,7 @@ class Run:
             time.sleep(rng.random() * 0.2)
 
     def _kill(self, node: str, group: list[float]) -> None:
-        os.kill(self.launch.until_pid(node), signal.SIGKILL)
+        self.launch.kill(node)
         group.append(time.monotonic())
         self.victims.append(node)
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass, field
 from random import Random
 from typing import Any, Protocol
@@ -29,6 +29,7 @@ from hierax.schemas.roster import Roster
 
 TICK_S = 0.05  # how often a process looks after itself
 CHECK_TICKS = 4  # every how many ticks it asks whether it is still wanted
+REPLACED_DIES = 0.3  # how often what was replaced dies where what replaces it fails in its first epoch
 FORGED_S = 0.02  # at most, how long after a message one comes that was made of it
 
 
@@ -305,8 +306,11 @@ class SimProcess(Host):
         if member is None:
             return
         told = call.subject.split("->")
-        if self._around.scenario.trials_fail and member.tried_now.intersection(told):
+        tried = member.tried_now.intersection(told) if self._around.scenario.trials_fail else ()
+        if tried:
             self._around.journal.count(FAULT, TRIAL)
+            if self._rng.random() < REPLACED_DIES:
+                self._around.clock.schedule(0.0, self._kill_replaced, tried, self.engine.wiring.roster)
             raise OperatorError(call.subject, call.operator, epoch, "it fails in its first epoch")
         ends = [name for name in told if name in member.alone | member.tried_now] if self.raises else []
         if ends:
@@ -314,6 +318,16 @@ class SimProcess(Host):
             self._around.journal.count(FAULT, RAISE)
             self._around.checker.raised(ends)
             raise OperatorError(call.subject, call.operator, epoch, "it raises, as the scenario says")
+
+    def _kill_replaced(self, tried: Collection[str], version: int) -> None:
+        """What was replaced dies, while it waits until what replaces it has done an epoch."""
+        checker = self._around.checker
+        for process in list(self._around.processes.values()):
+            in_force = checker.process_of(version, process.name) == process.token
+            comes_back = process.name not in self._around.scenario.left_dead
+            if process.name in tried and comes_back and not in_force and checker.had_place(process.token):
+                process.at = "killed: it was replaced"
+                self._attendant.died(process)
 
     def _act(self, epoch: int, actions: Any) -> None:
         self.inspector.acts()
