@@ -89,7 +89,7 @@ class Planning(OwnerPart):
         if self.plan is not None:
             return
         back = self.members.back
-        undo = [request for request in self.queue if isinstance(request.change, Undo)]
+        undo: list[Request | None] = [request for request in self.queue if isinstance(request.change, Undo)]
         for request in undo or [*self.queue, None]:  # the epoch cannot be done as it is
             if request is not None and not self._can_be_tried(request):
                 continue
