@@ -75,11 +75,12 @@ def test_a_node_of_a_recording(
     told = json.loads(capsys.readouterr().out)
     assert (told["hierarchy"], told["class"], told["epoch"]) == ("servo", "hierax.nodes.servo:CameraNode", epoch)
     assert (told["below"], told["above"]) == (["world"], ["motion"])
-    assert set(told["shows"]["error_m"]) == {"error_m"}
+    shown = told["shows"]["position_m"]
+    assert shown.keys() == {"seen", "believed"}
     assert main(["inspect", "camera", recorded, *options]) == 0
     lines = capsys.readouterr().out.splitlines()
     assert lines[0].endswith(f"after epoch {epoch} (committed)")
-    assert f"shows error_m  {{error_m: {told['shows']['error_m']['error_m']:.6g}}}" in lines
+    assert f"shows position_m  {{seen: {shown['seen']:.6g}, believed: {shown['believed']:.6g}}}" in lines
 
 
 @pytest.mark.parametrize(
