@@ -1,8 +1,7 @@
 """The rival of `hierax bench epoch`: the same chain in bare Zenoh callbacks and msgpack.
 
 Run as a process for each role: world, arm, spatial, or echo (which answers the world at once, for the time of a bare
-round trip). The world prints how long each epoch took, in microseconds, as JSON.
-"""
+round trip). The world prints how long each epoch took, in microseconds, as JSON."""
 
 from __future__ import annotations
 

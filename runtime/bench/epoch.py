@@ -53,11 +53,9 @@ class Row:
 
 
 def bench_epoch(epochs: int, rounds: int, progress: Callable[[str], None]) -> list[Row]:
-    """Time the chain with small messages and with a picture, and the bare chain against a bare round trip.
-
-    So many epochs are in each round; rounds of ours and the rival's take turns, so that a machine that changes its pace
-    changes it for both. `progress` is told what is going on. Raises `HieraxError` if a process failed.
-    """
+    """Time the chain with small messages and with a picture, and the bare chain against a bare round trip. So many
+    epochs are in each round; rounds of ours and the rival's take turns, so that a machine that changes its pace changes
+    it for both. `progress` is told what is going on. Raises `HieraxError` if a process failed."""
     rows = []
     for name, picture, kinds in (
         ("small messages", 0, (LOW_LATENCY, ORDINARY)),

@@ -39,8 +39,7 @@ def diff(
 ) -> int:
     """Name the first epoch, node, operator and field in which two runs differ. Exit code 1 where they do.
 
-    The other run is a recording, or a deployment that is given what the first one's nodes were given.
-    """
+    The other run is a recording, or a deployment that is given what the first one's nodes were given."""
     from hierax.runtime.recording.diff import compare
 
     recording = recording_of(file)

@@ -11,11 +11,10 @@ import typer
 from hierax.runtime.commands.errors import CommandError, notify
 from hierax.runtime.commands.options import Format, Full, Node, RunOptions, offers
 from hierax.runtime.commands.show import print_json
-from hierax.runtime.commands.which import client_at, endpoint_of, known_run
+from hierax.runtime.commands.which import client_at, endpoint_of, own_deployment
 
 if TYPE_CHECKING:
     from hierax.runtime.execution.plain import Json
-    from hierax.runtime.launch.run_file import Running
     from hierax.runtime.transport.launch_client import Answer
 
     Told = Mapping[str, Mapping[str, str | float]]
@@ -52,28 +51,24 @@ def inspect(
 def _of_launch(node: str, options: RunOptions) -> tuple[tuple[str, str], Answer, Told]:
     """The hierarchy and the run; what a node of a launch answers; and what it shows."""
     endpoint = endpoint_of(options.run, options.connect)
-    running = known_run(endpoint)
-    with client_at(endpoint, running) as client:
+    with client_at(endpoint) as client:
         status = client.status()
         answer = client.node_state(status, node)
-    told = {} if running is None or "sensed" not in answer else _told(running, node, answer)
-    return (status.hierarchy, status.run), answer, told
+    return (status.hierarchy, status.run), answer, _told(endpoint, node, answer) if "sensed" in answer else {}
 
 
-def _told(running: Running, node: str, answer: Answer) -> Told:
+def _told(endpoint: str, node: str, answer: Answer) -> Told:
     """What a node of a launch on this machine shows; nothing where it is another one than its deployment file has."""
     from hierax.runtime.core.errors import HieraxError
     from hierax.runtime.core.probe import Step
-    from hierax.runtime.deployment.read import read_deployment
-    from hierax.runtime.deployment.secrets import usable
     from hierax.runtime.loading.loader import build_node, extend_import_path
     from hierax.runtime.viewing.told import Look
 
     try:
-        deployment = read_deployment(running.deployment, usable(running.settings))
-        roster = deployment.roster
-        if node not in roster.nodes:
+        deployment = own_deployment(endpoint, None)
+        if deployment is None or node not in deployment.roster.nodes:
             return {}
+        roster = deployment.roster
         extend_import_path(deployment.import_paths)
         built = build_node(roster.nodes[node], f"nodes.{node}", deployment.allowance, node == roster.world)
         if _class_of(built) != answer["class"]:

@@ -28,8 +28,7 @@ def run_deployment(runner: Runner, file: str, options: RunOptions, goes_on: bool
 
     `goes_on`: whether the run that is there is resumed. Returns the exit code: 0, or 130 where a signal has broken the
     run off; its report is printed and kept all the same. Raises `HieraxError` if the file is wrong, the output folder
-    cannot be made, or the run failed.
-    """
+    cannot be made, or the run failed."""
     deployment = read_deployment(file, options.overrides or ())
     probes = tuple(replace(each, overwrite=options.overwrite) for each in deployment.probes)
     deployment = replace(deployment, probes=probes)

@@ -18,18 +18,14 @@ from hierax.schemas.values import Value
 EPOCH_DEADLINE_S = 60.0
 """The default: long for a robot, and a hang is told of before its user gives up.
 
-Operators that may take longer (a training step, a large model) need another one.
-"""
+Operators that may take longer (a training step, a large model) need another one."""
 
 
 @dataclass(frozen=True)
 class RestartPolicy:
-    """What is done when a node's process ends or cannot be reached.
-
-    The supervisor of a process restarts it by the first five; the roster's owner waits for it by
-    the last two. The defaults start a process that was killed again at once, as far as
-    anybody can see, and give up on one that falls over again and again within some seconds.
-    """
+    """What is done when a node's process ends or cannot be reached. The supervisor of a process restarts it by the
+    first five; the roster's owner waits for it by the last two. The defaults start a process that was killed again at
+    once, as far as anybody can see, and give up on one that falls over again and again within some seconds."""
 
     # After which end another process is started: ``never``; ``on-failure``, an exit code other than 0 or a signal;
     # ``always``

@@ -1,8 +1,7 @@
 """The fields of a deployment file, as pydantic models; the published JSON Schema is made from them.
 
 They check one field at a time. What joins several (an edge's nodes, the world's name) is checked in
-`hierax.runtime.deployment.read`.
-"""
+`hierax.runtime.deployment.read`."""
 
 from __future__ import annotations
 

@@ -16,11 +16,9 @@ _CLOSED = (("nodes",), ("edges",), ("parameters",), ("probes",))
 
 
 def apply_override(document: Document, text: str) -> None:
-    """Change one value of a document by ``PATH=VALUE``.
-
-    The path is a name in ``parameters``, or a dotted path into one of these or into the document; the value is read as
-    YAML. Raises `DeploymentError` if there is no such path, with the nearest valid name, or the value is no YAML.
-    """
+    """Change one value of a document by ``PATH=VALUE``. The path is a name in ``parameters``, or a dotted path into one
+    of these or into the document; the value is read as YAML. Raises `DeploymentError` if there is no such path, with
+    the nearest valid name, or the value is no YAML."""
     path, equals, value_text = text.partition("=")
     place = f"--set {public_setting(text)}"
     if not equals or not path.strip():

@@ -16,13 +16,10 @@ _REFERENCE = re.compile(r"\$\$\{|\$\{(?P<name>[^}]*)\}|\$\{")
 
 
 def substitute(document: Document) -> dict[str, Any]:
-    """The document's values with every ``${NAME}`` replaced; `document.origins` is filled in.
-
-    A scalar that is just ``${NAME}`` becomes the value itself, whatever its type; within longer text it is written out.
-    ``$${`` stands for a plain ``${``. A parameter may refer to those above it. Raises `DeploymentError` if a name is
-    unknown (with the nearest valid one), a list or map would have to stand within text, or the document grows out of
-    bounds.
-    """
+    """The document's values with every ``${NAME}`` replaced; `document.origins` is filled in. A scalar that is just
+    ``${NAME}`` becomes the value itself, whatever its type; within longer text it is written out. ``$${`` stands for a
+    plain ``${``. A parameter may refer to those above it. Raises `DeploymentError` if a name is unknown (with the
+    nearest valid one), a list or map would have to stand within text, or the document grows out of bounds."""
     substitution = _Substitution(document)
     parameters = {} if document.parameters is None else document.parameters
     if not isinstance(parameters, dict):

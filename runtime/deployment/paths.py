@@ -14,11 +14,9 @@ _ARROW = re.compile(r"\s*->\s*")
 
 
 class DeploymentError(HieraxError):
-    """A deployment file, or a ``--set``, is wrong.
-
-    The place is ``file:line``, the file alone, or the ``--set`` as it was given; the field is its path, or empty; what
-    is wrong is told with what was expected, and the nearest valid name.
-    """
+    """A deployment file, or a ``--set``, is wrong. The place is ``file:line``, the file alone, or the ``--set`` as it
+    was given; the field is its path, or empty; what is wrong is told with what was expected, and the nearest valid
+    name."""
 
     def __init__(self, what: str, place: str, field: str = "") -> None:
         self.what, self.place, self.field = what, place, field

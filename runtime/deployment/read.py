@@ -29,11 +29,9 @@ from hierax.schemas.values import decode_value, encode_value
 
 
 def read_deployment(file: str | Path, overrides: Sequence[str] = ()) -> Deployment:
-    """Read a deployment file, by its path or the name of a shipped one; nothing of what it names is imported.
-
-    Overrides are as ``--set`` has them, ``PATH=VALUE``, in order. Raises `DeploymentError` if the file, or an override,
-    is wrong: file, line, field, what was expected, and the nearest valid name.
-    """
+    """Read a deployment file, by its path or the name of a shipped one; nothing of what it names is imported. Overrides
+    are as ``--set`` has them, ``PATH=VALUE``, in order. Raises `DeploymentError` if the file, or an override, is wrong:
+    file, line, field, what was expected, and the nearest valid name."""
     path = find_file(file)
     document = read_document(path, "hierarchy, world, nodes and edges")
     for override in overrides:
@@ -176,11 +174,9 @@ def check_known(name: str, nodes: Iterable[str], document: Document, keys: Keys)
 def restart_policy(
     model: models.RestartModel, otherwise: RestartPolicy, document: Document, keys: Keys
 ) -> RestartPolicy:
-    """What the model of a node, or of all, says about restarts, with the rest as another policy has it.
-
-    The longest delay is then at least the first one; if it is given, and shorter, `DeploymentError` names its place in
-    the document.
-    """
+    """What the model of a node, or of all, says about restarts, with the rest as another policy has it. The longest
+    delay is then at least the first one; if it is given, and shorter, `DeploymentError` names its place in the
+    document."""
     given = {name: getattr(model, name) for name in models.RestartModel.model_fields if name in model.model_fields_set}
     first_s = given.get("restart_delay_s", otherwise.restart_delay_s)
     longest_s = given.setdefault("max_restart_delay_s", max(first_s, otherwise.max_restart_delay_s))

@@ -31,11 +31,9 @@ class Scheduled(NamedTuple):
 
 def read_schedule(texts: Sequence[str], deployment: Deployment) -> tuple[Scheduled, ...]:
     """Changes, sorted by the epoch at whose start each takes effect; those of one epoch are made in the given order.
-
     The texts are as ``--at`` has them, see `FORMS`; ``FILE`` is a snippet, or in an attach the name of a node of the
     deployment file. Changes are tried on the deployment's roster, so that none is refused in the middle of a run.
-    Raises `DeploymentError` if one is written wrongly, its snippet is wrong, or it cannot be made.
-    """
+    Raises `DeploymentError` if one is written wrongly, its snippet is wrong, or it cannot be made."""
     read = [(_read(text, deployment), text) for text in texts]
     read.sort(key=lambda entry: entry[0].epoch)
     roster = deployment.roster

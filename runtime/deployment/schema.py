@@ -1,7 +1,6 @@
 """The published JSON Schema of the deployment file, for editors.
 
-``python -m hierax.runtime.deployment.schema`` prints it; it is kept beside this module.
-"""
+``python -m hierax.runtime.deployment.schema`` prints it; it is kept beside this module."""
 
 from __future__ import annotations
 

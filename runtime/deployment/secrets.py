@@ -1,8 +1,7 @@
 """What of Zenoh's settings is secret, and leaves the processes of a launch nowhere: passwords and private keys.
 
 It is in no file that hierax writes, in no recording, and in no answer. Of a ``--set`` that
-gives something secret the path alone is kept, without ``=``.
-"""
+gives something secret the path alone is kept, without ``=``."""
 
 from __future__ import annotations
 

@@ -2,8 +2,7 @@
 
 ``${NAME}`` stands for a parameter of the deployment. Nothing of what a snippet names is imported, and nothing is
 checked that depends on the roster which it will find: what nodes there are then, and what may be loaded,
-`hierax.runtime.owner.roster_changes` decides.
-"""
+`hierax.runtime.owner.roster_changes` decides."""
 
 from __future__ import annotations
 
@@ -26,12 +25,9 @@ from hierax.schemas.changes import Attach, Replace
 
 
 def read_attach(source: str | Path, deployment: Deployment) -> Attach:
-    """What attaches nodes to a run of a deployment.
-
-    The source is the path of a snippet; or the name of a node of the deployment file, which is meant with all its edges
-    there. Raises `DeploymentError` if there is no such file or node, or the snippet is wrong: file, line, field, what
-    was expected, and the nearest valid name.
-    """
+    """What attaches nodes to a run of a deployment. The source is the path of a snippet; or the name of a node of the
+    deployment file, which is meant with all its edges there. Raises `DeploymentError` if there is no such file or node,
+    or the snippet is wrong: file, line, field, what was expected, and the nearest valid name."""
     if _is_node(source, deployment):
         name, roster = str(source), deployment.roster
         return Attach({name: roster.nodes[name]}, tuple(edge for edge in roster.edges if name in edge.pair))
@@ -40,12 +36,9 @@ def read_attach(source: str | Path, deployment: Deployment) -> Attach:
 
 
 def read_replace(source: str | Path, name: str, deployment: Deployment) -> Replace:
-    """What replaces the node of a name.
-
-    The source is the path of a snippet that has this node alone. Its edges are all that the node has from then on;
-    without ``edges`` it keeps those that it has. Raises `DeploymentError` as `read_attach` does, or if the snippet has
-    another node.
-    """
+    """What replaces the node of a name. The source is the path of a snippet that has this node alone. Its edges are all
+    that the node has from then on; without ``edges`` it keeps those that it has. Raises `DeploymentError` as
+    `read_attach` does, or if the snippet has another node."""
     model, document = _read(source, deployment)
     for given in model.nodes:
         if given != name:
@@ -55,11 +48,9 @@ def read_replace(source: str | Path, name: str, deployment: Deployment) -> Repla
 
 
 def read_restarts(source: str | Path, deployment: Deployment, *, attached: bool = False) -> Mapping[str, RestartPolicy]:
-    """What a source of `read_attach` or `read_replace` says about the restarts of its nodes.
-
-    What it leaves out is as ``restart`` at the top of the deployment file has it; but what is attached fails alone
-    (``on_loss: detach``) where neither file says what is to follow. Raises `DeploymentError` as `read_attach` does.
-    """
+    """What a source of `read_attach` or `read_replace` says about the restarts of its nodes. What it leaves out is as
+    ``restart`` at the top of the deployment file has it; but what is attached fails alone (``on_loss: detach``) where
+    neither file says what is to follow. Raises `DeploymentError` as `read_attach` does."""
     otherwise = deployment.restart
     if attached and not _says(deployment, "restart"):
         otherwise = replace(otherwise, on_loss="detach")

@@ -1,8 +1,7 @@
 """YAML as values that remember their lines.
 
 The core schema of YAML 1.2 is read (``1e-3`` is a number, ``on`` and ``no`` are text), with merge keys; a number that
-begins with a superfluous zero (``000001``) is text. Unlike YAML allows, keys are text and no map holds a key twice.
-"""
+begins with a superfluous zero (``000001``) is text. Unlike YAML allows, keys are text and no map holds a key twice."""
 
 from __future__ import annotations
 
@@ -80,11 +79,8 @@ class Tree:
 
 
 def read_tree(text: str, place: str, has_lines: bool = True) -> Tree:
-    """Read a YAML document.
-
-    The place is the file's name, or the ``--set``, for errors, which name the line, too, where `has_lines`. Raises
-    `DeploymentError` if the text is no YAML, or more than is allowed here.
-    """
+    """Read a YAML document. The place is the file's name, or the ``--set``, for errors, which name the line, too, where
+    `has_lines`. Raises `DeploymentError` if the text is no YAML, or more than is allowed here."""
     tree = Tree(place, has_lines)
     if len(text) > MAX_TEXT_CHARS:
         raise DeploymentError(f"has {len(text)} characters; at most {MAX_TEXT_CHARS} are allowed", place)

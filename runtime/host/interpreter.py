@@ -21,11 +21,9 @@ _AS_MODULE = f"{_BEGIN}import runpy; runpy.run_module(sys.argv[0], run_name='__m
 
 
 def python_module(module: str, *arguments: str) -> Sequence[str]:
-    """The command that runs a module as ``python -m`` does, but for the current folder.
-
-    Python looks there before anywhere else, so that a user's ``queue.py`` would stand in the place of the standard
-    library's. Modules of a deployment's own are found behind all others (`loader.extend_import_path`).
-    """
+    """The command that runs a module as ``python -m`` does, but for the current folder. Python looks there before
+    anywhere else, so that a user's ``queue.py`` would stand in the place of the standard library's. Modules of a
+    deployment's own are found behind all others (`loader.extend_import_path`)."""
     return [sys.executable, "-c", _AS_MODULE, module, *arguments]
 
 

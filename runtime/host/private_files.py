@@ -2,8 +2,7 @@
 
 What a launch believes later (checkpoints, what it takes to resume, where launches are found)
 is in folders that nobody else can write to, and no other user can read it. What a run gives
-its user (outputs, recordings) is as readable as that user's other files.
-"""
+its user (outputs, recordings) is as readable as that user's other files."""
 
 from __future__ import annotations
 
@@ -46,10 +45,8 @@ def errors_named(place: Path | str, done: str = "written", kind: type[HieraxErro
 @contextmanager
 def private_folder(path: Path, make: bool = False) -> Iterator[int]:
     """A folder that nobody but this user can put anything into, nor into those above it, open for `open_private`.
-
     `make` has it made, and those above it, where they lack, for this user alone. Raises `UnsafeFileError` if it or a
-    folder above it is another user's, or others may write there, and `OSError` if it cannot be opened or made.
-    """
+    folder above it is another user's, or others may write there, and `OSError` if it cannot be opened or made."""
     folder = _walked(path, make)
     try:
         found = os.fstat(folder)
@@ -64,11 +61,9 @@ def private_folder(path: Path, make: bool = False) -> Iterator[int]:
 
 
 def open_private(folder: int, name: str, flags: int, path: Path) -> int:
-    """Open a file of this user alone in a `private_folder`; one that others could read is theirs no more.
-
-    The flags are those of `os.open`, and errors name the path. Raises `UnsafeFileError` if it is a link, no regular
-    file, or another user's, and `OSError` if it cannot be opened.
-    """
+    """Open a file of this user alone in a `private_folder`; one that others could read is theirs no more. The flags are
+    those of `os.open`, and errors name the path. Raises `UnsafeFileError` if it is a link, no regular file, or another
+    user's, and `OSError` if it cannot be opened."""
     with _links_named(path):
         file = os.open(name, flags & ~os.O_TRUNC | _AT_ONCE, FILE_MODE, dir_fd=folder)
     with _closed_on_error(file):
@@ -91,11 +86,9 @@ def read_private(path: Path) -> bytes:
 
 
 def write_private(path: Path, content: bytes, replaces: bool = True) -> None:
-    """Write a private file, whole or not at all; its folder is made where it lacks.
-
-    One that `replaces` none is on the disk for good, or, where another process has made one meanwhile, left out. Raises
-    `UnsafeFileError` if its folder is not of this user alone, and `OSError` if it cannot be written.
-    """
+    """Write a private file, whole or not at all; its folder is made where it lacks. One that `replaces` none is on the
+    disk for good, or, where another process has made one meanwhile, left out. Raises `UnsafeFileError` if its folder is
+    not of this user alone, and `OSError` if it cannot be written."""
     unfinished = f".{path.name}.{token_hex(4)}.tmp"
     with private_folder(path.parent, make=True) as folder:
         file = open_private(folder, unfinished, os.O_WRONLY | os.O_CREAT | os.O_EXCL, path)
@@ -116,11 +109,9 @@ def write_private(path: Path, content: bytes, replaces: bool = True) -> None:
 
 
 def open_result(path: Path | str, append: bool = False, private: bool = False) -> int:
-    """Open a file that a run writes for its user, to be read and written; what is in it stays.
-
-    Its folder is there. `append` has everything go to its end; `private` has it for this user alone. Raises
-    `UnsafeFileError` if it is a link, no regular file, or another user's, and `OSError` if it cannot be opened.
-    """
+    """Open a file that a run writes for its user, to be read and written; what is in it stays. Its folder is there.
+    `append` has everything go to its end; `private` has it for this user alone. Raises `UnsafeFileError` if it is a
+    link, no regular file, or another user's, and `OSError` if it cannot be opened."""
     flags = os.O_RDWR | os.O_CREAT | _AT_ONCE | (os.O_APPEND if append else 0)
     with _links_named(path):
         file = os.open(path, flags, FILE_MODE if private else 0o666)

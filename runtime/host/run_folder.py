@@ -30,11 +30,8 @@ def run_folder(run: str) -> Path:
 
 
 def begin_run(run: str, about: Mapping[str, Any]) -> Path:
-    """Make the folder of a launch that begins, and remove those of old ones.
-
-    `about` is told of it, as JSON; ``pid`` is that of the supervisor. Raises `OSError` if it cannot be made, and
-    `UnsafeFileError` if others may write there.
-    """
+    """Make the folder of a launch that begins, and remove those of old ones. `about` is told of it, as JSON; ``pid`` is
+    that of the supervisor. Raises `OSError` if it cannot be made, and `UnsafeFileError` if others may write there."""
     folder = run_folder(run)
     with private_folder(folder / LOGS, make=True):
         write_private(folder / ABOUT, json.dumps(about, indent=2).encode() + b"\n")

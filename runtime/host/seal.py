@@ -1,8 +1,7 @@
 """Seals: what a user's own runs have written can be told from what somebody else has, or has changed.
 
 A key of 32 random bytes is kept for each user on each machine, beside the logs. What runs say of themselves is sealed
-with it (keyed BLAKE2b) when it is written; only who has the key could have made a seal that fits.
-"""
+with it (keyed BLAKE2b) when it is written; only who has the key could have made a seal that fits."""
 
 from __future__ import annotations
 

@@ -1,8 +1,7 @@
 """A process's standard streams: on standard output stands what it says itself, and nothing else.
 
 Zenoh prints its log to descriptor 1, as do libraries that nodes use. A process that calls `own_streams` or `own_output`
-has descriptor 1 lead to standard error, and keeps the real standard output for itself.
-"""
+has descriptor 1 lead to standard error, and keeps the real standard output for itself."""
 
 from __future__ import annotations
 
@@ -34,11 +33,9 @@ def own_output() -> int:
 
 
 def own_streams() -> None:
-    """The same, with `sys.stdout` and `sys.stderr` for what this process says itself.
-
-    What cannot be encoded is escaped; `StandardOutputError` is raised where standard output cannot be
-    written; what cannot be written to standard error is left out.
-    """
+    """The same, with `sys.stdout` and `sys.stderr` for what this process says itself. What cannot be encoded is
+    escaped; `StandardOutputError` is raised where standard output cannot be written; what cannot be written to standard
+    error is left out."""
     encodings = [stream.encoding if stream is not None else "utf-8" for stream in (sys.stdout, sys.stderr)]
     for stream in (sys.stdout, sys.stderr):
         if stream is not None:

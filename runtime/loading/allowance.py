@@ -2,8 +2,7 @@
 
 A deployment file allows the modules that it names itself and those that it lists as
 ``modules``. What comes later, from whomever, is held against that: rosters, changes,
-orders, records, recordings.
-"""
+orders, records, recordings."""
 
 from __future__ import annotations
 

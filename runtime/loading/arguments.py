@@ -1,8 +1,7 @@
 """Whether what a deployment gives as a parameter is of the type that the code's annotation says.
 
 Annotations of true or false, whole numbers, numbers and texts are looked at, each or None;
-others, and those that cannot be resolved, are the code's own business.
-"""
+others, and those that cannot be resolved, are the code's own business."""
 
 from __future__ import annotations
 

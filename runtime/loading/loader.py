@@ -1,7 +1,6 @@
 """Code by name: from a roster to nodes, edge functions and probes.
 
-Node processes use this; it imports nothing heavy.
-"""
+Node processes use this; it imports nothing heavy."""
 
 from __future__ import annotations
 
@@ -31,11 +30,9 @@ from hierax.schemas.values import encode_value
 
 
 class LoadError(HieraxError):
-    """What a roster names cannot be loaded.
-
-    `what` is wrong, with what was expected, and the nearest valid name; `where` is the path in the roster, which is
-    also that in the deployment file, as ``nodes.world.parameters.noise`` or ``edges.world -> arm.sense.function``.
-    """
+    """What a roster names cannot be loaded. `what` is wrong, with what was expected, and the nearest valid name;
+    `where` is the path in the roster, which is also that in the deployment file, as ``nodes.world.parameters.noise`` or
+    ``edges.world -> arm.sense.function``."""
 
     def __init__(self, what: str, where: str) -> None:
         self.what = what
@@ -53,10 +50,8 @@ def extend_import_path(paths: Iterable[str]) -> None:
 
 def load(target: str, where: str, allowance: Allowance) -> Any:
     """The object that ``package.module:name`` names, which the field at `where` says; the allowance is asked before.
-
     Raises `NotAllowedError` if it may not be loaded, and `LoadError` if there is no such module or name (with the
-    nearest one), the module only imports it from one that is not allowed, or the module's import raised.
-    """
+    nearest one), the module only imports it from one that is not allowed, or the module's import raised."""
     allowance.check(target, where)
     module_name, _, name = target.partition(":")
     module = _import(module_name, where)
@@ -81,11 +76,9 @@ def _check_home(found: Any, module_name: str, name: str, where: str, allowance: 
 
 
 def build_node(reference: Reference, where: str, allowance: Allowance, is_world: bool = False) -> Node:
-    """Build a node, or a `World`, of its class and parameters; `where` is its path in the file, ``nodes.NAME``.
-
-    Raises `NotAllowedError` or `LoadError` as `load` does, or if it is no class of nodes, which is found out before
-    that is called; or a parameter is unknown, lacks or is refused by it.
-    """
+    """Build a node, or a `World`, of its class and parameters; `where` is its path in the file, ``nodes.NAME``. Raises
+    `NotAllowedError` or `LoadError` as `load` does, or if it is no class of nodes, which is found out before that is
+    called; or a parameter is unknown, lacks or is refused by it."""
     node: Node = _build(reference, where, allowance, World if is_world else Node)
     return node
 
@@ -97,11 +90,9 @@ def build_probe(reference: Reference, where: str, allowance: Allowance) -> Probe
 
 
 def build_edge(edge: RosterEdge, allowance: Allowance, side: str = "both") -> Edge:
-    """Build an edge's functions; of its side ``lower`` φ only, of ``upper`` ψ and ϱ, of ``both`` all three.
-
-    Raises `NotAllowedError` or `LoadError` as `load` does, or if what is named is no function of the edge's kind, and
-    no class whose objects are, which is found out before it is called.
-    """
+    """Build an edge's functions; of its side ``lower`` φ only, of ``upper`` ψ and ϱ, of ``both`` all three. Raises
+    `NotAllowedError` or `LoadError` as `load` does, or if what is named is no function of the edge's kind, and no class
+    whose objects are, which is found out before it is called."""
     where = f"edges.{edge.lower} -> {edge.upper}"
     wanted = {"lower": ("sense",), "upper": ("task", "context"), "both": ("sense", "task", "context")}[side]
     functions: dict[str, Callable[..., Any]] = {}
@@ -113,11 +104,9 @@ def build_edge(edge: RosterEdge, allowance: Allowance, side: str = "both") -> Ed
 
 
 def build_hierarchy(roster: Roster, setting: OperatorSetting, allowance: Allowance) -> Hierarchy:
-    """Build all nodes and edges in this process.
-
-    Raises `NotAllowedError` if something may not be loaded (then nothing is), `LoadError` if something cannot be
-    loaded, or an operator not be called, and `HierarchyError` if they form no hierarchy.
-    """
+    """Build all nodes and edges in this process. Raises `NotAllowedError` if something may not be loaded (then nothing
+    is), `LoadError` if something cannot be loaded, or an operator not be called, and `HierarchyError` if they form no
+    hierarchy."""
     allowance.check_all(roster)
     nodes = {
         name: build_node(reference, f"nodes.{name}", allowance, is_world=name == roster.world)

@@ -74,11 +74,9 @@ RosterEdgeKey = tuple[tuple[str, str], bytes]  # an edge's pair and its function
 
 
 def misspelt_operators(given: type) -> list[str]:
-    """What is wrong with the names of a node class's methods, a line for each.
-
-    A public method counts that overrides nothing and whose name is near that of an operator which
-    the class does not define either; a helper beside the operator that it is named after is none.
-    """
+    """What is wrong with the names of a node class's methods, a line for each. A public method counts that overrides
+    nothing and whose name is near that of an operator which the class does not define either; a helper beside the
+    operator that it is named after is none."""
     base: type = World if issubclass(given, World) else Node
     operators = [name for name, _ in _methods(base)]
     left_out = [name for name in operators if getattr(given, name) is getattr(base, name)]

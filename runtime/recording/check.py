@@ -17,8 +17,7 @@ it, and at the messages and digests themselves:
     GRAPH    a roster is a hierarchy
 
 "Before" and "after" are as the node's own port saw them: nothing that comes over a network
-says in which order two others acted, but what one has received another has sent before.
-"""
+says in which order two others acted, but what one has received another has sent before."""
 
 from __future__ import annotations
 

@@ -2,8 +2,7 @@
 
 In each epoch results are compared in the formal order: upward each node's `observe` and its edges' `sense`, downward
 its `select_policy`, policy, `task`, `predict` and `context`. So everything that went into the first one that differs
-was the same.
-"""
+was the same."""
 
 from __future__ import annotations
 
@@ -69,11 +68,9 @@ class Comparison:
 
 
 def compare(a: Iterable[EpochView], b: Iterable[EpochView], tolerance: float = 0.0) -> Comparison:
-    """Compare the epochs that both have, in the order of their numbers, up to the first difference.
-
-    The runs' digests are compared where the rosters were equal so far, but with a tolerance of numbers, as
-    `first_unlike` has it, they are not.
-    """
+    """Compare the epochs that both have, in the order of their numbers, up to the first difference. The runs' digests
+    are compared where the rosters were equal so far, but with a tolerance of numbers, as `first_unlike` has it, they
+    are not."""
     result = Comparison()
     for left, right in _paired(iter(a), iter(b)):
         result.epochs += 1

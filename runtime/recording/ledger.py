@@ -1,8 +1,7 @@
 """The ledger of a recording: what was said, by the words of those who said and heard it, against what was recorded.
 
 Every step names the messages that went in and out at its node's port, and counts the steps. So what lacks is known
-whoever has lost it, and how.
-"""
+whoever has lost it, and how."""
 
 from __future__ import annotations
 

@@ -2,8 +2,7 @@
 
 Started by a supervisor with its order, a JSON object, as the first line of standard input.
 End of file there means that the run is over; a second line, if there was one, is the number
-of its last epoch. What it has to say goes to standard output as JSON objects, one a line.
-"""
+of its last epoch. What it has to say goes to standard output as JSON objects, one a line."""
 
 from __future__ import annotations
 
@@ -40,12 +39,10 @@ LISTENING, DONE, FAILED = "listening", "done", "failed"
 
 
 class LiveRecording:
-    """A recorder at work: hears a run of an endpoint's hub, until it is told to stop.
-
-    `file`, `check`, `epochs`, `selection` are as `open_recorder` has them. The settings are Zenoh's own, the host is
-    this machine's for processes on others, and it `watches` where nobody else tells when the launch is over, and how
-    far it came. Raises `HieraxError` if the file cannot be written, or the run cannot be reached.
-    """
+    """A recorder at work: hears a run of an endpoint's hub, until it is told to stop. `file`, `check`, `epochs`,
+    `selection` are as `open_recorder` has them. The settings are Zenoh's own, the host is this machine's for processes
+    on others, and it `watches` where nobody else tells when the launch is over, and how far it came. Raises
+    `HieraxError` if the file cannot be written, or the run cannot be reached."""
 
     def __init__(
         self,

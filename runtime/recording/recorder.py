@@ -31,10 +31,8 @@ _log = logging.getLogger("hierax")
 
 class Recorder:
     """Takes in what comes on the keys of a run, for a file, if there is one, and for a checker, which sees all of it.
-
     `from_start` and `epochs` are as the `Ledger` has them; `barrier` says whether every node does every epoch, and the
-    selection, what is written.
-    """
+    selection, what is written."""
 
     def __init__(
         self,
@@ -128,10 +126,8 @@ class Recorder:
             self._keep_bounds(self._file, entry)
 
     def _write_held(self) -> None:
-        """Until every node has told of an epoch, it is not known with which one the recording begins.
-
-        The epoch before that one is written, too: in it the nodes told the states with which this one begins.
-        """
+        """Until every node has told of an epoch, it is not known with which one the recording begins. The epoch before
+        that one is written, too: in it the nodes told the states with which this one begins."""
         held, self._held = self._held, None
         first = self.ledger.first - 1 if self._barrier else 0
         for entry in sorted(

@@ -2,8 +2,7 @@
 
 Some nodes are *live*: their operators are called again. The others, by default the world,
 give what they gave. A live node gets what live nodes give now, and of the others what was
-recorded, each from the epoch and attempt whose message was used then.
-"""
+recorded, each from the epoch and attempt whose message was used then."""
 
 from __future__ import annotations
 

@@ -75,9 +75,7 @@ class Given(NamedTuple):
 
 class Exchange:
     """What went along each line, as far back as it may be used: as it was recorded, or as a live node gives it now.
-
-    With the barrier, only the epoch's own messages are used.
-    """
+    With the barrier, only the epoch's own messages are used."""
 
     def __init__(self, barrier: bool) -> None:
         self._barrier = barrier

@@ -39,11 +39,9 @@ EVERYTHING = Selection()
 
 
 def check_pattern(pattern: str) -> str:
-    """A pattern of keys to be left out, such as ``obs/camera/*``.
-
-    Its parts stand for those of a key, with ``*`` for anything in one and ``?`` for any letter; ``**`` at its end
-    stands for all that is left. Raises `RecordingError` if no key that may be left out is like it.
-    """
+    """A pattern of keys to be left out, such as ``obs/camera/*``. Its parts stand for those of a key, with ``*`` for
+    anything in one and ``?`` for any letter; ``**`` at its end stands for all that is left. Raises `RecordingError` if
+    no key that may be left out is like it."""
     head = pattern.split("/")[0]
     if "" in pattern.split("/") or not any(head == "**" or fnmatchcase(kind, head) for kind in KINDS):
         near = did_you_mean(head, KINDS, "they begin with")

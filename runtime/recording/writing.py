@@ -37,10 +37,8 @@ class Target:
 @contextmanager
 def claimed(path: Path, overwrite: bool = False) -> Iterator[Target]:
     """Have the file of a recording for oneself; it is made where it lacks, and does not stay if nothing is written.
-
     Raises `RecordingError` if it cannot be written, another process writes it, or there is something already that is
-    not replaced (`overwrite` replaces a recording).
-    """
+    not replaced (`overwrite` replaces a recording)."""
     with errors_named(path, kind=RecordingError):
         file = open_result(path)
     try:
@@ -58,11 +56,9 @@ def claimed(path: Path, overwrite: bool = False) -> Iterator[Target]:
 
 
 class McapFile:
-    """A recording that is being written, with compressed chunks. Not for two threads at once.
-
-    What was in the file, which is a path or what `claimed` gave, is gone. Raises `RecordingError` if it cannot be
-    written, or the package ``mcap`` lacks.
-    """
+    """A recording that is being written, with compressed chunks. Not for two threads at once. What was in the file,
+    which is a path or what `claimed` gave, is gone. Raises `RecordingError` if it cannot be written, or the package
+    ``mcap`` lacks."""
 
     def __init__(self, path: Path | Target, info: RunInfo) -> None:
         self._path = path.path if isinstance(path, Target) else path

@@ -1,7 +1,6 @@
 """The pytest plugin: fixtures for tests of one's own nodes and hierarchies.
 
-Every pytest in an environment with hierax loads this module, so it imports nothing heavy.
-"""
+Every pytest in an environment with hierax loads this module, so it imports nothing heavy."""
 
 from __future__ import annotations
 

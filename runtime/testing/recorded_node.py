@@ -79,12 +79,9 @@ class Recorded:
 
 
 def read_recorded(file: str | Path, name: str, epochs: int | None = None, trust: bool = False) -> Recorded:
-    """The inputs of the node of a name in a recording.
-
-    At most so many epochs are read; with `trust`, code that it names is loaded also where it is not known to be this
-    user's own. Raises `HieraxError` if the file is no recording, is not trusted, has no such node, or lacks
-    something that it was given.
-    """
+    """The inputs of the node of a name in a recording. At most so many epochs are read; with `trust`, code that it
+    names is loaded also where it is not known to be this user's own. Raises `HieraxError` if the file is no recording,
+    is not trusted, has no such node, or lacks something that it was given."""
     recording = Recording.open(file)
     if not recording.info.how_stale.barrier:
         raise HieraxError(f"{file}: its epochs overlap; replay it by `hierax replay --node {name}`")

@@ -32,12 +32,9 @@ def edges_of(pairs: Iterable[tuple[str, str]]) -> list[Edge]:
 
 
 def chosen(pattern: str, edges: Sequence[Edge]) -> list[Edge]:
-    """The edges that a pattern stands for.
-
-    `pattern`: ``KIND/FROM/TO``, where ``*`` stands for any name and ``?`` for any letter, or ``**`` for all that is
-    left; as a key in full it may begin with ``hierax/…/…/``. `edges`: those that there are. Raises `HieraxError` if it
-    stands for none; with the nearest one.
-    """
+    """The edges that a pattern stands for. `pattern`: ``KIND/FROM/TO``, where ``*`` stands for any name and ``?`` for
+    any letter, or ``**`` for all that is left; as a key in full it may begin with ``hierax/…/…/``. `edges`: those that
+    there are. Raises `HieraxError` if it stands for none; with the nearest one."""
     given = pattern.split("/")
     parts = given[3:] if given[0] == "hierax" and len(given) > 3 else given
     if parts and parts[-1] == "**":

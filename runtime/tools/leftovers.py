@@ -24,10 +24,8 @@ class Orphan(NamedTuple):
 
 
 def orphaned_processes(proc: Path = Path("/proc")) -> Iterator[Orphan]:
-    """This user's processes of nodes whose parent is no Python program any more.
-
-    A node's process ends within 2 s when its supervisor dies; one that hangs in an operator may not.
-    """
+    """This user's processes of nodes whose parent is no Python program any more. A node's process ends within 2 s when
+    its supervisor dies; one that hangs in an operator may not."""
     for folder in sorted(proc.glob("[0-9]*")):
         try:
             if folder.stat().st_uid != os.getuid() or NODE_PROCESS not in _command(folder):

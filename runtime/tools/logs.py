@@ -25,9 +25,7 @@ _SECONDS = {"s": 1, "m": 60, "h": 3600, "d": 86400}
 
 def find_folder(run: str | None) -> Path:
     """The folder of a launch; of several that may be meant the youngest, one that runs before those that have ended.
-
-    Raises `HieraxError` if there is none; with the nearest name.
-    """
+    Raises `HieraxError` if there is none; with the nearest name."""
     folders = known_folders()
     if not folders:
         raise HieraxError("no launch has left a log on this machine")

@@ -29,11 +29,9 @@ def module_name(name: str) -> str:
 
 
 def make_project(folder: Path) -> list[Path]:
-    """Write a project into a folder that is not there yet, or empty.
-
-    `folder`: its last part is the project's name. Returns the files, in order. Raises `HieraxError` if the name cannot
-    be one, there is something already, or it cannot be written.
-    """
+    """Write a project into a folder that is not there yet, or empty. `folder`: its last part is the project's name.
+    Returns the files, in order. Raises `HieraxError` if the name cannot be one, there is something already, or it
+    cannot be written."""
     name = folder.resolve().name
     module = module_name(name)
     _check_name(name, module)

@@ -26,10 +26,8 @@ def show_launch(
     client: LaunchClient, presenter: ViewPresenter, allowance: Allowance, over: Callable[[], bool] = lambda: False
 ) -> int:
     """Show a launch until it ends, or `over`, which is asked often, says that it is enough; how many steps were shown.
-
     Raises `TransportError` if it does not answer from the beginning, and `HieraxError` if a node cannot be loaded here,
-    or what it shows cannot be shown.
-    """
+    or what it shows cannot be shown."""
     status = client.status()
     inbox = _Inbox()
     client.listen(client.keys().seen(STEP, "*", "*"), inbox.put)

@@ -79,9 +79,7 @@ class ViewPresenter:
 
     def step(self, name: str, node: Node, step: Step, start: Value = None) -> None:
         """Show what a node did, by its `show` and `metrics`, as `OperatorError` or `ShowError` says if that cannot be.
-
-        `start` is the belief that the epoch began in, where that is known and no step before it was shown.
-        """
+        `start` is the belief that the epoch began in, where that is known and no step before it was shown."""
         assert self._roster is not None, "the roster comes before its nodes' steps"
         if name not in self._roster.nodes:
             return  # it has gone meanwhile

@@ -19,10 +19,8 @@ from hierax.schemas.messages import CONTEXT, OBSERVATIONS, TASKS
 def show_recording(
     recording: Recording, presenter: ViewPresenter, allowance: Allowance, first: int = 1, last: int | None = None
 ) -> int:
-    """Show the epochs of a recording from the first to the last one; how many were shown.
-
-    Raises `HieraxError` if the file is damaged, a node cannot or may not be loaded, or what it shows cannot be shown.
-    """
+    """Show the epochs of a recording from the first to the last one; how many were shown. Raises `HieraxError` if the
+    file is damaged, a node cannot or may not be loaded, or what it shows cannot be shown."""
     playing = _Playing(presenter, allowance, Exchange(recording.info.how_stale.barrier))
     shown = 0
     for trace in recording.epochs(first, last):

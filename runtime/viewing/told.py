@@ -41,10 +41,8 @@ class Look:
 
 
 def recorded_look(recording: Recording, name: str, epoch: int | None, allowance: Allowance) -> tuple[Look, Roster]:
-    """What a node did in an epoch of a recording, by default the last one, and the roster then.
-
-    Raises `HieraxError` if it is not in the recording, the file is damaged, or a node cannot or may not be loaded.
-    """
+    """What a node did in an epoch of a recording, by default the last one, and the roster then. Raises `HieraxError` if
+    it is not in the recording, the file is damaged, or a node cannot or may not be loaded."""
     last = recording.ending.last if epoch is None and recording.ending is not None else epoch
     keeping = _Keeping(name)
     show_recording(recording, keeping, allowance, 1 if last is None else max(1, last - 1), last)

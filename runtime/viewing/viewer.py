@@ -55,13 +55,11 @@ class Place:
 
 @contextmanager
 def web_viewer(stream: Stream, port: int | None, memory: str, opens: bool) -> Iterator[Place]:
-    """A web viewer that shows a stream, on this machine's loopback alone; its place is the page's address.
-
-    Rerun's own server listens on all addresses where it runs inside of a Python process, so it is started as a process,
-    which is told where to. It ends with this one, and keeps so much memory, as ``1GiB``, for pages that are opened
-    later. Without a port the page's is `WEB_PORT`, or a free one where that is taken; where it `opens`, it does so in a
-    browser. Raises `ViewerError` if the port is taken, or the server does not start.
-    """
+    """A web viewer that shows a stream, on this machine's loopback alone; its place is the page's address. Rerun's own
+    server listens on all addresses where it runs inside of a Python process, so it is started as a process, which is
+    told where to. It ends with this one, and keeps so much memory, as ``1GiB``, for pages that are opened later.
+    Without a port the page's is `WEB_PORT`, or a free one where that is taken; where it `opens`, it does so in a
+    browser. Raises `ViewerError` if the port is taken, or the server does not start."""
     web_port, data_port = _port(port), _free_port()
     options = ["--serve-web", "--web-viewer-port", str(web_port), "--server-memory-limit", memory]
     with _viewer(stream, options, data_port, web_port):

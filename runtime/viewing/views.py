@@ -1,7 +1,6 @@
 """Which view a thing is seen in, where it is in there, and where views stand on the screen.
 
-That is in columns of cells, each of one view or of several behind tabs.
-"""
+That is in columns of cells, each of one view or of several behind tabs."""
 
 from __future__ import annotations
 
@@ -94,10 +93,8 @@ def shown_by(name: str, node: Node, step: Step, before: Value) -> tuple[Placed, 
 
 
 def placed(name: str, things: Mapping[str, Thing], where: str) -> tuple[Placed, ...]:
-    """Things by path, as the node of a name gives them by `Node.show`, in their places.
-
-    Raises `ShowError`, which begins with `where`, if a path is wrong, or something is nothing that can be shown.
-    """
+    """Things by path, as the node of a name gives them by `Node.show`, in their places. Raises `ShowError`, which
+    begins with `where`, if a path is wrong, or something is nothing that can be shown."""
     if not isinstance(things, Mapping):
         raise ShowError(f"{where}: expected things by path, got {type(things).__name__}")
     return tuple(_place(name, path, thing, where) for path, thing in things.items())

@@ -6,8 +6,7 @@ as well. Every record has the fields ``run``, ``node``, ``epoch`` and ``attempt`
     {"time": "2030-01-02T03:04:05.678901Z", "level": "WARNING", "run": "5163af85", "node": "arm",
      "epoch": 12, "attempt": 0, "logger": "hierax", "message": "…"}
 
-``exception`` holds a traceback; what is given as ``extra`` stands under its own names.
-"""
+``exception`` holds a traceback; what is given as ``extra`` stands under its own names."""
 
 from __future__ import annotations
 

@@ -37,12 +37,10 @@ def kind_of(operator: str) -> str:
 
 
 class Meter(Watcher):
-    """Takes times, from one event to the next; some microseconds an epoch while it watches.
-
-    The time from the end of all work to the message that makes the node work again is waiting for that message's
-    sender: messages that only add to what is in hand end no wait. The clock gives nanoseconds, of any origin. `read`
-    may be called by another thread: numbers may then be of one event more than others.
-    """
+    """Takes times, from one event to the next; some microseconds an epoch while it watches. The time from the end of
+    all work to the message that makes the node work again is waiting for that message's sender: messages that only add
+    to what is in hand end no wait. The clock gives nanoseconds, of any origin. `read` may be called by another thread:
+    numbers may then be of one event more than others."""
 
     def __init__(self, clock: Clock = time.perf_counter_ns) -> None:
         self._clock = clock
@@ -91,11 +89,8 @@ class Meter(Watcher):
             self._sender = ""
 
     def read(self, busy: str = "", waits_for: str = "") -> Value:
-        """What was measured, up to now, in nanoseconds.
-
-        `busy` is the operator that the node is in, which has not returned yet, or empty; `waits_for` is who sends the
-        message that it waits for, which has not come yet.
-        """
+        """What was measured, up to now, in nanoseconds. `busy` is the operator that the node is in, which has not
+        returned yet, or empty; `waits_for` is who sends the message that it waits for, which has not come yet."""
         now = self._clock()
         work, waiting = dict(self._work), dict(self._waiting)
         if self._works or busy:

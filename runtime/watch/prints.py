@@ -4,8 +4,7 @@
 
 Python's own prints are named in the node's process, which knows the epoch. Whatever else is written to descriptors
 1 and 2 there goes through a pipe to the process's supervisor: that one is there when the process was killed, and reads
-while a library prints and holds the interpreter's lock.
-"""
+while a library prints and holds the interpreter's lock."""
 
 from __future__ import annotations
 

@@ -5,8 +5,7 @@ it, whose observations came last. Which that is, messages say: each carries the 
 extensions, as W3C Trace Context has it. The span of `predict` links to those of the nodes above, whose context came.
 
 It is on where the environment says so, as OpenTelemetry specifies: ``OTEL_TRACES_EXPORTER``
-is ``otlp`` or ``console``. Needs the extra ``[telemetry]``.
-"""
+is ``otlp`` or ``console``. Needs the extra ``[telemetry]``."""
 
 from __future__ import annotations
 

@@ -8,11 +8,9 @@ from hierax.schemas.messages import Header, Message
 
 
 class Watcher:
-    """Told by a `NodeRunner` of all that its node does. Nothing that it is given may be changed.
-
-    Every method is called in the thread that runs the node, between messages that others wait for: it must not take
-    long, and must not raise. A watcher that comes in the middle of an epoch sees the rest of it.
-    """
+    """Told by a `NodeRunner` of all that its node does. Nothing that it is given may be changed. Every method is called
+    in the thread that runs the node, between messages that others wait for: it must not take long, and must not raise.
+    A watcher that comes in the middle of an epoch sees the rest of it."""
 
     def received(self, message: Message) -> None:
         """A message has come, and the engine is about to take it in."""
