@@ -146,9 +146,8 @@ class Float64Sweep:
         self.beliefs[group.top_size].take(group.tops, axis=1, out=at_tops, mode="clip")
         np.divide(at_tops, step.messages, out=at_tops)
         from_top = np.add.reduce(np.multiply(table, along(at_tops, 0, table.ndim), out=step.work), axis=0)
-        for other, (likelihood, support, belief) in enumerate(
-            zip(step.likelihoods, step.supports, step.beliefs, strict=True)
-        ):
+        others = zip(step.likelihoods, step.supports, step.beliefs, strict=True)
+        for other, (likelihood, support, belief) in enumerate(others):
             found = from_top
             for axis in reversed(range(len(step.supports))):
                 if axis != other:

@@ -207,10 +207,8 @@ def check_shape(parents: Parents) -> None:
         TopologicalSorter(parents).prepare()
     except CycleError as error:
         raise NetworkError(f"there is a cycle: {' -> '.join(map(str, error.args[1]))}") from None
-    arrows = ((name, parent) for name, above in parents.items() for parent in above)
-    name, parent = next(
-        ends for ends in arrows if ends not in come_from.items() and ends[::-1] not in come_from.items()
-    )
+    arrows, entered = ((name, parent) for name, above in parents.items() for parent in above), come_from.items()
+    name, parent = next(ends for ends in arrows if ends not in entered and ends[::-1] not in entered)
     loop = [*_between(come_from, name, parent), name]
     raise NetworkError(
         f"there is an undirected loop, {' - '.join(map(str, loop))}; expected a tree or polytree, "

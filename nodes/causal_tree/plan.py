@@ -132,6 +132,7 @@ def _make_plan(
     base = {size: np.ones((size, len(variables))) for size, variables in members.items()}
     for variable, prior in priors.items():
         base[sizes[variable]][:, columns[variable]] = prior
+    tables = (*base.values(), *(family.table for family in families))
     return Plan(
         groups=tuple(_group(entries, sizes, columns) for entries in shapes),
         sizes=sizes,
@@ -139,9 +140,7 @@ def _make_plan(
         members=members,
         base=base,
         roots=found,
-        least=min(
-            (float(array.min()) for array in (*base.values(), *(family.table for family in families))), default=1.0
-        ),
+        least=min((float(table.min()) for table in tables), default=1.0),
         others=max((len(family.members) - 1 for family in families), default=1),
     )
 

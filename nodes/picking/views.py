@@ -11,7 +11,7 @@ from hierax.nodes.picking.panda import JOINTS
 from hierax.nodes.picking.workcell import FINGERS, panda_file
 from hierax.nodes.tracking.evaluation.pictures import CONTACT_SHEET, contact_sheet, write_picture
 from hierax.nodes.tracking.imagery.bullet import Bullet
-from hierax.nodes.tracking.math.geometry import Array, quaternion_of
+from hierax.nodes.tracking.math.geometry import Array, Size, quaternion_of
 from hierax.runtime import Probe, Step, Value
 
 VIEWS_FOLDER = "views"
@@ -32,9 +32,7 @@ class SceneView:
         self._box(_TABLE_HALF_M, _TABLE_COLOUR, (0.0, 0.0, -_TABLE_HALF_M[2]))
         self._cubes: dict[int, int] = {}
 
-    def draw(
-        self, belief: Value, view: Sequence[float], lens: Sequence[float], size: tuple[int, int]
-    ) -> tuple[Array, Array]:
+    def draw(self, belief: Value, view: Sequence[float], lens: Sequence[float], size: Size) -> tuple[Array, Array]:
         """The scene of a world's belief, by OpenGL's view and projection matrices (16,), by columns: uint8 RGB (h, w,
         3), and int32 (h, w), whose body is seen, -1 for none."""
         bullet = self._bullet
@@ -51,7 +49,7 @@ class SceneView:
         picture = np.asarray(drawn[2], dtype=np.uint8).reshape(height, width, 4)[..., :3]
         return picture, np.asarray(drawn[4], dtype=np.int32).reshape(height, width)
 
-    def beside(self, belief: Value, size: tuple[int, int]) -> Array:
+    def beside(self, belief: Value, size: Size) -> Array:
         """The scene from beside the table, uint8 RGB (h, w, 3)."""
         view = self._bullet.computeViewMatrix(*BESIDE, (0.0, 0.0, 1.0))
         lens = self._bullet.computeProjectionMatrixFOV(_FIELD_DEG, size[0] / size[1], *_RANGE_M)

@@ -17,7 +17,7 @@ from hierax.nodes.tracking.imagery.layers import Layer, LayerRenderer, Window, s
 from hierax.nodes.tracking.imagery.occlusion import Placed, chances_seen
 from hierax.nodes.tracking.imagery.proposals import Proposer, places_seen, top_of
 from hierax.nodes.tracking.math.batched import only
-from hierax.nodes.tracking.math.geometry import Array, Floats, invert, transform
+from hierax.nodes.tracking.math.geometry import Array, Floats, Size, invert, transform
 from hierax.nodes.tracking.model.controls import Controls, gathered
 from hierax.nodes.tracking.model.shapes import shape_of
 from hierax.nodes.tracking.schema import (
@@ -53,7 +53,7 @@ class _Scene(NamedTuple):
 
     camera_from_world: Floats
     intrinsics: Array
-    size: tuple[int, int]
+    size: Size
     bodies: Sequence[Body]
     items: Sequence[Item]
     layers: Mapping[int, Layer]
@@ -65,7 +65,7 @@ class DepthRenderer:
     def __init__(self) -> None:
         self._held: dict[int, tuple[Item, LayerRenderer]] = {}
 
-    def layers(self, items: Sequence[Item], intrinsics: Array, size: tuple[int, int]) -> dict[int, Layer]:
+    def layers(self, items: Sequence[Item], intrinsics: Array, size: Size) -> dict[int, Layer]:
         """Each item alone, by its label, in the order of labels, without those that cannot be in the image (width,
         height) of a camera (fx, fy, cx, cy in pixels, pixel centres at integers). Raises ValueError: labels are doubled
         or out of range."""
@@ -76,7 +76,7 @@ class DepthRenderer:
         found = {item.label: self.renderer(item).layer(item.pose, intrinsics, size) for item in ordered}
         return {label: layer for label, layer in found.items() if layer is not None}
 
-    def render(self, items: Sequence[Item], intrinsics: Array, size: tuple[int, int]) -> tuple[Array, Array]:
+    def render(self, items: Sequence[Item], intrinsics: Array, size: Size) -> tuple[Array, Array]:
         """What a pinhole camera sees of the items: depth (h, w) float32, z in the camera's frame in metres, and labels
         (h, w) uint8, both 0 where nothing is. Raises ValueError: labels are doubled or out of range."""
         return composed(self.layers(items, intrinsics, size), Window(0, 0, *size))
@@ -154,9 +154,7 @@ class SegmentedDepth:
             },
         )
 
-    def _sweeps(
-        self, belief: SpatialBelief, camera: Floats, intrinsics: Array, size: tuple[int, int]
-    ) -> tuple[Sweep, ...] | None:
+    def _sweeps(self, belief: SpatialBelief, camera: Floats, intrinsics: Array, size: Size) -> tuple[Sweep, ...] | None:
         """Where the bodies that are looked for everywhere may be: on the table, and on what stands there."""
         if belief["sweeping"] is None:
             return None

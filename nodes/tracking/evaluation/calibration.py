@@ -166,9 +166,7 @@ def calibration(files: Sequence[Path]) -> Calibration | None:
         return None
     place = np.minimum((probability * _BINS).astype(int), _BINS - 1)
     found = [np.nonzero(place == number)[0] for number in range(_BINS)]
-    bins = tuple(
-        Bin(len(each), float(probability[each].mean()), float(right[each].mean())) for each in found if len(each)
-    )
+    bins = tuple(Bin(len(at), float(probability[at].mean()), float(right[at].mean())) for at in found if len(at))
     sure = probability >= SURE
     share, anees = (float(each[sure].mean()) if sure.any() else float("nan") for each in (right, square))
     return Calibration(len(probability), bins, share, anees, float(astray.mean()))

@@ -273,9 +273,7 @@ def _plain(value: Any) -> Any:
 
 
 def _named(shares: Sequence[float]) -> dict[str, Any]:
-    return {
-        f"within_{mm:g}mm_{degrees:g}deg": _plain(share) for (mm, degrees), share in zip(LIMITS, shares, strict=True)
-    }
+    return {f"within_{mm:g}mm_{deg:g}deg": _plain(share) for (mm, deg), share in zip(LIMITS, shares, strict=True)}
 
 
 def percent(share: float) -> str:

@@ -139,10 +139,8 @@ def smooth_shape(mesh: Mesh, convex: Sequence[Floats]) -> Shape:
     if float(np.einsum("nk,nk->", corners[:, 0], weighted)) < 0.0:
         mesh, weighted = Mesh(mesh.vertices, mesh.faces[:, ::-1].copy()), -weighted
     flat = unit(weighted)
-    _, places = np.unique(
-        np.rint(mesh.vertices[mesh.faces].reshape(-1, 3) / 1e-6).astype(int), axis=0, return_inverse=True
-    )
-    places = places.ravel()
+    spots = np.rint(mesh.vertices[mesh.faces].reshape(-1, 3) / 1e-6).astype(int)
+    places = np.unique(spots, axis=0, return_inverse=True)[1].ravel()
     order = np.argsort(places, kind="stable")
     normals = np.empty((len(order), 3))
     for group in np.split(order, np.nonzero(np.diff(places[order]))[0] + 1):

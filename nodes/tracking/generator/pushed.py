@@ -16,6 +16,7 @@ from hierax.nodes.tracking.imagery.bullet import Bullet, box_shape, create_body,
 from hierax.nodes.tracking.math.geometry import (
     Array,
     Floats,
+    Size,
     exp_so3,
     invert,
     looking_down,
@@ -46,7 +47,7 @@ class _Plan(NamedTuple):
 
 
 def pushed(
-    rng: np.random.Generator, frames: int, intrinsics: Array, size: tuple[int, int]
+    rng: np.random.Generator, frames: int, intrinsics: Array, size: Size
 ) -> tuple[list[Thing], Floats, Floats, Thing, Floats]:
     """A scene of six objects, see the module, seen with fx, fy, cx, cy in pictures (w, h): the objects, their poses
     (frames, 6, 4, 4), the camera's (frames, 4, 4), the rod, and its poses (frames, 4, 4)."""
@@ -165,9 +166,7 @@ def _fastest_px(poses: Floats, camera: Floats, intrinsics: Array) -> float:
     return float(np.linalg.norm(np.diff(pixels, axis=0), axis=-1).max(initial=0.0))
 
 
-def _fitting_screen(
-    things: Sequence[Thing], poses: Floats, camera: Floats, intrinsics: Array, size: tuple[int, int]
-) -> Thing:
+def _fitting_screen(things: Sequence[Thing], poses: Floats, camera: Floats, intrinsics: Array, size: Size) -> Thing:
     """The screen, so wide that what slides behind it is gone for `HIDDEN_FRAMES` frames, or nearly."""
     slider, height = things[1], float(np.ptp(things[0].shape.mesh.vertices, axis=0)[2])
     low, high, half = 0.06, 0.22, (size[0] // 2, size[1] // 2)

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 Floats = NDArray[np.float64]
 Array = NDArray[Any]
+Size = tuple[int, int]  # width and height in pixels
 
 NEAREST_M = 0.02
 """What is nearer to a camera than this, along its z, is not looked at: its pixels would be anywhere."""

@@ -54,10 +54,7 @@ class LineMatch(NamedTuple):
 
 
 def image_lines(image: Array) -> Floats:
-    """The line segments of an image: end points (n, 2, 2) in pixels.
-
-    Args: image: uint8, (h, w) gray or (h, w, 3) RGB.
-    """
+    """The line segments of an image, uint8, (h, w) gray or (h, w, 3) RGB: end points (n, 2, 2) in pixels."""
     gray = cv2.cvtColor(image, cv2.COLOR_RGB2GRAY) if image.ndim == 3 else image
     found = cv2.createLineSegmentDetector().detect(gray)[0]
     lines = np.zeros((0, 2, 2)) if found is None else found.reshape(-1, 2, 2).astype(np.float64)

@@ -15,7 +15,7 @@ from functools import lru_cache
 import cv2
 import numpy as np
 
-from hierax.nodes.tracking.math.geometry import Array, Floats
+from hierax.nodes.tracking.math.geometry import Array, Floats, Size
 from hierax.nodes.tracking.simworld.shapes import Face
 
 cv2.setNumThreads(1)
@@ -42,9 +42,7 @@ class Lamp:
 LAMP = Lamp()
 
 
-def light_on(
-    face: Face, parts: Sequence[Floats], size: tuple[int, int], homography: Floats, lamp: Lamp = LAMP
-) -> Array:
+def light_on(face: Face, parts: Sequence[Floats], size: Size, homography: Floats, lamp: Lamp = LAMP) -> Array:
     """How bright a white face is, shadows included, float32 (h, w), with a homography from the face's coordinates to
     pixels of the result, all of them in front of the camera. Of the convex parts, corners (n, 3) in the world's frame,
     that may throw a shadow on it, its own may be one."""

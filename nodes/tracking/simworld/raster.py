@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from hierax.nodes.tracking.math.geometry import Array, Floats, invert, lens_matrix, project, transform, unit
+from hierax.nodes.tracking.math.geometry import Array, Floats, Size, invert, lens_matrix, project, transform, unit
 from hierax.nodes.tracking.simworld.shapes import Face, Thing
 
 _NEAREST_SAMPLED_M = 1e-3  # a face with a corner nearer to the camera is not drawn
@@ -36,7 +36,7 @@ def homography(face: Face, camera: Floats, intrinsics: Array) -> Floats:
     return lens_matrix(intrinsics) @ np.stack(columns, axis=1)
 
 
-def drawn_face(face: Face, camera: Floats, intrinsics: Array, size: tuple[int, int], samples: int) -> Drawn | None:
+def drawn_face(face: Face, camera: Floats, intrinsics: Array, size: Size, samples: int) -> Drawn | None:
     """A face in the world's frame, as `drawn` has it; None where it is out of the picture, or too near to it."""
     to_pixels = homography(face, camera, intrinsics)
     corners = to_pixels @ np.array([[0.0, 1.0, 0.0, 1.0], [0.0, 0.0, 1.0, 1.0], [1.0, 1.0, 1.0, 1.0]])
@@ -63,7 +63,7 @@ def drawn_face(face: Face, camera: Floats, intrinsics: Array, size: tuple[int, i
 
 
 def drawn_mesh(
-    curved: tuple[Floats, Floats], camera: Floats, intrinsics: Array, size: tuple[int, int], samples: int
+    curved: tuple[Floats, Floats], camera: Floats, intrinsics: Array, size: Size, samples: int
 ) -> Drawn | None:
     """A closed surface of triangles, as `drawn` has it, given as by `Thing.curved`; None
     where it is out of the picture, or too near to it."""
@@ -102,7 +102,7 @@ def drawn_mesh(
     return Drawn(None, (int(low[0]), int(low[1]), int(high[0]), int(high[1])), shown, facing)
 
 
-def drawn(body: Thing, camera: Floats, intrinsics: Array, size: tuple[int, int], samples: int) -> list[Drawn]:
+def drawn(body: Thing, camera: Floats, intrinsics: Array, size: Size, samples: int) -> list[Drawn]:
     """What of a body looks at the camera (world_from_camera; fx, fy, cx, cy in pixels) and may be in the picture
     (width, height), with so many samples per pixel along each axis."""
     curved, view = body.curved(), (camera, intrinsics, size, samples)
@@ -111,7 +111,7 @@ def drawn(body: Thing, camera: Floats, intrinsics: Array, size: tuple[int, int],
     return [each for each in found if each is not None]
 
 
-def visible_shares(bodies: Sequence[Thing], camera: Floats, intrinsics: Array, size: tuple[int, int]) -> Floats:
+def visible_shares(bodies: Sequence[Thing], camera: Floats, intrinsics: Array, size: Size) -> Floats:
     """Of each body the share of its silhouette that is seen: in the picture, and behind no other body; as for
     `drawn`. Returns: (n,) from 0 to 1; sampled once a pixel."""
     width, height = size

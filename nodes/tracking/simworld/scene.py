@@ -13,7 +13,7 @@ from typing import NamedTuple
 import cv2
 import numpy as np
 
-from hierax.nodes.tracking.math.geometry import Array, Floats
+from hierax.nodes.tracking.math.geometry import Array, Floats, Size
 from hierax.nodes.tracking.simworld.light import LAMP, Lamp, light_on
 from hierax.nodes.tracking.simworld.raster import Drawn, drawn, homography
 from hierax.nodes.tracking.simworld.shapes import Face, Thing
@@ -45,7 +45,7 @@ def draw(
     bodies: Sequence[Thing],
     camera: Floats,
     intrinsics: Array,
-    size: tuple[int, int],
+    size: Size,
     lamp: Lamp = LAMP,
     wood: Wood = WOOD,
 ) -> Array:
@@ -71,7 +71,7 @@ def develop(image: Array, blur_px: float, noise: float, rng: np.random.Generator
 
 
 def _draw_table(
-    parts: Sequence[Floats], camera: Floats, intrinsics: Array, size: tuple[int, int], lamp: Lamp, wood: Wood
+    parts: Sequence[Floats], camera: Floats, intrinsics: Array, size: Size, lamp: Lamp, wood: Wood
 ) -> Array:
     """The table with its shadows, over a wall that gets darker downwards."""
     width, height = TABLE_M
@@ -91,10 +91,8 @@ def _draw_bodies(
     image: Array, bodies: Sequence[Thing], parts: Sequence[Floats], camera: Floats, intrinsics: Array, lamp: Lamp
 ) -> None:
     """Put the bodies into the picture: depth test at `SAMPLES` x `SAMPLES` per pixel, then their mean."""
-    height, width = image.shape[:2]
-    every = [
-        (each, body.colour) for body in bodies for each in drawn(body, camera, intrinsics, (width, height), SAMPLES)
-    ]
+    view = (camera, intrinsics, (image.shape[1], image.shape[0]), SAMPLES)
+    every = [(each, body.colour) for body in bodies for each in drawn(body, *view)]
     if not every:
         return
     left, top = (min(each.window[i] for each, _ in every) for i in (0, 1))
@@ -151,7 +149,7 @@ def _grain() -> Array:
     return np.asarray(1.0 + 0.02 * streaks / streaks.std(), dtype=np.float32)
 
 
-def _wall(size: tuple[int, int]) -> Array:
+def _wall(size: Size) -> Array:
     """What is behind the table, uint8 RGB, before the light is taken into account."""
     grey = np.linspace(86.0, 43.0, size[1], dtype=np.float32)[:, None, None] * np.array([0.96, 1.0, 1.06], np.float32)
     return np.asarray(np.repeat(grey.astype(np.uint8), size[0], axis=1))
