@@ -41,11 +41,7 @@ _FIXED = struct.Struct("<BBH")
 
 
 def check_array(array: np.ndarray[Any, Any]) -> None:
-    """Refuse an array that cannot travel.
-
-    Raises:
-        SchemaError: its dtype (objects, strings, records, dates), mask, dimensions or size.
-    """
+    """Raises `SchemaError` if an array cannot travel, for its dtype (objects, strings), mask, dimensions or size."""
     if _code(array) not in _DTYPES:
         raise SchemaError(f"an array of dtype {array.dtype} cannot be sent; use a number or bool dtype")
     if isinstance(array, np.ma.MaskedArray):
@@ -59,14 +55,9 @@ def check_array(array: np.ndarray[Any, Any]) -> None:
 
 
 def array_head(array: np.ndarray[Any, Any], offset: int = 0) -> bytes:
-    """The bytes that stand before an array's elements.
+    """The bytes that stand before an array's elements, in a message whose array data begins at this offset in bytes.
 
-    Args:
-        array: any shape, a dtype of the list above.
-        offset: where in its message the data begins, in bytes; the padding counts from there.
-
-    Raises:
-        SchemaError: see `check_array`.
+    The padding counts from there. Raises `SchemaError` as `check_array` does.
     """
     check_array(array)
     return _head(_code(array), array.shape, offset)
@@ -93,14 +84,9 @@ def encode_array(array: np.ndarray[Any, Any]) -> bytes:
 
 
 def decode_array(data: bytes | memoryview, where: str = "array") -> np.ndarray[Any, Any]:
-    """Read an array in place: read-only, aligned, and no copy where the elements lie aligned.
+    """Read the data of extension `ARRAY` in place: read-only, and aligned without a copy where the elements lie so.
 
-    Args:
-        data: the extension's data.
-        where: named in the error.
-
-    Raises:
-        SchemaError: the data is not an array as described above.
+    Raises `SchemaError`, with `where` in it, if the data is not an array as described above.
     """
     if len(data) < _FIXED.size:
         raise SchemaError(f"{len(data)} bytes are too short for an array's head", where)

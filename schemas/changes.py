@@ -6,7 +6,7 @@ which it finds, and its owner decides (`hierax.runtime.owner.roster_changes`).
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 from hierax.schemas.errors import SchemaError, shown
@@ -43,12 +43,6 @@ class Attach:
             "edges": [plain_edge(each) for each in self.edges],
         }
 
-    @staticmethod
-    def read(value: Value) -> Attach:
-        """Read it from a value. Raises `SchemaError` if it is no `Attach`; says which field and what was expected."""
-        fields = read_mapping(value, {"change", "nodes", "edges"}, "change")
-        return Attach(read_nodes(fields["nodes"], "change.nodes"), read_edges(fields["edges"], "change.edges"))
-
 
 @dataclass(frozen=True)
 class Detach:
@@ -65,14 +59,6 @@ class Detach:
     def plain(self) -> Value:
         """Give it as a value."""
         return {"change": "detach", "name": self.name, "cascade": self.cascade}
-
-    @staticmethod
-    def read(value: Value) -> Detach:
-        """Read it from a value. Raises `SchemaError` if it is no `Detach`; says which field and what was expected."""
-        fields = read_mapping(value, {"change", "name", "cascade"}, "change")
-        if not isinstance(fields["cascade"], bool):
-            raise SchemaError(f"expected true or false, got {shown(fields['cascade'])}", "change.cascade")
-        return Detach(read_name(fields["name"], "change.name"), fields["cascade"])
 
 
 @dataclass(frozen=True)
@@ -94,24 +80,9 @@ class Replace:
         edges = None if self.edges is None else [plain_edge(edge) for edge in self.edges]
         return {"change": "replace", "name": self.name, "reference": self.reference.plain(), "edges": edges}
 
-    @staticmethod
-    def read(value: Value) -> Replace:
-        """Read it from a value. Raises `SchemaError` if it is no `Replace`; says which field and what was expected."""
-        fields = read_mapping(value, {"change", "name", "reference", "edges"}, "change")
-        name, reference = (
-            read_name(fields["name"], "change.name"),
-            Reference.read(fields["reference"], "change.reference"),
-        )
-        return Replace(
-            name, reference, None if fields["edges"] is None else read_edges(fields["edges"], "change.edges")
-        )
-
 
 Change = Attach | Detach | Replace
 """Any change of a roster that can be asked for."""
-
-
-_READERS: dict[str, Callable[[Value], Change]] = {"attach": Attach.read, "detach": Detach.read, "replace": Replace.read}
 
 
 def new_nodes(change: Change) -> Mapping[str, Reference]:
@@ -123,9 +94,20 @@ def new_nodes(change: Change) -> Mapping[str, Reference]:
 
 def read_change(value: Value) -> Change:
     """A change of any kind from a value. Raises `SchemaError` if it is none; says which field and what was expected."""
-    kind = value.get("change") if isinstance(value, dict) else None
-    if isinstance(kind, str) and kind in _READERS:
-        return _READERS[kind](value)
     if not isinstance(value, dict):
         raise SchemaError(f"expected a map, got {shown(value)}", "change")
+    kind = value.get("change")
+    if kind == "attach":
+        fields = read_mapping(value, {"change", "nodes", "edges"}, "change")
+        return Attach(read_nodes(fields["nodes"], "change.nodes"), read_edges(fields["edges"], "change.edges"))
+    if kind == "detach":
+        fields = read_mapping(value, {"change", "name", "cascade"}, "change")
+        if not isinstance(fields["cascade"], bool):
+            raise SchemaError(f"expected true or false, got {shown(fields['cascade'])}", "change.cascade")
+        return Detach(read_name(fields["name"], "change.name"), fields["cascade"])
+    if kind == "replace":
+        fields = read_mapping(value, {"change", "name", "reference", "edges"}, "change")
+        name, edges = read_name(fields["name"], "change.name"), fields["edges"]
+        reference = Reference.read(fields["reference"], "change.reference")
+        return Replace(name, reference, None if edges is None else read_edges(edges, "change.edges"))
     raise SchemaError(f"expected attach, detach or replace, got {shown(kind)}", "change.change")

@@ -16,24 +16,13 @@ from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple, get_type_hints
 
 from hierax.schemas.errors import SchemaError, shown
-from hierax.schemas.messages import DIGEST_BYTES
+from hierax.schemas.messages import DIGEST_BYTES, TYPE_NAMES
 from hierax.schemas.roster import Roster
-from hierax.schemas.values import (
-    Packers,
-    Value,
-    array_in_place,
-    decode_value,
-    encode_value,
-    pack,
-    read_extension,
-    unpack,
-)
+from hierax.schemas.values import PACKERS, Value, decode_value, encode_value, pack
 
 FORMAT = 1
 
 _MAX_WHOLE = (1 << 64) - 1
-_TYPE_NAMES = {int: "a whole number", bool: "true or false", bytes: "bytes"}
-_PACKERS = Packers(array_in_place)
 
 
 class Checkpoint(NamedTuple):
@@ -90,7 +79,7 @@ def encode_checkpoint(checkpoint: Checkpoint) -> bytes:
     ):
         _check_fields((FORMAT, *checkpoint), _CHECKPOINT, "checkpoint")
     fields = (FORMAT, epoch, attempt, instance, roster, finished, start, now)
-    return pack(fields, _PACKERS, "checkpoint", _CHECKPOINT_NAMES)
+    return pack(fields, PACKERS, "checkpoint", _CHECKPOINT_NAMES)
 
 
 def decode_checkpoint(data: bytes | memoryview) -> Checkpoint:
@@ -98,7 +87,7 @@ def decode_checkpoint(data: bytes | memoryview) -> Checkpoint:
 
     Raises `SchemaError` that names the field if the bytes are no checkpoint of this format.
     """
-    fields = _fields(data, _CHECKPOINT, "checkpoint")
+    fields = read_fields(data, _CHECKPOINT, "checkpoint")
     checkpoint = Checkpoint(*fields[1:])
     decode_state(checkpoint.start, "checkpoint.start")
     decode_state(checkpoint.now, "checkpoint.now")
@@ -110,7 +99,7 @@ def encode_world(record: WorldRecord) -> bytes:
     fields = (FORMAT, *record)
     _check_fields(fields, _WORLD, "record")
     _check_world(record)
-    return pack(fields, _PACKERS, "record", _WORLD_NAMES)
+    return pack(fields, PACKERS, "record", _WORLD_NAMES)
 
 
 def decode_world(data: bytes | memoryview) -> WorldRecord:
@@ -118,7 +107,7 @@ def decode_world(data: bytes | memoryview) -> WorldRecord:
 
     Raises `SchemaError` that names the field if the bytes are no world's record of this format.
     """
-    record = WorldRecord(*_fields(data, _WORLD, "record")[1:])
+    record = WorldRecord(*read_fields(data, _WORLD, "record")[1:])
     _check_world(record)
     version = decode_roster(record.roster, "record.roster").version
     if record.highest_version < version:
@@ -201,8 +190,9 @@ def decode_state(data: bytes, where: str = "state") -> tuple[Value, str, tuple[V
     return belief, policy, actions
 
 
-def _fields(data: bytes | memoryview, kinds: Mapping[str, type], where: str) -> tuple[Any, ...]:
-    fields: Any = unpack(data, read_extension, where)
+def read_fields(data: bytes | memoryview, kinds: Mapping[str, type], where: str) -> tuple[Any, ...]:
+    """The fields of a record, a format number in front, by their types; `SchemaError` says which one is wrong."""
+    fields: Any = decode_value(data, where)
     if type(fields) is not tuple or not fields:
         raise SchemaError(f"expected an array of {len(kinds)} fields", where)
     if type(fields[0]) is not int or fields[0] != FORMAT:
@@ -216,7 +206,7 @@ def _fields(data: bytes | memoryview, kinds: Mapping[str, type], where: str) -> 
 def _check_fields(fields: Sequence[Any], kinds: Mapping[str, type], where: str) -> None:
     for (name, kind), field in zip(kinds.items(), fields, strict=True):
         if type(field) is not kind:
-            raise SchemaError(f"expected {_TYPE_NAMES[kind]}, got {shown(field)}", f"{where}.{name}")
+            raise SchemaError(f"expected {TYPE_NAMES[kind]}, got {shown(field)}", f"{where}.{name}")
         if type(field) is int and not 0 <= field <= _MAX_WHOLE:
             raise SchemaError(f"expected a whole number of 64 bits from 0, got {field}", f"{where}.{name}")
 

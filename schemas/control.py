@@ -231,19 +231,12 @@ def _check_content(field: str, part: Value, where: str) -> None:
     if field in _TEXTS and len(part) > MAX_TEXT_CHARS:
         raise SchemaError(f"{len(part)} characters; at most {MAX_TEXT_CHARS} are allowed", where)
     if field in _NAMES and not (field in _MAY_BE_EMPTY and not part):
-        _check_name(part, where)
+        check_name(part, where=where)
     if field in ("receivers", "waits_for"):
         if len(part) > MAX_NEIGHBOURS:
             raise SchemaError(f"{len(part)} entries; at most {MAX_NEIGHBOURS} are allowed", where)
         for each in part:
-            _check_name(each if field == "receivers" else each[0], where)
-
-
-def _check_name(name: str, where: str) -> None:
-    try:
-        check_name(name)
-    except SchemaError as error:
-        raise SchemaError(error.what, where) from error
+            check_name(each if field == "receivers" else each[0], where=where)
 
 
 def _cut(text: Value) -> Value:

@@ -18,12 +18,13 @@ STEP = "step"
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.-]*")
 
 
-def check_name(name: str, what: str = "name") -> str:
+def check_name(name: str, what: str = "name", where: str = "") -> str:
     """A name that may stand in keys, file names and deployment files. Raises `SchemaError` if it may not."""
     if not isinstance(name, str) or len(name) > MAX_NAME_CHARS or not _NAME.fullmatch(name):
         raise SchemaError(
             f"{shown(name)} is no {what}: expected at most {MAX_NAME_CHARS} letters, digits, '_', '.' or '-', "
-            "beginning with a letter or a digit"
+            "beginning with a letter or a digit",
+            where,
         )
     return name
 

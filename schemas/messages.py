@@ -43,8 +43,9 @@ _NAMES = (
     *("time_s", "digest", "extensions", "payload"),
 )
 _TYPES = (int, int, str, str, int, int, int, int, float, bytes, dict, tuple)
-_TYPE_NAMES = {
+TYPE_NAMES = {
     int: "a whole number",
+    bool: "true or false",
     str: "a string",
     float: "a float",
     bytes: "bytes",
@@ -263,10 +264,9 @@ def _too_plain(size: int) -> SchemaError:
 
 
 def _wrong_field(fields: tuple[Value, ...]) -> SchemaError:
-    """What is wrong with fields that make no message."""
     for name, expected, field in zip(_NAMES, _TYPES, fields, strict=True):
         if type(field) is not expected:
-            return SchemaError(f"expected {_TYPE_NAMES[expected]}, got {shown(field)}", f"message.{name}")
+            return SchemaError(f"expected {TYPE_NAMES[expected]}, got {shown(field)}", f"message.{name}")
     form, kind, sender, receiver, epoch, attempt, roster, instance, _, digest, extensions, _ = fields
     if form != FORMAT:
         return SchemaError(f"format {form}; this version reads format {FORMAT}", "message.format")

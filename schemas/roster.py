@@ -175,10 +175,7 @@ def _read_edge(value: Value, where: str) -> RosterEdge:
 
 def read_name(value: Value, where: str) -> str:
     """A node's name from a value. Raises `SchemaError` if it is none."""
-    try:
-        return check_name(value, "node's name")
-    except SchemaError as error:
-        raise SchemaError(error.what, where) from error
+    return check_name(value, "node's name", where)
 
 
 def _whole(value: Value, where: str) -> int:

@@ -12,12 +12,9 @@ from __future__ import annotations
 
 from typing import Any, NamedTuple, get_origin, get_type_hints
 
-from hierax.schemas.errors import SchemaError, shown
-from hierax.schemas.values import Packers, Value, array_in_place, decode_value, pack
-
-FORMAT = 1
-
-_PACKERS = Packers(array_in_place)
+from hierax.schemas.checkpoint import FORMAT, read_fields
+from hierax.schemas.errors import SchemaError
+from hierax.schemas.values import PACKERS, Value, pack
 
 
 class Passage(NamedTuple):
@@ -62,29 +59,20 @@ class NodeStep(NamedTuple):
         return {(sender, kind): (epoch, attempt) for sender, kind, epoch, attempt in self.used}
 
 
-_FIELDS: dict[str, type] = {name: get_origin(hint) or hint for name, hint in get_type_hints(NodeStep).items()}
+_HINTS = {"format": int, **get_type_hints(NodeStep)}
+_FIELDS: dict[str, type] = {name: get_origin(hint) or hint for name, hint in _HINTS.items()}
 _USED = (str, str, int, int)
 _PASSAGE = (bool, str, str, int, int)
 
 
 def encode_step(step: NodeStep) -> bytes:
     """The bytes of a step."""
-    return pack((FORMAT, *step), _PACKERS)
+    return pack((FORMAT, *step), PACKERS)
 
 
 def decode_step(data: bytes) -> NodeStep:
     """Read a step. Raises `SchemaError` if the bytes are none; says which field and what was expected."""
-    value = decode_value(data, "step")
-    if not isinstance(value, tuple) or len(value) != len(_FIELDS) + 1:
-        raise SchemaError(f"expected an array of {len(_FIELDS) + 1} fields", "step")
-    if type(value[0]) is not int or value[0] != FORMAT:
-        raise SchemaError(f"format {shown(value[0])}; this version reads format {FORMAT}", "step.format")
-    for (name, expected), field in zip(_FIELDS.items(), value[1:], strict=True):
-        if type(field) is not expected:
-            raise SchemaError(f"expected {expected.__name__}, got {shown(field)}", f"step.{name}")
-    step: NodeStep = NodeStep._make(value[1:])
-    if min(step.number, step.epoch, step.attempt, step.roster, step.instance) < 0:
-        raise SchemaError("expected whole numbers from 0", "step.number, .epoch, .attempt, .roster, .instance")
+    step = NodeStep._make(read_fields(data, _FIELDS, "step")[1:])
     _check_rows(step.used, _USED, "step.used")
     _check_rows(step.passages, _PASSAGE, "step.passages")
     return step._replace(passages=tuple(Passage(*row) for row in step.passages))

@@ -52,7 +52,7 @@ def encode_value(value: Value) -> bytes:
     """The one encoding of a value, also for digests and checkpoints. Raises `SchemaError` saying what cannot travel."""
     if not is_sound(value, 0):
         raise fault(value, "value", ())
-    return pack(value, _PACKERS)
+    return pack(value, PACKERS)
 
 
 def encode_frozen(value: Value) -> bytes:
@@ -68,16 +68,10 @@ def decode_value(data: bytes | memoryview, where: str = "value") -> Value:
 
 
 def pack(value: Value, packers: Packers, where: str = "value", names: Names = ()) -> bytes:
-    """Pack a value that `is_sound`.
+    """Pack a value that `is_sound`, by packers that know what to do with what msgpack does not know.
 
-    Args:
-        value: what to pack.
-        packers: know what to do with what msgpack does not know.
-        where: what the value is called in errors.
-        names: for errors, what the entries of `value`, a tuple, are called.
-
-    Raises:
-        SchemaError: something cannot travel; it says where and what.
+    In errors it is called `where`, and its entries, where it is a tuple, `names`. Raises `SchemaError` if something
+    cannot travel; says where and what.
     """
     idle = packers.idle
     try:
@@ -105,16 +99,9 @@ def pack(value: Value, packers: Packers, where: str = "value", names: Names = ()
 
 
 def unpack(data: bytes | memoryview, ext_hook: ExtHook, where: str, names: Names = ()) -> Value:
-    """Unpack exactly one value; memory stays in proportion to `data`.
+    """Unpack exactly one value; memory stays in proportion to `data`. `ext_hook` reads extension types.
 
-    Args:
-        data: the bytes.
-        ext_hook: reads extension types.
-        where: what the value is called in errors.
-        names: for errors, what the entries of the value, a tuple, are called.
-
-    Raises:
-        SchemaError: the bytes are not exactly one value.
+    `where` and `names` are as `pack` has them. Raises `SchemaError` if the bytes are not exactly one value.
     """
     size = len(data)
     if size > MAX_MESSAGE_BYTES:
@@ -179,7 +166,7 @@ def _frozen_in_place(value: Any) -> Any:
     return array_in_place(value)
 
 
-_PACKERS = Packers(array_in_place)
+PACKERS = Packers(array_in_place)
 _FREEZING = Packers(_frozen_in_place)
 
 
@@ -317,12 +304,9 @@ def _key_flaw(key: Any) -> str:
 
 
 def fault(value: Value, where: str, names: Names, sure: Types = _LEAVES, otherwise: str = "") -> SchemaError:
-    """The first part that cannot travel, as an error.
+    """The first part that cannot travel, as an error; `value`, `where` and `names` as `pack` has them.
 
-    Args:
-        value, where, names: as `pack` and `unpack` have them.
-        sure: types that need no look.
-        otherwise: said of the whole if nothing is found.
+    Parts of `sure` types need no look; `otherwise` is said of the whole if nothing is found.
     """
     named = type(value) is tuple and len(value) == len(names)
     roots = zip(names, value, strict=True) if named else [(where, value)]

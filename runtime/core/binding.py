@@ -65,7 +65,7 @@ class Call:
         self._seed = setting.seed
         self._below = below
         self._above = above
-        self._wants_tick = _wants_tick(function, subject, operator, TAKES[takes or operator])
+        self._wants_tick = check_signature(function, operator, takes, subject)
         self._function = _synchronous(function, setting, f"{subject}: {operator}")
 
     def __call__(self, epoch: int, time_s: float, *arguments: Value) -> Any:
@@ -134,20 +134,17 @@ class Policies(dict[str, Call]):
     """Whether a policy is listed."""
 
     def __contains__(self, name: object) -> bool:
-        """Whether the node has such a policy."""
         return super().__contains__(name) or name in self._policies
 
     def __missing__(self, name: str) -> Call:
-        """One that is not listed."""
         return self._bind(self._policies[name], f"policy {name}")
 
 
 class BoundNode:
     """A node with a name, its neighbours and the run's seed: all that its operators need.
 
-    Raises:
-        HierarchyError: it is no node, an operator has a signature that cannot be called, a policy's name is no string,
-            π⁰ is none of the policies, or λ(∅) ≠ π⁰.
+    Raises `HierarchyError` if it is no node, an operator has a signature that cannot be called, a policy's name is no
+    string, π⁰ is none of the policies, or λ(∅) ≠ π⁰.
     """
 
     __slots__ = (
@@ -272,9 +269,8 @@ def require_world(name: str, node: Node) -> World:
 def require_no_world(name: str, node: Node) -> None:
     """A node above N₀, which nothing would ask for the time, nor to act: raises `HierarchyError` if it is a `World`."""
     if isinstance(node, World):
-        raise HierarchyError(
-            f"{name}: only N₀ may derive from World, and {type(node).__name__} does; derive it from Node"
-        )
+        what = f"only N₀ may derive from World, and {type(node).__name__} does; derive it from Node"
+        raise HierarchyError(f"{name}: {what}")
 
 
 def bind_edge(
@@ -286,34 +282,20 @@ def bind_edge(
     return Call(function, f"{lower}->{upper}", operator, setting, below=(lower,), above=(upper,))
 
 
-def check_signature(function: Operator, operator: str) -> bool:
-    """Whether a function, which is not called, wants the tick, too, where it is called as one of `TAKES` is.
-
-    Raises `HierarchyError` if it takes something else.
-    """
-    return _takes(function, operator, TAKES[operator])
-
-
-def _takes(function: Operator, operator: str, takes: tuple[str, ...]) -> bool:
+def check_signature(function: Operator, operator: str, takes: str = "", subject: str = "") -> bool:
+    """Whether a function wants the tick, too, called as one of `TAKES`. Raises `HierarchyError` if it is not fit."""
+    arguments = TAKES[takes or operator]
     try:
         signature = inspect.signature(function)
     except (TypeError, ValueError):  # some callables written in C tell nothing
         return False
     wants = "tick" in signature.parameters
     try:
-        signature.bind(*takes, **({"tick": None} if wants else {}))
+        signature.bind(*arguments, **({"tick": None} if wants else {}))
     except TypeError as error:
-        raise HierarchyError(
-            f"{operator} must take ({', '.join(takes)}) and, if it likes, tick; it takes {signature}"
-        ) from error
+        what = f"{operator} must take ({', '.join(arguments)}) and, if it likes, tick; it takes {signature}"
+        raise HierarchyError(f"{subject}: {what}" if subject else what) from error
     return wants
-
-
-def _wants_tick(function: Operator, subject: str, operator: str, takes: tuple[str, ...]) -> bool:
-    try:
-        return _takes(function, operator, takes)
-    except HierarchyError as error:
-        raise HierarchyError(f"{subject}: {error}") from error
 
 
 def _synchronous(function: Operator, setting: OperatorSetting, where: str) -> Operator:

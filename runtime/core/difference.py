@@ -78,7 +78,6 @@ def _walk_arrays(a: np.ndarray[Any, Any], b: np.ndarray[Any, Any], path: str, to
 
 
 def _bits(array: np.ndarray[Any, Any]) -> np.ndarray[Any, Any]:
-    """The bytes of each element, in one further dimension."""
     flat = np.ascontiguousarray(array).reshape(-1)
     return flat.view(np.uint8).reshape(*array.shape, array.dtype.itemsize)
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Collection, Iterable, Sequence
 from graphlib import CycleError, TopologicalSorter
 
 from hierax.runtime.core.errors import HierarchyError
@@ -13,20 +13,18 @@ Pair = tuple[str, str]  # an edge by the names of its lower and upper node
 
 
 def check_graph(world: str, names: Iterable[str], pairs: Sequence[Pair]) -> None:
-    """Refuse what is no hierarchy.
+    """Refuse what is no hierarchy, of nodes by name, and edges by their (lower, upper) names.
 
-    Args:
-        world: name of N₀.
-        names: of all nodes.
-        pairs: (lower, upper) of all edges.
-
-    Raises:
-        HierarchyError: with the reason and the names: a name that cannot stand in a key or file name, an unknown node,
-            an edge from a node to itself, a doubled edge, something below the world, a cycle, a second source, a node
-            that cannot be reached from the world.
+    Raises `HierarchyError` with the reason and the names: a name that cannot stand in a key or file name, an unknown
+    node, an edge from a node to itself, a doubled edge, something below the world, a cycle, a second source, a node
+    that cannot be reached from the world.
     """
-    known = _checked_names(names)
-    _check_world(world, known)
+    try:
+        known = sorted(check_name(name, "node's name") for name in names)
+    except SchemaError as error:
+        raise HierarchyError(str(error)) from error
+    if world not in known:
+        raise HierarchyError(f"the world {world!r} is none of the nodes {_list(known)}")
     _check_edges(known, pairs)
     below_world = sorted(lower for lower, upper in pairs if upper == world)
     if below_world:
@@ -60,16 +58,13 @@ def depths(names: Iterable[str], pairs: Sequence[Pair]) -> dict[str, int]:
     return found
 
 
-def _checked_names(names: Iterable[str]) -> list[str]:
-    try:
-        return sorted(check_name(name, "node's name") for name in names)
-    except SchemaError as error:
-        raise HierarchyError(str(error)) from error
-
-
-def _check_world(world: str, known: Sequence[str]) -> None:
-    if world not in known:
-        raise HierarchyError(f"the world {world!r} is none of the nodes {_list(known)}")
+def unreached(world: str, names: Collection[str], pairs: Sequence[Pair]) -> list[str]:
+    """The names that cannot be reached from the world."""
+    reached = {world}
+    for name in topological_order(names, pairs):
+        if any(lower in reached for lower, upper in pairs if upper == name):
+            reached.add(name)
+    return [name for name in names if name not in reached]
 
 
 def _check_edges(known: Sequence[str], pairs: Sequence[Pair]) -> None:
@@ -87,8 +82,7 @@ def _check_edges(known: Sequence[str], pairs: Sequence[Pair]) -> None:
 
 
 def _check_sources(world: str, known: Sequence[str], pairs: Sequence[Pair]) -> None:
-    reached = _above(world, pairs)
-    unreachable = [name for name in known if name not in reached]
+    unreachable = unreached(world, known, pairs)
     if not unreachable:
         return
     sensing = {upper for _, upper in pairs}
@@ -101,17 +95,6 @@ def _check_sources(world: str, known: Sequence[str], pairs: Sequence[Pair]) -> N
         f"the world {world!r} must be the only source, but nothing is below {_list(sources)} either; "
         f"unreachable from the world: {_list(unreachable)}"
     )
-
-
-def _above(start: str, pairs: Sequence[Pair]) -> set[str]:
-    reached = {start}
-    frontier = [start]
-    while frontier:
-        lower = frontier.pop()
-        new = {upper for low, upper in pairs if low == lower} - reached
-        reached |= new
-        frontier += sorted(new)
-    return reached
 
 
 def _list(names: Iterable[str]) -> str:

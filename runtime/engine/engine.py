@@ -44,10 +44,7 @@ _PERHAPS_AGAIN = (Verdict.DOUBLE, Verdict.LATE, Verdict.OLD_ROSTER)
 
 
 class Engine:
-    """One node's part in every epoch; not for two threads at once.
-
-    What has operators called raises `OperatorError` if one failed.
-    """
+    """One node's part in every epoch; not for two threads at once. Raises `OperatorError` where an operator failed."""
 
     def __init__(
         self,
@@ -66,7 +63,7 @@ class Engine:
         self.begun = False  # whether this engine has begun an epoch or attempt; one that was restored has not, yet
         self._prepared: dict[int, Wiring] = {}
         self._held = Held()
-        self._inbox: dict[Slot, Message] = {}
+        self.inbox: dict[Slot, Message] = {}
         self._heard = self._told = self._heard_before = self._told_before = _NO_MESSAGES
         self._sent: dict[Slot, Message] = {}
         self._observations: Elements = ()
@@ -86,7 +83,6 @@ class Engine:
 
     @property
     def is_world(self) -> bool:
-        """Whether the node is N₀."""
         return self._world is not None
 
     @property
@@ -96,7 +92,6 @@ class Engine:
 
     @property
     def prepared(self) -> frozenset[int]:
-        """The versions that can be taken up."""
         return frozenset(self._prepared)
 
     def wiring_of(self, version: int) -> Wiring | None:
@@ -108,7 +103,7 @@ class Engine:
         """From whom which messages are missing, in order."""
         if self.phase is Phase.DONE:
             return tuple(sorted(self.wiring.below))
-        return tuple(sorted(self._awaited.keys() - self._inbox.keys()))
+        return tuple(sorted(self.awaited.keys() - self.inbox.keys()))
 
     def restore(self, saved: Saved) -> None:
         """Go on from here: after a crash, or with the state of a node that this one replaces."""
@@ -119,7 +114,7 @@ class Engine:
         self._belief: Value = saved.now.belief
         self.encoded_start = self._encoded_saved(saved.start)
         self.encoded = self._encoded_saved(saved.now)  # the bytes of `state`
-        self._inbox.clear()
+        self.inbox.clear()
         self._enter(Phase.DONE)
 
     def begin(self, attempt: int = 0) -> None:
@@ -172,9 +167,9 @@ class Engine:
         if (  # CURRENT: what epochs are made of
             epoch == self.epoch
             and attempt == self.attempt
-            and self._awaited.get(slot) == instance
+            and self.awaited.get(slot) == instance
             and roster == self._roster
-            and slot not in self._inbox
+            and slot not in self.inbox
             and receiver == self.name
             and (digest or kind != CONTEXT)
         ):
@@ -228,14 +223,6 @@ class Engine:
                 return row.verdict
         raise AssertionError("the last row fits everything")
 
-    def awaits(self, slot: Slot) -> bool:
-        """As `Standing` has it."""
-        return slot in self._awaited
-
-    def has(self, slot: Slot) -> bool:
-        """As `Standing` has it."""
-        return slot in self._inbox
-
     def compare(self, message: Message) -> None:
         """Take nothing more in. Raises `ContradictionError` if a message contradicts one that was."""
         self._is_again((message.header.sender, message.header.kind), message)
@@ -243,14 +230,13 @@ class Engine:
     _epochs_ahead: float = EPOCHS_AHEAD
 
     def is_ahead(self, epoch: int, attempt: int, roster: int) -> bool:
-        """As `Standing` has it."""
         if attempt - self.attempt > ATTEMPTS_AHEAD or roster - self._roster > ROSTERS_AHEAD:
             return True
         return epoch - self.epoch > self._epochs_ahead and not self._joins
 
     def _is_again(self, slot: Slot, message: Message) -> bool:
         """Whether a message was taken before. Raises `ContradictionError` if that said something else."""
-        for taken in (self._inbox, self._heard, self._told, self._heard_before, self._told_before):
+        for taken in (self.inbox, self._heard, self._told, self._heard_before, self._told_before):
             known = taken.get(slot)
             if known is not None and known.header[:SLOT_FIELDS] == message.header[:SLOT_FIELDS]:
                 self._check_same(known, message)
@@ -273,7 +259,6 @@ class Engine:
         return encode_value((header.time_s, header.digest, message.payload))
 
     def moves_on(self, epoch: int) -> bool:
-        """As `Standing` has it."""
         if self.phase is not Phase.DONE:
             return False
         return epoch == self.epoch + 1 or (self._joins and epoch > self.epoch)
@@ -338,7 +323,7 @@ class Engine:
         self._belief = self.state.belief
         self.attempt = attempt
         self.begun = True
-        self._inbox = {}
+        self.inbox = {}
         self._heard = self._told = _NO_MESSAGES
         self._sent.clear()
         self._vigilance = Vigilance() if is_due(self.epoch) else None
@@ -347,11 +332,11 @@ class Engine:
     def _enter(self, phase: Phase) -> None:
         self.phase = phase
         if phase is Phase.SENSE:
-            self._awaited = self.wiring.below
+            self.awaited = self.wiring.below
         elif phase is Phase.PREDICT:
-            self._awaited = self.wiring.above
+            self.awaited = self.wiring.above
         else:
-            self._awaited = _NOTHING
+            self.awaited = _NOTHING
 
     def _begin(self, world: World) -> None:
         self.time_s = epoch_time_s(self.name, world, self._belief, self.epoch)
@@ -361,8 +346,8 @@ class Engine:
         self._send_up()
 
     def _take(self, slot: Slot, message: Message) -> None:
-        self._inbox[slot] = message
-        if len(self._inbox) < len(self._awaited):
+        self.inbox[slot] = message
+        if len(self.inbox) < len(self.awaited):
             return
         if self.phase is Phase.SENSE:
             self._sense()
@@ -370,7 +355,7 @@ class Engine:
             self._predict()
 
     def _sense(self) -> None:
-        self._heard = inbox = self._inbox
+        self._heard = inbox = self.inbox
         node = self.node
         self.time_s = time_s = inbox[node.below[0], OBSERVATIONS].header.time_s
         self._observations = observations = _union(inbox, node.below, OBSERVATIONS)
@@ -385,7 +370,7 @@ class Engine:
             self._called(node.observe, sensed)
         if vigilance:
             vigilance.keep("belief", sensed)
-        self._inbox = {}  # not before: where an operator raises, nothing is taken in a second time
+        self.inbox = {}  # not before: where an operator raises, nothing is taken in a second time
         self._send_up()
 
     def _send_up(self) -> None:
@@ -398,13 +383,13 @@ class Engine:
                 if self._vigilance or self.events:
                     self._called(sense, elements)
             self._send(OBSERVATIONS, upper, elements, b"")
-        if not self._awaited:
+        if not self.awaited:
             self._predict()
         elif self._held:
             self._release()
 
     def _predict(self) -> None:
-        self._told = inbox = self._inbox
+        self._told = inbox = self.inbox
         wiring, node, epoch, time_s, sensed = self.wiring, self.node, self.epoch, self.time_s, self._sensed
         above = node.above
         tasks = _union(inbox, wiring.tasking, TASKS) if wiring.tasking else ()
@@ -434,7 +419,7 @@ class Engine:
         self._belief = belief
         self.encoded = encoded = self._encoded(state)
         self.digest = node_digest(encoded, [inbox[upper, CONTEXT].header.digest for upper in above])
-        self._inbox = {}
+        self.inbox = {}
         self._enter(Phase.DONE)
         self._hand_on(tasks, context)
 
@@ -446,35 +431,24 @@ class Engine:
             self._send(TASKS, lower, elements, b"")
 
     def _hand_on(self, tasks: Elements, context: Elements) -> None:
-        """What follows the prediction."""
-        epoch, attempt, time_s, state, effects = self.epoch, self.attempt, self.time_s, self.state, self._effects
-        step = Step(
-            epoch,
-            attempt,
-            time_s,
-            self._observations,
-            self._sensed,
-            tasks,
-            context,
-            state.policy,
-            state.actions,
-            state.belief,
-        )
+        epoch, attempt, time_s, effects = self.epoch, self.attempt, self.time_s, self._effects
+        belief, policy, actions = self.state
+        step = Step(epoch, attempt, time_s, self._observations, self._sensed, tasks, context, policy, actions, belief)
         completed = Completed(step, self.encoded, self.digest)
         effects.predicted(completed)
         if self._vigilance:
-            self._vigilance.keep("belief", state.belief)
+            self._vigilance.keep("belief", belief)
         if self._world is None:
             effects.save(epoch, attempt, self.encoded_start, self.encoded)
         for lower, enrich in self.wiring.context:
             elements: Elements = ()
             if enrich is not None:
-                elements = enrich.elements(epoch, time_s, state.belief)
+                elements = enrich.elements(epoch, time_s, belief)
                 if self._vigilance or self.events:
                     self._called(enrich, elements)
             self._send(CONTEXT, lower, elements, self.digest)
         if self._world is not None:
-            effects.act(epoch, state.actions)
+            effects.act(epoch, actions)
             effects.committed(Committed(epoch, attempt, self.digest))
         effects.completed(completed)
         if self._held:
@@ -494,7 +468,6 @@ class Engine:
     _extends = False
 
     def _extensions(self, kind: str) -> Mapping[str, Value]:
-        """What a message's header says beside its fields."""
         return {AFTER: self._after} if self._after and kind == OBSERVATIONS else NO_EXTENSIONS
 
     def _called(self, call: Call, result: Value) -> None:
@@ -521,7 +494,6 @@ class Engine:
 
 
 def _attempt_before(header: Header) -> int:
-    """Which attempt of the epoch before counts, by observations."""
     counts = header.extensions.get(AFTER, 0)
     return counts if type(counts) is int else 0
 

@@ -27,10 +27,7 @@ class Held:
         return bool(self._slots)
 
     def put(self, message: Message, is_neighbour: bool) -> list[Message]:
-        """Hold a message, if it is not held already; those that are from no neighbours have less room.
-
-        Gives those for which there is no room: this one, or others that are further ahead.
-        """
+        """Hold a message, if it is not held; gives those for which there is no room. Strangers have less of it."""
         slot = (message.header.sender, message.header.kind)
         held = self._slots.get(slot, [])
         if any(_are_same(other, message) for other, _ in held):

@@ -38,13 +38,11 @@ class Ages:
     left_out: int = 0  # epochs that the node has not done, or not to their end
 
     def add(self, age: int) -> None:
-        """One more."""
         self.inputs += 1
         self.total += age
         self.largest = max(self.largest, age)
 
     def metrics(self) -> dict[str, float]:
-        """Give them as figures for the report."""
         return {
             "staleness_mean": self.total / self.inputs if self.inputs else 0.0,
             "staleness_max": float(self.largest),
@@ -116,7 +114,7 @@ class StaleEngine(Engine):
             self._turn(epoch, attempt)
         else:
             self._undo(attempt)
-        self._inbox = dict(messages)
+        self.inbox = dict(messages)
         self._sense()
         return True
 
@@ -235,7 +233,7 @@ class StaleEngine(Engine):
             self._is_rewired = False
 
     def _sense(self) -> None:
-        headers = [message.header for message in self._inbox.values()]
+        headers = [message.header for message in self.inbox.values()]
         self.used = {(header.sender, header.kind): (header.epoch, header.attempt) for header in headers}
         self.drains = any(DRAIN in header.extensions for header in headers if header.epoch == self.epoch)
         super()._sense()
@@ -247,7 +245,7 @@ class StaleEngine(Engine):
 
     def _predict(self) -> None:
         if self.wiring.above:
-            self._inbox = self._chosen()
+            self.inbox = self._chosen()
         super()._predict()
 
     def _chosen(self) -> dict[Slot, Message]:

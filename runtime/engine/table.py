@@ -57,12 +57,12 @@ was the sender's: the engine raises a `ContradictionError`, which ends the run.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from enum import Enum
 from typing import NamedTuple, Protocol
 
 from hierax.runtime.engine.wiring import Slot, Wiring
-from hierax.schemas.messages import CONTEXT, Header
+from hierax.schemas.messages import CONTEXT, Header, Message
 
 
 class _Quick(Enum):
@@ -113,18 +113,14 @@ class Standing(Protocol):
     attempt: int
     phase: Phase
     wiring: Wiring
+    awaited: Mapping[Slot, int]  # what the half of the epoch under way needs, by the sender's instance
+    inbox: dict[Slot, Message]  # what of it is in hand
 
     def is_ahead(self, epoch: int, attempt: int, roster: int) -> bool:
         """Whether these are further ahead than can be."""
 
     def moves_on(self, epoch: int) -> bool:
         """Whether observations of this epoch make the node begin it."""
-
-    def awaits(self, slot: Slot) -> bool:
-        """Whether the half of the epoch under way needs a message of this sender and kind."""
-
-    def has(self, slot: Slot) -> bool:
-        """Whether that message is in hand."""
 
 
 class Row(NamedTuple):
@@ -152,7 +148,7 @@ def _is_again(at: Standing, header: Header, slot: Slot) -> bool:
 def _is_early(at: Standing, header: Header, slot: Slot) -> bool:
     if (header.epoch, header.attempt) != (at.epoch, at.attempt):
         return True  # what is past is LATE
-    return at.phase is Phase.SENSE and not at.awaits(slot)  # what comes for PREDICT is ahead of SENSE
+    return at.phase is Phase.SENSE and slot not in at.awaited  # what comes for PREDICT is ahead of SENSE
 
 
 ROWS = (  # in the words of the table above
@@ -167,7 +163,7 @@ ROWS = (  # in the words of the table above
     Row(Verdict.LATE, Action.DROP, lambda at, header, _: (header.epoch, header.attempt) < (at.epoch, at.attempt)),
     Row(Verdict.EARLY, Action.HOLD, _is_early),
     # what came for SENSE is behind PREDICT
-    Row(Verdict.DOUBLE, Action.DROP, lambda at, _, slot: at.has(slot) or not at.awaits(slot)),
+    Row(Verdict.DOUBLE, Action.DROP, lambda at, _, slot: slot in at.inbox or slot not in at.awaited),
     Row(Verdict.CURRENT, Action.TAKE, lambda *_: True),
 )
 ACTIONS = {row.verdict: row.action for row in ROWS}

@@ -34,7 +34,6 @@ class Place:
         return Place(roster.version, content, roster.instances, tasking)
 
     def instance(self, name: str) -> int:
-        """The instance number of a node."""
         return self.instances.get(name, 0)
 
 
@@ -69,10 +68,7 @@ class Wiring:
         self.context: Sequence[tuple[str, Call | None]] = [(lower, edge.context) for lower, edge in downward.items()]
 
     def under(self, version: int) -> Wiring:
-        """The same under a version of the roster that changes nothing of the node, its edges and its neighbours.
-
-        What the place says of others stays that of the version before.
-        """
+        """The same under a version that changes nothing of the node and near it; of others it stays as it was."""
         again = copy(self)
         again.place = replace(self.place, roster=version)
         again.roster = version

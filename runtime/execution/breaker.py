@@ -77,11 +77,11 @@ def leave_at_once() -> NoReturn:
     os._exit(INTERRUPTED)
 
 
-def called(frame: FrameType | None) -> str:
-    """The node, or edge, whose operator is under way in a frame; empty: none."""
+def called(frame: FrameType | None) -> Call | None:
+    """The call of an operator that is under way in a frame."""
     while frame is not None:
         if frame.f_code in CALLS:
             call: Call = frame.f_locals["self"]
-            return call.subject
+            return call
         frame = frame.f_back
-    return ""
+    return None

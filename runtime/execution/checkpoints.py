@@ -34,10 +34,7 @@ class Checkpoints:
             self.save(checkpoint)
 
     def read(self) -> tuple[Checkpoint, Saved] | None:
-        """What a process that comes in the place of a lost one goes on with; None: at the beginning.
-
-        Raises `HieraxError` if none is whole, and `SchemaError` if this version cannot read what is.
-        """
+        """What a process in a lost one's place goes on with; None: at the beginning. Raises `HieraxError`."""
         reads = self._slots.read()
         data, faults = newest_whole(reads)
         if data is not None:

@@ -18,14 +18,9 @@ def run_dry(deployment: Deployment) -> int:
     """Do the first epoch in this process, from the initial beliefs: sense up, then predict down.
 
     No actuator is moved, no probe is told, and nothing is written. Policies that were not chosen are called, too, as
-    are the metrics.
-
-    Returns:
-        How many calls of operators and edge functions that were; without an epoch, as the world has finished before the
-        first one, only those of initial beliefs.
-
-    Raises:
-        HieraxError: something cannot be loaded, or called, or gives what it must not; says which operator.
+    are the metrics. Gives the number of calls of operators and edge functions; without an epoch, as the world has
+    finished, only those of initial beliefs. Raises `HieraxError` if something cannot be loaded, or called, or gives
+    what it must not.
     """
     counter = _Counter()
     runners: dict[str, NodeRunner] = {}
@@ -39,9 +34,10 @@ def run_dry(deployment: Deployment) -> int:
 
 
 def _call_other_policies(runner: NodeRunner) -> int:
-    if runner.last is None:
+    last = runner.observers.last
+    if last is None:
         return 0
-    step, node = runner.last.step, runner.engine.node
+    step, node = last.step, runner.engine.node
     others = [policy for policy in sorted(node.policies) if policy != step.policy][:MAX_POLICIES]
     for policy in others:
         call = node.policies[policy]
@@ -50,8 +46,6 @@ def _call_other_policies(runner: NodeRunner) -> int:
 
 
 class _Counter(Watcher):
-    """Counts the calls of operators."""
-
     calls = 0
 
     def called(self, called: Called) -> None:

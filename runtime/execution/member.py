@@ -132,7 +132,6 @@ class Member(Host):
             self.obey(word)
 
     def obey(self, order: control.Order) -> None:
-        """Do what the owner says."""
         try:
             self.do(order)
         except OperatorError as error:

@@ -10,7 +10,7 @@ from hierax.runtime.core.errors import ProbeError
 from hierax.runtime.core.probe import Probe
 from hierax.runtime.engine.effects import Completed
 from hierax.runtime.engine.engine import Engine
-from hierax.runtime.execution.log import Log
+from hierax.runtime.execution.output_folder import Log
 from hierax.runtime.watch.watcher import Watcher
 
 
@@ -33,7 +33,6 @@ class Observers:
         self._states = states
 
     def follow(self, engine: Engine) -> None:
-        """See what this engine does."""
         self.engine = engine
         if self.watchers:  # one that comes at this moment, in another thread, finds the engine
             engine.events = True

@@ -14,13 +14,16 @@ import os
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
+from typing import BinaryIO
+
+import msgpack
 
 from hierax.runtime.core.errors import HieraxError, ProbeError
 from hierax.runtime.core.probe import Probe
-from hierax.runtime.execution.log import Log
 from hierax.runtime.host.private_files import HeldError, errors_named, hold, open_result, write_result
 from hierax.runtime.loading.allowance import Allowance
 from hierax.runtime.loading.loader import build_probe
+from hierax.schemas.limits import MAX_MESSAGE_BYTES
 from hierax.schemas.roster import ProbeSpec, Roster
 from hierax.schemas.values import encode_value
 
@@ -30,21 +33,63 @@ STATES = "states"
 SUMMARY = "summary.json"
 
 
+class Log:
+    """A stream of msgpack arrays that outlives its process. Raises `HieraxError` if it cannot be written."""
+
+    def __init__(self, path: Path, append: bool = False) -> None:
+        self._path = path  # of the file
+        with errors_named(self._path):
+            path.parent.mkdir(parents=True, exist_ok=True)
+            self._file: BinaryIO = os.fdopen(open_result(path, append), "ab" if append else "wb")
+            if not append:
+                self._file.truncate(0)
+        # Go on behind what is there, but for an entry that was cut off; this is looked at when something is written, as
+        # until then another process may still be writing.
+        self._behind = append
+
+    def write(self, *fields: int | bytes) -> None:
+        try:  # entering a context would take longer, and this runs in every epoch
+            if self._behind:
+                self._behind = False
+                os.truncate(self._path, _whole_bytes(self._path))
+            self._file.write(msgpack.packb(fields))
+        except OSError:
+            with errors_named(self._path):
+                raise
+
+    def flush(self) -> None:
+        """Give what is buffered to the system: then it outlives the process."""
+        with errors_named(self._path):
+            self._file.flush()
+
+    def close(self) -> None:
+        with errors_named(self._path):
+            self._file.close()
+
+
+def _whole_bytes(path: Path) -> int:
+    """Up to where a stream of msgpack arrays holds whole ones."""
+    with path.open("rb") as file:
+        unpacker = msgpack.Unpacker(file, max_buffer_size=MAX_MESSAGE_BYTES)
+        whole = 0
+        try:
+            while True:
+                unpacker.skip()
+                whole = unpacker.tell()
+        except (msgpack.OutOfData, ValueError):
+            return whole
+
+
 class OutputError(HieraxError):
     """An output folder cannot be used; says why."""
 
 
 @contextmanager
 def claimed_output(output: Path, overwrite: bool = False, goes_on: bool = False) -> Iterator[None]:
-    """Have an output folder for this run alone.
+    """Have an output folder for this run alone; made where it lacks.
 
-    Args:
-        output: the folder; made where it lacks.
-        overwrite: whether what another run has left there is removed: what this module writes, and nothing else.
-        goes_on: whether the run that is there is resumed.
-
-    Raises:
-        OutputError: it cannot be made or written, another process writes there, or there is a run in it.
+    `overwrite` removes what another run has left there: what this module writes, and nothing else; `goes_on` resumes
+    it. Raises `OutputError` if it cannot be written, another process writes there, or there is a run in it.
     """
     roster = output / ROSTER
     try:
@@ -69,7 +114,6 @@ def claimed_output(output: Path, overwrite: bool = False, goes_on: bool = False)
 
 
 def _of_a_run(output: Path) -> list[Path]:
-    """What a run has written."""
     named = [output / name for name in (ROSTER, DIGESTS, SUMMARY)]
     found = [path for path in named if path.is_file() and path.stat().st_size]
     return found + sorted((output / STATES).glob("*.msgpack"))
@@ -95,10 +139,7 @@ def digest_log(output: Path | None, append: bool = False) -> Log | None:
 def open_probes(
     specs: Sequence[ProbeSpec], name: str, allowance: Allowance, output: Path | None, again: bool = False
 ) -> tuple[Probe, ...]:
-    """The probes of a node, open; `again`: another process of the node has had them open before in this run.
-
-    Raises `NotAllowedError`, `LoadError` or `ProbeError` if one may not be loaded, cannot be built, or not be opened.
-    """
+    """The probes of a node, open; `again`: another process of the node has had them open before in this run."""
     own = [(i, spec) for i, spec in enumerate(specs) if spec.node == name]
     probes = tuple(build_probe(spec.reference, f"probes[{i}]", allowance) for i, spec in own)
     for probe, (_, spec) in zip(probes, own, strict=True):

@@ -45,13 +45,11 @@ class Pacemaker:
         return not self.done
 
     def start(self) -> None:
-        """An epoch begins."""
         self._started = self.clock()
         if self.first_s is None:
             self.first_s = self._started
 
     def stop(self) -> None:
-        """An epoch is committed."""
         self.last_s = self.clock()
         self.epochs_s.append(self.last_s - self._started)
 

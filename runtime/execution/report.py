@@ -22,13 +22,7 @@ class NodeReport:
     metrics: Mapping[str, float]  # figures that it reports of its belief, by name
 
     def plain(self) -> Json:
-        """Give it as plain JSON."""
-        return {
-            "belief": plain(self.belief),
-            "policy": self.policy,
-            "actions": plain(self.actions),
-            "metrics": plain(dict(self.metrics)),
-        }
+        return {name: plain(value) for name, value in vars(self).items()}
 
 
 @dataclass(frozen=True)
@@ -95,7 +89,6 @@ def make_report(
     output: Path | None = None,  # likewise
     start_s: float | None = None,  # likewise
 ) -> Report:
-    """A report of what was measured."""
     epochs_us = [1e6 * epoch_s for epoch_s in epochs_s]
     p50_us, p99_us = (float(q) for q in np.percentile(epochs_us, (50, 99))) if epochs_us else (None, None)
     return Report(

@@ -127,11 +127,6 @@ class NodeRunner(EngineEffects):
             self.engine = StaleEngine(wiring, self, saved=saved, joins=joins, staleness=staleness)
         self.observers.follow(self.engine)
 
-    @property
-    def last(self) -> Completed | None:
-        """The last epoch that it has completed; None: none yet."""
-        return self.observers.last
-
     def watch(self, watcher: Watcher) -> None:
         """Have a watcher see what the node does from now on."""
         self.observers.watch(watcher)

@@ -94,10 +94,10 @@ def run(
     nodes = _Nodes(deployment, seed, pacemaker, output, schedule, watch, record, acts)
     try:
         if breaker is None:
-            nodes.run(seed)
+            nodes.run()
         else:
             with breaker.guarding(pacemaker):
-                nodes.run(seed)
+                nodes.run()
     finally:
         nodes.close()
         if digests is not None:
@@ -148,36 +148,32 @@ class _Trial:
     alone: bool  # whether it fails alone
 
 
+@dataclass(eq=False)
 class _Nodes(Host):
     """The runners of all nodes, and the network between them."""
 
-    def __init__(
-        self,
-        deployment: Deployment,
-        seed: int,
-        pacemaker: Pacemaker,
-        output: Path | None,
-        schedule: Schedule,
-        watch: Watch | None,
-        record: RunRecord | None,
-        acts: bool,
-    ) -> None:
-        self._deployment = deployment
-        self._watch = watch
-        self._setting = OperatorSetting(seed, _wait)
-        self._pacemaker = pacemaker
-        self._output = output
-        self._schedule = list(schedule)
-        self._begins = _World(pacemaker, self, [scheduled.epoch for scheduled in schedule], acts)
+    deployment: Deployment
+    seed: int
+    pacemaker: Pacemaker
+    output: Path | None
+    schedule: Schedule
+    watch: Watch | None
+    record: RunRecord | None
+    acts: bool
+
+    def __post_init__(self) -> None:
+        deployment = self.deployment
+        self._setting = OperatorSetting(self.seed, _wait)
+        self._schedule = list(self.schedule)
+        self._begins = _World(self.pacemaker, self, [scheduled.epoch for scheduled in self.schedule], self.acts)
         self._alone = {name for name, policy in deployment.restarts.items() if policy.fails_alone}
         self._failed: set[str] = set()
         self._trials: dict[str, _Trial] = {}
         self._roster = deployment.roster
         self._world = deployment.roster.world
-        self._record = record
-        self._network = MemoryNetwork(seed)
-        if record is not None:
-            self._network.tap = record.message
+        self._network = MemoryNetwork(self.seed)
+        if self.record is not None:
+            self._network.tap = self.record.message
         allowance = self._allowance = deployment.allowance
         # that it is one, and what is wrong with the first node that is
         build_hierarchy(self._roster, self._setting, allowance)
@@ -187,10 +183,9 @@ class _Nodes(Host):
         for name in sorted(self._roster.nodes):
             self.runners[name] = self._run_node(name, self._loaders[name].wiring(self._roster))
 
-    def run(self, seed: int) -> None:
-        """Run until the world is done."""
-        if self._deployment.staleness.free:
-            run_freely(self.runners, self._deployment, seed, self._pacemaker)
+    def run(self) -> None:
+        if self.deployment.staleness.free:
+            run_freely(self.runners, self.deployment, self.seed, self.pacemaker)
         else:
             self._deliver_all()
 
@@ -210,12 +205,11 @@ class _Nodes(Host):
             message = runners[name].port.receive()
             if message is not None:
                 runners[name].step(message)
-        if not self._pacemaker.done:
+        if not self.pacemaker.done:
             waiting = {name: runner.engine.waits_for for name, runner in runners.items()}
             raise HieraxError(f"nothing is under way any more, but nodes wait: {waiting}")
 
     def close(self) -> None:
-        """Close all probes and logs."""
         for observers in self._observers.values():
             observers.close()
 
@@ -223,22 +217,22 @@ class _Nodes(Host):
         self, name: str, wiring: Wiring, saved: Saved | None = None, again: bool = False, joins: bool = False
     ) -> NodeRunner:
         """A node's runner; `again`: behind what another one of the node has written."""
-        probes = open_probes(self._deployment.probes, name, self._allowance, self._output, again)
-        self._observers[name] = Observers(name, probes, state_log(self._output, name, again))
+        probes = open_probes(self.deployment.probes, name, self._allowance, self.output, again)
+        self._observers[name] = Observers(name, probes, state_log(self.output, name, again))
         runner = NodeRunner(
             wiring,
             self._network.open_port(name),
             self._observers[name],
             self,
             self._begins if name == self._world else None,
-            staleness=self._deployment.staleness,
+            staleness=self.deployment.staleness,
             saved=saved,
             joins=joins,
         )
-        if self._watch is not None:
-            self._watch(name, runner)
-        if self._record is not None:
-            self._record.watch(name, runner, (lambda: self._roster) if name == self._world else None)
+        if self.watch is not None:
+            self.watch(name, runner)
+        if self.record is not None:
+            self.record.watch(name, runner, (lambda: self._roster) if name == self._world else None)
         return runner
 
     def log_level(self, header: Header, verdict: Verdict) -> int:
@@ -307,10 +301,9 @@ class _Nodes(Host):
             else:
                 self.runners[name].engine.prepare(self._loaders[name].wiring(roster))
         self.runners[self._world].engine.rewire(version)
-        self._pacemaker.chain.roster_hash = roster.content_hash()
+        self.pacemaker.chain.roster_hash = roster.content_hash()
 
     def _come(self, name: str, epoch: int, replaces: bool) -> None:
-        """A node is attached, or takes the place of another."""
         loader = self._loaders[name] = NodeLoader(name, self._setting, self._allowance)
         wiring = loader.wiring(self._roster)
         saved: Saved | None = None

@@ -149,7 +149,6 @@ class WorldMember(World, OwnerEffects):
             self.hear(word)
 
     def hear(self, word: Control) -> None:
-        """Take in what anybody says to the owner."""
         self.owner.hear(word)
         self._runner.finish()
 
@@ -166,7 +165,6 @@ class WorldMember(World, OwnerEffects):
             self._runner.finish()
 
     def tick(self) -> None:
-        """Time has passed."""
         self.owner.tick()
         self._runner.finish()
 
@@ -277,18 +275,18 @@ class WorldMember(World, OwnerEffects):
 
     def _record(self) -> checkpoint.WorldRecord:
         owner, engine = self.owner, self._runner.engine
-        begun = engine.epoch > owner.epoch  # and not committed
+        begun = engine.epoch > owner.progress.epoch  # and not committed
         trial = owner.members.trial
         if not self._roster_bytes:
-            self._roster_bytes = encode_value(owner.roster.plain())
+            self._roster_bytes = encode_value(owner.members.roster.plain())
             self._alone_bytes = encode_value(tuple(sorted(owner.members.alone)))
             self._process_bytes = encode_value(
-                {name: (token, *owner.members.born[name]) for name, token in sorted(owner.processes.items())}
+                {name: (token, *owner.members.born[name]) for name, token in sorted(owner.members.processes.items())}
             )
         return checkpoint.WorldRecord(
-            epoch=owner.epoch + 1,
+            epoch=owner.progress.epoch + 1,
             attempt=max(owner.progress.attempt, 0),
-            instance=owner.roster.instance(self.member.name),
+            instance=owner.members.roster.instance(self.member.name),
             roster=self._roster_bytes,
             highest_version=owner.planning.highest,
             last_digest=self.pacemaker.chain.digest,

@@ -38,13 +38,9 @@ def run_attached(
     await_change: Callable[[], None],  # waits until the launch has answered, and prints that; in a thread of its own
     notify: Notify,  # tells people what happens
 ) -> int:
-    """Start processes and have them run until they are dismissed, or until Ctrl-C.
+    """Start processes and have them run until all are dismissed, or Ctrl-C ends them; gives the exit code.
 
-    Returns:
-        The exit code: 0 when all were dismissed or the user ended them.
-
-    Raises:
-        HieraxError: a process cannot go on, the change was refused, or the orders are not what was asked for.
+    Raises `HieraxError` if a process cannot go on, the change was refused, or the orders are not what was asked for.
     """
     try:
         # nobody else knows the folder's name before it is there

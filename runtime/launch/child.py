@@ -67,12 +67,10 @@ class Child:
 
     @property
     def name(self) -> str:
-        """The name of its node."""
         return self.order.name
 
     @property
     def token(self) -> str:
-        """The token of the process."""
         return self.order.process
 
     @property
@@ -132,7 +130,6 @@ class Child:
         self.send_signal(signal.SIGKILL)
 
     async def close(self) -> None:
-        """Give up what belongs to a process that has ended."""
         self.overheard.close()
         for stream in (self.process.stdin, self.process.stdout):
             if stream is not None:
@@ -158,11 +155,10 @@ class Child:
     @property
     def last_words(self) -> NodeFailedError:
         """Why it has ended: what it said itself, or else how."""
-        return self.failure or NodeFailedError(f"{self.name}: its process ended {_describe(self.process.returncode)}")
+        return self.failure or NodeFailedError(f"{self.name}: its process ended {how_ended(self.process.returncode)}")
 
 
 async def start_child(order: NodeOrder, overhearing: Overhearing) -> Child:
-    """Start a node's process and give it its order."""
     overheard = overhearing.of(order.name)
     try:
         with started_deaf():
@@ -188,7 +184,7 @@ def _handle_of(pid: int) -> int:
         return CLOSED  # killed already, and noticed
 
 
-def _describe(code: int | None) -> str:
+def how_ended(code: int | None) -> str:
     if code is None:
         return "without an exit code"
     return f"by signal {signal.Signals(-code).name}" if code < 0 else f"with exit code {code}"

@@ -9,6 +9,7 @@ from __future__ import annotations
 import os
 import signal
 from collections.abc import Callable, Iterable
+from itertools import count
 from typing import Any, NamedTuple
 
 from hierax.runtime.core.errors import HieraxError
@@ -68,7 +69,7 @@ def read_faults(texts: Iterable[str]) -> dict[str, list[str]]:
 def plant(text: str, member: Member, world: WorldMember | None) -> None:
     """Have the process kill itself at ``INSTANT:N``. Raises `HieraxError` if that is none of this process."""
     fault = Fault.read(text)
-    strike = _Countdown(fault.number)
+    strike = _countdown(fault.number)
     if fault.place == "save":
         _wrap(member, "save", fault.before, strike)
     elif fault.place == "send":
@@ -81,16 +82,15 @@ def plant(text: str, member: Member, world: WorldMember | None) -> None:
         _wrap(world, METHODS[fault.place], fault.before, strike)
 
 
-class _Countdown:
-    """Kills the process when it has been called a number of times."""
+def _countdown(number: int) -> Callable[[], None]:
+    """What kills the process when it has been called a number of times."""
+    calls = count(1)
 
-    def __init__(self, number: int) -> None:
-        self._left = number
-
-    def __call__(self) -> None:
-        self._left -= 1
-        if not self._left:
+    def strike() -> None:
+        if next(calls) == number:
             os.kill(os.getpid(), signal.SIGKILL)
+
+    return strike
 
 
 def _plant_at_record(world: WorldMember, fault: Fault, strike: Callable[[], None]) -> None:

@@ -7,15 +7,19 @@ supervisor is gone. What a child says is a map with ``"status"``.
 
 from __future__ import annotations
 
+import os
 import struct
-from collections.abc import Mapping
+import threading
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from hierax.runtime.execution.world_member import OnUncertainAct
+from hierax.runtime.execution.world_member import OnUncertainAct, Supervision
 from hierax.runtime.loading.allowance import Allowance
 from hierax.runtime.owner.effects import OwnerPolicy
+from hierax.runtime.owner.owner import Owner
 from hierax.runtime.recovery.disk import Durability
+from hierax.schemas.control import Dismiss
 from hierax.schemas.errors import SchemaError
 from hierax.schemas.limits import MAX_MESSAGE_BYTES
 from hierax.schemas.roster import ProbeSpec, Reference, Roster
@@ -25,7 +29,7 @@ _LENGTH = struct.Struct("<I")
 
 STOP = "stop"  # command: finish, report, exit. What is no command is a control message for the roster's owner, as bytes
 FINISH = "finish"  # command to the world: the epoch under way is the last one
-_LEAVE = "leave"
+LEAVE = "leave"  # command, a map: report the last epoch committed (None: the world knows it) at once, and exit
 
 UP = "up"  # status: every neighbour hears this node and is heard
 FINISHED = "finished"  # status of the world: the last epoch is committed; the roster, and its processes
@@ -84,7 +88,6 @@ class NodeOrder:
 
     @property
     def allowance(self) -> Allowance:
-        """Which code may be loaded."""
         return Allowance(self.modules)
 
     @property
@@ -93,7 +96,6 @@ class NodeOrder:
         return Path(self.output) if self.output else None
 
     def plain(self) -> Value:
-        """Give it as a value."""
         return {
             **self.__dict__,
             "roster": None if self.roster is None else self.roster.plain(),
@@ -112,19 +114,7 @@ class NodeOrder:
         return NodeOrder(**{**value, "roster": roster, "probes": probes, "owner": owner})
 
 
-def leave(epoch: int | None) -> Value:
-    """The command to report the last epoch committed (None: the world knows it) at once, and exit."""
-    return {_LEAVE: epoch}
-
-
-def epoch_of_leave(command: Value) -> int | None:
-    """The epoch in such a command."""
-    epoch: int | None = command[_LEAVE]
-    return epoch
-
-
 def frame(value: Value) -> bytes:
-    """A value as a frame."""
     data = encode_value(value)
     return _LENGTH.pack(len(data)) + data
 
@@ -149,3 +139,57 @@ class Frames:
             values.append(decode_value(bytes(self._buffer[_LENGTH.size : end]), "pipe"))
             del self._buffer[:end]
         return values
+
+
+class SupervisorPipe(Supervision):
+    """The process's end of the pipe; and, in the world's process, how the roster's owner reaches the supervisor."""
+
+    def __init__(self, status: int, on_gone: Callable[[], None]) -> None:
+        self._status = status  # file descriptor on which the supervisor listens
+        self._on_gone = on_gone  # called when it does not listen any more
+        self._saying = threading.Lock()
+        self._beating = threading.Lock()
+        self._finished = False
+
+    def say(self, status: str, **fields: Value) -> None:
+        """Say something, if somebody is still there; any thread may call it."""
+        data = memoryview(frame({"status": status, **fields}))
+        try:
+            with self._saying:
+                while data:
+                    data = data[os.write(self._status, data) :]
+        except BrokenPipeError:
+            self._on_gone()
+
+    def end(self, name: str, process: str, why: str) -> None:
+        self.say(END, name=name, process=process, why=why)
+
+    def stop(self, why: str) -> None:
+        self.say(HALT, why=why)
+
+    def note(self, what: str) -> None:
+        self.say(NOTE, what=what)
+
+    def answer(self, request: str, epoch: int, refusal: str) -> None:
+        self.say(ANSWER, request=request, epoch=epoch, refusal=refusal)
+
+    def dismiss(self, process: str, word: Dismiss) -> None:
+        """A process is no part of the hierarchy any more: its supervisor, or this one for it, is to tell it."""
+        self.say(DISMISS, process=process, why=word.why, again=word.again)
+
+    def beat(self, owner: Owner) -> None:
+        """The world's process lives; and the roster."""
+        with self._beating:  # two threads do: what is said last is to be what holds
+            roster = owner.members.roster
+            self.say(
+                BEAT,
+                epoch=owner.progress.epoch,
+                version=roster.version,
+                instances={name: roster.instance(name) for name in roster.nodes},
+                processes=dict(owner.members.processes),
+            )
+
+    def finish(self, owner: Owner) -> None:
+        if not self._finished:
+            self._finished = True
+            self.say(FINISHED, processes=dict(owner.members.processes), roster=owner.members.roster.plain())

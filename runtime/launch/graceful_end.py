@@ -19,7 +19,7 @@ from hierax.runtime.execution.checkpoints import Checkpoints
 from hierax.runtime.execution.output_folder import digest_log
 from hierax.runtime.execution.world_member import read_record
 from hierax.runtime.launch.child import Child
-from hierax.runtime.launch.frames import FINISH, NodeOrder, leave
+from hierax.runtime.launch.frames import FINISH, LEAVE, NodeOrder
 from hierax.runtime.launch.process_supervisor import Notify
 from hierax.runtime.launch.roster_supervisor import RosterSupervisor
 from hierax.runtime.recovery.disk import MappedFile
@@ -83,7 +83,7 @@ class GracefulEnd:
 
     async def _ask(self, children: list[Child], epoch: int | None) -> None:
         for child in children:
-            await child.send(leave(epoch))
+            await child.send({LEAVE: epoch})
         with anyio.move_on_after(ANSWER_S):
             while any(child.report is None and not child.ended.is_set() for child in children):
                 await anyio.sleep(_POLL_S)
@@ -126,10 +126,7 @@ def _slots(order: NodeOrder) -> MappedFile:
 
 
 def _write_digest(order: NodeOrder, record: WorldRecord) -> None:
-    """Write the last epoch's digest, as a next process of the world's would: this one may have ended before it could.
-
-    Raises `HieraxError` if it cannot be written.
-    """
+    """Write the last epoch's digest, as a next process of the world's would: this one may have ended before."""
     log = digest_log(order.output_path, append=True) if record.epoch > 1 else None
     if log is not None:
         log.write(record.epoch - 1, record.last_digest)

@@ -34,17 +34,10 @@ class AttachedHere:
 
 
 def read_orders(orders: Value, request: str, here: AttachedHere, folder: Path) -> list[NodeOrder]:
-    """The orders for this machine.
+    """The orders for this machine, where the checkpoints are in a folder that was made for this alone.
 
-    Args:
-        orders: what the launch has answered.
-        request: the change that was asked for, as the launch calls it.
-        here: what is decided on this machine.
-        folder: of the checkpoints, made on this machine for this alone.
-
-    Raises:
-        NotAllowedError: a node's class may not be loaded here.
-        HieraxError: they are no orders, or not of the nodes that were asked for.
+    Raises `NotAllowedError` if a node's class may not be loaded here, and `HieraxError` if they are no orders, or not
+    of the nodes that were asked for.
     """
     if not isinstance(orders, (list, tuple)) or not all(isinstance(order, dict) for order in orders):
         raise HieraxError(f"the launch at {here.endpoint} gave no orders, but {shown(orders)}")
@@ -60,7 +53,7 @@ def _local(order: Mapping[str, Any], request: str, here: AttachedHere, folder: P
     reference = here.nodes[name]
     allowance = here.allowance
     if here.trusts:
-        allowance = allowance.with_modules(_texts(order, "modules"))
+        allowance = allowance.with_modules(map(str, _field(order, "modules", list, tuple)))
     allowance.check(reference.target, f"nodes.{name}.class")
     return NodeOrder(
         name=name,
@@ -101,8 +94,3 @@ def _name(order: Mapping[str, Any], field: str) -> str:
         return check_name(order.get(field), field)  # type: ignore[arg-type]
     except SchemaError as error:
         raise HieraxError(f"{order['name']}: the launch's order says {field}: {error}") from error
-
-
-def _texts(order: Mapping[str, Any], field: str) -> tuple[str, ...]:
-    values = _field(order, field, list, tuple)
-    return tuple(str(value) for value in values)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import importlib
 import logging
 from collections.abc import Mapping
+from dataclasses import dataclass
 from pathlib import Path
 
 from hierax.runtime.core.digest import DigestChain
@@ -16,9 +17,8 @@ from hierax.runtime.execution.output_folder import digest_log, open_probes, stat
 from hierax.runtime.execution.pacemaker import Pacemaker
 from hierax.runtime.execution.world_member import WorldMember
 from hierax.runtime.launch.faults import plant
-from hierax.runtime.launch.frames import BEGIN, NodeOrder
+from hierax.runtime.launch.frames import BEGIN, NodeOrder, SupervisorPipe
 from hierax.runtime.launch.steady import SteadyClock
-from hierax.runtime.launch.supervisor_pipe import SupervisorPipe
 from hierax.runtime.loading.allowance import Allowance
 from hierax.runtime.loading.node_loader import NodeLoader
 from hierax.runtime.owner.effects import OwnerPolicy
@@ -26,7 +26,7 @@ from hierax.runtime.recovery.disk import MappedFile
 from hierax.runtime.recovery.slots import Slots
 from hierax.runtime.transport.control import OWNER, ControlLine
 from hierax.runtime.transport.zenoh_port import EpochPublisher, ZenohPort
-from hierax.schemas.control import Control, Dismiss, Order
+from hierax.schemas.control import Dismiss, Order
 
 _log = logging.getLogger("hierax")
 
@@ -43,61 +43,48 @@ def open_slots(order: NodeOrder) -> Slots:
     return Slots(MappedFile(Path(order.checkpoint), order.durability))
 
 
-def build_member(
-    order: NodeOrder, loader: NodeLoader, port: ZenohPort, line: ControlLine, observers: Observers, slots: Slots
-) -> Member:
-    """The member of a process that is not the world's. Raises `HieraxError` if the order's fault is none."""
+@dataclass
+class Parts:
+    """What a node's process has for its member. What it builds raises `HieraxError` if the order's fault is none."""
 
-    def report(word: Control) -> None:
-        line.send(OWNER, word)
+    order: NodeOrder  # of the process
+    loader: NodeLoader  # of the node
+    port: ZenohPort  # likewise
+    line: ControlLine  # to the roster's owner, or from it
+    observers: Observers  # of the node
+    slots: Slots  # of its checkpoints, or of the world's record
 
-    member = Member(_seat(order, loader, port, observers), report, Checkpoints(slots))
-    if order.fault:
-        plant(order.fault, member, None)
-    return member
+    def member(self) -> Member:
+        """The member that the order asks for, if it is not the world's."""
+        member = Member(self._seat(), lambda word: self.line.send(OWNER, word), Checkpoints(self.slots))
+        if self.order.fault:
+            plant(self.order.fault, member, None)
+        return member
 
+    def world(
+        self, policy: OwnerPolicy, pipe: SupervisorPipe, pacemaker: Pacemaker, processes: Mapping[str, str]
+    ) -> WorldMember:
+        """The world's member, not started. Raises `HieraxError` if there is no whole record where one has to be."""
+        order = self.order
 
-def _seat(order: NodeOrder, loader: NodeLoader, port: ZenohPort, observers: Observers) -> Seat:
-    staleness, alone = Staleness(order.staleness, order.exact), frozenset(order.alone)
-    return Seat(order.name, order.process, loader.wiring, port, observers, staleness, alone)
+        def send_order(process: str, word: Order) -> None:
+            if isinstance(word, Dismiss):  # anybody could say it: who is started here hears it from the supervisor
+                pipe.dismiss(process, word)
+            else:
+                self.line.send(process, word)
 
+        roster = order.roster if order.life == BEGIN else None
+        parts = (self._seat(), send_order, pipe, self.slots, pacemaker, policy, SteadyClock(), processes, roster)
+        pauses = order.staleness is not None  # in free running it has turns
+        world = WorldMember(*parts, on_uncertain_act=order.on_uncertain_act, pauses=pauses)
+        if order.fault:
+            plant(order.fault, world.member, world)
+        return world
 
-def build_world(
-    order: NodeOrder,
-    policy: OwnerPolicy,
-    loader: NodeLoader,
-    port: ZenohPort,
-    line: ControlLine,
-    observers: Observers,
-    slots: Slots,
-    pipe: SupervisorPipe,
-    pacemaker: Pacemaker,
-    processes: Mapping[str, str],
-) -> WorldMember:
-    """The world's member, not started. Raises `HieraxError` if there is no whole record, or the fault is none."""
-
-    def send_order(process: str, word: Order) -> None:
-        if isinstance(word, Dismiss):  # anybody could say it: who is started here hears it from the supervisor
-            pipe.dismiss(process, word)
-        else:
-            line.send(process, word)
-
-    world = WorldMember(
-        _seat(order, loader, port, observers),
-        send_order,
-        pipe,
-        slots,
-        pacemaker,
-        policy,
-        SteadyClock(),
-        processes,
-        order.roster if order.life == BEGIN else None,
-        on_uncertain_act=order.on_uncertain_act,
-        pauses=order.staleness is not None,  # in free running it has turns
-    )
-    if order.fault:
-        plant(order.fault, world.member, world)
-    return world
+    def _seat(self) -> Seat:
+        order = self.order
+        staleness, alone = Staleness(order.staleness, order.exact), frozenset(order.alone)
+        return Seat(order.name, order.process, self.loader.wiring, self.port, self.observers, staleness, alone)
 
 
 def pacemaker_of(order: NodeOrder, epochs: EpochPublisher) -> Pacemaker:

@@ -21,7 +21,7 @@ import anyio.from_thread
 import anyio.to_thread
 
 from hierax.runtime.host.streams import own_output
-from hierax.runtime.launch.frames import FINISH, STOP, Frames, NodeOrder, epoch_of_leave
+from hierax.runtime.launch.frames import FINISH, LEAVE, STOP, Frames, NodeOrder
 from hierax.runtime.launch.node_worker import NodeWorker
 from hierax.runtime.watch.logs import QUIET, log_console, log_node, report_left_out
 from hierax.runtime.watch.prints import Console, console_stream, name_prints
@@ -104,7 +104,7 @@ async def _obey(worker: NodeWorker, orders: int, frames: Frames, commands: list[
             elif command == FINISH:
                 worker.finish()
             elif isinstance(command, dict):
-                worker.leave(epoch_of_leave(command))
+                worker.leave(command[LEAVE])
             else:
                 word = decode_control(command)
                 if isinstance(word, Census):

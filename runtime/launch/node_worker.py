@@ -7,41 +7,42 @@ import logging
 import sys
 import threading
 from collections.abc import Mapping
-from types import FrameType
 from typing import get_args
 
 import numpy as np
 
-from hierax.runtime.core.binding import CALLS, Call, OperatorSetting, Waiter
+from hierax.runtime.core.binding import OperatorSetting, Waiter
 from hierax.runtime.core.errors import ContradictionError, HieraxError
 from hierax.runtime.engine.wiring import Wiring
+from hierax.runtime.execution.breaker import called
 from hierax.runtime.execution.member import Member
 from hierax.runtime.execution.observers import Observers
 from hierax.runtime.execution.pacemaker import Pacemaker
 from hierax.runtime.execution.world_member import WorldMember
 from hierax.runtime.launch.control_queue import ControlQueue
-from hierax.runtime.launch.frames import BEGIN, CUT_OFF, DISMISSED, FAILED, MISSES, REPORT, TO_REPORT, UP, NodeOrder
-from hierax.runtime.launch.inspection_server import InspectionServer
-from hierax.runtime.launch.member_building import (
-    build_member,
-    build_world,
-    open_observers,
-    open_slots,
-    pacemaker_of,
-    preload,
+from hierax.runtime.launch.frames import (
+    BEGIN,
+    CUT_OFF,
+    DISMISSED,
+    FAILED,
+    MISSES,
+    REPORT,
+    TO_REPORT,
+    UP,
+    NodeOrder,
+    SupervisorPipe,
 )
-from hierax.runtime.launch.node_loop import NodeLoop
-from hierax.runtime.launch.supervisor_pipe import SupervisorPipe
-from hierax.runtime.launch.world_watch import WorldWatch
+from hierax.runtime.launch.inspection_server import InspectionServer
+from hierax.runtime.launch.member_building import Parts, open_observers, open_slots, pacemaker_of, preload
+from hierax.runtime.launch.node_loop import NodeLoop, WorldWatch
 from hierax.runtime.loading.loader import LoadError, extend_import_path
 from hierax.runtime.loading.node_loader import NodeLoader
 from hierax.runtime.owner.effects import OwnerPolicy
 from hierax.runtime.recording.witness import Witness
-from hierax.runtime.recovery.slots import Slots
 from hierax.runtime.transport.bus_tap import StepPublisher
 from hierax.runtime.transport.control import OWNER, ControlLine
-from hierax.runtime.transport.inspection import InspectionEndpoint
 from hierax.runtime.transport.port import TransportError
+from hierax.runtime.transport.queries import InspectionEndpoint
 from hierax.runtime.transport.zenoh_port import EpochPublisher, ZenohPort
 from hierax.runtime.transport.zenoh_session import LOOPBACK, LOW_LATENCY_BYTES, open_session
 from hierax.runtime.watch import telemetry
@@ -101,10 +102,7 @@ class NodeWorker:
             self._wake()
 
     def leave(self, epoch: int | None) -> None:
-        """Make the node's thread come to its end, whatever is under way, and report.
-
-        `epoch`: of which the report is; None: the last one committed, which the world knows.
-        """
+        """Make the node's thread come to its end at once, and report of an epoch; None: of the last one committed."""
         self._leaves, self._epoch = True, epoch
         self.stop()
 
@@ -126,7 +124,6 @@ class NodeWorker:
             _log.warning("%s: dropped %s: too much waits", self._order.name, type(control).__name__)
 
     def tick(self) -> None:
-        """Time has passed."""
         member = self._member
         if self._inspection is not None:
             self._inspection.serve()
@@ -138,7 +135,6 @@ class NodeWorker:
             self._loop.tick()
 
     def take_turn(self) -> None:
-        """In free running: the node's next turn is due."""
         if self._loop is not None:
             self._loop.take_turn()
 
@@ -210,12 +206,13 @@ class NodeWorker:
         self._inspection = InspectionServer(*seen, endpoint, self.busy)
         gc.collect()
         gc.freeze()  # what is loaded stays; the collector need not look at it again in the middle of an epoch
+        parts = Parts(order, loader, port, self._line, observers, slots)
         try:
             if order.owner is not None:
                 pacemaker = pacemaker_of(order, EpochPublisher(session, keys))
-                member = self._begin_world(order.owner, loader, port, observers, slots, pacemaker)
+                member = self._begin_world(order.owner, parts, pacemaker)
             else:
-                member = self._begin(loader, port, observers, slots)
+                member = self._begin(parts)
             if self._member is not None:
                 self._run(self._member, port)
             if self._leaves:  # nobody waits for what probes do at their end
@@ -240,20 +237,18 @@ class NodeWorker:
             observers.watch(self._witness)
 
     def _roster(self) -> Roster | None:
-        """The roster in force, as the world's process knows it."""
-        return None if self._world is None else self._world.owner.roster
+        return None if self._world is None else self._world.owner.members.roster
 
-    def _begin(self, loader: NodeLoader, port: ZenohPort, observers: Observers, slots: Slots) -> Member:
+    def _begin(self, parts: Parts) -> Member:
         """Come into the run; the member has a part in it where `_member` is set."""
-        order = self._order
-        member = build_member(order, loader, port, self._line, observers, slots)
+        order, loader, member = self._order, parts.loader, parts.member()
         if order.life == TO_REPORT and order.roster is not None:
             member.recall(loader.wiring(order.roster))
             return member
         if order.life == BEGIN and order.roster is not None:
             wiring = loader.wiring(order.roster)
             member.run(wiring)
-            if not self._connect(port, wiring):
+            if not self._connect(parts.port, wiring):
                 return member
         else:
             member.join(order.request)
@@ -261,27 +256,18 @@ class NodeWorker:
         self._member = member
         return member
 
-    def _begin_world(
-        self,
-        policy: OwnerPolicy,
-        loader: NodeLoader,
-        port: ZenohPort,
-        observers: Observers,
-        slots: Slots,
-        pacemaker: Pacemaker,
-    ) -> Member | None:
+    def _begin_world(self, policy: OwnerPolicy, parts: Parts, pacemaker: Pacemaker) -> Member | None:
         """Begin the run, or go on with it; None: it was stopped before."""
         order, processes = self._order, self._order.processes
         if order.life == BEGIN and order.roster is not None:
-            if not self._connect(port, loader.wiring(order.roster)):
+            if not self._connect(parts.port, parts.loader.wiring(order.roster)):
                 return None
             self._pipe.say(UP)
-            told = self._until_told(port)
+            told = self._until_told(parts.port)
             if told is None:
                 return None
             processes = {**told, order.name: order.process}
-        parts = (loader, port, self._line, observers, slots, self._pipe, pacemaker, processes)
-        world = self._world = build_world(order, policy, *parts)
+        world = self._world = parts.world(policy, self._pipe, pacemaker, processes)
         last = pacemaker.chain
         if last.epoch:  # the process before may not have said so
             pacemaker.on_commit(last.epoch, last.digest)
@@ -356,10 +342,5 @@ class NodeWorker:
 
     def busy(self) -> str:
         """The operator that the node's thread is in; empty: in none."""
-        found: FrameType | None = sys._current_frames().get(self._thread)
-        while found is not None:
-            if found.f_code in CALLS:
-                call: Call = found.f_locals["self"]
-                return f"{call.operator} of {call.subject}"
-            found = found.f_back
-        return ""
+        call = called(sys._current_frames().get(self._thread))
+        return "" if call is None else f"{call.operator} of {call.subject}"

@@ -42,11 +42,7 @@ class LaunchOptions:
 
 
 class Orders:
-    """Makes the orders of one run.
-
-    `resumed`: go on with this run, whose checkpoints are in the folder of the state; None: begin. Raises `HieraxError`
-    if it is of another version.
-    """
+    """Makes the orders of one run: of a new one, or of one that is resumed from the checkpoints in its folder."""
 
     def __init__(
         self, deployment: Deployment, run_id: str, hub: str, options: LaunchOptions, resumed: Run | None = None
@@ -76,7 +72,6 @@ class Orders:
         reference: Reference | None = None,  # of a newcomer, its class
         processes: Mapping[str, str] | None = None,  # of the world's process, those of all nodes
     ) -> NodeOrder:
-        """The order of a node's process."""
         deployment = self.deployment
         reference = reference or deployment.roster.nodes.get(name)
         is_world = name == deployment.roster.world
@@ -113,10 +108,6 @@ class Orders:
             recorded=self._is_recorded(),
         )
 
-    def anew(self, order: NodeOrder, token: str) -> NodeOrder:
-        """The order of the process that comes in the place of one that was killed before the run had begun."""
-        return self._renewed(order, token)
-
     def has_begun(self, world: str) -> bool:
         """Whether a process of the world's that is dead has begun the run: only with a record is anything sent."""
         name = self.deployment.roster.world
@@ -132,7 +123,6 @@ class Orders:
 
     @property
     def _record(self) -> Path:
-        """Where the world's record is."""
         world = self.deployment.roster.world
         return self.options.state / self._lineages.get(world, world)
 
@@ -141,7 +131,7 @@ class Orders:
     ) -> NodeOrder:
         """The order of the process that comes in the place of another."""
         is_world = order.owner is not None
-        return self._renewed(
+        return self.anew(
             order,
             token,
             life=COME_BACK,
@@ -152,7 +142,8 @@ class Orders:
             proposals=tuple(proposals) if is_world else (),
         )
 
-    def _renewed(self, order: NodeOrder, token: str, **changes: Any) -> NodeOrder:
+    def anew(self, order: NodeOrder, token: str, **changes: Any) -> NodeOrder:
+        """The order of the process that comes in the place of one that was killed; as that was before the run began."""
         fault, recorded = self._next_fault(order.name), self._is_recorded()
         return replace(order, process=token, fault=fault, recorded=recorded, **changes)
 

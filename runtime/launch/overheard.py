@@ -36,7 +36,6 @@ class Overhearing:
         return Overheard(Lines(name, self._out, lambda line: self._write(name, line)))
 
     def close(self) -> None:
-        """No process says anything any more."""
         self._out.close()
         os.close(self.console)
         if self._log is not None:

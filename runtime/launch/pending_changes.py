@@ -33,12 +33,10 @@ class PendingChanges:
 
     @property
     def unanswered(self) -> list[PendingChange]:
-        """Those that the owner has not answered yet."""
         return [change for change in self._changes.values() if not change.done.is_set()]
 
     @property
     def proposals(self) -> Sequence[bytes]:
-        """What the owner is told of them."""
         return [change.proposal for change in self.unanswered]
 
     def add(self, proposal: Propose, policies: Mapping[str, RestartPolicy]) -> None:

@@ -49,7 +49,6 @@ class ProcessSupervisor(ABC):
         return self._children.get(token)
 
     def restarts_of(self, name: str) -> int:
-        """How often a node's process was started again."""
         return self._restarts[name].count if name in self._restarts else 0
 
     async def start(self, order: NodeOrder) -> Child:
@@ -69,13 +68,11 @@ class ProcessSupervisor(ABC):
         await self.kill_all()
 
     async def kill_all(self) -> None:
-        """End every process that is left, at once."""
         for child in self.children:
             child.kill()
         await self._wait_for_all(END_TIMEOUT_S)
 
     async def close(self) -> None:
-        """Give up what belongs to processes that have ended."""
         for child in self.children:
             await child.close()
 
@@ -90,7 +87,6 @@ class ProcessSupervisor(ABC):
                 await child.process.wait()
 
     async def _listen(self, child: Child) -> None:
-        """Take in what a process says until it ends."""
         assert child.process.stdout is not None
         frames = Frames()
         async with anyio.create_task_group() as tasks:

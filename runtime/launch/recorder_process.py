@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import signal
 import subprocess
 from collections.abc import Callable
 from dataclasses import dataclass, field
@@ -14,7 +13,7 @@ import anyio
 import anyio.abc
 
 from hierax.runtime.host.interpreter import python_module, started_deaf
-from hierax.runtime.launch.child import END_TIMEOUT_S
+from hierax.runtime.launch.child import END_TIMEOUT_S, how_ended
 from hierax.runtime.recording.info import Ending, RunInfo
 from hierax.runtime.recording.live_recording import DONE, FAILED
 from hierax.runtime.recording.selection import EVERYTHING, Selection
@@ -48,7 +47,6 @@ class RecorderChild:
         self._notify = notify  # tells people what happens
         self._process: anyio.abc.Process | None = None
         self._ended = anyio.Event()
-        self._finishing = False
 
     @property
     def pid(self) -> int:
@@ -80,7 +78,6 @@ class RecorderChild:
         await self._send(json.dumps(order))
 
     async def listen(self) -> None:
-        """Take in what it says, until it ends."""
         process = self._process
         assert process is not None
         assert process.stdout is not None
@@ -93,11 +90,7 @@ class RecorderChild:
         with anyio.move_on_after(END_TIMEOUT_S):
             await process.wait()
         if self._request.ending is None and not self._request.failure:
-            code = process.returncode
-            how = (
-                f"by signal {signal.Signals(-code).name}" if code is not None and code < 0 else f"with exit code {code}"
-            )
-            self._request.failure = f"the recorder's process ended {how}"
+            self._request.failure = f"the recorder's process ended {how_ended(process.returncode)}"
             self._notify(f"{self._request.failure}; the run goes on, and is not recorded any further")
         self._ended.set()
 

@@ -69,7 +69,6 @@ class Requests:
 
     @asynccontextmanager
     async def served(self, hub: Hub) -> AsyncIterator[None]:
-        """Answer what is asked through the hub."""
         async with anyio.from_thread.BlockingPortal() as portal:
 
             def on_query(data: Value, reply: Reply) -> None:

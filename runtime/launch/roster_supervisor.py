@@ -59,7 +59,6 @@ class RosterSupervisor(ProcessSupervisor):
         self._beat = anyio.Event()
 
     def state(self, token: str) -> ProcessState:
-        """Where a process is on its way."""
         child = self.child(token)
         if child is not None:
             return child.state

@@ -51,7 +51,6 @@ class Running:
 
     @property
     def alive(self) -> bool:
-        """Whether the supervisor's process is still there."""
         return is_process(self.pid)
 
 
@@ -125,7 +124,6 @@ def _folders() -> list[Path]:
 
 
 def _fit_folder() -> Path:
-    """The first of them that is this user's alone. Raises `HieraxError` if none is."""
     unfit = []
     for folder in _folders():
         why = _unfit(folder)

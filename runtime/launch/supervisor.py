@@ -61,10 +61,8 @@ def launch(
 ) -> Report:
     """Run a deployment with each node in a process of its own, over Zenoh.
 
-    Raises:
-        HieraxError: a node cannot be loaded, did not come up in time, or failed.
-        Interrupted: broken off by SIGINT, SIGTERM or SIGHUP; all processes are gone.
-        KeyboardInterrupt: likewise, before all nodes were up.
+    Raises `HieraxError` if a node cannot be loaded, did not come up in time, or failed; `Interrupted` if SIGINT,
+    SIGTERM or SIGHUP broke it off, all processes gone; before all nodes were up `KeyboardInterrupt`.
     """
     begun_s = time.perf_counter()
     with ExitStack() as stack:
@@ -188,7 +186,6 @@ class Supervisor:
         self._tasks.start_soon(self._recorder.listen)
 
     def _last_epoch(self) -> int | None:
-        """The last one committed, by the world's report."""
         world = self._orders.deployment.roster.world
         said = [child.report for child in self._processes.present if child.name == world and child.report is not None]
         return int(said[0]["run"][0]) if said else None
@@ -219,7 +216,6 @@ class Supervisor:
             await self._processes.finished.wait()
 
     async def _collect(self) -> None:
-        """Have every process report and end."""
         self._processes.finished.set()
         if self._orders.resumes and self._roster.world not in {child.name for child in self._processes.present}:
             self._break(HieraxError(self._orders.over))  # the world had finished before
@@ -237,7 +233,6 @@ class Supervisor:
                 self._break(NodeFailedError(f"no report within {REPORT_TIMEOUT_S:g} s: {', '.join(silent)}"))
 
     async def _stop(self, which: Callable[[Child], bool]) -> None:
-        """Have these processes report."""
         for child in self._processes.present:
             if which(child):
                 await child.send(STOP)
@@ -297,32 +292,20 @@ class Supervisor:
     def _make_report(self) -> Report:
         reports = {child.name: child.report for child in self._processes.present if child.report is not None}
         world = reports.get(self._deployment.roster.world, {})
-        epochs, digest, wall_s, epochs_s = world.get("run", (0, NO_DIGEST, 0.0, ()))  # it was killed before it began
+        epochs, digest, *times = world.get("run", (0, NO_DIGEST, 0.0, ()))  # it was killed before it began
         if self._deployment.staleness.barrier and self._graceful is None:
             _check_epochs(reports, epochs, world.get("attempt", 0))
         nodes = {
             name: NodeReport(said["belief"], said["policy"], said["actions"], said["metrics"])
             for name, said in sorted(reports.items())
         }
-        return make_report(
-            self._deployment.name,
-            "launch",
-            self._orders.options.seed,
-            epochs,
-            digest,
-            wall_s,
-            epochs_s,
-            nodes,
-            self._orders.options.output,
-            start_s=self._start_s,
-        )
+        options = self._orders.options
+        run = (self._deployment.name, "launch", options.seed, epochs, digest, times[0], times[1])
+        return make_report(*run, nodes, options.output, self._start_s)
 
 
 def _check_epochs(reports: Mapping[str, Mapping[str, Value]], epochs: int, attempt: int) -> None:
-    """Every node ends with the last epoch of the run, and with the attempt of it that counts.
-
-    Raises `NodeFailedError` if one does not; something that it was sent is not from the world.
-    """
+    """Raises `NodeFailedError` if a node does not end with the run's last epoch, in the attempt that counts."""
     for name, said in sorted(reports.items()):
         if (said["epoch"], said["attempt"]) != (epochs, attempt):
             ends = f"{name} ends with attempt {said['attempt']} of epoch {said['epoch']}"

@@ -65,7 +65,6 @@ class Arrivals(OwnerPart):
                 self.members.send_away(name, process, why)
 
     def _on_back(self, word: Join) -> None:
-        """A process in the place of a lost one."""
         name, process = word.name, word.process
         members = self.members
         if members.comes_back(name):
@@ -112,7 +111,6 @@ class Arrivals(OwnerPart):
         return f"its checkpoint is of epoch {epoch}, and the hierarchy is in epoch {last + 1}"
 
     def _on_newcomer(self, word: Join, request: Request) -> None:
-        """A process for a change that is asked for."""
         newcomers = self.members.newcomers
         if word.refusal:
             self.planning.withdraw(request, word.refusal)
@@ -143,20 +141,17 @@ class Arrivals(OwnerPart):
 
     def _runs_another(self, name: str, process: str) -> bool:
         """Whether a process is counted on for another node than it says."""
-        plan = self.planning.plan
-        held = [self.members.processes, {} if plan is None else plan.processes]
-        newcomers = self.members.newcomers.items()
-        return any(token == process and other != name for each in held for other, token in each.items()) or any(
-            token == process and other != name for (other, _), token in newcomers
-        )
+        return any(token == process and other != name for other, token in self._counted_on())
 
     def _processes_of(self, name: str) -> list[str]:
-        """All processes of a node that are counted on."""
-        plan = self.planning.plan
-        held = [self.members.processes, {} if plan is None else plan.processes]
-        trial = self.members.trial
+        return [token for other, token in self._counted_on() if other == name]
+
+    def _counted_on(self) -> list[tuple[str, str]]:
+        """All nodes and processes that there are, or are to be."""
+        plan, trial = self.planning.plan, self.members.trial
         return [
-            *([trial.process] if trial is not None and trial.name == name else []),
-            *(process for (other, _), process in self.members.newcomers.items() if other == name),
-            *(processes[name] for processes in held if name in processes),
+            *([(trial.name, trial.process)] if trial is not None and trial.process else []),
+            *((name, process) for (name, _), process in self.members.newcomers.items()),
+            *self.members.processes.items(),
+            *(() if plan is None else plan.processes.items()),
         ]

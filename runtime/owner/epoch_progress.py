@@ -31,14 +31,12 @@ class EpochProgress:
         self._skips = self.attempt != NEVER  # of the next epoch the first attempt may have been begun and forgotten
 
     def begin(self) -> None:
-        """Begin the next epoch, or begin it again."""
         self.running = True
         self.attempt += 1
         self.inquiry.start()
         self.effects.begin(self.epoch + 1, self.attempt, self.members.roster.version)
 
     def committed(self, epoch: int) -> None:
-        """An epoch is committed."""
         self.epoch = epoch
         self.last_attempt, self.attempt = self.attempt, NEVER + self._skips
         self._skips = False
@@ -47,6 +45,5 @@ class EpochProgress:
         self.settled = False
 
     def tick(self) -> None:
-        """Time has passed."""
         if self.running and not self.members.lost:
             self.inquiry.tick(self.epoch + 1, self.attempt)

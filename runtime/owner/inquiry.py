@@ -33,18 +33,15 @@ class Inquiry:
     _answers: dict[str, Status] = field(default_factory=dict)
 
     def start(self) -> None:
-        """An attempt begins."""
         self._began_s = self.clock()
         self._asked_s = None
         self._resends = 0
 
     def hear(self, status: Status) -> None:
-        """Take in an answer."""
         if status.inquiry == self._number:
             self._answers[status.name] = status
 
     def tick(self, epoch: int, attempt: int) -> None:
-        """Time has passed in an attempt."""
         now = self.clock()
         if self.policy.epoch_deadline_s is None or now - self._began_s <= self.policy.epoch_deadline_s:
             return

@@ -69,7 +69,6 @@ class Losses(OwnerPart):
         self.planning.ask(Request("", Undo(name, before), self._clock()))
 
     def tick(self) -> None:
-        """Time has passed."""
         now = self._clock()
         for (name, process), since in list(self.members.ended.items()):
             if now - since > self._policy.answer_timeout_s:  # its supervisor is cut off as well
@@ -125,7 +124,6 @@ class Losses(OwnerPart):
         planning.go_on()
 
     def _give_up(self, name: str, why: str) -> None:
-        """A node does not come back."""
         if not self.members.give_up(name):
             return
         if self.members.policy(name) == DETACH and name != self.members.roster.world:

@@ -71,24 +71,20 @@ class Members:
         return (name, "") in self.newcomers
 
     def lose(self, name: str) -> None:
-        """A node has no process any more."""
         self.lost[name] = self._clock()
 
     # --- processes
 
     def hear(self, process: str) -> None:
-        """A process has said something."""
         self._heard_s.pop(process, None)
         self._heard_s[process] = self._clock()
         if len(self._heard_s) > REMEMBERED:
             del self._heard_s[next(iter(self._heard_s))]
 
     def heard_s(self, process: str) -> float:
-        """When a process has last said something."""
         return self._heard_s.get(process, -inf)
 
     def is_dead(self, process: str) -> bool:
-        """Whether a supervisor has said that it is."""
         return process in self._dead
 
     def died(self, name: str, process: str) -> str:
@@ -154,7 +150,6 @@ class Members:
     # --- another version
 
     def alone_in(self, plan: Plan) -> tuple[str, ...]:
-        """The nodes that fail alone under a plan's roster."""
         new = {name: name in request.alone for request in plan.requests for name in request.new_nodes}
         if self.trial is not None and plan.undone:
             new[plan.undone] = self.trial.alone

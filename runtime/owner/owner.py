@@ -65,24 +65,9 @@ class Owner(OwnerPart):
         self._refusals = Refusals()
         self._told_s: dict[str, float] = {}
 
-    @property
-    def roster(self) -> Roster:
-        """The roster in force."""
-        return self.members.roster
-
-    @property
-    def processes(self) -> Mapping[str, str]:
-        """The processes by node in force; of a lost node, the one that it had."""
-        return self.members.processes
-
-    @property
-    def epoch(self) -> int:
-        """The last epoch that is committed."""
-        return self.progress.epoch
-
     def take_back(self, process: str) -> None:
         """Come back as a new process of the world's; the epoch is begun again once its neighbours are ready."""
-        world = self.roster.world
+        world = self.members.roster.world
         self.members.lose(world)
         self.members.newcomers[world, ""] = process
         self.planning.reconsider()
@@ -118,7 +103,7 @@ class Owner(OwnerPart):
         """The last epoch is committed and recorded: what is still asked for comes too late."""
         self.progress.over = True
         self.members.dismiss_outlived()
-        self._answers.report(self.epoch)
+        self._answers.report(self.progress.epoch)
         self.planning.finish(OVER)
 
     def hear(self, word: control.Control) -> None:
@@ -145,7 +130,6 @@ class Owner(OwnerPart):
             self._on_propose(word)
 
     def tick(self) -> None:
-        """Time has passed."""
         if self.progress.over:
             return
         self._losses.tick()
@@ -164,7 +148,7 @@ class Owner(OwnerPart):
         try:
             change = read_change(word.change)
             Allowance(self._policy.modules).check_all(change)
-            apply(self.roster, change, version, lambda _: version)
+            apply(self.members.roster, change, version, lambda _: version)
         except (HieraxError, SchemaError) as error:
             if isinstance(error, NotAllowedError) and self._refusals.is_new(str(error)):
                 self._effects.note(f"a change is refused: {error}")
@@ -177,17 +161,17 @@ class Owner(OwnerPart):
         if self._answers.repeat(key):
             return
         if self._answers.owe_what_was_made(key):
-            self._answers.report(self.epoch)
+            self._answers.report(self.progress.epoch)
         else:
             self._answers.give(key, 0, OVER)
 
     def _on_fetch(self, word: control.Fetch) -> None:
         """Only who has a place in a version is told of it: another process of that node would take part as well."""
-        if word.version != self.roster.version or self.processes.get(word.name) != word.process:
+        if word.version != self.members.roster.version or self.members.processes.get(word.name) != word.process:
             return
         now = self._clock()
         if now - self._told_s.get(word.name, -inf) >= FETCH_S:  # who asks more often is not the process
             self._told_s[word.name] = now
             alone, trial = tuple(sorted(self.members.alone)), self.members.trial
             tried = () if trial is None else (trial.name,)
-            self._effects.send_order(word.process, control.Prepare(self.roster.plain(), alone, tried))
+            self._effects.send_order(word.process, control.Prepare(self.members.roster.plain(), alone, tried))

@@ -75,7 +75,6 @@ class Plan:
 
     @property
     def requests(self) -> list[Request]:
-        """All that is asked for in it."""
         return [*self.along, *([] if self.request is None else [self.request])]
 
     @property
@@ -92,7 +91,6 @@ class Plan:
 
     @property
     def version(self) -> int:
-        """The version of its roster."""
         return self.roster.version
 
     def is_for(self, name: str, key: str) -> bool:

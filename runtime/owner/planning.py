@@ -50,7 +50,6 @@ class Planning(OwnerPart):
         self.reconsider()
 
     def withdraw(self, request: Request, why: str) -> None:
-        """Refuse what is in the queue."""
         self.queue.remove(request)
         self._refuse(request, why)
 
@@ -62,7 +61,6 @@ class Planning(OwnerPart):
             self._effects.stop(why)
 
     def finish(self, why: str) -> None:
-        """Nothing is done any more."""
         asked, self.plan = self.asked, None
         for request in asked:
             if request.key:
@@ -70,7 +68,6 @@ class Planning(OwnerPart):
         self.queue.clear()
 
     def tick(self) -> None:
-        """Time has passed."""
         now = self._clock()
         for request in list(self.queue):
             missing = self._missing(request)
@@ -209,13 +206,14 @@ class Planning(OwnerPart):
         if plan is None or plan.version != word.version:
             return
         if isinstance(word, Ready):
-            self._on_ready(plan, word)
+            if plan.stage is Stage.PREPARE and plan.processes.get(word.name) == word.process:
+                self._on_answer(plan, word)
         elif plan.stage is not Stage.HAND_OVER:
             return
         elif isinstance(word, State):
             self._on_state(plan, word)
-        else:
-            self._on_taken(plan, word)
+        elif word.name in plan.waiting and word.name in plan.states:
+            self._on_answer(plan, word)
 
     def take_effect(self, plan: Plan) -> None:
         """Begin the next epoch, or the next attempt, under a plan's roster; first what is replaced hands over."""
@@ -258,17 +256,18 @@ class Planning(OwnerPart):
             else:
                 self._effects.send_order(plan.replaced[name], HandOver(plan.version, epoch, attempt))
 
-    def _on_ready(self, plan: Plan, word: Ready) -> None:
-        if plan.stage is not Stage.PREPARE or plan.processes.get(word.name) != word.process:
-            return
+    def _on_answer(self, plan: Plan, word: Ready | Taken) -> None:
         if word.refusal:
             self._drop(plan, f"{word.name}: {word.refusal}", word.name)
             return
         plan.waiting.discard(word.name)
-        if not plan.waiting:
+        if plan.waiting:
+            return
+        if plan.stage is Stage.PREPARE:
             plan.stage = Stage.READY
-            if plan.urgent or not self.progress.running:
-                self.take_effect(plan)
+            if self.progress.running and not plan.urgent:
+                return
+        self.take_effect(plan)
 
     def _on_state(self, plan: Plan, word: State) -> None:
         if word.name in plan.replaced and word.name not in plan.states:
@@ -281,16 +280,6 @@ class Planning(OwnerPart):
         if word.version == self._states_of and self._states.get(word.name, word.state) != word.state:
             what = f"two states of {word.name} for version {word.version} of the roster differ"
             self._effects.stop(f"{what}: somebody else speaks in the name of {word.name}")
-
-    def _on_taken(self, plan: Plan, word: Taken) -> None:
-        if word.name not in plan.waiting or word.name not in plan.states:
-            return
-        if word.refusal:
-            self._drop(plan, f"{word.name}: {word.refusal}", word.name)
-            return
-        plan.waiting.discard(word.name)
-        if not plan.waiting:
-            self.take_effect(plan)
 
     # --- plans that come to nothing
 

@@ -6,12 +6,12 @@ went in was; a change that would break it is refused in one line.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
 from hierax.runtime.core.errors import HierarchyError, HieraxError
-from hierax.runtime.core.graph import Pair, check_graph, topological_order
+from hierax.runtime.core.graph import check_graph, unreached
 from hierax.runtime.loading.nearest import did_you_mean
 from hierax.schemas.changes import Attach, Change, Detach, Replace
 from hierax.schemas.roster import Reference, Roster, RosterEdge
@@ -87,7 +87,7 @@ def _detach(roster: Roster, change: Detach, version: int) -> Roster:
         raise ChangeError(f"{what}: it is the world; stop the run instead")
     staying = roster.nodes.keys() - {change.name}
     pairs = [edge.pair for edge in roster.edges if change.name not in edge.pair]
-    lost = _cut_off(roster.world, staying, pairs)
+    lost = frozenset(unreached(roster.world, staying, pairs))
     if lost and not change.cascade:
         raise ChangeError(
             f"{what}: only it joins {_list(lost)} to the world; detach {'it' if len(lost) == 1 else 'them'} first, "
@@ -164,15 +164,6 @@ def _check_hierarchy(world: str, nodes: Iterable[str], edges: Iterable[RosterEdg
         check_graph(world, nodes, [edge.pair for edge in edges])
     except HierarchyError as error:
         raise ChangeError(f"{what}: {error}") from error
-
-
-def _cut_off(world: str, names: Iterable[str], pairs: Sequence[Pair]) -> frozenset[str]:
-    """The names that cannot be reached from the world."""
-    reached = {world}
-    for name in topological_order(names, pairs):
-        if any(lower in reached for lower, upper in pairs if upper == name):
-            reached.add(name)
-    return frozenset(names) - reached
 
 
 def _joints(roster: Roster) -> Mapping[str, bytes]:

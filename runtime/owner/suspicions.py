@@ -46,7 +46,6 @@ class Suspicions(OwnerPart):
         self._effects.send_order(word.process, AskStatus(self._number))
 
     def answer(self, status: Status) -> None:
-        """What it says when it is asked."""
         if status.inquiry < FIRST_INQUIRY or self._asked.get(status.name) != status.inquiry:
             return
         del self._asked[status.name]

@@ -29,7 +29,6 @@ class Read(NamedTuple):
 
     @property
     def empty(self) -> bool:
-        """Whether nothing was ever written to the slot."""
         return self.data is None and not self.fault
 
 
@@ -62,7 +61,6 @@ class Slots:
 
 
 def _read(slot: int, raw: bytes) -> Read:
-    """A slot by itself."""
     if len(raw) < _DATA:
         return Read(slot, fault=f"cut off: {len(raw)} bytes, not even the {_DATA} before the data")
     sequence, length = _HEAD.unpack_from(raw, _CHECKSUM.size)

@@ -38,7 +38,6 @@ class Summary:
     stopped: int = 0  # how many runs gave up, as they may where a checkpoint is damaged or a message forged
 
     def add(self, result: Result) -> None:
-        """Count one more simulation."""
         self.seeds += 1
         self.tally.update(result.tally)
         self.epochs += result.epochs
@@ -58,7 +57,6 @@ class Summary:
         return [f"{group} {kind}" for group, kinds in self.kinds.items() for kind, count in kinds.items() if not count]
 
     def plain(self) -> dict[str, Json]:
-        """Give it as JSON."""
         return {
             "seeds": self.seeds,
             "violations": [{"seed": seed, "what": what} for seed, what in sorted(self.violations)],
@@ -76,7 +74,6 @@ def simulate_many(
     jobs: int = 1,  # processes that share the work
     progress: Callable[[Summary], None] | None = None,  # told the summary so far, now and then
 ) -> Summary:
-    """Simulate many seeds."""
     summary = Summary()
     chunks = [seeds[at : at + CHUNK] for at in range(0, len(seeds), CHUNK)]
     with closing(_done(chunks, tuple(faults), epochs, min(jobs, max(len(chunks), 1)))) as done:
@@ -89,12 +86,10 @@ def simulate_many(
 
 
 def cores() -> int:
-    """How many processes can work at once."""
     return len(os.sched_getaffinity(0))
 
 
 def shrink(scenario: Scenario, fails: Callable[[Scenario], bool]) -> Scenario:
-    """A smaller scenario that still fails."""
     left = MAX_SHRINKS
     found = True
     while found and left:
@@ -156,7 +151,6 @@ def _done(
 
 
 def simulate_chunk(seeds: range, faults: tuple[str, ...], epochs: int | None) -> list[Result]:
-    """Simulate some seeds."""
     return [simulate_quietly(draw_scenario(seed, faults, epochs)) for seed in seeds]
 
 

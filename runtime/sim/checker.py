@@ -88,7 +88,6 @@ class Checker:
         raise ViolationError(what)
 
     def hierarchy_of(self, roster: Roster) -> Hierarchy:
-        """The hierarchy of a roster's content."""
         content = encode_value(roster.content())
         if content not in self._hierarchies:
             self._hierarchies[content] = build_hierarchy(roster, self._setting, Allowance((MODULE,)))
@@ -153,7 +152,6 @@ class Checker:
         self._may_go.add(max(ends, key=lambda name: self._came.get(name, 0)))
 
     def acted(self, epoch: int) -> None:
-        """The device outside has moved."""
         self.acts[epoch] += 1
         self._acted_under = (epoch, self._in_force[self.version])
 

@@ -20,7 +20,6 @@ class Clock:
         return self.now
 
     def schedule(self, delay_s: float, event: Callable[..., None], *arguments: Any) -> None:
-        """Call something after a while."""
         self._number += 1
         heappush(self._events, (self.now + delay_s, self._number, event, arguments))
 

@@ -22,7 +22,6 @@ class FaultInjector:
     supervisor: SimSupervisor  # of the processes
 
     def befall(self, fault: scenario.Fault) -> None:
-        """Make a fault happen."""
         around = self.around
         around.journal.trace(f"fault: {fault}")
         if fault.kind in scenario.OF_MESSAGES:

@@ -44,11 +44,9 @@ class Inspector:
         self.heard = self.turn  # the last one in which it had all from above
 
     def begin(self, turn: Turn) -> None:
-        """The world is told to begin."""
         self.turn = turn
 
     def tag(self, elements: Elements) -> Elements:
-        """The same with a tag in front."""
         return ((_MARK, self.name, self.process, *self.turn), *elements)
 
     def observed(self, elements: Elements, senders: tuple[str, ...], version: int, epoch: int) -> Elements:
@@ -93,7 +91,6 @@ class Inspector:
 
 
 def tagged_as_of(elements: Elements, epoch: int, attempt: int) -> Elements:
-    """The same with a tag of another epoch or attempt."""
     tags, bare = _split(elements)
     return (*((*tag[:4], epoch, attempt) for tag in tags), *bare)
 
@@ -121,7 +118,8 @@ class Inspected(BoundNode):
         tasking: tuple[str, ...],  # the nodes above that give it tasks
         act: Callable[[int, Elements], None],  # in the place of the world's, where it has one
     ) -> None:
-        self.name, self.node, self.below, self.above = bound.name, bound.node, bound.below, bound.above
+        name = self.name = bound.name
+        self.node, self.below, self.above = bound.node, bound.below, bound.above
         self.initial_belief, self.policies = bound.initial_belief, bound.policies
         self._may_be_none = None
 
@@ -135,54 +133,39 @@ class Inspected(BoundNode):
             bare = inspector.given(context, bound.above, "context")
             return bound.predict(epoch, time_s, bare, actions, belief)
 
-        self.observe = Through(bound.observe, observe, inspector)
-        self.select_policy = Through(bound.select_policy, select_policy, inspector)
-        self.predict = Through(bound.predict, predict, inspector)
+        self.observe = Through(name, "observe", observe, inspector)
+        self.select_policy = Through(name, "select_policy", select_policy, inspector)
+        self.predict = Through(name, "predict", predict, inspector)
         acts = lambda epoch, _, actions: act(epoch, actions)  # noqa: E731
-        self.act = None if bound.act is None else Through(bound.act, acts, inspector)
+        self.act = None if bound.act is None else Through(name, "act", acts, inspector)
 
 
 class Through(Call):
-    """A call that goes through something else."""
+    """A call that goes through something else, of which the inspector is told."""
 
     __slots__ = ("_inspector", "_through")
 
-    def __init__(self, call: Call, through: Callable[..., Any], inspector: Inspector) -> None:
-        self.subject, self.operator = call.subject, call.operator
-        self._through = through
-        self._inspector = inspector
+    def __init__(self, subject: str, operator: str, through: Callable[..., Any], inspector: Inspector) -> None:
+        self.subject, self.operator = subject, operator
+        self._through, self._inspector = through, inspector
 
     def __call__(self, epoch: int, time_s: float, *arguments: Value) -> Any:
         self._inspector.calls(self, epoch)
         return self._through(epoch, time_s, *arguments)
 
-
-class Tagged(Call):
-    """An edge function whose elements get a tag; of one that is not there, the empty set."""
-
-    __slots__ = ("_before", "_call", "_inspector")
-
-    def __init__(self, call: Call | None, edge: str, operator: str, inspector: Inspector, before: Callable[[], None]):
-        self.subject, self.operator = edge, operator
-        self._call = call
-        self._inspector = inspector
-        self._before = before
-
     def elements(self, epoch: int, time_s: float, argument: Value) -> Elements:
-        self._before()
-        self._inspector.calls(self, epoch)
-        bare = () if self._call is None else self._call.elements(epoch, time_s, argument)
-        return self._inspector.tag(bare)
+        given: Elements = self(epoch, time_s, argument)
+        return given
 
 
-def inspected_edges(
-    edges: Mapping[tuple[str, str], BoundEdge], name: str, inspector: Inspector, before: Callable[[], None]
-) -> list[BoundEdge]:
-    """A node's edges, with tags put on what its side gives."""
+def inspected_edges(edges: Mapping[tuple[str, str], BoundEdge], name: str, inspector: Inspector) -> list[BoundEdge]:
+    """A node's edges, with tags put on what its side gives; of a function that is not there, the empty set."""
 
     def tagged(call: Call | None, edge: BoundEdge, kind: str) -> Call:
-        then = before if kind == "sense" else _nothing
-        return Tagged(call, f"{edge.lower}->{edge.upper}", kind, inspector, then)
+        def give(epoch: int, time_s: float, argument: Value) -> Elements:
+            return inspector.tag(() if call is None else call.elements(epoch, time_s, argument))
+
+        return Through(f"{edge.lower}->{edge.upper}", kind, give, inspector)
 
     return [
         BoundEdge(lower, upper, tagged(edge.sense, edge, "sense"), None, None)
@@ -196,7 +179,3 @@ def inspected_edges(
         )
         for (lower, upper), edge in edges.items()
     ]
-
-
-def _nothing() -> None:
-    return

@@ -29,7 +29,6 @@ Tally = Counter[tuple[str, str]]  # how often each kind occurred, by what it is 
 
 
 def control_kind(word: Any) -> tuple[str, str]:
-    """What a control message counts as."""
     return (ORDER if isinstance(word, Order) else WORD), type(word).__name__
 
 
@@ -42,10 +41,8 @@ class Journal:
         self._lines = lines  # where a line for each event goes; None: nowhere
 
     def trace(self, what: str) -> None:
-        """Note an event."""
         if self._lines is not None:
             self._lines.append(f"{self._now():9.4f} {what}")
 
     def count(self, group: str, kind: str) -> None:
-        """Count that something occurred."""
         self.tally[group, kind] += 1

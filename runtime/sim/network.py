@@ -34,7 +34,6 @@ class Host(ABC):
 
     @property
     def neighbours(self) -> set[str]:
-        """The names at the other ends of its links."""
         return {other for pairs in self.links.values() for _, other, _ in pairs}
 
     @abstractmethod
@@ -161,7 +160,6 @@ class Network:
             checker.violate(f"{sender.token}: its {header.kind} for {token} is lost: the link is not open")
 
     def say(self, sender: str, receiver: str, control: Control) -> None:
-        """Put a control message on its way."""
         if receiver in self.hosts and not self.parted(sender, receiver):
             self._put(sender, receiver, "control", encode_control(control))
 

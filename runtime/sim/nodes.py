@@ -19,12 +19,10 @@ MODULE = __name__
 
 
 def mark(*parts: Value) -> bytes:
-    """A short hash of values, in order."""
     return blake2b(encode_value(parts), digest_size=8).digest()
 
 
 def _elements(text: bytes) -> Elements:
-    """0 to 2 elements that follow from a mark."""
     count = text[0] % 4
     return ((), (text,), (text[0], text), (text, text))[count]
 
@@ -52,7 +50,6 @@ class Mixer(Node):
         return {f"p{index}": partial(self.choose, f"p{index}") for index in range(self._policies)}
 
     def choose(self, policy: str, belief: Value) -> Elements:
-        """The policy of that name."""
         return _elements(mark(self.name, policy, belief["mark"]))
 
     def predict(self, context: Elements, actions: Elements, belief: Value) -> Value:
@@ -109,5 +106,4 @@ class DrawingMix(Mix):
 
 
 def drawn(tick: Tick) -> Value:
-    """What a tick holds, and a random number of it."""
     return (tick.epoch, tick.time_s, tick.below, tick.above, int(tick.rng.integers(1 << 32)))

@@ -46,7 +46,6 @@ class Surroundings:
 
     @property
     def world(self) -> SimProcess | None:
-        """The world's living process."""
         return next((process for process in self.processes.values() if process.is_world), None)
 
     def states(self, turn: Turn) -> Mapping[str, bytes]:
@@ -120,12 +119,10 @@ class SimProcess(Host):
 
     @property
     def runner(self) -> NodeRunner | None:
-        """The runner of its node; None: no roster with it has come yet."""
         return None if self.member is None else self.member.runner
 
     @property
     def engine(self) -> Engine:
-        """The engine of its node, when a roster with it has come."""
         assert self.runner is not None
         return self.runner.engine
 
@@ -138,7 +135,6 @@ class SimProcess(Host):
                 raise Crash
 
     def run(self, what: Callable[[], None]) -> None:
-        """Do something in this process."""
         try:
             what()
         except Crash:
@@ -179,7 +175,6 @@ class SimProcess(Host):
         self.frozen += 1
 
     def thaw(self) -> None:
-        """It goes on, if nothing else keeps it."""
         self.frozen -= 1
         if not self.frozen:
             self.busy = False
@@ -189,7 +184,6 @@ class SimProcess(Host):
     # --- what it says
 
     def say(self, word: Control) -> None:
-        """It says something to the owner."""
         self.point(f"say {type(word).__name__}")
         world = self._around.world
         if world is not None:
@@ -291,17 +285,14 @@ class SimProcess(Host):
         tasking = tuple(upper for upper in bound.above if (self.name, upper) in place.tasking)
         node = Inspected(bound, self.inspector, roster.version, tasking, self._act)
         near = {pair: edge for pair, edge in hierarchy.bound_edges.items() if self.name in pair}
-        return Wiring(node, inspected_edges(near, self.name, self.inspector, self._senses), place)
-
-    def _senses(self) -> None:
-        """Before a sense function: the world has no other operator at an epoch's beginning."""
-        if self.is_world:
-            self._starts(self.inspector.turn)
+        return Wiring(node, inspected_edges(near, self.name, self.inspector), place)
 
     def _starts(self, turn: Turn) -> None:
         self._around.checker.starts(self.name, self.token, self.engine.state, turn)
 
     def _calls(self, call: Call, epoch: int) -> None:
+        if self.is_world and call.operator == "sense":  # it has no other operator at an epoch's beginning
+            self._starts(self.inspector.turn)
         member = self.member
         if member is None:
             return

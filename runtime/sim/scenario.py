@@ -79,7 +79,6 @@ class Proposal:
 
     @property
     def new_nodes(self) -> list[str]:
-        """Those for which it needs processes."""
         if isinstance(self.change, Attach):
             return sorted(self.change.nodes)
         return [self.change.name] if isinstance(self.change, Replace) else []
@@ -90,7 +89,6 @@ class Proposal:
         return dict.fromkeys(self.new_nodes, "detach") if self.alone else {}
 
     def word(self) -> Propose:
-        """The proposal as it is sent to the owner."""
         rejoin_s = dict.fromkeys(self.on_loss, REJOIN_S)
         return Propose(self.key, self.change.plain(), dict(self.on_loss), rejoin_s, tuple(self.on_loss))
 
@@ -116,7 +114,6 @@ class Scenario:
 
     @property
     def alone(self) -> tuple[str, ...]:
-        """The nodes that fail alone: those that may be detached."""
         return tuple(sorted(self.on_loss.keys() & self.roster.nodes.keys()))
 
     @property

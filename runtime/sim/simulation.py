@@ -11,11 +11,10 @@ from hierax.runtime.sim.checker import Checker, ViolationError
 from hierax.runtime.sim.clock import Clock
 from hierax.runtime.sim.faults import FaultInjector
 from hierax.runtime.sim.journal import CHANGE, Journal, Tally
-from hierax.runtime.sim.members import link_first
 from hierax.runtime.sim.network import Network
 from hierax.runtime.sim.process import Surroundings
 from hierax.runtime.sim.scenario import BREAK, Proposal, Scenario
-from hierax.runtime.sim.supervisor import SimSupervisor
+from hierax.runtime.sim.supervisor import SimSupervisor, link_first
 from hierax.schemas.errors import SchemaError
 
 AFTER_S = 20.0  # how long a run may take after its last fault

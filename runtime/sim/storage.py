@@ -39,7 +39,6 @@ class SimStorage(Storage):
         return
 
     def damage(self) -> bool:
-        """Flip a bit in what was written last; whether there is something."""
         data = bytearray(self._slots[self._last])
         if not any(data):
             return False

@@ -20,10 +20,7 @@ from hierax.runtime.host.interpreter import python_module, started_deaf
 
 
 def done_by_workers(function: Callable[..., Any], tasks: Iterable[tuple[Any, ...]], jobs: int) -> Iterator[Any]:
-    """What a function of a module gives for each task's arguments, in order, called in other processes.
-
-    Raises `HieraxError` if a process ended before its task was done.
-    """
+    """What a module's function gives for each task, in order, in other processes. Raises `HieraxError` if one ended."""
     with ExitStack() as stack:
         pool = stack.enter_context(ThreadPoolExecutor(jobs))
         workers: SimpleQueue[subprocess.Popen[bytes]] = SimpleQueue()
@@ -67,7 +64,6 @@ def _ask(worker: subprocess.Popen[bytes], question: Any) -> Any:
 
 
 def main() -> None:
-    """Do what standard input says until it ends."""
     answers = sys.stdout.buffer
     sys.stdout = sys.stderr
     with suppress(EOFError, BrokenPipeError):  # nobody asks any more

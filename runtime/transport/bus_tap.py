@@ -55,11 +55,9 @@ class StepPublisher:
         self._changed.set()
 
     def step(self, data: bytes) -> None:
-        """Tell an encoded step."""
         self._put(self._steps, data)
 
     def roster(self, data: bytes) -> None:
-        """Tell an encoded roster."""
         self._put(self._roster, data)
 
     def _put(self, publisher: Any, data: bytes) -> None:
@@ -75,18 +73,14 @@ class Sample(NamedTuple):
     time_ns: int  # when, since 1970
     key: str  # on which one
     data: bytes  # the bytes; of a liveliness token empty
-    is_token: bool = False  # whether it is about a process's liveliness token
-    is_up: bool = False  # of a token, whether it appeared; else it is gone
+    is_up: bool = False  # of a process's liveliness token, whether it appeared; else it is gone
 
 
 class BusTap:
     """A recorder's end: takes in all that is said in a run as it comes, and keeps it until it is asked for.
 
     A thread of its own takes samples in, so that nobody waits for the disk; shared memory is copied at once. What the
-    queue cannot hold is dropped, and told by `dropped`.
-
-    Raises:
-        TransportError: the hub cannot be reached.
+    queue cannot hold is dropped, and told by `dropped`. Raises `TransportError` if the hub cannot be reached.
     """
 
     def __init__(
@@ -158,7 +152,7 @@ class BusTap:
 
     def _on_token(self, sample: zenoh.Sample) -> None:
         is_up = sample.kind == zenoh.SampleKind.PUT
-        self._add(Sample(time.time_ns(), str(sample.key_expr), b"", True, is_up))
+        self._add(Sample(time.time_ns(), str(sample.key_expr), b"", is_up))
 
     def _add(self, heard: Sample) -> None:
         size = len(heard.data)

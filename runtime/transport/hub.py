@@ -131,7 +131,6 @@ class Hub:
             _log.info("a note is not told: %s", error)
 
     def close(self) -> None:
-        """Close the session."""
         close_session(self._session)
 
 

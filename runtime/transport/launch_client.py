@@ -2,7 +2,7 @@
 
 Nothing of the run goes through here, and nothing waits for it. Tools do not subscribe to the keys of edges: what is put
 there waits for slow receivers, and a tool that its user has stopped would hold the run up. A node shows copies, which
-are dropped where they cannot go at once (`hierax.runtime.transport.inspection`).
+are dropped where they cannot go at once (`hierax.runtime.transport.queries`).
 """
 
 from __future__ import annotations
@@ -68,10 +68,7 @@ class LaunchStatus:
 
 
 class LaunchClient:
-    """Asks one launch, in a session of its own through the launch's hub, on the keys of that run alone.
-
-    Raises `TransportError` if the launch cannot be reached, or does not answer.
-    """
+    """Asks one launch, in a session of its own, on that run's keys alone. Raises `TransportError`."""
 
     def __init__(self, endpoint: str, zenoh_config: ZenohConfig = None, keys: Keys | None = None) -> None:
         self.endpoint = endpoint  # of the hub
@@ -172,7 +169,6 @@ class LaunchClient:
             raise TransportError(f"{key!r} is no key to listen to: {error}") from error
 
     def close(self) -> None:
-        """Close the session."""
         close_session(self._session)
 
     def __enter__(self) -> LaunchClient:

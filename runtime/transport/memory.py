@@ -39,11 +39,9 @@ class MemoryNetwork:
         return waiting[self.draw(len(waiting))] if waiting else None
 
     def draw(self, count: int) -> int:
-        """A number below `count`."""
         return 0 if count == 1 else int(self._random.integers(count))
 
     def put(self, message: Message) -> None:
-        """Put a message on its way."""
         header = message.header
         port = self._ports.get(header.receiver)
         if port is None:
@@ -71,7 +69,6 @@ class MemoryNetwork:
             port.breaks.append(neighbour)
 
     def forget(self, name: str) -> None:
-        """Take a port out."""
         self._ports.pop(name, None)
 
 

@@ -1,4 +1,4 @@
-"""The handshake on the real keys that makes sure nothing is lost; no input or output.
+"""The handshake on the real keys that makes sure nothing is lost, and who is missed; no input or output.
 
 What is put on a Zenoh key before its subscriber is known at the sender is lost in silence, and a liveliness token says
 only that a process is there. So the two ends of an edge say hello to each other on every key of the edge, again and
@@ -13,9 +13,9 @@ other may not have.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+import time
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
-from typing import NamedTuple
 
 from hierax.schemas.errors import SchemaError
 from hierax.schemas.messages import CONTEXT, HELLO, OBSERVATIONS, TASKS, Header, Message
@@ -23,6 +23,9 @@ from hierax.schemas.messages import CONTEXT, HELLO, OBSERVATIONS, TASKS, Header,
 UP = (OBSERVATIONS,)
 DOWN = (TASKS, CONTEXT)  # the kinds of messages along an edge, by direction
 UNKNOWN = ""  # the mark of a neighbour that was not heard of yet
+
+# How long after a process was last heard of it is asked for; most that are gone have died.
+TRIES_S = (0.3, 1.0, 3.0, 10.0)
 
 
 @dataclass(eq=False)
@@ -65,11 +68,10 @@ class Handshake:
         header = Header(HELLO, self.name, self.peer, 0, roster=version, instance=self.ends[0])
         return [(kind, Message(header, (body,))) for kind in self.sends]
 
-    def heard(self, kind: str, message: Message) -> bool:
-        """Take in a greeting of this neighbour's process that came on the key of `kind`; whether it wants an answer.
-
-        Raises `SchemaError` if it is no greeting.
-        """
+    def heard(self, version: int, kind: str, message: Message) -> list[tuple[str, Message]]:
+        """Take in a greeting; the answer, if it wants one. Raises `SchemaError` if it is none."""
+        if kind not in self.hears or message.header.instance != self.ends[1]:
+            return []
         heard, asks, theirs, ours = _read(message)
         if theirs != self._theirs:
             self._begin_anew()
@@ -78,7 +80,7 @@ class Handshake:
             self._heard |= {kind}
         if ours == self._mark and set(self.sends) <= heard:
             self._confirmed = True
-        return asks
+        return self.hello(version, asks=False) if asks else []
 
     def interrupted(self) -> None:
         """The link broke: what was under way is lost, and the handshake is to be done anew."""
@@ -134,7 +136,6 @@ class Rendezvous:
 
     @property
     def ready(self) -> bool:
-        """Whether every neighbour hears this node and is heard."""
         return not self.missing
 
     @property
@@ -142,42 +143,46 @@ class Rendezvous:
         """The neighbours that the handshake is not done with."""
         return tuple(peer for peer in sorted(self.handshakes) if not self.handshakes[peer].done)
 
-    def hello(self, peer: str) -> list[tuple[str, Message]]:
-        """The greeting for a neighbour: by kind of key, what to put there."""
-        return self.handshakes[peer].hello(self.version)
 
-    def heard(self, kind: str, message: Message) -> list[tuple[str, Message]]:
-        """Take in a greeting that came on the key of `kind`.
-
-        Returns:
-            The answer, if one is asked for; none to what is not the instance of the roster.
-
-        Raises:
-            SchemaError: it is no greeting from a neighbour.
-        """
-        header = message.header
-        peer = header.sender
-        handshake = self.handshakes.get(peer)
-        if handshake is None or kind not in handshake.hears:
-            raise SchemaError(f"a greeting from {peer!r}, which sends no {kind} here", "message.sender")
-        if header.instance != handshake.ends[1]:
-            return []
-        return handshake.hello(self.version, asks=False) if handshake.heard(kind, message) else []
-
-
-class _Body(NamedTuple):
+def _read(message: Message) -> tuple[frozenset[str], bool, str, str]:
     """What a greeting holds: the kinds that its sender has heard, whether it asks, its mark, and the other's."""
-
-    heard: frozenset[str]
-    asks: bool
-    theirs: str
-    ours: str
-
-
-def _read(message: Message) -> _Body:
     body = message.payload[0] if len(message.payload) == 1 else None
     types = {"heard": tuple, "asks": bool, "from": str, "to": str}
     if not isinstance(body, dict) or any(not isinstance(body.get(key), type_) for key, type_ in types.items()):
         raise SchemaError("expected one map with 'heard', 'asks', 'from' and 'to'", "message.payload")
     heard = frozenset(kind for kind in body["heard"] if isinstance(kind, str))
-    return _Body(heard, body["asks"], body["from"], body["to"])
+    return heard, body["asks"], body["from"], body["to"]
+
+
+class AbsentProcesses:
+    """Processes that one end has lost sight of, though they may live: their link broke, and nobody dials it again.
+
+    Zenoh dials the hub again by itself, and peers when the hub tells of them anew. Where the link between two peers
+    breaks and both keep theirs to the hub, nobody does. Whoever misses a process then says so, and the hub tells of all
+    of them anew (`Hub.introduce`).
+    """
+
+    def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
+        self._clock = clock  # seconds
+        self._since: dict[str, tuple[float, int]] = {}
+
+    def gone(self, process: str) -> None:
+        """Note that its liveliness token is not there any more; any thread may say so."""
+        self._since[process] = (self._clock(), 0)
+
+    def came(self, process: str) -> None:
+        """Note that its liveliness token is there."""
+        self._since.pop(process, None)
+
+    def due(self) -> list[str]:
+        now = self._clock()
+        missed = []
+        for process, (since_s, tries) in list(self._since.items()):
+            if now - since_s < TRIES_S[tries]:
+                continue
+            missed.append(process)
+            if tries + 1 == len(TRIES_S):
+                self._since.pop(process, None)
+            elif process in self._since:
+                self._since[process] = (since_s, tries + 1)
+        return missed

@@ -11,10 +11,9 @@ from typing import Any
 
 import zenoh
 
-from hierax.runtime.transport.absent_processes import AbsentProcesses
 from hierax.runtime.transport.inbox import QUEUE_SIZE, Inbox
 from hierax.runtime.transport.port import Port, TransportError
-from hierax.runtime.transport.rendezvous import Handshake, Rendezvous
+from hierax.runtime.transport.rendezvous import AbsentProcesses, Handshake, Rendezvous
 from hierax.runtime.transport.zenoh_session import close_session
 from hierax.schemas.errors import SchemaError
 from hierax.schemas.keys import Keys
@@ -104,7 +103,9 @@ class ZenohPort(Port):
         needed = {(kind, peer) for link in self._links.values() for peer, kind in link.rendezvous.lanes_out}
         for lane in self._publishers.keys() - needed:
             self._publishers.pop(lane).undeclare()
-        self._lanes = self._lanes_in()
+        self._lanes = {
+            key: lane for link in self._links.values() for key, lane in self._lanes_of(link.rendezvous).items()
+        }
 
     def connect(self) -> bool:
         """Do the handshake with every neighbour, while another thread calls `greet`; whether it was not interrupted."""
@@ -173,12 +174,6 @@ class ZenohPort(Port):
                 express=kind != TASKS,
             )
         self._lanes = {**self._lanes, **self._lanes_of(rendezvous)}
-
-    def _lanes_in(self) -> Mapping[str, Lane]:
-        lanes: dict[str, Lane] = {}
-        for link in self._links.values():
-            lanes.update(self._lanes_of(link.rendezvous))
-        return lanes
 
     def _lanes_of(self, rendezvous: Rendezvous) -> Mapping[str, Lane]:
         edge, name = self._keys.edge, self._name
@@ -262,10 +257,8 @@ class ZenohPort(Port):
             raise SchemaError(f"a greeting from {message.header.sender!r} on key {key}", "message.sender")
         mended = False
         for version, handshake in self._handshakes(peer):
-            if lane[1] not in handshake.hears or message.header.instance != handshake.ends[1]:
-                continue
             with self._shaking:
-                answer = handshake.hello(version, asks=False) if handshake.heard(lane[1], message) else []
+                answer = handshake.heard(version, lane[1], message)
                 mended |= handshake.broken and handshake.done
                 handshake.broken &= not handshake.done
             self._put_all(answer)
@@ -306,5 +299,4 @@ class EpochPublisher:
         )
 
     def publish(self, epoch: int, digest: bytes) -> None:
-        """Publish the encoding of (epoch, digest)."""
         self._publisher.put(encode_value((epoch, digest)))

@@ -24,14 +24,7 @@ LOOPBACK = "tcp/127.0.0.1:0"  # where a session listens unless told otherwise: a
 ZenohConfig: TypeAlias = "str | Mapping[str, Any] | None"
 """Zenoh's own configuration: the path of a JSON5 file, JSON5 text in braces, or a map."""
 
-LOGGED = ",".join(
-    (
-        "error",
-        "zenoh::api::session=off",
-        "zenoh::net::protocol::gossip=off",
-        "zenoh_transport::unicast::establishment=off",
-    )
-)
+LOGGED = "error,zenoh::api::session=off,zenoh::net::protocol::gossip=off,zenoh_transport::unicast::establishment=off"
 """What Zenoh prints, where RUST_LOG says nothing.
 
 While a session's first links come up, its threads may be overtaken by messages for keys that they are about to
@@ -82,10 +75,7 @@ def open_session(
     # buffers between them are full. Links to others are as ever.
     low_latency: bool = False,
 ) -> zenoh.Session:
-    """Open a session.
-
-    Raises `TransportError` if Zenoh refuses the settings or cannot listen, or they ask for low latency by themselves.
-    """
+    """Open a session. Raises `TransportError` if Zenoh refuses the settings, or cannot listen."""
     zenoh.init_log_from_env_or(LOGGED)
     ours: dict[str, Any] = {
         "mode": mode,
@@ -124,10 +114,7 @@ def _opened(config: zenoh.Config) -> zenoh.Session:
 
 
 def shared_memory_fault(folder: Path | None = None, locked_bytes: int | None = None) -> str:
-    """Why large messages do not go through a folder of shared memory here; empty: they do.
-
-    `locked_bytes`: how much a process may lock; None: what the system says.
-    """
+    """Why large messages do not go through shared memory here, by folder and bytes to be locked; empty: they do."""
     folder = folder or _SHARED_MEMORY
     if not os.access(folder, os.W_OK | os.X_OK):
         return f"{folder} cannot be written"

@@ -43,7 +43,7 @@ def test_any_msgpack_library_reads_it() -> None:
     [
         (lambda fields: fields[:-1], "step: expected an array of 16 fields"),
         (lambda fields: (2, *fields[1:]), "step.format: format 2; this version reads format 1"),
-        (lambda fields: (*fields[:4], 1.5, *fields[5:]), "step.epoch: expected int, got 1.5"),
+        (lambda fields: (*fields[:4], 1.5, *fields[5:]), "step.epoch: expected a whole number, got 1.5"),
         (
             lambda fields: (*fields[:13], (("a", "obs", 1),), *fields[14:]),
             r"step.used\[0\]: expected \[str, str, int, int",

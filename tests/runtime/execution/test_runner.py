@@ -20,8 +20,8 @@ from hierax.runtime.core.binding import BoundNode, OperatorSetting
 from hierax.runtime.core.digest import DigestChain
 from hierax.runtime.core.errors import HierarchyError, HieraxError, OperatorError, ProbeError
 from hierax.runtime.engine.wiring import Place, Wiring
-from hierax.runtime.execution.log import Log
 from hierax.runtime.execution.observers import Observers
+from hierax.runtime.execution.output_folder import Log
 from hierax.runtime.execution.pacemaker import Pacemaker
 from hierax.runtime.execution.runner import NodeRunner, World
 from hierax.runtime.transport.memory import MemoryNetwork

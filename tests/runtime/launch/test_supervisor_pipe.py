@@ -7,8 +7,7 @@ import threading
 from collections.abc import Mapping
 from typing import Any, cast
 
-from hierax.runtime.launch.frames import Frames
-from hierax.runtime.launch.supervisor_pipe import SupervisorPipe
+from hierax.runtime.launch.frames import Frames, SupervisorPipe
 from hierax.runtime.owner.owner import Owner
 from hierax.schemas.roster import Reference, Roster
 

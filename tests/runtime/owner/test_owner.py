@@ -95,7 +95,7 @@ class Owned(OwnerEffects):
 
     def commit(self) -> list[tuple[Any, ...]]:
         """What it calls when the epoch is committed."""
-        self.owner.committed(self.owner.epoch + 1)
+        self.owner.committed(self.owner.progress.epoch + 1)
         return self.proceed()
 
     def wait(self, seconds: float) -> list[tuple[Any, ...]]:
@@ -262,7 +262,7 @@ def test_what_fails_in_the_place_of_another_is_undone() -> None:
     assert answers == ("answer", "c1", 0, why)
     assert begins == ("begin", 2, 1, 2)
     assert dismisses[0] == "high.2"
-    assert owned.owner.roster.content_hash() == CHAIN.content_hash()
+    assert owned.owner.members.roster.content_hash() == CHAIN.content_hash()
     assert owned.owner.members.born["high"] == (0, 1, "")
     assert owned.commit() == [("begin", 3, 0, 2)]
 
@@ -349,7 +349,7 @@ def test_an_owner_that_is_new_knows_what_is_tried() -> None:
     assert sorted(prepares(calls)) == ["high.1", "low.1", "world.2"]
     calls = owned.ready(3, "high.1", "low.1", "world.2")
     assert ("answer", "c1", 0, "high: out of luck; what it was to replace goes on") in calls
-    assert owned.owner.roster.content_hash() == CHAIN.content_hash()
+    assert owned.owner.members.roster.content_hash() == CHAIN.content_hash()
 
 
 @pytest.mark.parametrize("when", ["before", "after"])
@@ -412,8 +412,8 @@ def test_a_crash_is_a_new_instance_and_a_new_attempt() -> None:
     owned.hear(join("low.2", 1))
     calls = owned.ready(1, "low.2", "high.1", "world.1")
     assert calls[0] == ("begin", 1, 1, 1)
-    assert owned.owner.roster.instance("low") == 1
-    assert owned.owner.roster.content_hash() == CHAIN.content_hash()
+    assert owned.owner.members.roster.instance("low") == 1
+    assert owned.owner.members.roster.content_hash() == CHAIN.content_hash()
 
 
 @pytest.mark.parametrize(
@@ -500,7 +500,7 @@ def test_on_loss() -> None:
     assert owned.wait(0.9) == []
     assert owned.wait(0.2)[0] == ("keep", 1)
     assert owned.ready(1, "low.1", "world.1")[0] == ("begin", 1, 1, 1)
-    assert set(owned.owner.roster.nodes) == {"world", "low"}
+    assert set(owned.owner.members.roster.nodes) == {"world", "low"}
     owned.hear(Lost("low", "low.1", True))
     ((kind, why),) = owned.wait(1.1)
     assert kind == "stop"
@@ -555,10 +555,10 @@ def test_a_failure_while_the_next_version_is_prepared() -> None:
     owned.hear(propose(Detach("high"), "c2"))
     owned.hear(Failed("top", "top.1", 1, "top", "top: observe in epoch 2: ValueError: no"))
     assert owned.ready(3, "world.1", "low.1")[0] == ("begin", 2, 1, 3)
-    assert set(owned.owner.roster.nodes) == {"world", "low", "high"}
+    assert set(owned.owner.members.roster.nodes) == {"world", "low", "high"}
     owned.ready(4, "world.1", "low.1")
     owned.commit()
-    assert set(owned.owner.roster.nodes) == {"world", "low"}
+    assert set(owned.owner.members.roster.nodes) == {"world", "low"}
 
 
 def test_several_lost_nodes_are_detached_at_once() -> None:
@@ -569,7 +569,7 @@ def test_several_lost_nodes_are_detached_at_once() -> None:
     owned = begun(settings=settings, roster=roster, processes={name: f"{name}.1" for name in roster.nodes})
     owned.hear(Lost("a", "a.1", False), Lost("b", "b.1", False))
     assert owned.ready(owned.owner.planning.highest, "world.1")[0][:3] == ("begin", 1, 1)
-    assert set(owned.owner.roster.nodes) == {"world"}
+    assert set(owned.owner.members.roster.nodes) == {"world"}
 
 
 def test_a_node_that_nobody_runs_is_given_up() -> None:
@@ -744,7 +744,7 @@ def test_what_may_have_been_acted_upon_is_done_again_with_the_same_nodes() -> No
     owned.commit()
     owned.ready(2, "low.1", "world.2")
     owned.commit()
-    assert "high" not in owned.owner.roster.nodes
+    assert "high" not in owned.owner.members.roster.nodes
 
 
 def test_an_answer_that_the_dead_process_owed() -> None:

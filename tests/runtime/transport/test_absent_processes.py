@@ -9,8 +9,8 @@ import pytest
 from support.launched import until
 from support.sockets import break_link
 
-from hierax.runtime.transport.absent_processes import TRIES_S, AbsentProcesses
 from hierax.runtime.transport.hub import Hub
+from hierax.runtime.transport.rendezvous import TRIES_S, AbsentProcesses
 from hierax.runtime.transport.zenoh_port import ZenohPort
 from hierax.runtime.transport.zenoh_session import open_session
 from hierax.schemas.keys import Keys
