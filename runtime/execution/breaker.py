@@ -77,7 +77,13 @@ def leave_at_once() -> NoReturn:
     os._exit(INTERRUPTED)
 
 
-def called(frame: FrameType | None) -> Call | None:
+def called(frame: FrameType | None) -> str:
+    """The node, or edge, whose operator is under way in a frame; empty: none."""
+    call = call_in(frame)
+    return "" if call is None else call.subject
+
+
+def call_in(frame: FrameType | None) -> Call | None:
     """The call of an operator that is under way in a frame."""
     while frame is not None:
         if frame.f_code in CALLS:

@@ -14,7 +14,7 @@ import numpy as np
 from hierax.runtime.core.binding import OperatorSetting, Waiter
 from hierax.runtime.core.errors import ContradictionError, HieraxError
 from hierax.runtime.engine.wiring import Wiring
-from hierax.runtime.execution.breaker import called
+from hierax.runtime.execution.breaker import call_in
 from hierax.runtime.execution.member import Member
 from hierax.runtime.execution.observers import Observers
 from hierax.runtime.execution.pacemaker import Pacemaker
@@ -342,5 +342,5 @@ class NodeWorker:
 
     def busy(self) -> str:
         """The operator that the node's thread is in; empty: in none."""
-        call = called(sys._current_frames().get(self._thread))
+        call = call_in(sys._current_frames().get(self._thread))
         return "" if call is None else f"{call.operator} of {call.subject}"
