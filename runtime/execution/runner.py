@@ -38,19 +38,15 @@ class Host:
 
     def save(self, engine: Engine, epoch: int, attempt: int, start: bytes, now: bytes) -> None:
         """Keep a checkpoint, as `EngineEffects.save` has it."""
-        return
 
     def completed(self, completed: Completed) -> None:
         """The node is done with an epoch."""
-        return
 
     def lacks(self, version: int) -> None:
         """A message of a version of the roster came that the node does not have."""
-        return
 
     def rewired(self, version: int) -> None:
         """The node has taken up a version of the roster."""
-        return
 
     def failed(self, error: OperatorError) -> None:
         """An operator or edge function that ran here failed: raise the error, or see that its node is left out."""

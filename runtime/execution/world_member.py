@@ -35,7 +35,6 @@ class Supervision:
 
     def end(self, name: str, process: str, why: str) -> None:
         """Kill a process, and treat it as lost."""
-        return
 
     def stop(self, why: str) -> None:
         """End the run: it cannot go on."""
@@ -47,19 +46,15 @@ class Supervision:
 
     def answer(self, request: str, epoch: int, refusal: str) -> None:
         """Tell whoever asked for a change what became of it."""
-        return
 
     def begins(self, owner: Owner, epoch: int, attempt: int, version: int) -> None:
         """An attempt is begun under a version of the roster; nothing of it is recorded yet."""
-        return
 
     def acts(self, epoch: int) -> None:
         """The world is about to act in this epoch; 0: it has acted, and that is recorded."""
-        return
 
     def commits(self) -> None:
         """An epoch is committed; nobody was told yet."""
-        return
 
 
 class WorldMember(World, OwnerEffects):

@@ -96,7 +96,7 @@ class AttachedProcesses(ProcessSupervisor):
 
     async def run(self) -> None:
         """Start all of them, and wait until all are dismissed."""
-        self._tasks.start_soon(self._watch_hub, self._orders[0].hub)
+        self.tasks.start_soon(self._watch_hub, self._orders[0].hub)
         for order in self._orders:
             await self.start(order)
         await self._all_dismissed.wait()
@@ -115,7 +115,7 @@ class AttachedProcesses(ProcessSupervisor):
             child.culprit = f"{child.name}: somebody has dismissed its process, and not the launch"
         delay_s = self._restarts[child.name].delay_s(child)
         if delay_s is None:
-            self._fail(child.last_words)
+            self.fail(child.last_words)
             return
         self.notify(f"{child.culprit or child.last_words}; it is started again")
         await anyio.sleep(delay_s)
@@ -136,7 +136,7 @@ class AttachedProcesses(ProcessSupervisor):
             await anyio.sleep(LOOK_S)
             gone = await anyio.to_thread.run_sync(is_gone, endpoint, abandon_on_cancel=True)
             if gone and self._leaving < self._attached:
-                self._fail(HieraxError(f"the launch at {endpoint} is gone; its nodes here are ended"))
+                self.fail(HieraxError(f"the launch at {endpoint} is gone; its nodes here are ended"))
 
 
 async def _await(await_change: Callable[[], None], fail: Fail) -> None:

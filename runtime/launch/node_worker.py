@@ -19,19 +19,8 @@ from hierax.runtime.execution.member import Member
 from hierax.runtime.execution.observers import Observers
 from hierax.runtime.execution.pacemaker import Pacemaker
 from hierax.runtime.execution.world_member import WorldMember
+from hierax.runtime.launch import frames
 from hierax.runtime.launch.control_queue import ControlQueue
-from hierax.runtime.launch.frames import (
-    BEGIN,
-    CUT_OFF,
-    DISMISSED,
-    FAILED,
-    MISSES,
-    REPORT,
-    TO_REPORT,
-    UP,
-    NodeOrder,
-    SupervisorPipe,
-)
 from hierax.runtime.launch.inspection_server import InspectionServer
 from hierax.runtime.launch.member_building import Parts, open_observers, open_slots, pacemaker_of, preload
 from hierax.runtime.launch.node_loop import NodeLoop, WorldWatch
@@ -62,11 +51,11 @@ _log = logging.getLogger("hierax")
 class NodeWorker:
     """Takes one node from its order to its report. `status`: file descriptor on which the supervisor listens."""
 
-    def __init__(self, order: NodeOrder, status: int, wait: Waiter) -> None:
+    def __init__(self, order: frames.NodeOrder, status: int, wait: Waiter) -> None:
         self._order = order  # from the supervisor
         self._wait = wait  # drives async operators
         self._stopping = threading.Event()
-        self._pipe = SupervisorPipe(status, self._stopping.set)
+        self._pipe = frames.SupervisorPipe(status, self._stopping.set)
         self._port: ZenohPort | None = None
         self._member: Member | None = None
         self._world: WorldMember | None = None
@@ -150,7 +139,7 @@ class NodeWorker:
             port.relieve()
             port.greet()
             for process in port.absent.due():
-                self._pipe.say(MISSES, process=process)
+                self._pipe.say(frames.MISSES, process=process)
 
     def close(self) -> None:
         """Close the port, when no other thread uses it any more."""
@@ -171,7 +160,7 @@ class NodeWorker:
                 message = f"{self._order.name}: {message.removeprefix(f'{self._order.name}: ')}"
             _log.error("%s", message, exc_info=True, extra=QUIET)
             self._pipe.say(
-                FAILED,
+                frames.FAILED,
                 message=message.encode(errors="backslashreplace").decode(),
                 where=place,
                 final=isinstance(error, ContradictionError),
@@ -242,27 +231,27 @@ class NodeWorker:
     def _begin(self, parts: Parts) -> Member:
         """Come into the run; the member has a part in it where `_member` is set."""
         order, loader, member = self._order, parts.loader, parts.member()
-        if order.life == TO_REPORT and order.roster is not None:
+        if order.life == frames.TO_REPORT and order.roster is not None:
             member.recall(loader.wiring(order.roster))
             return member
-        if order.life == BEGIN and order.roster is not None:
+        if order.life == frames.BEGIN and order.roster is not None:
             wiring = loader.wiring(order.roster)
             member.run(wiring)
             if not self._connect(parts.port, wiring):
                 return member
         else:
             member.join(order.request)
-        self._pipe.say(UP)
+        self._pipe.say(frames.UP)
         self._member = member
         return member
 
     def _begin_world(self, policy: OwnerPolicy, parts: Parts, pacemaker: Pacemaker) -> Member | None:
         """Begin the run, or go on with it; None: it was stopped before."""
         order, processes = self._order, self._order.processes
-        if order.life == BEGIN and order.roster is not None:
+        if order.life == frames.BEGIN and order.roster is not None:
             if not self._connect(parts.port, parts.loader.wiring(order.roster)):
                 return None
-            self._pipe.say(UP)
+            self._pipe.say(frames.UP)
             told = self._until_told(parts.port)
             if told is None:
                 return None
@@ -272,10 +261,10 @@ class NodeWorker:
         if last.epoch:  # the process before may not have said so
             pacemaker.on_commit(last.epoch, last.digest)
         world.start()
-        if order.life != BEGIN:
+        if order.life != frames.BEGIN:
             for proposal in order.proposals:
                 world.hear(decode_control(proposal))
-            self._pipe.say(UP)
+            self._pipe.say(frames.UP)
         self._member = world.member
         return world.member
 
@@ -312,7 +301,7 @@ class NodeWorker:
     def _part(self, member: Member | None) -> int:
         if member is not None and member.dismissed:
             _log.info("%s", member.dismissed)
-            self._pipe.say(CUT_OFF if member.again else DISMISSED, why=member.dismissed)
+            self._pipe.say(frames.CUT_OFF if member.again else frames.DISMISSED, why=member.dismissed)
             return int(member.again)
         if self.hurried:
             return 1  # the run is not over: the node is lost, and has nothing to report
@@ -333,7 +322,7 @@ class NodeWorker:
         if pacemaker is not None:
             chain = pacemaker.chain
             fields["run"] = [chain.epoch, chain.digest, pacemaker.wall_s, np.array(pacemaker.epochs_s)]
-        self._pipe.say(REPORT, **fields)
+        self._pipe.say(frames.REPORT, **fields)
         return 0
 
     def _wake(self) -> None:

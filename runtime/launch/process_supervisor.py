@@ -5,6 +5,7 @@ from __future__ import annotations
 import signal
 from abc import ABC, abstractmethod
 from collections.abc import Callable
+from dataclasses import dataclass
 from typing import Any
 
 import anyio
@@ -19,23 +20,18 @@ Notify = Callable[[str], None]  # tells people what happens
 Fail = Callable[[Exception], None]  # is called with why the processes cannot go on
 
 
+@dataclass(eq=False)
 class ProcessSupervisor(ABC):
     """Starts processes of nodes, listens to them until they end, and ends those that are left."""
 
-    def __init__(
-        self,
-        tasks: anyio.abc.TaskGroup,  # in which it listens
-        overhearing: Overhearing,  # takes in what the processes print; closed with the supervisor
-        policy: Callable[[str], RestartPolicy],  # by a node's name, what is done when its process ends
-        notify: Notify,  # tells people what happens
-        fail: Fail,  # called with why the processes cannot go on
-    ) -> None:
+    tasks: anyio.abc.TaskGroup  # in which it listens
+    overhearing: Overhearing  # takes in what the processes print; closed with the supervisor
+    policy: Callable[[str], RestartPolicy]  # by a node's name, what is done when its process ends
+    notify: Notify  # tells people what happens
+    fail: Fail  # called with why the processes cannot go on
+
+    def __post_init__(self) -> None:
         self.ending = False  # whether processes may end from now on
-        self.notify = notify
-        self._tasks = tasks
-        self._overhearing = overhearing
-        self._policy = policy
-        self._fail = fail
         self._children: dict[str, Child] = {}
         self._restarts: dict[str, Restarts] = {}
 
@@ -53,10 +49,10 @@ class ProcessSupervisor(ABC):
 
     async def start(self, order: NodeOrder) -> Child:
         """Start a node's process, and listen to it from now on."""
-        child = await start_child(order, self._overhearing)
+        child = await start_child(order, self.overhearing)
         self._children[child.token] = child
-        self._restarts.setdefault(child.name, Restarts(self._policy(child.name)))
-        self._tasks.start_soon(self._listen, child)
+        self._restarts.setdefault(child.name, Restarts(self.policy(child.name)))
+        self.tasks.start_soon(self._listen, child)
         return child
 
     async def end_all(self, timeout_s: float = END_TIMEOUT_S) -> None:
@@ -78,7 +74,7 @@ class ProcessSupervisor(ABC):
 
     def close_output(self) -> None:
         """Take in nothing any more that processes print; nobody listens to them any more."""
-        self._overhearing.close()
+        self.overhearing.close()
 
     async def _wait_for_all(self, timeout_s: float) -> None:
         """Bounded, as a program that a node has started may hold its pipes open when the node is gone."""

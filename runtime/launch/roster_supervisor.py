@@ -109,7 +109,7 @@ class RosterSupervisor(ProcessSupervisor):
     def _take(self, child: Child, value: dict[str, Any]) -> None:
         status = value["status"]
         if status == frames.MISSES:
-            self._tasks.start_soon(anyio.to_thread.run_sync, self._hub.introduce, value["process"])
+            self.tasks.start_soon(anyio.to_thread.run_sync, self._hub.introduce, value["process"])
         elif self.current.get(self._world) is not child:
             return
         elif status == frames.BEAT:
@@ -132,10 +132,10 @@ class RosterSupervisor(ProcessSupervisor):
         elif status == frames.END:
             self._kill(value["name"], value["process"], value["why"])
         elif status == frames.DISMISS:
-            self._tasks.start_soon(self._dismiss, value["process"], Dismiss(value["why"], value["again"]))
+            self.tasks.start_soon(self._dismiss, value["process"], Dismiss(value["why"], value["again"]))
         elif status == frames.HALT:
             culprit = self.current.get(value["why"].partition(":")[0])
-            self._fail((culprit and culprit.failure) or NodeFailedError(value["why"]))
+            self.fail((culprit and culprit.failure) or NodeFailedError(value["why"]))
 
     def _elsewhere(self) -> dict[str, str]:
         """The processes started elsewhere of nodes in force: a new process of the world's names none that is lost."""
@@ -153,7 +153,7 @@ class RosterSupervisor(ProcessSupervisor):
             elif child.ended.is_set() and child.report is None and not (self._comes_back(name) or self._runs(name)):
                 # the world's process has died before it could say that this one was taken in
                 self.current[name] = child
-                self._tasks.start_soon(self._on_end, child)
+                self.tasks.start_soon(self._on_end, child)
 
     def _on_answer(self, request: str, epoch: int, refusal: str) -> None:
         """The owner says what has become of a change; where it is in force, its new nodes are kept as it says."""
@@ -172,7 +172,7 @@ class RosterSupervisor(ProcessSupervisor):
             child.culprit = why
             child.kill()
         else:
-            self._tasks.start_soon(self.send_to_owner, Lost(name, token, True))
+            self.tasks.start_soon(self.send_to_owner, Lost(name, token, True))
 
     async def _dismiss(self, process: str, word: Dismiss) -> None:
         """Tell a process that it has no place any more; over Zenoh where it was started elsewhere."""
@@ -185,7 +185,7 @@ class RosterSupervisor(ProcessSupervisor):
     async def _on_end(self, child: Child) -> None:
         name = child.name
         if child.final:
-            self._fail(child.last_words)
+            self.fail(child.last_words)
             return
         if child.dismissed:
             self.notify(f"{name}: its process exits: {child.dismissed}")
@@ -223,13 +223,13 @@ class RosterSupervisor(ProcessSupervisor):
         name = child.name
         failure = child.last_words
         if not (child.came_up or child.was_killed or self._restarts[name].count or child.order.request):
-            self._fail(failure)
+            self.fail(failure)
             return
         begun = await self._has_begun()
         delay_s = self._restarts[name].delay_s(child)
         may_lack = begun and name != self._world and self._policy_of(child).on_loss == DETACH
         if delay_s is None and not may_lack:
-            self._fail(failure)
+            self.fail(failure)
             return
         self.notify(f"{failure}" + ("" if delay_s is None else "; it is started again"))
         if begun and name != self._world:
@@ -296,7 +296,7 @@ class RosterSupervisor(ProcessSupervisor):
 
     def _policy_of(self, child: Child) -> RestartPolicy:
         """What is done when a process ends; of one whose change is not committed yet, as that has it."""
-        return self.changes.policies(child.order.request).get(child.name, self._policy(child.name))
+        return self.changes.policies(child.order.request).get(child.name, self.policy(child.name))
 
     def _living(self) -> dict[str, str]:
         """The processes that live, as far as is known here: of those started elsewhere, whether they are heard of."""
