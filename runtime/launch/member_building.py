@@ -90,7 +90,15 @@ class Parts:
 def pacemaker_of(order: NodeOrder, epochs: EpochPublisher) -> Pacemaker:
     """The world's, which publishes the digests of its epochs, and writes them where that is wanted."""
     roster_hash = b"" if order.roster is None else order.roster.content_hash()
-    return Pacemaker(DigestChain(roster_hash), order.epochs, _Commits(order, epochs))
+    log = digest_log(order.output_path, append=order.life != BEGIN)
+
+    def on_commit(epoch: int, digest: bytes) -> None:
+        epochs.publish(epoch, digest)
+        if log is not None:
+            log.write(epoch, digest)
+            log.flush()
+
+    return Pacemaker(DigestChain(roster_hash), order.epochs, on_commit)
 
 
 def preload(modules: tuple[str, ...], allowance: Allowance) -> None:
@@ -105,17 +113,3 @@ def _preload(module: str) -> None:
         importlib.import_module(module)
     except Exception as error:
         _log.info("%s cannot be imported yet: %s", module, error)
-
-
-class _Commits:
-    """What is done with the digest of each committed epoch: it is published, and written where wanted."""
-
-    def __init__(self, order: NodeOrder, epochs: EpochPublisher) -> None:
-        self._epochs = epochs
-        self._log = digest_log(order.output_path, append=order.life != BEGIN)
-
-    def __call__(self, epoch: int, digest: bytes) -> None:
-        self._epochs.publish(epoch, digest)
-        if self._log is not None:
-            self._log.write(epoch, digest)
-            self._log.flush()

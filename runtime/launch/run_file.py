@@ -124,13 +124,12 @@ def _folders() -> list[Path]:
 
 
 def _fit_folder() -> Path:
-    unfit = []
+    reasons = []
     for folder in _folders():
-        why = _unfit(folder)
-        if not why:
+        reasons.append(_unfit(folder))
+        if not reasons[-1]:
             return folder
-        unfit.append(why)
-    raise HieraxError(unfit[-1])
+    raise HieraxError(reasons[-1])
 
 
 def _unfit(folder: Path) -> str:

@@ -31,13 +31,10 @@ SAMPLE_BYTES = 64 * 1024  # as what a message counts at least: the buffer that Z
 
 
 class Inbox:
-    """The messages for one node, in the order in which they came.
-
-    Attributes:
-        interrupted: whether the node's thread is to look at something else; who takes messages takes that back.
-    """
+    """The messages for one node, in the order in which they came."""
 
     def __init__(self, subscriber: zenoh.Subscriber[Any], wake: Callable[[], None]) -> None:
+        # Whether the node's thread is to look at something else; who takes messages takes that back.
         self.interrupted = False
         self._subscriber = subscriber  # to their keys, with a queue of `QUEUE_SIZE`
         self._wake = wake  # puts something there; waits while it is full
