@@ -299,8 +299,8 @@ def test_where_what_was_replaced_has_died_its_next_process_goes_on(is_back: str)
     assert ("begin", 2, 1, 2) in calls
     assert ("answer", "c1", 0, "low->high: sense in epoch 2: out of luck; what it was to replace goes on") in calls
     assert ("high.2", Dismiss("high: another process runs it from epoch 2 on")) in calls
-    assert owned.owner.roster.content_hash() == CHAIN.content_hash()
-    assert owned.owner.roster.instance("high") == 2
+    assert owned.owner.members.roster.content_hash() == CHAIN.content_hash()
+    assert owned.owner.members.roster.instance("high") == 2
 
 
 def test_what_was_replaced_and_has_died_again_is_waited_for() -> None:
