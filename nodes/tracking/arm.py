@@ -40,13 +40,12 @@ from hierax.nodes.tracking.schema import (
 )
 from hierax.nodes.tracking.search.association import Estimate, Options, associate
 from hierax.nodes.tracking.search.missing import Sighting, look_for_missing
-from hierax.nodes.tracking.search.multistart import FALLING, held, in_turn
+from hierax.nodes.tracking.search.multistart import FALLING, LEAST_FOUND, held, in_turn
 from hierax.runtime import Node, Step, Value
 from hierax.runtime.core.showing import Things
 
 _DRIFT_GAIN = 0.3
 _PROBATION = 20  # for so many images an object that was found again is looked for elsewhere, too
-_LEAST_FOUND = 20.0  # one whose place is vague is not found by fewer control points than these
 
 # An object whose place is less certain than this (standard deviation) has to be found, not kept.
 _VAGUE_M = 0.02
@@ -69,8 +68,6 @@ class ArmNode(Node):
         start_m, start_rad: standard deviation of the first poses, in each axis.
         motion_m, motion_rad: of the objects' deviation from their prediction within a frame, when they are pushed.
         camera_m, camera_rad: of the reported camera's deviation from its course, while it moves.
-        error_px: standard deviation of a match, as if its control points erred by this independently; they
-            err together, along an edge and from image to image, so it is larger than one of them errs.
         sure_score: a match that scores less is also looked for farther away.
         kept_score: an image that scores a pose below this does not support it.
         found_score: a lost object is found again at this score.
@@ -92,7 +89,6 @@ class ArmNode(Node):
         motion_rad: float = 0.06,
         camera_m: float = 0.0015,
         camera_rad: float = 0.0025,
-        error_px: float = 0.7,
         sure_score: float = 0.75,
         kept_score: float = 0.35,
         found_score: float = 0.7,
@@ -101,7 +97,7 @@ class ArmNode(Node):
         model_tolerance_mm: float | None = None,
     ) -> None:
         check_positive(start_m=start_m, start_rad=start_rad, motion_m=motion_m, motion_rad=motion_rad)
-        check_positive(camera_m=camera_m, camera_rad=camera_rad, error_px=error_px)
+        check_positive(camera_m=camera_m, camera_rad=camera_rad)
         if not 0.0 <= kept_score <= found_score <= 1.0:
             raise ValueError(f"expected 0 <= kept_score <= found_score <= 1, got {kept_score} and {found_score}")
         if patience < 1:
@@ -113,7 +109,7 @@ class ArmNode(Node):
             check_between(0, 10, "millimetres", model_tolerance_mm=model_tolerance_mm)
         tolerance = None if model_tolerance_mm is None else model_tolerance_mm / 1000.0
         motion = diagonal_covariance(motion_m, motion_rad)
-        self._options = Options(motion, error_px, sure_score, tolerance=tolerance)
+        self._options = Options(motion, sure_score, tolerance=tolerance)
         self._camera = np.diag(1.0 / np.diag(diagonal_covariance(camera_m, camera_rad)))
         self._kept_score = kept_score
         self._found_score = found_score
@@ -240,9 +236,7 @@ class ArmNode(Node):
         missing = {at: item["others"] for at, item in enumerate(objects) if _is_missing(item)}
         if not missing:
             return objects
-        found = look_for_missing(
-            image, objects, missing, sweeps, np.asarray(intrinsics), upright, self._options.error_px
-        )
+        found = look_for_missing(image, objects, missing, sweeps, np.asarray(intrinsics), upright)
         return tuple(
             _sighted(item, found[at], any(sweep["id"] == item["id"] for sweep in sweeps)) if at in found else item
             for at, item in enumerate(objects)
@@ -257,7 +251,7 @@ class ArmNode(Node):
         """One object after the image: where it was found, or where it was expected."""
         gone = _is_vague(item) or item["status"] == LOST
         needed = self._found_score if gone else self._kept_score
-        enough = _LEAST_FOUND if gone else LEAST_SHOWN
+        enough = LEAST_FOUND if gone else LEAST_SHOWN
         if estimate.shown < enough or estimate.score < needed or (gone and not estimate.sure):
             # Not enough to say that it is there; but enough to look there, at what would be seen of it, next.
             searched = estimate.elsewhere and not item["others"]

@@ -20,5 +20,9 @@ LESS = 0.85
 # Share of a push's motion. What is predicted to move by less rests; a push is that far behind after 14 images.
 AT_REST = 0.1
 
+# Pixels, standard deviation. How far an outline is found beside its model's as a whole, all along it and from image to
+# image: light, blur, the shadow at an object's foot. What is off by more is trusted less.
+WHOLE_PX = 0.2
+
 # Nats for every variance by which colours beside a peak are off what is remembered: a Gaussian's.
 STRANGE_WEIGHT = 0.5

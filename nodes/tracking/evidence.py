@@ -15,7 +15,7 @@ from hierax.nodes.tracking.estimation.bending import memory_of
 from hierax.nodes.tracking.estimation.joint_alignment import Task, prior_of, task_of
 from hierax.nodes.tracking.estimation.likelihood import Shares, expected, explains, shares
 from hierax.nodes.tracking.estimation.profiles import smoothed
-from hierax.nodes.tracking.estimation.stages import Search, moves_of
+from hierax.nodes.tracking.estimation.stages import moves_of
 from hierax.nodes.tracking.estimation.tracked import dashes
 from hierax.nodes.tracking.math.batched import inverse, invert_many, log_many
 from hierax.nodes.tracking.math.geometry import Array, Floats, invert, pose_error
@@ -115,7 +115,7 @@ def evidence(
         known = {item["id"]: item for item in before["objects"]}
         moved = invert(camera) @ before["camera"]
     told = [_as_known(item, known.get(item["id"])) for item in objects]
-    task = task_of(smoothed(image), told, prior_of(told, motion, None), intrinsics, Search().noise_px)
+    task = task_of(smoothed(image), told, prior_of(told, motion, None), intrinsics)
     predicted = np.stack([moved @ known.get(item["id"], item)["pose"] for item in objects])
     believed, expected_there = _aligned(task, task.start.poses), _aligned(task, predicted)
     if believed is None or expected_there is None:

@@ -32,7 +32,7 @@ def test_constants_are_found_wherever_they_stand() -> None:
     found = {each.key: each for each in SENSITIVITIES.constants()}
     assert found["estimation/profiles.py:_GAMMA"].text == "2.2"
     assert found["estimation/profiles.py:_GAMMA"].about.startswith("A lens adds up light")
-    assert found["estimation/stages.py:Search.noise_px"].text == "1.5"
+    assert found["estimation/stages.py:Search.noise_px"].text == "0.7"
     assert found["search/multistart.py:ROUGH.reach_px"].text == "(20,)"
     assert found["arm.py:ArmNode(patience)"].text == "10"
     assert {"search/missing.py:_LEAST_NATS", "search/missing.py:_SURE_NATS"} <= found.keys()

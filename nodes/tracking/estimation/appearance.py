@@ -11,6 +11,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from hierax.nodes.tracking.constants import WHOLE_PX
 from hierax.nodes.tracking.estimation.profiles import Profiles, Singles
 from hierax.nodes.tracking.math.geometry import Floats
 from hierax.nodes.tracking.model.controls import EDGE_SLOTS, Controls, Indices
@@ -38,7 +39,6 @@ _FORGIVEN = 2.0
 _FRAMES = 12.0  # over so many frames a colour is remembered, once there have been so many
 _FIRST_WEIGHT = 2.0
 
-_TRUSTED_PX = 0.2
 _OFFSET_FRAMES = 40.0
 _FADING = 0.7
 _DOUBT = 2  # a part of an edge is trusted by the share of images that it was found in to this power
@@ -81,7 +81,7 @@ def _trust(slots: Looks, parts: NDArray[np.int64]) -> Singles:
     """(n,) of parts of edges, by how far their edges are off, and in what share of images, as if in one more, they were
     found: where an object has no contrast of its own, what is found in the end belongs to something else."""
     offset, frames = _kept(slots["edges"], slots["offsets"], parts // EDGE_SLOTS)
-    part = offset * np.minimum(frames / np.float32(_FRAMES), np.float32(1.0)) / np.float32(_TRUSTED_PX)
+    part = offset * np.minimum(frames / np.float32(_FRAMES), np.float32(1.0)) / np.float32(WHOLE_PX)
     found, sought = _kept(slots["parts"], slots["hits"], parts)
     trust: Singles = 1.0 / (1.0 + part * part) * ((found + 1.0) / (sought + 1.0)) ** _DOUBT
     return trust

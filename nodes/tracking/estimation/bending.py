@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from hierax.nodes.tracking.constants import WHOLE_PX
 from hierax.nodes.tracking.estimation.alignment import Aligned, offsets_at
 from hierax.nodes.tracking.estimation.appearance import Memory, recalled
 from hierax.nodes.tracking.estimation.stages import moves_of
@@ -16,8 +17,7 @@ from hierax.nodes.tracking.math.geometry import Array, Floats
 from hierax.nodes.tracking.model.controls import Controls, Indices
 from hierax.nodes.tracking.schema import ControlPoints, Looks
 
-_LINE_PX = 0.2  # standard deviation of where an edge is found in one image, alike along it: light, blur, shadows
-_POINT_PX = 0.7  # and of each of its control points besides
+_POINT_PX = 0.7  # standard deviation of where a control point is found in one image, beside its edge as a whole
 _LEAST_POINTS = 3  # an edge that fewer of its control points were found of tells nothing
 _WANDERS_M = 0.000004  # how far a bevel's edge may move in the object's frame from image to image as the view changes
 
@@ -79,7 +79,7 @@ def bent_after(looks: Looks, aligned: Aligned, at: int, pose: Floats, intrinsics
     bends[before], slack[before] = looks["bends"], looks["slack"]
     spread = slack[now] + _WANDERS_M**2 * np.eye(3)
     carried = np.einsum("eij,ej->ei", spread, mean)
-    variance = np.einsum("ei,ei->e", mean, carried) + _LINE_PX**2 + _POINT_PX**2 / count
+    variance = np.einsum("ei,ei->e", mean, carried) + WHOLE_PX**2 + _POINT_PX**2 / count
     gain = carried / variance[:, None]
     bends[now] += gain * off[:, None]
     slack[now] = spread - gain[:, :, None] * carried[:, None, :]

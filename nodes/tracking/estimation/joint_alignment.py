@@ -56,13 +56,12 @@ class Explained(NamedTuple):
     fused: Fused
 
 
-def task_of(image: Image, objects: Sequence[TrackedObject], prior: Prior, intrinsics: Array, error_px: float) -> Task:
+def task_of(image: Image, objects: Sequence[TrackedObject], prior: Prior, intrinsics: Array) -> Task:
     """What is to be aligned.
 
     Args:
         image, objects, intrinsics: as for `hierax.nodes.tracking.search.association.associate`.
         prior: of `prior_of`.
-        error_px: standard deviation of a control point, as if they erred independently.
     """
     controls = gathered([item["controls"] for item in objects])
     # The light on what moves changes.
@@ -74,7 +73,7 @@ def task_of(image: Image, objects: Sequence[TrackedObject], prior: Prior, intrin
     memory = memory._replace(apart=apartness(controls, predicted, intrinsics).astype(np.float32))
     free = prior._replace(motion_scale=np.maximum(prior.motion_scale, _LEAST_FREEDOM))
     calm = float(free.motion_scale.max()) <= _LEAST_FREEDOM and float(prior.covariance[:, :3, :3].max()) < _SETTLED_M**2
-    near = (_CALM if calm else _NEAR)._replace(noise_px=error_px)
+    near = _CALM if calm else _NEAR
     symmetries = [item.get("symmetry", NONE) for item in objects]
     told = None if all(map(is_plain, symmetries)) else np.stack([open_to(each) for each in symmetries])
     start = Start(predicted, inverse(free.spread()), prior.camera, told)

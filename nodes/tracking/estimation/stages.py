@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from hierax.nodes.tracking.constants import STRANGE_WEIGHT
+from hierax.nodes.tracking.constants import STRANGE_WEIGHT, WHOLE_PX
 from hierax.nodes.tracking.estimation.appearance import Memory, strangeness
 from hierax.nodes.tracking.estimation.profiles import Image, Lines, Profiles, Singles, lines_of, read_profiles
 from hierax.nodes.tracking.math.batched import only, pixels_of, placed, tukey
@@ -17,10 +17,7 @@ from hierax.nodes.tracking.model.controls import CREASE, Controls, Indices
 
 _USUAL_SHARPNESS = 0.7  # quantile of the control points' sharpness that counts as an edge in focus
 
-# Standard deviations of how far an edge is off as a whole: the shadow at an object's foot, light, blur and the model's
-# own error move it, alike along the edge and from image to image.
-_OUTLINE_PX = 0.2
-_CREASE_PX = 0.1
+_CREASE_PX = 0.1  # as `WHOLE_PX`, of a crease: no shadow falls beside it
 
 
 class Search(NamedTuple):
@@ -34,9 +31,9 @@ class Search(NamedTuple):
     fine_px: tuple[float, float] = (0.3, 1.0)
     fine_iterations: int = 4  # how many those are
     contrast: float = 1.5  # smallest slope that counts as an edge, grey levels per pixel
-    # what a control point's residual is worth; neighbours on an edge err alike, and from image to image, so this is
-    # more than one of them errs
-    noise_px: float = 1.5
+    # standard deviation of a match, as if control points erred by this independently; they err together, along an edge
+    # and from image to image, so it is larger than one of them errs
+    noise_px: float = 0.7
     blur_power: float = 4.0  # how strongly blurred peaks lose weight
     support_px: float = 1.5  # how near a hypothesis must be in the end to support a control point
     # whether each edge as a whole is looked for first: so far beside the model's it may be that none of its control
@@ -126,7 +123,7 @@ def _spread(
 ) -> Floats:
     """Of each edge the standard deviation of how far it is off as a whole, by its kind and by what is not known of the
     object's model, pixels."""
-    variance = np.where(controls.kinds == CREASE, _CREASE_PX, _OUTLINE_PX) ** 2
+    variance = np.where(controls.kinds == CREASE, _CREASE_PX, WHOLE_PX) ** 2
     loose = np.nonzero(memory.slack.any(axis=(1, 2)))[0]
     if len(loose):
         moves = moves_of(poses, controls, lines, loose, intrinsics)

@@ -55,7 +55,6 @@ class Options(NamedTuple):
     # (6, 6) covariance of an object's deviation from its prediction within a frame, when it is pushed; or (m, 6, 6), of
     # each
     motion: Floats
-    error_px: float  # standard deviation of a control point, as if they erred independently
     sure_score: float  # an object that scores less is also looked for farther away
     certain_score: float = 0.95  # so is one that was found again just now and scores less than this
     falling: Floats | None = None  # as `motion`, falling over included; None: the same
@@ -98,7 +97,7 @@ def associate(
         where nothing is expected in the image.
     """
     prior = prior_of(objects, options.motion, camera)
-    task = task_of(image, objects, prior, intrinsics, options.error_px)
+    task = task_of(image, objects, prior, intrinsics)
     best = explained(task)
     if best is None:
         return None

@@ -102,6 +102,6 @@ def _aligned(task: Task, asked: Sequence[int], start: Start, tolerance: float) -
     places = task.controls.rows_of(asked, POINTS_MAX)
     memory = only(task.memory, np.concatenate(places))
     memory = memory._replace(slack=np.tile(tolerance**2 * np.eye(3), (len(memory.trust), 1, 1)))
-    search = Search(noise_px=task.search.noise_px, voted=True)
+    search = Search(voted=True)
     begin = Start(start.poses[asked], start.information[asked])
     return align(task.image, task.controls.of(places), begin, task.intrinsics, memory, search)

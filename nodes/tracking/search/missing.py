@@ -78,7 +78,6 @@ def look_for_missing(
     sweeps: Sequence[Sweep],
     intrinsics: Array,
     upright: Floats,
-    error_px: float,
 ) -> dict[int, Sighting]:
     """What an image says of the missing objects, by their index; nothing of those that it was not looked for.
 
@@ -87,9 +86,9 @@ def look_for_missing(
         objects: all of them, those that are seen where this image has them.
         missing: by the index of those that are missing, what would be seen of them where they may be.
         sweeps: of some that are missing; intrinsics: (4,) fx, fy, cx, cy in pixels.
-        upright: (3,) unit vector upwards, camera's frame; error_px: standard deviation of a control point.
+        upright: (3,) unit vector upwards, camera's frame.
     """
-    search = _Search(image, intrinsics, upright, error_px)
+    search = _Search(image, intrinsics, upright)
     recent = [at for at, item in enumerate(objects) if item["status"] == TRACKED and item["probation"]]
     here: list[Alternative] = [
         {"pose": objects[at]["pose"], "controls": objects[at]["controls"], "kept": True} for at in recent
@@ -111,7 +110,6 @@ class _Search(NamedTuple):
     image: Image
     intrinsics: Array
     upright: Floats
-    error_px: float
 
     def aligned(
         self, controls: Sequence[ControlPoints], looks: list[Looks], poses: Floats, how: Search, most: int
@@ -125,7 +123,6 @@ class _Search(NamedTuple):
         supports = poses[:, :3, :3].transpose(0, 2, 1) @ self.upright
         information = inverse(np.stack([held(_OFF, support, _UPWARDS, _TILTING) for support in supports]))
         rows = only(memory, np.concatenate(places))
-        how = how._replace(noise_px=self.error_px)
         found = align(self.image, chosen, Start(poses, information), self.intrinsics, rows, how)
         if found is None:
             return None

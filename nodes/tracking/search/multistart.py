@@ -182,7 +182,6 @@ def aligned_each(task: Task, tries: Sequence[int], start: Start, search: Search,
     """
     places = task.controls.rows_of(tries, most)
     memory = only(task.memory, np.concatenate(places))
-    search = search._replace(noise_px=task.search.noise_px)
     return align(task.image, task.controls.of(places), start, task.intrinsics, memory, search)
 
 

@@ -29,7 +29,7 @@ def seen(tolerance: float | None, images: int, seed: int = 3) -> list[Estimate]:
     estimates = []
     for _ in range(images):
         item["controls"] = bent(expected(FIRST, item["pose"])["controls"], item["slots"])
-        found = associate(image, [item], None, INTRINSICS, Options(MOTION, 0.7, 0.75, tolerance=tolerance))
+        found = associate(image, [item], None, INTRINSICS, Options(MOTION, 0.75, tolerance=tolerance))
         assert found is not None
         estimates.append(found[1][0])
         item |= {

@@ -25,7 +25,7 @@ def aligned(twist: np.ndarray, camera: np.ndarray | None = None) -> tuple[Aligne
     controls = gathered([item["controls"] for item in items])
     start = Start(np.stack([item["pose"] for item in items]), inverse(covariance + MOTION), camera)
     image = smoothed(photograph(BOXES, 2.0, np.random.default_rng(3)))
-    found = align(image, controls, start, INTRINSICS, recalled([NOTHING] * 2, controls, 1), Search(noise_px=0.7))
+    found = align(image, controls, start, INTRINSICS, recalled([NOTHING] * 2, controls, 1), Search())
     assert found is not None
     return found, Prior(covariance, MOTION, np.full(2, 0.02), np.zeros((2, 6)), camera)
 
@@ -78,7 +78,7 @@ def test_a_common_error_goes_to_the_camera_where_it_may_have_one() -> None:
     controls = gathered([item["controls"] for item in items])
     start = Start(np.stack([item["pose"] for item in items]), inverse(covariance + 0.1 * MOTION), camera)
     image = smoothed(photograph(BOXES, 2.0, np.random.default_rng(5)))
-    found = align(image, controls, start, INTRINSICS, recalled([NOTHING] * 2, controls, 1), Search(noise_px=0.7))
+    found = align(image, controls, start, INTRINSICS, recalled([NOTHING] * 2, controls, 1), Search())
     assert found is not None
     fused = fuse(found, Prior(covariance, MOTION, np.full(2, 0.02), np.zeros((2, 6)), camera))
     assert np.linalg.norm(fused.shift[:3] - error[:3]) < 0.5 * np.linalg.norm(error[:3])

@@ -60,7 +60,7 @@ def one_off(shift: np.ndarray) -> tuple[Explained, Explained | None]:
         item["covariance"] = np.diag([0.0004**2] * 3 + [0.004**2] * 3)
     prior = prior_of(items, MOTION, CAMERA)
     image = smoothed(photograph(BOXES, 2.0, np.random.default_rng(4)))
-    task = task_of(image, items, prior, INTRINSICS, 0.7)
+    task = task_of(image, items, prior, INTRINSICS)
     assert task.search.reach_px == (8,)
     first = explained(task)
     assert first is not None

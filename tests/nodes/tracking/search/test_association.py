@@ -15,7 +15,7 @@ from hierax.nodes.tracking.search import association
 from hierax.nodes.tracking.search.association import Options, associate
 from hierax.nodes.tracking.search.multistart import Found
 
-OPTIONS = Options(np.diag([0.01**2] * 3 + [0.06**2] * 3), 0.7, 0.75)
+OPTIONS = Options(np.diag([0.01**2] * 3 + [0.06**2] * 3), 0.75)
 CAMERA = np.diag([1.0 / 0.0015**2] * 3 + [1.0 / 0.0025**2] * 3)
 
 

@@ -16,7 +16,7 @@ from hierax.nodes.tracking.model.mesh import box_mesh
 from hierax.nodes.tracking.model.shapes import shape_of
 from hierax.nodes.tracking.search.association import Estimate, Options, associate
 
-OPTIONS = Options(np.diag([0.01**2] * 3 + [0.06**2] * 3), 0.7, 0.75)
+OPTIONS = Options(np.diag([0.01**2] * 3 + [0.06**2] * 3), 0.75)
 WIDE = np.diag([0.04**2] * 3 + [0.8**2] * 3)
 AWAY = exp_se3(np.array([0.05, 0.03, 0.02, 0.3, -0.5, 0.4]))
 NEAR = exp_se3(np.array([0.004, -0.003, 0.002, 0.05, -0.04, 0.06]))
