@@ -8,10 +8,8 @@ from contextlib import redirect_stdout
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
-import typer
-
 from hierax.runtime.commands.errors import FAILED, OK, CommandError
-from hierax.runtime.commands.options import Format, RecordingFile, RunOptions, WorldMode, offers, option
+from hierax.runtime.commands.options import Format, RecordingFile, RunOptions, WorldMode, argument, offers, option
 from hierax.runtime.commands.recordings import comparison_json, print_comparison, recording_of
 from hierax.runtime.commands.show import print_json
 
@@ -24,9 +22,7 @@ if TYPE_CHECKING:
 @offers("first", "last", "tolerance", "overrides", "trust", "output_format")
 def diff(
     file: RecordingFile,
-    other: Annotated[
-        str, typer.Argument(metavar="OTHER", help="A recording, a deployment file, or the name of a shipped one.")
-    ],
+    other: Annotated[str, argument("OTHER", "A recording, a deployment file, or the name of a shipped one.")],
     options: RunOptions,
     world: Annotated[
         WorldMode | None,

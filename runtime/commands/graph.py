@@ -105,9 +105,8 @@ def _print_tables(deployment: Deployment) -> None:
     if not content["edges"]:
         return
     print()
-    edges = [
-        (f"{edge['lower']} -> {edge['upper']}", *(edge[kind] or "" for kind in _FUNCTIONS)) for edge in content["edges"]
-    ]
+    given = content["edges"]
+    edges = [(f"{edge['lower']} -> {edge['upper']}", *(edge[kind] or "" for kind in _FUNCTIONS)) for edge in given]
     print_table({"edge": {}, **{kind: {} for kind in _FUNCTIONS}}, edges)
 
 

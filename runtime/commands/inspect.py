@@ -6,10 +6,8 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
-import typer
-
 from hierax.runtime.commands.errors import CommandError, notify
-from hierax.runtime.commands.options import Format, Full, Node, RunOptions, offers
+from hierax.runtime.commands.options import Format, Full, Node, RunOptions, argument, offers, option
 from hierax.runtime.commands.show import print_json
 from hierax.runtime.commands.which import client_at, endpoint_of, own_deployment
 
@@ -26,12 +24,8 @@ _UNSAID = ("process", "before")  # of what a node answers
 def inspect(
     node: Node,
     options: RunOptions,
-    file: Annotated[
-        Path | None, typer.Argument(metavar="FILE", help="A recording, in place of a launch.", dir_okay=False)
-    ] = None,
-    epoch: Annotated[
-        int | None, typer.Option("--epoch", min=1, metavar="K", help="Of a recording; by default its last one.")
-    ] = None,
+    file: Annotated[Path | None, argument("FILE", "A recording, in place of a launch.", dir_okay=False)] = None,
+    epoch: Annotated[int | None, option("--epoch", min=1)] = None,
     full: Full = False,
 ) -> int:
     """Show what a node has observed, believes, was told from above and does, after its last epoch, and why."""

@@ -23,7 +23,7 @@ from hierax.runtime.commands.launch import launch
 from hierax.runtime.commands.logs import logs
 from hierax.runtime.commands.membership import attach, detach, ps, replace
 from hierax.runtime.commands.new import new
-from hierax.runtime.commands.options import RunOptions
+from hierax.runtime.commands.options import RunOptions, option
 from hierax.runtime.commands.record import record
 from hierax.runtime.commands.replay import replay
 from hierax.runtime.commands.run import run
@@ -76,9 +76,7 @@ def _print_version(wanted: bool) -> None:
 
 @app.callback()
 def _options(
-    version: Annotated[
-        bool, typer.Option("--version", help="Print the version.", callback=_print_version, is_eager=True)
-    ] = False,
+    version: Annotated[bool, option("--version", callback=_print_version, is_eager=True)] = False,
 ) -> None:
     """Run cognitive hierarchies with perceptual context."""
 

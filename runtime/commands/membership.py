@@ -8,10 +8,8 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
-import typer
-
 from hierax.runtime.commands.errors import CommandError, notify
-from hierax.runtime.commands.options import Format, Node, RunOptions, Snippet, offers, option
+from hierax.runtime.commands.options import SNIPPET, Format, Node, RunOptions, Snippet, argument, offers, option
 from hierax.runtime.commands.show import RIGHT, print_json, print_table
 from hierax.runtime.commands.which import client_at, endpoint_of, own_deployment
 from hierax.runtime.core.errors import HieraxError
@@ -32,12 +30,7 @@ LOOK_S = 0.1
 @offers("run", "connect", "deployment_file", "trust", "output_format")
 def attach(
     options: RunOptions,
-    source: Annotated[
-        str,
-        typer.Argument(
-            metavar="SOURCE", help="A YAML snippet with nodes and edges, or the name of a node of the deployment file."
-        ),
-    ],
+    source: Annotated[str, argument("SOURCE", f"{SNIPPET}, or the name of a node of the deployment file.")],
     here: Annotated[bool, option("--here")] = False,
     host: Annotated[str | None, option("--host", help="With --here: this machine's address for the others.")] = None,
 ) -> int:

@@ -5,14 +5,12 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Annotated
 
-import typer
-
-from hierax.runtime.commands.options import Format, OutputFormat
+from hierax.runtime.commands.options import Format, OutputFormat, argument
 from hierax.runtime.commands.show import print_json
 
 
 def new(
-    name: Annotated[Path, typer.Argument(metavar="NAME", help="The project's name, or the path of its folder.")],
+    name: Annotated[Path, argument("NAME", "The project's name, or the path of its folder.")],
     output_format: OutputFormat = Format.text,
 ) -> int:
     """Begin a project: a folder with a node, a deployment file that runs at once, and tests. Overwrites nothing."""

@@ -26,6 +26,7 @@ _WORDS = """
 --deployment FILE: The launch's deployment file, where it has another path on this machine.
 --dry: Also call every operator and edge function once, on the initial beliefs; no actuator is moved, no probe is told,
     and nothing is written.
+--epoch K: Of a recording; by default its last one.
 --epochs N: How many epochs; by default what the file says, or until the world has finished.
 --exclude KEY-PATTERN: Leave out of the recording what comes on such keys: KIND/FROM/TO or steps/NODE, with * for any,
     as in obs/camera/*. May be given several times.
@@ -70,6 +71,7 @@ _WORDS = """
 --trace: Print all events of a single seed.
 --trust: Load and run, as yourself, whatever code is named by who is not known to be you.
 --verify: Compare every result and digest with the recording; exit code 1 where one differs.
+--version: Print the version.
 --wait EPOCH|NODE: First wait until a launch has committed this epoch, or has this node: a minute at most, and not for
     one that is over.
 --with NODE=MODULE:CLASS: Another class in a node's place. May be given several times.
@@ -84,6 +86,11 @@ def option(name: str, *more_names: str, **given: Any) -> Any:
     """An option by its name, with its words; what else is given is as `typer.Option` has it."""
     _, metavar, words = _OPTIONS[name].groups()
     return typer.Option(name, *more_names, **{"metavar": metavar, "help": " ".join(words.split()), **given})
+
+
+def argument(metavar: str, words: str, **given: Any) -> Any:
+    """An argument by its placeholder, with its words; what else is given is as `typer.Argument` has it."""
+    return typer.Argument(metavar=metavar, help=words, **given)
 
 
 class Format(str, Enum):
@@ -117,22 +124,16 @@ def deployments_here(incomplete: str) -> list[str]:
 
 
 _FILE = "A deployment file, or the name of a shipped deployment."
-File = Annotated[str, typer.Argument(metavar="FILE", help=_FILE, autocompletion=deployments_here)]
+File = Annotated[str, argument("FILE", _FILE, autocompletion=deployments_here)]
 LaunchedFile = Annotated[
-    str | None,
-    typer.Argument(metavar="FILE", help=f"{_FILE[:-1]}; none with --resume.", autocompletion=deployments_here),
+    str | None, argument("FILE", f"{_FILE[:-1]}; none with --resume.", autocompletion=deployments_here)
 ]
-RecordingFile = Annotated[Path, typer.Argument(metavar="FILE", help="A recording.", dir_okay=False)]
-Node = Annotated[str, typer.Argument(metavar="NODE", help="A node's name.", autocompletion=nodes_here)]
-Snippet = Annotated[str, typer.Argument(metavar="SOURCE", help="A YAML snippet with nodes and edges.")]
-Key = Annotated[
-    str,
-    typer.Argument(
-        metavar="KEY",
-        help="KIND/FROM/TO, where KIND is obs, task or ctx; * stands for any name, ** for all that is left.",
-        autocompletion=keys_here,
-    ),
-]
+RecordingFile = Annotated[Path, argument("FILE", "A recording.", dir_okay=False)]
+Node = Annotated[str, argument("NODE", "A node's name.", autocompletion=nodes_here)]
+SNIPPET = "A YAML snippet with nodes and edges"
+Snippet = Annotated[str, argument("SOURCE", f"{SNIPPET}.")]
+_KEY = "KIND/FROM/TO, where KIND is obs, task or ctx; * stands for any name, ** for all that is left."
+Key = Annotated[str, argument("KEY", _KEY, autocompletion=keys_here)]
 Run = Annotated[str | None, option("--run", autocompletion=runs_here)]
 Connect = Annotated[str | None, option("--connect")]
 Overrides = Annotated[list[str] | None, option("--set")]

@@ -10,7 +10,7 @@ from typing import Annotated
 import typer
 
 from hierax.runtime.commands.errors import CommandError, notify
-from hierax.runtime.commands.options import LARGEST, Format, RunOptions, offers, option
+from hierax.runtime.commands.options import LARGEST, Format, RunOptions, argument, offers, option
 from hierax.runtime.commands.recordings import claimed_file, report_ending, selection_of
 from hierax.runtime.commands.show import print_json
 from hierax.runtime.commands.which import client_of
@@ -21,8 +21,7 @@ def record(
     options: RunOptions,
     output: Annotated[Path, typer.Option("-o", "--output", metavar="FILE", help="The MCAP file.", dir_okay=False)],
     hierarchy: Annotated[
-        str | None,
-        typer.Argument(metavar="LAUNCH", help="Its hierarchy's name, or its run, as `hierax ps` lists them."),
+        str | None, argument("LAUNCH", "Its hierarchy's name, or its run, as `hierax ps` lists them.")
     ] = None,
     host: Annotated[str | None, option("--host", help="With --connect: this machine's address for the others.")] = None,
     epochs: Annotated[int | None, option("--epochs", min=1, max=LARGEST, help="Stop after N epochs.")] = None,

@@ -96,10 +96,7 @@ def comparison_json(comparison: Comparison) -> dict[str, Any]:
 
     difference = comparison.difference
     return {
-        "alike": comparison.alike,
-        "epochs": comparison.epochs,
-        "equal": comparison.equal,
-        "digests": comparison.digests,
+        **{name: getattr(comparison, name) for name in ("alike", "epochs", "equal", "digests")},
         "not_told": comparison.unknown,
         "rosters": [plain(each._asdict()) for each in comparison.rosters],
         "difference": None if difference is None else plain(difference._asdict()),

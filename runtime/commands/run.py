@@ -33,9 +33,8 @@ def run(file: File, options: RunOptions) -> int:
             taking.append(InProcess(deployment, options.seed, overrides, target, options.check, selection))
         try:
             recording = taking[0] if taking else None
-            return single.run(
-                deployment, schedule=schedule, watch=_spans(deployment), record=recording, breaker=Breaker(), **given
-            )
+            given.update(schedule=schedule, watch=_spans(deployment), record=recording, breaker=Breaker())
+            return single.run(deployment, **given)
         finally:
             for each in taking:
                 each.finish()

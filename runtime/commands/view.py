@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
+import importlib.util
 import sys
 from collections.abc import Callable
 from contextlib import AbstractContextManager, nullcontext, redirect_stdout
-from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -39,7 +39,7 @@ Shown = Annotated[
 )
 def view(options: RunOptions, source: Shown = None) -> int:
     """See what the nodes believe: of a launch that runs, a recording, or a run in this process."""
-    if find_spec("rerun") is None:
+    if importlib.util.find_spec("rerun") is None:
         raise CommandError("hierax view needs Rerun, the extra [view]: pip install 'hierax[view]'")
     if options.native and options.save is not None:
         raise CommandError("--native and --save: give one of them")

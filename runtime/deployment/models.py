@@ -125,9 +125,8 @@ class FunctionModel(_Model):
     enabled: bool = Field(default=True, description="false: the empty set, always")
 
 
-Function = Annotated[
-    FunctionModel | None, BeforeValidator(_written_out, json_schema_input_type=Target | FunctionModel | None)
-]
+_InShort = BeforeValidator(_written_out, json_schema_input_type=Target | FunctionModel | None)
+Function = Annotated[FunctionModel | None, _InShort]
 
 
 class EdgeModel(_Model):

@@ -171,18 +171,16 @@ def check_known(name: str, nodes: Iterable[str], document: Document, keys: Keys)
         raise document.error(keys, f"there is no node {name!r}{did_you_mean(name, nodes, 'the nodes are')}")
 
 
-def restart_policy(
-    model: models.RestartModel, otherwise: RestartPolicy, document: Document, keys: Keys
-) -> RestartPolicy:
+def restart_policy(said: models.RestartModel, otherwise: RestartPolicy, place: Document, keys: Keys) -> RestartPolicy:
     """What the model of a node, or of all, says about restarts, with the rest as another policy has it. The longest
     delay is then at least the first one; if it is given, and shorter, `DeploymentError` names its place in the
     document."""
-    given = {name: getattr(model, name) for name in models.RestartModel.model_fields if name in model.model_fields_set}
+    given = {name: getattr(said, name) for name in models.RestartModel.model_fields if name in said.model_fields_set}
     first_s = given.get("restart_delay_s", otherwise.restart_delay_s)
     longest_s = given.setdefault("max_restart_delay_s", max(first_s, otherwise.max_restart_delay_s))
     if longest_s < first_s:
         what = f"expected at least restart_delay, {first_s:g}, got {longest_s:g}"
-        raise document.error((*keys, "max_restart_delay"), what)
+        raise place.error((*keys, "max_restart_delay"), what)
     return replace(otherwise, **given)
 
 

@@ -88,7 +88,6 @@ def _key(make: bool) -> bytes:
     except OSError as error:
         raise NoKeyError(f"{path}: {error.strerror or error}") from error
     if len(key) != KEY_BYTES:
-        raise NoKeyError(
-            f"{path}: expected {KEY_BYTES} bytes that nobody else can read; remove it to have another made"
-        )
+        what = f"expected {KEY_BYTES} bytes that nobody else can read; remove it to have another made"
+        raise NoKeyError(f"{path}: {what}")
     return key

@@ -23,17 +23,11 @@ _LARGEST_RECORD = 1 << 30
 
 @dataclass(frozen=True)
 class Recording:
-    """A recording; what is in it is read when it is asked for.
+    """A recording; what is in it is read when it is asked for."""
 
-    Attributes:
-        path: of the file.
-        info: what it is of.
-        ending: how it ended; None: it was cut off, its recorder was killed.
-    """
-
-    path: Path
-    info: RunInfo
-    ending: Ending | None
+    path: Path  # of the file
+    info: RunInfo  # what it is of
+    ending: Ending | None  # how it ended; None: it was cut off, its recorder was killed
 
     @staticmethod
     def open(path: Path | str) -> Recording:
@@ -66,14 +60,8 @@ class Recording:
         return "; ".join(lacks)
 
     def entries(self, *what: str) -> Iterator[Entry]:
-        """All that was recorded, in the order in which it was heard.
-
-        Args:
-            what: kinds, as `hierax.runtime.recording.topics` has them; none: all.
-
-        Raises:
-            RecordingError: the file is damaged.
-        """
+        """All that was recorded, in the order in which it was heard. `what`: kinds, as
+        `hierax.runtime.recording.topics` has them; none: all. Raises `RecordingError` if the file is damaged."""
         from mcap.records import Channel
         from mcap.records import Message as McapMessage
 
@@ -90,16 +78,9 @@ class Recording:
     def messages(
         self, first: int = 0, last: int | None = None, node: str | None = None, kind: str | None = None
     ) -> Iterator[tuple[int, Message]]:
-        """Messages along edges, of all attempts, in the order in which they were heard.
-
-        Args:
-            first, last: epochs.
-            node: sender or receiver.
-            kind: obs, task or ctx.
-
-        Yields:
-            When it came, in nanoseconds since 1970, and the message.
-        """
+        """Messages along edges, of all attempts, in the order in which they were heard. `first`, `last`: epochs.
+        `node`: sender or receiver. `kind`: obs, task or ctx. Yields when it came, in nanoseconds since 1970, and the
+        message."""
         for entry in self.entries(MESSAGE):
             _, entry_kind, names = entry.topic
             outside = entry.epoch < first or (last is not None and entry.epoch > last)

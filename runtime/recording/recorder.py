@@ -130,9 +130,8 @@ class Recorder:
         that one is written, too: in it the nodes told the states with which this one begins."""
         held, self._held = self._held, None
         first = self.ledger.first - 1 if self._barrier else 0
-        for entry in sorted(
-            held or (), key=lambda entry: entry.topic.what != ROSTER
-        ):  # no epoch is read before its roster
+        # no epoch is read before its roster
+        for entry in sorted(held or (), key=lambda entry: entry.topic.what != ROSTER):
             if (not entry.epoch or entry.epoch >= first) and self.ledger.wants(entry.epoch):
                 self._write(entry)
 

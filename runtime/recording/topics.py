@@ -138,6 +138,7 @@ _GLANCED_BYTES = 4096
 _HEAD = (int, str, str, int, int, int, int, float, bytes)
 _WHOLE: dict[str, Any] = {"type": "integer", "minimum": 0}
 _TEXT: dict[str, Any] = {"type": "string"}
+_BOOLEAN: dict[str, Any] = {"type": "boolean"}
 _BYTES: dict[str, Any] = {"description": "bytes"}
 _KIND = {"enum": [*range(len(KINDS))], "description": ", ".join(f"{i}: {kind}" for i, kind in enumerate(KINDS))}
 _BY_TYPE = {int: _WHOLE, str: _TEXT, bytes: _BYTES, float: {"type": "number"}, tuple: {"type": "array"}}
@@ -182,9 +183,7 @@ _SCHEMAS: dict[str, dict[str, Any]] = {
         "type": "array",
         "description": "what the roster's owner and the processes say to one another; see hierax.schemas.control",
     },
-    TOKEN: _array(
-        "hierax.Token", "A node's process appeared, or is gone.", name=_TEXT, process=_TEXT, up={"type": "boolean"}
-    ),
+    TOKEN: _array("hierax.Token", "A node's process appeared, or is gone.", name=_TEXT, process=_TEXT, up=_BOOLEAN),
 }
 
 

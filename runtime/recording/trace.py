@@ -235,18 +235,16 @@ class Assembly:
             step = steps.get(attempt) if self._barrier else steps[max(steps)]
             if step is not None and name in roster.nodes:
                 nodes[name] = NodeTrace(step, self._place)
-        told = next((trace.step for trace in nodes.values()), None)
+        one = next((trace.step for trace in nodes.values()), None)
         for name in roster.nodes.keys() - nodes.keys():
             later = self._state_from(name, epoch + 1)
-            if later is not None and told is not None and self._barrier:
-                taken = later._replace(epoch=epoch, attempt=attempt, roster=roster.version, time_s=told.time_s)
+            if later is not None and one is not None and self._barrier:
+                taken = later._replace(epoch=epoch, attempt=attempt, roster=roster.version, time_s=one.time_s)
                 nodes[name] = NodeTrace(taken, self._place)
         digest = (world[attempt].chain if world else b"") or pending.digest
         previous = self._digest[1] if self._digest[0] == epoch - 1 else b""
-        in_order = dict(sorted(nodes.items()))
-        return EpochTrace(
-            epoch, attempt, roster, in_order, pending.lines, digest, pending.heard_ns, previous, self._place
-        )
+        told = (pending.lines, digest, pending.heard_ns, previous, self._place)
+        return EpochTrace(epoch, attempt, roster, dict(sorted(nodes.items())), *told)
 
     def _state_from(self, name: str, epoch: int) -> NodeStep | None:
         """What the next process of a node that died before it could tell began the next epoch with."""

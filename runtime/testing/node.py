@@ -101,10 +101,8 @@ def make_inputs(observations: Inputs, tasks: Inputs, context: Inputs, epochs: in
     def at(elements: Inputs, index: int) -> Elements:
         return tuple(elements[index % len(elements)]) if elements else ()
 
-    return [
-        Input(index + 1, float(index), at(observations, index), at(tasks, index), at(context, index))
-        for index in range(count)
-    ]
+    given = (observations, tasks, context)
+    return [Input(index + 1, float(index), *(at(each, index) for each in given)) for index in range(count)]
 
 
 class _Trial:

@@ -46,10 +46,9 @@ def in_line(value: Value, most: int | None = None) -> str:
     if isinstance(value, np.ndarray):
         return _array_in_line(value, most)
     if isinstance(value, (dict, tuple, list)):
-        items = islice(value.items() if isinstance(value, dict) else ((None, item) for item in value), most)
-        texts = [
-            f"{key}: {in_line(item, most)}" if isinstance(value, dict) else in_line(item, most) for key, item in items
-        ]
+        keys = [f"{key}: " for key in value] if isinstance(value, dict) else [""] * len(value)
+        items = value.values() if isinstance(value, dict) else value
+        texts = [f"{key}{in_line(item, most)}" for key, item in islice(zip(keys, items, strict=True), most)]
         joined = ", ".join(texts + ["…"] * (len(texts) < len(value)))
         return f"{{{joined}}}" if isinstance(value, dict) else f"[{joined}]"
     return repr(value) if isinstance(value, str) and most is None else str(value)

@@ -125,9 +125,8 @@ def _labels(thing: showing.Labels) -> Parts:
     labels = np.asarray(thing.labels)
     names, colours = thing.names or {}, thing.colours or {}
     known = sorted({int(label) for label in np.unique(labels)} | set(names) | set(colours))
-    shown = {
-        label: (*colours.get(label, showing.colour_of(label))[:3], 255) if label else (0, 0, 0, 0) for label in known
-    }
+    colours = {label: showing.colour_of(label) for label in known} | dict(colours)
+    shown = {label: (*colours[label][:3], 255) if label else (0, 0, 0, 0) for label in known}
     classes = [rr.AnnotationInfo(label, names.get(label), colour) for label, colour in shown.items()]
     return [("", rr.AnnotationContext(classes)), ("", rr.SegmentationImage(labels, opacity=thing.opacity))]
 

@@ -19,16 +19,7 @@ WORK = (OBSERVE, POLICY, PREDICT, EDGES, ACT, OTHER)
 
 EPOCHS_KEPT = 512  # how many durations, of the last epochs, are kept
 
-_KINDS = {
-    "observe": OBSERVE,
-    "select_policy": POLICY,
-    "policy": POLICY,
-    "predict": PREDICT,
-    "sense": EDGES,
-    "task": EDGES,
-    "context": EDGES,
-    "act": ACT,
-}
+_KINDS = {kind: kind for kind in WORK} | {"select_policy": POLICY, **dict.fromkeys(("sense", "task", "context"), EDGES)}
 
 
 def kind_of(operator: str) -> str:

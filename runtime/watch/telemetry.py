@@ -119,9 +119,8 @@ class Spans(Watcher):
         kind = called.operator.partition(" ")[0]  # there may be any number of policies
         name = kind if called.subject == self._node else f"{kind} {called.subject}"
         attributes = {"hierax.operator": called.operator, "hierax.subject": called.subject}
-        child = self._tracer.start_span(
-            name, set_span_in_context(span), attributes=attributes, links=links, start_time=begun
-        )
+        above = set_span_in_context(span)
+        child = self._tracer.start_span(name, above, attributes=attributes, links=links, start_time=begun)
         child.end(self._mark)
 
     def sending(self, message: Message) -> Message:
