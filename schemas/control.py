@@ -21,10 +21,8 @@ class Prepare(NamedTuple):
     """Owner to process: get ready for a version of the roster (as `Roster.plain` gives it), and say so."""
 
     roster: dict[str, Value]
-    # The nodes in it that fail alone: what they or their edges raise is told, and ends no process.
-    alone: tuple[str, ...] = ()
-    # Likewise, in the first epoch under it: what they replace waits until that is committed.
-    tried: tuple[str, ...] = ()
+    alone: tuple[str, ...] = ()  # the nodes in it that fail alone: what they raise is told, and ends no process
+    tried: tuple[str, ...] = ()  # likewise, in the first epoch: what they replace waits until its commit
 
 
 class Unchanged(NamedTuple):

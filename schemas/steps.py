@@ -42,10 +42,8 @@ class NodeStep(NamedTuple):
     state: bytes  # the state after it, encoded as [belief, policy, actions]
     sensed: bytes = b""  # the belief after `observe`, encoded; empty for the world, which does not observe
     start: bytes = b""  # in the first step of a stream the state at the epoch's start, encoded; else empty
-    # Where inputs may be of other epochs, which ones were used: (sender, kind, epoch, attempt).
-    used: tuple[tuple[str, str, int, int], ...] = ()
-    # What went in and out since the last step, in order; some may be of the next epoch.
-    passages: tuple[Passage, ...] = ()
+    used: tuple[tuple[str, str, int, int], ...] = ()  # which others were used: (sender, kind, epoch, attempt)
+    passages: tuple[Passage, ...] = ()  # what went in and out since the last step, some perhaps of the next
     chain: bytes = b""  # of the world's step the run's digest of the epoch, where it is known; else empty
 
     @property

@@ -250,8 +250,7 @@ class Graph(_Thing):
 
     nodes: Mapping[str, str]  # a text for each name; may have several lines
     edges: Sequence[tuple[str, str]] = ()  # pairs of names
-    # Where each node is drawn, (x, y), y down; those that are not said find a place.
-    places: Mapping[str, tuple[float, float]] | None = None
+    places: Mapping[str, tuple[float, float]] | None = None  # where each is drawn, (x, y), y down; None: anywhere
     colours: Mapping[str, Colour] | None = None  # by name
     directed: bool = True  # whether edges are arrows
 

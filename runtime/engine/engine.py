@@ -54,8 +54,7 @@ class Engine:
         effects: EngineEffects,
         *,
         saved: Saved | None = None,  # where a crashed process of the node goes on; None: at the beginning
-        # Whether it comes into a run that may have begun: then it begins with the first epoch that it hears of.
-        joins: bool = False,
+        joins: bool = False,  # whether it comes into a run: then it begins with the first epoch that it hears of
     ) -> None:
         self._effects = effects
         self.events = False  # whether every call gives an event; may be set at any time, by any thread

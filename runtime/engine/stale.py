@@ -69,8 +69,7 @@ class StaleEngine(Engine):
         self._is_rewired = True
         self.drains = False
         self.ages = Ages()
-        # For each slot, of which epoch and attempt the input is that was used last.
-        self.used: dict[Slot, tuple[int, int]] = {}
+        self.used: dict[Slot, tuple[int, int]] = {}  # by slot, the epoch and attempt of the input that was used last
         self._sent_in: dict[int, dict[Slot, Message]] = {}
         if staleness.free:
             self._epochs_ahead = inf  # nobody waits for a node that is slow

@@ -128,8 +128,7 @@ class Row(NamedTuple):
 
     verdict: Verdict  # of a message that fits this row, and none before it
     action: Action  # what is done with the message
-    # Whether it does, of where the node stands, the message's header, and its sender and kind.
-    fits: Callable[[Standing, Header, Slot], bool]
+    fits: Callable[[Standing, Header, Slot], bool]  # whether it does, of where the node stands, header and slot
 
 
 def _is_foreign(at: Standing, header: Header, slot: Slot) -> bool:

@@ -22,8 +22,7 @@ class Place:
 
     roster: int = 0  # the roster's version
     roster_hash: bytes = NO_DIGEST  # hash of its content; nobody but the world needs it
-    # Instance numbers, of the node itself and of its neighbours.
-    instances: Mapping[str, int] = field(default_factory=dict)
+    instances: Mapping[str, int] = field(default_factory=dict)  # instance numbers, of the node and its neighbours
     tasking: frozenset[Pair] = frozenset()  # the edges (lower, upper) that have a task function ψ
 
     @staticmethod

@@ -25,8 +25,7 @@ class Pacemaker:
     limit: int | None  # how many epochs; None: until the world has finished
     on_commit: Callable[[int, bytes], None]  # told each epoch and its digest, after the next one has begun
     clock: Clock = time.perf_counter  # seconds
-    # How long each epoch took, from its beginning to its commit; of the last `EPOCHS_TIMED`.
-    epochs_s: deque[float] = field(default_factory=lambda: deque(maxlen=EPOCHS_TIMED))
+    epochs_s: deque[float] = field(default_factory=lambda: deque(maxlen=EPOCHS_TIMED))  # from beginning to commit
     first_s: float | None = None
     last_s: float = 0.0
     done: bool = False

@@ -35,17 +35,14 @@ class Report:
     seed: int  # of all random numbers
     digest: str  # of the last epoch, hexadecimal
     wall_s: float  # from the beginning of the first epoch to the commit of the last, in seconds
-    # Median and 99th percentile of an epoch's time, in microseconds; None where there was no epoch.
-    p50_us: float | None
+    p50_us: float | None  # median of an epoch's time, in microseconds; None where there was no epoch
     p99_us: float | None  # likewise
     nodes: Mapping[str, NodeReport]  # by name
     output: Path | None = None  # the folder that states and results were written to, or None
-    # From the start of the processes to the first epoch, in seconds; None in a single process.
-    start_s: float | None = None
+    start_s: float | None = None  # from the start of the processes to the first epoch, in seconds; None in one process
     epochs_us: Sequence[float] = field(default=(), repr=False)  # how long each epoch took, in microseconds
     interrupted: bool = False  # whether the run was broken off by a signal; then all is of the last epoch committed
-    # Of a run that was broken off, the nodes whose state is not told, and why.
-    unreported: Mapping[str, str] = field(default_factory=dict)
+    unreported: Mapping[str, str] = field(default_factory=dict)  # the nodes whose state is not told then, and why
 
     @property
     def epochs_per_s(self) -> float | None:
@@ -72,8 +69,7 @@ class Interrupted(KeyboardInterrupt):
     """A run was broken off by a signal."""
 
     def __init__(self, report: Report, unreported: Mapping[str, str]) -> None:
-        # What was committed until then; its `interrupted` is true.
-        self.report = replace(report, interrupted=True, unreported=unreported)
+        self.report = replace(report, interrupted=True, unreported=unreported)  # what was committed until then
         super().__init__("the run was broken off by a signal")
 
 

@@ -76,8 +76,7 @@ class WorldMember(World, OwnerEffects):
         processes: Mapping[str, str],  # those that live, by node; where there are two of a node, by any other key, too
         roster: Roster | None,  # with which the run begins; its links are open. None: it goes on by the world's record.
         *,
-        # What is done about an act of which nobody knows whether it was done.
-        on_uncertain_act: OnUncertainAct = "repeat",
+        on_uncertain_act: OnUncertainAct = "repeat",  # about an act of which nobody knows whether it was done
         # Whether a world without neighbours, which waits for nobody, waits for `resume` between two epochs, so that
         # what is said to it is heard.
         pauses: bool = False,

@@ -45,8 +45,7 @@ class InspectionServer:
     name: str  # of the node
     process: str  # the process's token
     observers: Observers  # of the node
-    # Gives the roster in force where this is the world's process and the run has begun; else None.
-    roster: Callable[[], Roster | None]
+    roster: Callable[[], Roster | None]  # of the world's process, once the run has begun, gives the roster in force
     endpoint: InspectionEndpoint  # where they come in
     busy: Callable[[], str]  # the operator that the node's thread is in, as ``OPERATOR of SUBJECT``; empty: in none
 

@@ -37,8 +37,7 @@ class LaunchOptions:
     output: Path | None = None  # folder for the states, digests and what probes write; None: nothing is written
     host: str | None = None  # address of this machine at which processes on others may join; None: none may
     overrides: Sequence[str] = ()  # with which the deployment file was read, for those who read it again
-    # By node, where its first process kills itself, its second one, and so on; see `hierax.runtime.launch.faults`.
-    faults: Mapping[str, Sequence[str]] = field(default_factory=dict)
+    faults: Mapping[str, Sequence[str]] = field(default_factory=dict)  # by node, where its processes kill themselves
 
 
 class Orders:
@@ -51,8 +50,7 @@ class Orders:
         self.run_id = run_id  # the identification of the run
         self.hub = hub  # endpoint of the supervisor
         self.options = options  # of the launch
-        # With which the deployment file was read; of secret ones the paths alone.
-        self.overrides = public_settings(options.overrides, deployment.zenoh)
+        self.overrides = public_settings(options.overrides, deployment.zenoh)  # of secret ones the paths alone
         self.resumed_after = 0  # the last epoch that was committed before the run was resumed
         self.recorders: set[int] = set()  # the processes that record the run, or have; 0: one on another machine
         self.resumes = resumed is not None  # whether the run goes on with one that was written down

@@ -49,8 +49,7 @@ def launch(
     epochs: int | None,  # how many; None: the deployment's number, or until the world has finished
     seed: int,  # of all random numbers
     output: Path | None = None,  # folder for the states, digests and what probes write; None: nothing is written
-    # Told the number of each epoch that is committed, as far as one can be told without holding the run up.
-    progress: Callable[[int], None] | None = None,
+    progress: Callable[[int], None] | None = None,  # told the number of each epoch committed, without holding the run
     notify: Notify = lambda what: None,  # told what happens to the processes
     state: Path | None = None,  # folder of the checkpoints, which stays; None: one that goes with the run
     resumed: Run | None = None,  # go on with this run, whose checkpoints are in `state`

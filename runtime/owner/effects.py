@@ -16,13 +16,10 @@ class OwnerPolicy:
     """What the deployment says."""
 
     modules: tuple[str, ...] = ()  # from which code may be loaded
-    # By node, `RESTART`, `DETACH` or `STOP`; `RESTART` where it says nothing.
-    on_loss: Mapping[str, str] = field(default_factory=dict)
-    # By node, how long a lost one may take to come back.
-    rejoin_timeout_s: Mapping[str, float] = field(default_factory=dict)
+    on_loss: Mapping[str, str] = field(default_factory=dict)  # by node; `RESTART` where it says nothing
+    rejoin_timeout_s: Mapping[str, float] = field(default_factory=dict)  # how long a lost node may take to return
     alone: tuple[str, ...] = ()  # the nodes that are detached when an operator or edge function of theirs raises
-    # How long an epoch may take before it is asked who waits for whom; None: for ever.
-    epoch_deadline_s: float | None = None
+    epoch_deadline_s: float | None = None  # how long an epoch may take before it is asked who waits; None: for ever
     start_timeout_s: float = 30.0  # how long a new node's process may take to come up
     answer_timeout_s: float = 5.0  # how long a process may take to answer the owner
     overlaps: bool = False  # whether epochs overlap (a staleness): the roster changes after a drained epoch

@@ -39,13 +39,11 @@ class Members:
         # By node in force.
         self.born: dict[str, Born] = {name: (born or {}).get(name, (0, 1, "")) for name in roster.nodes}
         self.lost: dict[str, float] = {}  # the nodes that have no process, and since when
-        # Processes to come, by node and the request that they are for; in the place of a lost one, that is empty.
-        self.newcomers: dict[tuple[str, str], str] = {}
+        self.newcomers: dict[tuple[str, str], str] = {}  # to come, by node and request; empty for a lost one
         self.ended: dict[tuple[str, str], float] = {}  # nodes and processes that are to be killed, and since when
         self._effects = effects
         self._clock = clock
-        # The nodes that are detached when an operator or edge function of theirs raises.
-        self.alone = frozenset(policy.alone if alone is None else alone)
+        self.alone = frozenset(policy.alone if alone is None else alone)  # those that are detached when they raise
         self.failures: dict[str, str] = {}  # by node that was detached for that, why
         self._on_loss = dict(policy.on_loss)
         self._rejoin_timeout_s = dict(policy.rejoin_timeout_s)
@@ -54,8 +52,7 @@ class Members:
         self._refused: dict[str, str] = {}
         self._heard_s: dict[str, float] = {}
         self._saved: dict[str, tuple[int, int]] = {}
-        # The node that has replaced another one, and whose first epoch is not committed yet.
-        self.trial = None if tried is None else self._trial(*tried)
+        self.trial = None if tried is None else self._trial(*tried)  # what has replaced a node in this epoch
         self._outlived: list[tuple[str, str]] = []
         self._undone: dict[str, tuple[int, int]] = {}
         for name in sorted(roster.nodes.keys() - self.processes.keys()):

@@ -36,8 +36,7 @@ class Slots:
     """The last two records of a storage; not for two threads at once. Raises `HieraxError` if the storage fails."""
 
     def __init__(self, storage: Storage) -> None:
-        # Where they are; it is read, and the next record goes where the newest whole one is not.
-        self._storage = storage
+        self._storage = storage  # where they are; the next record goes where the newest whole one is not
         self._sequence = max(read.sequence for read in self.read())
 
     def write(self, data: bytes) -> None:

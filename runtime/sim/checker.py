@@ -63,8 +63,7 @@ class Checker:
         self._candidates: dict[int, End] = {}
         self.acts: Counter[int] = Counter()
         self.excused = False  # whether a run may give up: a slot was damaged, or somebody else spoke in a node's name
-        # Whether a node was told of an attempt that nobody has begun, so it may have left the committed one.
-        self.foretold = False
+        self.foretold = False  # whether a node was told of an attempt that nobody has begun, and may be there
         self.uncertain: set[int] = set()  # epochs in whose act, or record of it, the world's process died
         self.version = -1
         self._in_force = {scenario.roster.version: scenario.roster}

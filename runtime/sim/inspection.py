@@ -36,8 +36,7 @@ class Inspector:
     violated: Callable[[str], None]  # told what is wrong
     process_of: Callable[[int, str], str | None]  # the process that runs a node under a version
     starts: Callable[[Turn], None]  # called when a node begins a turn, before its first operator
-    # Called before each operator and edge function, with the epoch; what it raises, that one raises.
-    calls: Callable[[Call, int], None]
+    calls: Callable[[Call, int], None]  # called before each operator, with the epoch; what it raises, that raises
 
     def __post_init__(self) -> None:
         self.turn = Turn(-1, 0, -1)  # that the node is in

@@ -21,8 +21,7 @@ class SimStorage(Storage):
         self._rng = rng
         self._slots = [bytes(BLOCK_BYTES)] * SLOTS
         self._last = 0
-        # Asked before each write whether the process dies in the middle of it.
-        self.tears: Callable[[], bool] = lambda: False
+        self.tears: Callable[[], bool] = lambda: False  # asked before each write whether the process dies in it
 
     def write(self, slot: int, data: bytes) -> None:
         if self.tears():

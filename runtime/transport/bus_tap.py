@@ -88,8 +88,7 @@ class BusTap:
         endpoint: str,  # of the run's hub
         keys: Keys,  # of the run
         zenoh_config: ZenohConfig = None,  # Zenoh's own configuration
-        # Address of this machine at which processes on others may link; None: this machine's only.
-        host: str | None = None,
+        host: str | None = None,  # address of this machine at which others may link; None: this machine's only
         queue_bytes: int = QUEUE_BYTES,  # how much the queue holds
     ) -> None:
         listen = (f"tcp/{host}:0",) if host else ("tcp/127.0.0.1:0",)

@@ -28,10 +28,8 @@ class ControlLine:
     keys: Keys  # of the run
     address: str  # where this end is reached
     accepts: tuple[type, ...]  # the kinds of messages that are for this end; others are refused, and logged
-    # Called with each message and its size in bytes, in a thread of Zenoh's: it must not take long.
-    heard: Callable[[Control, int], None]
-    # How long a message the session's links carry; None: any. A longer one is not sent, and logged.
-    most_bytes: int | None = None
+    heard: Callable[[Control, int], None]  # told each message and its bytes, in Zenoh's thread: must not take long
+    most_bytes: int | None = None  # what the session's links carry; None: any. Longer ones are not sent, and logged
 
     def __post_init__(self) -> None:
         self._subscriber: Any = self.session.declare_subscriber(self.keys.control(self.address), self._on_sample)

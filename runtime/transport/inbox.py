@@ -34,8 +34,7 @@ class Inbox:
     """The messages for one node, in the order in which they came."""
 
     def __init__(self, subscriber: zenoh.Subscriber[Any], wake: Callable[[], None]) -> None:
-        # Whether the node's thread is to look at something else; who takes messages takes that back.
-        self.interrupted = False
+        self.interrupted = False  # whether the node's thread is to look elsewhere; who takes messages ends that
         self._subscriber = subscriber  # to their keys, with a queue of `QUEUE_SIZE`
         self._wake = wake  # puts something there; waits while it is full
         self._deciding = threading.Lock()  # held for no longer than it takes to see whether the node's thread sleeps

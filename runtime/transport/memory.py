@@ -17,8 +17,7 @@ QUEUE_SIZE = 1024  # how many messages a lane holds at most
 class MemoryNetwork:
     """Ports that reach one another in memory; messages travel as bytes, in an order that the seed decides."""
 
-    # Shown the header and the bytes of every message; None: nobody is.
-    tap: Callable[[Header, bytes], None] | None = None
+    tap: Callable[[Header, bytes], None] | None = None  # shown header and bytes of every message; None: nobody is
 
     def __init__(self, seed: int = 0, queue_size: int = QUEUE_SIZE) -> None:
         self._random = np.random.Generator(np.random.PCG64(seed))

@@ -65,11 +65,9 @@ _BATCH = "transport/link/tx/batch_size"
 def open_session(
     listen: Sequence[str] = (LOOPBACK,),  # Zenoh endpoints
     connect: Sequence[str] = (),  # likewise
-    # Zenoh's own configuration; it wins over ours, and over the file that ZENOH_CONFIG names.
-    zenoh_config: ZenohConfig = None,
+    zenoh_config: ZenohConfig = None,  # Zenoh's own; it wins over ours, and over the file that ZENOH_CONFIG names
     shared_memory: bool = True,  # whether large messages may go through shared memory
-    # A ``peer`` links directly to every peer it hears of; a ``client`` only to what it connects to.
-    mode: Literal["peer", "client"] = "peer",
+    mode: Literal["peer", "client"] = "peer",  # a ``peer`` links to all it hears of; a ``client`` as it connects
     # Links to others that want the same are written to at once, by the thread that sends, without priorities. They
     # carry messages of up to `LOW_LATENCY_BYTES`, and whoever sends to a peer that reads no more waits as soon as the
     # buffers between them are full. Links to others are as ever.
