@@ -23,6 +23,7 @@ class SlowOwner:
         self.tokens = {"world": "w"}
         self.reading = threading.Event()
         self.go_on = threading.Event()
+        self.members = self.progress = self
 
     @property
     def roster(self) -> Roster:
