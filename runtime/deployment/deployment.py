@@ -27,13 +27,9 @@ class RestartPolicy:
     first five; the roster's owner waits for it by the last two. The defaults start a process that was killed again at
     once, as far as anybody can see, and give up on one that falls over again and again within some seconds."""
 
-    # After which end another process is started: ``never``; ``on-failure``, an exit code other than 0 or a signal;
-    # ``always``
-    restart_policy: Literal["never", "on-failure", "always"] = "on-failure"
+    restart_policy: Literal["never", "on-failure", "always"] = "on-failure"  # after which end of a process
     max_restarts: int = 5  # how many within the window; the next end of the process is its last. 0: no limit.
-    # From the end of the process to a restart, doubled for each one within the window; a node's very first one is at
-    # once
-    restart_delay_s: float = 0.1
+    restart_delay_s: float = 0.1  # until a restart, doubled for each one within the window; the very first is at once
     max_restart_delay_s: float = 5.0  # what it is doubled up to
     restart_window_s: float | None = 60.0  # restarts before so many seconds count no more; None: all count
     rejoin_timeout_s: float = 10.0  # how long the epoch is held for a lost node, back-off included
@@ -52,8 +48,7 @@ class ViewSpec:
     """How a viewer shows a deployment; no part of the run."""
 
     show: str | None = None  # ``module:name`` of a function of all nodes' steps of an epoch, or None
-    # Columns, each of cells from top to bottom, each with the names of views that share it; None: by what the nodes
-    # show
+    # columns of cells from top to bottom, each with the names of views that share it; None: by what nodes show
     layout: tuple[tuple[tuple[str, ...], ...], ...] | None = None
 
 
@@ -67,24 +62,16 @@ class Deployment:
     epochs: int | None  # how many by default; None: until the world says finished
     roster: Roster  # nodes and edges
     probes: tuple[ProbeSpec, ...]  # in the file's order; where errors name one, it is ``probes[i]``
-    # ``package.module`` or ``package.*``: from which code may be loaded, now and when the roster changes; all modules
-    # that the file names are among them
-    modules: tuple[str, ...]
+    modules: tuple[str, ...]  # from which code may be loaded, now and later; those that the file names are among them
     restarts: Mapping[str, RestartPolicy]  # by node, of all nodes
     restart: RestartPolicy  # of nodes that are attached later and say nothing else
-    # Checkpoints outlive the death of a ``process``, or also that of the ``host``
-    durability: Literal["process", "host"]
-    # How long an epoch may take before who holds it up counts as lost, in seconds; None: for ever
-    epoch_deadline_s: float | None
-    # Whether a world of which nobody knows if it acted acts again, ``repeat`` (at least once), or not, ``skip`` (at
-    # most once)
-    on_uncertain_act: Literal["repeat", "skip"]
+    durability: Literal["process", "host"]  # whose death checkpoints outlive
+    epoch_deadline_s: float | None  # how long until who holds an epoch up counts as lost, in seconds; None: for ever
+    on_uncertain_act: Literal["repeat", "skip"]  # of a world of which nobody knows if it acted: at least, at most once
     staleness: Staleness  # how old inputs from above may be
-    # By node, how often at most it takes part in an epoch of a free run; of all that say so
-    rates_hz: Mapping[str, float]
+    rates_hz: Mapping[str, float]  # by node, how often at most it takes part in an epoch of a free run, if it says so
     start_timeout_s: float  # how long all nodes may take to come up, in seconds
-    # Zenoh's own settings: a map, JSON5 text in braces, or the path of a file; None where none are given
-    zenoh: Mapping[str, Value] | str | None
+    zenoh: Mapping[str, Value] | str | None  # its own settings: a map, JSON5 text in braces, or the path of a file
     low_latency: bool  # whether processes have links that carry short messages more quickly, and no long ones
     import_paths: tuple[str, ...]  # folders in which the deployment's own modules are looked for
     document: Document = field(repr=False, compare=False)  # where everything stands in the file

@@ -16,11 +16,9 @@ class Document:
 
     place: str  # the file's name, as errors show it
     root: dict[str, Any]  # the map at the top
-    # By path, the line of every value in the file, the ``--set`` that a value comes from, and the parameter that it was
-    # taken from
-    lines: dict[Keys, int]
-    changed: dict[Keys, str] = field(default_factory=dict)
-    origins: dict[Keys, str] = field(default_factory=dict)
+    lines: dict[Keys, int]  # by path, of every value in the file
+    changed: dict[Keys, str] = field(default_factory=dict)  # the ``--set`` that a value comes from
+    origins: dict[Keys, str] = field(default_factory=dict)  # the parameter that it was taken from
     outer: Document | None = None  # the document whose parameters are meant, where it is another one
 
     @property

@@ -25,8 +25,7 @@ class Scheduled(NamedTuple):
 
     epoch: int
     change: Change
-    # Of its new nodes, those that are detached when an operator or edge function of theirs raises
-    alone: frozenset[str] = frozenset()
+    alone: frozenset[str] = frozenset()  # its new nodes that are detached when a function of theirs raises
 
 
 def read_schedule(texts: Sequence[str], deployment: Deployment) -> tuple[Scheduled, ...]:

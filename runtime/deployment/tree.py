@@ -66,12 +66,10 @@ for _kind, _pattern, _first in (
 class Tree:
     """Values read from YAML."""
 
-    # What errors name: the file, or the ``--set``; and whether they name the line, too
-    place: str
-    has_lines: bool = True
+    place: str  # what errors name: the file, or the ``--set``
+    has_lines: bool = True  # whether they name the line, too
     value: Any = None  # the root
-    # Of every value, by path, counted from 1; of a map's entry, its key's
-    lines: dict[Keys, int] = field(default_factory=dict)
+    lines: dict[Keys, int] = field(default_factory=dict)  # of every value, by path, from 1; of a map's entry, its key's
 
     def at(self, line: int) -> str:
         """A line's place, for errors."""

@@ -46,8 +46,7 @@ def module_of(target: str) -> str:
 class Allowance:
     """The modules from which code may be loaded."""
 
-    # ``package.module`` is that module alone, ``package.*`` the package and all that is inside it
-    modules: tuple[str, ...]
+    modules: tuple[str, ...]  # ``package.module``, that alone, or ``package.*``, the package and all inside it
 
     def with_modules(self, modules: Iterable[str]) -> Allowance:
         """This one, and further modules."""

@@ -30,9 +30,7 @@ class Difference(NamedTuple):
 
     epoch: int
     subject: str  # the node, or the edge as ``lower->upper``
-    # Whose result differs: an operator, a policy as ``policy NAME``, an edge function; ``time`` and ``digest`` where
-    # that is all that does
-    operator: str
+    operator: str  # or policy, as ``policy NAME``, or edge function; ``time`` or ``digest`` where that is all
     path: str
     a: Value
     b: Value
@@ -51,13 +49,11 @@ class RosterDifference(NamedTuple):
 class Comparison:
     """What became of a comparison of two runs."""
 
-    # How many there are on both sides, and how many of them were equal, up to the first difference
-    epochs: int = 0
-    equal: int = 0
+    epochs: int = 0  # that are on both sides, up to the first difference
+    equal: int = 0  # how many of them were
     last: int = 0  # the last epoch that was compared; 0: none
-    # The first one; where the rosters differ, the first time that they do
-    difference: Difference | None = None
-    rosters: list[RosterDifference] = field(default_factory=list)
+    difference: Difference | None = None  # the first one
+    rosters: list[RosterDifference] = field(default_factory=list)  # where they differ, the first time that they do
     unknown: int = 0  # how many results one of both did not tell, so that they were not compared
     digests: int = 0  # how many digests were compared
 

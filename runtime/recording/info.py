@@ -35,29 +35,23 @@ class RecordingError(HieraxError):
 class RunInfo:
     """What is recorded."""
 
-    # The hierarchy's name, the run's identification, ``launch`` or ``run``, and its seed
-    hierarchy: str
-    run: str
-    mode: str
+    hierarchy: str  # its name
+    run: str  # its identification
+    mode: str  # ``launch`` or ``run``
     seed: int
-    # As the deployment has them
-    staleness: int | None
-    exact: bool
-    # Path of the deployment file, and what it said, but for what is secret
-    deployment: str
-    deployment_text: str
+    staleness: int | None  # as the deployment has it
+    exact: bool  # as the deployment has it
+    deployment: str  # the path of its file
+    deployment_text: str  # what that said, but for what is secret
     settings: Sequence[str]  # with which it was read; of secret ones the paths alone
     import_paths: Sequence[str]  # where the deployment's own modules were looked for
     from_start: bool  # whether the recording begins with the run
-    # Patterns of the keys that are not recorded, as `hierax.runtime.recording.selection` has them
-    left_out: Sequence[str] = ()
+    left_out: Sequence[str] = ()  # patterns of the keys that are not recorded, as `Selection` has them
     started_ns: int = field(default_factory=time.time_ns)  # when it began, since 1970
-    # What it was recorded on; the versions of hierax and what it uses
     machine: Mapping[str, Any] = field(default_factory=lambda: _machine())
-    versions: Mapping[str, str] = field(default_factory=lambda: _versions())
+    versions: Mapping[str, str] = field(default_factory=lambda: _versions())  # of hierax and what it uses
     format: int = FORMAT  # of the recording
-    # From which code may be loaded, as `hierax.runtime.loading.allowance.Allowance` has them
-    modules: Sequence[str] = ()
+    modules: Sequence[str] = ()  # from which code may be loaded, as `Allowance` has them
     seal: str = ""  # of all that, by the user who has recorded it; empty: there is none
 
     @staticmethod
@@ -123,17 +117,14 @@ class Gap:
 class Ending:
     """How a recording ended; it lacks where the recorder was killed."""
 
-    # The epochs that were committed meanwhile; 0: none
-    first: int
-    last: int
+    first: int  # of the epochs that were committed meanwhile; 0: none
+    last: int  # of them
     messages: int  # how many things were heard
     gaps: tuple[Gap, ...]  # what lacks, the first ones
     lost: int  # how many things lack in all
-    # Messages that lack as their senders' processes died while they were sent; no fault of the recorder's
-    cut_short: tuple[Gap, ...] = ()
+    cut_short: tuple[Gap, ...] = ()  # messages whose senders' processes died while they were sent
     cut: str = ""  # by which option it ends before the run; empty: by none
-    # How much came on keys that are left out, by their pattern
-    left_out: Mapping[str, int] = field(default_factory=dict)
+    left_out: Mapping[str, int] = field(default_factory=dict)  # how much came on such keys, by their pattern
 
     def plain(self) -> dict[str, Any]:
         """Give it as a value."""

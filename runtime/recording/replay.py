@@ -42,11 +42,9 @@ class Replay:
     node: str | None = None  # the one node that is live; None: all but the world
     world: bool = False  # whether the world is live, too
     rewrite: Rewrite | None = None  # other parameters or classes; None: as recorded
-    # Which epochs; None: all
     first: int = 1
-    last: int | None = None
-    # Of the live nodes, after the last epoch done
-    states: dict[str, ActiveNode] = field(default_factory=dict, init=False)
+    last: int | None = None  # of the epochs; None: the last one
+    states: dict[str, ActiveNode] = field(default_factory=dict, init=False)  # of the live nodes, after it
     wirings: dict[str, Wiring] = field(default_factory=dict, init=False)  # of the live nodes, in the last epoch done
     roster: Roster | None = field(default=None, init=False)  # of the last epoch done
 

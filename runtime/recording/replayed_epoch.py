@@ -29,8 +29,7 @@ class ReplayedEpoch:
     roster: Roster  # under which it was done again
     time_s: float | None = None  # its time
     digest: bytes = b""  # of the run
-    # Of the nodes that are live
-    starts: dict[str, ActiveNode] = field(default_factory=dict)
+    starts: dict[str, ActiveNode] = field(default_factory=dict)  # of the nodes that are live, as what follows
     sensed: dict[str, Value] = field(default_factory=dict)
     states: dict[str, ActiveNode] = field(default_factory=dict)
     lines: dict[Line, Elements] = field(default_factory=dict)  # what the live nodes gave, by kind, sender and receiver

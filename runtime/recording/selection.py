@@ -25,9 +25,8 @@ class Selection:
     """What of a run is recorded."""
 
     exclude: Sequence[str] = ()  # patterns of keys, as `leaves_out` has them
-    # How large the file may become, and how many seconds are recorded; None: no bound
-    max_bytes: int | None = None
-    max_duration_s: float | None = None
+    max_bytes: int | None = None  # of the file; None: no bound
+    max_duration_s: float | None = None  # None: no bound
 
     def leaves_out(self, key: str) -> str:
         """The pattern by which what comes on a key is left out; empty: it is recorded."""

@@ -87,9 +87,8 @@ def glance(data: bytes) -> MessageSummary:
 class Entry(NamedTuple):
     """Something that was recorded."""
 
-    # On which it came, as it was and taken apart
-    key: str
-    topic: Topic
+    key: str  # on which it came
+    topic: Topic  # that key, taken apart
     time_ns: int  # when, since 1970
     epoch: int  # of it, modulo 2³²; 0: of none
     data: bytes

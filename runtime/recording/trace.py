@@ -57,19 +57,14 @@ class NodeTrace:
 class EpochTrace:
     """A committed epoch."""
 
-    # Which one, and which attempt of it was committed
     epoch: int
-    attempt: int
+    attempt: int  # the one that was committed
     roster: Roster  # under which it was done
-    # What each node did, by name; one that is not told of lacks: its process died first, or, where epochs overlap, it
-    # left the epoch out
-    nodes: Mapping[str, NodeTrace]
-    # Messages as bytes, by kind, sender and receiver, then by attempt
-    lines: Mapping[Line, Mapping[int, bytes]] = field(repr=False)
-    # Of the run, after this epoch and after the one before; empty: not told
-    digest: bytes
+    nodes: Mapping[str, NodeTrace]  # that told, by name: others died first, or, where epochs overlap, left it out
+    lines: Mapping[Line, Mapping[int, bytes]] = field(repr=False)  # messages by attempt
+    digest: bytes  # of the run; empty: not told
     heard_ns: int = 0  # when the world told of it, since 1970; 0: it did not
-    previous: bytes = b""
+    previous: bytes = b""  # digest, after the epoch before
     place: str = ""  # of the recording, for errors: `SchemaError` where a message is none
 
     def message(self, data: bytes) -> Message:

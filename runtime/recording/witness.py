@@ -42,8 +42,7 @@ class Witness(Watcher):
     name: str  # of the node
     engine: Callable[[], Engine | None]  # gives the node's engine; None: it is not there yet
     sink: StepSink  # where steps go
-    # Of the world: gives the roster in force; None for other nodes, as it is before the run begins.
-    roster: Callable[[], Roster | None] | None = None
+    roster: Callable[[], Roster | None] | None = None  # of the world: gives the roster in force, once there is one
 
     def __post_init__(self) -> None:
         self._stream = token_hex(4)

@@ -35,18 +35,15 @@ Known = TypeVar("Known")
 class Recorded:
     """A node in a recording."""
 
-    # The node, its class and parameters, and its neighbours
-    name: str
-    reference: Reference
+    name: str  # of the node
+    reference: Reference  # its class and parameters
     below: tuple[str, ...]
     above: tuple[str, ...]
-    # Of the run, and which code may be loaded
-    seed: int
+    seed: int  # of the run
     allowance: Allowance
     inputs: Sequence[Input]  # what it was given in each epoch
-    # Its state before the first of them, and after each of them
-    start: ActiveNode = field(repr=False)
-    states: Sequence[ActiveNode] = field(repr=False)
+    start: ActiveNode = field(repr=False)  # its state before the first epoch
+    states: Sequence[ActiveNode] = field(repr=False)  # after each of them
 
     @property
     def beliefs(self) -> list[Value]:

@@ -12,7 +12,7 @@ import time
 import webbrowser
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from threading import Event, Thread
@@ -25,7 +25,7 @@ from hierax.runtime.core.errors import HieraxError
 HOST = "127.0.0.1"
 WEB_PORT = 9090
 UP_TIMEOUT_S = 20.0
-_TRY_AGAIN_S = 0.02
+_TRY_AGAIN_S, _LOOK_S = 0.02, 0.2
 _PR_SET_PDEATHSIG = 1
 _RRD = b"RRF"  # what Rerun's files begin with
 _COLOURS = re.compile(r"\x1b\[[0-9;]*m")
@@ -40,9 +40,6 @@ class ViewerError(HieraxError):
 def stream_of(hierarchy: str) -> Stream:
     """A stream for what is shown of a run."""
     return rr.RecordingStream(f"hierax {hierarchy}")
-
-
-_LOOK_S = 0.2
 
 
 @dataclass(frozen=True)
@@ -60,7 +57,9 @@ def web_viewer(stream: Stream, port: int | None, memory: str, opens: bool) -> It
     told where to. It ends with this one, and keeps so much memory, as ``1GiB``, for pages that are opened later.
     Without a port the page's is `WEB_PORT`, or a free one where that is taken; where it `opens`, it does so in a
     browser. Raises `ViewerError` if the port is taken, or the server does not start."""
-    web_port, data_port = _port(port), _free_port()
+    web_port, data_port = _free_port(WEB_PORT if port is None else port), _free_port()
+    if port not in (None, web_port):
+        raise ViewerError(f"--port {port}: another process listens there")
     options = ["--serve-web", "--web-viewer-port", str(web_port), "--server-memory-limit", memory]
     with _viewer(stream, options, data_port, web_port):
         address = f"http://{HOST}:{web_port}/?url={quote(_data_address(data_port), safe='')}"
@@ -123,7 +122,7 @@ class _Program:
             stdout=subprocess.DEVNULL,
             stderr=subprocess.PIPE,
             start_new_session=True,  # Ctrl-C is for who looks, who ends it then
-            preexec_fn=_dies_with_us,
+            preexec_fn=lambda: ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGKILL),
         )
         self._said: deque[str] = deque(maxlen=20)
         self._listener = Thread(target=self._listen, daemon=True)
@@ -193,25 +192,14 @@ def _path() -> Path:
     raise ViewerError("the installed rerun-sdk has no viewer: expected the program rerun_cli/rerun in it")
 
 
-def _port(wanted: int | None) -> int:
-    if wanted is None:
-        return WEB_PORT if _is_free(WEB_PORT) else _free_port()
-    if not _is_free(wanted):
-        raise ViewerError(f"--port {wanted}: another process listens there")
-    return wanted
-
-
-def _is_free(port: int) -> bool:
-    with socket.socket() as probe, suppress(OSError):
-        probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-        probe.bind((HOST, port))
-        return True
-    return False
-
-
-def _free_port() -> int:
+def _free_port(wanted: int = 0) -> int:
+    """The wanted port, if it is free, or else any that is."""
     with socket.socket() as probe:
-        probe.bind((HOST, 0))
+        probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        try:
+            probe.bind((HOST, wanted))
+        except OSError:
+            probe.bind((HOST, 0))
         return int(probe.getsockname()[1])
 
 
@@ -225,7 +213,3 @@ def _wait_for(port: int, program: _Program) -> None:
             if program.process.poll() is not None or time.monotonic() > deadline:
                 raise ViewerError(f"Rerun's viewer does not listen on port {port}: {program.last_words}") from None
         time.sleep(_TRY_AGAIN_S)
-
-
-def _dies_with_us() -> None:
-    ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGKILL)
