@@ -295,8 +295,8 @@ def _cell(one: dict[str, Any], base: dict[str, Any]) -> str:
     return f"{near:+.1f} / {exact:+.1f} / {off:+.0f}" + (f", {lost:+d} lost" if lost else "")
 
 
-def summary(found: dict[str, Any], known: Sequence[Constant]) -> str:
-    """What the table comes to."""
+def summary(found: dict[str, Any], known: Sequence[Constant], left: int = 0) -> str:
+    """What the table comes to, and how many constants are not measured yet."""
     counts = dict.fromkeys(("same", "little", "more"), 0)
     for each in known:
         base = found[f" {0.0 if each.file in SEARCHING else 1.0} "]
@@ -314,7 +314,7 @@ poses; {_named(FOUND)} without, for what only looks for objects.
 With all as they are, {told} are right by 5 mm and 5° / 2 mm and 2°.
 
 Cells have the change of these shares in points and of the mean distance in micrometres; `=`: all poses are the same.
-`python benchmarks/sensitivities.py SCENES --write FILE` makes this page.
+`make sensitivities` makes this page{f"; {left} more constants are not measured yet" if left else ""}.
 """
 
 
@@ -359,8 +359,8 @@ def main() -> int:
     changes = [(each, factor) for each in known for factor in FACTORS]
     tasks = [(constant, factor, options.scenes) for constant, factor in bases + changes if not options.told]
     found = measure(tasks, options.log, options.processes)
-    known = [each for each in known if all(f"{each.key} {factor} {each.text}" in found for factor in FACTORS)]
-    text = summary(found, known) + table(found, known)
+    measured = [each for each in known if all(f"{each.key} {factor} {each.text}" in found for factor in FACTORS)]
+    text = summary(found, measured, len(known) - len(measured)) + table(found, measured)
     if options.write is None:
         print(text)
     else:
