@@ -277,14 +277,16 @@ def table(found: dict[str, Any], known: Sequence[Constant]) -> str:
                 "| constant | is | of it a half | twice | for |",
                 "| --- | --- | --- | --- | --- |",
             ]
-        base = found[f" {0.0 if file in SEARCHING else 1.0} "]
-        cells = [_cell(found[f"{each.key} {factor} {each.text}"], base) for factor in FACTORS]
+        base = found.get(f" {0.0 if file in SEARCHING else 1.0} ", {})
+        cells = [_cell(found.get(f"{each.key} {factor} {each.text}"), base) for factor in FACTORS]
         text = each.text if len(each.text) <= 40 else each.text[:39] + "…"
         lines.append(f"| `{each.name}` | `{text}` | {cells[0]} | {cells[1]} | {each.about.replace('|', '/')} |")
     return "\n".join(lines) + "\n"
 
 
-def _cell(one: dict[str, Any], base: dict[str, Any]) -> str:
+def _cell(one: dict[str, Any] | None, base: dict[str, Any]) -> str:
+    if one is None:
+        return ""
     if "failed" in one:
         return "fails"
     if one["poses"] == base["poses"]:
@@ -301,12 +303,13 @@ def summary(found: dict[str, Any], known: Sequence[Constant], left: int = 0) -> 
     for each in known:
         base = found[f" {0.0 if each.file in SEARCHING else 1.0} "]
         counts[_noticed([found[f"{each.key} {factor} {each.text}"] for factor in FACTORS], base)] += 1
-    bases = [found[f" {factor} "] for factor in (1.0, 0.0)]
+    bases = [found[f" {factor} "] for factor in (1.0, 0.0) if f" {factor} " in found]
     told = " and ".join(
         f"{100 * each['near']:.1f} / {100 * each['exact']:.1f} % ({each['off_mm']:.2f} mm, {each['lost']} lost)"
         for each in bases
     )
     same, little, more = counts.values()
+    empty = f"; {left} more constants have empty cells: they are not measured yet" if left else ""
     return f"""Of {len(known)} constants, changed to a half and to twice of what they are, {same} leave all
 poses the same to the last bit, {little} change figures by at most {POINTS} points and {OFF_MM * 1000:.0f} µm,
 and {more} by more. Scenes are of generator A, which the constants are fitted on: {_named(GIVEN)} with first
@@ -314,7 +317,7 @@ poses; {_named(FOUND)} without, for what only looks for objects.
 With all as they are, {told} are right by 5 mm and 5° / 2 mm and 2°.
 
 Cells have the change of these shares in points and of the mean distance in micrometres; `=`: all poses are the same.
-`make sensitivities` makes this page{f"; {left} more constants are not measured yet" if left else ""}.
+`make sensitivities` makes this page{empty}.
 """
 
 
@@ -360,7 +363,7 @@ def main() -> int:
     tasks = [(constant, factor, options.scenes) for constant, factor in bases + changes if not options.told]
     found = measure(tasks, options.log, options.processes)
     measured = [each for each in known if all(f"{each.key} {factor} {each.text}" in found for factor in FACTORS)]
-    text = summary(found, measured, len(known) - len(measured)) + table(found, measured)
+    text = summary(found, measured, len(known) - len(measured)) + table(found, known)
     if options.write is None:
         print(text)
     else:
