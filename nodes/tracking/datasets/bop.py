@@ -34,6 +34,9 @@ from hierax.nodes.tracking.schema import LOST, ScoredPose, Symmetry
 
 cv2.setNumThreads(1)
 
+TOLD_POSES = "scene_gt.json"
+FIRST_POSES = "first_poses.json"  # of `hierax init`; read in the place of the former's
+
 RESULTS_HEADER = "scene_id,im_id,obj_id,score,R,t,time"
 
 _IMAGE_FOLDERS = ("rgb", "gray")
@@ -94,10 +97,11 @@ class BopScene:
         return image
 
     def first_objects(self, poses: bool = True) -> tuple[SceneObject, ...]:
-        """The objects of the first frame with their true poses there: the only truth that tracking starts from;
-        poses: false: they are not read, and every object's is None; as is one that is null in the file. Raises
-        DataError: ``scene_gt.json`` is missing or damaged."""
-        path = self.folder / "scene_gt.json"
+        """The objects of the first frame with their poses there: the only truth that tracking starts from; of
+        ``first_poses.json`` where a user gave some; poses: false: they are not read, and every object's is None, as is
+        one that is null in the file. Raises DataError: ``scene_gt.json`` is missing or damaged."""
+        names = (FIRST_POSES, TOLD_POSES) if poses else (TOLD_POSES, FIRST_POSES)
+        path = next((path for name in names if (path := self.folder / name).exists()), self.folder / TOLD_POSES)
         first = str(self.frames[0].im_id)
         entries = read_json(path).get(first)
         if not isinstance(entries, list) or not entries:
@@ -108,7 +112,12 @@ class BopScene:
 
     def model(self, obj_id: int) -> tuple[Mesh, Symmetry]:
         """A model, see `read_model`."""
-        return read_model(self.folder.parent.parent / "models", obj_id)
+        return read_model(self.models, obj_id)
+
+    @property
+    def models(self) -> Path:
+        """The folder of the models."""
+        return self.folder.parent.parent / "models"
 
     def _read_frames(self) -> tuple[Frame, ...]:
         path = self.folder / "scene_camera.json"
