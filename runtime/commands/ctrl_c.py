@@ -11,6 +11,7 @@ from typing import NoReturn
 
 INTERRUPTED = 130
 AGAIN_S = 0.01  # after which a Ctrl-C comes again that came where nothing can be raised
+LATER_S = 3.0  # after which it does if nobody has taken it: a library that was imported just then has dropped it
 
 
 class _CtrlC:
@@ -22,15 +23,23 @@ class _CtrlC:
         if self.came:
             os._exit(INTERRUPTED)
         self.came = True
+        self._come_again(LATER_S)
         raise KeyboardInterrupt
+
+    def taken(self) -> None:
+        """What was being done has ended."""
+        signal.setitimer(signal.ITIMER_REAL, 0.0)
 
     def swallowed(self, what: sys.UnraisableHookArgs) -> None:
         """As `sys.unraisablehook`: where nothing can be raised, as in the calls that an import's end makes."""
         if what.exc_type is not KeyboardInterrupt:
             sys.__unraisablehook__(what)
         elif self.came:
-            signal.signal(signal.SIGALRM, self._again)
-            signal.setitimer(signal.ITIMER_REAL, AGAIN_S)
+            self._come_again(AGAIN_S)
+
+    def _come_again(self, after_s: float) -> None:
+        signal.signal(signal.SIGALRM, self._again)
+        signal.setitimer(signal.ITIMER_REAL, after_s, LATER_S)
 
     def _again(self, number: int, frame: FrameType | None) -> None:
         raise KeyboardInterrupt
@@ -50,6 +59,7 @@ def guarded(main: Callable[[Sequence[str]], int]) -> NoReturn:
         own_streams()
         code = main(sys.argv[1:])
     except BaseException:
+        CTRL_C.taken()
         if not CTRL_C.came:  # else it is what a library has made of it
             raise
         code = INTERRUPTED

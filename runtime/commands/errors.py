@@ -54,6 +54,7 @@ def exit_code(command: Callable[[], int]) -> int:
 
 def interrupted() -> int:
     """Say that it was interrupted, and return the exit code."""
+    CTRL_C.taken()
     _say("interrupted")
     return INTERRUPTED
 

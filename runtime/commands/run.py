@@ -22,6 +22,8 @@ def run(file: File, options: RunOptions) -> int:
     from hierax.runtime.execution import single
     from hierax.runtime.execution.breaker import Breaker
     from hierax.runtime.recording.in_process import InProcess
+    from hierax.runtime.watch.turns import named_turns
+    from hierax.schemas.changes import new_nodes
 
     overrides, recorded = options.overrides or (), options.record is not None
     selection = selection_of(options, recorded)
@@ -34,7 +36,9 @@ def run(file: File, options: RunOptions) -> int:
         try:
             recording = taking[0] if taking else None
             given.update(schedule=schedule, watch=_spans(deployment), record=recording, breaker=Breaker())
-            return single.run(deployment, **given)
+            names = {*deployment.roster.nodes, *(name for each in schedule for name in new_nodes(each.change))}
+            with named_turns(names, deployment.name) as turn:
+                return single.run(deployment, turn=turn, **given)
         finally:
             for each in taking:
                 each.finish()

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import heapq
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 
 import numpy as np
 
@@ -14,7 +14,13 @@ from hierax.runtime.execution.runner import NodeRunner
 UNIT_S = 1.0  # the period of a world without a rate; nodes without one are as quick as the quickest node
 
 
-def run_freely(runners: Mapping[str, NodeRunner], deployment: Deployment, seed: int, pacemaker: Pacemaker) -> None:
+def run_freely(
+    runners: Mapping[str, NodeRunner],
+    deployment: Deployment,
+    seed: int,
+    pacemaker: Pacemaker,
+    turn: Callable[[str], None],  # told whose turn it is
+) -> None:
     """Run until the world is done.
 
     A node's turns are a period apart, from a beginning that the seed draws. At each turn it takes in what has come, and
@@ -38,6 +44,7 @@ def run_freely(runners: Mapping[str, NodeRunner], deployment: Deployment, seed: 
         runner = runners.get(name)
         if runner is None:
             continue  # detached
+        turn(name)
         while (message := runner.port.receive()) is not None:
             runner.step(message)
         runner.poll()

@@ -71,6 +71,7 @@ def run(
     record: RunRecord | None = None,  # takes in what is said; None: nobody does
     breaker: Breaker | None = None,  # ends the run when a signal comes; None: nothing does
     acts: bool = True,  # whether the world moves its actuators
+    turn: Callable[[str], None] | None = None,  # told whose turn it is, before it
 ) -> Report:
     """Run a deployment in this process.
 
@@ -91,7 +92,7 @@ def run(
 
     chain = DigestChain(deployment.roster.content_hash())
     pacemaker = Pacemaker(chain, deployment.epochs if epochs is None else epochs, on_commit)
-    nodes = _Nodes(deployment, seed, pacemaker, output, schedule, watch, record, acts)
+    nodes = _Nodes(deployment, seed, pacemaker, output, schedule, watch, record, acts, turn or (lambda name: None))
     try:
         if breaker is None:
             nodes.run()
@@ -160,6 +161,7 @@ class _Nodes(Host):
     watch: Watch | None
     record: RunRecord | None
     acts: bool
+    turn: Callable[[str], None]
 
     def __post_init__(self) -> None:
         deployment = self.deployment
@@ -181,11 +183,12 @@ class _Nodes(Host):
         self._observers: dict[str, Observers] = {}
         self.runners: dict[str, NodeRunner] = {}
         for name in sorted(self._roster.nodes):
+            self.turn(name)
             self.runners[name] = self._run_node(name, self._loaders[name].wiring(self._roster))
 
     def run(self) -> None:
         if self.deployment.staleness.free:
-            run_freely(self.runners, self.deployment, self.seed, self.pacemaker)
+            run_freely(self.runners, self.deployment, self.seed, self.pacemaker, self.turn)
         else:
             self._deliver_all()
 
@@ -199,11 +202,13 @@ class _Nodes(Host):
         return reports, unreported
 
     def _deliver_all(self) -> None:
-        runners, network = self.runners, self._network
+        runners, network, turn = self.runners, self._network, self.turn
+        turn(self._world)
         runners[self._world].finish()
         while (name := network.next_receiver()) is not None:
             message = runners[name].port.receive()
             if message is not None:
+                turn(name)
                 runners[name].step(message)
         if not self.pacemaker.done:
             waiting = {name: runner.engine.waits_for for name, runner in runners.items()}

@@ -43,7 +43,14 @@ def own_streams() -> None:
     output = own_output()
     terminal = os.isatty(output)
     sys.stdout = _text(io.BufferedWriter(_Output(output, "w")), encodings[0], line_buffering=terminal)
-    sys.stderr = _text(io.BufferedWriter(_Errors(2, "w", closefd=False)), encodings[1], write_through=True)
+    # a descriptor of its own: that of what others write may lead elsewhere for a while
+    sys.stderr = _text(io.BufferedWriter(_Errors(os.dup(2), "w")), encodings[1], write_through=True)
+
+
+def own_errors() -> int | None:
+    """The descriptor to which this process writes its own errors; None: it has no streams of its own."""
+    raw = getattr(getattr(sys.stderr, "buffer", None), "raw", None)
+    return raw.fileno() if isinstance(raw, _Errors) else None
 
 
 def drop_output() -> None:

@@ -113,9 +113,20 @@ def name_prints(name: str, console: Console) -> None:
     """Have what this process writes to `sys.stdout` and `sys.stderr` carry a node's name, and go to its log, too."""
     sys.stdout = _stream(name, console, "stdout")
     sys.stderr = _stream(name, console, "stderr")
+    print_c_by_lines()
+
+
+def print_c_by_lines() -> None:
+    """Have what the C library's `printf` is given go out line by line."""
     with suppress(AttributeError, OSError, ValueError):  # a C library that calls it otherwise
         library = ctypes.CDLL(None)
         library.setvbuf(ctypes.c_void_p.in_dll(library, "stdout"), None, _BY_LINES, 0)
+
+
+def flush_c() -> None:
+    """Have all go out that `printf` was given."""
+    with suppress(AttributeError, OSError):
+        ctypes.CDLL(None).fflush(None)
 
 
 def console_stream(console: Console) -> TextIO:

@@ -63,6 +63,17 @@ def main(arguments):
         time.sleep(60)
 guarded(main)
 """
+WHERE_A_LIBRARY_DROPS_IT = """
+import time
+def main(arguments):
+    try:
+        press()
+    except BaseException:
+        pass
+    while True:
+        time.sleep(60)
+guarded(main)
+"""
 AT_THE_END = """
 import atexit
 atexit.register(press)
@@ -78,6 +89,7 @@ guarded(lambda arguments: 0)
         (MADE_AN_ERROR, 130, "interrupted\n"),
         (TWICE, 130, ""),
         (WHERE_NOTHING_CAN_BE_RAISED, 130, "interrupted\n"),
+        (WHERE_A_LIBRARY_DROPS_IT, 130, "interrupted\n"),
         (AT_THE_END, -2, ""),
     ],
 )

@@ -11,6 +11,7 @@ import pytest
 from support.launched import environment
 
 from hierax.runtime.commands.main import main
+from hierax.runtime.watch import turns
 from hierax.runtime.watch.prints import Console, Lines, NamedLines
 
 TALKING = """
@@ -169,6 +170,83 @@ def test_a_launch_whose_console_nobody_reads_goes_on(tmp_path: Path) -> None:
 
 def test_in_one_process_it_has_the_name_of_the_node_whose_turn_it_is(tmp_path: Path) -> None:
     assert "talker: epoch 1 " in said(tmp_path, "run")
+
+
+IN_TURNS = """
+import ctypes, os, subprocess, sys
+from hierax.runtime import NO_TICK, Node, World
+
+def talk(who, tick):
+    ctypes.CDLL(None).puts(b"by C for " + who)
+    os.write(2, b"by nobody's stream for %b\\n" % who)
+    if tick.epoch == 1:
+        subprocess.run(["echo", "by a program for " + who.decode()], check=True)
+    if tick.epoch == 2 and "end" in who.decode():
+        os.write(1, bytes(1 << 20) + b"last words")
+        os.kill(os.getpid(), 9)
+
+class Clock(World):
+    def initial_belief(self):
+        return 0
+    def predict(self, context, actions, belief, tick=NO_TICK):
+        talk(b"clock", tick)
+        return belief
+
+class Talker(Node):
+    def __init__(self, who="talker"):
+        self.who = who.encode()
+    def initial_belief(self):
+        return None
+    def observe(self, observations, belief, tick=NO_TICK):
+        talk(self.who, tick)
+        return belief
+"""
+
+
+def test_in_one_process_what_libraries_and_programs_print_has_the_name_of_whose_turn_it_is(tmp_path: Path) -> None:
+    lines = said(tmp_path, "run", IN_TURNS)
+    for who in ("clock", "talker"):
+        for what, count in (("C", 2), ("nobody's stream", 2), ("a program", 1)):
+            assert lines.count(f"{who}: by {what} for {who}") == count, lines
+    assert len(lines) == 10
+
+
+def test_last_words_of_a_run_that_is_killed_are_shown(tmp_path: Path) -> None:
+    (tmp_path / "talking.py").write_text(IN_TURNS)
+    (tmp_path / "talking.yaml").write_text(FILE.replace('Talker"', 'Talker", parameters: {who: the end}'))
+    done = subprocess.run(
+        [*command("run", tmp_path), "--epochs", "2"],
+        capture_output=True,
+        timeout=120,
+        env=surroundings(tmp_path),
+        check=False,
+    )
+    assert done.returncode == -9
+    assert done.stderr.endswith(b"last words\n")
+    assert done.stderr.rpartition(b"talker: ")[2].strip(b"\0") == b"last words\n"
+
+
+def test_who_prints_after_a_long_silence_is_named_from_then_on(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    reading, writing = os.pipe()
+    given = [os.dup(1), os.dup(2)]
+    monkeypatch.setattr(turns, "TURNS", 3)
+    monkeypatch.setattr(turns, "own_errors", lambda: writing)
+    try:
+        with turns.named_turns(["a", "b"], "both") as turn:
+            assert turn is not None
+            for name in "abab":
+                turn(name)
+            os.write(1, b"one\n")
+            assert os.read(reading, 100) == b"both: one\n"
+            for name in "bab":
+                turn(name)
+            os.write(1, b"two\n")
+            assert os.read(reading, 100) == b"b: two\n"
+    finally:
+        for number, descriptor in enumerate(given, 1):
+            os.dup2(descriptor, number)
+        for descriptor in (reading, writing, *given):
+            os.close(descriptor)
 
 
 def test_a_line_is_named_once() -> None:
