@@ -94,7 +94,6 @@ class Engine:
         return frozenset(self._prepared)
 
     def wiring_of(self, version: int) -> Wiring | None:
-        """The wiring of a version that is taken up, or can be."""
         return self.wiring if self._roster == version else self._prepared.get(version)
 
     @property

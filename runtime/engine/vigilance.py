@@ -17,7 +17,6 @@ EVERY = 256
 
 
 def is_due(epoch: int) -> bool:
-    """Whether operators are looked at in an epoch."""
     return not (epoch & (EVERY - 1) and epoch & (epoch - 1))
 
 

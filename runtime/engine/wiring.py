@@ -27,7 +27,6 @@ class Place:
 
     @staticmethod
     def of(roster: Roster, hashed: bool = True) -> Place:
-        """The place of any node of a roster, with the hash or without."""
         tasking = frozenset(edge.pair for edge in roster.edges if edge.task is not None)
         content = roster.content_hash() if hashed else NO_DIGEST
         return Place(roster.version, content, roster.instances, tasking)

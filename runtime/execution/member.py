@@ -91,7 +91,6 @@ class Member(Host):
 
     @property
     def engine(self) -> Engine | None:
-        """The engine of the node; None: no roster with it has come yet."""
         return None if self.runner is None else self.runner.engine
 
     @property

@@ -124,7 +124,6 @@ class NodeRunner(EngineEffects):
         self.observers.follow(self.engine)
 
     def watch(self, watcher: Watcher) -> None:
-        """Have a watcher see what the node does from now on."""
         self.observers.watch(watcher)
 
     def step(self, message: Message) -> None:

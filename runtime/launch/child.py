@@ -108,7 +108,6 @@ class Child:
         return True
 
     def send_signal(self, number: signal.Signals) -> None:
-        """Send the process a signal, if it is still there."""
         if self.handle == CLOSED:
             return
         try:
@@ -124,7 +123,6 @@ class Child:
             return  # all have ended by themselves
 
     def kill(self) -> None:
-        """End it and what it has started, at once."""
         if self.alive:  # it still stands for its group
             self.signal_group(signal.SIGKILL)
         self.send_signal(signal.SIGKILL)

@@ -92,7 +92,6 @@ class NodeOrder:
 
     @property
     def output_path(self) -> Path | None:
-        """The output folder; None where there is none."""
         return Path(self.output) if self.output else None
 
     def plain(self) -> Value:

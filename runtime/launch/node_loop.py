@@ -115,7 +115,6 @@ class NodeLoop:
     # --- the node's thread
 
     def run(self) -> None:
-        """Take in what comes, until it is over."""
         if self.order.staleness is None:
             self._run_freely()
         else:

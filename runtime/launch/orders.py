@@ -156,7 +156,6 @@ class Orders:
         )
 
     def policy(self, name: str) -> RestartPolicy:
-        """What is done when a node's process ends."""
         return self._policies.get(name, self.deployment.restart)
 
     def adopt(self, request: str, policies: Mapping[str, RestartPolicy]) -> None:

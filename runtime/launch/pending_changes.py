@@ -40,14 +40,12 @@ class PendingChanges:
         return [change.proposal for change in self.unanswered]
 
     def add(self, proposal: Propose, policies: Mapping[str, RestartPolicy]) -> None:
-        """Remember a change that the owner is going to be told."""
         answered = [request for request, change in self._changes.items() if change.done.is_set()]
         for request in answered[: max(len(answered) - REMEMBERED, 0)]:
             del self._changes[request]
         self._changes[proposal.request] = PendingChange(policies, encode_control(proposal))
 
     def policies(self, request: str) -> Mapping[str, RestartPolicy]:
-        """What is done when the processes of a change's new nodes end."""
         change = self._changes.get(request)
         return {} if change is None else change.policies
 

@@ -37,7 +37,6 @@ class ProcessSupervisor(ABC):
 
     @property
     def children(self) -> list[Child]:
-        """All processes that were ever started."""
         return list(self._children.values())
 
     def child(self, token: str) -> Child | None:

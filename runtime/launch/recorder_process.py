@@ -35,7 +35,6 @@ class RecordingRequest:
 
     @property
     def file(self) -> Path | None:
-        """The file that is written; None where there is none."""
         return None if self.target is None else self.target.path
 
 

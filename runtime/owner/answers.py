@@ -23,7 +23,6 @@ class Answers:
         self._owed: list[tuple[str, int, tuple[str, ...]]] = []
 
     def repeat(self, key: str) -> bool:
-        """Give an answer once more, if there is one."""
         if key not in self._given:
             return False
         self.give(key, *self._given[key])

@@ -122,7 +122,6 @@ class Members:
             self._effects.send_order(self.newcomers.pop((name, of)), Dismiss(why))
 
     def missing(self, names: tuple[str, ...], key: str) -> list[str]:
-        """Those of a request's new nodes that have no process yet."""
         return [name for name in names if (name, key) not in self.newcomers]
 
     # --- what follows when a node does not come back

@@ -57,7 +57,6 @@ def touched(old: Roster, new: Roster) -> frozenset[str]:
 
 
 def removed(old: Roster, new: Roster) -> frozenset[str]:
-    """The nodes that a roster has no more."""
     return frozenset(old.nodes.keys() - new.nodes.keys())
 
 

@@ -105,7 +105,6 @@ def shrink(scenario: Scenario, fails: Callable[[Scenario], bool]) -> Scenario:
 
 
 def fails(scenario: Scenario) -> bool:
-    """Whether something that must hold does not."""
     return bool(simulate_quietly(scenario).violation)
 
 

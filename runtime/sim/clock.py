@@ -24,7 +24,6 @@ class Clock:
         heappush(self._events, (self.now + delay_s, self._number, event, arguments))
 
     def step(self) -> bool:
-        """Let the next event happen; whether there was one."""
         if not self._events:
             return False
         self.now, _, event, arguments = heappop(self._events)

@@ -70,7 +70,6 @@ class Inspector:
             self.violated(f"{self.name}: acts in {self.turn} before it has heard from above")
 
     def given(self, elements: Elements, senders: tuple[str, ...], what: str) -> Elements:
-        """Look at what came from above."""
         if what == "context":
             self.heard = self.turn
         tags, bare = _split(elements)

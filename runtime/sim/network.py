@@ -104,7 +104,6 @@ class Network:
         self._breaks: Counter[frozenset[str]] = Counter()
 
     def parted(self, one: str, other: str) -> bool:
-        """Whether a partition lies between two processes, or their link is broken."""
         return (one in self.cut) != (other in self.cut) or self._broken[frozenset((one, other))] > 0
 
     def break_link(self, process: Host, number: int, for_s: float) -> None:

@@ -200,7 +200,6 @@ class SimProcess(Host):
         self.point("sent")
 
     def publish(self, epoch: int, digest: bytes) -> None:
-        """The world's process tells everybody of an epoch."""
         self.point("publish")
         self._around.checker.publishes(epoch, digest)
 
@@ -278,7 +277,6 @@ class SimProcess(Host):
     # --- its node
 
     def wire(self, roster: Roster) -> Wiring:
-        """What loads the node in production."""
         hierarchy = self._around.checker.hierarchy_of(roster)
         place = Place.of(roster)
         bound = hierarchy.bound[self.name]

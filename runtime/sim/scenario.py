@@ -85,7 +85,6 @@ class Proposal:
 
     @property
     def on_loss(self) -> Mapping[str, str]:
-        """What follows for each node that is new when it does not come back."""
         return dict.fromkeys(self.new_nodes, "detach") if self.alone else {}
 
     def word(self) -> Propose:
@@ -118,7 +117,6 @@ class Scenario:
 
     @property
     def last_s(self) -> float:
-        """The time at which all faults are over, and all changes asked for."""
         ends = [fault.at_s + fault.for_s for fault in self.faults] + [each.at_s for each in self.proposals]
         return max(ends, default=0.0)
 

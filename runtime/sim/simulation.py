@@ -37,7 +37,6 @@ class Result(NamedTuple):
 
 
 def simulate(scenario: Scenario, trace: list[str] | None = None) -> Result:
-    """Run a scenario. `trace`: where a line for each event goes."""
     simulation = Simulation(scenario, trace)
     violation = ""
     try:

@@ -138,7 +138,6 @@ class SimSupervisor(Supervision):
         return process
 
     def begin(self, process: SimProcess) -> None:
-        """The world's process begins the run, or goes on with it."""
         try:
             process.take("word", Census({token: token for token in self._around.processes if token != process.token}))
         except HieraxError as error:
@@ -159,7 +158,6 @@ class SimSupervisor(Supervision):
         around.clock.schedule(self._rng.uniform(0.0, NOTICE_S), self._notice, process)
 
     def exited(self, process: SimProcess) -> None:
-        """A process was dismissed: it is not started again."""
         self._gone(process)
         self.send_to_owner(Lost(process.name, process.token, restarts=False))
         if not self._is_newcomer(process):

@@ -45,7 +45,6 @@ class StepPublisher:
         self.heard = bool(self._steps.matching_status.matching)  # whether somebody listens
 
     def wait(self, timeout_s: float) -> bool:
-        """Wait until somebody listens; whether somebody does."""
         if not self.heard:
             self._changed.wait(timeout_s)
         return self.heard

@@ -81,7 +81,6 @@ class Hub:
         self._watcher = liveliness.declare_subscriber(self._keys.alive("*"), changed, history=True)
 
     def hears_of(self, process: str) -> bool:
-        """Whether a process of a node, by its token, is there and linked to the hub."""
         return process in self._living
 
     def introduce(self, process: str) -> None:

@@ -119,12 +119,10 @@ class Rendezvous:
 
     @property
     def lanes_out(self) -> list[tuple[str, str]]:
-        """Neighbour and kind of all that goes out."""
         return [(peer, kind) for peer, handshake in self.handshakes.items() for kind in handshake.sends]
 
     @property
     def lanes_in(self) -> list[tuple[str, str]]:
-        """Neighbour and kind of all that comes in."""
         return [(peer, kind) for peer, handshake in self.handshakes.items() for kind in handshake.hears]
 
     def take_over(self, earlier: Rendezvous) -> None:

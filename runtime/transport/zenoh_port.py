@@ -75,7 +75,6 @@ class ZenohPort(Port):
 
     @property
     def ready(self) -> bool:
-        """Whether the links of every version are open."""
         return all(link.rendezvous.ready for link in self._links.values())
 
     def link(

@@ -170,7 +170,6 @@ def remove_orphaned_segments() -> int:
 
 
 def orphaned_segments(folder: Path = _SHARED_MEMORY) -> list[Path]:
-    """The shared-memory segments of sessions that are gone."""
     return [path for path in sorted(folder.glob("*.zenoh")) if _is_orphaned(path)]
 
 
