@@ -12,10 +12,7 @@ from hierax.runtime.core.errors import HieraxError
 from hierax.runtime.host.streams import StandardOutputError, drop_output
 from hierax.schemas.errors import SchemaError
 
-OK = 0
-FAILED = 1
-USAGE = 2
-BUG = 3
+OK, FAILED, USAGE, BUG = range(4)
 TRACEBACK_VARIABLE = "HIERAX_TRACEBACK"  # set to anything, expected failures show where in the code they arose, too
 
 

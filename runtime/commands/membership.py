@@ -56,9 +56,18 @@ def attach(
     what = f"attached {', '.join(change.nodes)}"
     if not here:
         return _print_epoch(_change(endpoint, change, restarts), what, options.output_format)
+    from hierax.runtime.launch.attached_processes import run_attached
+
     named = _here(source, change, own, options.trust, endpoint, host)
     offer = _change(endpoint, change, restarts, here=True, host=named.host)
-    return _run_here(offer, restarts, what, named, options.output_format)
+    request = offer.get("request")
+    if not isinstance(request, str):
+        raise CommandError(f"the launch at {endpoint} gave no order, and no reason")
+
+    def await_change() -> None:
+        _print_epoch(_ask(endpoint, {"ask": "await", "request": request}), what, options.output_format)
+
+    return run_attached(offer.get("orders"), request, named, restarts, await_change, notify)
 
 
 @offers("run", "connect", "output_format")
@@ -195,22 +204,3 @@ def _print_epoch(answer: Mapping[str, Any], what: str, output_format: Format) ->
     else:
         print(f"{what} at epoch {answer['epoch']}", flush=True)
     return 0
-
-
-def _run_here(
-    offer: Mapping[str, Any],
-    restarts: Mapping[str, RestartPolicy],
-    what: str,
-    here: AttachedHere,
-    output_format: Format,
-) -> int:
-    from hierax.runtime.launch.attached_processes import run_attached
-
-    request = offer.get("request")
-    if not isinstance(request, str):
-        raise CommandError(f"the launch at {here.endpoint} gave no order, and no reason")
-
-    def await_change() -> None:
-        _print_epoch(_ask(here.endpoint, {"ask": "await", "request": request}), what, output_format)
-
-    return run_attached(offer.get("orders"), request, here, restarts, await_change, notify)
