@@ -11,6 +11,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from hierax.nodes.tracking.errors import check_between
 from hierax.nodes.tracking.estimation.tracked import NO_CONTROLS
 from hierax.nodes.tracking.imagery.controls import controls_of
 from hierax.nodes.tracking.imagery.layers import Layer, LayerRenderer, Window, surrounding
@@ -119,9 +120,11 @@ def composed(layers: Mapping[int, Layer], window: Window) -> tuple[Array, Array]
 class SegmentedDepth:
     """ϱ of the spatial node: the scene that it expects, as a depth image and a label image (theory, example 3). An edge
     function with a renderer of its own, which is only a cache. Without `occlusion` each body's controls are those of
-    its own model, as if it were alone."""
+    its own model, as if it were alone. The bodies' edges are expected to be worn round by `edge_radius_mm`."""
 
-    def __init__(self, occlusion: bool = True) -> None:
+    def __init__(self, occlusion: bool = True, edge_radius_mm: float = 0.0) -> None:
+        check_between(0, 10, "millimetres", edge_radius_mm=edge_radius_mm)
+        self._radius_m = edge_radius_mm / 1000.0
         self._renderer = DepthRenderer()
         self._proposers: dict[int, Proposer] = {}
         self._occlusion = occlusion
@@ -174,7 +177,14 @@ class SegmentedDepth:
         """The fields of each body's `Controls` that are likely enough to be seen."""
         placed = [_placed(scene, number) for number in range(len(scene.items))]
         alone = [
-            controls_of(self._renderer.renderer(item).shape, item.pose, scene.intrinsics, scene.size, each.layer)
+            controls_of(
+                self._renderer.renderer(item).shape,
+                item.pose,
+                scene.intrinsics,
+                scene.size,
+                each.layer,
+                self._radius_m,
+            )
             if item.label not in missing
             else gathered([NO_CONTROLS])
             for item, each in zip(scene.items, placed, strict=True)
@@ -198,7 +208,7 @@ class SegmentedDepth:
         hollow = not renderer.shape.convex
         layers = [renderer.layer(pose, intrinsics, size) if hollow else None for pose in poses]
         alone = [
-            controls_of(renderer.shape, pose, intrinsics, size, layer)
+            controls_of(renderer.shape, pose, intrinsics, size, layer, self._radius_m)
             for pose, layer in zip(poses, layers, strict=True)
         ]
         hiders = [_placed(scene, other) for other in range(len(scene.items)) if other != number]

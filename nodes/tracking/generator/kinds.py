@@ -21,7 +21,7 @@ from hierax.nodes.tracking.generator.things import (
     scattered,
     stacked,
 )
-from hierax.nodes.tracking.generator.worn import worn
+from hierax.nodes.tracking.generator.worn import RADIUS_M, rounded, worn
 from hierax.nodes.tracking.math.geometry import Floats
 from hierax.nodes.tracking.simworld.light import Lamp
 from hierax.nodes.tracking.simworld.raster import visible_shares
@@ -89,6 +89,14 @@ def _scattered(rng: np.random.Generator, frames: int) -> Film:
 
 def _hidden(rng: np.random.Generator, frames: int) -> Film:
     return _still_life(rng, frames, lambda: scattered(_items(rng), rng, 0.11, 0.004), _swing(rng, 24.0), _half_hidden)
+
+
+def _worn(rng: np.random.Generator, frames: int) -> Film:
+    """Objects that hide one another, each with all its edges worn alike; one in five is sharp."""
+    shown = _hidden(rng, frames)
+    radii = rng.uniform(-0.25 * RADIUS_M, RADIUS_M, len(shown.things))
+    seen = [thing._replace(shape=rounded(thing.shape, r)) for thing, r in zip(shown.things, radii, strict=True)]
+    return replace(shown, things=seen)
 
 
 def _alike(rng: np.random.Generator, frames: int) -> Film:
@@ -282,6 +290,7 @@ def _wood(rng: np.random.Generator) -> Wood:
 KINDS: dict[str, Callable[[np.random.Generator, int], Film]] = {
     "scattered": _scattered,
     "hidden": _hidden,
+    "worn": _worn,
     "alike": _alike,
     "tower": _tower,
     "approach": _approach,

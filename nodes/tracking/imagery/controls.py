@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from hierax.nodes.tracking.imagery.layers import NEAREST_DRAWN_M, Layer
 from hierax.nodes.tracking.math.batched import joined, only
-from hierax.nodes.tracking.math.geometry import Array, Floats, cross, invert, project, transform
+from hierax.nodes.tracking.math.geometry import Array, Floats, cross, invert, project, transform, unit
 from hierax.nodes.tracking.model.controls import CREASE, LIMB, OUTLINE, Controls
 from hierax.nodes.tracking.model.outlines import outline_of
 from hierax.nodes.tracking.model.shapes import Ints, Shape
@@ -52,7 +52,12 @@ _NO_LINES = _Lines(
 
 
 def controls_of(
-    shape: Shape, pose: Floats, intrinsics: Array, size: tuple[int, int], layer: Layer | None = None
+    shape: Shape,
+    pose: Floats,
+    intrinsics: Array,
+    size: tuple[int, int],
+    layer: Layer | None = None,
+    radius_m: float = 0.0,
 ) -> Controls:
     """Points on the edges of an object that would be seen if it were alone.
 
@@ -60,13 +65,14 @@ def controls_of(
         shape: the object; pose: camera_from_object; intrinsics: (4,) fx, fy, cx, cy in pixels.
         size: width and height of the image in pixels.
         layer: the object drawn alone; needed of a body that is not convex.
+        radius_m: by which its convex edges are worn round.
 
     Returns:
         About `SPACING_PX` apart in the image, fewer where there would be more than `POINTS_MAX`; all with
         ``visible`` 1.
     """
     viewpoint = invert(pose)[:3, 3]
-    lines = joined((_sharp_lines(shape, viewpoint), _smooth_lines(shape, viewpoint)))
+    lines = joined((_sharp_lines(shape, viewpoint, radius_m), _smooth_lines(shape, viewpoint)))
     seen = transform(pose, lines.ends)
     ahead = seen[..., 2].min(axis=1, initial=np.inf) > NEAREST_DRAWN_M
     lines = only(lines, ahead)
@@ -93,8 +99,8 @@ def controls_of(
     return _numbered(shape, pose, only(controls, kept))
 
 
-def _sharp_lines(shape: Shape, viewpoint: Floats) -> _Lines:
-    """The sharp edges beside which something faces the camera."""
+def _sharp_lines(shape: Shape, viewpoint: Floats, radius_m: float) -> _Lines:
+    """The sharp edges beside which something faces the camera, where they are seen if they are worn round."""
     if not len(shape.edges):
         return _NO_LINES
     corners = shape.vertices[shape.edges[:, :1]]
@@ -107,12 +113,32 @@ def _sharp_lines(shape: Shape, viewpoint: Floats) -> _Lines:
     plane = cross(ends[:, 0] - viewpoint, ends[:, 1] - viewpoint)
     sides = np.einsum("ej,esj->es", plane, inwards)
     crease = seen.all(axis=1) & (sides[:, 0] * sides[:, 1] < 0.0)
+    ends = ends + radius_m * _worn(shape.normals[beside], inwards, plane, crease)[:, None]
     patches = np.where(seen, shape.patches[beside], -1)
     first = np.where(seen[:, 0], 0, 1)
     rows = np.arange(len(first))
     kinds = np.where(crease, CREASE, OUTLINE).astype(np.uint8)
     faces = np.stack((patches[rows, first], patches[rows, 1 - first]), axis=1)
     return _Lines(ends, inwards[rows, first], kinds, shape.chains[chosen], faces)
+
+
+def _worn(normals: Floats, inwards: Floats, plane: Floats, crease: NDArray[np.bool_]) -> Floats:
+    """(n, 3) how far edges that are worn round lie beside sharp ones, in radii.
+
+    The round edge is a cylinder that touches both faces. Its outline is where its normal is square to the view; as a
+    crease it is seen where light changes from one face's to the other's, in its middle.
+
+    Args: normals, inwards: (n, 2, 3) of both faces; plane: (n, 3) square to the plane through camera and edge.
+        crease: (n,) whether both faces are seen.
+    """
+    both = normals.sum(axis=1)
+    middle = unit(both)
+    outline = unit(plane) * np.sign(np.sum(plane * both, axis=1, keepdims=True))
+    touching = np.where(crease[:, None], middle, outline)
+    apart = 1.0 + np.sum(normals[:, 0] * normals[:, 1], axis=1, keepdims=True)
+    convex = np.sum(normals[:, 0] * inwards[:, 1], axis=1, keepdims=True) < 0.0
+    worn: Floats = np.where(convex, touching - both / np.maximum(apart, 0.2), 0.0)
+    return worn
 
 
 def _smooth_lines(shape: Shape, viewpoint: Floats) -> _Lines:

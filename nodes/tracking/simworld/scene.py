@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from functools import lru_cache
+from hashlib import blake2b
 from typing import NamedTuple
 
 import cv2
@@ -39,6 +40,9 @@ class Wood(NamedTuple):
 
 
 WOOD = Wood()
+
+_TEXTURES: dict[object, Array] = {}
+_TEXTURES_MAX = 512  # of 150 kB each
 
 
 def draw(
@@ -128,7 +132,21 @@ def _coloured(seen: Drawn, where: Array, colour: tuple[int, int, int], parts: Se
 
 
 def _face_texture(face: Face, colour: tuple[int, int, int], parts: Sequence[Floats], lamp: Lamp) -> Array:
-    """Colour and full cover of each point of a face, float32 (FACE_PX, FACE_PX, 4)."""
+    """Colour and full cover of each point of a face, float32 (FACE_PX, FACE_PX, 4); of what rests it stays the same."""
+    key = (
+        *(axis.tobytes() for axis in face[:3]),
+        colour,
+        lamp,
+        blake2b(b"".join(part.tobytes() for part in parts)).digest(),
+    )
+    if key not in _TEXTURES:
+        if len(_TEXTURES) >= _TEXTURES_MAX:
+            _TEXTURES.clear()
+        _TEXTURES[key] = _lit_texture(face, colour, parts, lamp)
+    return _TEXTURES[key]
+
+
+def _lit_texture(face: Face, colour: tuple[int, int, int], parts: Sequence[Floats], lamp: Lamp) -> Array:
     texels = np.array([[FACE_PX, 0.0, -0.5], [0.0, FACE_PX, -0.5], [0.0, 0.0, 1.0]])
     light = light_on(face, parts, (FACE_PX, FACE_PX), texels, lamp)
     texture = np.ones((FACE_PX, FACE_PX, 4), np.float32)
