@@ -7,13 +7,11 @@ from typing import Annotated
 
 import typer
 
-from hierax.runtime.commands.options import Overwrite
-
 
 def init(
     folder: Annotated[Path, typer.Argument(metavar="FOLDER", help="A scene in the BOP format, DATASET/SPLIT/000001.")],
     port: Annotated[int, typer.Option(min=0, max=65535, help="Of the page; 0: any that is free.")] = 0,
-    overwrite: Overwrite = False,
+    overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace first poses that are there already.")] = False,
 ) -> int:
     """Click the corners of objects in a scene's first picture; their poses go to first_poses.json in its folder."""
     from hierax.nodes.tracking.clicking.page import Page
