@@ -317,6 +317,7 @@ poses; {_named(FOUND)} without, for what only looks for objects.
 With all as they are, {told} are right by 5 mm and 5° / 2 mm and 2°.
 
 Cells have the change of these shares in points and of the mean distance in micrometres; `=`: all poses are the same.
+What the arm says of its certainty is not looked at: some of the likelihood's constants change nothing else there.
 `make sensitivities` makes this page{empty}.
 """
 
