@@ -19,6 +19,8 @@ OBJECTS = 6
 _SETTLE_S = 1.5
 _CANDIDATES = 12  # arrangements of which the best one is taken
 _RECORD_S = 4 * STEP_S  # from one recorded state of a moving scene to the next
+# Of the kind "taken": the first frame in which one is taken out, after how many the next one is, and for how many.
+_TAKEN_FROM, _TAKEN_EVERY, _TAKEN_FRAMES, _OUT_M = 40, 15, 20, 50.0
 Path = Callable[[float], Floats]  # world_from_camera at a time in seconds
 
 
@@ -131,6 +133,44 @@ def _pushed(rng: np.random.Generator, frames: int, count: int) -> Scene:
         states.append(stage.state)
     eye = looking_down(rng.uniform(-np.pi, np.pi), np.radians(rng.uniform(32, 42)), rng.uniform(0.62, 0.8), np.zeros(3))
     return Scene(bodies, stage, lambda _: eye, states, still=True)
+
+
+def _taken(rng: np.random.Generator, frames: int, count: int) -> Scene:
+    """Things that are taken out, one after the other, and put in elsewhere a little later."""
+    shown = _scattered(rng, frames, count)
+    stage, now = shown.stage, shown.states[0]
+    by_frame = [now] * frames
+    for number, frame in enumerate(range(_TAKEN_FROM, frames, _TAKEN_EVERY)):
+        at = number % count
+        back = _put_elsewhere(rng, stage, shown.bodies, now, at)
+        height, place = 7 * at + 2, np.s_[7 * at : 7 * at + 7]
+        for later in range(frame, frames):
+            by_frame[later] = by_frame[later].copy()
+            if later < frame + _TAKEN_FRAMES:
+                by_frame[later][height] += _OUT_M
+            else:
+                by_frame[later][place] = back[place]
+        now = now.copy()
+        now[place] = back[place]
+    steps = round(1.0 / FPS / _RECORD_S)
+    ahead = steps // 2  # what moves between two pictures does so in the middle
+    states = [by_frame[min((step + ahead) // steps, frames - 1)] for step in range(frames * steps)]
+    return replace(shown, states=states)
+
+
+def _put_elsewhere(rng: np.random.Generator, stage: Stage, bodies: Sequence[Body], now: Floats, at: int) -> Floats:
+    """A state in which one of the bodies has found room beside the others, which stay where they are."""
+    stage.resume(now)
+    poses = stage.poses
+    others = np.arange(len(bodies)) != at
+    for _ in range(60):
+        with suppress(NoRoomError):
+            tried = [*poses]
+            (tried[at],) = _strewn(rng, [bodies[at]], 0.18, 0.025)
+            (state,) = _settled(stage, tried)
+            if np.abs(stage.poses - poses)[others].max() < 0.001:
+                return state
+    raise NoRoomError
 
 
 def _at_rest(
@@ -255,5 +295,6 @@ KINDS: dict[str, Callable[[np.random.Generator, int, int], Scene]] = {
     "low-contrast": _low_contrast,
     "pushed": _pushed,
     "imprecise": _imprecise,
+    "taken": _taken,
 }
 """By name; each draws a scene of so many frames and objects."""

@@ -237,9 +237,7 @@ def _tops(belief: SpatialBelief) -> list[Floats]:
     """The upper faces of what stands, and of what is missing where it may rather be than elsewhere, (k, 3) corners in
     the world's frame."""
     standing = [(body, body["pose"]) for body in belief["bodies"] if body["stands"] and body["status"] == TRACKED]
-    supposed = [
-        (body, body["guesses"][0]) for body in belief["bodies"] if body["status"] == LOST and len(body["guesses"])
-    ]
+    supposed = [(body, guess) for body in belief["bodies"] if body["status"] == LOST for guess in body["guesses"]]
     tops = [top_of(transform(pose, body["model"]["vertices"])) for body, pose in standing + supposed]
     return [top for top in tops if len(top)]
 

@@ -28,6 +28,18 @@ scene.stage.resume(scene.state(1 / 30))
 np.save(sys.argv[1], scene.stage.labels(scene.camera(1 / 30)))
 scene.stage.close()
 """
+TAKEN = f"""
+import sys; sys.path.insert(0, {str(PROGRAM)!r})
+import numpy as np, layouts
+layouts._TAKEN_FROM, layouts._TAKEN_EVERY, layouts._TAKEN_FRAMES = 2, 4, 3
+scene = layouts.scene("taken", {SEED}, 10, 2)
+poses = []
+for frame in range(10):
+    scene.stage.resume(scene.state(frame / layouts.FPS))
+    poses.append(scene.stage.poses[:, :3, 3])
+np.save(sys.argv[1], poses)
+scene.stage.close()
+"""
 
 
 def python(*arguments: str) -> subprocess.CompletedProcess[str]:
@@ -124,3 +136,16 @@ def test_what_is_said_is_there(out: Path) -> None:
     scene = BopScene(out / "test/000001")
     assert len(scene.first_objects()) == 6
     assert json.loads((out / "generator.json").read_text())["seed"] == SEED
+
+
+@pytest.mark.usefixtures("out")
+def test_things_are_taken_out_and_put_in_elsewhere(tmp_path: Path) -> None:
+    done = python("-c", TAKEN, str(tmp_path / "poses.npy"))
+    assert done.returncode == 0, done.stderr
+    places = np.load(tmp_path / "poses.npy")
+    assert (places[:, 0, 2] > 10.0).tolist() == [2 <= frame < 5 for frame in range(10)]
+    assert (places[:, 1, 2] > 10.0).tolist() == [6 <= frame < 9 for frame in range(10)]
+    moved = np.linalg.norm(places[-1] - places[0], axis=1)
+    assert (moved > 0.005).all()
+    assert np.linalg.norm(places[5] - places[0], axis=1)[1] < 0.001
+    assert np.abs(places[-1, :, :2]).max() < 0.35

@@ -26,7 +26,7 @@ from hierax.nodes.tracking.model.controls import gathered
 from hierax.nodes.tracking.schema import TRACKED, Alternative, ControlPoints, Looks, Sweep, TrackedObject
 from hierax.nodes.tracking.search.multistart import FINE, LEAST_FOUND, ROUGH, ROUGH_POINTS, held, squared
 from hierax.nodes.tracking.search.reacquisition import different
-from hierax.nodes.tracking.search.sweep import Maps, maps_of, swept
+from hierax.nodes.tracking.search.sweep import Maps, maps_of, stands_out, swept
 
 _FRESH, _OLD = 4, 3  # guesses of a sweep, and of those that were judged, that go up
 # By so much a pose has to explain the image better than clutter does: of the tens of thousands that were tried (e to
@@ -94,14 +94,17 @@ def look_for_missing(
         {"pose": objects[at]["pose"], "controls": objects[at]["controls"], "kept": True} for at in recent
     ]
     shown = {**missing, **{at: [each] for at, each in zip(recent, here, strict=True)}}
-    judged = _judged(search, objects, shown) if any(missing.values()) else None
+    maps = maps_of(image)
+    settled = [item for at, item in enumerate(objects) if at not in recent]
+    beside = maps.without(_outlines(settled, intrinsics))
+    judged = _judged(search, beside, objects, shown) if any(missing.values()) else None
     found = _decided(judged, objects, list(missing), recent) if judged is not None else {}
     places = {objects[at]["id"]: at for at in missing}
-    maps = _maps(search, objects) if sweeps else None
+    maps = maps.without(_outlines(objects, intrinsics))
     for sweep in sweeps:
         at = places[sweep["id"]]
         known = found.get(at, Sighting(NO_POSES))
-        if known.pose is None and maps is not None:
+        if known.pose is None:
             found[at] = Sighting(np.concatenate((known.guesses, _fresh(search, maps, objects[at]["slots"], sweep))))
     return found
 
@@ -131,7 +134,7 @@ class _Search(NamedTuple):
 
 
 def _judged(
-    search: _Search, objects: Sequence[TrackedObject], missing: Mapping[int, Sequence[Alternative]]
+    search: _Search, maps: Maps, objects: Sequence[TrackedObject], missing: Mapping[int, Sequence[Alternative]]
 ) -> _Judged | None:
     """The guesses of the missing objects, each aligned with what would be seen of it."""
     rows = [(at, other) for at, others in missing.items() for other in others if len(other["controls"]["points"])]
@@ -144,7 +147,7 @@ def _judged(
         return None
     fine, unlikely, covariance = found
     nats = explains(fine)
-    worth = nats + painted(fine) - unlikely
+    worth = nats + painted(fine) + stands_out(maps, fine.poses, controls, search.intrinsics) - unlikely
     boxes = np.stack([_box(each) for each in controls])
     lines = np.concatenate((fine.stage.lines.pixels, fine.stage.lines.normals), axis=1)
     owners = fine.stage.controls.owners
@@ -261,10 +264,10 @@ def _box(controls: ControlPoints) -> Floats:
     return corners
 
 
-def _maps(search: _Search, objects: Sequence[TrackedObject]) -> Maps:
+def _outlines(objects: Sequence[TrackedObject], intrinsics: Array) -> list[Floats]:
+    """Of each object that is seen, the pixels (n, 2) of its edges."""
     seen = [item for item in objects if item["status"] == TRACKED and len(item["controls"]["points"])]
-    outlines = [pixels_of(transform(item["pose"], item["controls"]["points"]), search.intrinsics) for item in seen]
-    return maps_of(search.image, outlines)
+    return [pixels_of(transform(item["pose"], item["controls"]["points"]), intrinsics) for item in seen]
 
 
 def _fresh(search: _Search, maps: Maps, looks: Looks, sweep: Sweep) -> Floats:

@@ -33,8 +33,8 @@ _SOFT_PX = 3  # width of what colours are averaged over, pixels of a map
 _BESIDE_PX = 5.0  # so far beside an edge colours are read
 _SAME = 4.0  # standard deviation of the colours of one face at least, grey levels
 _MOST = 2.0  # nats that a control point says at most
+_CHANCE = 0.5  # and so many it says of clutter
 _CREASE = 0.3  # what faces of one body differ by counts so much
-_EDGES = 1.0  # and what edges say
 _KEPT, _BEST = 240, 32  # poses that are looked at more closely, and that are given
 _APART_PX, _APART_RAD = 14.0, 0.2  # poses nearer than that, from one to the next, are one
 _TRY_PX, _TRY_RAD = 5.0, 0.09  # steps of the closer look
@@ -48,6 +48,14 @@ class Maps(NamedTuple):
     near: Singles  # (d, h, w) nats of an edge by its direction
     colours: Singles  # (c + 1, h, w) grey levels, the last one 1 where they say something of missing objects, or 0
 
+    def without(self, outlines: Sequence[Floats]) -> Maps:
+        """The same where what lies within pixels (n, 2) on the edges of each object that is seen says nothing."""
+        seen = np.zeros(self.near.shape[1:], dtype=np.uint8)
+        for pixels in outlines:
+            cv2.fillConvexPoly(seen, cv2.convexHull(np.rint((pixels - 0.5) / _SHRUNK).astype(np.int32)), 1)
+        free = (cv2.dilate(seen, np.ones((3, 3), dtype=np.uint8)) == 0).astype(np.float32)
+        return Maps(self.near * free, self.colours * free)
+
 
 class Proposed(NamedTuple):
     """Poses of one object."""
@@ -57,22 +65,13 @@ class Proposed(NamedTuple):
     nats: Floats  # (n,)
 
 
-def maps_of(image: Image, outlines: Sequence[Floats] = ()) -> Maps:
-    """The maps of an image.
-
-    Args:
-        image: as `hierax.nodes.tracking.estimation.profiles.smoothed` gives it.
-        outlines: pixels (n, 2) on the edges of each object that is seen: what lies within says nothing of others.
-    """
+def maps_of(image: Image) -> Maps:
+    """The maps of an image, as `hierax.nodes.tracking.estimation.profiles.smoothed` gives it."""
     height, width = image.shape[0] // _SHRUNK, image.shape[1] // _SHRUNK
     light = cv2.resize(image, (width, height), interpolation=cv2.INTER_AREA).reshape(height, width, -1)
     small = grey_levels(light)
-    seen = np.zeros((height, width), dtype=np.uint8)
-    for pixels in outlines:
-        cv2.fillConvexPoly(seen, cv2.convexHull(np.rint((pixels - 0.5) / _SHRUNK).astype(np.int32)), 1)
-    free = cv2.dilate(seen, np.ones((3, 3), dtype=np.uint8)) == 0
     soft = cv2.blur(small, (_SOFT_PX, _SOFT_PX)).reshape(small.shape)
-    colours = np.concatenate((soft, np.ones_like(soft[..., :1])), axis=2) * free[..., None]
+    colours = np.concatenate((soft, np.ones_like(soft[..., :1])), axis=2)
     gx, gy = _gradient(small)
     edges = _thinned(gx, gy)
     turn = np.arctan2(gy, gx) % np.pi * (_DIRECTIONS / np.pi)
@@ -83,7 +82,7 @@ def maps_of(image: Image, outlines: Sequence[Floats] = ()) -> Maps:
         clutter = cv2.boxFilter(chosen.astype(np.float32), -1, (_AROUND_PX, _AROUND_PX))
         away = cv2.distanceTransform((~chosen).astype(np.uint8), cv2.DIST_L2, cv2.DIST_MASK_3)
         density = np.exp(-0.5 * np.minimum(away / _NEAR_PX, 6.0) ** 2) / (_NEAR_PX * np.sqrt(2.0 * np.pi))
-        near[at] = ALIKE * np.log(1.0 - FOUND + FOUND * density / np.maximum(clutter, LEAST_CLUTTER)) * free
+        near[at] = ALIKE * np.log(1.0 - FOUND + FOUND * density / np.maximum(clutter, LEAST_CLUTTER))
     beyond = ((0, 0), (0, 1), (0, 1))
     return Maps(np.pad(near, beyond), np.pad(colours.transpose(2, 0, 1), beyond))
 
@@ -100,6 +99,13 @@ def swept(maps: Maps, sweep: Sweep, intrinsics: Array) -> Proposed:
     first = Proposed(poses, numbers, nats[numbers, where])
     kept = _apart(first, 0.5 * _APART_PX, intrinsics, _KEPT)
     return _closer(maps, sweep, sides, only(first, np.array(kept, dtype=np.intp)), intrinsics)
+
+
+def stands_out(maps: Maps, poses: Floats, controls: Sequence[ControlPoints], intrinsics: Array) -> Floats:
+    """(n,) nats by which faces stand out where poses (n, 4, 4) put them, each with what would be seen there."""
+    here = np.eye(4)[None]
+    sides = [_sides(each, pose, here[0], intrinsics) for each, pose in zip(controls, poses, strict=True)]
+    return ALIKE * np.array([_stands_out(maps.colours, here, side, intrinsics)[0] for side in sides])
 
 
 class _Sides(NamedTuple):
@@ -172,7 +178,8 @@ def _differing(looks: Singles, sides: _Sides) -> Singles:
     for plane, mean in zip(looks, means, strict=False):
         away += (plane[:, sides.beside] - mean[:, sides.of]) ** 2
     said = np.float32(0.5) * np.log1p(away / (channels * variance[:, sides.of]))
-    said = np.minimum(said, np.float32(_MOST)) * free[:, sides.beside] * (count[:, sides.of] >= _LEAST_LOOKS)
+    said = np.minimum(said, np.float32(_MOST)) - np.float32(_CHANCE)
+    said *= free[:, sides.beside] * (count[:, sides.of] >= _LEAST_LOOKS)
     total: Singles = said @ sides.worth
     return total
 
@@ -195,7 +202,7 @@ def _closer(maps: Maps, sweep: Sweep, sides: Sequence[_Sides], first: Proposed, 
         tried[..., :3, 3] += metres[:, None] * steps[:, None]
         tried = tried.reshape(-1, 4, 4)
         template = sweep["templates"][number]
-        found = _EDGES * _nats(maps.near, tried, template["controls"], intrinsics)
+        found = _nats(maps.near, tried, template["controls"], intrinsics)
         found += _stands_out(maps.colours, tried @ invert(template["pose"]), sides[number], intrinsics)
         found = found.reshape(-1, len(rows))
         best = found.argmax(axis=0)
