@@ -44,7 +44,7 @@ from hierax.runtime.commands.main import main as hierax_main
 from hierax.runtime.core.probe import Probe, Step
 from hierax.runtime.deployment.read import read_deployment
 from hierax.runtime.owner.owner import OVER
-from hierax.schemas.changes import Attach, Change, Detach
+from hierax.schemas.roster import Attach, Change, Detach
 
 HIERAX = [sys.executable, "-m", "hierax.runtime.commands.entry"]
 

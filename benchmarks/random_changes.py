@@ -12,8 +12,7 @@ import yaml
 
 from hierax.runtime.deployment.locating import shipped
 from hierax.runtime.owner.roster_changes import ChangeError, apply
-from hierax.schemas.changes import Attach, Change, Detach, Replace
-from hierax.schemas.roster import Reference, Roster, RosterEdge
+from hierax.schemas.roster import Attach, Change, Detach, Reference, Replace, Roster, RosterEdge
 
 MIXING = "hierax.runtime.sim.nodes"
 LETTERS = "hierax.nodes.letters"

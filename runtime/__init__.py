@@ -9,9 +9,8 @@ if TYPE_CHECKING:
     from typing import Any
 
     from hierax.runtime.core.elements import Elements, Value
-    from hierax.runtime.core.node import Node, World
+    from hierax.runtime.core.node import NO_TICK, Node, Tick, World
     from hierax.runtime.core.probe import Probe, Step
-    from hierax.runtime.core.tick import NO_TICK, Tick
 
 __all__ = ["NO_TICK", "Elements", "Node", "Probe", "Step", "Tick", "Value", "World"]
 
@@ -19,7 +18,7 @@ _HOMES = {
     **dict.fromkeys(("Elements", "Value"), "hierax.runtime.core.elements"),
     **dict.fromkeys(("Node", "World"), "hierax.runtime.core.node"),
     **dict.fromkeys(("Probe", "Step"), "hierax.runtime.core.probe"),
-    **dict.fromkeys(("NO_TICK", "Tick"), "hierax.runtime.core.tick"),
+    **dict.fromkeys(("NO_TICK", "Tick"), "hierax.runtime.core.node"),
 }
 
 

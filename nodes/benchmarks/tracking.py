@@ -22,7 +22,7 @@ from hierax.nodes.tracking.generator.scenes import write_scene
 from hierax.runtime.core.errors import HieraxError
 from hierax.runtime.deployment import Deployment
 from hierax.runtime.deployment.read import read_deployment
-from hierax.runtime.execution.plain import Json
+from hierax.runtime.execution.report import Json
 from hierax.runtime.execution.runner import NodeRunner
 from hierax.runtime.execution.single import run
 from hierax.runtime.launch.supervisor import launch

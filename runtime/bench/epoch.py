@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from hierax.runtime.core.errors import HieraxError
 from hierax.runtime.deployment.read import read_deployment
-from hierax.runtime.execution.plain import Json
+from hierax.runtime.execution.report import Json
 from hierax.runtime.host.interpreter import python_module
 from hierax.runtime.launch.supervisor import launch
 from hierax.runtime.transport.zenoh_session import free_endpoint

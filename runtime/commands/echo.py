@@ -12,7 +12,7 @@ from hierax.runtime.commands.options import Connect, Format, Full, Key, OutputFo
 from hierax.runtime.commands.which import client_of
 
 if TYPE_CHECKING:
-    from hierax.runtime.execution.plain import Json
+    from hierax.runtime.execution.report import Json
     from hierax.runtime.tools.echoes import Echo, Edge
     from hierax.runtime.transport.launch_client import LaunchClient
 
@@ -86,7 +86,7 @@ def _ask(client: LaunchClient, pattern: str) -> set[Edge]:
 
 def as_json(echo: Echo, full: bool = False) -> Json:
     """A message as plain JSON."""
-    from hierax.runtime.execution.plain import plain
+    from hierax.runtime.execution.report import plain
 
     header, payload = echo.message
     fields = plain({**header._asdict(), "payload": payload}, full)

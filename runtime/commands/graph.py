@@ -11,7 +11,7 @@ from hierax.runtime.commands.show import RIGHT, print_json, print_table
 
 if TYPE_CHECKING:
     from hierax.runtime.deployment import Deployment
-    from hierax.runtime.execution.plain import Json
+    from hierax.runtime.execution.report import Json
     from hierax.schemas.roster import Reference, Roster
 
 _FUNCTIONS = ("sense", "task", "context")

@@ -12,7 +12,7 @@ from hierax.runtime.commands.show import print_json
 from hierax.runtime.commands.which import client_at, endpoint_of, own_deployment
 
 if TYPE_CHECKING:
-    from hierax.runtime.execution.plain import Json
+    from hierax.runtime.execution.report import Json
     from hierax.runtime.transport.launch_client import Answer
 
     Told = Mapping[str, Mapping[str, str | float]]
@@ -98,7 +98,7 @@ def _class_of(node: object) -> str:
 
 def as_json(hierarchy: str, run: str, node: str, answer: Answer, full: bool = False) -> dict[str, Json]:
     """All of it as plain JSON."""
-    from hierax.runtime.execution.plain import plain
+    from hierax.runtime.execution.report import plain
 
     told = {key: plain(value, full) for key, value in answer.items() if key not in _UNSAID}
     return {"hierarchy": hierarchy, "run": run, "node": node, **told}

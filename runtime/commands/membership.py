@@ -18,8 +18,8 @@ from hierax.runtime.launch.run_file import known_runs
 if TYPE_CHECKING:
     from hierax.runtime.deployment import Deployment
     from hierax.runtime.deployment.deployment import RestartPolicy
-    from hierax.runtime.launch.here import AttachedHere
-    from hierax.schemas.changes import Attach, Change
+    from hierax.runtime.launch.attached_processes import AttachedHere
+    from hierax.schemas.roster import Attach, Change
 
 _LOOPBACK = re.compile(r"[a-z]+/(127\.|localhost|\[::1\])")
 TIMEOUT_S = 120.0  # how long a change may take: new processes import what they need, and the epoch under way must end
@@ -73,7 +73,7 @@ def attach(
 @offers("run", "connect", "output_format")
 def detach(node: Node, options: RunOptions, cascade: Annotated[bool, option("--cascade")] = False) -> int:
     """Detach a node from a hierarchy that runs, and print the epoch at which it took effect."""
-    from hierax.schemas.changes import Detach
+    from hierax.schemas.roster import Detach
 
     answer = _change(endpoint_of(options.run, options.connect), Detach(node, cascade), {})
     return _print_epoch(answer, f"detached {node}", options.output_format)
@@ -173,7 +173,7 @@ def _here(
 ) -> AttachedHere:
     """What is decided on this machine about nodes kept here; `HieraxError` if code of the source may not be loaded."""
     from hierax.runtime.deployment.snippet import read_attach
-    from hierax.runtime.launch.here import AttachedHere
+    from hierax.runtime.launch.attached_processes import AttachedHere
     from hierax.runtime.loading.allowance import Allowance, module_of, references
 
     named = change if own is None else read_attach(source, own)

@@ -92,7 +92,7 @@ def report_violations(violations: Sequence[Any]) -> int:
 
 def comparison_json(comparison: Comparison) -> dict[str, Any]:
     """A comparison as plain JSON."""
-    from hierax.runtime.execution.plain import plain
+    from hierax.runtime.execution.report import plain
 
     difference = comparison.difference
     return {

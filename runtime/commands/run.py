@@ -20,10 +20,10 @@ def run(file: File, options: RunOptions) -> int:
     from hierax.runtime.commands.run_deployment import run_deployment
     from hierax.runtime.deployment.schedule import read_schedule
     from hierax.runtime.execution import single
-    from hierax.runtime.execution.breaker import Breaker
+    from hierax.runtime.execution.pacemaker import Breaker
     from hierax.runtime.recording.in_process import InProcess
     from hierax.runtime.watch.turns import named_turns
-    from hierax.schemas.changes import new_nodes
+    from hierax.schemas.roster import new_nodes
 
     overrides, recorded = options.overrides or (), options.record is not None
     selection = selection_of(options, recorded)

@@ -13,8 +13,8 @@ from hierax.runtime.commands.errors import OK, CommandError, interrupted, notify
 from hierax.runtime.commands.options import Format, RunOptions
 from hierax.runtime.commands.show import print_json, print_report
 from hierax.runtime.deployment.read import read_deployment
-from hierax.runtime.execution.breaker import called
 from hierax.runtime.execution.output_folder import SUMMARY, claimed_output
+from hierax.runtime.execution.pacemaker import called
 from hierax.runtime.execution.report import Interrupted, Report
 from hierax.runtime.host.private_files import errors_named, write_result
 from hierax.runtime.loading.loader import extend_import_path

@@ -11,8 +11,7 @@ if TYPE_CHECKING:
     from rich.console import Console
     from rich.table import Table
 
-    from hierax.runtime.execution.plain import Json
-    from hierax.runtime.execution.report import Report
+    from hierax.runtime.execution.report import Json, Report
     from hierax.schemas.values import Value
 
 RIGHT = {"justify": "right"}  # the options of a column of numbers

@@ -15,8 +15,7 @@ from typing import Any
 
 from hierax.runtime.core.elements import Elements, Value
 from hierax.runtime.core.errors import HierarchyError, OperatorError
-from hierax.runtime.core.node import Node, World
-from hierax.runtime.core.tick import Tick
+from hierax.runtime.core.node import Node, Tick, World
 
 Operator = Callable[..., Any]
 Waiter = Callable[[Awaitable[Any]], Any]  # drives an awaitable to its result; the core itself has no event loop

@@ -1,4 +1,4 @@
-"""Where two values differ."""
+"""Where two values differ; and whether operators leave alone what they are given."""
 
 from __future__ import annotations
 
@@ -7,11 +7,16 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from hierax.runtime.core.binding import Call
 from hierax.runtime.core.elements import Value
+from hierax.runtime.core.errors import OperatorError
 from hierax.schemas.errors import SchemaError
-from hierax.schemas.values import encode_value
+from hierax.schemas.values import decode_value, encode_value
 
 ABSENT = "(absent)"  # stands for a value on the side where there is none
+
+EVERY = 256
+"""Every how many epochs it is looked at; and in those whose number is a power of two, as most faults show at once."""
 
 
 class Unlike(NamedTuple):
@@ -104,3 +109,36 @@ def _encoded(value: Value) -> bytes | str:
         return encode_value(value)
     except SchemaError:  # ABSENT is a text, and everything else a value; a belief in the middle of an epoch need not be
         return repr(value)
+
+
+def is_due(epoch: int) -> bool:
+    return not (epoch & (EVERY - 1) and epoch & (epoch - 1))
+
+
+class Vigilance:
+    """What the operators of one node are given in one attempt of an epoch, and must not change.
+
+    Looked at in some epochs, as it takes encoding everything again. Arrays are frozen in every epoch: this is about
+    lists and dicts, and about belief that was not encoded yet.
+    """
+
+    def __init__(self) -> None:
+        self._kept: list[tuple[str, Value, bytes]] = []
+
+    def keep(self, what: str, value: Value) -> None:
+        """This is given to operators from now on; what cannot be encoded is told when it is to travel."""
+        try:
+            self._kept.append((what, value, encode_value(value)))
+        except SchemaError:
+            return
+
+    def check(self, call: Call, epoch: int) -> None:
+        """Look at all of it after a call. Raises `OperatorError` if something is not what it was before."""
+        for what, value, before in self._kept:
+            if _encoded(value) != before:
+                raise OperatorError(call.subject, call.operator, epoch, _told(what, value, before))
+
+
+def _told(what: str, value: Value, before: bytes) -> str:
+    where = difference(decode_value(before), value, (), what)
+    return f"changed the {what} that it was given ({where}); make a copy, or a new value"

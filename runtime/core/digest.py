@@ -11,13 +11,18 @@ import struct
 from collections.abc import Iterable
 from hashlib import blake2b
 
+from hierax.runtime.core.binding import Call
 from hierax.runtime.core.elements import Elements, Value
-from hierax.runtime.core.process import ActiveHierarchy
-from hierax.schemas.messages import DIGEST_BYTES
-from hierax.schemas.values import encode_frozen
+from hierax.runtime.core.errors import OperatorError
+from hierax.runtime.core.process import ActiveHierarchy, ActiveNode
+from hierax.schemas.errors import SchemaError
+from hierax.schemas.messages import CONTEXT, DIGEST_BYTES, OBSERVATIONS, TASKS
+from hierax.schemas.values import encode_frozen, encode_value
 
 NO_DIGEST = bytes(DIGEST_BYTES)
 """What the first epoch's digest follows."""
+
+_FUNCTIONS = {OBSERVATIONS: "sense", TASKS: "task", CONTEXT: "context"}
 
 
 def encode_state(belief: Value, policy: str, actions: Elements) -> bytes:
@@ -67,3 +72,39 @@ def formal_digest(active: ActiveHierarchy, previous: bytes, roster: bytes) -> by
         encoded = encode_state(state.belief, state.policy, state.actions)
         digests[name] = node_digest(encoded, (digests[upper] for upper in hierarchy.above(name)))
     return epoch_digest(previous, active.epoch, roster, digests[hierarchy.world])
+
+
+def cannot_travel(name: str, epoch: int, sensed: Value, state: ActiveNode, error: SchemaError) -> OperatorError:
+    """Whose fault it is that a node's state cannot be encoded; `sensed` was its belief after `observe`."""
+    made = (
+        ("observe", "its belief", sensed),
+        (f"policy {state.policy}", "its actions", state.actions),
+        ("predict", "its belief", state.belief),
+    )
+    for operator, what, value in made:
+        flaw = _flaw(value)
+        if flaw:
+            return OperatorError(name, operator, epoch, f"{what}: {flaw}")
+    return OperatorError(name, "predict", epoch, f"its belief and actions: {error}")  # too much together
+
+
+def elements_cannot_travel(kind: str, sender: str, receiver: str, epoch: int, error: SchemaError) -> OperatorError:
+    """Whose fault it is that a message cannot be encoded."""
+    lower, upper = (sender, receiver) if kind == OBSERVATIONS else (receiver, sender)
+    what = f"its elements for {receiver}: {error}"
+    return OperatorError(f"{lower}->{upper}", _FUNCTIONS[kind], epoch, what)
+
+
+def travels(call: Call, epoch: int, what: str, value: Value) -> None:
+    """Whether what a call gave can travel. Raises `OperatorError` if it cannot."""
+    flaw = _flaw(value)
+    if flaw:
+        raise OperatorError(call.subject, call.operator, epoch, f"{what}: {flaw}")
+
+
+def _flaw(value: Value) -> str:
+    try:
+        encode_value(value)
+    except SchemaError as error:
+        return str(error)
+    return ""

@@ -11,8 +11,7 @@ from hierax.runtime.deployment.snippet import read_attach, read_replace, read_re
 from hierax.runtime.loading.allowance import NotAllowedError
 from hierax.runtime.loading.nearest import did_you_mean
 from hierax.runtime.owner.roster_changes import ChangeError, apply
-from hierax.schemas.changes import Change, Detach
-from hierax.schemas.roster import Roster
+from hierax.schemas.roster import Change, Detach, Roster
 
 FORMS = {"attach": "EPOCH:attach:FILE", "detach": "EPOCH:detach:NAME[:cascade]", "replace": "EPOCH:replace:NAME:FILE"}
 """How each change is written."""

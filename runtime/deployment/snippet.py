@@ -21,7 +21,7 @@ from hierax.runtime.deployment.paths import DeploymentError, inside
 from hierax.runtime.deployment.read import read_document, restart_policy, roster_edges, roster_nodes
 from hierax.runtime.deployment.validation import first_error
 from hierax.runtime.loading.nearest import did_you_mean
-from hierax.schemas.changes import Attach, Replace
+from hierax.schemas.roster import Attach, Replace
 
 
 def read_attach(source: str | Path, deployment: Deployment) -> Attach:

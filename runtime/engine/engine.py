@@ -5,15 +5,14 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 
 from hierax.runtime.core.binding import Call, epoch_time_s, is_finished
-from hierax.runtime.core.digest import NO_DIGEST, encode_state, node_digest
+from hierax.runtime.core.difference import Vigilance, is_due
+from hierax.runtime.core.digest import NO_DIGEST, cannot_travel, encode_state, node_digest
 from hierax.runtime.core.elements import Elements, Value
 from hierax.runtime.core.errors import ContradictionError, OperatorError
 from hierax.runtime.core.node import World
 from hierax.runtime.core.probe import Step
 from hierax.runtime.core.process import ActiveNode
-from hierax.runtime.core.travel import cannot_travel
 from hierax.runtime.engine.effects import Called, Committed, Completed, EngineEffects, Saved
-from hierax.runtime.engine.held import Held
 from hierax.runtime.engine.table import (
     ACTIONS,
     ATTEMPTS_AHEAD,
@@ -21,10 +20,10 @@ from hierax.runtime.engine.table import (
     ROSTERS_AHEAD,
     ROWS,
     Action,
+    Held,
     Phase,
     Verdict,
 )
-from hierax.runtime.engine.vigilance import Vigilance, is_due
 from hierax.runtime.engine.wiring import Slot, Wiring
 from hierax.schemas.errors import SchemaError
 from hierax.schemas.messages import CONTEXT, NO_EXTENSIONS, OBSERVATIONS, TASKS, Header, Message

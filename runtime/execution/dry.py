@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from hierax.runtime.core.travel import travels
+from hierax.runtime.core.digest import travels
 from hierax.runtime.deployment import Deployment
 from hierax.runtime.engine.effects import Called
 from hierax.runtime.execution import single

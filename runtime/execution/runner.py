@@ -13,10 +13,10 @@ from __future__ import annotations
 import logging
 
 from hierax.runtime.core.binding import metrics_of
+from hierax.runtime.core.digest import elements_cannot_travel
 from hierax.runtime.core.elements import Elements
 from hierax.runtime.core.errors import OperatorError
 from hierax.runtime.core.staleness import BARRIER, Staleness
-from hierax.runtime.core.travel import elements_cannot_travel
 from hierax.runtime.engine.effects import Called, Committed, Completed, EngineEffects, Saved
 from hierax.runtime.engine.engine import Engine
 from hierax.runtime.engine.stale import StaleEngine

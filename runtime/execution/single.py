@@ -22,21 +22,19 @@ from hierax.runtime.engine.effects import Saved
 from hierax.runtime.engine.engine import Engine
 from hierax.runtime.engine.table import Phase, Verdict
 from hierax.runtime.engine.wiring import Wiring
-from hierax.runtime.execution.breaker import Breaker
 from hierax.runtime.execution.checkpoints import taken_over
 from hierax.runtime.execution.free import run_freely
 from hierax.runtime.execution.observers import Observers
 from hierax.runtime.execution.output_folder import digest_log, open_probes, state_log, write_roster
-from hierax.runtime.execution.pacemaker import Pacemaker
+from hierax.runtime.execution.pacemaker import Breaker, Pacemaker
 from hierax.runtime.execution.report import Interrupted, NodeReport, Report, make_report
 from hierax.runtime.execution.runner import Host, NodeRunner, World
 from hierax.runtime.loading.loader import build_hierarchy
 from hierax.runtime.loading.node_loader import NodeLoader
 from hierax.runtime.owner.roster_changes import ChangeError, Undo, apply
 from hierax.runtime.transport.memory import MemoryNetwork
-from hierax.schemas.changes import Change, Detach, Replace, new_nodes
 from hierax.schemas.messages import Header
-from hierax.schemas.roster import Roster
+from hierax.schemas.roster import Change, Detach, Replace, Roster, new_nodes
 
 _log = logging.getLogger("hierax")
 

@@ -21,7 +21,7 @@ from typing import Any
 from hierax.runtime.engine.stale import StaleEngine
 from hierax.runtime.engine.table import Phase
 from hierax.runtime.execution.observers import Observers
-from hierax.runtime.transport.queries import InspectionEndpoint
+from hierax.runtime.transport.control import InspectionEndpoint
 from hierax.runtime.watch.copies import Copier, Edge, Stepper
 from hierax.runtime.watch.meter import Meter
 from hierax.schemas.errors import SchemaError, shown

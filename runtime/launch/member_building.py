@@ -14,11 +14,10 @@ from hierax.runtime.execution.checkpoints import Checkpoints
 from hierax.runtime.execution.member import Member, Seat
 from hierax.runtime.execution.observers import Observers
 from hierax.runtime.execution.output_folder import digest_log, open_probes, state_log
-from hierax.runtime.execution.pacemaker import Pacemaker
+from hierax.runtime.execution.pacemaker import Pacemaker, SteadyClock
 from hierax.runtime.execution.world_member import WorldMember
 from hierax.runtime.launch.faults import plant
 from hierax.runtime.launch.frames import BEGIN, NodeOrder, SupervisorPipe
-from hierax.runtime.launch.steady import SteadyClock
 from hierax.runtime.loading.allowance import Allowance
 from hierax.runtime.loading.node_loader import NodeLoader
 from hierax.runtime.owner.effects import OwnerPolicy

@@ -14,24 +14,21 @@ import numpy as np
 from hierax.runtime.core.binding import OperatorSetting, Waiter
 from hierax.runtime.core.errors import ContradictionError, HieraxError
 from hierax.runtime.engine.wiring import Wiring
-from hierax.runtime.execution.breaker import call_in
 from hierax.runtime.execution.member import Member
 from hierax.runtime.execution.observers import Observers
-from hierax.runtime.execution.pacemaker import Pacemaker
+from hierax.runtime.execution.pacemaker import Pacemaker, call_in
 from hierax.runtime.execution.world_member import WorldMember
 from hierax.runtime.launch import frames
-from hierax.runtime.launch.control_queue import ControlQueue
 from hierax.runtime.launch.inspection_server import InspectionServer
 from hierax.runtime.launch.member_building import Parts, open_observers, open_slots, pacemaker_of, preload
-from hierax.runtime.launch.node_loop import NodeLoop, WorldWatch
+from hierax.runtime.launch.node_loop import ControlQueue, NodeLoop, WorldWatch
 from hierax.runtime.loading.loader import LoadError, extend_import_path
 from hierax.runtime.loading.node_loader import NodeLoader
 from hierax.runtime.owner.effects import OwnerPolicy
 from hierax.runtime.recording.witness import Witness
 from hierax.runtime.transport.bus_tap import StepPublisher
-from hierax.runtime.transport.control import OWNER, ControlLine
+from hierax.runtime.transport.control import OWNER, ControlLine, InspectionEndpoint
 from hierax.runtime.transport.port import TransportError
-from hierax.runtime.transport.queries import InspectionEndpoint
 from hierax.runtime.transport.zenoh_port import EpochPublisher, ZenohPort
 from hierax.runtime.transport.zenoh_session import LOOPBACK, LOW_LATENCY_BYTES, open_session
 from hierax.runtime.watch import telemetry

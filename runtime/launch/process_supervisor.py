@@ -12,9 +12,8 @@ import anyio
 import anyio.abc
 
 from hierax.runtime.deployment.deployment import RestartPolicy
-from hierax.runtime.launch.child import END_TIMEOUT_S, Child, ProcessState, Restarts, start_child
+from hierax.runtime.launch.child import END_TIMEOUT_S, Child, Overhearing, ProcessState, Restarts, start_child
 from hierax.runtime.launch.frames import Frames, NodeOrder
-from hierax.runtime.launch.overheard import Overhearing
 
 Notify = Callable[[str], None]  # tells people what happens
 Fail = Callable[[Exception], None]  # is called with why the processes cannot go on

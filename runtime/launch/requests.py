@@ -17,11 +17,11 @@ from hierax.runtime.launch.frames import NEWCOMER
 from hierax.runtime.launch.roster_supervisor import RosterSupervisor
 from hierax.runtime.loading.allowance import NotAllowedError, Refusals
 from hierax.runtime.loading.nearest import did_you_mean
+from hierax.runtime.transport.control import Reply
 from hierax.runtime.transport.hub import Hub
-from hierax.runtime.transport.queries import Reply
-from hierax.schemas.changes import Attach, Change, new_nodes, read_change
 from hierax.schemas.control import Propose
 from hierax.schemas.errors import SchemaError, shown
+from hierax.schemas.roster import Attach, Change, new_nodes, read_change
 from hierax.schemas.values import Value
 
 PS, CHANGE, AWAIT, RECORD = "ps", "change", "await", "record"  # what can be asked for; see `Requests`

@@ -11,13 +11,12 @@ import anyio.abc
 import anyio.to_thread
 
 from hierax.runtime.deployment.deployment import RestartPolicy
+from hierax.runtime.execution.pacemaker import SteadyClock
 from hierax.runtime.launch import frames
-from hierax.runtime.launch.child import Child, NodeFailedError, ProcessState, Restarts
+from hierax.runtime.launch.child import Child, NodeFailedError, Overhearing, ProcessState, Restarts
 from hierax.runtime.launch.orders import Orders
-from hierax.runtime.launch.overheard import Overhearing
 from hierax.runtime.launch.pending_changes import PendingChanges
 from hierax.runtime.launch.process_supervisor import Fail, Notify, ProcessSupervisor
-from hierax.runtime.launch.steady import SteadyClock
 from hierax.runtime.owner.effects import DETACH
 from hierax.runtime.transport.hub import Hub
 from hierax.schemas.control import Census, Control, Dismiss, Lost, encode_control

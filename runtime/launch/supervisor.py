@@ -15,8 +15,8 @@ import anyio
 from hierax.runtime.core.digest import NO_DIGEST
 from hierax.runtime.core.errors import HieraxError
 from hierax.runtime.deployment import Deployment
-from hierax.runtime.execution.breaker import ending_signals, leave_at_once
 from hierax.runtime.execution.output_folder import write_roster
+from hierax.runtime.execution.pacemaker import ending_signals, leave_at_once
 from hierax.runtime.execution.report import Interrupted, NodeReport, Report, make_report
 from hierax.runtime.launch.child import END_TIMEOUT_S, Child, NodeFailedError
 from hierax.runtime.launch.frames import BEGIN, COME_BACK, STOP

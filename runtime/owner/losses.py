@@ -6,12 +6,11 @@ from dataclasses import replace
 
 from hierax.runtime.owner.context import OwnerContext, OwnerPart
 from hierax.runtime.owner.effects import DETACH
-from hierax.runtime.owner.plan import Request, Trial
+from hierax.runtime.owner.members import Request, Trial
 from hierax.runtime.owner.planning import Planning
 from hierax.runtime.owner.roster_changes import Undo
-from hierax.schemas.changes import Detach
 from hierax.schemas.control import Failed, Lost
-from hierax.schemas.roster import Roster
+from hierax.schemas.roster import Detach, Roster
 
 
 class Losses(OwnerPart):

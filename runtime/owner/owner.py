@@ -7,22 +7,17 @@ from math import inf
 
 from hierax.runtime.core.errors import HieraxError
 from hierax.runtime.loading.allowance import Allowance, NotAllowedError, Refusals
-from hierax.runtime.owner.answers import OVER, Answers
-from hierax.runtime.owner.arrivals import Arrivals
-from hierax.runtime.owner.context import OwnerContext, OwnerPart
+from hierax.runtime.owner.arrivals import Arrivals, Suspicions
+from hierax.runtime.owner.context import OVER, Answers, EpochProgress, OwnerContext, OwnerPart
 from hierax.runtime.owner.effects import OwnerEffects, OwnerPolicy
-from hierax.runtime.owner.epoch_progress import EpochProgress
 from hierax.runtime.owner.inquiry import Inquiry
 from hierax.runtime.owner.losses import Losses
-from hierax.runtime.owner.members import Members, Tried
-from hierax.runtime.owner.plan import Born, Request, Stage
+from hierax.runtime.owner.members import Born, Members, Request, Stage, Tried
 from hierax.runtime.owner.planning import MAX_TRIES, Planning
 from hierax.runtime.owner.roster_changes import apply
-from hierax.runtime.owner.suspicions import Suspicions
 from hierax.schemas import control
-from hierax.schemas.changes import read_change
 from hierax.schemas.errors import SchemaError
-from hierax.schemas.roster import Roster
+from hierax.schemas.roster import Roster, read_change
 
 FETCH_S = 0.02  # how often a process is told the roster at most, when it asks for it
 

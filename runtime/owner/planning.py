@@ -8,11 +8,10 @@ from dataclasses import replace
 
 from hierax.runtime.core.errors import HieraxError
 from hierax.runtime.owner.context import OwnerContext, OwnerPart
-from hierax.runtime.owner.plan import Plan, Request, Stage
+from hierax.runtime.owner.members import Plan, Request, Stage
 from hierax.runtime.owner.roster_changes import Undo, apply, removed, touched
-from hierax.schemas.changes import Detach, Replace
 from hierax.schemas.control import Dismiss, HandOver, Prepare, Ready, State, Taken, TakeOver, Unchanged
-from hierax.schemas.roster import Roster
+from hierax.schemas.roster import Detach, Replace, Roster
 
 TELL_AGAIN_S = 0.1  # how often those that are waited for are told again
 MAX_TRIES = 5  # how often a change is planned anew because a process died meanwhile

@@ -13,8 +13,7 @@ from typing import Any
 from hierax.runtime.core.errors import HierarchyError, HieraxError
 from hierax.runtime.core.graph import check_graph, unreached
 from hierax.runtime.loading.nearest import did_you_mean
-from hierax.schemas.changes import Attach, Change, Detach, Replace
-from hierax.schemas.roster import Reference, Roster, RosterEdge
+from hierax.schemas.roster import Attach, Change, Detach, Reference, Replace, Roster, RosterEdge
 from hierax.schemas.values import encode_value
 
 

@@ -10,11 +10,10 @@ from collections.abc import Callable, Collection, Iterator
 from dataclasses import KW_ONLY, dataclass, field
 
 from hierax.runtime.core.binding import OperatorSetting, epoch_time_s, is_finished
-from hierax.runtime.core.digest import NO_DIGEST, encode_state, epoch_digest
+from hierax.runtime.core.digest import NO_DIGEST, cannot_travel, encode_state, epoch_digest
 from hierax.runtime.core.errors import HieraxError
 from hierax.runtime.core.node import World
 from hierax.runtime.core.process import ActiveNode, apply, predict, sense
-from hierax.runtime.core.travel import cannot_travel
 from hierax.runtime.engine.wiring import Wiring
 from hierax.runtime.execution.checkpoints import taken_over
 from hierax.runtime.host.waiting import wait_for

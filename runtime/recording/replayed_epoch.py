@@ -6,11 +6,10 @@ from collections.abc import Iterable
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
-from hierax.runtime.core.digest import node_digest
+from hierax.runtime.core.digest import elements_cannot_travel, node_digest
 from hierax.runtime.core.elements import Elements, Value
 from hierax.runtime.core.hierarchy import neighbours_above
 from hierax.runtime.core.process import ActiveNode
-from hierax.runtime.core.travel import elements_cannot_travel
 from hierax.runtime.recording.info import RecordingError
 from hierax.runtime.recording.trace import Attempt, EpochTrace, Line, order_of
 from hierax.schemas.errors import SchemaError

@@ -12,7 +12,7 @@ from typing import TypeVar
 
 from hierax.runtime.core.errors import HierarchyError
 from hierax.runtime.core.graph import check_graph
-from hierax.runtime.execution.plain import Json
+from hierax.runtime.execution.report import Json
 from hierax.runtime.sim.journal import KINDS, Tally
 from hierax.runtime.sim.scenario import FAULTS, Scenario, draw_scenario
 from hierax.runtime.sim.simulation import Result, simulate

@@ -16,9 +16,8 @@ from hierax.runtime.loading.loader import build_hierarchy
 from hierax.runtime.sim.inspection import Turn
 from hierax.runtime.sim.nodes import MODULE
 from hierax.runtime.sim.scenario import Scenario
-from hierax.schemas.changes import Attach, Change, Detach
 from hierax.schemas.messages import Header
-from hierax.schemas.roster import Roster
+from hierax.schemas.roster import Attach, Change, Detach, Roster
 from hierax.schemas.values import encode_value
 
 States = Mapping[str, ActiveNode]

@@ -15,6 +15,9 @@ from typing import Any, NamedTuple
 from hierax.runtime.core.binding import BoundNode, Call
 from hierax.runtime.core.elements import Elements, Value
 from hierax.runtime.core.hierarchy import BoundEdge
+from hierax.runtime.engine.table import ATTEMPTS_AHEAD, EPOCHS_AHEAD, ROSTERS_AHEAD
+from hierax.runtime.sim.scenario import CONTRADICT, FORETELL
+from hierax.schemas.messages import CONTEXT, OBSERVATIONS, Message
 
 _MARK = "#"
 
@@ -177,3 +180,32 @@ def inspected_edges(edges: Mapping[tuple[str, str], BoundEdge], name: str, inspe
         )
         for (lower, upper), edge in edges.items()
     ]
+
+
+def forged(kind: str, message: Message) -> list[Message]:
+    """All messages of a kind that can be made of one; what is foretold is what will be said, and something else.
+
+    They come after it, as nobody can tell which of two was the sender's.
+    """
+    header = message.header
+    if kind == FORETELL:
+        attempt = header.attempt + 1
+        said = tagged_as_of(message.payload, header.epoch, attempt)
+        return [Message(header._replace(attempt=attempt), payload) for payload in (said, (*said, "forged"))]
+    if kind == CONTRADICT:
+        headers = [header]
+    elif header.kind == OBSERVATIONS:
+        headers = [
+            header._replace(sender="stranger"),
+            header._replace(roster=header.roster + ROSTERS_AHEAD + 10),
+            header._replace(epoch=header.epoch + EPOCHS_AHEAD + 10),
+            header._replace(attempt=header.attempt + ATTEMPTS_AHEAD + 10),
+        ]
+    else:
+        headers = [
+            header._replace(receiver="stranger"),
+            header._replace(roster=header.roster + ROSTERS_AHEAD + 10),
+            header._replace(instance=header.instance + 1000),
+            header._replace(kind=CONTEXT, attempt=header.attempt + 1, digest=b""),
+        ]
+    return [Message(each, (*message.payload, "forged")) for each in headers]

@@ -9,8 +9,8 @@ from typing import Any, get_args
 from hierax.runtime.engine.table import Verdict
 from hierax.runtime.sim.scenario import FAULTS
 from hierax.runtime.transport.rendezvous import DOWN, UP
-from hierax.schemas.changes import Change
 from hierax.schemas.control import Control, Order
+from hierax.schemas.roster import Change
 
 ORDER, WORD, MESSAGE, VERDICT, CHANGE, FAULT = "order", "word", "message", "verdict", "change", "fault"
 

@@ -1,15 +1,15 @@
-"""A simulated network: bytes between processes, late, lost, doubled and out of order."""
+"""Virtual time, and a simulated network: bytes between processes, late, lost, doubled and out of order."""
 
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
+from heapq import heappop, heappush
 from random import Random
 from typing import Any
 
 from hierax.runtime.sim.checker import Checker
-from hierax.runtime.sim.clock import Clock
 from hierax.runtime.sim.journal import FAULT, Journal
 from hierax.runtime.sim.scenario import DELAY, DOUBLE, LOSS, REORDER, Fault
 from hierax.runtime.transport.port import Port
@@ -19,6 +19,30 @@ from hierax.schemas.messages import Header, Message, encode_message
 Pair = tuple[int, str, int]  # one end of a link: its own instance, the other's name and instance
 
 SHORTEST_S, LONGEST_S = 0.0003, 0.003  # how long a message takes
+
+
+class Clock:
+    """Events in the order of their times; of equal times, as they were scheduled."""
+
+    def __init__(self) -> None:
+        self.now = 0.0  # seconds
+        self._number = 0
+        self._events: list[tuple[float, int, Callable[..., None], tuple[Any, ...]]] = []
+
+    def __call__(self) -> float:
+        """The time, as production code asks for it."""
+        return self.now
+
+    def schedule(self, delay_s: float, event: Callable[..., None], *arguments: Any) -> None:
+        self._number += 1
+        heappush(self._events, (self.now + delay_s, self._number, event, arguments))
+
+    def step(self) -> bool:
+        if not self._events:
+            return False
+        self.now, _, event, arguments = heappop(self._events)
+        event(*arguments)
+        return True
 
 
 class Host(ABC):

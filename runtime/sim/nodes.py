@@ -11,8 +11,7 @@ from functools import partial
 from hashlib import blake2b
 
 from hierax.runtime.core.elements import Elements, Value
-from hierax.runtime.core.node import Node, World
-from hierax.runtime.core.tick import NO_TICK, Tick
+from hierax.runtime.core.node import NO_TICK, Node, Tick, World
 from hierax.schemas.values import encode_value
 
 MODULE = __name__

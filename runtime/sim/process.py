@@ -16,11 +16,9 @@ from hierax.runtime.engine.wiring import Place, Wiring
 from hierax.runtime.execution.member import Member
 from hierax.runtime.execution.runner import NodeRunner
 from hierax.runtime.sim.checker import Checker
-from hierax.runtime.sim.clock import Clock
-from hierax.runtime.sim.forgery import forged
-from hierax.runtime.sim.inspection import Inspected, Inspector, Turn, inspected_edges
+from hierax.runtime.sim.inspection import Inspected, Inspector, Turn, forged, inspected_edges
 from hierax.runtime.sim.journal import FAULT, MESSAGE, VERDICT, Journal, control_kind
-from hierax.runtime.sim.network import Host, Network
+from hierax.runtime.sim.network import Clock, Host, Network
 from hierax.runtime.sim.scenario import CONTRADICT, FORETELL, RAISE, TORN, TRIAL, Scenario
 from hierax.runtime.sim.storage import Crash, SimStorage
 from hierax.schemas.control import AskStatus, Control, Order, Prepare, decode_control

@@ -8,9 +8,8 @@ from random import Random
 
 from hierax.runtime.core.graph import Pair
 from hierax.runtime.sim.nodes import MODULE
-from hierax.schemas.changes import Attach, Change, Detach, Replace
 from hierax.schemas.control import Propose
-from hierax.schemas.roster import Reference, Roster, RosterEdge
+from hierax.schemas.roster import Attach, Change, Detach, Reference, Replace, Roster, RosterEdge
 
 CRASH, WORLD, TORN, DAMAGE = "crash", "world", "torn", "damage"
 LOSS, DOUBLE, REORDER, DELAY, PARTITION = "loss", "double", "reorder", "delay", "partition"

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from hierax.runtime.execution.plain import Json
+from hierax.runtime.execution.report import Json
 from hierax.runtime.transport.launch_client import Answer, LaunchStatus
 
 NS_PER_S = 1e9

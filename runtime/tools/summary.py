@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from hierax.runtime.execution.plain import HEAD_BYTES, statistics
+from hierax.runtime.execution.report import HEAD_BYTES, statistics
 from hierax.schemas.values import Value
 
 SMALL_ARRAY = 16  # arrays of so many elements are shown whole

@@ -10,9 +10,8 @@ from typing import Any, NamedTuple
 
 import zenoh
 
-from hierax.runtime.transport.control import SUPERVISOR
+from hierax.runtime.transport.control import SUPERVISOR, answers_on
 from hierax.runtime.transport.port import TransportError
-from hierax.runtime.transport.queries import answers_on
 from hierax.runtime.transport.zenoh_session import ZenohConfig, close_session, open_session
 from hierax.schemas.errors import SchemaError
 from hierax.schemas.keys import Keys

@@ -10,9 +10,8 @@ from typing import Any
 
 import zenoh
 
-from hierax.runtime.transport.control import SUPERVISOR
+from hierax.runtime.transport.control import SUPERVISOR, Reply, answer_questions
 from hierax.runtime.transport.port import TransportError
-from hierax.runtime.transport.queries import Reply, answer_questions
 from hierax.runtime.transport.zenoh_session import LOOPBACK, ZenohConfig, close_session, free_endpoint, open_session
 from hierax.schemas.control import Dismiss, encode_control
 from hierax.schemas.errors import SchemaError

@@ -2,7 +2,7 @@
 
 Nothing of the run goes through here, and nothing waits for it. Tools do not subscribe to the keys of edges: what is put
 there waits for slow receivers, and a tool that its user has stopped would hold the run up. A node shows copies, which
-are dropped where they cannot go at once (`hierax.runtime.transport.queries`).
+are dropped where they cannot go at once (`hierax.runtime.transport.control`).
 """
 
 from __future__ import annotations
@@ -17,9 +17,8 @@ import zenoh
 
 from hierax.runtime.core.errors import HieraxError
 from hierax.runtime.loading.nearest import did_you_mean
-from hierax.runtime.transport.control import SUPERVISOR
+from hierax.runtime.transport.control import SUPERVISOR, answers_on
 from hierax.runtime.transport.port import TransportError
-from hierax.runtime.transport.queries import answers_on
 from hierax.runtime.transport.zenoh_session import ZenohConfig, close_session, open_session
 from hierax.schemas.errors import SchemaError, shown
 from hierax.schemas.keys import Keys

@@ -11,9 +11,8 @@ from hypothesis import given
 from support.rosters import random_change, random_roster
 from support.strategies import randoms
 
-from hierax.schemas.changes import Attach, Change, Detach, Replace, read_change
 from hierax.schemas.errors import SchemaError
-from hierax.schemas.roster import Reference, RosterEdge
+from hierax.schemas.roster import Attach, Change, Detach, Reference, Replace, RosterEdge, read_change
 from hierax.schemas.values import decode_value, encode_value
 
 LENS = Reference("robots.lens:Lens", {"focal_px": 525.8, "size": (640, 480)})

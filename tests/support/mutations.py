@@ -12,7 +12,7 @@ from typing import Any
 from unittest.mock import patch
 
 from hierax.runtime.core.binding import Call
-from hierax.runtime.core.tick import Tick
+from hierax.runtime.core.node import Tick
 from hierax.runtime.engine.engine import Engine
 from hierax.runtime.execution.member import Member
 from hierax.runtime.execution.runner import NodeRunner

@@ -15,19 +15,17 @@ from hierax.runtime.execution import world_member
 from hierax.runtime.execution.member import Member
 from hierax.runtime.execution.world_member import WorldMember
 from hierax.runtime.owner import losses, planning
-from hierax.runtime.owner.answers import Answers
-from hierax.runtime.owner.arrivals import Arrivals
+from hierax.runtime.owner.arrivals import Arrivals, Suspicions
+from hierax.runtime.owner.context import Answers
 from hierax.runtime.owner.inquiry import Inquiry
 from hierax.runtime.owner.members import Members
 from hierax.runtime.owner.owner import Owner
 from hierax.runtime.owner.planning import Planning
-from hierax.runtime.owner.suspicions import Suspicions
 from hierax.runtime.recovery import slots
 from hierax.runtime.recovery.slots import Slots
-from hierax.schemas.changes import Detach
 from hierax.schemas.control import Dismiss, HandOver, State, TakeOver, Unchanged
 from hierax.schemas.messages import Message
-from hierax.schemas.roster import Roster
+from hierax.schemas.roster import Detach, Roster
 
 Mutation = Callable[[], AbstractContextManager[Any]]
 

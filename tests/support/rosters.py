@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import random
 
-from hierax.schemas.changes import Attach, Change, Detach, Replace
-from hierax.schemas.roster import Reference, Roster, RosterEdge
+from hierax.schemas.roster import Attach, Change, Detach, Reference, Replace, Roster, RosterEdge
 from support.hierarchies import random_pairs
 
 WORLD = "world"

@@ -26,7 +26,7 @@ from hierax.nodes.tracking.evaluation.scoring import LEAST_VISIBLE, RIGHT, is_as
 from hierax.nodes.tracking.math.geometry import Array, Floats, log_se3, pose_error
 from hierax.nodes.tracking.schema import TRACKED
 from hierax.runtime import Probe, Step
-from hierax.runtime.execution.plain import Json
+from hierax.runtime.execution.report import Json
 
 SURE = 0.9
 _BINS = 10

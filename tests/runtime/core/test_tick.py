@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from hierax.runtime.core.tick import NO_TICK, Tick
+from hierax.runtime.core.node import NO_TICK, Tick
 
 TICK = Tick(seed=3, subject="arm", operator="observe", epoch=5, time_s=0.2, below=("world",), above=("spatial",))
 

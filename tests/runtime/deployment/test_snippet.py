@@ -10,8 +10,7 @@ from hierax.runtime.deployment import DeploymentError
 from hierax.runtime.deployment.deployment import Deployment, RestartPolicy
 from hierax.runtime.deployment.read import read_deployment
 from hierax.runtime.deployment.snippet import read_attach, read_replace, read_restarts
-from hierax.schemas.changes import Attach, Replace
-from hierax.schemas.roster import Reference, RosterEdge
+from hierax.schemas.roster import Attach, Reference, Replace, RosterEdge
 
 SNIPPET = """\
 nodes:

@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 from hierax.runtime import Elements, Node, Value, World
+from hierax.runtime.core.difference import EVERY, is_due
 from hierax.runtime.core.errors import OperatorError
 from hierax.runtime.core.hierarchy import Edge
-from hierax.runtime.engine.vigilance import EVERY, is_due
 from hierax.runtime.testing.runs import run_hierarchy
 
 

@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as arrays
 
-from hierax.runtime.execution.plain import SMALL_ARRAY, plain
+from hierax.runtime.execution.report import SMALL_ARRAY, plain
 
 scalars = st.none() | st.booleans() | st.integers() | st.floats() | st.text() | st.binary()
 leaves = scalars | arrays.arrays(

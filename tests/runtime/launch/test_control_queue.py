@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from hierax.runtime.launch.control_queue import MAX_BYTES, MAX_WORDS, ControlQueue
+from hierax.runtime.launch.node_loop import MAX_BYTES, MAX_WORDS, ControlQueue
 from hierax.schemas.control import AskStatus
 
 

@@ -11,7 +11,7 @@ import pytest
 from support.live import hierax as said_by
 
 from hierax.runtime.core.errors import HieraxError
-from hierax.runtime.launch.here import AttachedHere, read_orders
+from hierax.runtime.launch.attached_processes import AttachedHere, read_orders
 from hierax.runtime.loading.allowance import Allowance, NotAllowedError
 from hierax.runtime.transport.hub import Hub
 from hierax.schemas.keys import Keys

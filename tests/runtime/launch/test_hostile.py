@@ -18,11 +18,10 @@ from support.live import Live, until
 from hierax.runtime.deployment.deployment import RestartPolicy
 from hierax.runtime.launch.requests import MAX_CHANGES
 from hierax.runtime.transport.inbox import WAITING_BYTES
-from hierax.schemas.changes import Attach
 from hierax.schemas.control import Census, Dismiss, Fetch, Join, Lost, Prepare, Ready, Resend, Status, Taken
 from hierax.schemas.keys import Keys
 from hierax.schemas.messages import CONTEXT, OBSERVATIONS, Message
-from hierax.schemas.roster import Reference, RosterEdge
+from hierax.schemas.roster import Attach, Reference, RosterEdge
 from hierax.schemas.values import Value
 
 

@@ -12,10 +12,9 @@ from support.deployments import write
 
 from hierax.runtime.deployment.deployment import RestartPolicy
 from hierax.runtime.deployment.read import read_deployment
-from hierax.runtime.launch.child import Child, ProcessState
+from hierax.runtime.launch.child import Child, Overhearing, ProcessState
 from hierax.runtime.launch.frames import BEGIN, NodeOrder
 from hierax.runtime.launch.orders import LaunchOptions, Orders
-from hierax.runtime.launch.overheard import Overhearing
 from hierax.runtime.launch.process_supervisor import ProcessSupervisor
 
 

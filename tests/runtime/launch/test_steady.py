@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from hierax.runtime.launch.steady import GAP_S, SteadyClock
+from hierax.runtime.execution.pacemaker import GAP_S, SteadyClock
 
 
 @pytest.mark.parametrize(

@@ -7,8 +7,7 @@ from dataclasses import replace
 import pytest
 
 from hierax.runtime.loading.allowance import ANYTHING, Allowance, NotAllowedError, is_target
-from hierax.schemas.changes import Attach, Change, Detach, Replace
-from hierax.schemas.roster import Reference, Roster, RosterEdge
+from hierax.schemas.roster import Attach, Change, Detach, Reference, Replace, Roster, RosterEdge
 
 SCENE, ARM, EYE = (Reference(f"robots.{name}:Node") for name in ("scene", "arm", "eye"))
 SEEN = Reference("robots.arm:seen")

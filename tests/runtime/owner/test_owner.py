@@ -6,11 +6,10 @@ from typing import Any
 
 import pytest
 
+from hierax.runtime.owner.arrivals import MAX_REPEATS
 from hierax.runtime.owner.effects import OwnerEffects, OwnerPolicy
 from hierax.runtime.owner.members import REMEMBERED
 from hierax.runtime.owner.owner import FETCH_S, MAX_TRIES, OVER, Owner
-from hierax.runtime.owner.suspicions import MAX_REPEATS
-from hierax.schemas.changes import Attach, Change, Detach, Replace
 from hierax.schemas.control import (
     NEVER,
     AskStatus,
@@ -32,7 +31,7 @@ from hierax.schemas.control import (
     TakeOver,
     Unchanged,
 )
-from hierax.schemas.roster import Reference, Roster, RosterEdge
+from hierax.schemas.roster import Attach, Change, Detach, Reference, Replace, Roster, RosterEdge
 
 NODE = Reference("toys:Node", {})
 OTHER = Reference("toys:Other", {})

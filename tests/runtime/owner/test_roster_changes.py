@@ -18,8 +18,7 @@ from support.strategies import randoms
 from hierax.runtime.core.errors import HierarchyError
 from hierax.runtime.core.graph import Pair, check_graph
 from hierax.runtime.owner.roster_changes import ChangeError, apply, removed, touched
-from hierax.schemas.changes import Attach, Change, Detach, Replace
-from hierax.schemas.roster import Reference, Roster, RosterEdge
+from hierax.schemas.roster import Attach, Change, Detach, Reference, Replace, Roster, RosterEdge
 
 SCENE, ARM, BASE, EYE = (Reference(f"robots.{name}:Node") for name in ("scene", "arm", "base", "eye"))
 SEEN = Reference("robots.arm:seen")

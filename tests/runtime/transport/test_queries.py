@@ -9,10 +9,10 @@ import pytest
 import zenoh
 from support.live import until
 
+from hierax.runtime.transport.control import QUESTIONS, InspectionEndpoint
 from hierax.runtime.transport.hub import Hub, free_endpoint
 from hierax.runtime.transport.launch_client import LaunchClient
 from hierax.runtime.transport.port import TransportError
-from hierax.runtime.transport.queries import QUESTIONS, InspectionEndpoint
 from hierax.runtime.transport.zenoh_session import close_session, open_session
 from hierax.schemas.keys import Keys
 from hierax.schemas.values import Value, decode_value, encode_value
