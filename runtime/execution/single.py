@@ -32,7 +32,7 @@ from hierax.runtime.execution.runner import Host, NodeRunner, World
 from hierax.runtime.loading.loader import build_hierarchy
 from hierax.runtime.loading.node_loader import NodeLoader
 from hierax.runtime.owner.roster_changes import ChangeError, Undo, apply
-from hierax.runtime.transport.memory import MemoryNetwork
+from hierax.runtime.transport.port import MemoryNetwork
 from hierax.schemas.messages import Header
 from hierax.schemas.roster import Change, Detach, Replace, Roster, new_nodes
 

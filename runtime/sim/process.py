@@ -18,9 +18,8 @@ from hierax.runtime.execution.runner import NodeRunner
 from hierax.runtime.sim.checker import Checker
 from hierax.runtime.sim.inspection import Inspected, Inspector, Turn, forged, inspected_edges
 from hierax.runtime.sim.journal import FAULT, MESSAGE, VERDICT, Journal, control_kind
-from hierax.runtime.sim.network import Clock, Host, Network
+from hierax.runtime.sim.network import Clock, Crash, Host, Network, SimStorage
 from hierax.runtime.sim.scenario import CONTRADICT, FORETELL, RAISE, TORN, TRIAL, Scenario
-from hierax.runtime.sim.storage import Crash, SimStorage
 from hierax.schemas.control import AskStatus, Control, Order, Prepare, decode_control
 from hierax.schemas.messages import Message, decode_message
 from hierax.schemas.roster import Roster

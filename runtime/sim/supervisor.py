@@ -16,10 +16,9 @@ from hierax.runtime.owner.effects import OwnerPolicy
 from hierax.runtime.owner.owner import Owner
 from hierax.runtime.recovery.slots import Slots
 from hierax.runtime.sim.inspection import Turn
-from hierax.runtime.sim.network import SimPort
+from hierax.runtime.sim.network import SimPort, SimStorage
 from hierax.runtime.sim.nodes import MODULE
 from hierax.runtime.sim.process import TICK_S, SimProcess, Surroundings
-from hierax.runtime.sim.storage import SimStorage
 from hierax.schemas.control import Census, Control, Lost, Prepare
 from hierax.schemas.roster import Roster
 

@@ -24,7 +24,7 @@ from hierax.runtime.execution.single import run
 from hierax.runtime.host.waiting import wait_for
 from hierax.runtime.loading.loader import extend_import_path
 from hierax.runtime.testing.node import check_node
-from hierax.runtime.transport.memory import MemoryNetwork
+from hierax.runtime.transport.port import MemoryNetwork
 from hierax.runtime.watch.watcher import Watcher
 
 

@@ -137,14 +137,10 @@ class ZenohPort(Port):
         self._put(header.kind, message)
 
     def receive(self) -> Message | None:
-        if self._early:
-            return self._early.popleft()
-        return self._next()
+        return self._early.popleft() if self._early else self._next()
 
     def poll(self) -> Message | None:
-        if self._early:
-            return self._early.popleft()
-        return self._next(waits=False)
+        return self._early.popleft() if self._early else self._next(waits=False)
 
     def interrupt(self) -> None:
         self._inbox.interrupt()

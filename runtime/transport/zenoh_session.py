@@ -163,10 +163,7 @@ def remove_orphaned_segments() -> int:
     Zenoh holds a shared lock on each segment in use and removes orphans only when the next session opens, so the last
     one would stay.
     """
-    removed = 0
-    for path in sorted(_SHARED_MEMORY.glob("*.zenoh")):
-        removed += _is_orphaned(path, remove=True)
-    return removed
+    return sum([_is_orphaned(path, remove=True) for path in sorted(_SHARED_MEMORY.glob("*.zenoh"))])
 
 
 def orphaned_segments(folder: Path = _SHARED_MEMORY) -> list[Path]:

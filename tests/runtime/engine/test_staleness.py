@@ -28,7 +28,7 @@ from hierax.runtime.engine.table import Phase, Verdict
 from hierax.runtime.engine.wiring import Place, Wiring
 from hierax.runtime.execution.pacemaker import Pacemaker
 from hierax.runtime.execution.runner import NodeRunner, World
-from hierax.runtime.transport.memory import MemoryNetwork
+from hierax.runtime.transport.port import MemoryNetwork
 from hierax.schemas.messages import CONTEXT, OBSERVATIONS, TASKS, Message
 
 ROSTER_HASH = bytes(range(32))

@@ -16,7 +16,7 @@ from hierax.runtime.execution.member import Member, Seat
 from hierax.runtime.execution.runner import NodeRunner
 from hierax.runtime.recovery.disk import MappedFile
 from hierax.runtime.recovery.slots import Slots
-from hierax.runtime.transport.memory import MemoryNetwork
+from hierax.runtime.transport.port import MemoryNetwork
 from hierax.schemas.control import Control, Fetch, Taken, TakeOver, Unchanged
 from hierax.schemas.messages import OBSERVATIONS, Header, Message
 

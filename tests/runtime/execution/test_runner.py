@@ -24,7 +24,7 @@ from hierax.runtime.execution.observers import Observers
 from hierax.runtime.execution.output_folder import Log
 from hierax.runtime.execution.pacemaker import Pacemaker
 from hierax.runtime.execution.runner import NodeRunner, World
-from hierax.runtime.transport.memory import MemoryNetwork
+from hierax.runtime.transport.port import MemoryNetwork
 from hierax.schemas.messages import CONTEXT, Header, Message
 
 ROSTER_HASH = bytes(range(32))

@@ -16,7 +16,7 @@ from hierax.runtime.execution.runner import NodeRunner
 from hierax.runtime.launch import inspection_server as desks
 from hierax.runtime.launch.inspection_server import LEASE_S, InspectionServer
 from hierax.runtime.transport.control import InspectionEndpoint
-from hierax.runtime.transport.memory import MemoryNetwork
+from hierax.runtime.transport.port import MemoryNetwork
 from hierax.schemas.roster import Reference, Roster
 from hierax.schemas.values import encode_value
 

@@ -16,8 +16,7 @@ from support.sockets import break_link
 from hierax.runtime.core.hierarchy import neighbours_above, neighbours_below
 from hierax.runtime.testing.transport import check_transport, receive
 from hierax.runtime.transport import inbox
-from hierax.runtime.transport.memory import MemoryNetwork, MemoryPort
-from hierax.runtime.transport.port import Port, TransportError
+from hierax.runtime.transport.port import MemoryNetwork, MemoryPort, Port, TransportError
 from hierax.runtime.transport.zenoh_port import INTERRUPT, ZenohPort
 from hierax.runtime.transport.zenoh_session import LOOPBACK, LOW_LATENCY_BYTES, free_endpoint, open_session
 from hierax.schemas.errors import SchemaError
