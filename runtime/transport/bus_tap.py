@@ -87,12 +87,10 @@ class BusTap:
         keys: Keys,  # of the run
         zenoh_config: ZenohConfig = None,  # Zenoh's own configuration
         host: str | None = None,  # address of this machine at which others may link; None: this machine's only
-        queue_bytes: int = QUEUE_BYTES,  # how much the queue holds
     ) -> None:
         listen = (f"tcp/{host}:0",) if host else ("tcp/127.0.0.1:0",)
         self._session = open_session(listen, (endpoint,), zenoh_config)
         self._keys = keys
-        self._queue_bytes = queue_bytes
         self._queue: deque[Sample] = deque()
         self._waiting = 0
         self._dropped: deque[tuple[str, bytes]] = deque()
@@ -154,7 +152,7 @@ class BusTap:
     def _add(self, heard: Sample) -> None:
         size = len(heard.data)
         with self._changed:
-            if self._waiting + size > self._queue_bytes and self._queue:
+            if self._waiting + size > QUEUE_BYTES and self._queue:
                 self._dropped.append((heard.key, heard.data[:256]))
                 return
             self._waiting += size
