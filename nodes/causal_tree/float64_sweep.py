@@ -7,14 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from hierax.nodes.causal_tree.extended_floats import (
-    ExtendedFloats,
-    Floats,
-    Inputs,
-    along,
-    as_float64,
-    greatest,
-)
+from hierax.nodes.causal_tree.extended_floats import ExtendedFloats, Floats, Inputs, along, as_float64, greatest
 from hierax.nodes.causal_tree.plan import Group, Plan
 
 LEAST_INPUT = 2.0**-300  # likelihoods further apart than this are none for float64

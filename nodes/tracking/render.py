@@ -178,12 +178,7 @@ class SegmentedDepth:
         placed = [_placed(scene, number) for number in range(len(scene.items))]
         alone = [
             controls_of(
-                self._renderer.renderer(item).shape,
-                item.pose,
-                scene.intrinsics,
-                scene.size,
-                each.layer,
-                self._radius_m,
+                self._renderer.renderer(item).shape, item.pose, scene.intrinsics, scene.size, each.layer, self._radius_m
             )
             if item.label not in missing
             else gathered([NO_CONTROLS])

@@ -42,11 +42,7 @@ def check_writable(scene: BopScene, overwrite: bool) -> Path:
 def write_first_poses(path: Path, scene: BopScene, poses: Sequence[tuple[int, Floats]]) -> None:
     """Write poses, model's number and camera_from_object, of the first frame. Raises DataError: that fails."""
     entries = [
-        {
-            "cam_R_m2c": pose[:3, :3].ravel().tolist(),
-            "cam_t_m2c": (pose[:3, 3] / BOP_UNIT_M).tolist(),
-            "obj_id": obj_id,
-        }
+        {"cam_R_m2c": pose[:3, :3].ravel().tolist(), "cam_t_m2c": (pose[:3, 3] / BOP_UNIT_M).tolist(), "obj_id": obj_id}
         for obj_id, pose in poses
     ]
     unfinished = path.with_name(f"{path.name}.part")

@@ -46,12 +46,7 @@ _TEXTURES_MAX = 512  # of 150 kB each
 
 
 def draw(
-    bodies: Sequence[Thing],
-    camera: Floats,
-    intrinsics: Array,
-    size: Size,
-    lamp: Lamp = LAMP,
-    wood: Wood = WOOD,
+    bodies: Sequence[Thing], camera: Floats, intrinsics: Array, size: Size, lamp: Lamp = LAMP, wood: Wood = WOOD
 ) -> Array:
     """The light of the picture, RGB float32 (h, w, 3), 0 to 1, before a lens blurs and a sensor encodes it; colours and
     lamps are told as a screen shows them. Bodies are above the plane z = 0 and in front of the camera
