@@ -3,8 +3,15 @@
 What works on pictures is in `hierax.nodes.letters.pixels`, which needs OpenCV.
 """
 
-from hierax.nodes.letters.messages import ImpossibleEvidenceError
-from hierax.nodes.letters.tree import LetterEvidence, LetterNode, SymbolWorld, WordNode, WordSupport, symbol_seen
+from hierax.nodes.letters.tree import (
+    ImpossibleEvidenceError,
+    LetterEvidence,
+    LetterNode,
+    SymbolWorld,
+    WordNode,
+    WordSupport,
+    symbol_seen,
+)
 
 __all__ = [
     "ImpossibleEvidenceError",

@@ -20,8 +20,7 @@ from typing import Any
 import cv2
 import numpy as np
 
-from hierax.nodes.letters.messages import Weights, is_number
-from hierax.nodes.letters.tree import LetterNode
+from hierax.nodes.letters.tree import LetterNode, Weights, is_number
 from hierax.runtime import NO_TICK, Elements, Probe, Step, Tick, Value, World
 from hierax.runtime.core.showing import Image, Things
 

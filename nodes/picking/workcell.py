@@ -24,7 +24,7 @@ import pybullet_data
 
 from hierax.nodes.picking.panda import JOINTS, TORQUES_NM
 from hierax.nodes.tracking.errors import DataError
-from hierax.nodes.tracking.imagery.bullet import Bullet, box_shape, create_body, pose_of, prepare
+from hierax.nodes.tracking.imagery.physics import Bullet, box_shape, create_body, pose_of, prepare
 from hierax.nodes.tracking.math.geometry import Floats
 
 STEP_HZ = 240

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from hierax.nodes.tracking.errors import check_between
 from hierax.nodes.tracking.estimation.tracked import NO_CONTROLS
-from hierax.nodes.tracking.imagery.controls import controls_of
+from hierax.nodes.tracking.imagery.edges import controls_of
 from hierax.nodes.tracking.imagery.layers import Layer, LayerRenderer, Window, surrounding
 from hierax.nodes.tracking.imagery.occlusion import Placed, chances_seen
 from hierax.nodes.tracking.imagery.proposals import Proposer, places_seen, top_of

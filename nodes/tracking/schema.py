@@ -183,32 +183,40 @@ class Looks(TypedDict):
     slack: Annotated[Floats, Is(("b", 3, 3), "float64", "m², object's frame")]  # covariance of that
 
 
-class TrackedObject(MayLookAlike):
-    """What the arm believes of one object."""
-
+class _SentObject(TypedDict):
     id: int
     obj_id: int
-    pose: CameraFromObject  # seen from the belief's camera
-    before: CameraFromObject  # the same an image earlier
     covariance: Covariance
     score: float  # how well the image supports the pose, 0 to 1
+    status: str  # `TRACKED`, `EXPECTED` or `LOST`
+    motion_scale: float  # 0 to 1, how much of a push its latest motion asks for
+    sought: bool  # whether it is to be imagined elsewhere, too
+
+
+class PaperObject(_SentObject):
+    """What the arm believes of one object with the paper's update."""
+
+    pose: CameraFromObject  # seen from the belief's camera
+    misses: int  # images in a row without support
+    # poses that explain the newest image nearly as well
+    guesses: Annotated[Floats, Is(("n", 4, 4), "float64", "camera_from_object, m")]
+    edges: Annotated[Floats, Is(("n", 2, 3), "float64", "m, object's frame")]  # a dash along the edge at each point
+
+
+class TrackedObject(PaperObject, MayLookAlike):
+    """What the arm believes of one object."""
+
+    before: CameraFromObject  # its pose an image earlier
     nats: float  # by how much it explains the image better than clutter does
     probability: float  # that it is within 5 mm and 5° of the truth; 0 where no image says so
     probation: int  # for how many more images it may turn out to be elsewhere
-    status: str  # `TRACKED`, `EXPECTED` or `LOST`
-    misses: int  # images in a row without support
-    motion_scale: float  # 0 to 1, how much of a push its latest motion asks for
     # running mean of how far images had it from its predictions
     trend: Annotated[Floats, Is((6,), "float64", "standard deviations")]
     failed_searches: int  # for how many images in a row it was looked for elsewhere and not found
     support: Upwards  # upwards, where something carries it
     stands: bool  # whether it lies on a face there
     others: tuple[Alternative, ...]  # what came of that
-    # poses that explain the newest image nearly as well
-    guesses: Annotated[Floats, Is(("n", 4, 4), "float64", "camera_from_object, m")]
-    sought: bool  # whether it is to be imagined elsewhere, too
     controls: ControlPoints  # points on the edges expected to be seen
-    edges: Annotated[Floats, Is(("n", 2, 3), "float64", "m, object's frame")]  # a dash along the edge at each
     slots: Looks  # what it looks like beside them
 
 
@@ -227,22 +235,6 @@ class ArmBelief(TypedDict):
     sweeps: tuple[Sweep, ...] | None
 
 
-class PaperObject(TypedDict):
-    """What the arm believes of one object with the paper's update; fields as in `TrackedObject`."""
-
-    id: int
-    obj_id: int
-    pose: CameraFromObject
-    covariance: Covariance
-    score: float
-    status: str
-    misses: int
-    motion_scale: float
-    sought: bool
-    guesses: Annotated[Floats, Is(("n", 4, 4), "float64", "camera_from_object, m")]
-    edges: Annotated[Floats, Is(("n", 2, 3), "float64", "m, object's frame")]
-
-
 class PaperArmBelief(TypedDict):
     """What the arm node believes with the paper's update; fields as in `ArmBelief`."""
 
@@ -257,17 +249,10 @@ AnyArmBelief = ArmBelief | PaperArmBelief
 
 
 @final
-class SeenObject(TypedDict):
+class SeenObject(_SentObject):
     """Arm to spatial: where one object is, in the world."""
 
-    id: int
-    obj_id: int
     pose: WorldFromObject
-    covariance: Covariance
-    score: float
-    status: str
-    motion_scale: float
-    sought: bool
     guesses: Annotated[Floats, Is(("n", 4, 4), "float64", "world_from_object, m")]
 
 

@@ -10,10 +10,8 @@ import numpy as np
 
 from hierax.nodes.tracking.display import spatial_things
 from hierax.nodes.tracking.errors import check_between
-from hierax.nodes.tracking.imagery.alternatives import elsewhere
-from hierax.nodes.tracking.imagery.bullet import GRAVITY_M_S2
-from hierax.nodes.tracking.imagery.physics import Motion, Simulator, Solid
-from hierax.nodes.tracking.imagery.resting import resting
+from hierax.nodes.tracking.imagery.alternatives import elsewhere, resting
+from hierax.nodes.tracking.imagery.physics import GRAVITY_M_S2, Motion, Simulator, Solid
 from hierax.nodes.tracking.math.geometry import (
     NO_POSES,
     Array,
@@ -286,8 +284,7 @@ def _sought(body: Body, sweeping: tuple[int, ...]) -> Body:
 def _limited(change: Floats, most: Floats) -> Floats:
     """A change of velocity, no larger than what forces make of it in a frame; more is an error of the poses."""
     sizes = np.array([np.linalg.norm(change[:3]), np.linalg.norm(change[3:])])
-    limited: Floats = change * np.repeat(np.minimum(1.0, most / np.maximum(sizes, 1e-12)), 3)
-    return limited
+    return np.asarray(change * np.repeat(np.minimum(1.0, most / np.maximum(sizes, 1e-12)), 3))
 
 
 def _sigmas_squared(step: Floats, pose: Array, covariance: Array) -> float:

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from hierax.nodes.tracking.estimation.appearance import NOTHING
-from hierax.nodes.tracking.imagery.controls import controls_of
+from hierax.nodes.tracking.imagery.edges import controls_of
 from hierax.nodes.tracking.math.geometry import exp_so3, make_pose
 from hierax.nodes.tracking.model.mesh import box_mesh
 from hierax.nodes.tracking.model.shapes import shape_of

@@ -2,21 +2,24 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from hierax.nodes.tracking.clicking.alignment import aligned
-from hierax.nodes.tracking.clicking.corners import LEAST, corners_of, fitted
-from hierax.nodes.tracking.clicking.model_view import Marked, ModelView, View
+from hierax.nodes.tracking.arm import ArmNode, poses_seen
+from hierax.nodes.tracking.clicking.model_view import LEAST, Marked, ModelView, View, corners_of, fitted
 from hierax.nodes.tracking.datasets.bop import BopScene
 from hierax.nodes.tracking.math.geometry import Array, Floats, project, transform
 from hierax.nodes.tracking.model.shapes import shape_of
 from hierax.nodes.tracking.model.symmetry import model_of
-from hierax.nodes.tracking.schema import FirstBody, Picture
+from hierax.nodes.tracking.render import SegmentedDepth
+from hierax.nodes.tracking.schema import TRACKED, FirstBody, FirstPose, Picture
+from hierax.nodes.tracking.spatial import SpatialNode
 
 _MOVED_PX = 3.0  # how much farther from the clicks than by them alone an aligned pose may put the corners
+
+_IMAGES = 4  # so often is the picture seen, the first time to know the camera
 
 
 class Found(NamedTuple):
@@ -211,3 +214,20 @@ class Session:
         if self._asked is None:
             return f"{clicked} corners are clicked, and at least {LEAST} are needed: begin again, or leave it out."
         return f"Click where the corner is that is red in the model; {LEAST - clicked} more, at least."
+
+
+def aligned(picture: Picture, bodies: Sequence[FirstBody]) -> Floats | None:
+    """camera_from_object of the last of some bodies where the image has it; None where the image does not support it.
+
+    Args: picture: the image. bodies: their ``pose`` is camera_from_object, as the camera's frame is the world's here;
+        those before the last one are seen, too, and may hide it.
+    """
+    first: list[FirstPose] = [{"id": each["id"], "obj_id": each["obj_id"], "pose": each["pose"]} for each in bodies]
+    arm, spatial, imagine = ArmNode(first), SpatialNode(bodies), SegmentedDepth()
+    sensed, believed = arm.initial_belief(), spatial.initial_belief()
+    for _ in range(_IMAGES):
+        sensed = arm.observe((picture,), sensed)
+        believed = spatial.predict((), (), spatial.observe(poses_seen(sensed), believed))
+        last = sensed["objects"][-1]
+        sensed = arm.predict(imagine(believed), (), sensed)
+    return last["pose"] if last["status"] == TRACKED else None

@@ -26,8 +26,7 @@ from hierax.nodes.tracking.datasets.bop_json import (
 )
 from hierax.nodes.tracking.errors import DataError, writing
 from hierax.nodes.tracking.math.geometry import Array, Floats, invert, make_pose
-from hierax.nodes.tracking.model.bounded_files import MAX_PIXELS, image_size, read_file
-from hierax.nodes.tracking.model.files import BOP_UNIT_M, SUFFIXES, read_mesh
+from hierax.nodes.tracking.model.files import BOP_UNIT_M, MAX_PIXELS, SUFFIXES, image_size, read_file, read_mesh
 from hierax.nodes.tracking.model.mesh import Mesh
 from hierax.nodes.tracking.model.symmetry import found_symmetry
 from hierax.nodes.tracking.schema import LOST, ScoredPose, Symmetry

@@ -10,8 +10,7 @@ import numpy as np
 
 from hierax.nodes.tracking.errors import DataError
 from hierax.nodes.tracking.math.geometry import Floats, make_pose, orthonormal
-from hierax.nodes.tracking.model.bounded_files import read_file
-from hierax.nodes.tracking.model.files import BOP_UNIT_M
+from hierax.nodes.tracking.model.files import BOP_UNIT_M, read_file
 from hierax.nodes.tracking.model.symmetry import symmetry_of
 from hierax.nodes.tracking.schema import Symmetry
 

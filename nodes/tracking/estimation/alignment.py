@@ -139,16 +139,14 @@ def _fine_scale(state: _State, stage: Stage, intrinsics: Array, search: Search) 
         near = sizes[view][sizes[view] < search.support_px]
         if len(near):
             scales[at] = np.clip(_SPREADS * float(np.median(near)), *search.fine_px)
-    found: Floats = scales[stage.controls.owners]
-    return found
+    return np.asarray(scales[stage.controls.owners])
 
 
 def offsets_at(aligned: Aligned, poses: Floats, intrinsics: Array) -> Floats:
     """(n,) of each line the pixels along the normal from where other poses, near by, put it to its hypothesis."""
     stage = aligned.stage
     places = stage.profiles.places[np.arange(len(stage.edges)), aligned.matches.columns]
-    offsets: Floats = places.astype(np.float64) - seen_from(poses, stage, aligned.off, intrinsics).moved
-    return offsets
+    return np.asarray(places.astype(np.float64) - seen_from(poses, stage, aligned.off, intrinsics).moved)
 
 
 def _step(
@@ -228,5 +226,4 @@ def _chance(stage: Stage, search: Search) -> Floats:
     for step in range(1, int(search.support_px) + 1):
         near[:, step:] |= peaks[:, :-step]
         near[:, :-step] |= peaks[:, step:]
-    share: Floats = near.mean(axis=1)
-    return share
+    return np.asarray(near.mean(axis=1))

@@ -50,7 +50,7 @@ class Memory(NamedTuple):
     colours: Singles  # (n, 2, channels) inside and outside; any where nothing is remembered
     precision: Singles  # (n, 2) 1/variance; 0 where nothing is remembered or the object is not on that side
     trust: Singles  # (n,) 0 to 1, less on edges that are off in image after image: shadows at an object's foot, mostly
-    apart: Singles  # (n,) 0 to 1, how far the edge stands alone, see `hierax.nodes.tracking.estimation.crowding`
+    apart: Singles  # (n,) 0 to 1, how far the edge stands alone, see `hierax.nodes.tracking.estimation.joint_alignment`
     # (n, 3, 3) covariance of where its edge is beside the model's, m², see `hierax.nodes.tracking.estimation.bending`
     slack: Floats
 
@@ -83,8 +83,7 @@ def _trust(slots: Looks, parts: NDArray[np.int64]) -> Singles:
     offset, frames = _kept(slots["edges"], slots["offsets"], parts // EDGE_SLOTS)
     part = offset * np.minimum(frames / np.float32(_FRAMES), np.float32(1.0)) / np.float32(WHOLE_PX)
     found, sought = _kept(slots["parts"], slots["hits"], parts)
-    trust: Singles = 1.0 / (1.0 + part * part) * ((found + 1.0) / (sought + 1.0)) ** _DOUBT
-    return trust
+    return np.asarray(1.0 / (1.0 + part * part) * ((found + 1.0) / (sought + 1.0)) ** _DOUBT)
 
 
 def _kept(known: NDArray[np.int64], values: Singles, wanted: NDArray[np.int64]) -> Singles:
@@ -92,8 +91,7 @@ def _kept(known: NDArray[np.int64], values: Singles, wanted: NDArray[np.int64]) 
     if not len(known):
         return np.zeros((2, len(wanted)), dtype=np.float32)
     place = np.minimum(np.searchsorted(known, wanted), len(known) - 1)
-    found: Singles = np.where(known[place] == wanted, values[place].T, np.float32(0.0))
-    return found
+    return np.asarray(np.where(known[place] == wanted, values[place].T, np.float32(0.0)))
 
 
 def _laid_out(
@@ -161,8 +159,7 @@ def strangeness(memory: Memory, profiles: Profiles) -> Singles:
             total[known] += np.minimum(square * precision[known, side][:, None], np.float32(_MOST_STRANGE))
     # Where all look strange, the light has changed: then that says little.
     usual = np.where(np.isfinite(profiles.places), total, np.float32(np.inf)).min(axis=1)
-    result: Singles = np.maximum(total - np.minimum(usual, np.float32(_FORGIVEN))[:, None], np.float32(0.0))
-    return result
+    return np.asarray(np.maximum(total - np.minimum(usual, np.float32(_FORGIVEN))[:, None], np.float32(0.0)))
 
 
 def moved(slots: Looks) -> Looks:

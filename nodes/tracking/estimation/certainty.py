@@ -22,5 +22,4 @@ def right(covariances: Floats, nats: Floats) -> Floats:
     twists = np.einsum("mij,sj->msi", np.linalg.cholesky(covariances), _SAMPLES)
     near = np.linalg.norm(twists[..., :3], axis=2) < RIGHT_M
     near &= np.linalg.norm(twists[..., 3:], axis=2) < RIGHT_RAD
-    found: Floats = near.mean(axis=1) / (1.0 + np.exp(-np.clip(nats, -50.0, 50.0)))
-    return found
+    return np.asarray(near.mean(axis=1) / (1.0 + np.exp(-np.clip(nats, -50.0, 50.0))))

@@ -34,8 +34,7 @@ class Prior(NamedTuple):
 
     def spread(self) -> Floats:
         """(m, 6, 6) covariance of the predicted poses."""
-        predicted: Floats = self.covariance + self.motion_scale[:, None, None] ** 2 * self.motion
-        return predicted
+        return np.asarray(self.covariance + self.motion_scale[:, None, None] ** 2 * self.motion)
 
 
 class Fused(NamedTuple):
@@ -112,5 +111,4 @@ def _off(aligned: Aligned, prior: Prior, shift: Floats, vague: Floats) -> Floats
     alone = solved(information, right[..., None])
     carried = adjoints(invert_many(aligned.poses))
     both = spread + inverse(information) + carried @ vague @ carried.transpose(0, 2, 1)
-    whitened: Floats = solved(np.asarray(np.linalg.cholesky(both)), alone)[..., 0]
-    return whitened
+    return np.asarray(solved(np.asarray(np.linalg.cholesky(both)), alone)[..., 0])

@@ -40,8 +40,7 @@ def explains(aligned: Aligned) -> Floats:
     stage, count = aligned.stage, len(aligned.poses)
     owners = stage.controls.owners
     said = _said(aligned, np.exp(-STRANGE_WEIGHT * aligned.matches.strange))
-    found: Floats = ALIKE * summed(owners, said, count) - summed(owners[stage.firsts], _off(aligned), count)
-    return found
+    return np.asarray(ALIKE * summed(owners, said, count) - summed(owners[stage.firsts], _off(aligned), count))
 
 
 def shares(aligned: Aligned) -> Shares:
@@ -53,8 +52,7 @@ def shares(aligned: Aligned) -> Shares:
 
 def expected(aligned: Aligned) -> Floats:
     """(n,) of each line the chance that its edge is seen, if the pose is right."""
-    chance: Floats = FOUND * aligned.stage.controls.visible * aligned.stage.memory.apart
-    return chance
+    return np.asarray(FOUND * aligned.stage.controls.visible * aligned.stage.memory.apart)
 
 
 def _said(aligned: Aligned, familiar: Floats | float) -> Floats:
@@ -62,8 +60,7 @@ def _said(aligned: Aligned, familiar: Floats | float) -> Floats:
     clutter = np.maximum(np.isfinite(aligned.stage.profiles.places).mean(axis=1), LEAST_CLUTTER)
     seen, away = expected(aligned), np.abs(aligned.matches.pixels) / _PEAK_PX
     near = np.exp(-0.5 * np.minimum(away, 9.0) ** 2) / (_PEAK_PX * np.sqrt(2.0 * np.pi))
-    said: Floats = np.log(1.0 - seen + seen / clutter * near * familiar)
-    return said
+    return np.asarray(np.log(1.0 - seen + seen / clutter * near * familiar))
 
 
 def _off(aligned: Aligned) -> Floats:
@@ -71,8 +68,7 @@ def _off(aligned: Aligned) -> Floats:
     stage = aligned.stage
     off = aligned.off[stage.firsts] / stage.spread
     held = np.bincount(stage.edges, weights=np.where(aligned.supported, expected(aligned), 0.0)) / _PEAK_PX**2
-    cost: Floats = 0.5 * off * off + 0.5 * np.log1p(stage.spread**2 * ALIKE * held)
-    return cost
+    return np.asarray(0.5 * off * off + 0.5 * np.log1p(stage.spread**2 * ALIKE * held))
 
 
 def painted(aligned: Aligned) -> Floats:

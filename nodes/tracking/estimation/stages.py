@@ -90,8 +90,7 @@ class Equations(NamedTuple):
 
     def off(self, twists: Floats) -> Floats:
         """(e,) pixels by which each edge is off as a whole after (camera, own) twists (m, 12)."""
-        found: Floats = -(self.pulls + np.einsum("ek,ek->e", self.shared, twists[self.owners])) / self.wholes
-        return found
+        return np.asarray(-(self.pulls + np.einsum("ek,ek->e", self.shared, twists[self.owners])) / self.wholes)
 
 
 class Matches(NamedTuple):
@@ -128,8 +127,7 @@ def _spread(
     if len(loose):
         moves = moves_of(poses, controls, lines, loose, intrinsics)
         variance[loose] += np.einsum("ni,nij,nj->n", moves, memory.slack[loose], moves)
-    spread: Floats = np.sqrt(np.bincount(edges, weights=variance) / np.bincount(edges))
-    return spread
+    return np.asarray(np.sqrt(np.bincount(edges, weights=variance) / np.bincount(edges)))
 
 
 def moves_of(poses: Floats, controls: Controls, lines: Lines, rows: Indices, intrinsics: Array) -> Floats:
@@ -176,8 +174,7 @@ def weights_of(stage: Stage, matches: Matches, scale: Floats | float, search: Se
         if len(values):
             usual[at] = values[int(_USUAL_SHARPNESS * (len(values) - 1))]
     relative = np.minimum(mean / np.maximum(usual[owners], 1e-9), 1.0)
-    blurred: Floats = np.where(near, weights * relative**search.blur_power, 0.0)
-    return blurred
+    return np.asarray(np.where(near, weights * relative**search.blur_power, 0.0))
 
 
 def views_of(owners: Indices, count: int) -> list[slice]:

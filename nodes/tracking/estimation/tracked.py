@@ -98,8 +98,7 @@ def tracked_metrics(objects: Sequence[TrackedObject] | Sequence[PaperObject]) ->
 
 def motion_of(item: TrackedObject) -> Floats:
     """(6,) twist in its frame by which an object is predicted to move from one image to the next."""
-    motion: Floats = log_many(invert_many(item["before"][None]) @ item["pose"][None])[0]
-    return motion
+    return np.asarray(log_many(invert_many(item["before"][None]) @ item["pose"][None])[0])
 
 
 def check_ids(objects: Sequence[TrackedObject] | Sequence[PaperObject]) -> None:

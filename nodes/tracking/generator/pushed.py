@@ -12,7 +12,7 @@ import numpy as np
 
 from hierax.nodes.tracking.generator.camera import FPS
 from hierax.nodes.tracking.generator.things import LYING, Item, colours
-from hierax.nodes.tracking.imagery.bullet import Bullet, box_shape, create_body, hull_shape, pose_of, prepare
+from hierax.nodes.tracking.imagery.physics import Bullet, box_shape, create_body, hull_shape, pose_of, prepare
 from hierax.nodes.tracking.math.geometry import (
     Array,
     Floats,

@@ -14,7 +14,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from hierax.nodes.tracking.imagery.bullet import Bullet
+from hierax.nodes.tracking.imagery.physics import Bullet
 from hierax.nodes.tracking.math.geometry import Array, Floats, cross, project, quaternion_of, transform
 from hierax.nodes.tracking.model.shapes import Shape
 
@@ -246,8 +246,7 @@ def _both_sides(shape: Shape) -> Array:
 def _corners(low: Floats, high: Floats) -> Floats:
     """The eight corners (8, 3) of a bounding box."""
     choose = np.array([[(index >> axis) & 1 for axis in range(3)] for index in range(8)])
-    corners: Floats = np.where(choose == 1, high, low)
-    return corners
+    return np.asarray(np.where(choose == 1, high, low))
 
 
 def _z_range(corners: Floats) -> tuple[float, float]:

@@ -13,7 +13,7 @@ from itertools import combinations
 import cv2
 import numpy as np
 
-from hierax.nodes.tracking.imagery.controls import controls_of
+from hierax.nodes.tracking.imagery.edges import controls_of
 from hierax.nodes.tracking.imagery.layers import LayerRenderer
 from hierax.nodes.tracking.math.batched import only
 from hierax.nodes.tracking.math.geometry import (

@@ -16,7 +16,7 @@ from hierax.nodes.tracking.estimation.bending import bent_after
 from hierax.nodes.tracking.estimation.joint_alignment import Explained, Task
 from hierax.nodes.tracking.estimation.likelihood import explains
 from hierax.nodes.tracking.estimation.stages import Search
-from hierax.nodes.tracking.imagery.controls import POINTS_MAX
+from hierax.nodes.tracking.imagery.edges import POINTS_MAX
 from hierax.nodes.tracking.math.batched import exp_many, inverse, invert_many, log_many, only
 from hierax.nodes.tracking.schema import LOST, Looks, TrackedObject
 from hierax.nodes.tracking.search.multistart import Found, squared

@@ -19,7 +19,7 @@ from hierax.nodes.tracking.estimation.bending import memory_of
 from hierax.nodes.tracking.estimation.likelihood import explains, painted
 from hierax.nodes.tracking.estimation.profiles import Image
 from hierax.nodes.tracking.estimation.stages import Search
-from hierax.nodes.tracking.imagery.controls import POINTS_MAX
+from hierax.nodes.tracking.imagery.edges import POINTS_MAX
 from hierax.nodes.tracking.math.batched import inverse, invert_many, log_many, only, pixels_of
 from hierax.nodes.tracking.math.geometry import NO_POSES, Array, Floats, invert, transform
 from hierax.nodes.tracking.model.controls import gathered

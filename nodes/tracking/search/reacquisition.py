@@ -19,7 +19,7 @@ from hierax.nodes.tracking.estimation.joint_alignment import Task
 from hierax.nodes.tracking.estimation.likelihood import explains
 from hierax.nodes.tracking.estimation.profiles import lines_of
 from hierax.nodes.tracking.estimation.stages import Search
-from hierax.nodes.tracking.imagery.controls import POINTS_MAX
+from hierax.nodes.tracking.imagery.edges import POINTS_MAX
 from hierax.nodes.tracking.math.batched import inverse, invert_many, joined, log_many, only, summed, tukey
 from hierax.nodes.tracking.math.geometry import NO_POSES, Array, Floats
 from hierax.nodes.tracking.model.controls import Indices, gathered

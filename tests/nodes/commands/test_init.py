@@ -20,7 +20,7 @@ import pytest
 from support import chromium
 from support.launched import Command, said_here
 
-from hierax.nodes.tracking.clicking.corners import corners_of
+from hierax.nodes.tracking.clicking.model_view import corners_of
 from hierax.nodes.tracking.clicking.page import HOST, Page
 from hierax.nodes.tracking.clicking.session import Session
 from hierax.nodes.tracking.datasets.bop import FIRST_POSES, BopScene, read_results

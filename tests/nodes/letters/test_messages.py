@@ -7,7 +7,7 @@ from fractions import Fraction
 
 import pytest
 
-from hierax.nodes.letters.messages import TINY, ImpossibleEvidenceError, normalised, product, uniform, weights
+from hierax.nodes.letters.tree import TINY, ImpossibleEvidenceError, normalised, product, uniform, weights
 
 NAMES = ("a", "b", "c")
 

@@ -16,7 +16,7 @@ from hierax.nodes.picking.panda import (
     joints_for,
 )
 from hierax.nodes.picking.workcell import panda_file
-from hierax.nodes.tracking.imagery.bullet import Bullet
+from hierax.nodes.tracking.imagery.physics import Bullet
 from hierax.nodes.tracking.math.geometry import Floats, make_pose, pose_error, rotation_of
 
 SEED = 5

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from support.boxes import INTRINSICS
 
-from hierax.nodes.tracking.estimation.crowding import apartness
+from hierax.nodes.tracking.estimation.joint_alignment import apartness
 from hierax.nodes.tracking.model.controls import Controls
 
 POSE = np.eye(4)[None].repeat(2, axis=0)

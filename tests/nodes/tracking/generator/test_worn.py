@@ -8,7 +8,7 @@ import pytest
 from hierax.nodes.tracking.estimation.profiles import lines_of, read_profiles, smoothed
 from hierax.nodes.tracking.generator.kinds import INTRINSICS, SIZE, film
 from hierax.nodes.tracking.generator.worn import RADIUS_M, rounded
-from hierax.nodes.tracking.imagery.controls import controls_of
+from hierax.nodes.tracking.imagery.edges import controls_of
 from hierax.nodes.tracking.math.geometry import invert, looking_down, make_pose
 from hierax.nodes.tracking.model.shapes import shape_of
 from hierax.nodes.tracking.simworld.light import Lamp

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from support.boxes import INTRINSICS, SIZE, Box
 
-from hierax.nodes.tracking.imagery.controls import controls_of
+from hierax.nodes.tracking.imagery.edges import controls_of
 from hierax.nodes.tracking.imagery.layers import LayerRenderer
 from hierax.nodes.tracking.imagery.occlusion import Placed, chances_seen
 from hierax.nodes.tracking.math.geometry import Floats, exp_se3, exp_so3, invert, make_pose, transform

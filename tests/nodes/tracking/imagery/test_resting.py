@@ -3,7 +3,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from hierax.nodes.tracking.imagery.resting import resting
+from hierax.nodes.tracking.imagery.alternatives import resting
 from hierax.nodes.tracking.math.geometry import exp_so3, make_pose
 from hierax.nodes.tracking.model.mesh import box_mesh
 

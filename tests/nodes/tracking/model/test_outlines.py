@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from support.meshes import cylinder, sphere
 
+from hierax.nodes.tracking.imagery.edges import outline_of
 from hierax.nodes.tracking.model.mesh import box_mesh
-from hierax.nodes.tracking.model.outlines import outline_of
 from hierax.nodes.tracking.model.shapes import shape_of
 
 

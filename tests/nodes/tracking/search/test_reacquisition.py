@@ -10,7 +10,7 @@ from support.boxes import INTRINSICS, SIZE, Box, photograph
 from support.drawn import BOXES, FIRST, SECOND, expected
 
 from hierax.nodes.tracking.estimation.profiles import smoothed
-from hierax.nodes.tracking.imagery.controls import controls_of
+from hierax.nodes.tracking.imagery.edges import controls_of
 from hierax.nodes.tracking.math.geometry import Floats, exp_se3, exp_so3, make_pose, pose_error
 from hierax.nodes.tracking.model.mesh import box_mesh
 from hierax.nodes.tracking.model.shapes import shape_of

@@ -17,8 +17,7 @@ from hierax.nodes.tracking.imagery.layers import NEAREST_DRAWN_M, Layer
 from hierax.nodes.tracking.math.batched import joined, only
 from hierax.nodes.tracking.math.geometry import Array, Floats, cross, invert, project, transform, unit
 from hierax.nodes.tracking.model.controls import CREASE, LIMB, OUTLINE, Controls
-from hierax.nodes.tracking.model.outlines import outline_of
-from hierax.nodes.tracking.model.shapes import Ints, Shape
+from hierax.nodes.tracking.model.shapes import Ints, Shape, chained
 
 SPACING_PX = 4.0
 POINTS_MAX = 300
@@ -137,8 +136,7 @@ def _worn(normals: Floats, inwards: Floats, plane: Floats, crease: NDArray[np.bo
     touching = np.where(crease[:, None], middle, outline)
     apart = 1.0 + np.sum(normals[:, 0] * normals[:, 1], axis=1, keepdims=True)
     convex = np.sum(normals[:, 0] * inwards[:, 1], axis=1, keepdims=True) < 0.0
-    worn: Floats = np.where(convex, touching - both / np.maximum(apart, 0.2), 0.0)
-    return worn
+    return np.asarray(np.where(convex, touching - both / np.maximum(apart, 0.2), 0.0))
 
 
 def _smooth_lines(shape: Shape, viewpoint: Floats) -> _Lines:
@@ -240,11 +238,50 @@ def _across(controls: Controls, seen: Floats, pose: Floats, intrinsics: Array) -
 
     def moved(directions: Floats) -> Floats:
         turned = directions @ pose[:3, :3].T
-        step: Floats = intrinsics[:2] * (turned[:, :2] - flat * turned[:, 2:])
-        return step
+        return np.asarray(intrinsics[:2] * (turned[:, :2] - flat * turned[:, 2:]))
 
     along, inward = moved(controls.tangents), moved(controls.inwards)
     normals = np.stack((-along[:, 1], along[:, 0]), axis=1)
     normals *= np.where(np.sum(normals * inward, axis=1, keepdims=True) < 0.0, -1.0, 1.0)
-    across: Floats = normals / np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-12)
-    return across
+    return np.asarray(normals / np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-12))
+
+
+class Outline(NamedTuple):
+    """Pieces (n) of the lines at which a surface's normal is at right angles to the ray, object's frame."""
+
+    ends: Floats  # (n, 2, 3) metres; each begins where the one before it in its chain ended
+    outwards: Floats  # (n, 3) unit normals of the surface
+    smooth: NDArray[np.intp]  # (n,) places in `Shape.smooth` of the faces that they cross
+    chains: Ints  # (n,) number of the chain, from 0, rising
+
+
+def outline_of(shape: Shape, viewpoint: Floats) -> Outline:
+    """The outline of a shape's smooth surfaces, hidden or not, from the camera's centre (3,) in the object's frame."""
+    towards = np.sum(shape.corner_normals * (viewpoint - shape.corners), axis=1)
+    one, two, three = (towards > 0.0)[shape.smooth_corners].T
+    smooth = np.nonzero((one != two) | (two != three))[0]
+    places = shape.smooth_corners[smooth]
+    # The one corner that faces the other way than both others; the line crosses the two sides from it.
+    ahead = towards[places] > 0.0
+    alone = np.where(ahead.sum(axis=1) == 1, ahead.argmax(axis=1), ahead.argmin(axis=1))
+    rows = np.arange(len(alone))
+    apex = places[rows, alone][:, None]
+    others = np.stack((places[rows, (alone + 1) % 3], places[rows, (alone + 2) % 3]), axis=1)
+    share = (towards[apex] / (towards[apex] - towards[others]))[..., None]
+    ends = shape.corners[apex] + share * (shape.corners[others] - shape.corners[apex])
+    normals = shape.corner_normals[apex] + share * (shape.corner_normals[others] - shape.corner_normals[apex])
+    outwards = unit(normals.sum(axis=1))
+    crossed = np.minimum(apex, others).astype(np.int64) * len(shape.corners) + np.maximum(apex, others)
+    order, turned, chains = chained(_beyond(crossed), 0)
+    ends = np.where(turned[:, None, None], ends[order, ::-1], ends[order])
+    return Outline(ends, outwards[order], smooth[order], chains)
+
+
+def _beyond(crossed: NDArray[np.int64]) -> NDArray[np.intp]:
+    """The ends that meet, as `chained` takes them, by the side of a triangle on which each begins and ends, (n, 2)."""
+    sides = crossed.ravel()
+    order = np.argsort(sides, kind="stable")
+    meeting = np.nonzero(sides[order][1:] == sides[order][:-1])[0]
+    beyond = np.full(len(sides), -1)
+    beyond[order[meeting]], beyond[order[meeting + 1]] = order[meeting + 1], order[meeting]
+    return beyond
