@@ -10,6 +10,7 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
+from hierax.nodes.tracking import schema
 from hierax.nodes.tracking.constants import LEAST_SHOWN, LESS
 from hierax.nodes.tracking.display import arm_things
 from hierax.nodes.tracking.errors import check_between, check_positive
@@ -24,20 +25,6 @@ from hierax.nodes.tracking.estimation.tracked import (
     tracked_metrics,
 )
 from hierax.nodes.tracking.math.geometry import NO_POSES, Array, Floats, exp_se3, invert, log_se3
-from hierax.nodes.tracking.schema import (
-    EXPECTED,
-    LOST,
-    TRACKED,
-    ArmBelief,
-    FirstPose,
-    Imagery,
-    Nothing,
-    Picture,
-    SeenCamera,
-    SeenObject,
-    Sweep,
-    TrackedObject,
-)
 from hierax.nodes.tracking.search.association import Estimate, Options, associate
 from hierax.nodes.tracking.search.missing import Sighting, look_for_missing
 from hierax.nodes.tracking.search.multistart import FALLING, LEAST_FOUND, held, in_turn
@@ -82,7 +69,7 @@ class ArmNode(Node):
 
     def __init__(
         self,
-        objects: Sequence[FirstPose],
+        objects: Sequence[schema.FirstPose],
         start_m: float = 0.005,
         start_rad: float = 0.035,
         motion_m: float = 0.010,
@@ -116,7 +103,7 @@ class ArmNode(Node):
         self._patience = patience
         self._prior = prior
 
-    def initial_belief(self) -> ArmBelief:
+    def initial_belief(self) -> schema.ArmBelief:
         """The objects where they are said to be; no camera, no edges yet."""
         return {
             "camera": None,
@@ -129,7 +116,7 @@ class ArmNode(Node):
             "sweeps": None,
         }
 
-    def observe(self, observations: tuple[Picture, ...], belief: ArmBelief) -> ArmBelief:
+    def observe(self, observations: tuple[schema.Picture, ...], belief: schema.ArmBelief) -> schema.ArmBelief:
         """τ: the objects' predicted poses, seen from where the camera is now, corrected by the image.
 
         Args:
@@ -142,7 +129,7 @@ class ArmNode(Node):
         reported = np.asarray(seen["camera"], dtype=np.float64)
         camera = reported @ belief["drift"]
         moved = np.eye(4) if belief["camera"] is None else invert(camera) @ belief["camera"]
-        objects: tuple[TrackedObject, ...] = tuple(
+        objects: tuple[schema.TrackedObject, ...] = tuple(
             {
                 **item,
                 "pose": moved @ item["pose"],
@@ -175,7 +162,9 @@ class ArmNode(Node):
             "sweeps": None,
         }
 
-    def predict(self, context: tuple[Imagery, ...], actions: Nothing, belief: ArmBelief) -> ArmBelief:
+    def predict(
+        self, context: tuple[schema.Imagery, ...], actions: schema.Nothing, belief: schema.ArmBelief
+    ) -> schema.ArmBelief:
         """γ: where the objects will be, and which of their edges will be seen, both from the context.
 
         Args:
@@ -194,7 +183,7 @@ class ArmNode(Node):
         )
         return {**belief, "objects": objects, "sweeps": _moved(context[0]["sweeps"], invert(camera))}
 
-    def metrics(self, belief: ArmBelief) -> Mapping[str, float]:
+    def metrics(self, belief: schema.ArmBelief) -> Mapping[str, float]:
         """How many objects are tracked, and the mean score."""
         return tracked_metrics(belief["objects"])
 
@@ -203,13 +192,13 @@ class ArmNode(Node):
         return arm_things(step, before, self._options.motion)
 
     def _corrected(
-        self, objects: tuple[TrackedObject, ...], image: Image, intrinsics: Array, still: bool
-    ) -> tuple[Floats, tuple[TrackedObject, ...]]:
+        self, objects: tuple[schema.TrackedObject, ...], image: Image, intrinsics: Array, still: bool
+    ) -> tuple[Floats, tuple[schema.TrackedObject, ...]]:
         """What the camera's error does to all poses, and the objects after the image."""
         if not any(len(item["controls"]["points"]) for item in objects):
             return np.eye(4), objects
         camera = None if still else self._camera
-        known: tuple[TrackedObject, ...] = objects
+        known: tuple[schema.TrackedObject, ...] = objects
         if not self._prior:
             known = tuple({**item, "covariance": _UNKNOWN} for item in objects)
         motion = np.stack([self._motion(item) for item in objects])
@@ -227,11 +216,11 @@ class ArmNode(Node):
     def _searched(
         self,
         image: Image,
-        objects: tuple[TrackedObject, ...],
-        sweeps: tuple[Sweep, ...],
+        objects: tuple[schema.TrackedObject, ...],
+        sweeps: tuple[schema.Sweep, ...],
         intrinsics: Array,
         upright: Floats,
-    ) -> tuple[TrackedObject, ...]:
+    ) -> tuple[schema.TrackedObject, ...]:
         """The objects after those that are missing were looked for."""
         missing = {at: item["others"] for at, item in enumerate(objects) if _is_missing(item)}
         if not missing:
@@ -242,14 +231,14 @@ class ArmNode(Node):
             for at, item in enumerate(objects)
         )
 
-    def _motion(self, item: TrackedObject) -> Floats:
+    def _motion(self, item: schema.TrackedObject) -> Floats:
         """(6, 6) how far it may leave its prediction within a frame: what stands slides, and turns where it is."""
         upwards, tilting = (_UPWARDS, _TILTING) if item["stands"] else (FALLING, 1.0)
         return held(self._options.motion, item["support"], upwards, tilting)
 
-    def _judged(self, item: TrackedObject, expected: Floats, estimate: Estimate) -> TrackedObject:
+    def _judged(self, item: schema.TrackedObject, expected: Floats, estimate: Estimate) -> schema.TrackedObject:
         """One object after the image: where it was found, or where it was expected."""
-        gone = _is_vague(item) or item["status"] == LOST
+        gone = _is_vague(item) or item["status"] == schema.LOST
         needed = self._found_score if gone else self._kept_score
         enough = LEAST_FOUND if gone else LEAST_SHOWN
         if estimate.shown < enough or estimate.score < needed or (gone and not estimate.sure):
@@ -270,18 +259,18 @@ class ArmNode(Node):
             "slots": estimate.slots,
             "failed_searches": _failed_searches(item, estimate),
             "guesses": estimate.guesses,
-            "status": TRACKED,
+            "status": schema.TRACKED,
             "misses": 0,
         }
 
-    def _missed(self, item: TrackedObject, expected: Floats, estimate: Estimate | None) -> TrackedObject:
+    def _missed(self, item: schema.TrackedObject, expected: Floats, estimate: Estimate | None) -> schema.TrackedObject:
         """One object that the image does not support: its prediction stands, until patience ends.
 
         That something which nothing is to be seen of is not seen says nothing against it.
         """
         hidden = estimate is None or float(item["controls"]["visible"].sum()) < LEAST_SHOWN
         misses = item["misses"] + (not hidden)
-        lost = item["status"] == LOST or misses >= self._patience
+        lost = item["status"] == schema.LOST or misses >= self._patience
         score = 0.0 if lost or estimate is None else estimate.score
         motion_scale = item["motion_scale"] if hidden or _is_vague(item) else 1.0
         return {
@@ -290,7 +279,7 @@ class ArmNode(Node):
             "score": score,
             "nats": 0.0 if estimate is None else estimate.nats,
             "probability": 0.0,
-            "status": LOST if lost else EXPECTED,
+            "status": schema.LOST if lost else schema.EXPECTED,
             "misses": misses,
             "motion_scale": motion_scale,
             "failed_searches": item["failed_searches"] if estimate is None else _failed_searches(item, estimate),
@@ -299,10 +288,10 @@ class ArmNode(Node):
         }
 
 
-def _sighted(item: TrackedObject, sighting: Sighting, swept: bool) -> TrackedObject:
+def _sighted(item: schema.TrackedObject, sighting: Sighting, swept: bool) -> schema.TrackedObject:
     """An object after it was looked for; one that was found just now gives way to what explains its place better."""
     if sighting.pose is None or sighting.covariance is None:
-        before = item["failed_searches"] if item["status"] == LOST else 0
+        before = item["failed_searches"] if item["status"] == schema.LOST else 0
         return {**_unseen(item), "guesses": sighting.guesses, "failed_searches": before + swept}
     return {
         **item,
@@ -314,7 +303,7 @@ def _sighted(item: TrackedObject, sighting: Sighting, swept: bool) -> TrackedObj
         "probability": float(right(sighting.covariance[None], np.array([sighting.nats]))[0]),
         "motion_scale": 1.0,
         "trend": np.zeros(6),
-        "status": TRACKED,
+        "status": schema.TRACKED,
         "misses": 0,
         "probation": _PROBATION,
         "failed_searches": 0,
@@ -322,46 +311,46 @@ def _sighted(item: TrackedObject, sighting: Sighting, swept: bool) -> TrackedObj
     }
 
 
-def _moved(sweeps: tuple[Sweep, ...] | None, by: Floats) -> tuple[Sweep, ...] | None:
+def _moved(sweeps: tuple[schema.Sweep, ...] | None, by: Floats) -> tuple[schema.Sweep, ...] | None:
     """Sweeps, seen from another frame."""
     return sweeps and tuple({**sweep, "places": by @ sweep["places"]} for sweep in sweeps)
 
 
-def _is_missing(item: TrackedObject) -> bool:
+def _is_missing(item: schema.TrackedObject) -> bool:
     """Whether nobody imagines where it is."""
-    return item["status"] == LOST and not len(item["controls"]["points"])
+    return item["status"] == schema.LOST and not len(item["controls"]["points"])
 
 
-def _shapeless(item: TrackedObject) -> TrackedObject:
+def _shapeless(item: schema.TrackedObject) -> schema.TrackedObject:
     """The same where nobody says what would be seen of it."""
     return {**_unseen(item), "controls": NO_CONTROLS, "edges": np.zeros((0, 2, 3))}
 
 
-def _unseen(item: TrackedObject) -> TrackedObject:
+def _unseen(item: schema.TrackedObject) -> schema.TrackedObject:
     """The same where no image says anything of it, and nobody knows where it is."""
-    return {**item, "score": 0.0, "nats": 0.0, "probability": 0.0, "status": LOST}
+    return {**item, "score": 0.0, "nats": 0.0, "probability": 0.0, "status": schema.LOST}
 
 
-def _sought(item: TrackedObject) -> TrackedObject:
+def _sought(item: schema.TrackedObject) -> schema.TrackedObject:
     """The same, with whether it is to be imagined elsewhere, too: it is not seen, or was found just now."""
-    missing = item["status"] != TRACKED or item["probation"] > 0
+    missing = item["status"] != schema.TRACKED or item["probation"] > 0
     return {**item, "sought": missing and in_turn(item), "others": ()}
 
 
-def _failed_searches(item: TrackedObject, estimate: Estimate) -> int:
+def _failed_searches(item: schema.TrackedObject, estimate: Estimate) -> int:
     """For how many images it was not found elsewhere; that counts anew when something happens to it."""
     startled = estimate.motion_scale == 1.0 and item["motion_scale"] < 1.0
     startled |= len(estimate.guesses) > 0
     return 0 if startled or estimate.score < LESS * item["score"] else estimate.failed_searches
 
 
-def _is_vague(item: TrackedObject) -> bool:
+def _is_vague(item: schema.TrackedObject) -> bool:
     covariance = item["covariance"]
     turned = float(np.trace(covariance[3:, 3:])) > _VAGUE_RAD**2
     return turned or float(np.trace(covariance[:3, :3])) > _VAGUE_M**2
 
 
-def poses_seen(belief: ArmBelief) -> tuple[SeenObject | SeenCamera, ...]:
+def poses_seen(belief: schema.ArmBelief) -> tuple[schema.SeenObject | schema.SeenCamera, ...]:
     """φ of the arm: where its objects are in the world, and its camera.
 
     Returns:
@@ -371,7 +360,7 @@ def poses_seen(belief: ArmBelief) -> tuple[SeenObject | SeenCamera, ...]:
     if camera is None or belief["intrinsics"] is None or belief["size"] is None or belief["frame"] is None:
         return ()
     objects = tuple(_seen_in_world(item, camera) for item in belief["objects"])
-    seen: SeenCamera = {
+    seen: schema.SeenCamera = {
         "camera": camera,
         "intrinsics": belief["intrinsics"],
         "size": belief["size"],
@@ -380,7 +369,7 @@ def poses_seen(belief: ArmBelief) -> tuple[SeenObject | SeenCamera, ...]:
     return (*objects, seen)
 
 
-def _seen_in_world(item: TrackedObject, camera: Floats) -> SeenObject:
+def _seen_in_world(item: schema.TrackedObject, camera: Floats) -> schema.SeenObject:
     return {
         "id": item["id"],
         "obj_id": item["obj_id"],

@@ -18,21 +18,7 @@ from hierax.nodes.tracking.math.geometry import NEAREST_M, Array, Floats, invert
 from hierax.nodes.tracking.render import DepthRenderer, item_of
 from hierax.nodes.tracking.schema import PaperObject, SpatialBelief, TrackedObject
 from hierax.runtime import Step, Value
-from hierax.runtime.core.showing import (
-    WHITE,
-    Axes,
-    Camera,
-    Curve,
-    Depth,
-    Image,
-    Labels,
-    Lines2D,
-    Lines3D,
-    Mesh,
-    Points2D,
-    Thing,
-    colour_of,
-)
+from hierax.runtime.core import showing
 
 _FRUSTUM_M = 0.12
 _COARSER = 4  # the image is drawn in the scene, too, and small there: of `_COARSER` pixels one, in each direction
@@ -55,12 +41,12 @@ _GRID = (170, 170, 170)
 _renderer = DepthRenderer()  # a cache of the bodies' meshes, prepared
 
 
-def world_things(step: Step) -> dict[str, Thing]:
+def world_things(step: Step) -> dict[str, showing.Thing]:
     """The true poses of the bodies, where the world knows them, as axes."""
-    return {f"/scene/true/{body['id']}": Axes(body["pose"], _TRUE_M) for body in step.sensed.get("bodies", ())}
+    return {f"/scene/true/{body['id']}": showing.Axes(body["pose"], _TRUE_M) for body in step.sensed.get("bodies", ())}
 
 
-def arm_things(step: Step, before: Value, motion: Floats) -> dict[str, Thing]:
+def arm_things(step: Step, before: Value, motion: Floats) -> dict[str, showing.Thing]:
     """The image with edges, the camera in the scene, the objects' scores, and the evidence for their poses.
 
     Args: step: of the arm. before: what it expected: the red edges; None: there are none. motion: (6, 6) covariance of
@@ -68,7 +54,7 @@ def arm_things(step: Step, before: Value, motion: Floats) -> dict[str, Thing]:
     """
     corrected = step.sensed
     objects = corrected["objects"]
-    things: dict[str, Thing] = {
+    things: dict[str, showing.Thing] = {
         f"/{view}/{item['id']}": _curve(item["id"], item[name])
         for item in objects
         for view, name in (("scores", "score"), ("probability", "probability"), ("nats", "nats"))
@@ -76,14 +62,16 @@ def arm_things(step: Step, before: Value, motion: Floats) -> dict[str, Thing]:
     if not step.observations or corrected["camera"] is None:
         return things
     image, intrinsics = step.observations[0]["image"], corrected["intrinsics"]
-    things["/camera/image"] = Image(image)
+    things["/camera/image"] = showing.Image(image)
     if before is not None and before["camera"] is not None:
         moved = invert(corrected["camera"]) @ before["camera"]
-        things["/camera/expected"] = Lines2D(edges_seen(before["objects"], moved, intrinsics), EXPECTED, _EXPECTED_PX)
+        things["/camera/expected"] = showing.Lines2D(
+            edges_seen(before["objects"], moved, intrinsics), EXPECTED, _EXPECTED_PX
+        )
     tracked = [item for item in objects if item["status"] == "tracked"]
-    things["/camera/corrected"] = Lines2D(edges_seen(tracked, np.eye(4), intrinsics), CORRECTED, _CORRECTED_PX)
+    things["/camera/corrected"] = showing.Lines2D(edges_seen(tracked, np.eye(4), intrinsics), CORRECTED, _CORRECTED_PX)
     things.update(_names(objects, intrinsics))
-    things["/scene/camera"] = Camera(
+    things["/scene/camera"] = showing.Camera(
         corrected["camera"],
         np.asarray(intrinsics) / _COARSER,
         (corrected["size"][0] // _COARSER, corrected["size"][1] // _COARSER),
@@ -94,11 +82,14 @@ def arm_things(step: Step, before: Value, motion: Floats) -> dict[str, Thing]:
     return {**things, **_evidence_things(told, image, intrinsics)}
 
 
-def _evidence_things(told: Sequence[Evidence], image: Array, intrinsics: Array) -> dict[str, Thing]:
+def _evidence_things(told: Sequence[Evidence], image: Array, intrinsics: Array) -> dict[str, showing.Thing]:
     """The image with edges coloured by what they say, thin outlines of other poses, and all of it in words."""
     if not told:
         return {}
-    things: dict[str, Thing] = {"why": "\n\n".join(each.text() for each in told), "/evidence/image": Image(image)}
+    things: dict[str, showing.Thing] = {
+        "why": "\n\n".join(each.text() for each in told),
+        "/evidence/image": showing.Image(image),
+    }
     dashes: dict[str, list[Floats]] = {}
     for each in told:
         for edge in each.edges:
@@ -108,31 +99,31 @@ def _evidence_things(told: Sequence[Evidence], image: Array, intrinsics: Array) 
             there: TrackedObject = {**each.item, "pose": other.pose, "edges": other.edges}
             lines = edges_seen([there], np.eye(4), intrinsics)
             path = f"/evidence/instead/{each.item['id']}/{number}"
-            things[path] = Lines2D(lines, colour_of(each.item["id"]), _OTHER_PX)
+            things[path] = showing.Lines2D(lines, showing.colour_of(each.item["id"]), _OTHER_PX)
     for _, name, colour in _SHARES:
         if name in dashes:
-            things[f"/evidence/{name}"] = Lines2D(np.concatenate(dashes[name]), colour, _EDGE_PX)
+            things[f"/evidence/{name}"] = showing.Lines2D(np.concatenate(dashes[name]), colour, _EDGE_PX)
     return things
 
 
-def spatial_things(step: Step, table: bool) -> dict[str, Thing]:
+def spatial_things(step: Step, table: bool) -> dict[str, showing.Thing]:
     """The bodies where they are expected, and what the camera is expected to see of them.
 
     Args: step: of the spatial node. table: whether the plane z = 0 carries the bodies; it is drawn as a grid.
     """
     belief = step.belief
-    things: dict[str, Thing] = {"/scene/table": Lines3D(_grid(), _GRID, 0.0005)} if table else {}
+    things: dict[str, showing.Thing] = {"/scene/table": showing.Lines3D(_grid(), _GRID, 0.0005)} if table else {}
     for body in belief["bodies"]:
-        colour = _LOST if body["status"] == "lost" else colour_of(body["id"])
+        colour = _LOST if body["status"] == "lost" else showing.colour_of(body["id"])
         model = body["model"]
-        things[f"/scene/bodies/{body['id']}"] = Mesh(model["vertices"], model["faces"], body["pose"], colour)
+        things[f"/scene/bodies/{body['id']}"] = showing.Mesh(model["vertices"], model["faces"], body["pose"], colour)
     if belief["camera"] is None:
         return things
     depth, labels = _imagined(belief)
-    return {**things, "/imagined/depth": Depth(depth), "/imagined/labels": Labels(labels)}
+    return {**things, "/imagined/depth": showing.Depth(depth), "/imagined/labels": showing.Labels(labels)}
 
 
-def errors(steps: Mapping[str, Step]) -> dict[str, Thing]:
+def errors(steps: Mapping[str, Step]) -> dict[str, showing.Thing]:
     """How far the arm's poses are from the truth, seen from the camera, where the world knows it.
 
     Args: steps: of an epoch, of all nodes.
@@ -141,7 +132,7 @@ def errors(steps: Mapping[str, Step]) -> dict[str, Thing]:
     worlds = [step.sensed for step in steps.values() if not step.observations and "bodies" in step.sensed]
     arms = [step.sensed for step in steps.values() if "objects" in step.sensed]
     truth = {body["id"]: invert(world["camera"]) @ body["pose"] for world in worlds for body in world["bodies"]}
-    things: dict[str, Thing] = {}
+    things: dict[str, showing.Thing] = {}
     for item in (item for arm in arms for item in arm["objects"]):
         number = item["id"]
         if item["status"] == "tracked" and number in truth:
@@ -151,18 +142,20 @@ def errors(steps: Mapping[str, Step]) -> dict[str, Thing]:
     return things
 
 
-def _curve(number: int, value: float) -> Curve:
-    return Curve(value, colour_of(number))
+def _curve(number: int, value: float) -> showing.Curve:
+    return showing.Curve(value, showing.colour_of(number))
 
 
-def _names(objects: Sequence[TrackedObject | PaperObject], intrinsics: Array) -> dict[str, Thing]:
+def _names(objects: Sequence[TrackedObject | PaperObject], intrinsics: Array) -> dict[str, showing.Thing]:
     """At its origin, what an object is that is not tracked."""
-    things: dict[str, Thing] = {}
+    things: dict[str, showing.Thing] = {}
     for item in objects:
         origin = np.asarray(item["pose"])[:3, 3]
         if item["status"] != "tracked" and origin[2] > NEAREST_M:
             name = f"{item['id']} {item['status']}"
-            things[f"/camera/names/{item['id']}"] = Points2D(project(origin[None], intrinsics), WHITE, 3.0, (name,))
+            things[f"/camera/names/{item['id']}"] = showing.Points2D(
+                project(origin[None], intrinsics), showing.WHITE, 3.0, (name,)
+            )
     return things
 
 

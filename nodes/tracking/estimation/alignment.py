@@ -14,20 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hierax.nodes.tracking.constants import STRANGE_WEIGHT
+from hierax.nodes.tracking.estimation import stages
 from hierax.nodes.tracking.estimation.appearance import Memory
 from hierax.nodes.tracking.estimation.profiles import Image
-from hierax.nodes.tracking.estimation.stages import (
-    Matches,
-    Search,
-    Seen,
-    Stage,
-    chosen_near,
-    normal_equations,
-    read_stage,
-    seen_from,
-    views_of,
-    weights_of,
-)
 from hierax.nodes.tracking.math.batched import exp_many, log_many, solved, summed, tukey
 from hierax.nodes.tracking.math.geometry import Array, Floats
 from hierax.nodes.tracking.model.controls import Controls
@@ -64,8 +53,8 @@ class Aligned(NamedTuple):
     scores: Floats  # (m,) 0 to 1: the share of control points that the image supports, beyond chance
     shown: Floats  # (m,) how many control points should be seen
     gains: Floats  # (m,) how many of them speak for the pose, each by how near and how familiar its hypothesis is
-    stage: Stage  # the last one
-    matches: Matches  # there
+    stage: stages.Stage  # the last one
+    matches: stages.Matches  # there
     off: Floats  # (n,) of each line, how far its edge is off as a whole, pixels along its normal
     supported: NDArray[np.bool_]  # (n,) of each line, whether its hypothesis supports the pose
 
@@ -78,12 +67,12 @@ class _State(NamedTuple):
     own: Floats
     off: Floats  # (n,) of each control point, how far its edge is off as a whole, pixels along its normal
 
-    def seen(self, stage: Stage, intrinsics: Array) -> Seen:
-        return seen_from(self.poses, stage, self.off[stage.lines.rows], intrinsics)
+    def seen(self, stage: stages.Stage, intrinsics: Array) -> stages.Seen:
+        return stages.seen_from(self.poses, stage, self.off[stage.lines.rows], intrinsics)
 
 
 def align(
-    image: Image, controls: Controls, start: Start, intrinsics: Array, memory: Memory, search: Search
+    image: Image, controls: Controls, start: Start, intrinsics: Array, memory: Memory, search: stages.Search
 ) -> Aligned | None:
     """Correct predicted poses.
 
@@ -96,9 +85,9 @@ def align(
     """
     whole = np.broadcast_to(np.eye(4), start.poses.shape)
     state = _State(start.poses, np.eye(4), whole, np.zeros(len(controls.owners)))
-    stage: Stage | None = None
+    stage: stages.Stage | None = None
     for reach, scales in zip(search.reach_px, search.scale_px, strict=True):
-        stage = read_stage(image, controls, state.poses, intrinsics, memory, reach, search)
+        stage = stages.read_stage(image, controls, state.poses, intrinsics, memory, reach, search)
         if stage is None:
             return None
         if search.voted:
@@ -112,7 +101,7 @@ def align(
     return _judged(state, start, stage, ends, intrinsics, search)
 
 
-def _voted(state: _State, stage: Stage, search: Search, intrinsics: Array) -> _State:
+def _voted(state: _State, stage: stages.Stage, search: stages.Search, intrinsics: Array) -> _State:
     """Each edge where most of its control points have a peak at the same distance, the nearer ones rather."""
     reach = (stage.profiles.places.shape[1] - 1) // 2
     seen = state.seen(stage, intrinsics)
@@ -130,12 +119,12 @@ def _voted(state: _State, stage: Stage, search: Search, intrinsics: Array) -> _S
     return state._replace(off=off)
 
 
-def _fine_scale(state: _State, stage: Stage, intrinsics: Array, search: Search) -> Floats:
+def _fine_scale(state: _State, stage: stages.Stage, intrinsics: Array, search: stages.Search) -> Floats:
     """(n,) where Tukey's weight ends for each control point in the end, by how far its object's residuals spread."""
     seen = state.seen(stage, intrinsics)
-    sizes = np.abs(chosen_near(seen, stage, search.support_px).pixels)
+    sizes = np.abs(stages.chosen_near(seen, stage, search.support_px).pixels)
     scales = np.full(len(state.poses), search.fine_px[1])
-    for at, view in enumerate(views_of(stage.controls.owners, len(scales))):
+    for at, view in enumerate(stages.views_of(stage.controls.owners, len(scales))):
         near = sizes[view][sizes[view] < search.support_px]
         if len(near):
             scales[at] = np.clip(_SPREADS * float(np.median(near)), *search.fine_px)
@@ -146,17 +135,17 @@ def offsets_at(aligned: Aligned, poses: Floats, intrinsics: Array) -> Floats:
     """(n,) of each line the pixels along the normal from where other poses, near by, put it to its hypothesis."""
     stage = aligned.stage
     places = stage.profiles.places[np.arange(len(stage.edges)), aligned.matches.columns]
-    return np.asarray(places.astype(np.float64) - seen_from(poses, stage, aligned.off, intrinsics).moved)
+    return np.asarray(places.astype(np.float64) - stages.seen_from(poses, stage, aligned.off, intrinsics).moved)
 
 
 def _step(
-    state: _State, start: Start, stage: Stage, scale: Floats | float, intrinsics: Array, search: Search
+    state: _State, start: Start, stage: stages.Stage, scale: Floats | float, intrinsics: Array, search: stages.Search
 ) -> _State:
     """One Gauss-Newton step of all objects and the camera."""
     seen = state.seen(stage, intrinsics)
-    matches = chosen_near(seen, stage, scale)
-    weights = weights_of(stage, matches, scale, search)
-    said = normal_equations(state.poses, stage, seen, matches, weights, intrinsics).told(start.told)
+    matches = stages.chosen_near(seen, stage, scale)
+    weights = stages.weights_of(stage, matches, scale, search)
+    said = stages.normal_equations(state.poses, stage, seen, matches, weights, intrinsics).told(start.told)
     blocks, gradients = said.blocks, said.gradients
     twists = log_many(np.concatenate((state.shift[None], state.own)))
     shift, own = twists[0], twists[1:]
@@ -188,13 +177,15 @@ def _step(
     return _State(moved[0] @ state.poses @ moved[1:], moved[0] @ state.shift, state.own @ moved[1:], off)
 
 
-def _judged(state: _State, start: Start, stage: Stage, scale: Floats, intrinsics: Array, search: Search) -> Aligned:
+def _judged(
+    state: _State, start: Start, stage: stages.Stage, scale: Floats, intrinsics: Array, search: stages.Search
+) -> Aligned:
     """The poses with their information and scores."""
     seen = state.seen(stage, intrinsics)
-    matches = chosen_near(seen, stage, search.support_px)
+    matches = stages.chosen_near(seen, stage, search.support_px)
     supported = (np.abs(matches.pixels) < search.support_px) & (matches.strange < _STRANGE)
-    weights = weights_of(stage, matches, scale, search)
-    said = normal_equations(state.poses, stage, seen, matches, weights, intrinsics).told(start.told)
+    weights = stages.weights_of(stage, matches, scale, search)
+    said = stages.normal_equations(state.poses, stage, seen, matches, weights, intrinsics).told(start.told)
     owners, count = stage.controls.owners, len(start.poses)
     # Where edges crowd, they may claim the same one in the image; it counts for neither.
     limbs = stage.controls.limbs
@@ -219,7 +210,7 @@ def _judged(state: _State, start: Start, stage: Stage, scale: Floats, intrinsics
     )
 
 
-def _chance(stage: Stage, search: Search) -> Floats:
+def _chance(stage: stages.Stage, search: stages.Search) -> Floats:
     """Of each line the share of places that are as near to a peak as one that supports a pose."""
     peaks = np.isfinite(stage.profiles.places) & (stage.strange < _STRANGE)
     near = peaks.copy()

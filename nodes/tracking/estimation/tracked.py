@@ -6,26 +6,16 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
+from hierax.nodes.tracking import schema
 from hierax.nodes.tracking.estimation.appearance import NOTHING
 from hierax.nodes.tracking.estimation.bending import bent
 from hierax.nodes.tracking.math.batched import invert_many, log_many
 from hierax.nodes.tracking.math.geometry import NO_POSES, Floats, invert
-from hierax.nodes.tracking.schema import (
-    EXPECTED,
-    LOST,
-    TRACKED,
-    ControlPoints,
-    ExpectedObject,
-    FirstPose,
-    PaperObject,
-    TrackedObject,
-    looking_alike,
-)
 
 _FIRST_MOTION_SCALE = 0.2
 _DASH_M = 0.002
 
-NO_CONTROLS: ControlPoints = {
+NO_CONTROLS: schema.ControlPoints = {
     "points": np.zeros((0, 3)),
     "tangents": np.zeros((0, 3)),
     "inwards": np.zeros((0, 3)),
@@ -36,7 +26,7 @@ NO_CONTROLS: ControlPoints = {
 }
 
 
-def first_belief(item: FirstPose, covariance: Floats) -> TrackedObject:
+def first_belief(item: schema.FirstPose, covariance: Floats) -> schema.TrackedObject:
     """An object before the first image.
 
     Args:
@@ -56,7 +46,7 @@ def first_belief(item: FirstPose, covariance: Floats) -> TrackedObject:
         "nats": 0.0,
         "probability": 0.0,
         "probation": 0,
-        "status": EXPECTED if item["pose"] is not None else LOST,
+        "status": schema.EXPECTED if item["pose"] is not None else schema.LOST,
         "misses": 0,
         "motion_scale": _FIRST_MOTION_SCALE,
         "trend": np.zeros(6),
@@ -72,7 +62,7 @@ def first_belief(item: FirstPose, covariance: Floats) -> TrackedObject:
     }
 
 
-def first_pose(item: FirstPose) -> Floats:
+def first_pose(item: schema.FirstPose) -> Floats:
     """(4, 4) camera_from_object in the first frame; the camera's own where it is not known.
 
     Raises:
@@ -86,22 +76,22 @@ def first_pose(item: FirstPose) -> Floats:
     return pose
 
 
-def tracked_metrics(objects: Sequence[TrackedObject] | Sequence[PaperObject]) -> Mapping[str, float]:
+def tracked_metrics(objects: Sequence[schema.TrackedObject] | Sequence[schema.PaperObject]) -> Mapping[str, float]:
     """How many objects are tracked and lost, and the mean score."""
     scores = [item["score"] for item in objects]
     return {
-        "tracked": float(sum(item["status"] == TRACKED for item in objects)),
-        "lost": float(sum(item["status"] == LOST for item in objects)),
+        "tracked": float(sum(item["status"] == schema.TRACKED for item in objects)),
+        "lost": float(sum(item["status"] == schema.LOST for item in objects)),
         "score_mean": float(np.mean(scores)) if scores else 0.0,
     }
 
 
-def motion_of(item: TrackedObject) -> Floats:
+def motion_of(item: schema.TrackedObject) -> Floats:
     """(6,) twist in its frame by which an object is predicted to move from one image to the next."""
     return np.asarray(log_many(invert_many(item["before"][None]) @ item["pose"][None])[0])
 
 
-def check_ids(objects: Sequence[TrackedObject] | Sequence[PaperObject]) -> None:
+def check_ids(objects: Sequence[schema.TrackedObject] | Sequence[schema.PaperObject]) -> None:
     """See that objects can be told apart in a label image.
 
     Raises:
@@ -117,7 +107,7 @@ def diagonal_covariance(length_m: float, angle_rad: float) -> Floats:
     return np.diag([length_m**2] * 3 + [angle_rad**2] * 3)
 
 
-def imagined(item: TrackedObject, expected: ExpectedObject, camera: Floats) -> TrackedObject:
+def imagined(item: schema.TrackedObject, expected: schema.ExpectedObject, camera: Floats) -> schema.TrackedObject:
     """One object's prediction and its visible edges.
 
     Args:
@@ -128,7 +118,7 @@ def imagined(item: TrackedObject, expected: ExpectedObject, camera: Floats) -> T
     controls = bent(expected["controls"], item["slots"])
     return {
         **item,
-        **looking_alike(expected),
+        **schema.looking_alike(expected),
         "before": item["pose"],
         "pose": invert(camera) @ expected["pose"],
         "covariance": expected["covariance"],
@@ -143,7 +133,7 @@ def imagined(item: TrackedObject, expected: ExpectedObject, camera: Floats) -> T
     }
 
 
-def dashes(controls: ControlPoints) -> Floats:
+def dashes(controls: schema.ControlPoints) -> Floats:
     """(n, 2, 3) a dash along the edge at each control point, m, object's frame."""
     half = _DASH_M / 2.0 * controls["tangents"]
     return np.stack((controls["points"] - half, controls["points"] + half), axis=1)
