@@ -350,7 +350,7 @@ def _is_vague(item: schema.TrackedObject) -> bool:
     return turned or float(np.trace(covariance[:3, :3])) > _VAGUE_M**2
 
 
-def poses_seen(belief: schema.ArmBelief) -> tuple[schema.SeenObject | schema.SeenCamera, ...]:
+def poses_seen(belief: schema.ArmBelief) -> tuple[schema.Seen, ...]:
     """φ of the arm: where its objects are in the world, and its camera.
 
     Returns:

@@ -12,11 +12,11 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
+from hierax.nodes.tracking import schema
 from hierax.nodes.tracking.evaluation.pictures import CORRECTED, EXPECTED, edges_seen
 from hierax.nodes.tracking.evidence import Evidence, evidence
 from hierax.nodes.tracking.math.geometry import NEAREST_M, Array, Floats, invert, pose_error, project
 from hierax.nodes.tracking.render import DepthRenderer, item_of
-from hierax.nodes.tracking.schema import PaperObject, SpatialBelief, TrackedObject
 from hierax.runtime import Step, Value
 from hierax.runtime.core import showing
 
@@ -68,7 +68,7 @@ def arm_things(step: Step, before: Value, motion: Floats) -> dict[str, showing.T
         things["/camera/expected"] = showing.Lines2D(
             edges_seen(before["objects"], moved, intrinsics), EXPECTED, _EXPECTED_PX
         )
-    tracked = [item for item in objects if item["status"] == "tracked"]
+    tracked = [item for item in objects if item["status"] == schema.TRACKED]
     things["/camera/corrected"] = showing.Lines2D(edges_seen(tracked, np.eye(4), intrinsics), CORRECTED, _CORRECTED_PX)
     things.update(_names(objects, intrinsics))
     things["/scene/camera"] = showing.Camera(
@@ -96,7 +96,7 @@ def _evidence_things(told: Sequence[Evidence], image: Array, intrinsics: Array) 
             name = next(name for least, name, _ in _SHARES if edge.nats >= least)
             dashes.setdefault(name, []).append(edge.dashes)
         for number, other in enumerate(each.others[:_OTHERS]):
-            there: TrackedObject = {**each.item, "pose": other.pose, "edges": other.edges}
+            there: schema.TrackedObject = {**each.item, "pose": other.pose, "edges": other.edges}
             lines = edges_seen([there], np.eye(4), intrinsics)
             path = f"/evidence/instead/{each.item['id']}/{number}"
             things[path] = showing.Lines2D(lines, showing.colour_of(each.item["id"]), _OTHER_PX)
@@ -114,7 +114,7 @@ def spatial_things(step: Step, table: bool) -> dict[str, showing.Thing]:
     belief = step.belief
     things: dict[str, showing.Thing] = {"/scene/table": showing.Lines3D(_grid(), _GRID, 0.0005)} if table else {}
     for body in belief["bodies"]:
-        colour = _LOST if body["status"] == "lost" else showing.colour_of(body["id"])
+        colour = _LOST if body["status"] == schema.LOST else showing.colour_of(body["id"])
         model = body["model"]
         things[f"/scene/bodies/{body['id']}"] = showing.Mesh(model["vertices"], model["faces"], body["pose"], colour)
     if belief["camera"] is None:
@@ -135,7 +135,7 @@ def errors(steps: Mapping[str, Step]) -> dict[str, showing.Thing]:
     things: dict[str, showing.Thing] = {}
     for item in (item for arm in arms for item in arm["objects"]):
         number = item["id"]
-        if item["status"] == "tracked" and number in truth:
+        if item["status"] == schema.TRACKED and number in truth:
             distance_m, angle_rad = pose_error(item["pose"], truth[number])
             things[f"/error_mm/{number}"] = _curve(number, 1000.0 * distance_m)
             things[f"/turn_deg/{number}"] = _curve(number, float(np.degrees(angle_rad)))
@@ -146,12 +146,12 @@ def _curve(number: int, value: float) -> showing.Curve:
     return showing.Curve(value, showing.colour_of(number))
 
 
-def _names(objects: Sequence[TrackedObject | PaperObject], intrinsics: Array) -> dict[str, showing.Thing]:
+def _names(objects: Sequence[schema.TrackedObject | schema.PaperObject], intrinsics: Array) -> dict[str, showing.Thing]:
     """At its origin, what an object is that is not tracked."""
     things: dict[str, showing.Thing] = {}
     for item in objects:
         origin = np.asarray(item["pose"])[:3, 3]
-        if item["status"] != "tracked" and origin[2] > NEAREST_M:
+        if item["status"] != schema.TRACKED and origin[2] > NEAREST_M:
             name = f"{item['id']} {item['status']}"
             things[f"/camera/names/{item['id']}"] = showing.Points2D(
                 project(origin[None], intrinsics), showing.WHITE, 3.0, (name,)
@@ -159,7 +159,7 @@ def _names(objects: Sequence[TrackedObject | PaperObject], intrinsics: Array) ->
     return things
 
 
-def _imagined(belief: SpatialBelief) -> tuple[Array, Array]:
+def _imagined(belief: schema.SpatialBelief) -> tuple[Array, Array]:
     """Depth and labels that the camera is expected to see."""
     camera, intrinsics, size = belief["camera"], belief["intrinsics"], belief["size"]
     assert camera is not None

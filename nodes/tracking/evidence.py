@@ -20,7 +20,7 @@ from hierax.nodes.tracking.estimation.tracked import dashes
 from hierax.nodes.tracking.math.batched import inverse, invert_many, log_many
 from hierax.nodes.tracking.math.geometry import Array, Floats, invert, pose_error
 from hierax.nodes.tracking.model.controls import gathered
-from hierax.nodes.tracking.schema import Alternative, ArmBelief, TrackedObject
+from hierax.nodes.tracking.schema import TRACKED, Alternative, ArmBelief, TrackedObject
 from hierax.nodes.tracking.search.multistart import squared
 
 KINDS = ("outline", "crease", "smooth")  # of edges, by number
@@ -72,7 +72,7 @@ class Evidence(NamedTuple):
     def text(self) -> str:
         """As Markdown that can be read as it stands."""
         item = self.item
-        exists = 1.0 / (1.0 + np.exp(-np.clip(item["nats"], -50.0, 50.0))) if item["status"] == "tracked" else 0.0
+        exists = 1.0 / (1.0 + np.exp(-np.clip(item["nats"], -50.0, 50.0))) if item["status"] == TRACKED else 0.0
         parts = [("found", self.found), ("not found", self.missing), ("strange looks", self.looks)]
         parts.append(("edges off as a whole", self.wholes))
         prior = "" if self.prior is None else f"; how far it is from the prediction {self.prior:+.1f}"

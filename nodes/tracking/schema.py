@@ -266,6 +266,9 @@ class SeenCamera(TypedDict):
     frame: int
 
 
+Seen = SeenObject | SeenCamera
+
+
 class Cube(TypedDict):
     """What the simulated world knows of one cube: the truth."""
 

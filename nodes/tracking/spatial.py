@@ -8,6 +8,7 @@ from math import sqrt
 
 import numpy as np
 
+from hierax.nodes.tracking import schema
 from hierax.nodes.tracking.display import spatial_things
 from hierax.nodes.tracking.errors import check_between
 from hierax.nodes.tracking.imagery.alternatives import elsewhere, resting
@@ -24,7 +25,6 @@ from hierax.nodes.tracking.math.geometry import (
     make_pose,
 )
 from hierax.nodes.tracking.render import is_missing
-from hierax.nodes.tracking.schema import LOST, Body, FirstBody, Model, Nothing, SeenCamera, SeenObject, SpatialBelief
 from hierax.runtime import NO_TICK, Node, Step, Tick, Value
 from hierax.runtime.core.showing import Things
 
@@ -75,7 +75,7 @@ class SpatialNode(Node):
 
     def __init__(
         self,
-        objects: Sequence[FirstBody],
+        objects: Sequence[schema.FirstBody],
         table: bool = False,
         velocity_gain: float = 0.4,
         damping: float = 0.1,
@@ -99,7 +99,7 @@ class SpatialNode(Node):
             for body in self._bodies
         }
 
-    def initial_belief(self) -> SpatialBelief:
+    def initial_belief(self) -> schema.SpatialBelief:
         """The bodies at their first poses, at rest; no camera yet."""
         return {
             "camera": None,
@@ -113,8 +113,8 @@ class SpatialNode(Node):
         }
 
     def observe(
-        self, observations: tuple[SeenObject | SeenCamera, ...], belief: SpatialBelief, tick: Tick = NO_TICK
-    ) -> SpatialBelief:
+        self, observations: tuple[schema.Seen, ...], belief: schema.SpatialBelief, tick: Tick = NO_TICK
+    ) -> schema.SpatialBelief:
         """τ: the bodies where the arm saw them, the camera where it was."""
         seen = {item["id"]: item for item in observations if "pose" in item}
         cameras = [item for item in observations if "camera" in item]
@@ -123,7 +123,7 @@ class SpatialNode(Node):
         bodies = tuple(
             self._moved(body, seen[body["id"]], interval_s) if body["id"] in seen else body for body in belief["bodies"]
         )
-        sensed: SpatialBelief = {
+        sensed: schema.SpatialBelief = {
             **belief,
             "bodies": bodies,
             "time_s": tick.time_s,
@@ -133,7 +133,9 @@ class SpatialNode(Node):
             sensed = {**sensed, **camera}
         return sensed
 
-    def predict(self, context: Nothing, actions: Nothing, belief: SpatialBelief) -> SpatialBelief:
+    def predict(
+        self, context: schema.Nothing, actions: schema.Nothing, belief: schema.SpatialBelief
+    ) -> schema.SpatialBelief:
         """γ: one frame interval of physics."""
         interval_s = belief["interval_s"]
         bodies = [body for body in belief["bodies"] if not is_missing(body, belief)]
@@ -154,13 +156,13 @@ class SpatialNode(Node):
         every = tuple(present.get(body["id"]) or _sought(body, sweeping) for body in belief["bodies"])
         return {**belief, "bodies": every, "sweeping": sweeping}
 
-    def metrics(self, belief: SpatialBelief) -> Mapping[str, float]:
+    def metrics(self, belief: schema.SpatialBelief) -> Mapping[str, float]:
         """How many bodies the arm tracks and has lost, and the fastest one's speed in mm/s."""
         bodies = belief["bodies"]
         speeds = [float(np.linalg.norm(body["velocity"][:3])) for body in bodies]
         return {
-            "tracked": float(sum(body["status"] == "tracked" for body in bodies)),
-            "lost": float(sum(body["status"] == "lost" for body in bodies)),
+            "tracked": float(sum(body["status"] == schema.TRACKED for body in bodies)),
+            "lost": float(sum(body["status"] == schema.LOST for body in bodies)),
             "max_speed_mm_s": 1000.0 * max(speeds, default=0.0),
         }
 
@@ -168,9 +170,9 @@ class SpatialNode(Node):
         """The bodies, and what the camera is expected to see."""
         return spatial_things(step, self._table)
 
-    def _moved(self, body: Body, seen: SeenObject, interval_s: float | None) -> Body:
+    def _moved(self, body: schema.Body, seen: schema.SeenObject, interval_s: float | None) -> schema.Body:
         """The body with what the arm says of it; one that it has lost stays where it was predicted."""
-        heard: Body = {
+        heard: schema.Body = {
             **body,
             "status": seen["status"],
             "covariance": seen["covariance"],
@@ -179,11 +181,11 @@ class SpatialNode(Node):
             "seen": None,
             "unseen": 0,
         }
-        if self._search and seen["status"] == LOST:
-            first = body["turn"] if body["status"] == LOST else 0
+        if self._search and seen["status"] == schema.LOST:
+            first = body["turn"] if body["status"] == schema.LOST else 0
             return {**heard, "velocity": np.zeros(6), "drift": np.zeros(6), "turn": first}
-        if seen["status"] != "tracked":
-            supposed = seen["pose"] if seen["status"] == "expected" else body["pose"]
+        if seen["status"] != schema.TRACKED:
+            supposed = seen["pose"] if seen["status"] == schema.EXPECTED else body["pose"]
             return {**_adrift(heard, body, interval_s), "pose": supposed}
         pose, drift = seen["pose"], body["drift"]
         if interval_s is not None and body["seen"] is not None:
@@ -195,12 +197,12 @@ class SpatialNode(Node):
         velocity = drift if moves else np.zeros(6)
         return {**heard, "pose": pose, "velocity": velocity, "drift": drift, "seen": pose, "known": True}
 
-    def _gain(self, change: Floats, seen: SeenObject) -> float:
+    def _gain(self, change: Floats, seen: schema.SeenObject) -> float:
         """How far the velocity follows: all the way where it changes by more than errors of poses do."""
         square = _sigmas_squared(change, seen["pose"], 2.0 * seen["covariance"])
         return self._velocity_gain + (1.0 - self._velocity_gain) * square / (square + _MOVES_SIGMAS**2)
 
-    def _moves(self, step: Floats, seen: SeenObject, needed: float) -> bool:
+    def _moves(self, step: Floats, seen: schema.SeenObject, needed: float) -> bool:
         """Whether a mean displacement from frame to frame is more than errors of the poses make.
 
         Errors of poses that follow one another cancel in a running mean of their differences but for a part.
@@ -215,7 +217,7 @@ class SpatialNode(Node):
         moved = make_pose(exp_so3(step[3:]) @ pose[:3, :3], pose[:3, 3] + step[:3])
         return Motion(moved, velocity * np.exp(-self._damping * interval_s))
 
-    def _looked_for(self, bodies: Sequence[Body], interval_s: float) -> tuple[Body, ...]:
+    def _looked_for(self, bodies: Sequence[schema.Body], interval_s: float) -> tuple[schema.Body, ...]:
         """The bodies with the poses at which they are to be looked for besides."""
         found = []
         for body in bodies:
@@ -223,13 +225,13 @@ class SpatialNode(Node):
             found.append(_with_others(body, np.array(moved).reshape(-1, 4, 4)))
         return tuple(found)
 
-    def _bounded(self, body: Body, free: Motion, physical: Motion) -> Motion:
+    def _bounded(self, body: schema.Body, free: Motion, physical: Motion) -> Motion:
         """What physics says, drawn back towards the free motion as far as the arm's certainty of the pose asks.
 
         Where that is needed, something holds or drives the body that physics does not know
         of, so its velocity stays the observed one.
         """
-        if body["status"] != "tracked":
+        if body["status"] != schema.TRACKED:
             return physical
         twist = log_se3(invert(free.pose) @ physical.pose)
         square = float(twist @ np.linalg.solve(body["covariance"], twist))
@@ -239,9 +241,9 @@ class SpatialNode(Node):
         return Motion(free.pose @ exp_se3(self._max_sigmas / sigmas * twist), free.velocity)
 
 
-def _body(item: FirstBody) -> Body:
+def _body(item: schema.FirstBody) -> schema.Body:
     vertices = np.asarray(item["model"]["vertices"], dtype=np.float64)
-    model: Model = {**item["model"], "vertices": vertices, "faces": np.asarray(item["model"]["faces"], dtype=np.int32)}
+    faces = np.asarray(item["model"]["faces"], dtype=np.int32)
     return {
         "id": item["id"],
         "obj_id": item["obj_id"],
@@ -249,7 +251,7 @@ def _body(item: FirstBody) -> Body:
         "velocity": np.zeros(6),
         "drift": np.zeros(6),
         "covariance": UNSEEN,
-        "status": "expected" if item["pose"] is not None else LOST,
+        "status": schema.EXPECTED if item["pose"] is not None else schema.LOST,
         "seen": None,
         "unseen": 0,
         "support": np.zeros(3),
@@ -260,12 +262,12 @@ def _body(item: FirstBody) -> Body:
         "guesses": NO_POSES,
         "others": NO_POSES,
         "kept": 0,
-        "model": model,
+        "model": {**item["model"], "vertices": vertices, "faces": faces},
         "mass": DENSITY_KG_M3 * float(np.prod(np.ptp(vertices, axis=0))),
     }
 
 
-def _swept_next(belief: SpatialBelief) -> tuple[int, ...]:
+def _swept_next(belief: schema.SpatialBelief) -> tuple[int, ...]:
     """Which missing bodies are looked for everywhere in the next image, those for which that was done least.
 
     Those that were not found are looked for now and then.
@@ -275,7 +277,7 @@ def _swept_next(belief: SpatialBelief) -> tuple[int, ...]:
     return tuple(number for turn, number in missing[:_SWEPT_TOGETHER] if turn < _SWEPT_AT_ONCE or now)
 
 
-def _sought(body: Body, sweeping: tuple[int, ...]) -> Body:
+def _sought(body: schema.Body, sweeping: tuple[int, ...]) -> schema.Body:
     """A missing body for the next image, with the poses that the arm guesses."""
     guesses = body["guesses"]
     return {**body, "others": guesses, "kept": len(guesses), "turn": body["turn"] + (body["id"] in sweeping)}
@@ -294,7 +296,7 @@ def _sigmas_squared(step: Floats, pose: Array, covariance: Array) -> float:
     return float(turned @ np.linalg.solve(covariance, turned))
 
 
-def _with_others(body: Body, guesses: Floats) -> Body:
+def _with_others(body: schema.Body, guesses: Floats) -> schema.Body:
     """The same, with poses to look for it at besides the imagined one, where the arm asks for them.
 
     Args:
@@ -303,7 +305,7 @@ def _with_others(body: Body, guesses: Floats) -> Body:
     """
     if not body["sought"] or not body["known"]:
         return {**body, "others": NO_POSES, "kept": 0}
-    covariance = body["covariance"] if body["status"] != "tracked" else body["covariance"] + _ASTRAY
+    covariance = body["covariance"] if body["status"] != schema.TRACKED else body["covariance"] + _ASTRAY
     others = elsewhere(body["pose"], covariance, body["support"] * body["stands"], body["turn"])
     return {
         **body,
@@ -318,7 +320,7 @@ def _is_carried(free: Motion, physical: Motion, interval_s: float) -> bool:
     return bool(free.pose[2, 3] - physical.pose[2, 3] < _FALLS * 0.5 * GRAVITY_M_S2 * interval_s**2)
 
 
-def _is_driven(body: Body) -> bool:
+def _is_driven(body: schema.Body) -> bool:
     """Whether it slides: against friction, things that physics does not know of drive it, and will go on.
 
     What turns over does not: its foot needs the friction.
@@ -328,7 +330,7 @@ def _is_driven(body: Body) -> bool:
     return bool(speed > 0.0 and abs(velocity[2]) < 0.3 * speed and turning < _TURNING * speed)
 
 
-def _adrift(heard: Body, body: Body, interval_s: float | None) -> Body:
+def _adrift(heard: schema.Body, body: schema.Body, interval_s: float | None) -> schema.Body:
     """One that is not seen moves on, but nobody knows how long.
 
     Its uncertainty grows along its motion, and about the vertical.
@@ -349,7 +351,7 @@ def _adrift(heard: Body, body: Body, interval_s: float | None) -> Body:
     return {**heard, "covariance": grown, "unseen": body["unseen"] + 1}
 
 
-def _at(body: Body, motion: Motion) -> Body:
+def _at(body: schema.Body, motion: Motion) -> schema.Body:
     return {**body, "pose": motion.pose, "velocity": motion.velocity}
 
 

@@ -16,14 +16,7 @@ from typing import Any, NamedTuple
 import cv2
 import numpy as np
 
-from hierax.nodes.tracking.datasets.bop_json import (
-    MAX_NUMBER,
-    read_json,
-    read_numbers,
-    read_obj_id,
-    read_pose,
-    read_symmetry,
-)
+from hierax.nodes.tracking.datasets import bop_json
 from hierax.nodes.tracking.errors import DataError, writing
 from hierax.nodes.tracking.math.geometry import Array, Floats, invert, make_pose
 from hierax.nodes.tracking.model.files import BOP_UNIT_M, MAX_PIXELS, SUFFIXES, image_size, read_file, read_mesh
@@ -102,7 +95,7 @@ class BopScene:
         names = (FIRST_POSES, TOLD_POSES) if poses else (TOLD_POSES, FIRST_POSES)
         path = next((path for name in names if (path := self.folder / name).exists()), self.folder / TOLD_POSES)
         first = str(self.frames[0].im_id)
-        entries = read_json(path).get(first)
+        entries = bop_json.read_json(path).get(first)
         if not isinstance(entries, list) or not entries:
             raise DataError(f"{path}: frame {first}: expected a list of objects for the first frame")
         if len(entries) > MAX_OBJECTS:
@@ -120,12 +113,12 @@ class BopScene:
 
     def _read_frames(self) -> tuple[Frame, ...]:
         path = self.folder / "scene_camera.json"
-        cameras = read_json(path)
+        cameras = bop_json.read_json(path)
         if not cameras:
             raise DataError(f"{path}: no frames")
         wrong = [key for key in cameras if not _is_number(key)]
         if wrong:
-            raise DataError(f"{path}: {wrong[0]!r:.40} is no frame number; expected 0 to {MAX_NUMBER}")
+            raise DataError(f"{path}: {wrong[0]!r:.40} is no frame number; expected 0 to {bop_json.MAX_NUMBER}")
         if len({int(key) for key in cameras}) < len(cameras):
             raise DataError(f"{path}: a frame is there twice; expected an entry for each number")
         images = _image_files(self.folder)
@@ -151,12 +144,12 @@ def read_model(folder: Path, obj_id: int) -> tuple[Mesh, Symmetry]:
     """The mesh of a model, in metres, and its symmetry: as ``models_info.json`` has it, else as the mesh shows it.
     Raises DataError: the model or ``models_info.json`` is missing or damaged."""
     info = folder / "models_info.json"
-    entry = read_json(info).get(str(obj_id))
+    entry = bop_json.read_json(info).get(str(obj_id))
     if not isinstance(entry, dict):
         raise DataError(f"{info}: no entry {str(obj_id)!r} for the object of that number")
     names = [folder / f"obj_{obj_id:06d}{suffix}" for suffix in SUFFIXES]
     mesh = read_mesh(next((name for name in names if name.exists()), names[0]), BOP_UNIT_M)
-    return mesh, read_symmetry(f"{info}: {obj_id}", entry) or found_symmetry(mesh)
+    return mesh, bop_json.read_symmetry(f"{info}: {obj_id}", entry) or found_symmetry(mesh)
 
 
 def read_image(path: Path) -> Array:
@@ -320,7 +313,7 @@ def read_results(path: str | Path, growing: bool = False) -> list[Result]:
 
 
 def _is_number(text: str) -> bool:
-    return text.isdecimal() and len(text) <= _MAX_DIGITS and int(text) <= MAX_NUMBER
+    return text.isdecimal() and len(text) <= _MAX_DIGITS and int(text) <= bop_json.MAX_NUMBER
 
 
 def _image_files(folder: Path) -> dict[int, Path]:
@@ -334,7 +327,7 @@ def _image_files(folder: Path) -> dict[int, Path]:
 
 def _frame(path: Path, key: str, entry: Any, image: Path) -> Frame:
     where = f"{path}: frame {key}"
-    matrix = read_numbers(where, entry, "cam_K", 9).reshape(3, 3)
+    matrix = bop_json.read_numbers(where, entry, "cam_K", 9).reshape(3, 3)
     focal, others = matrix[[0, 1], [0, 1]], np.abs(matrix - np.diag(np.diag(matrix)))
     if not (focal.min() > 0 and others[0, 1] <= 1e-6 * matrix[0, 0]):
         raise DataError(f"{where}: cam_K: expected positive focal lengths and no skew")
@@ -345,13 +338,13 @@ def _frame(path: Path, key: str, entry: Any, image: Path) -> Frame:
         raise DataError(f"{where}: cam_K: expected [fx, 0, cx, 0, fy, cy, 0, 0, 1]")
     intrinsics = np.array([matrix[0, 0], matrix[1, 1], matrix[0, 2], matrix[1, 2]])
     told = "cam_R_w2c" in entry or "cam_t_w2c" in entry
-    camera = invert(read_pose(where, entry, "cam_R_w2c", "cam_t_w2c")) if told else np.eye(4)
+    camera = invert(bop_json.read_pose(where, entry, "cam_R_w2c", "cam_t_w2c")) if told else np.eye(4)
     return Frame(int(key), image, intrinsics, camera, told)
 
 
 def _scene_object(path: Path, frame: str, at: int, entry: Any, told: bool) -> SceneObject:
     where = f"{path}: frame {frame}, object {at}"
-    number = read_obj_id(where, entry)
+    number = bop_json.read_obj_id(where, entry)
     if not told or ("pose" in entry and entry["pose"] is None):
         return SceneObject(at + 1, number, None)
-    return SceneObject(at + 1, number, read_pose(where, entry, "cam_R_m2c", "cam_t_m2c"))
+    return SceneObject(at + 1, number, bop_json.read_pose(where, entry, "cam_R_m2c", "cam_t_m2c"))

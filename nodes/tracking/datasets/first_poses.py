@@ -9,7 +9,7 @@ from pathlib import Path
 
 from hierax.nodes.tracking.datasets.bop import FIRST_POSES, MAX_OBJECTS, TOLD_POSES, BopScene
 from hierax.nodes.tracking.datasets.bop_json import read_json
-from hierax.nodes.tracking.errors import DataError
+from hierax.nodes.tracking.errors import DataError, writing
 from hierax.nodes.tracking.math.geometry import Floats
 from hierax.nodes.tracking.model.files import BOP_UNIT_M
 
@@ -46,8 +46,6 @@ def write_first_poses(path: Path, scene: BopScene, poses: Sequence[tuple[int, Fl
         for obj_id, pose in poses
     ]
     unfinished = path.with_name(f"{path.name}.part")
-    try:
+    with writing(path):
         unfinished.write_text(json.dumps({str(scene.frames[0].im_id): entries}, indent=1) + "\n", encoding="utf-8")
         os.replace(unfinished, path)
-    except OSError as error:
-        raise DataError(f"{path}: cannot be written: {error.strerror}") from error
