@@ -7,20 +7,9 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from hierax.nodes.tracking.generator import curved
+from hierax.nodes.tracking.generator import stock
 from hierax.nodes.tracking.generator.camera import Swing, camera_path
 from hierax.nodes.tracking.generator.pushed import pushed
-from hierax.nodes.tracking.generator.things import (
-    Item,
-    colours,
-    flat_box,
-    greys,
-    random_box,
-    random_mesh,
-    random_wedge,
-    scattered,
-    stacked,
-)
 from hierax.nodes.tracking.generator.worn import RADIUS_M, rounded, worn
 from hierax.nodes.tracking.math.geometry import Floats
 from hierax.nodes.tracking.simworld.light import Lamp
@@ -84,11 +73,15 @@ def film(kind: str, seed: int, frames: int) -> Film:
 
 
 def _scattered(rng: np.random.Generator, frames: int) -> Film:
-    return _still_life(rng, frames, lambda: scattered(_items(rng), rng, 0.17, 0.02), _swing(rng, 40.0), _mostly_seen)
+    return _still_life(
+        rng, frames, lambda: stock.scattered(_items(rng), rng, 0.17, 0.02), _swing(rng, 40.0), _mostly_seen
+    )
 
 
 def _hidden(rng: np.random.Generator, frames: int) -> Film:
-    return _still_life(rng, frames, lambda: scattered(_items(rng), rng, 0.11, 0.004), _swing(rng, 24.0), _half_hidden)
+    return _still_life(
+        rng, frames, lambda: stock.scattered(_items(rng), rng, 0.11, 0.004), _swing(rng, 24.0), _half_hidden
+    )
 
 
 def _worn(rng: np.random.Generator, frames: int) -> Film:
@@ -104,7 +97,7 @@ def _alike(rng: np.random.Generator, frames: int) -> Film:
 
     def things() -> list[Thing] | None:
         items = _items(rng)
-        return scattered([item._replace(colour=items[0].colour) for item in items], rng, 0.11, 0.004)
+        return stock.scattered([item._replace(colour=items[0].colour) for item in items], rng, 0.11, 0.004)
 
     shown = _still_life(rng, frames, things, _swing(rng, 24.0), _half_hidden)
     return replace(shown, lamp=replace(shown.lamp, ambient=0.85, diffuse=0.15))
@@ -112,12 +105,12 @@ def _alike(rng: np.random.Generator, frames: int) -> Film:
 
 def _tower(rng: np.random.Generator, frames: int) -> Film:
     def towers() -> list[Thing] | None:
-        paints = colours(rng, 6)
+        paints = stock.colours(rng, 6)
         widths = np.sort(rng.uniform(0.05, 0.09, 6))[::-1]
-        flat = [flat_box(rng, paint, width) for paint, width in zip(paints, widths, strict=True)]
-        first = stacked([flat[0], flat[2], flat[4]], rng, -0.06, rng.uniform(-0.03, 0.03))
-        second = stacked([flat[1], flat[3]], rng, 0.06, rng.uniform(-0.03, 0.03))
-        single = scattered([random_mesh(rng, paints[5])], rng, 0.16, 0.01, [*first, *second])
+        flat = [stock.flat_box(rng, paint, width) for paint, width in zip(paints, widths, strict=True)]
+        first = stock.stacked([flat[0], flat[2], flat[4]], rng, -0.06, rng.uniform(-0.03, 0.03))
+        second = stock.stacked([flat[1], flat[3]], rng, 0.06, rng.uniform(-0.03, 0.03))
+        single = stock.scattered([stock.random_mesh(rng, paints[5])], rng, 0.16, 0.01, [*first, *second])
         return None if single is None else [*first, *second, *single]
 
     return _still_life(rng, frames, towers, _swing(rng, 30.0), _mostly_seen)
@@ -125,15 +118,15 @@ def _tower(rng: np.random.Generator, frames: int) -> Film:
 
 def _approach(rng: np.random.Generator, frames: int) -> Film:
     swing = _swing(rng, 36.0)._replace(radius_m=(rng.uniform(0.85, 0.95), rng.uniform(0.42, 0.48)), swing_deg=10.0)
-    return _still_life(rng, frames, lambda: scattered(_items(rng), rng, 0.12, 0.015), swing, _mostly_seen)
+    return _still_life(rng, frames, lambda: stock.scattered(_items(rng), rng, 0.12, 0.015), swing, _mostly_seen)
 
 
 def _low_contrast(rng: np.random.Generator, frames: int) -> Film:
     grey = rng.uniform(120.0, 150.0)
 
     def boxes() -> list[Thing] | None:
-        paints = greys(rng, 5 + int(rng.integers(2)), grey)
-        return scattered([random_box(rng, paint) for paint in paints], rng, 0.14, 0.01)
+        paints = stock.greys(rng, 5 + int(rng.integers(2)), grey)
+        return stock.scattered([stock.random_box(rng, paint) for paint in paints], rng, 0.14, 0.01)
 
     level = round(grey)
     wood = Wood((level, level - 1, level - 3), 0.5, int(rng.integers(1, 1000)))
@@ -142,12 +135,12 @@ def _low_contrast(rng: np.random.Generator, frames: int) -> Film:
 
 def _imprecise(rng: np.random.Generator, frames: int) -> Film:
     """Boxes and a wedge from near by, of which the models tell sides, edges and size a little wrong."""
-    paints = colours(rng, 5)
-    drawn = [random_wedge(rng, paints[0]), *(random_box(rng, paint) for paint in paints[1:])]
+    paints = stock.colours(rng, 5)
+    drawn = [stock.random_wedge(rng, paints[0]), *(stock.random_box(rng, paint) for paint in paints[1:])]
     made = [item._replace(shape=worn(item.shape, rng)) for item in drawn]
     swing = _swing(rng, 38.0)
     swing = swing._replace(radius_m=(0.75 * swing.radius_m[0], 0.75 * swing.radius_m[1]))
-    shown = _still_life(rng, frames, lambda: scattered(made, rng, 0.13, 0.015), swing, _mostly_seen)
+    shown = _still_life(rng, frames, lambda: stock.scattered(made, rng, 0.13, 0.015), swing, _mostly_seen)
     told = [
         thing._replace(shape=thing.shape._replace(mesh=item.shape.mesh))
         for thing, item in zip(shown.things, drawn, strict=True)
@@ -157,26 +150,26 @@ def _imprecise(rng: np.random.Generator, frames: int) -> Film:
 
 def _curved(rng: np.random.Generator, frames: int) -> Film:
     """A mug, a bottle, a ball, a cylinder, standing or lying, and a torus."""
-    paints = colours(rng, 5)
+    paints = stock.colours(rng, 5)
     lying = np.roll(np.eye(3), 1, axis=0) if rng.random() < 0.5 else np.eye(3)
     items = [
-        Item(curved.mug(rng.uniform(0.03, 0.042), rng.uniform(0.08, 0.1)), np.eye(3), paints[0]),
-        Item(curved.bottle(rng.uniform(0.025, 0.032), rng.uniform(0.12, 0.16)), np.eye(3), paints[1]),
-        Item(curved.ball(rng.uniform(0.025, 0.04)), np.eye(3), paints[2]),
-        Item(curved.cylinder(rng.uniform(0.022, 0.036), rng.uniform(0.05, 0.1)), lying, paints[3]),
-        Item(curved.torus(rng.uniform(0.03, 0.042), rng.uniform(0.009, 0.014)), np.eye(3), paints[4]),
+        stock.Item(stock.mug(rng.uniform(0.03, 0.042), rng.uniform(0.08, 0.1)), np.eye(3), paints[0]),
+        stock.Item(stock.bottle(rng.uniform(0.025, 0.032), rng.uniform(0.12, 0.16)), np.eye(3), paints[1]),
+        stock.Item(stock.ball(rng.uniform(0.025, 0.04)), np.eye(3), paints[2]),
+        stock.Item(stock.cylinder(rng.uniform(0.022, 0.036), rng.uniform(0.05, 0.1)), lying, paints[3]),
+        stock.Item(stock.torus(rng.uniform(0.03, 0.042), rng.uniform(0.009, 0.014)), np.eye(3), paints[4]),
     ]
     return _still_life(
-        rng, frames, lambda: scattered(items, rng, 0.15, 0.015), _swing(rng, 34.0), _mostly_seen, candidates=_FEW
+        rng, frames, lambda: stock.scattered(items, rng, 0.15, 0.015), _swing(rng, 34.0), _mostly_seen, candidates=_FEW
     )
 
 
 def _figures(rng: np.random.Generator, frames: int) -> Film:
-    """Five of those objects of pybullet's data that `curved` names."""
-    names = rng.permutation(list(curved.FOUND))[:5]
-    items = [curved.found_thing(str(name), paint) for name, paint in zip(names, colours(rng, 5), strict=True)]
+    """Five of those objects of pybullet's data that `stock` names."""
+    names = rng.permutation(list(stock.FOUND))[:5]
+    items = [stock.found_thing(str(name), paint) for name, paint in zip(names, stock.colours(rng, 5), strict=True)]
     return _still_life(
-        rng, frames, lambda: scattered(items, rng, 0.15, 0.015), _swing(rng, 38.0), _mostly_seen, candidates=_FEW
+        rng, frames, lambda: stock.scattered(items, rng, 0.15, 0.015), _swing(rng, 38.0), _mostly_seen, candidates=_FEW
     )
 
 
@@ -188,7 +181,7 @@ def _pushed(rng: np.random.Generator, frames: int) -> Film:
 def _taken(rng: np.random.Generator, frames: int) -> Film:
     """Objects that are taken out, one after the other, and put in elsewhere a little later."""
     shown = _still_life(
-        rng, frames, lambda: scattered(_items(rng)[:5], rng, 0.15, 0.02), _swing(rng, 40.0), _mostly_seen
+        rng, frames, lambda: stock.scattered(_items(rng)[:5], rng, 0.15, 0.02), _swing(rng, 40.0), _mostly_seen
     )
     poses = shown.poses.copy()
     for number, frame in enumerate(range(_TAKEN_FROM, frames, _TAKEN_EVERY)):
@@ -206,17 +199,18 @@ def _taken(rng: np.random.Generator, frames: int) -> Film:
 
 def _elsewhere(thing: Thing, others: Sequence[Thing], rng: np.random.Generator) -> Floats:
     """A pose in which a thing finds room beside others, as it lay."""
-    item = Item(thing.shape, thing.pose[:3, :3], thing.colour)
-    placed = next(found for _ in range(_CANDIDATES) if (found := scattered([item], rng, 0.17, 0.015, others)))
+    item = stock.Item(thing.shape, thing.pose[:3, :3], thing.colour)
+    placed = next(found for _ in range(_CANDIDATES) if (found := stock.scattered([item], rng, 0.17, 0.015, others)))
     return placed[0].pose
 
 
-def _items(rng: np.random.Generator) -> list[Item]:
+def _items(rng: np.random.Generator) -> list[stock.Item]:
     count = 5 + int(rng.integers(2))
-    paints = colours(rng, count)
+    paints = stock.colours(rng, count)
     meshes = 1 + int(rng.integers(2))
     return [
-        random_mesh(rng, paint) if number < meshes else random_box(rng, paint) for number, paint in enumerate(paints)
+        stock.random_mesh(rng, paint) if number < meshes else stock.random_box(rng, paint)
+        for number, paint in enumerate(paints)
     ]
 
 

@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 
 from hierax.nodes.tracking.generator.camera import FPS
-from hierax.nodes.tracking.generator.things import LYING, Item, colours
+from hierax.nodes.tracking.generator.stock import LYING, Item, colours
 from hierax.nodes.tracking.imagery.physics import Bullet, box_shape, create_body, hull_shape, pose_of, prepare
 from hierax.nodes.tracking.math.geometry import (
     Array,

@@ -21,9 +21,9 @@ from hierax.nodes.tracking.generator.camera import (
     camera_path,
     reported_path,
 )
-from hierax.nodes.tracking.generator.curved import FOUND
 from hierax.nodes.tracking.generator.kinds import IMPRECISE, INTRINSICS, KINDS, SIZE, film
 from hierax.nodes.tracking.generator.scenes import START_DEG, START_M, main, start_error, write_scene
+from hierax.nodes.tracking.generator.stock import FOUND
 from hierax.nodes.tracking.imagery.edges import controls_of
 from hierax.nodes.tracking.imagery.layers import LayerRenderer
 from hierax.nodes.tracking.math.geometry import Floats, invert, log_se3, pose_error, project, transform

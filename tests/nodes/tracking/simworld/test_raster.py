@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from hierax.nodes.tracking.generator import curved
+from hierax.nodes.tracking.generator import stock
 from hierax.nodes.tracking.math.geometry import Floats, exp_so3, invert, make_pose, rays
 from hierax.nodes.tracking.simworld.raster import drawn, visible_shares
 from hierax.nodes.tracking.simworld.shapes import Shape, Thing, angle_piece, box
@@ -73,7 +73,7 @@ def test_visible_shares_of_a_body_alone_behind_another_and_cut_off() -> None:
     assert visible_shares([], camera, INTRINSICS, SIZE).shape == (0,)
 
 
-@pytest.mark.parametrize("shape", [curved.mug(0.04, 0.09), curved.torus(0.04, 0.012), curved.ball(0.03)])
+@pytest.mark.parametrize("shape", [stock.mug(0.04, 0.09), stock.torus(0.04, 0.012), stock.ball(0.03)])
 def test_a_curved_body_is_drawn_where_rays_meet_its_mesh(shape: Shape) -> None:
     thing, camera = Thing(place(0.02, 0.0, 0.04, 0.8), shape, (1, 2, 3)), camera_at(0.4)
     ((_, (left, top, right, bottom), nearness, normals),) = drawn(thing, camera, INTRINSICS, SIZE, 1)
