@@ -220,28 +220,27 @@ class TrackedObject(PaperObject, MayLookAlike):
     slots: Looks  # what it looks like beside them
 
 
-class ArmBelief(TypedDict):
-    """What the arm node believes; of camera and image nothing before the first one."""
-
-    camera: CameraPose | None  # with the error corrected that all objects show together
-    reported: CameraPose | None  # the same as the world gave it
-    # ``reported @ drift`` is where the camera is expected
-    drift: Annotated[Floats, Is((4, 4), "float64", "reported_from_camera, m")]
+class _Viewing(TypedDict):
+    camera: CameraPose | None  # `ArmNode`'s with the error corrected that all objects show together
     intrinsics: Intrinsics | None
     size: Size | None
     frame: int | None  # the newest image's number
+
+
+class ArmBelief(_Viewing):
+    """What the arm node believes; of camera and image nothing before the first one."""
+
+    reported: CameraPose | None  # the same as the world gave it
+    # ``reported @ drift`` is where the camera is expected
+    drift: Annotated[Floats, Is((4, 4), "float64", "reported_from_camera, m")]
     objects: tuple[TrackedObject, ...]
     # where some that are missing are looked for in the next image; None where none ever is
     sweeps: tuple[Sweep, ...] | None
 
 
-class PaperArmBelief(TypedDict):
+class PaperArmBelief(_Viewing):
     """What the arm node believes with the paper's update; fields as in `ArmBelief`."""
 
-    camera: CameraPose | None
-    intrinsics: Intrinsics | None
-    size: Size | None
-    frame: int | None
     objects: tuple[PaperObject, ...]
 
 
@@ -320,13 +319,9 @@ class Body(TypedDict):
     mass: float  # kg
 
 
-class SpatialBelief(TypedDict):
+class SpatialBelief(_Viewing):
     """What the spatial node believes; of the camera nothing before the first observation."""
 
-    camera: CameraPose | None
-    intrinsics: Intrinsics | None
-    size: Size | None
-    frame: int | None
     time_s: float | None  # of the last observation
     interval_s: float  # from the one before to it
     # ids of missing bodies that are looked for everywhere in the next image; None: none is ever missing
