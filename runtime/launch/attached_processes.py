@@ -75,7 +75,7 @@ async def _run(
                 await attached.end_all()
                 await attached.close()
         tasks.cancel_scope.cancel()
-    attached.close_output()
+    attached.overhearing.close()
     if why:
         raise why[0]
     return 0

@@ -24,7 +24,7 @@ class ProcessSupervisor(ABC):
     """Starts processes of nodes, listens to them until they end, and ends those that are left."""
 
     tasks: anyio.abc.TaskGroup  # in which it listens
-    overhearing: Overhearing  # takes in what the processes print; closed with the supervisor
+    overhearing: Overhearing  # takes in what the processes print; to be closed when nobody listens any more
     policy: Callable[[str], RestartPolicy]  # by a node's name, what is done when its process ends
     notify: Notify  # tells people what happens
     fail: Fail  # called with why the processes cannot go on
@@ -69,10 +69,6 @@ class ProcessSupervisor(ABC):
     async def close(self) -> None:
         for child in self.children:
             await child.close()
-
-    def close_output(self) -> None:
-        """Take in nothing any more that processes print; nobody listens to them any more."""
-        self.overhearing.close()
 
     async def _wait_for_all(self, timeout_s: float) -> None:
         """Bounded, as a program that a node has started may hold its pipes open when the node is gone."""

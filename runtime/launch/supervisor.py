@@ -155,7 +155,7 @@ class Supervisor:
         members = self._processes.members.items()
         reasons = {token: f"{name}: {over}" for name, token in members if self._processes.child(token) is None}
         self._hub.dismiss_all(reasons)
-        self._processes.close_output()
+        self._processes.overhearing.close()
 
     def report(self) -> Report:
         """What the run has come to. Raises why it could not go on; `Interrupted` if a signal has ended it."""

@@ -11,9 +11,7 @@ from hierax.schemas.control import AskStatus, Resend, Status
 
 ANSWER_S = 0.2  # how long a process that is well may take to say what it waits for
 
-ASK_AGAIN_S = 0.1
-"""After which time those are asked once more who have not answered: a question may be lost with a link."""
-
+ASK_AGAIN_S = 0.1  # after which time those are asked once more who have not answered: it may be lost with a link
 RESENDS = 3  # how often what is missing is sent again before its link is taken for dead
 
 

@@ -45,9 +45,6 @@ class Inspector:
         self.turn = Turn(-1, 0, -1)  # that the node is in
         self.heard = self.turn  # the last one in which it had all from above
 
-    def begin(self, turn: Turn) -> None:
-        self.turn = turn
-
     def tag(self, elements: Elements) -> Elements:
         return ((_MARK, self.name, self.process, *self.turn), *elements)
 

@@ -216,7 +216,7 @@ class SimSupervisor(Supervision):
         self._around.journal.trace(f"owner begins {turn}")
         members, before = owner.members, self._world.engine.wiring.roster
         self._around.checker.begins(before, turn, members.roster, members.processes)
-        self._world.inspector.begin(turn)
+        self._world.inspector.turn = turn
 
     def acts(self, epoch: int) -> None:
         self._world.acting = epoch

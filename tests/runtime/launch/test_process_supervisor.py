@@ -53,7 +53,7 @@ def test_a_process_that_ends_by_itself_is_heard_of_with_its_last_words(tmp_path:
             assert (name, state) == ("world", ProcessState.ENDED)
             assert "support" in why
             await supervisor.close()
-        supervisor.close_output()
+        supervisor.overhearing.close()
 
     anyio.run(main)
 
@@ -68,6 +68,6 @@ def test_a_process_that_is_ended_is_nobody_s_loss(tmp_path: Path) -> None:
                 await child.ended.wait()
             assert (child.state, child.alive, supervisor.ends) == (ProcessState.ENDED, False, [])
             await supervisor.close()
-        supervisor.close_output()
+        supervisor.overhearing.close()
 
     anyio.run(main)

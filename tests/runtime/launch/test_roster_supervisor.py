@@ -68,7 +68,7 @@ def supervised(main: Callable[[RosterSupervisor], Awaitable[None]]) -> None:
             world = Child(cast(NodeOrder, Order()), cast(Any, Process()), -1, cast(Any, None))
             supervisor.current["world"] = world
             await main(supervisor)
-            supervisor.close_output()
+            supervisor.overhearing.close()
 
     anyio.run(run)
 
