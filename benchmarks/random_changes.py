@@ -10,7 +10,7 @@ from typing import Any
 
 import yaml
 
-from hierax.runtime.deployment.locating import shipped
+from hierax.runtime.deployment.deployment import shipped
 from hierax.runtime.owner.roster_changes import ChangeError, apply
 from hierax.schemas.roster import Attach, Change, Detach, Reference, Replace, Roster, RosterEdge
 

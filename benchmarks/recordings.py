@@ -31,7 +31,7 @@ from typing import Any
 
 from hierax.runtime.core.errors import HieraxError
 from hierax.runtime.core.hierarchy import neighbours_above
-from hierax.runtime.deployment.locating import shipped
+from hierax.runtime.deployment.deployment import shipped
 from hierax.runtime.deployment.read import read_deployment
 from hierax.runtime.recording.reading import Recording
 from hierax.runtime.recording.writing import CHUNK_S

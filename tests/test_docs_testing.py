@@ -7,7 +7,7 @@ import subprocess
 import sys
 from pathlib import Path
 
-from hierax.runtime.tools.project import make_project
+from hierax.runtime.commands.new import make_project
 
 DOCS = Path(__file__).parents[1] / "docs" / "testing.md"
 NAMES = "from house import Room, Thermostat, reading\n"

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from hierax.runtime.core.errors import HieraxError
 from hierax.runtime.deployment.read import read_deployment
 from hierax.runtime.execution.report import Json
-from hierax.runtime.host.interpreter import python_module
+from hierax.runtime.host.streams import python_module
 from hierax.runtime.launch.supervisor import launch
 from hierax.runtime.transport.zenoh_session import free_endpoint
 
@@ -67,7 +67,9 @@ def bench_epoch(epochs: int, rounds: int, progress: Callable[[str], None]) -> li
             progress(f"{name}, round {number + 1} of {rounds}")
             bare.append(_counted(_bare(epochs, picture)))
             for links, times in ours.items():
-                times.append(_counted(_ours(epochs, picture, links)))
+                given = [f"picture={picture}", f"low_latency={json.dumps(links == LOW_LATENCY)}"]
+                report = launch(read_deployment("chain", given), epochs=epochs, seed=0)
+                times.append(_counted(report.epochs_us))
         rows += [Row(f"{name}, {links} links", times, bare) for links, times in ours.items()]
     trips = []
     for number in range(rounds):
@@ -77,12 +79,6 @@ def bench_epoch(epochs: int, rounds: int, progress: Callable[[str], None]) -> li
         trips.append(_counted(_times(world, ["echo", "--connect", low])))
     rows.append(Row("bare chain (ours) against a bare round trip", rows[0].bare_us, trips))
     return rows
-
-
-def _ours(epochs: int, picture: int, links: str) -> Sequence[float]:
-    low_latency = json.dumps(links == LOW_LATENCY)
-    deployment = read_deployment("chain", [f"picture={picture}", f"low_latency={low_latency}"])
-    return launch(deployment, epochs=epochs, seed=0).epochs_us
 
 
 def _bare(epochs: int, picture: int) -> Sequence[float]:

@@ -11,7 +11,7 @@ from hierax.runtime.commands.show import print_json
 def doctor(mend: Annotated[bool, option("--mend")] = False, output_format: OutputFormat = Format.text) -> int:
     """Look for what keeps launches from running well on this machine; exit code 1 where something is wrong."""
     from hierax.runtime.tools import doctor as doctors
-    from hierax.runtime.tools.packages import WRONG
+    from hierax.runtime.tools.doctor import WRONG
 
     mended = doctors.mend() if mend else []
     findings = list(doctors.examine())

@@ -56,7 +56,7 @@ def _told(endpoint: str, node: str, answer: Answer) -> Told:
     from hierax.runtime.core.errors import HieraxError
     from hierax.runtime.core.probe import Step
     from hierax.runtime.loading.loader import build_node, extend_import_path
-    from hierax.runtime.viewing.told import Look
+    from hierax.runtime.viewing.recorded_run import Look
 
     try:
         deployment = own_deployment(endpoint, None)
@@ -78,9 +78,9 @@ def _of_recording(node: str, file: Path, epoch: int | None, trust: bool) -> tupl
     """The same of a recording."""
     from hierax.runtime.core.hierarchy import neighbours_above, neighbours_below
     from hierax.runtime.loading.loader import extend_import_path
-    from hierax.runtime.recording.deployments import allowance_of, recorded_deployment
     from hierax.runtime.recording.reading import Recording
-    from hierax.runtime.viewing.told import recorded_look
+    from hierax.runtime.recording.replay import allowance_of, recorded_deployment
+    from hierax.runtime.viewing.recorded_run import recorded_look
 
     recording = Recording.open(file)
     allowance = allowance_of(recording, trust)

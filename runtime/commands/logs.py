@@ -3,20 +3,146 @@
 from __future__ import annotations
 
 import json
+import logging
+import os
+import re
 import time
-from collections.abc import Iterator
-from datetime import datetime, timezone
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from datetime import datetime, timedelta, timezone
 from enum import Enum
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 from hierax.runtime.commands.options import Format, OutputFormat, option
 from hierax.runtime.core.errors import HieraxError
-from hierax.runtime.host.run_folder import about_run, is_alive, known_folders
+from hierax.runtime.host.run_folder import LOGS, about_run, is_alive, known_folders, meant
 from hierax.runtime.loading.nearest import did_you_mean
-from hierax.runtime.tools.logs import Entry, LogFilter, Reader, find_folder, line, read_pattern, read_since
+from hierax.runtime.watch.logs import LAUNCH, LAUNCH_FILE, OUTPUT, SUFFIX
 
+Entry = dict[str, Any]
+
+_AGO = re.compile(r"(\d+(?:\.\d+)?)\s*([smhd])")
+_SECONDS = {"s": 1, "m": 60, "h": 3600, "d": 86400}
 POLL_S = 0.2
+
+
+def find_folder(run: str | None) -> Path:
+    """The folder of a launch; of several that may be meant the youngest, one that runs before those that have ended.
+    Raises `HieraxError` if there is none; with the nearest name."""
+    folders = known_folders()
+    if not folders:
+        raise HieraxError("no launch has left a log on this machine")
+    found = folders
+    if run is not None:
+        found = meant(run, folders, lambda folder: (folder.name, str(about_run(folder).get("hierarchy", ""))))
+    if not found:
+        names = {name for each in folders for name in (each.name, about_run(each).get("hierarchy")) if name}
+        raise HieraxError(f"--run: there is no log of a launch {run!r}{did_you_mean(str(run), names, 'there are')}")
+    return next(filter(is_alive, found), found[0])
+
+
+def read_since(text: str, now: datetime) -> datetime:
+    """A time ``10m`` ago (s, m, h, d), or as ISO 8601, local without a zone; `HieraxError` if it is neither."""
+    ago = _AGO.fullmatch(text.strip())
+    if ago is not None:
+        return now - timedelta(seconds=float(ago[1]) * _SECONDS[ago[2]])
+    try:
+        return datetime.fromisoformat(text.strip().replace("Z", "+00:00")).astimezone(timezone.utc)
+    except ValueError as error:
+        what = f"--since: expected how long ago, such as 10m, or a time such as 2030-01-02T03:04, got {text!r}"
+        raise HieraxError(what) from error
+
+
+def read_pattern(text: str) -> re.Pattern[str]:
+    """Read a regular expression. Raises `HieraxError` if it is none."""
+    try:
+        return re.compile(text)
+    except re.error as error:
+        raise HieraxError(f"--grep: {text!r} is no regular expression: {error}") from error
+
+
+@dataclass(frozen=True)
+class LogFilter:
+    """Which entries of a log are shown."""
+
+    nodes: Sequence[str] = ()  # of these alone; empty: of all
+    level: str = "DEBUG"  # from this one on
+    since: datetime | None = None  # not from before; None: from the beginning
+    pattern: re.Pattern[str] | None = None  # found in message, logger's name or traceback; None: anything
+
+    def __call__(self, entry: Entry) -> bool:
+        """Whether an entry is."""
+        if self.nodes and entry.get("node") not in self.nodes:
+            return False
+        if _number(entry.get("level")) < _number(self.level):
+            return False
+        if self.since is not None and _time(entry) < self.since:
+            return False
+        texts = (str(entry.get(field, "")) for field in ("message", "logger", "exception"))
+        return self.pattern is None or any(map(self.pattern.search, texts))
+
+
+class Reader:
+    """Reads the files of a launch's logs, again and again, each time what is new. `folder`: of the launch."""
+
+    def __init__(self, folder: Path) -> None:
+        self._logs = folder / LOGS
+        self._places: dict[int, int] = {}
+
+    @property
+    def names(self) -> list[str]:
+        """Who has a log: nodes, and ``launch``."""
+        files = {path.name.removesuffix(SUFFIX) for path in self._logs.glob(f"*{SUFFIX}")}
+        return sorted({LAUNCH if name == LAUNCH_FILE else name for name in files if not name.startswith(OUTPUT)})
+
+    def read(self) -> list[Entry]:
+        """What was written since the last time, in order of time."""
+        entries: list[Entry] = []
+        for path in sorted(self._logs.glob(f"*{SUFFIX}*"), reverse=True):  # what was put aside before what was not
+            entries += self._read(path)
+        return sorted(entries, key=_time)
+
+    def _read(self, path: Path) -> Iterator[Entry]:
+        try:
+            with path.open("rb") as file:
+                number = os.fstat(file.fileno()).st_ino  # a file that was put aside goes on where it was read to
+                file.seek(self._places.get(number, 0))
+                for line in file:
+                    if not line.endswith(b"\n"):
+                        return  # being written
+                    self._places[number] = self._places.get(number, 0) + len(line)
+                    yield from _parsed(line)
+        except FileNotFoundError:
+            return  # put aside just now: it is read under its other name the next time
+
+
+def _parsed(line: bytes) -> Iterable[Entry]:
+    try:
+        entry = json.loads(line)
+    except ValueError:
+        return []  # torn by the death of its process
+    return [entry] if isinstance(entry, dict) and isinstance(entry.get("time"), str) else []
+
+
+def _time(entry: Mapping[str, Any]) -> datetime:
+    try:
+        return datetime.fromisoformat(entry["time"].replace("Z", "+00:00")).astimezone(timezone.utc)
+    except ValueError:
+        return datetime.min.replace(tzinfo=timezone.utc)
+
+
+def _number(level: Any) -> int:
+    number = logging.getLevelName(level) if isinstance(level, str) else level
+    return number if isinstance(number, int) else logging.INFO
+
+
+def line(entry: Entry) -> str:
+    """An entry as text: local time, level, node and epoch, message; a traceback below."""
+    clock = _time(entry).astimezone().strftime("%H:%M:%S.%f")[:-3]
+    where = f"{entry.get('node', '?')} epoch {entry.get('epoch', 0)}"
+    text = f"{clock} {entry.get('level', '')} {where}: {entry.get('message', '')}"
+    return f"{text}\n{entry['exception']}" if entry.get("exception") else text
 
 
 class Level(str, Enum):

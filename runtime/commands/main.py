@@ -10,26 +10,23 @@ from typing import Annotated, get_type_hints
 
 import typer
 
-from hierax.runtime.commands.bench import epoch
-from hierax.runtime.commands.check import check
 from hierax.runtime.commands.ctrl_c import CTRL_C, INTERRUPTED
-from hierax.runtime.commands.diff import diff
 from hierax.runtime.commands.doctor import doctor
 from hierax.runtime.commands.echo import echo
 from hierax.runtime.commands.errors import OK, CommandError, exit_code
-from hierax.runtime.commands.graph import graph
+from hierax.runtime.commands.graph import graph, validate
 from hierax.runtime.commands.inspect import inspect
 from hierax.runtime.commands.launch import launch
 from hierax.runtime.commands.logs import logs
 from hierax.runtime.commands.membership import attach, detach, ps, replace
 from hierax.runtime.commands.new import new
-from hierax.runtime.commands.options import RunOptions, option
-from hierax.runtime.commands.record import record
+from hierax.runtime.commands.options import Format, OutputFormat, RunOptions, option
+from hierax.runtime.commands.recordings import check, diff, record
 from hierax.runtime.commands.replay import replay
 from hierax.runtime.commands.run import run
+from hierax.runtime.commands.show import RIGHT, print_json, print_table, show_progress
 from hierax.runtime.commands.sim import sim
 from hierax.runtime.commands.top import top
-from hierax.runtime.commands.validate import validate
 from hierax.runtime.commands.view import view
 
 COMMANDS: tuple[Callable[..., int], ...] = (
@@ -50,6 +47,28 @@ app = typer.Typer(
     rich_markup_mode=None,
     context_settings={"help_option_names": ["-h", "--help"]},
 )
+
+
+def epoch(
+    epochs: Annotated[int, typer.Option(min=100, help="Epochs in each round.")] = 2000,
+    rounds: Annotated[int, option("--rounds", min=1)] = 5,
+    output_format: OutputFormat = Format.text,
+) -> int:
+    """Time an epoch of three processes beside the same chain in bare Zenoh and msgpack."""
+    from hierax.runtime.bench.epoch import bench_epoch
+
+    rows = [row.plain() for row in bench_epoch(epochs, rounds, show_progress)]
+    if output_format is Format.json:
+        print_json({"rows": rows})
+        return 0
+    figures = ("ours p50 µs", "ours p99", "bare p50 µs", "bare p99", "ratio", "of rounds")
+    cells = []
+    for row in rows:
+        times = [f"{row[side][quantile]:.0f}" for side in ("ours_us", "bare_us") for quantile in ("p50", "p99")]
+        low, high = row["ratio_range"]
+        cells.append((row["name"], *times, f"{row['ratio']:.2f}", f"{low:.2f} to {high:.2f}"))
+    print_table({"work": {}, **dict.fromkeys(figures, RIGHT)}, cells)
+    return 0
 
 
 def main(arguments: Sequence[str]) -> int:
@@ -75,9 +94,7 @@ def _print_version(wanted: bool) -> None:
 
 
 @app.callback()
-def _options(
-    version: Annotated[bool, option("--version", callback=_print_version, is_eager=True)] = False,
-) -> None:
+def _options(version: Annotated[bool, option("--version", callback=_print_version, is_eager=True)] = False) -> None:
     """Run cognitive hierarchies with perceptual context."""
 
 

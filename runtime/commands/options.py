@@ -109,7 +109,7 @@ class WorldMode(str, Enum):
 
 def deployments_here(incomplete: str) -> list[str]:
     """Give, for completion, shipped deployments, YAML files, and folders, which end with a slash."""
-    from hierax.runtime.deployment.locating import shipped
+    from hierax.runtime.deployment.deployment import shipped
 
     folder, _, begin = incomplete.rpartition("/")
     base = Path(f"{folder}/" if incomplete.startswith("/") else folder or ".")
@@ -138,15 +138,6 @@ Run = Annotated[str | None, option("--run", autocompletion=runs_here)]
 Connect = Annotated[str | None, option("--connect")]
 Overrides = Annotated[list[str] | None, option("--set")]
 OutputFormat = Annotated[Format, option("--format")]
-Trust = Annotated[bool, option("--trust")]
-Overwrite = Annotated[bool, option("--overwrite")]
-DeploymentFile = Annotated[str | None, option("--deployment")]
-First = Annotated[int, option("--from", min=1)]
-Last = Annotated[int | None, option("--to", min=1)]
-Tolerance = Annotated[float, option("--tolerance", min=0.0)]
-Exclude = Annotated[list[str] | None, option("--exclude")]
-MaxSize = Annotated[str | None, option("--max-size")]
-MaxDuration = Annotated[str | None, option("--max-duration")]
 Full = Annotated[bool, option("--full")]
 
 
@@ -157,17 +148,17 @@ class RunOptions:
     epochs: Annotated[int | None, option("--epochs", min=1, max=LARGEST)] = None
     seed: Annotated[int, option("--seed", min=0, max=LARGEST)] = 0
     overrides: Overrides = None
-    overwrite: Overwrite = False
-    trust: Trust = False
+    overwrite: Annotated[bool, option("--overwrite")] = False
+    trust: Annotated[bool, option("--trust")] = False
     output_format: OutputFormat = Format.text
     output: Annotated[Path | None, option("--output")] = None
     record: Annotated[Path | None, option("--record", dir_okay=False)] = None
     check: Annotated[bool, option("--check")] = False
-    exclude: Exclude = None
-    max_size: MaxSize = None
-    max_duration: MaxDuration = None
-    first: First = 1
-    last: Last = None
+    exclude: Annotated[list[str] | None, option("--exclude")] = None
+    max_size: Annotated[str | None, option("--max-size")] = None
+    max_duration: Annotated[str | None, option("--max-duration")] = None
+    first: Annotated[int, option("--from", min=1)] = 1
+    last: Annotated[int | None, option("--to", min=1)] = None
     at: Annotated[list[str] | None, option("--at")] = None
     state: Annotated[Path | None, option("--state")] = None
     resume: Annotated[Path | None, option("--resume")] = None
@@ -178,7 +169,7 @@ class RunOptions:
     native: Annotated[bool, option("--native")] = False
     save: Annotated[Path | None, option("--save")] = None
     port: Annotated[int | None, option("--port", min=1, max=65535)] = None
-    deployment_file: DeploymentFile = None
+    deployment_file: Annotated[str | None, option("--deployment")] = None
     opens: Annotated[bool, option("--open")] = False
     memory: Annotated[str, option("--memory")] = "1GiB"
     node: Annotated[str | None, option("--node")] = None
@@ -186,7 +177,7 @@ class RunOptions:
     speed: Annotated[float, option("--speed", min=0.0)] = 0.0
     classes: Annotated[list[str] | None, option("--with")] = None
     verify: Annotated[bool, option("--verify")] = False
-    tolerance: Tolerance = 0.0
+    tolerance: Annotated[float, option("--tolerance", min=0.0)] = 0.0
 
 
 OF_A_RUN = (

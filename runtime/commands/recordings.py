@@ -1,21 +1,39 @@
-"""What commands about recordings have in common."""
+"""``hierax record``, ``check`` and ``diff``, and what all commands about recordings have in common."""
 
 from __future__ import annotations
 
+import os
+import signal
 import sys
-from collections.abc import Sequence
-from contextlib import AbstractContextManager, nullcontext
+from collections.abc import Iterable, Sequence
+from contextlib import AbstractContextManager, nullcontext, redirect_stdout
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
 
 from hierax.runtime.commands.errors import FAILED, OK, CommandError, notify
+from hierax.runtime.commands.options import (
+    LARGEST,
+    Format,
+    OutputFormat,
+    RecordingFile,
+    RunOptions,
+    WorldMode,
+    argument,
+    offers,
+    option,
+)
+from hierax.runtime.commands.show import print_json
+from hierax.runtime.commands.which import client_of
 
 if TYPE_CHECKING:
     from hierax.runtime.commands.options import RunOptions
-    from hierax.runtime.recording.diff import Comparison
+    from hierax.runtime.recording.diff import Comparison, EpochView
     from hierax.runtime.recording.info import Ending
     from hierax.runtime.recording.reading import Recording
-    from hierax.runtime.recording.selection import Selection
+    from hierax.runtime.recording.replay import Replay
+    from hierax.runtime.recording.topics import Selection
     from hierax.runtime.recording.writing import Target
 
 SHOWN = 10  # how many gaps or violations are listed
@@ -34,7 +52,7 @@ def claimed_file(path: Path | None, overwrite: bool) -> AbstractContextManager[T
 
 def selection_of(options: RunOptions, is_recorded: bool = True) -> Selection:
     """What is recorded, by the options. Raises `HieraxError` if one is wrong, or nothing is recorded at all."""
-    from hierax.runtime.recording.selection import Selection, check_pattern, read_duration, read_size
+    from hierax.runtime.recording.topics import Selection, check_pattern, read_duration, read_size
 
     size, duration = options.max_size, options.max_duration
     given = {"--exclude": options.exclude, "--max-size": size, "--max-duration": duration}
@@ -124,3 +142,121 @@ def _print_sides(a: str, left: Any, b: str, right: Any) -> None:
     for name, value in ((a, left), (b, right)):
         text = value.hex() if isinstance(value, bytes) else repr(value)
         print(f"  {name:<{width}}  {text if len(text) <= SHOWN_CHARS else text[:SHOWN_CHARS] + '…'}")
+
+
+def check(file: RecordingFile, output_format: OutputFormat = Format.text) -> int:
+    """Check a recording against the formal order: sense up before predict down, each edge once, inputs of the epoch."""
+    from hierax.runtime.recording.check import check_recording
+
+    checker = check_recording(recording_of(file))
+    violations = checker.close()
+    if not checker.checked and not violations:
+        what = f"{checker.epochs} epochs are committed in it, and no step of a node can be checked"
+        raise CommandError(f"{file}: there is nothing to check: {what}")
+    if output_format is Format.json:
+        found = [each._asdict() for each in violations]
+        print_json({"file": str(file), "epochs": checker.epochs, "steps": checker.checked, "violations": found})
+    elif not violations:
+        print(f"{file}: {checker.epochs} epochs, {checker.checked} steps of nodes: the formal order is kept")
+    return report_violations(violations)
+
+
+@offers("run", "connect", "exclude", "max_size", "max_duration", "overwrite", "output_format")
+def record(
+    options: RunOptions,
+    output: Annotated[Path, typer.Option("-o", "--output", metavar="FILE", help="The MCAP file.", dir_okay=False)],
+    hierarchy: Annotated[
+        str | None, argument("LAUNCH", "Its hierarchy's name, or its run, as `hierax ps` lists them.")
+    ] = None,
+    host: Annotated[str | None, option("--host", help="With --connect: this machine's address for the others.")] = None,
+    epochs: Annotated[int | None, option("--epochs", min=1, max=LARGEST, help="Stop after N epochs.")] = None,
+) -> int:
+    """Record a launch that runs, until it is over, or Ctrl-C. Exit code 1 if something said is not in the file."""
+    from hierax.runtime.recording.info import RunInfo
+    from hierax.runtime.recording.live_recording import LiveRecording
+
+    if hierarchy is not None and options.run is not None:
+        raise CommandError("give the launch or --run, not both")
+    selection = selection_of(options)
+    with claimed_file(output, options.overwrite) as target:
+        with client_of(options.run if hierarchy is None else hierarchy, options.connect) as client:
+            info = RunInfo.read(client.ask({"ask": "record", "pid": 0 if options.connect else os.getpid()}))
+        recording = LiveRecording(
+            info, client.endpoint, target, check=False, host=host, epochs=epochs, watches=True, selection=selection
+        )
+        for number in (signal.SIGINT, signal.SIGTERM):
+            signal.signal(number, lambda *_: recording.stop())
+        notify(f"recording {info.hierarchy}, run {info.run}; Ctrl-C ends it")
+        ending = recording.record()
+    if options.output_format is Format.json:
+        print_json({"file": str(output), "hierarchy": info.hierarchy, "run": info.run, **ending.plain()})
+    else:
+        count = max(ending.last - ending.first + 1, 0) if ending.first else 0
+        print(f"{output}: {count} epochs, {ending.first} to {ending.last}, {ending.messages} messages")
+    return report_ending(output, ending)
+
+
+@offers("first", "last", "tolerance", "overrides", "trust", "output_format")
+def diff(
+    file: RecordingFile,
+    other: Annotated[str, argument("OTHER", "A recording, a deployment file, or the name of a shipped one.")],
+    options: RunOptions,
+    world: Annotated[
+        WorldMode | None,
+        option(
+            "--world",
+            help="With a deployment: its world is done again, or gives what was recorded. By default again, "
+            "unless it has actuators.",
+        ),
+    ] = None,
+) -> int:
+    """Name the first epoch, node, operator and field in which two runs differ. Exit code 1 where they do.
+
+    The other run is a recording, or a deployment that is given what the first one's nodes were given."""
+    from hierax.runtime.recording.diff import compare
+
+    recording = recording_of(file)
+    if _is_recording(other):
+        if options.overrides or world is not None:
+            raise CommandError("--set and --world: only with a deployment as the other run")
+        epochs: Iterable[EpochView] = recording_of(Path(other)).epochs(options.first, options.last)
+    else:
+        epochs = _replay(recording, other, world, options).epochs()
+    with redirect_stdout(sys.stderr):
+        comparison = compare(recording.epochs(options.first, options.last), epochs, options.tolerance)
+    if not comparison.epochs:
+        raise CommandError(f"{file} and {other}: there is no epoch that both have")
+    if options.output_format is Format.json:
+        print_json({"a": str(file), "b": other, **comparison_json(comparison)})
+    else:
+        print_comparison(comparison, str(file), other)
+    return OK if comparison.alike else FAILED
+
+
+def _replay(recording: Recording, other: str, world: WorldMode | None, options: RunOptions) -> Replay:
+    """What does a recording's epochs with a deployment in the place of its own."""
+    from hierax.runtime.deployment.read import read_deployment
+    from hierax.runtime.loading.loader import extend_import_path
+    from hierax.runtime.recording.replay import Replay, allowance_of, has_actuators, in_place_of
+
+    deployment = read_deployment(other, options.overrides or ())
+    extend_import_path(deployment.import_paths)
+    rosters = recording.rosters()
+    if not rosters:
+        raise CommandError(f"{recording.path}: no roster is recorded, so there is no epoch to compare")
+    again = world is WorldMode.again or (world is None and not has_actuators(deployment.roster, deployment.allowance))
+    rewrite = in_place_of(rosters[min(rosters)], deployment)
+    allowance = deployment.allowance  # what the recording names besides, after changes, is another matter
+    if options.trust or recording.info.is_ours:
+        allowance = allowance_of(recording, options.trust).with_modules(deployment.modules)
+    return Replay(recording, allowance, world=again, rewrite=rewrite, first=options.first, last=options.last)
+
+
+def _is_recording(name: str) -> bool:
+    path = Path(name)
+    if not path.is_file():
+        if path.suffix == ".mcap":
+            raise CommandError(f"{name}: there is no such recording")
+        return False
+    with path.open("rb") as file:
+        return file.read(5) == b"\x89MCAP"

@@ -27,9 +27,8 @@ def replay(file: RecordingFile, options: RunOptions) -> int:
     """Do a recording again, in this process: whole, from an epoch on, or one node on its recorded inputs."""
     from hierax.runtime.loading.allowance import module_of
     from hierax.runtime.loading.loader import extend_import_path
-    from hierax.runtime.recording.deployments import allowance_of, check_names, other_settings, recorded_deployment
     from hierax.runtime.recording.diff import compare
-    from hierax.runtime.recording.replay import Replay
+    from hierax.runtime.recording.replay import Replay, allowance_of, check_names, other_settings, recorded_deployment
 
     recording = recording_of(file)
     info = recording.info

@@ -11,18 +11,18 @@ if TYPE_CHECKING:
     from hierax.runtime.deployment import Deployment
     from hierax.runtime.execution.report import Report
     from hierax.runtime.execution.single import Watch
-    from hierax.runtime.recording.in_process import InProcess
+    from hierax.runtime.recording.recorder import InProcess
 
 
 @offers(*OF_A_RUN, "at")
 def run(file: File, options: RunOptions) -> int:
     """Run a deployment in this process: the deterministic mode."""
     from hierax.runtime.commands.run_deployment import run_deployment
-    from hierax.runtime.deployment.schedule import read_schedule
+    from hierax.runtime.deployment.snippet import read_schedule
     from hierax.runtime.execution import single
     from hierax.runtime.execution.pacemaker import Breaker
-    from hierax.runtime.recording.in_process import InProcess
-    from hierax.runtime.watch.turns import named_turns
+    from hierax.runtime.recording.recorder import InProcess
+    from hierax.runtime.watch.prints import named_turns
     from hierax.schemas.roster import new_nodes
 
     overrides, recorded = options.overrides or (), options.record is not None

@@ -77,7 +77,7 @@ Source = tuple["Deployment | None", str, Show]
 
 def _of_deployment(source: str, options: RunOptions) -> Source:
     from hierax.runtime.deployment.read import read_deployment
-    from hierax.runtime.viewing.single_run import run_seen
+    from hierax.runtime.viewing.live import run_seen
 
     deployment = read_deployment(source, options.overrides or ())
 
@@ -89,8 +89,8 @@ def _of_deployment(source: str, options: RunOptions) -> Source:
 
 
 def _of_recording(file: Path, options: RunOptions) -> Source:
-    from hierax.runtime.recording.deployments import allowance_of, recorded_deployment
     from hierax.runtime.recording.reading import Recording
+    from hierax.runtime.recording.replay import allowance_of, recorded_deployment
     from hierax.runtime.viewing.recorded_run import show_recording
 
     recording = Recording.open(file)

@@ -7,6 +7,15 @@ class HieraxError(Exception):
     """Base of the errors that a user can cause and mend: one clear line each."""
 
 
+class PlacedError(HieraxError):
+    """`what` is wrong, and `where`, as a path in the roster and in the deployment file."""
+
+    def __init__(self, what: str, where: str) -> None:
+        self.what = what
+        self.where = where
+        super().__init__(f"{where}: {what}")
+
+
 class HierarchyError(HieraxError):
     """Nodes and edges do not form a cognitive hierarchy (definition 2)."""
 

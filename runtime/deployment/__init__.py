@@ -1,6 +1,5 @@
 """Deployment files: reading them, and what they say. `read` has the reader; it alone needs pydantic."""
 
-from hierax.runtime.deployment.deployment import Deployment
-from hierax.runtime.deployment.paths import DeploymentError
+from hierax.runtime.deployment.deployment import Deployment, DeploymentError
 
 __all__ = ["Deployment", "DeploymentError"]

@@ -1,24 +1,195 @@
-"""A deployment: what a deployment file says, read and checked."""
+"""A deployment file: where it is looked for, its values by path as errors and ``--set`` name them, and what it says."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+import re
+from collections.abc import Container, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field
+from importlib.resources import files
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 from hierax.runtime.core.errors import HieraxError
 from hierax.runtime.core.staleness import Staleness
-from hierax.runtime.deployment.document import Document
+from hierax.runtime.deployment.secrets import public_setting
 from hierax.runtime.loading.allowance import Allowance
+from hierax.runtime.loading.nearest import did_you_mean
 from hierax.schemas.roster import ProbeSpec, Roster
 from hierax.schemas.values import Value
 
+Keys = tuple[str | int, ...]  # the path of a value: names and, in lists, numbers from 0
+
+_INDEX = re.compile(r"\[(\d+)\]")
+_ARROW = re.compile(r"\s*->\s*")
+MAX_FILE_BYTES = 1 << 22
+_SUFFIXES = (".yaml", ".yml")
 EPOCH_DEADLINE_S = 60.0
 """The default: long for a robot, and a hang is told of before its user gives up.
 
 Operators that may take longer (a training step, a large model) need another one."""
+
+
+class DeploymentError(HieraxError):
+    """A deployment file, or a ``--set``, is wrong. The place is ``file:line``, the file alone, or the ``--set`` as it
+    was given; the field is its path, or empty; what is wrong is told with what was expected, and the nearest valid
+    name."""
+
+    def __init__(self, what: str, place: str, field: str = "") -> None:
+        self.what, self.place, self.field = what, place, field
+        super().__init__(": ".join(part for part in (place, field, what) if part))
+
+
+def field_text(keys: Keys) -> str:
+    """A path as errors show it: ``nodes.world.parameters.noise[2]``."""
+    text = ""
+    for key in keys:
+        text += f"[{key}]" if isinstance(key, int) else f".{key}" if text else key
+    return text
+
+
+def edge_name(text: str) -> str:
+    """An edge's name with one space on both sides of the arrow."""
+    return _ARROW.sub(" -> ", text.strip())
+
+
+def normal_path(text: str) -> str:
+    """A path with ``.0`` for ``[0]`` and one way to write an edge."""
+    text = _INDEX.sub(r".\1", text.strip())
+    head, dot, rest = text.partition(".")
+    return f"{head}{dot}{edge_name(rest)}" if head == "edges" else text
+
+
+def inside(value: Any, key: str | int) -> Any:
+    """What a list or map has at a key; None: nothing."""
+    if isinstance(value, list) and isinstance(key, int):
+        return value[key]
+    return value.get(key) if isinstance(value, dict) else None
+
+
+def longest_key(value: Any, rest: str) -> str | int | None:
+    """The longest key of a map, or the number of a list's item, that `rest` begins with."""
+    if isinstance(value, list):
+        token = rest.partition(".")[0]
+        return int(token) if token in map(str, range(len(value))) else None
+    if not isinstance(value, dict):
+        return None
+    fitting = [key for key in value if rest == key or rest.startswith(f"{key}.")]
+    return max(fitting, key=len, default=None)
+
+
+@dataclass
+class Document:
+    """The values of a deployment file after ``--set``, and the places they come from."""
+
+    place: str  # the file's name, as errors show it
+    root: dict[str, Any]  # the map at the top
+    lines: dict[Keys, int]  # by path, of every value in the file
+    changed: dict[Keys, str] = field(default_factory=dict)  # the ``--set`` that a value comes from
+    origins: dict[Keys, str] = field(default_factory=dict)  # the parameter that it was taken from
+    outer: Document | None = None  # the document whose parameters are meant, where it is another one
+
+    @property
+    def parameters(self) -> Any:
+        """The map of parameters as it was given, if it is one."""
+        return (self.outer or self).root.get("parameters")
+
+    def error(self, keys: Keys, what: str) -> DeploymentError:
+        """An error about the value at a path, or the one that lacks there."""
+        return DeploymentError(f"{what}{self._origin(keys)}", self.where(keys), field_text(keys))
+
+    def where(self, keys: Keys) -> str:
+        """``file:line`` of the nearest value on the path that was given, or its ``--set``."""
+        changed = self._changed(keys)
+        if changed is not None:
+            return f"--set {public_setting(changed)}"
+        line = self._line(keys)
+        return f"{self.place}:{line}" if line else self.place
+
+    def rank(self, keys: Keys) -> int:
+        """The place by which errors are sorted: the line, 0 for what a ``--set`` gave."""
+        return 0 if self._changed(keys) is not None else self._line(keys)
+
+    def keys(self, text: str) -> Keys:
+        """A path given as text, as far as anything is on it; names may have dots, the longest that fits is taken."""
+        keys: Keys = ()
+        rest = normal_path(text)
+        value: Any = self.root
+        while rest:
+            key = longest_key(value, rest)
+            if key is None:
+                break
+            value = value[key]
+            keys, rest = (*keys, key), rest[len(str(key)) + 1 :]
+        if rest and (value is None or isinstance(value, (dict, list))):  # what lacks is named, too
+            keys = (*keys, rest)
+        return keys
+
+    def _changed(self, keys: Keys) -> str | None:
+        """The ``--set`` that a value comes from: what it changed has no line any more."""
+        return self.changed.get(_nearest(keys, self.changed))
+
+    def _line(self, keys: Keys) -> int:
+        return self.lines.get(_nearest(keys, self.lines), 0)
+
+    def _origin(self, keys: Keys) -> str:
+        path = _nearest(keys, self.origins)
+        if path not in self.origins:
+            return ""
+        place = (self.outer or self).where(("parameters", self.origins[path], *keys[len(path) :]))
+        return f" (from ${{{self.origins[path]}}}, {place})"
+
+
+def _nearest(keys: Keys, known: Container[Keys]) -> Keys:
+    """The nearest path that is known of this one and those above it; else the root."""
+    return next((keys[:length] for length in range(len(keys), -1, -1) if keys[:length] in known), ())
+
+
+def shipped() -> dict[str, Path]:
+    """The deployment files that come with hierax, by name."""
+    folder = Path(str(files("hierax.deploy")))
+    return {path.stem: path for path in sorted(folder.glob("*.yaml"))}
+
+
+def find_file(name: str | Path) -> Path:
+    """The deployment file of a path or a shipped name; `DeploymentError` with the nearest one if there is none."""
+    path = Path(name)
+    try:
+        if path.is_file():
+            return path
+        exists = path.exists()
+    except (OSError, ValueError) as error:  # a name that no file can have
+        raise DeploymentError(f"cannot be read: {error}", str(name)) from error
+    known = shipped()
+    if str(name) in known:
+        return known[str(name)]
+    if exists:
+        raise DeploymentError("is no file; expected a deployment file or the name of a shipped one", str(name))
+    wrong = path.stem if path.suffix in _SUFFIXES else path.name
+    nearest = did_you_mean(wrong, known, "the shipped ones are")
+    raise DeploymentError(f"there is no such file, and no shipped deployment of that name{nearest}", str(name))
+
+
+def read_text(path: Path) -> str:
+    """A file's text. Raises `DeploymentError` if it cannot be read, is too large, or not UTF-8."""
+    try:
+        with path.open("rb") as file:
+            data = file.read(MAX_FILE_BYTES + 1)
+    except OSError as error:
+        raise DeploymentError(f"cannot be read: {error.strerror or error}", str(path)) from error
+    if len(data) > MAX_FILE_BYTES:
+        raise DeploymentError(f"has more than {MAX_FILE_BYTES} bytes; is it a deployment file?", str(path))
+    try:
+        return data.decode("utf-8-sig")
+    except UnicodeDecodeError as error:
+        line = data.count(b"\n", 0, error.start) + 1
+        what = f"byte {data[error.start]:#04x} is not UTF-8; save the file as UTF-8"
+        raise DeploymentError(what, f"{path}:{line}") from error
+
+
+def import_paths(path: Path) -> tuple[str, ...]:
+    """The folders in which a deployment's own modules are looked for: the file's, and the current one."""
+    return tuple(dict.fromkeys((str(path.resolve().parent), str(Path.cwd()))))
 
 
 @dataclass(frozen=True)

@@ -8,11 +8,19 @@ from __future__ import annotations
 import re
 from typing import Annotated, Any, Literal, get_origin
 
-from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field, WithJsonSchema
+from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field, ValidationError, WithJsonSchema
 
-from hierax.runtime.deployment.deployment import EPOCH_DEADLINE_S, RestartPolicy
-from hierax.runtime.deployment.paths import Keys
+from hierax.runtime.deployment.deployment import (
+    EPOCH_DEADLINE_S,
+    DeploymentError,
+    Document,
+    Keys,
+    RestartPolicy,
+    inside,
+)
 from hierax.runtime.loading.allowance import TARGET_PATTERN, is_target
+from hierax.runtime.loading.arguments import in_words
+from hierax.runtime.loading.nearest import did_you_mean
 from hierax.schemas.keys import check_name
 
 NAME_PATTERN = r"^[A-Za-z0-9][A-Za-z0-9_.-]*$"
@@ -23,6 +31,22 @@ MAX_STALENESS = 8
 """Held messages bound it; more would only be a longer wait for what comes."""
 
 _MODULES = re.compile(MODULES_PATTERN)
+_EXPECTED = {
+    "int_type": "a whole number",
+    "int_from_float": "a whole number",
+    "float_type": "a number",
+    "finite_number": "a finite number",
+    "bool_type": "true or false",
+    "string_type": "text",
+    "dict_type": "a map",
+    "model_type": "a map",
+    "model_attributes_type": "a map",
+    "list_type": "a list",
+    "literal_error": "{expected}",
+    "greater_than": "more than {gt:g}",
+    "greater_than_equal": "at least {ge:g}",
+    "less_than_equal": "at most {le:g}",
+}
 
 
 def check_target(target: str) -> str:
@@ -241,3 +265,45 @@ _MODELS: dict[tuple[str | int, int], type[_Model]] = {
     ("view", 1): ViewModel,
 }
 """What stands at a path, by its first key and how many there are."""
+
+
+def first_error(
+    error: ValidationError, document: Document, root: dict[str, Any], top: TopModel = DeploymentModel
+) -> DeploymentError:
+    """The fault of values that were validated by a model that comes first in the file, or in a ``--set``."""
+    found = [(_keys(details["loc"], root), details) for details in error.errors(include_url=False)]
+    misspelt = {keys[:-1] for keys, details in found if details["type"] == "extra_forbidden"}
+    faults = [
+        (document.rank(keys), index)
+        for index, (keys, details) in enumerate(found)
+        if details["type"] != "missing" or keys[:-1] not in misspelt  # the wrong name is the fault, not the lack
+    ]
+    keys, details = found[min(faults)[1]]
+    return document.error(keys, _what(keys, details, top))
+
+
+def _keys(loc: tuple[int | str, ...], root: dict[str, Any]) -> Keys:
+    """Pydantic's path as one of the document: it may go on below a short form, or name a key."""
+    keys: Keys = ()
+    value: Any = root
+    for key in loc:
+        if key == "[key]" or not isinstance(value, (dict, list)):
+            break
+        keys, value = (*keys, key), inside(value, key)
+    return keys
+
+
+def _what(keys: Keys, details: Any, top: TopModel) -> str:
+    kind = details["type"]
+    context = details.get("ctx", {})
+    if kind == "missing":
+        return f"missing; expected {field_meaning(keys, top)}"
+    if kind == "extra_forbidden":
+        return f"unknown field{did_you_mean(str(keys[-1]), field_names(keys[:-1], top))}"
+    if kind == "value_error":
+        return str(context["error"])
+    expected = _EXPECTED.get(kind)
+    if expected is None:
+        return f"{details['msg']}, got {details['input']!r:.60}"
+    given = "nothing" if details["input"] is None else in_words(details["input"])
+    return f"expected {expected.format(**context)}, got {given}"

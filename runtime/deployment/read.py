@@ -13,19 +13,36 @@ from hierax.runtime.core.errors import HierarchyError
 from hierax.runtime.core.graph import check_graph
 from hierax.runtime.core.staleness import Staleness
 from hierax.runtime.deployment import models
-from hierax.runtime.deployment.deployment import Deployment, RestartPolicy, ViewSpec
-from hierax.runtime.deployment.document import Document
-from hierax.runtime.deployment.locating import find_file, import_paths, read_text
-from hierax.runtime.deployment.overrides import apply_override
-from hierax.runtime.deployment.parameters import substitute
-from hierax.runtime.deployment.paths import DeploymentError, Keys
+from hierax.runtime.deployment.deployment import (
+    Deployment,
+    DeploymentError,
+    Document,
+    Keys,
+    RestartPolicy,
+    ViewSpec,
+    find_file,
+    import_paths,
+    read_text,
+)
+from hierax.runtime.deployment.models import first_error
+from hierax.runtime.deployment.parameters import apply_override, substitute
 from hierax.runtime.deployment.tree import read_tree
-from hierax.runtime.deployment.validation import first_error
 from hierax.runtime.loading.allowance import module_of
 from hierax.runtime.loading.nearest import did_you_mean
 from hierax.schemas.errors import SchemaError
 from hierax.schemas.roster import FUNCTIONS, ProbeSpec, Reference, Roster, RosterEdge
 from hierax.schemas.values import decode_value, encode_value
+
+_AS_SAID = (
+    "description",
+    "epochs",
+    "durability",
+    "epoch_deadline_s",
+    "on_uncertain_act",
+    "start_timeout_s",
+    "low_latency",
+)
+"""Fields of the deployment that are those of the file."""
 
 
 def read_deployment(file: str | Path, overrides: Sequence[str] = ()) -> Deployment:
@@ -57,13 +74,7 @@ def read_deployment(file: str | Path, overrides: Sequence[str] = ()) -> Deployme
         import_paths=import_paths(path),
         document=document,
         view=_view(model.view),
-        description=model.description,
-        epochs=model.epochs,
-        durability=model.durability,
-        epoch_deadline_s=model.epoch_deadline_s,
-        on_uncertain_act=model.on_uncertain_act,
-        start_timeout_s=model.start_timeout_s,
-        low_latency=model.low_latency,
+        **{name: getattr(model, name) for name in _AS_SAID},
     )
 
 

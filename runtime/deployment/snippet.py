@@ -6,22 +6,27 @@ checked that depends on the roster which it will find: what nodes there are then
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from functools import reduce
 from pathlib import Path
+from typing import NamedTuple
 
 from pydantic import ValidationError
 
-from hierax.runtime.deployment.deployment import Deployment, RestartPolicy
-from hierax.runtime.deployment.document import Document
-from hierax.runtime.deployment.models import SnippetModel, split_edge
+from hierax.runtime.deployment.deployment import Deployment, DeploymentError, Document, RestartPolicy, inside
+from hierax.runtime.deployment.models import SnippetModel, first_error, split_edge
 from hierax.runtime.deployment.parameters import substitute
-from hierax.runtime.deployment.paths import DeploymentError, inside
 from hierax.runtime.deployment.read import read_document, restart_policy, roster_edges, roster_nodes
-from hierax.runtime.deployment.validation import first_error
+from hierax.runtime.loading.allowance import NotAllowedError
 from hierax.runtime.loading.nearest import did_you_mean
-from hierax.schemas.roster import Attach, Replace
+from hierax.runtime.owner.roster_changes import ChangeError, apply
+from hierax.schemas.roster import Attach, Change, Detach, Replace, Roster
+
+FORMS = {"attach": "EPOCH:attach:FILE", "detach": "EPOCH:detach:NAME[:cascade]", "replace": "EPOCH:replace:NAME:FILE"}
+"""How each change is written."""
+
+_DIGITS = 19
 
 
 def read_attach(source: str | Path, deployment: Deployment) -> Attach:
@@ -98,3 +103,61 @@ def _read(source: str | Path, deployment: Deployment) -> tuple[SnippetModel, Doc
             names = " or ".join(map(repr, sorted(model.nodes)))
             raise document.error(("edges", edge), f"joins two other nodes; expected an edge of {names}")
     return model, document
+
+
+class Scheduled(NamedTuple):
+    """A change that is known before the run, and takes effect at the start of an epoch."""
+
+    epoch: int
+    change: Change
+    alone: frozenset[str] = frozenset()  # its new nodes that are detached when a function of theirs raises
+
+
+def read_schedule(texts: Sequence[str], deployment: Deployment) -> tuple[Scheduled, ...]:
+    """Changes, sorted by the epoch at whose start each takes effect; those of one epoch are made in the given order.
+    The texts are as ``--at`` has them, see `FORMS`; ``FILE`` is a snippet, or in an attach the name of a node of the
+    deployment file. Changes are tried on the deployment's roster, so that none is refused in the middle of a run.
+    Raises `DeploymentError` if one is written wrongly, its snippet is wrong, or it cannot be made."""
+    read = [(_scheduled(text, deployment), text) for text in texts]
+    read.sort(key=lambda entry: entry[0].epoch)
+    roster = deployment.roster
+    for scheduled, text in read:
+        roster = _after(scheduled.change, roster, deployment, f"--at {text}")
+    return tuple(scheduled for scheduled, _ in read)
+
+
+def _after(change: Change, roster: Roster, deployment: Deployment, place: str) -> Roster:
+    version = roster.version + 1
+    try:
+        deployment.allowance.check_all(change)
+        return apply(roster, change, version, lambda _: version)
+    except (ChangeError, NotAllowedError) as error:
+        raise DeploymentError(str(error), place) from error
+
+
+def _scheduled(text: str, deployment: Deployment) -> Scheduled:
+    place = f"--at {text}"
+    number, _, rest = text.partition(":")
+    kind, _, rest = rest.partition(":")
+    kind = kind.strip()
+    if kind not in FORMS:
+        if not kind:
+            raise DeploymentError(f"expected {', '.join(FORMS.values())}", place)
+        raise DeploymentError(f"there is no change {kind!r}{did_you_mean(kind, FORMS)}", place)
+    number = number.strip()
+    if not number.isascii() or not number.isdigit() or len(number) > _DIGITS or int(number) == 0:
+        raise DeploymentError(f"expected the number of an epoch, from 1, got {number!r:.40}", place)
+    epoch = int(number)
+    if kind == "attach" and rest:
+        alone = _alone(read_restarts(rest, deployment, attached=True))
+        return Scheduled(epoch, read_attach(rest, deployment), alone)
+    name, colon, rest = rest.partition(":")
+    if kind == "replace" and name and rest:
+        return Scheduled(epoch, read_replace(rest, name, deployment), _alone(read_restarts(rest, deployment)))
+    if kind == "detach" and name and (not colon or rest == "cascade"):
+        return Scheduled(epoch, Detach(name, bool(colon)))
+    raise DeploymentError(f"expected {FORMS[kind]}", place)
+
+
+def _alone(policies: Mapping[str, RestartPolicy]) -> frozenset[str]:
+    return frozenset(name for name, policy in policies.items() if policy.fails_alone)

@@ -14,7 +14,7 @@ from typing import Any
 
 import yaml
 
-from hierax.runtime.deployment.paths import DeploymentError, Keys, edge_name, field_text
+from hierax.runtime.deployment.deployment import DeploymentError, Keys, edge_name, field_text
 from hierax.schemas.limits import MAX_DEPTH
 
 MAX_TEXT_CHARS = 1 << 22

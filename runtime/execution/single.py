@@ -17,7 +17,7 @@ from hierax.runtime.core.elements import Elements
 from hierax.runtime.core.errors import HieraxError, OperatorError
 from hierax.runtime.core.process import ActiveNode
 from hierax.runtime.deployment import Deployment
-from hierax.runtime.deployment.schedule import Scheduled
+from hierax.runtime.deployment.snippet import Scheduled
 from hierax.runtime.engine.effects import Saved
 from hierax.runtime.engine.engine import Engine
 from hierax.runtime.engine.table import Phase, Verdict
@@ -42,7 +42,7 @@ Schedule = Sequence[Scheduled]  # changes of the roster, by the first epoch unde
 
 
 class RunRecord(Protocol):
-    """Takes in what is said in a run, such as `hierax.runtime.recording.in_process.InProcess`."""
+    """Takes in what is said in a run, such as `hierax.runtime.recording.recorder.InProcess`."""
 
     def message(self, header: Header, data: bytes) -> None:
         """A message is on its way."""

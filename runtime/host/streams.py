@@ -1,18 +1,52 @@
-"""A process's standard streams: on standard output stands what it says itself, and nothing else.
+"""A process's standard streams, and how further Python processes are started: without modules of the current folder,
+and ignoring Ctrl-C, which is for who has started them, who ends them.
 
 Zenoh prints its log to descriptor 1, as do libraries that nodes use. A process that calls `own_streams` or `own_output`
-has descriptor 1 lead to standard error, and keeps the real standard output for itself."""
+has descriptor 1 lead to standard error, and keeps the real standard output for what it says itself."""
 
 from __future__ import annotations
 
 import io
 import os
+import signal
 import sys
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from typing import Any, TextIO
 
 from hierax.runtime.core.errors import HieraxError
 
+_BEGIN = (
+    "import sys; sys.path[:1] == [''] and sys.path.pop(0); del sys.argv[0]; "
+    "import _signal; _signal.signal(2, _signal.SIG_IGN); _signal.pthread_sigmask(_signal.SIG_UNBLOCK, {2}); "
+)
+"""With `-c` the current folder stands first; until it is gone, nothing is imported that is not built in. (`-P` is there
+from 3.11 on.)"""
+
+_AS_MODULE = f"{_BEGIN}import runpy; runpy.run_module(sys.argv[0], run_name='__main__', alter_sys=True)"
 _REPLACED = "backslashreplace"  # what becomes of characters that the stream's encoding does not have
+
+
+def python_module(module: str, *arguments: str) -> Sequence[str]:
+    """The command that runs a module as ``python -m`` does, but for the current folder. Python looks there before
+    anywhere else, so that a user's ``queue.py`` would stand in the place of the standard library's. Modules of a
+    deployment's own are found behind all others (`loader.extend_import_path`)."""
+    return [sys.executable, "-c", _AS_MODULE, module, *arguments]
+
+
+def python_code(code: str, *arguments: str) -> Sequence[str]:
+    """The command that runs code, as `python_module` does, with ``sys`` imported, and ``sys.argv`` the arguments."""
+    return [sys.executable, "-c", f"{_BEGIN}{code}", *arguments]
+
+
+@contextmanager
+def started_deaf() -> Iterator[None]:
+    """Around the start of processes by `python_module` or `python_code`: Ctrl-C waits until they ignore it."""
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})  # which they inherit
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
 class StandardOutputError(HieraxError):

@@ -22,7 +22,7 @@ import anyio.abc
 
 from hierax.runtime.core.errors import HieraxError
 from hierax.runtime.deployment.deployment import RestartPolicy
-from hierax.runtime.host.interpreter import python_module, started_deaf
+from hierax.runtime.host.streams import python_module, started_deaf
 from hierax.runtime.launch.frames import CUT_OFF, DISMISSED, FAILED, REPORT, UP, NodeOrder, frame
 from hierax.runtime.watch.logs import OUTPUT, LaunchLog, log_of_run
 from hierax.runtime.watch.prints import Console, Lines

@@ -22,8 +22,8 @@ from hierax.runtime.engine.stale import StaleEngine
 from hierax.runtime.engine.table import Phase
 from hierax.runtime.execution.observers import Observers
 from hierax.runtime.transport.control import InspectionEndpoint
-from hierax.runtime.watch.copies import Copier, Edge, Stepper
 from hierax.runtime.watch.meter import Meter
+from hierax.runtime.watch.watcher import Copier, Edge, Stepper
 from hierax.schemas.errors import SchemaError, shown
 from hierax.schemas.keys import STEP, check_name
 from hierax.schemas.messages import CONTEXT, OBSERVATIONS, TASKS

@@ -217,9 +217,8 @@ class NodeWorker:
             observers.watch(self._witness)
         elif wanted:
             is_world = self._order.owner is not None
-            self._witness = Witness(
-                self._order.name, lambda: observers.engine, self._publisher, self._roster if is_world else None
-            )
+            told, roster = self._publisher, self._roster if is_world else None
+            self._witness = Witness(self._order.name, lambda: observers.engine, told.step, told.roster, roster)
             observers.watch(self._witness)
 
     def _roster(self) -> Roster | None:

@@ -12,11 +12,11 @@ from typing import Any
 import anyio
 import anyio.abc
 
-from hierax.runtime.host.interpreter import python_module, started_deaf
+from hierax.runtime.host.streams import python_module, started_deaf
 from hierax.runtime.launch.child import END_TIMEOUT_S, how_ended
 from hierax.runtime.recording.info import Ending, RunInfo
 from hierax.runtime.recording.live_recording import DONE, FAILED
-from hierax.runtime.recording.selection import EVERYTHING, Selection
+from hierax.runtime.recording.topics import EVERYTHING, Selection
 from hierax.runtime.recording.writing import Target
 
 FINISH_TIMEOUT_S = 60.0  # how long what was heard may take to be on disk, when the run is over

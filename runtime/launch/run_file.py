@@ -11,8 +11,7 @@ from typing import Any
 
 from hierax.runtime.core.errors import HieraxError
 from hierax.runtime.host.private_files import UnsafeFileError, errors_named, private_folder, read_private, write_private
-from hierax.runtime.host.run_folder import is_process, runs_folder
-from hierax.runtime.host.seal import NOT_OURS, STATE, is_sealed, seal_or_warn
+from hierax.runtime.host.run_folder import NOT_OURS, STATE, is_process, is_sealed, runs_folder, seal_or_warn
 
 _RUN = "run.json"
 _KINDS: Mapping[type, Sequence[str]] = {

@@ -10,7 +10,7 @@ import re
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 
-from hierax.runtime.core.errors import HieraxError
+from hierax.runtime.core.errors import PlacedError
 from hierax.schemas.roster import Attach, Change, Reference, Replace, Roster, RosterEdge
 
 TARGET_PATTERN = r"^[A-Za-z_]\w*(\.[A-Za-z_]\w*)*:[A-Za-z_]\w*$"
@@ -22,13 +22,8 @@ MOST_REFUSALS = 50
 _TARGET = re.compile(TARGET_PATTERN)
 
 
-class NotAllowedError(HieraxError):
+class NotAllowedError(PlacedError):
     """Something names code that may not be loaded: `what`, and what would have to be done; and `where`, as a path."""
-
-    def __init__(self, what: str, where: str) -> None:
-        self.what = what
-        self.where = where
-        super().__init__(f"{where}: {what}")
 
 
 def is_target(text: str) -> bool:

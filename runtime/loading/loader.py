@@ -16,7 +16,7 @@ from types import ModuleType, UnionType
 from typing import Any, Union, get_args, get_origin, get_type_hints
 
 from hierax.runtime.core.binding import BoundNode, OperatorSetting, check_signature, require_no_world
-from hierax.runtime.core.errors import HieraxError
+from hierax.runtime.core.errors import HieraxError, PlacedError
 from hierax.runtime.core.graph import Pair
 from hierax.runtime.core.hierarchy import BoundEdge, Edge, Hierarchy, neighbours_above, neighbours_below
 from hierax.runtime.core.node import Node, World
@@ -29,15 +29,10 @@ from hierax.schemas.roster import Reference, Roster, RosterEdge
 from hierax.schemas.values import encode_value
 
 
-class LoadError(HieraxError):
+class LoadError(PlacedError):
     """What a roster names cannot be loaded. `what` is wrong, with what was expected, and the nearest valid name;
     `where` is the path in the roster, which is also that in the deployment file, as ``nodes.world.parameters.noise`` or
     ``edges.world -> arm.sense.function``."""
-
-    def __init__(self, what: str, where: str) -> None:
-        self.what = what
-        self.where = where
-        super().__init__(f"{where}: {what}")
 
 
 def extend_import_path(paths: Iterable[str]) -> None:

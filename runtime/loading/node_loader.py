@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import inspect
 import logging
-from collections.abc import Iterator
+from collections.abc import Awaitable, Iterator
 from difflib import SequenceMatcher
+from typing import Any
 
 from hierax.runtime.core.binding import BoundNode, OperatorSetting
 from hierax.runtime.core.graph import Pair
@@ -102,3 +103,13 @@ def _methods(of: type) -> Iterator[tuple[str, type]]:
 
 def _alike(one: str, other: str) -> float:
     return SequenceMatcher(None, one.lower(), other.lower()).ratio()
+
+
+def wait_for(awaitable: Awaitable[Any]) -> Any:
+    """Drive an async operator, in an event loop of its own."""
+    import anyio
+
+    async def wait() -> Any:
+        return await awaitable
+
+    return anyio.run(wait)

@@ -18,7 +18,7 @@ from hierax.runtime.core.staleness import Staleness
 from hierax.runtime.deployment import Deployment
 from hierax.runtime.deployment.secrets import public_settings, public_text
 from hierax.runtime.host.private_files import errors_named
-from hierax.runtime.host.seal import RECORDING, is_sealed, seal_or_warn
+from hierax.runtime.host.run_folder import RECORDING, is_sealed, seal_or_warn
 from hierax.schemas.errors import SchemaError, shown
 from hierax.schemas.keys import check_name
 

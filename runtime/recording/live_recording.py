@@ -20,7 +20,7 @@ from hierax.runtime.core.errors import HieraxError
 from hierax.runtime.host.streams import own_streams
 from hierax.runtime.recording.info import Ending, RunInfo
 from hierax.runtime.recording.recorder import open_recorder
-from hierax.runtime.recording.selection import EVERYTHING, Selection
+from hierax.runtime.recording.topics import EVERYTHING, Selection
 from hierax.runtime.recording.writing import Target
 from hierax.runtime.transport.bus_tap import BusTap
 from hierax.runtime.transport.launch_client import LaunchClient

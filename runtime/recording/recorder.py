@@ -3,23 +3,43 @@
 from __future__ import annotations
 
 import logging
+import time
+from collections.abc import Callable, Sequence
 from dataclasses import replace
-from functools import cache
+from functools import cache, partial
 from pathlib import Path
+from secrets import token_hex
+from typing import TYPE_CHECKING
 
 import msgpack
 
+from hierax.runtime.deployment import Deployment
 from hierax.runtime.recording.check import Checker
 from hierax.runtime.recording.info import Ending, Gap, RunInfo
 from hierax.runtime.recording.ledger import Ledger
-from hierax.runtime.recording.selection import EVERYTHING, Selection
-from hierax.runtime.recording.topics import EPOCH, MESSAGE, ROSTER, STEP, TOKEN, Entry, Topic, glance, topic_of
+from hierax.runtime.recording.topics import (
+    EPOCH,
+    EVERYTHING,
+    MESSAGE,
+    ROSTER,
+    STEP,
+    TOKEN,
+    Entry,
+    Selection,
+    Topic,
+    glance,
+    topic_of,
+)
 from hierax.runtime.recording.writing import McapFile, Target
 from hierax.runtime.transport.bus_tap import Sample
-from hierax.schemas.messages import HELLO
+from hierax.schemas.keys import Keys
+from hierax.schemas.messages import HELLO, Header
 from hierax.schemas.roster import Roster
 from hierax.schemas.steps import decode_step
 from hierax.schemas.values import decode_value, encode_value
+
+if TYPE_CHECKING:
+    from hierax.runtime.execution.runner import NodeRunner
 
 INDEX_BYTES = 64 << 10  # what the index at a file's end takes at most, where it has no more than some hundred channels
 
@@ -215,3 +235,48 @@ def open_recorder(
     written = None if file is None else McapFile(file, info)
     checker = Checker(info.how_stale) if check else None
     return Recorder(written, checker, info.from_start, epochs, info.how_stale.barrier, selection)
+
+
+class InProcess:
+    """Hands what is said between the nodes of one process to a recorder, as `open_recorder` opens it."""
+
+    def __init__(
+        self,
+        deployment: Deployment,
+        seed: int,
+        settings: Sequence[str],
+        file: Path | Target | None,
+        check: bool = False,
+        selection: Selection = EVERYTHING,
+    ) -> None:
+        run = token_hex(4)
+        info = RunInfo.of(deployment, run, "run", seed, settings, from_start=True)
+        self._recorder = open_recorder(info, file, check, selection)
+        self.checker = self._recorder.checker
+        self.ending: Ending | None = None  # it goes on
+        self._keys = Keys(deployment.name, run)
+        self._last = 0
+
+    def message(self, header: Header, data: bytes) -> None:
+        """A message is on its way."""
+        self._take(self._keys.edge(header.kind, header.sender, header.receiver), data)
+
+    def committed(self, epoch: int, digest: bytes) -> None:
+        """An epoch is committed."""
+        self._last = epoch
+        self._take(self._keys.epochs, encode_value((epoch, digest)))
+        self._recorder.flush()
+
+    def watch(self, name: str, runner: NodeRunner, roster: Callable[[], Roster] | None) -> None:
+        """Have a node tell its steps; `roster` is given for the world alone, and gives the roster in force."""
+        from hierax.runtime.recording.witness import Witness  # a launch's recorder does without engines
+
+        tell_step, tell_roster = partial(self._take, self._keys.steps(name)), partial(self._take, self._keys.roster)
+        runner.watch(Witness(name, lambda: runner.engine, tell_step, tell_roster, roster))
+
+    def finish(self) -> None:
+        """The run is over. Raises `RecordingError` if the file cannot be written."""
+        self.ending = self._recorder.finish(self._last)
+
+    def _take(self, key: str, data: bytes) -> None:
+        self._recorder.take(Sample(time.time_ns(), key, data))

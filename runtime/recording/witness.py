@@ -6,7 +6,6 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass
 from secrets import token_hex
-from typing import Protocol
 
 from hierax.runtime.engine.effects import Called, Completed
 from hierax.runtime.engine.engine import Engine
@@ -20,18 +19,6 @@ from hierax.schemas.values import Value, encode_value
 
 ROSTER_EVERY_S = 0.5  # how often the roster is told again, for those who have begun to record meanwhile
 _KEPT = 64  # how many epochs that were begun, and may still be completed, are remembered
-
-
-class StepSink(Protocol):
-    """Where steps and rosters go."""
-
-    def step(self, data: bytes, /) -> None:
-        """Take an encoded step."""
-
-    def roster(self, data: bytes, /) -> None:
-        """Take an encoded roster."""
-
-
 _Used = tuple[tuple[str, str, int, int], ...]
 
 
@@ -41,7 +28,8 @@ class Witness(Watcher):
 
     name: str  # of the node
     engine: Callable[[], Engine | None]  # gives the node's engine; None: it is not there yet
-    sink: StepSink  # where steps go
+    tell_step: Callable[[bytes], None]  # takes encoded steps
+    tell_roster: Callable[[bytes], None]
     roster: Callable[[], Roster | None] | None = None  # of the world: gives the roster in force, once there is one
 
     def __post_init__(self) -> None:
@@ -107,7 +95,7 @@ class Witness(Watcher):
         states = (completed.state, b"" if self.roster is not None else _encoded(step.sensed), start)
         heard = (used, tuple(passages), self._chain[1] if self._chain[0] == step.epoch else b"")
         told = NodeStep(self.name, self._stream, self._number, *where, completed.digest, *states, *heard)
-        self.sink.step(encode_step(told))
+        self.tell_step(encode_step(told))
 
     def _publish_roster(self, roster: Roster | None) -> None:
         now_s = time.monotonic()
@@ -116,7 +104,7 @@ class Witness(Watcher):
         if roster.version == self._told_version and now_s - self._told_s < ROSTER_EVERY_S:
             return
         self._told_version, self._told_s = roster.version, now_s
-        self.sink.roster(encode_value(roster.plain()))
+        self.tell_roster(encode_value(roster.plain()))
 
 
 def _encoded(belief: Value) -> bytes:

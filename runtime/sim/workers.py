@@ -16,7 +16,7 @@ from queue import SimpleQueue
 from typing import Any
 
 from hierax.runtime.core.errors import HieraxError
-from hierax.runtime.host.interpreter import python_module, started_deaf
+from hierax.runtime.host.streams import python_module, started_deaf
 
 
 def done_by_workers(function: Callable[..., Any], tasks: Iterable[tuple[Any, ...]], jobs: int) -> Iterator[Any]:

@@ -12,7 +12,7 @@ from hierax.runtime.core.elements import Elements, Value
 from hierax.runtime.core.errors import HieraxError, OperatorError
 from hierax.runtime.core.node import Node, World
 from hierax.runtime.core.probe import Step
-from hierax.runtime.host.waiting import wait_for
+from hierax.runtime.loading.node_loader import wait_for
 from hierax.schemas.errors import SchemaError
 from hierax.schemas.values import decode_value, encode_value
 

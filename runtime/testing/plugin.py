@@ -14,8 +14,7 @@ import pytest
 
 if TYPE_CHECKING:
     from hierax.runtime.core.probe import Step
-    from hierax.runtime.testing.recorded_node import Recorded
-    from hierax.runtime.testing.runs import Ran
+    from hierax.runtime.testing.runs import Ran, Recorded
 
 
 @pytest.fixture
@@ -30,8 +29,7 @@ def hierax_run(request: pytest.FixtureRequest) -> Iterator[Callable[..., Ran]]:
 @pytest.fixture
 def hierax_recorded(request: pytest.FixtureRequest) -> Iterator[Callable[..., Recorded]]:
     """A node in a recording, as `read_recorded` reads it: ``hierax_recorded("robot.mcap", "arm").check()``."""
-    from hierax.runtime.testing.recorded_node import read_recorded
-    from hierax.runtime.testing.runs import found
+    from hierax.runtime.testing.runs import found, read_recorded
 
     with _import_path():
         yield lambda file, *what, **more: read_recorded(found(request.path.parent, file), *what, **more)

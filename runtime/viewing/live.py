@@ -1,19 +1,25 @@
-"""Seeing a launch that runs; it never waits for who looks, and epochs that cannot be shown in time are left out."""
+"""Seeing a run in this process, or a launch, which waits for nobody: what cannot be shown in time is left out."""
 
 from __future__ import annotations
 
 import time
 from collections import deque
 from collections.abc import Callable
+from dataclasses import dataclass
 from math import ceil
 from threading import Event
 
+from hierax.runtime.deployment import Deployment
+from hierax.runtime.engine.effects import Completed
+from hierax.runtime.execution import single
+from hierax.runtime.execution.report import Report
+from hierax.runtime.execution.runner import NodeRunner
 from hierax.runtime.loading.allowance import Allowance
 from hierax.runtime.transport.launch_client import LaunchClient, LaunchStatus
 from hierax.runtime.transport.port import TransportError
 from hierax.runtime.viewing.presenter import ViewPresenter
 from hierax.runtime.viewing.views import ShownNodes
-from hierax.runtime.watch.copies import read_step
+from hierax.runtime.watch.watcher import Watcher, read_step
 from hierax.schemas.keys import STEP
 from hierax.schemas.roster import Roster
 
@@ -108,3 +114,60 @@ class _Stage:
                 self._last = (step.epoch, done_ns)
             self._presenter.step(name, self._nodes.node(self._roster, name), step)
             self.shown += 1
+
+
+def run_seen(deployment: Deployment, presenter: ViewPresenter, *, epochs: int | None, seed: int) -> Report:
+    """Run a deployment in this process and show it; `HieraxError` as `single.run` has it, or if it cannot be shown."""
+    presenter.set_roster(deployment.roster)
+    clock = _Clock()
+
+    def watch(name: str, runner: NodeRunner) -> None:
+        runner.watch(_Seen(name, runner, presenter, clock))
+
+    try:
+        return single.run(deployment, epochs=epochs, seed=seed, watch=watch)
+    finally:
+        presenter.close()
+
+
+class _Clock:
+    """Time that stands still while things are drawn, as they are in the run's only thread."""
+
+    def __init__(self) -> None:
+        self._stood_s = 0.0
+        self._since_s = 0.0
+
+    def read_s(self) -> float:
+        return time.perf_counter() - self._stood_s
+
+    def __enter__(self) -> None:
+        self._since_s = time.perf_counter()
+
+    def __exit__(self, *error: object) -> None:
+        self._stood_s += time.perf_counter() - self._since_s
+
+
+@dataclass(eq=False)
+class _Seen(Watcher):
+    """Shows what one node does."""
+
+    name: str
+    runner: NodeRunner
+    presenter: ViewPresenter
+    clock: _Clock
+
+    def __post_init__(self) -> None:
+        self._begun_s = self.clock.read_s()
+        self._took_s: tuple[int, float] | None = None
+
+    def committed(self, epoch: int, digest: bytes) -> None:
+        now_s = self.clock.read_s()
+        self._took_s = (epoch, now_s - self._begun_s)
+        self._begun_s = now_s
+
+    def completed(self, completed: Completed) -> None:
+        step = completed.step
+        with self.clock:
+            if self._took_s is not None and self._took_s[0] == step.epoch:
+                self.presenter.epoch_took(step.epoch, step.time_s, self._took_s[1])
+            self.presenter.step(self.name, self.runner.engine.node.node, step)

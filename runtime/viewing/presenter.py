@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
-from abc import ABC, abstractmethod
 from collections import deque
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+import yaml
 
 from hierax.runtime.core.binding import metrics_of
 from hierax.runtime.core.elements import Value
@@ -15,7 +18,6 @@ from hierax.runtime.core.probe import Step
 from hierax.runtime.core.showing import Graph, Things, colour_of
 from hierax.runtime.loading.nearest import did_you_mean
 from hierax.runtime.viewing import views
-from hierax.runtime.viewing.texts import belief_text, figures_text
 from hierax.runtime.viewing.views import BELIEF, EPOCHS, HIERARCHY, TOGETHER, Kind, Placed, ShowError, View
 from hierax.schemas.roster import Roster
 
@@ -26,20 +28,20 @@ EPOCHS_OPEN = 16  # how many epochs the nodes of a hierarchy may be apart until 
 TELL_AFTER_EPOCHS = 20  # after so many a view that nothing is shown in is taken for a slip of the layout
 BELIEFS_KEPT = 4  # how many beliefs of each node are kept, as an epoch may be done again
 _APART = (170.0, 110.0)  # between nodes in the picture of the hierarchy: across and up
+MOST_LINES = 200  # how many lines one value takes at most; what is longer is cut off, and says so
+MOST_ITEMS = 16  # how many items an array that is written out, or a list, has at most
+MOST_CHARS, MOST_FIGURES = 80, 4
 
 
-class Canvas(ABC):
-    """Where things are drawn."""
+class Canvas:
+    """Where things are drawn; this one draws nothing."""
 
-    @abstractmethod
     def draw(self, epoch: int, time_s: float, things: Iterable[Placed]) -> None:
         """Show things from an epoch on, in place of what was at their paths."""
 
-    @abstractmethod
     def clear(self, epoch: int, time_s: float, paths: Iterable[str]) -> None:
         """Show nothing at some paths from an epoch on."""
 
-    @abstractmethod
     def arrange(self, columns: tuple[views.Column, ...]) -> None:
         """Lay out the views."""
 
@@ -193,3 +195,46 @@ def hierarchy_graph(roster: Roster, figures: Mapping[str, str]) -> Graph:
     }
     texts = {name: "\n".join(filter(None, (name, figures.get(name, "")))) for name in places}
     return Graph(texts, pairs, places, {roster.world: colour_of(7)})
+
+
+def belief_text(belief: Value) -> str:
+    """A belief as an outline: a line for each part, large arrays by shape alone."""
+    text = yaml.dump(_shown(belief), Dumper=_Outline, sort_keys=False, allow_unicode=True, width=10_000)
+    lines = text.removesuffix("...\n").splitlines()
+    if len(lines) > MOST_LINES:
+        lines = [*lines[:MOST_LINES], f"… {len(lines) - MOST_LINES} more lines"]
+    return "\n".join(lines)
+
+
+def figures_text(figures: Mapping[str, float]) -> str:
+    """The first figures, a line each."""
+    return "\n".join(f"{name} {number:.4g}" for name, number in list(figures.items())[:MOST_FIGURES])
+
+
+class _Outline(yaml.SafeDumper):
+    """Writes lists of numbers and texts in a line."""
+
+    def represent_sequence(self, tag: str, sequence: Any, flow_style: bool | None = None) -> yaml.SequenceNode:
+        flat = not any(isinstance(item, (dict, list)) for item in sequence)
+        return super().represent_sequence(tag, sequence, flat)
+
+
+def _shown(value: Value) -> Any:
+    """What of a value is shown, of YAML's types."""
+    if isinstance(value, Mapping):
+        return {str(key): _shown(item) for key, item in value.items()}
+    if isinstance(value, np.ndarray) and value.size > MOST_ITEMS:
+        return f"{value.dtype} {' × '.join(map(str, value.shape))}"
+    if isinstance(value, (np.ndarray, np.generic)):
+        return _shown(value.tolist())
+    if isinstance(value, (tuple, list)):
+        more = [f"… {len(value) - MOST_ITEMS} more"] if len(value) > MOST_ITEMS else []
+        return [*map(_shown, value[:MOST_ITEMS]), *more]
+    if isinstance(value, float):
+        return float(f"{value:.6g}")
+    if isinstance(value, (bytes, bytearray, memoryview)):
+        return f"{len(value)} bytes"
+    if value is None or isinstance(value, (bool, int)):
+        return value
+    text = str(value)
+    return text if len(text) <= MOST_CHARS else text[: MOST_CHARS - 1] + "…"

@@ -33,10 +33,6 @@ _COLOURS = re.compile(r"\x1b\[[0-9;]*m")
 Stream = rr.RecordingStream
 
 
-class ViewerError(HieraxError):
-    """A viewer cannot be started, or a file not be written."""
-
-
 def stream_of(hierarchy: str) -> Stream:
     """A stream for what is shown of a run."""
     return rr.RecordingStream(f"hierax {hierarchy}")
@@ -56,10 +52,10 @@ def web_viewer(stream: Stream, port: int | None, memory: str, opens: bool) -> It
     server listens on all addresses where it runs inside of a Python process, so it is started as a process, which is
     told where to. It ends with this one, and keeps so much memory, as ``1GiB``, for pages that are opened later.
     Without a port the page's is `WEB_PORT`, or a free one where that is taken; where it `opens`, it does so in a
-    browser. Raises `ViewerError` if the port is taken, or the server does not start."""
+    browser. Raises `HieraxError` if the port is taken, or the server does not start."""
     web_port, data_port = _free_port(WEB_PORT if port is None else port), _free_port()
     if port not in (None, web_port):
-        raise ViewerError(f"--port {port}: another process listens there")
+        raise HieraxError(f"--port {port}: another process listens there")
     options = ["--serve-web", "--web-viewer-port", str(web_port), "--server-memory-limit", memory]
     with _viewer(stream, options, data_port, web_port):
         address = f"http://{HOST}:{web_port}/?url={quote(_data_address(data_port), safe='')}"
@@ -77,7 +73,7 @@ def _for_ever() -> None:
 
 @contextmanager
 def window(stream: Stream, memory: str) -> Iterator[Place]:
-    """Rerun's window, which keeps so much in memory and ends with this process; `ViewerError` if it does not open."""
+    """Rerun's window, which keeps so much in memory and ends with this process; `HieraxError` if it does not open."""
     options = ["--hide-welcome-screen", "--memory-limit", memory]
     with _viewer(stream, options, _free_port()) as process:
         yield Place("Rerun's window", process.wait)
@@ -85,14 +81,14 @@ def window(stream: Stream, memory: str) -> Iterator[Place]:
 
 @contextmanager
 def file(stream: Stream, path: Path, overwrite: bool = False) -> Iterator[Place]:
-    """A file for Rerun, ``.rrd``. Raises `ViewerError` if it cannot be written, or is there already."""
+    """A file for Rerun, ``.rrd``. Raises `HieraxError` if it cannot be written, or is there already."""
     _check_replaceable(path, overwrite)
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         path.touch()
         stream.save(path)
     except Exception as error:  # Rerun's own have no common class
-        raise ViewerError(f"{path}: cannot be written: {getattr(error, 'strerror', None) or error}") from error
+        raise HieraxError(f"{path}: cannot be written: {getattr(error, 'strerror', None) or error}") from error
     try:
         yield Place(str(path), None)
         stream.flush()
@@ -107,9 +103,9 @@ def _check_replaceable(path: Path, overwrite: bool) -> None:
     except OSError:
         return  # there is none, or it is told when it is written
     if begin and begin != _RRD:
-        raise ViewerError(f"{path}: is no file of Rerun's, so it is not overwritten; name another file")
+        raise HieraxError(f"{path}: is no file of Rerun's, so it is not overwritten; name another file")
     if begin and not overwrite:
-        raise ViewerError(f"{path}: is there already; --overwrite replaces it, or name another file")
+        raise HieraxError(f"{path}: is there already; --overwrite replaces it, or name another file")
 
 
 class _Program:
@@ -174,7 +170,7 @@ def _flush(stream: Stream, program: _Program) -> None:
     except Exception as error:  # Rerun's own have no common class
         reason = str(error) or type(error).__name__
     if reason:
-        raise ViewerError(f"Rerun's viewer has ended: {program.last_words or reason}")
+        raise HieraxError(f"Rerun's viewer has ended: {program.last_words or reason}")
 
 
 def _data_address(port: int) -> str:
@@ -189,7 +185,7 @@ def _path() -> Path:
         program = Path(folder) / "rerun"
         if program.exists():
             return program
-    raise ViewerError("the installed rerun-sdk has no viewer: expected the program rerun_cli/rerun in it")
+    raise HieraxError("the installed rerun-sdk has no viewer: expected the program rerun_cli/rerun in it")
 
 
 def _free_port(wanted: int = 0) -> int:
@@ -211,5 +207,5 @@ def _wait_for(port: int, program: _Program) -> None:
             return
         except OSError:
             if program.process.poll() is not None or time.monotonic() > deadline:
-                raise ViewerError(f"Rerun's viewer does not listen on port {port}: {program.last_words}") from None
+                raise HieraxError(f"Rerun's viewer does not listen on port {port}: {program.last_words}") from None
         time.sleep(_TRY_AGAIN_S)

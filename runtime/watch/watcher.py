@@ -2,9 +2,20 @@
 
 from __future__ import annotations
 
+import time
+from collections import deque
+from collections.abc import Callable, Collection, Iterator
+from dataclasses import dataclass
+
+from hierax.runtime.core.probe import Step
 from hierax.runtime.engine.effects import Called, Completed
 from hierax.runtime.engine.table import Verdict
-from hierax.schemas.messages import Header, Message
+from hierax.schemas.errors import SchemaError
+from hierax.schemas.messages import Header, Message, encode_message
+from hierax.schemas.values import decode_value, encode_value
+
+Edge = tuple[str, str, str]  # kind, sender and receiver
+STEPS_KEPT = 16  # how many steps wait until somebody takes them; of more than that, the oldest are forgotten
 
 
 class Watcher:
@@ -48,3 +59,48 @@ class Watcher:
 
     def close(self) -> None:
         """The node's life is over."""
+
+
+@dataclass(eq=False)
+class Copier(Watcher):
+    """Shows copies of the `wanted` messages, a set that is replaced and never changed; `show` must not wait."""
+
+    show: Callable[[str, str, str, bytes], None]
+    wanted: Collection[Edge] = frozenset()
+
+    def sent(self, message: Message) -> None:
+        kind, sender, receiver = message.header[:3]
+        if (kind, sender, receiver) in self.wanted:
+            self.show(kind, sender, receiver, encode_message(message))
+
+
+class Stepper(Watcher):
+    """Keeps a node's last steps, of the epochs that `every` divides, until they are taken, by another thread."""
+
+    def __init__(self) -> None:
+        self.every = 1
+        self._steps: deque[tuple[int, Step]] = deque(maxlen=STEPS_KEPT)
+
+    def completed(self, completed: Completed) -> None:
+        if completed.step.epoch % self.every == 0:
+            self._steps.append((time.time_ns(), completed.step))
+
+    def take(self) -> Iterator[bytes]:
+        """The steps that have come since the last time, encoded; those that cannot travel are left out."""
+        while self._steps:
+            done_ns, step = self._steps.popleft()
+            try:
+                data = encode_value({"done_ns": done_ns, **step._asdict()})
+            except SchemaError:
+                continue  # in the midst of an epoch a belief may be anything
+            yield data
+
+
+def read_step(data: bytes) -> tuple[int, Step]:
+    """When an epoch was done, in ns since 1970, and what was done; `SchemaError` if `Stepper` has not said it."""
+    value = decode_value(data, "step")
+    try:
+        done_ns = value.pop("done_ns")
+        return done_ns, Step(**value)
+    except (AttributeError, KeyError, TypeError) as error:
+        raise SchemaError(f"is no step of a node: {error}") from error

@@ -27,7 +27,7 @@ from hierax.runtime.commands.main import main
 from hierax.runtime.core.errors import HieraxError
 from hierax.runtime.recording.reading import Recording
 from hierax.runtime.recording.writing import ENDING, INFO, PROFILE
-from hierax.runtime.testing.recorded_node import read_recorded
+from hierax.runtime.testing.runs import read_recorded
 from hierax.schemas.errors import SchemaError
 from support.junk import junk, mutated
 

@@ -10,7 +10,7 @@ import yaml
 
 from hierax.runtime import Probe
 from hierax.runtime.core.probe import Step
-from hierax.runtime.deployment.locating import shipped
+from hierax.runtime.deployment.deployment import shipped
 
 PACE_S = 0.01
 

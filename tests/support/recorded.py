@@ -7,11 +7,11 @@ from pathlib import Path
 
 from hierax.runtime.deployment import Deployment
 from hierax.runtime.deployment.read import read_deployment
-from hierax.runtime.deployment.schedule import read_schedule
+from hierax.runtime.deployment.snippet import read_schedule
 from hierax.runtime.execution import single
 from hierax.runtime.execution.report import Report
-from hierax.runtime.recording.in_process import InProcess
 from hierax.runtime.recording.reading import Recording
+from hierax.runtime.recording.recorder import InProcess
 
 
 def record(

@@ -17,9 +17,9 @@ from support.pace import paced
 from support.parts import KEPT, active, advanced, believed, largest_error, write_deployment
 
 from hierax.nodes.causal_tree import Part, epochs_needed, network_from, posteriors, random_tree
-from hierax.runtime.deployment.locating import shipped
+from hierax.runtime.deployment.deployment import shipped
 from hierax.runtime.deployment.read import read_deployment
-from hierax.runtime.deployment.schedule import read_schedule
+from hierax.runtime.deployment.snippet import read_schedule
 from hierax.runtime.execution.single import run
 
 CLOSE = 1e-12

@@ -8,7 +8,7 @@ import pytest
 
 from hierax.runtime.commands.main import main
 from hierax.runtime.tools import doctor
-from hierax.runtime.tools.packages import FINE, WRONG, Finding
+from hierax.runtime.tools.doctor import FINE, WRONG, Finding
 
 FOUND = [Finding("python", FINE, "Python 3.11"), Finding("limits", WRONG, "12 open files", "ulimit -n 1024")]
 

@@ -12,7 +12,7 @@ from hierax.runtime.commands.main import main
 from hierax.runtime.core.node import Node
 from hierax.runtime.core.probe import Step
 from hierax.runtime.core.showing import Box, Curve, Things
-from hierax.runtime.viewing.told import Look
+from hierax.runtime.viewing.recorded_run import Look
 
 
 class Telling(Node):

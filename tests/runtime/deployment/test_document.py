@@ -2,8 +2,7 @@ from __future__ import annotations
 
 import pytest
 
-from hierax.runtime.deployment.document import Document
-from hierax.runtime.deployment.paths import Keys
+from hierax.runtime.deployment.deployment import Document, Keys
 from hierax.runtime.deployment.tree import read_tree
 
 TEXT = """\

@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 
 from hierax.runtime.deployment import DeploymentError
-from hierax.runtime.deployment.locating import MAX_FILE_BYTES, find_file, import_paths, read_text, shipped
+from hierax.runtime.deployment.deployment import MAX_FILE_BYTES, find_file, import_paths, read_text, shipped
 
 
 def test_a_file_is_found_before_a_shipped_name(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

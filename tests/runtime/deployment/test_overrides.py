@@ -5,9 +5,8 @@ from typing import Any
 import pytest
 from support.deployments import TOYS
 
-from hierax.runtime.deployment.document import Document
-from hierax.runtime.deployment.overrides import apply_override
-from hierax.runtime.deployment.paths import DeploymentError
+from hierax.runtime.deployment.deployment import DeploymentError, Document
+from hierax.runtime.deployment.parameters import apply_override
 from hierax.runtime.deployment.tree import read_tree
 
 

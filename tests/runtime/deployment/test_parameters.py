@@ -4,9 +4,8 @@ from itertools import pairwise
 
 import pytest
 
-from hierax.runtime.deployment.document import Document
+from hierax.runtime.deployment.deployment import DeploymentError, Document
 from hierax.runtime.deployment.parameters import substitute
-from hierax.runtime.deployment.paths import DeploymentError
 from hierax.runtime.deployment.tree import read_tree
 
 

@@ -2,7 +2,7 @@ from __future__ import annotations
 
 import pytest
 
-from hierax.runtime.deployment.paths import edge_name, field_text, longest_key, normal_path
+from hierax.runtime.deployment.deployment import edge_name, field_text, longest_key, normal_path
 
 
 def test_a_path_as_text() -> None:

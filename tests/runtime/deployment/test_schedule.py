@@ -7,8 +7,7 @@ from support.deployments import write
 
 from hierax.runtime.deployment import DeploymentError
 from hierax.runtime.deployment.read import read_deployment
-from hierax.runtime.deployment.schedule import read_schedule
-from hierax.runtime.deployment.snippet import read_attach, read_replace
+from hierax.runtime.deployment.snippet import read_attach, read_replace, read_schedule
 from hierax.schemas.roster import Detach
 
 THIRD = "nodes:\n  third: {class: support.toy_nodes:Summer}\nedges:\n  left -> third: {}\n"

@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hierax.runtime.deployment.paths import DeploymentError
+from hierax.runtime.deployment.deployment import DeploymentError
 from hierax.runtime.deployment.tree import MAX_PARTS, MAX_TEXT_CHARS, read_tree
 from hierax.schemas.limits import MAX_DEPTH
 

@@ -5,8 +5,7 @@ from pathlib import Path
 import pytest
 from support.deployments import TOYS, write
 
-from hierax.runtime.deployment.deployment import ViewSpec
-from hierax.runtime.deployment.paths import DeploymentError
+from hierax.runtime.deployment.deployment import DeploymentError, ViewSpec
 from hierax.runtime.deployment.read import read_deployment
 
 

@@ -10,7 +10,7 @@ from support.deployments import write
 
 from hierax.runtime.commands.main import main
 from hierax.runtime.core.errors import OperatorError
-from hierax.runtime.deployment.locating import shipped
+from hierax.runtime.deployment.deployment import shipped
 from hierax.runtime.deployment.read import read_deployment
 from hierax.runtime.execution.dry import run_dry
 from hierax.runtime.loading.loader import extend_import_path

@@ -12,7 +12,7 @@ from support.deployments import TOYS, line_of, replaced, write
 from hierax.runtime.core.staleness import Staleness
 from hierax.runtime.deployment import DeploymentError
 from hierax.runtime.deployment.read import read_deployment
-from hierax.runtime.deployment.schedule import read_schedule
+from hierax.runtime.deployment.snippet import read_schedule
 from hierax.runtime.execution.report import Report
 from hierax.runtime.execution.single import run
 

@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 from support.launched import Command, until
 
-from hierax.runtime.host.interpreter import python_code, python_module, started_deaf
+from hierax.runtime.host.streams import python_code, python_module, started_deaf
 
 OWN = """
 from hierax.runtime import Node, World

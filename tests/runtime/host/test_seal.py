@@ -10,7 +10,7 @@ from typing import Any
 
 import pytest
 
-from hierax.runtime.host.seal import (
+from hierax.runtime.host.run_folder import (
     KEY_BYTES,
     RECORDING,
     STATE,

@@ -17,7 +17,7 @@ from support.launched import Launched, hierax, run_here, said_here
 from support.pace import paced
 from support.sweep import SWEEP
 
-from hierax.runtime.deployment.locating import shipped
+from hierax.runtime.deployment.deployment import shipped
 
 MANY = "1000000"
 AFTER = 20

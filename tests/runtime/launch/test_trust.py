@@ -20,8 +20,7 @@ from support.live import Live, environment, until
 from hierax.runtime.commands.main import main
 from hierax.runtime.core.errors import HieraxError
 from hierax.runtime.deployment.read import read_deployment
-from hierax.runtime.host.run_folder import run_folder
-from hierax.runtime.host.seal import NOT_OURS
+from hierax.runtime.host.run_folder import NOT_OURS, run_folder
 from hierax.runtime.launch.orders import LaunchOptions, Orders
 from hierax.runtime.launch.run_file import read_run
 from hierax.runtime.loading.allowance import NotAllowedError

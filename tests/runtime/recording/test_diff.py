@@ -11,10 +11,9 @@ from support.recorded import record_file
 
 from hierax.runtime.core.difference import ABSENT, Unlike, first_unlike
 from hierax.runtime.deployment.read import read_deployment
-from hierax.runtime.recording.deployments import allowance_of, in_place_of
 from hierax.runtime.recording.diff import compare
 from hierax.runtime.recording.reading import Recording
-from hierax.runtime.recording.replay import Replay
+from hierax.runtime.recording.replay import Replay, allowance_of, in_place_of
 
 FLAWS = [(subject, operator) for subject, operators in OPERATORS.items() for operator in operators]
 EPOCH = 7

@@ -57,7 +57,7 @@ def put(index: int, value: Any) -> Callable[[list[Any]], list[Any]]:
         ("obs", put(4, -1), "does not begin like a message"),
         ("epochs", lambda _: 7, "expected an epoch's number and digest"),
         ("epochs", lambda _: [1, b"", 2], "expected an epoch's number and digest"),
-        ("steps", put(4, -3), "expected whole numbers from 0"),
+        ("steps", put(4, -3), "expected a whole number of 64 bits from 0"),
         ("roster", lambda roster: {**roster, "world": "nobody"}, "nobody"),
         ("roster", lambda roster: {**roster, "edges": roster["edges"] * 2}, "twice"),
     ],

@@ -13,10 +13,9 @@ import pytest
 from support.live import Live, until
 
 from hierax.runtime.recording.check import check_recording
-from hierax.runtime.recording.deployments import allowance_of
 from hierax.runtime.recording.diff import compare
 from hierax.runtime.recording.reading import Recording
-from hierax.runtime.recording.replay import Replay
+from hierax.runtime.recording.replay import Replay, allowance_of
 
 Start = Callable[..., Live]
 

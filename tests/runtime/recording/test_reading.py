@@ -9,11 +9,10 @@ import pytest
 from support.flawed import DEPLOYMENT
 from support.recorded import record_file
 
-from hierax.runtime.recording.deployments import allowance_of
 from hierax.runtime.recording.diff import compare
 from hierax.runtime.recording.info import RecordingError, RunInfo
 from hierax.runtime.recording.reading import Recording
-from hierax.runtime.recording.replay import Replay
+from hierax.runtime.recording.replay import Replay, allowance_of
 from hierax.runtime.recording.topics import MESSAGE, STEP, glance, topic_of
 from hierax.runtime.recording.writing import McapFile
 from hierax.schemas.errors import SchemaError

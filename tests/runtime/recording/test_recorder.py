@@ -11,8 +11,7 @@ from support.recorded import record_file
 
 from hierax.runtime.recording.reading import Entry, Recording
 from hierax.runtime.recording.recorder import Recorder, open_recorder
-from hierax.runtime.recording.selection import Selection
-from hierax.runtime.recording.topics import MESSAGE, STEP
+from hierax.runtime.recording.topics import MESSAGE, STEP, Selection
 from hierax.runtime.transport.bus_tap import Sample
 
 

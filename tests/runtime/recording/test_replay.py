@@ -13,13 +13,12 @@ from support.recorded import record_file
 from hierax.runtime.core.binding import BoundNode, OperatorSetting
 from hierax.runtime.core.errors import HieraxError
 from hierax.runtime.core.process import ActiveHierarchy, ActiveNode, predict, sense, update
-from hierax.runtime.deployment.locating import shipped
+from hierax.runtime.deployment.deployment import shipped
 from hierax.runtime.loading.loader import build_hierarchy
-from hierax.runtime.recording.deployments import allowance_of, check_names, other_settings, recorded_deployment
 from hierax.runtime.recording.diff import compare
 from hierax.runtime.recording.info import RecordingError
 from hierax.runtime.recording.reading import Recording
-from hierax.runtime.recording.replay import Replay
+from hierax.runtime.recording.replay import Replay, allowance_of, check_names, other_settings, recorded_deployment
 from hierax.schemas.values import encode_value
 
 QUICK = dict.fromkeys(shipped(), ()) | {"tracking": ("frames=3", "cubes=2"), "pick": ("frames=3",)}

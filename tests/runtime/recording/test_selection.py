@@ -9,8 +9,7 @@ from hierax.runtime.commands.main import main
 from hierax.runtime.recording.check import check_recording
 from hierax.runtime.recording.info import Ending, RecordingError
 from hierax.runtime.recording.reading import Recording
-from hierax.runtime.recording.selection import Selection, check_pattern, read_duration, read_size
-from hierax.runtime.recording.topics import MESSAGE, Entry, Topic
+from hierax.runtime.recording.topics import MESSAGE, Entry, Selection, Topic, check_pattern, read_duration, read_size
 from hierax.runtime.recording.writing import McapFile
 
 EPOCHS = 300

@@ -14,13 +14,12 @@ from support.recorded import record_file
 
 from hierax.runtime.commands.main import main
 from hierax.runtime.loading.allowance import NotAllowedError
-from hierax.runtime.recording.deployments import allowance_of
 from hierax.runtime.recording.info import Ending, RecordingError, RunInfo
 from hierax.runtime.recording.reading import Recording
-from hierax.runtime.recording.replay import Replay
+from hierax.runtime.recording.replay import Replay, allowance_of
 from hierax.runtime.recording.topics import ROSTER
 from hierax.runtime.recording.writing import McapFile
-from hierax.runtime.testing.recorded_node import read_recorded
+from hierax.runtime.testing.runs import read_recorded
 from hierax.schemas.roster import Reference, Roster
 from hierax.schemas.values import encode_value
 

@@ -14,24 +14,11 @@ from hierax.runtime.recording.witness import Witness
 from hierax.schemas.steps import NodeStep, decode_step
 
 
-class Told:
-    """Keeps the steps that are told."""
-
-    def __init__(self) -> None:
-        self.steps: list[NodeStep] = []
-
-    def step(self, data: bytes) -> None:
-        self.steps.append(decode_step(data))
-
-    def roster(self, data: bytes) -> None:
-        return
-
-
 class Deaf(Witness):
     """Is not listened to from one epoch on, until another one."""
 
-    def __init__(self, runner: NodeRunner, told: Told, gone: int, back: int) -> None:
-        super().__init__("low", lambda: runner.engine, told)
+    def __init__(self, runner: NodeRunner, told: list[NodeStep], gone: int, back: int) -> None:
+        super().__init__("low", lambda: runner.engine, lambda data: told.append(decode_step(data)), lambda _: None)
         self._away = (gone, back)
 
     def completed(self, completed: object) -> None:
@@ -47,14 +34,14 @@ def steps(tmp_path: Path, gone: int, back: int) -> list[NodeStep]:
     """The steps of the node in the middle."""
     path = tmp_path / "flawed.yaml"
     path.write_text(DEPLOYMENT, encoding="utf-8")
-    told = Told()
+    told: list[NodeStep] = []
 
     def watch(name: str, runner: NodeRunner) -> None:
         if name == "low":
             runner.watch(Deaf(runner, told, gone, back))
 
     single.run(read_deployment(path), epochs=12, seed=0, watch=watch)
-    return told.steps
+    return told
 
 
 def test_every_epoch_is_told(tmp_path: Path) -> None:

@@ -12,7 +12,7 @@ from support.toy_nodes import Summer
 from hierax.runtime import Elements, Value
 from hierax.runtime.commands.main import main
 from hierax.runtime.core.errors import HieraxError
-from hierax.runtime.testing.recorded_node import Recorded
+from hierax.runtime.testing.runs import Recorded
 
 EPOCHS = 6
 

@@ -10,9 +10,18 @@ import pytest
 from hierax.runtime.host.run_folder import begin_run
 from hierax.runtime.recovery.disk import MappedFile
 from hierax.runtime.tools import doctor, leftovers
-from hierax.runtime.tools.doctor import check_folders, check_limits, check_machine, check_python, examine
+from hierax.runtime.tools.doctor import (
+    FINE,
+    NOTE,
+    WRONG,
+    Finding,
+    check_folders,
+    check_limits,
+    check_machine,
+    check_python,
+    examine,
+)
 from hierax.runtime.tools.leftovers import Orphan
-from hierax.runtime.tools.packages import FINE, NOTE, WRONG, Finding
 from hierax.runtime.transport import zenoh_session
 
 

@@ -9,9 +9,9 @@ from typing import Any
 
 import pytest
 
+from hierax.runtime.commands.logs import LogFilter, Reader, find_folder, line, read_pattern, read_since
 from hierax.runtime.core.errors import HieraxError
 from hierax.runtime.host.run_folder import begin_run
-from hierax.runtime.tools.logs import LogFilter, Reader, find_folder, line, read_pattern, read_since
 
 NOW = datetime(2030, 1, 2, 3, 4, 5, tzinfo=timezone.utc)
 NO_PROCESS = 2**22 - 1

@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from hierax.runtime.tools.packages import FINE, NOTE, WRONG, check_packages
+from hierax.runtime.tools.doctor import FINE, NOTE, WRONG, check_packages
 
 
 def test_what_hierax_needs_is_here() -> None:

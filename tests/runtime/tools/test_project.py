@@ -8,9 +8,9 @@ from pathlib import Path
 
 import pytest
 
+from hierax.runtime.commands.new import make_project
 from hierax.runtime.core.errors import HieraxError
 from hierax.runtime.deployment.read import read_deployment
-from hierax.runtime.tools.project import make_project
 
 
 def test_all_files_are_there_and_filled_in(tmp_path: Path) -> None:

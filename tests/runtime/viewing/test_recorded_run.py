@@ -8,11 +8,11 @@ from support.canvas import KeptCanvas
 from hierax.runtime.commands.main import main
 from hierax.runtime.deployment.read import read_deployment
 from hierax.runtime.loading.loader import load_function
-from hierax.runtime.recording.deployments import allowance_of, recorded_deployment
 from hierax.runtime.recording.reading import Recording
+from hierax.runtime.recording.replay import allowance_of, recorded_deployment
+from hierax.runtime.viewing.live import run_seen
 from hierax.runtime.viewing.presenter import ViewPresenter
 from hierax.runtime.viewing.recorded_run import show_recording
-from hierax.runtime.viewing.single_run import run_seen
 
 pytest.importorskip("mcap", reason="the extra [record] is not installed")
 

@@ -11,8 +11,8 @@ from hierax.runtime.core.showing import Curve, Image, Lines2D, Mesh
 from hierax.runtime.deployment.read import read_deployment
 from hierax.runtime.execution import single
 from hierax.runtime.loading.loader import load_function
+from hierax.runtime.viewing.live import run_seen
 from hierax.runtime.viewing.presenter import ViewPresenter
-from hierax.runtime.viewing.single_run import run_seen
 from hierax.runtime.viewing.views import ShowError
 
 

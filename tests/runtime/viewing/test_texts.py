@@ -2,7 +2,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from hierax.runtime.viewing.texts import MOST_LINES, belief_text, figures_text
+from hierax.runtime.viewing.presenter import MOST_LINES, belief_text, figures_text
 
 
 def test_a_belief_is_an_outline() -> None:

@@ -13,8 +13,9 @@ from support.launched import is_alive, processes_of, until
 
 pytest.importorskip("rerun", reason="the extra [view] is not installed")
 
+from hierax.runtime.core.errors import HieraxError
 from hierax.runtime.viewing import viewer
-from hierax.runtime.viewing.viewer import Place, ViewerError, file, stream_of, web_viewer, window
+from hierax.runtime.viewing.viewer import Place, file, stream_of, web_viewer, window
 
 
 def listening(port: int) -> set[str]:
@@ -62,7 +63,7 @@ def test_a_port_that_is_taken_is_told_and_none_is_found_otherwise(monkeypatch: p
         taken.listen()
         port = taken.getsockname()[1]
         with (
-            pytest.raises(ViewerError, match=rf"^--port {port}: another process listens there$"),
+            pytest.raises(HieraxError, match=rf"^--port {port}: another process listens there$"),
             web_viewer(stream_of("test"), port, "64MiB", False),
         ):
             pass
@@ -73,7 +74,7 @@ def test_a_port_that_is_taken_is_told_and_none_is_found_otherwise(monkeypatch: p
 
 def test_a_server_that_does_not_start_is_told() -> None:
     with (
-        pytest.raises(ViewerError, match=r"^Rerun's viewer does not listen on port [0-9]+: .*memory"),
+        pytest.raises(HieraxError, match=r"^Rerun's viewer does not listen on port [0-9]+: .*memory"),
         web_viewer(stream_of("test"), None, "a lot", False),
     ):
         pass
@@ -82,7 +83,7 @@ def test_a_server_that_does_not_start_is_told() -> None:
 def test_a_file_that_cannot_be_written_is_told(tmp_path: Path) -> None:
     (tmp_path / "there").write_text("no folder")
     with (
-        pytest.raises(ViewerError, match=r"there/x\.rrd: cannot be written: "),
+        pytest.raises(HieraxError, match=r"there/x\.rrd: cannot be written: "),
         file(stream_of("test"), tmp_path / "there" / "x.rrd"),
     ):
         pass
@@ -96,5 +97,5 @@ def wait_for(place: Place) -> None:
 def test_a_window_that_does_not_open_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
     for name in ("DISPLAY", "WAYLAND_DISPLAY", "WAYLAND_SOCKET"):
         monkeypatch.delenv(name, raising=False)
-    with pytest.raises(ViewerError, match=r"^Rerun's viewer .*DISPLAY"), window(stream_of("test"), "64MiB") as place:
+    with pytest.raises(HieraxError, match=r"^Rerun's viewer .*DISPLAY"), window(stream_of("test"), "64MiB") as place:
         wait_for(place)

@@ -5,7 +5,7 @@ import pytest
 
 from hierax.runtime.core.probe import Step
 from hierax.runtime.engine.effects import Completed
-from hierax.runtime.watch.copies import STEPS_KEPT, Copier, Stepper, read_step
+from hierax.runtime.watch.watcher import STEPS_KEPT, Copier, Stepper, read_step
 from hierax.schemas.errors import SchemaError
 from hierax.schemas.messages import CONTEXT, OBSERVATIONS, Header, Message, decode_message
 from hierax.schemas.values import encode_value

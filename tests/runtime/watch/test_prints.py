@@ -11,7 +11,7 @@ import pytest
 from support.launched import environment
 
 from hierax.runtime.commands.main import main
-from hierax.runtime.watch import turns
+from hierax.runtime.watch import prints
 from hierax.runtime.watch.prints import Console, Lines, NamedLines
 
 TALKING = """
@@ -229,10 +229,10 @@ def test_last_words_of_a_run_that_is_killed_are_shown(tmp_path: Path) -> None:
 def test_who_prints_after_a_long_silence_is_named_from_then_on(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     reading, writing = os.pipe()
     given = [os.dup(1), os.dup(2)]
-    monkeypatch.setattr(turns, "TURNS", 3)
-    monkeypatch.setattr(turns, "own_errors", lambda: writing)
+    monkeypatch.setattr(prints, "TURNS", 3)
+    monkeypatch.setattr(prints, "own_errors", lambda: writing)
     try:
-        with turns.named_turns(["a", "b"], "both") as turn:
+        with prints.named_turns(["a", "b"], "both") as turn:
             assert turn is not None
             for name in "abab":
                 turn(name)
