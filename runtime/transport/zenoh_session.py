@@ -11,6 +11,7 @@ import shutil
 import socket
 import threading
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from pathlib import Path
 from typing import Any, Literal, TypeAlias
 
@@ -138,12 +139,17 @@ def _lockable() -> int | None:
 def close_session(session: zenoh.Session) -> bool:
     """Close a session; whether it was within `CLOSE_TIMEOUT_S`, beyond which nothing is waited for.
 
-    Closing can hang beside a peer that is stopped; the process may then end all the same.
+    Closing can hang beside a peer that is stopped, until Zenoh itself gives up; the process may then end all the same.
     """
-    closer = threading.Thread(target=session.close, name="zenoh-close", daemon=True)
-    closer.start()
-    closer.join(CLOSE_TIMEOUT_S)
-    return not closer.is_alive()
+    closed = threading.Event()
+
+    def close() -> None:
+        with suppress(zenoh.ZError):
+            session.close()  # type: ignore[no-untyped-call]
+            closed.set()
+
+    threading.Thread(target=close, name="zenoh-close", daemon=True).start()
+    return closed.wait(CLOSE_TIMEOUT_S)
 
 
 def free_endpoint(host: str | None = None) -> str:

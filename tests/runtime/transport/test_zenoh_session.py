@@ -6,7 +6,7 @@ import os
 import subprocess
 import sys
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import pytest
 import zenoh
@@ -145,3 +145,11 @@ def held_by(pid: int) -> set[Path]:
     """A process's own segments: others on the machine have theirs."""
     held = {Path(os.readlink(file)) for file in Path(f"/proc/{pid}/fd").iterdir()}
     return {path for path in held if path.parent == Path("/dev/shm") and path.suffix == ".zenoh"}
+
+
+def test_a_session_that_zenoh_gives_up_to_close_is_not_closed() -> None:
+    class Unclosed:
+        def close(self) -> None:
+            raise zenoh.ZError("close operation timed out!")
+
+    assert not close_session(cast(zenoh.Session, Unclosed()))  # that its thread ends by an error would be an error here
