@@ -9,7 +9,7 @@ from collections.abc import Iterator
 from typing import TYPE_CHECKING, Annotated
 
 from hierax.runtime.commands.options import Connect, Format, Full, Key, OutputFormat, Run, option
-from hierax.runtime.commands.which import client_of
+from hierax.runtime.commands.which_launch import client_of
 
 if TYPE_CHECKING:
     from hierax.runtime.execution.report import Json

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 from hierax.runtime.commands.errors import CommandError, notify
 from hierax.runtime.commands.options import Format, Full, Node, RunOptions, argument, offers, option
 from hierax.runtime.commands.show import print_json
-from hierax.runtime.commands.which import client_at, endpoint_of, own_deployment
+from hierax.runtime.commands.which_launch import client_at, endpoint_of, own_deployment
 
 if TYPE_CHECKING:
     from hierax.runtime.execution.report import Json

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 from hierax.runtime.commands.errors import CommandError, notify
 from hierax.runtime.commands.options import SNIPPET, Format, Node, RunOptions, Snippet, argument, offers, option
 from hierax.runtime.commands.show import RIGHT, print_json, print_table
-from hierax.runtime.commands.which import client_at, endpoint_of, own_deployment
+from hierax.runtime.commands.which_launch import client_at, endpoint_of, own_deployment
 from hierax.runtime.core.errors import HieraxError
 from hierax.runtime.launch.run_file import known_runs
 

@@ -12,7 +12,7 @@ from typing import Annotated, Any, TypeVar
 
 import typer
 
-from hierax.runtime.commands.which import keys_here, nodes_here, runs_here
+from hierax.runtime.commands.which_launch import keys_here, nodes_here, runs_here
 
 LARGEST = 2**63 - 1  # what a message can carry
 

@@ -25,7 +25,7 @@ from hierax.runtime.commands.options import (
     option,
 )
 from hierax.runtime.commands.show import print_json
-from hierax.runtime.commands.which import client_of
+from hierax.runtime.commands.which_launch import client_of
 
 if TYPE_CHECKING:
     from hierax.runtime.commands.options import RunOptions

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from hierax.runtime.commands.options import Connect, Format, OutputFormat, Run, option
 from hierax.runtime.commands.show import console, print_json, table_of
-from hierax.runtime.commands.which import client_of
+from hierax.runtime.commands.which_launch import client_of
 
 if TYPE_CHECKING:
     from rich.table import Table

@@ -109,7 +109,7 @@ def _of_recording(file: Path, options: RunOptions) -> Source:
 
 
 def _of_launch(options: RunOptions) -> Source:
-    from hierax.runtime.commands.which import client_at, endpoint_of, known_run, own_deployment
+    from hierax.runtime.commands.which_launch import client_at, endpoint_of, known_run, own_deployment
     from hierax.runtime.core.errors import HieraxError
     from hierax.runtime.loading.allowance import ANYTHING
     from hierax.runtime.viewing.live import show_launch

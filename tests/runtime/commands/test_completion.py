@@ -9,7 +9,7 @@ import pytest
 from support.live import Live
 
 from hierax.runtime.commands.options import deployments_here
-from hierax.runtime.commands.which import keys_here, nodes_here
+from hierax.runtime.commands.which_launch import keys_here, nodes_here
 
 
 def completed(words: str, folder: Path) -> list[str]:
