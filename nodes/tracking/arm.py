@@ -32,6 +32,7 @@ from hierax.runtime import Node, Step, Value
 from hierax.runtime.core.showing import Things
 
 _DRIFT_GAIN = 0.3
+_CONFIRMED = 3  # so many images in a row have to show a missing object in one place
 _PROBATION = 20  # for so many images an object that was found again is looked for elsewhere, too
 
 # An object whose place is less certain than this (standard deviation) has to be found, not kept.
@@ -223,6 +224,7 @@ class ArmNode(Node):
     ) -> tuple[schema.TrackedObject, ...]:
         """The objects after those that are missing were looked for."""
         missing = {at: item["others"] for at, item in enumerate(objects) if _is_missing(item)}
+        objects = tuple({**_unseen(item), "probation": 0} if _is_refuted(item) else item for item in objects)
         if not missing:
             return objects
         found = look_for_missing(image, objects, missing, sweeps, np.asarray(intrinsics), upright)
@@ -289,10 +291,16 @@ class ArmNode(Node):
 
 
 def _sighted(item: schema.TrackedObject, sighting: Sighting, swept: bool) -> schema.TrackedObject:
-    """An object after it was looked for; one that was found just now gives way to what explains its place better."""
+    """An object after it was looked for; one that was found just now gives way to what explains its place better.
+
+    It is not found before so many images in a row have said so of one pose.
+    """
     if sighting.pose is None or sighting.covariance is None:
         before = item["failed_searches"] if item["status"] == schema.LOST else 0
-        return {**_unseen(item), "guesses": sighting.guesses, "failed_searches": before + swept}
+        return {**_unseen(item), "guesses": sighting.guesses, "failed_searches": before + swept, "probation": 0}
+    said = 1 + item["probation"] * sighting.again
+    if said < _CONFIRMED:
+        return {**_unseen(item), "guesses": np.concatenate((sighting.pose[None], sighting.guesses)), "probation": said}
     return {
         **item,
         "pose": sighting.pose,
@@ -319,6 +327,13 @@ def _moved(sweeps: tuple[schema.Sweep, ...] | None, by: Floats) -> tuple[schema.
 def _is_missing(item: schema.TrackedObject) -> bool:
     """Whether nobody imagines where it is."""
     return item["status"] == schema.LOST and not len(item["controls"]["points"])
+
+
+def _is_refuted(item: schema.TrackedObject) -> bool:
+    """Whether images are explained better without an object that was found just now."""
+    doubted = item["status"] == schema.TRACKED or item["misses"] >= _CONFIRMED
+    seen = float(item["controls"]["visible"].sum()) >= LEAST_SHOWN
+    return doubted and seen and item["probation"] > 0 and item["nats"] < 0.0
 
 
 def _shapeless(item: schema.TrackedObject) -> schema.TrackedObject:

@@ -118,11 +118,8 @@ def associate(
         found = _if_expected(elsewhere, found, prior, shift @ task.start.poses)
     found = _as_predicted(found, objects, shift)
     learned = _learned(best.aligned, found, task, objects, doubtful, judged)
-    failed_searches = [
-        item["failed_searches"] + 1 if at in doubtful else max(0, item["failed_searches"] - 1)
-        for at, item in enumerate(objects)
-    ]
-    failed_searches = [0 if found.elsewhere[at] else count for at, count in enumerate(failed_searches)]
+    counts = [max(0, item["failed_searches"] + (1 if at in doubtful else -1)) for at, item in enumerate(objects)]
+    failed_searches = [0 if found.elsewhere[at] else count for at, count in enumerate(counts)]
     return shift, _estimates(found, learned, failed_searches)
 
 

@@ -45,7 +45,6 @@ UNLIKELIEST = 0.25
 # second where an image of a still camera supports the expected one suddenly less.
 _EVENT, _EVENT_SEEN = 0.18, 0.08
 
-
 # An object that the image supports by that score where it was expected is not farther away than a push can have moved
 # it (one of which no image has told yet: than its first pose can be off): the square of the distance, in standard
 # deviations.
@@ -64,10 +63,8 @@ _GRID = np.stack(np.meshgrid(np.linspace(-1.5, 1.5, 7), np.linspace(-1.5, 1.5, 7
 _FAILED_AT_ONCE = 5
 _FAILED_EVERY = 8
 
-
 # How much farther an object may be that was looked for without success, or that was found again just now (m², rad²).
 _ASTRAY = np.diag([0.01**2] * 3 + [0.3**2] * 3)
-
 
 # Of what its motion may change in a frame, what falls over rises or sinks by so much: by less than it slides.
 FALLING = 0.3

@@ -2,8 +2,8 @@
 
 At each control point the image is looked at a little inside of the edge and a little outside. A pose is worth much
 where what is inside looks alike, face by face, and what is outside does not: a log-likelihood ratio of Gaussians, for
-which no edge has to be found, and neither contrast nor noise to be known. The best poses are looked at more closely,
-with a map of the image's edges besides, then aligned.
+which no edge has to be found, and neither contrast nor noise to be known. At first that goes by every third control
+point; the best poses are looked at more closely, with a map of the image's edges besides, then aligned.
 """
 
 from __future__ import annotations
@@ -27,6 +27,7 @@ cv2.setNumThreads(1)
 _DIRECTIONS = 8
 _SHRUNK = 2  # maps are smaller than the image by this
 _CONTRAST, _SLOPES = 2.0, 2.0  # smallest slope of an edge: grey levels per pixel of a map, medians of the slopes
+_FINE = 16  # parts of a grey level that slopes are compared by
 _NEAR_PX = 1.1  # standard deviation of where an edge is, pixels of a map
 _AROUND_PX = 31  # clutter is counted in windows of that width
 _SOFT_PX = 3  # width of what colours are averaged over, pixels of a map
@@ -35,11 +36,12 @@ _SAME = 4.0  # standard deviation of the colours of one face at least, grey leve
 _MOST = 2.0  # nats that a control point says at most
 _CHANCE = 0.5  # and so many it says of clutter
 _CREASE = 0.3  # what faces of one body differ by counts so much
+_EVERY, _SECOND = 3, 8000  # control points that poses are judged by at first, and how many by all of them
 _KEPT, _BEST = 240, 32  # poses that are looked at more closely, and that are given
 _APART_PX, _APART_RAD = 14.0, 0.2  # poses nearer than that, from one to the next, are one
 _TRY_PX, _TRY_RAD = 5.0, 0.09  # steps of the closer look
 _LEAST_LOOKS = 3  # places on a face that tell what it looks like
-_CHUNK = 4096  # poses that are judged at once
+_CHUNK = 2048  # poses that are judged at once
 
 
 class Maps(NamedTuple):
@@ -72,12 +74,10 @@ def maps_of(image: Image) -> Maps:
     small = grey_levels(light)
     soft = cv2.blur(small, (_SOFT_PX, _SOFT_PX)).reshape(small.shape)
     colours = np.concatenate((soft, np.ones_like(soft[..., :1])), axis=2)
-    gx, gy = _gradient(small)
-    edges = _thinned(gx, gy)
-    turn = np.arctan2(gy, gx) % np.pi * (_DIRECTIONS / np.pi)
+    edges, turn = _edges(small)
     near = np.zeros((_DIRECTIONS, height, width), dtype=np.float32)
     for at in range(_DIRECTIONS):
-        off = np.abs((turn - at + _DIRECTIONS / 2) % _DIRECTIONS - _DIRECTIONS / 2)
+        off = np.abs((turn * (_DIRECTIONS / np.pi) - at + _DIRECTIONS / 2) % _DIRECTIONS - _DIRECTIONS / 2)
         chosen = edges & (off < 1.0)
         clutter = cv2.boxFilter(chosen.astype(np.float32), -1, (_AROUND_PX, _AROUND_PX))
         away = cv2.distanceTransform((~chosen).astype(np.uint8), cv2.DIST_L2, cv2.DIST_MASK_3)
@@ -91,12 +91,17 @@ def swept(maps: Maps, sweep: Sweep, intrinsics: Array) -> Proposed:
     """The poses of a sweep, its places seen from the camera, that the image speaks for most, the best first."""
     places, templates = sweep["places"], sweep["templates"]
     middle = places[len(places) // 2]
-    sides = [_sides(other["controls"], other["pose"], middle, intrinsics) for other in templates]
-    nats = np.stack([_stands_out(maps.colours, places, side, intrinsics) for side in sides])
-    order = np.argsort(-nats, axis=None, kind="stable")[: 8 * _KEPT]
-    numbers, where = np.unravel_index(order, nats.shape)
-    poses = places[where] @ np.stack([templates[number]["pose"] for number in numbers])
-    first = Proposed(poses, numbers, nats[numbers, where])
+    each = [(other["controls"], other["pose"], middle, intrinsics) for other in templates]
+    sides, few = ([_sides(*other, every) for other in each] for every in (1, _EVERY))
+    rough = np.stack([_stands_out(maps.colours, places, side, intrinsics) for side in few])
+    most = min(_SECOND, rough.size)
+    rows = np.sort(np.argpartition(-rough, most - 1, axis=None)[:most])  # so those of one template follow one another
+    numbers, where = np.unravel_index(rows, rough.shape)
+    some = [(places[where[numbers == number]], side) for number, side in enumerate(sides)]
+    nats = np.concatenate([_stands_out(maps.colours, *own, intrinsics) for own in some])
+    order = np.argsort(-nats, kind="stable")[: 8 * _KEPT]
+    numbers, where = numbers[order], where[order]
+    first = Proposed(places[where] @ np.stack([templates[number]["pose"] for number in numbers]), numbers, nats[order])
     kept = _apart(first, 0.5 * _APART_PX, intrinsics, _KEPT)
     return _closer(maps, sweep, sides, only(first, np.array(kept, dtype=np.intp)), intrinsics)
 
@@ -118,10 +123,11 @@ class _Sides(NamedTuple):
     worth: Singles  # (k,)
 
 
-def _sides(controls: ControlPoints, pose: Floats, place: Floats, intrinsics: Array) -> _Sides:
-    """What is looked at of a template at all places, as it is seen at one of them."""
+def _sides(controls: ControlPoints, pose: Floats, place: Floats, intrinsics: Array, every: int = 1) -> _Sides:
+    """What is looked at of a template at all places, as it is seen at one of them, at every so many of its points."""
+    kinds, patches = controls["kinds"][::every], controls["faces"][::every]
     seen = place @ pose
-    points, tangents, inwards = (controls[name] @ seen[:3, :3].T for name in ("points", "tangents", "inwards"))
+    points, tangents, inwards = (controls[name][::every] @ seen[:3, :3].T for name in ("points", "tangents", "inwards"))
     points = points + seen[:3, 3]
     flat = points[:, :2] / points[:, 2:]
     along = tangents[:, :2] - flat * tangents[:, 2:]
@@ -131,8 +137,8 @@ def _sides(controls: ControlPoints, pose: Floats, place: Floats, intrinsics: Arr
     across *= np.where(side < 0, -_BESIDE_PX, _BESIDE_PX)[:, None] * points[:, 2:] / intrinsics[:2]
     moved = np.pad(across, ((0, 0), (0, 1)))
     both = np.concatenate((points + moved, points - moved)) - place[:3, 3]
-    crease = controls["kinds"] == CREASE
-    numbers = np.concatenate((controls["faces"][:, 0], np.where(crease, controls["faces"][:, 1], -1)))
+    crease = kinds == CREASE
+    numbers = np.concatenate((patches[:, 0], np.where(crease, patches[:, 1], -1)))
     known = np.unique(numbers[numbers >= 0])
     faces = (numbers[:, None] == known).astype(np.float32)
     own = faces[: len(crease)]
@@ -236,27 +242,17 @@ def _nats(maps: Singles, poses: Floats, controls: ControlPoints, intrinsics: Arr
     return total
 
 
-def _gradient(small: Singles) -> tuple[Singles, Singles]:
-    """Of the channel that changes most, across and down."""
-    across, down = (cv2.Sobel(small, cv2.CV_32F, *order, scale=0.125) for order in ((1, 0), (0, 1)))
-    across, down = across.reshape(small.shape), down.reshape(small.shape)
+def _edges(small: Singles) -> tuple[NDArray[np.bool_], Singles]:
+    """Where the gradient of the channel that changes most is strong, and as strong as anything before and behind it;
+    and its direction, 0 to pi."""
+    sobels = (cv2.Sobel(small, cv2.CV_32F, *order, scale=0.125) for order in ((1, 0), (0, 1)))
+    across, down = (part.reshape(small.shape) for part in sobels)
     strongest = (across * across + down * down).argmax(axis=2)[..., None]
     gx, gy = (np.take_along_axis(part, strongest, axis=2)[..., 0] for part in (across, down))
-    return gx.astype(np.float32), gy.astype(np.float32)
-
-
-def _thinned(gx: Singles, gy: Singles) -> NDArray[np.bool_]:
-    """Where a gradient is strong, and as strong as anything before and behind it."""
-    size = np.sqrt(gx * gx + gy * gy)
-    padded = np.pad(size, 1)
-    height, width = size.shape
-    sector = np.rint(np.arctan2(gy, gx) % np.pi * (4.0 / np.pi)).astype(np.int32) % 4
-    kept = size > max(_CONTRAST, _SLOPES * float(np.median(size)))
-    for number, (right, below) in enumerate(((1, 0), (1, 1), (0, 1), (-1, 1))):
-        after = padded[1 + below : 1 + below + height, 1 + right : 1 + right + width]
-        before = padded[1 - below : 1 - below + height, 1 - right : 1 - right + width]
-        kept &= (sector != number) | ((size >= before) & (size > after))
-    return np.asarray(kept)
+    least = _FINE * max(_CONTRAST, _SLOPES * float(np.median(np.hypot(gx, gy))))
+    dx, dy = (np.rint(_FINE * part).astype(np.int16) for part in (gx, gy))
+    edges: NDArray[np.bool_] = cv2.Canny(dx, dy, least, least, L2gradient=True) > 0
+    return edges, (np.arctan2(gy, gx) % np.pi).astype(np.float32)
 
 
 def _apart(found: Proposed, apart_px: float, intrinsics: Array, most: int) -> list[int]:

@@ -67,11 +67,42 @@ def test_where_nothing_is_expected_the_image_is_not_read(monkeypatch: pytest.Mon
 @pytest.mark.parametrize("found", [True, False])
 def test_what_is_looked_for_everywhere_is_as_probable_as_it_explains_the_image(found: bool) -> None:
     (item,) = node().initial_belief()["objects"]
-    stale = {**item, "nats": 30.0, "probability": 0.99, "status": "lost"}
+    stale = {**item, "nats": 30.0, "probability": 0.99, "status": "lost", "probation": 2}
     pose, covariance = (WORLD_FROM_OBJECT, np.diag([1e-6] * 3 + [1e-4] * 3)) if found else (None, None)
-    seen = tracking_arm._sighted(stale, Sighting(NO_POSES, pose, covariance, 0.9, 20.0 if found else 0.0), False)
+    seen = tracking_arm._sighted(stale, Sighting(NO_POSES, pose, covariance, 0.9, 20.0 if found else 0.0, True), False)
     assert seen["nats"] == (20.0 if found else 0.0)
     assert (seen["probability"] > 0.9) == found
+
+
+@pytest.mark.parametrize("again", [True, False])
+def test_a_missing_object_is_tracked_when_three_images_in_a_row_have_it_in_one_place(again: bool) -> None:
+    (item,) = node().initial_belief()["objects"]
+    item = {**item, "status": "lost"}
+    sighting = Sighting(NO_POSES, WORLD_FROM_OBJECT, np.diag([1e-6] * 3 + [1e-4] * 3), 0.9, 20.0, again)
+    statuses = []
+    for _ in range(3):
+        item = tracking_arm._sighted(item, sighting, False)
+        statuses.append(item["status"])
+        assert item["probability"] == 0.0 or item["status"] == "tracked"
+        assert item["status"] == "tracked" or np.array_equal(item["guesses"], WORLD_FROM_OBJECT[None])
+    assert statuses == ["lost", "lost", "tracked" if again else "lost"]
+    empty = Sighting(NO_POSES)
+    assert tracking_arm._sighted({**item, "status": "lost"}, empty, False)["probation"] == 0
+
+
+@pytest.mark.parametrize("probation", [20, 0])
+def test_what_was_found_just_now_goes_back_when_images_are_explained_better_without_it(probation: int) -> None:
+    arm = node()
+    belief = arm.observe((picture(FIRST_CAMERA, WORLD_FROM_OBJECT, 1),), after_first_epoch(arm))
+    (item,) = belief["objects"]
+    belief = {**belief, "objects": ({**item, "probation": probation},)}
+    statuses = []
+    for epoch in range(3):
+        covariance = belief["objects"][0]["covariance"]
+        belief = arm.predict(imagined(FIRST_CAMERA, WORLD_FROM_OBJECT, covariance), (), belief)
+        belief = arm.observe((picture(FIRST_CAMERA, None, epoch),), {**belief, "sweeps": ()})
+        statuses.append(belief["objects"][0]["status"])
+    assert statuses == ["expected", "expected", "lost" if probation else "expected"]
 
 
 def test_what_vanishes_is_lost_and_what_returns_is_found() -> None:

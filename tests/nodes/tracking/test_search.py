@@ -81,5 +81,5 @@ def test_what_is_taken_out_is_said_to_be_gone(tmp_path: Path, monkeypatch: pytes
     assert (errors.visible == 0.0).tolist() == [frame >= 8 for frame in range(24)]
     assert errors.within((5.0, 5.0))[7]
     assert np.isnan(errors.distance_mm[8 + 15 :]).all()
-    assert changes(errors, False) == [pytest.approx(11, abs=4)]
+    assert changes(errors, False) == [pytest.approx(3, abs=2)]
     assert changes(errors, True) == []
