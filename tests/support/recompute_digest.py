@@ -111,7 +111,12 @@ def end_of(content: bytes, head: re.Match[bytes]) -> int | None:
 
 
 def swallows_another(content: bytes, end: int, pattern: re.Pattern[bytes]) -> bool:
-    """Whether an entry's digest is a half one, filled up from a whole entry behind it."""
+    """Whether an entry's digest is a half one, filled up from a whole entry behind it.
+
+    Behind a whole digest the file ends, or another entry begins; within it, what looks like an entry is chance.
+    """
+    if end == len(content) or pattern.match(content, end):
+        return False
     heads = (pattern.match(content, at) for at in range(end - _DIGEST_BYTES, end))
     return any(head is not None and end_of(content, head) is not None for head in heads)
 
