@@ -27,7 +27,7 @@ from collections import Counter
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args
 
 import numpy as np
 
@@ -37,6 +37,7 @@ sys.path.insert(0, str(ROOT / "tests"))
 from support.hostile import Stranger  # noqa: E402
 from support.live import HIERAX, Live, environment, until  # noqa: E402
 
+from hierax.schemas.control import Control  # noqa: E402
 from hierax.schemas.errors import SchemaError  # noqa: E402
 from hierax.schemas.keys import Keys  # noqa: E402
 from hierax.schemas.messages import KINDS, Header, Message, decode_message, encode_message  # noqa: E402
@@ -46,14 +47,8 @@ ALLOWED_BYTES = 100 << 20
 ASKED_EVERY = 500
 NAMES = ("world", "low", "high", "owner", "keeper", "stranger", "", "*", "a/b", "x" * 200)
 NUMBERS = (0, 1, 2, -1, 7, 255, 10**9, 10**12, 2**53, 2**63 - 1, 2**64 - 1)
-KINDS_OF_CONTROL = {
-    "Prepare": 1, "Same": 2, "HandOver": 2, "TakeOver": 4, "AskStatus": 1, "Resend": 3, "Dismiss": 2, "Join": 8,
-    "Ready": 4, "State": 3, "Taken": 3, "Fetch": 3, "Status": 7, "Lost": 3, "Census": 1, "Propose": 4,
-}  # fmt: skip
+KINDS_OF_CONTROL = {kind.__name__: len(kind._fields) for kind in get_args(Control)}
 """By name, how many fields they have."""
-
-FORGING = ("Prepare", "Same", "TakeOver", "HandOver", "Ready", "State", "Taken")
-"""Of those that may change what a node does where their numbers happen to fit, the numbers never fit here."""
 
 
 class Grammar:
@@ -129,10 +124,11 @@ class Grammar:
         rng = self._rng
         far = rng.choice((10**9, 10**12, 2**53 - 1))
         name = rng.choice(("world", "low", "high"))
+        roster = {"world": "world", "nodes": {}, "edges": (), "version": far, "instances": {}}
         fields: dict[str, tuple[Any, ...]] = {
-            "Prepare": ({"world": "world", "nodes": {}, "edges": (), "version": far, "instances": {}},),
-            "Same": (far, rng.choice((0, far))),
-            "HandOver": (far, far),
+            "Prepare": (roster, (name,), (name,)),
+            "Unchanged": (far, rng.choice((0, far))),
+            "HandOver": (far, far, 0),
             "TakeOver": (far, far, 0, b"state"),
             "AskStatus": (rng.choice(NUMBERS[:8]),),
             "Resend": (rng.randrange(2000), 0, (name,)),
@@ -143,9 +139,10 @@ class Grammar:
             "Taken": (name, far, ""),
             "Fetch": (name, self._tokens[name], rng.choice((0, far))),
             "Status": (name, rng.choice(NUMBERS[:8]), far, 0, (), "", 0),
+            "Failed": (name, self._tokens[name], far, name, "somebody says so"),
             "Lost": (name, rng.choice((self._tokens[name], "")), rng.random() < 0.5),
             "Census": ({name: "forged"},),
-            "Propose": ("forged", {"change": "detach", "name": name, "cascade": True}, {}, {}),
+            "Propose": ("forged", {"change": "detach", "name": name, "cascade": True}, {}, {}, ()),
         }  # fmt: skip
         return fields[kind][index]
 
