@@ -12,6 +12,7 @@ import numpy as np
 
 from hierax.nodes.tracking.estimation.alignment import Aligned, Start, align
 from hierax.nodes.tracking.estimation.bending import memory_of
+from hierax.nodes.tracking.estimation.certainty import present
 from hierax.nodes.tracking.estimation.joint_alignment import Task, prior_of, task_of
 from hierax.nodes.tracking.estimation.likelihood import Shares, expected, explains, shares
 from hierax.nodes.tracking.estimation.profiles import smoothed
@@ -72,7 +73,7 @@ class Evidence(NamedTuple):
     def text(self) -> str:
         """As Markdown that can be read as it stands."""
         item = self.item
-        exists = 1.0 / (1.0 + np.exp(-np.clip(item["nats"], -50.0, 50.0))) if item["status"] == TRACKED else 0.0
+        exists = float(present(np.array(item["nats"]))) if item["status"] == TRACKED else 0.0
         parts = [("found", self.found), ("not found", self.missing), ("strange looks", self.looks)]
         parts.append(("edges off as a whole", self.wholes))
         prior = "" if self.prior is None else f"; how far it is from the prediction {self.prior:+.1f}"

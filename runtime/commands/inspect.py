@@ -54,6 +54,7 @@ def _of_launch(node: str, options: RunOptions) -> tuple[tuple[str, str], Answer,
 def _told(endpoint: str, node: str, answer: Answer) -> Told:
     """What a node of a launch on this machine shows; nothing where it is another one than its deployment file has."""
     from hierax.runtime.core.errors import HieraxError
+    from hierax.runtime.core.node import class_name
     from hierax.runtime.core.probe import Step
     from hierax.runtime.loading.loader import build_node, extend_import_path
     from hierax.runtime.viewing.recorded_run import Look
@@ -65,7 +66,7 @@ def _told(endpoint: str, node: str, answer: Answer) -> Told:
         roster = deployment.roster
         extend_import_path(deployment.import_paths)
         built = build_node(roster.nodes[node], f"nodes.{node}", deployment.allowance, node == roster.world)
-        if _class_of(built) != answer["class"]:
+        if class_name(built) != answer["class"]:
             return {}
         step = Step(*(answer[name] for name in Step._fields))
         return Look(node, built, step, answer["before"]).told()
@@ -77,6 +78,7 @@ def _told(endpoint: str, node: str, answer: Answer) -> Told:
 def _of_recording(node: str, file: Path, epoch: int | None, trust: bool) -> tuple[tuple[str, str], Answer, Told]:
     """The same of a recording."""
     from hierax.runtime.core.hierarchy import neighbours_above, neighbours_below
+    from hierax.runtime.core.node import class_name
     from hierax.runtime.loading.loader import extend_import_path
     from hierax.runtime.recording.reading import Recording
     from hierax.runtime.recording.replay import allowance_of, recorded_deployment
@@ -88,12 +90,8 @@ def _of_recording(node: str, file: Path, epoch: int | None, trust: bool) -> tupl
     look, roster = recorded_look(recording, node, epoch, allowance)
     pairs = [edge.pair for edge in roster.edges]
     about = {"below": neighbours_below(node, pairs), "above": neighbours_above(node, pairs), "committed": True}
-    answer = {"class": _class_of(look.node), **about, "policies": (look.step.policy,), **look.step._asdict()}
+    answer = {"class": class_name(look.node), **about, "policies": (look.step.policy,), **look.step._asdict()}
     return (recording.info.hierarchy, recording.info.run), answer, look.told()
-
-
-def _class_of(node: object) -> str:
-    return f"{type(node).__module__}:{type(node).__qualname__}"
 
 
 def as_json(hierarchy: str, run: str, node: str, answer: Answer, full: bool = False) -> dict[str, Json]:

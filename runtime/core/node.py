@@ -81,6 +81,11 @@ def do_nothing(belief: Value) -> Elements:
     return ()
 
 
+def class_name(node: object) -> str:
+    """A node's class as deployment files name it, ``package.module:Class``."""
+    return f"{type(node).__module__}:{type(node).__qualname__}"
+
+
 class Node(ABC):
     """A node of a cognitive hierarchy: a language, policies and update operators.
 

@@ -18,6 +18,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
+from hierax.runtime.core.node import class_name
 from hierax.runtime.engine.stale import StaleEngine
 from hierax.runtime.engine.table import Phase
 from hierax.runtime.execution.observers import Observers
@@ -109,7 +110,7 @@ class InspectionServer:
             return {"epoch": 0, "refusal": "the node's process is still coming into the run"}
         node = engine.node
         told: dict[str, Value] = {
-            "class": f"{type(node.node).__module__}:{type(node.node).__qualname__}",
+            "class": class_name(node.node),
             "below": list(node.below),
             "above": list(node.above),
             "policies": sorted(node.policies),

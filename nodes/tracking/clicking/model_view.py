@@ -159,13 +159,14 @@ def fitted(corners: Floats, pixels: Floats, intrinsics: Array) -> Fit | None:
     for turn, shift in zip(turns, shifts, strict=True):
         turn, shift = cv2.solvePnPRefineLM(corners, pixels, lens, None, turn, shift)
         pose = make_pose(cv2.Rodrigues(turn)[0], shift.ravel())
-        fit = _judged(pose, corners, pixels, intrinsics)
+        fit = judged(pose, corners, pixels, intrinsics)
         if fit is not None and (best is None or fit.off_px < best.off_px):
             best = fit
     return best
 
 
-def _judged(pose: Floats, corners: Floats, pixels: Floats, intrinsics: Array) -> Fit | None:
+def judged(pose: Floats, corners: Floats, pixels: Floats, intrinsics: Array) -> Fit | None:
+    """How a pose fits corners as they were clicked; None where it has one behind the camera."""
     seen = transform(pose, corners)
     if not np.isfinite(seen).all() or seen[:, 2].min() < NEAREST_M:
         return None

@@ -8,9 +8,9 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from hierax.nodes.tracking.arm import ArmNode, poses_seen
-from hierax.nodes.tracking.clicking.model_view import LEAST, Marked, ModelView, View, corners_of, fitted
+from hierax.nodes.tracking.clicking.model_view import LEAST, Marked, ModelView, View, corners_of, fitted, judged
 from hierax.nodes.tracking.datasets.bop import BopScene
-from hierax.nodes.tracking.math.geometry import Array, Floats, project, transform
+from hierax.nodes.tracking.math.geometry import Array, Floats
 from hierax.nodes.tracking.model.shapes import shape_of
 from hierax.nodes.tracking.model.symmetry import model_of
 from hierax.nodes.tracking.render import SegmentedDepth
@@ -191,8 +191,9 @@ class Session:
             self._judgement = f"{off}{worst}. Take back what was not meant, or begin again."
             return
         image = aligned(self._picture, [*self._bodies, self._body(fit.pose)])
-        agreed = image is not None and self._beside(image, corners, pixels) < fit.off_px + _MOVED_PX
-        self._pose = image if image is not None and agreed else fit.pose
+        there = None if image is None else judged(image, corners, pixels, self._picture["intrinsics"])
+        agreed = there is not None and there.off_px < fit.off_px + _MOVED_PX
+        self._pose = there.pose if there is not None and agreed else fit.pose
         self._judgement = (
             f"Clicks fit by {fit.off_px:.1f} pixels, "
             + ("and the image's edges were followed." if agreed else "but the image does not confirm it.")
@@ -201,10 +202,6 @@ class Session:
         height, width = self.image.shape[:2]
         dashes = self._model.edges(self._pose, self._picture["intrinsics"], (width, height))
         self._own = np.round(dashes, 2).tolist()
-
-    def _beside(self, pose: Floats, corners: Floats, pixels: Floats) -> float:
-        away = project(transform(pose, corners), self._picture["intrinsics"]) - pixels
-        return float(np.sqrt((away**2).sum(axis=1).mean()))
 
     def _advice(self, clicked: int) -> str:
         if self._judgement:

@@ -59,6 +59,12 @@ def read_pose(where: str, entry: Any, rotation_key: str, translation_key: str) -
     return orthonormal(make_pose(rotation, translation))
 
 
+def pose_entry(obj_id: int, pose: Floats) -> dict[str, Any]:
+    """Of a model of that number its camera_from_object, as ``scene_gt.json`` has it."""
+    rotation, translation = pose[:3, :3].ravel().tolist(), (pose[:3, 3] / BOP_UNIT_M).tolist()
+    return {"cam_R_m2c": rotation, "cam_t_m2c": translation, "obj_id": obj_id}
+
+
 def read_symmetry(where: str, entry: Any) -> Symmetry | None:
     """What an entry of ``models_info.json`` says of symmetry; None where it says nothing, and none where its lists of
     ``symmetries_discrete`` and ``symmetries_continuous`` are empty. Raises DataError: they are no lists of at most

@@ -8,10 +8,10 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from hierax.nodes.tracking.datasets.bop import FIRST_POSES, MAX_OBJECTS, TOLD_POSES, BopScene
-from hierax.nodes.tracking.datasets.bop_json import read_json
-from hierax.nodes.tracking.errors import DataError, writing
+from hierax.nodes.tracking.datasets.bop_json import pose_entry, read_json
+from hierax.nodes.tracking.errors import DataError
 from hierax.nodes.tracking.math.geometry import Floats
-from hierax.nodes.tracking.model.files import BOP_UNIT_M
+from hierax.nodes.tracking.model.files import write_whole
 
 
 def objects_of(scene: BopScene) -> list[int]:
@@ -41,11 +41,5 @@ def check_writable(scene: BopScene, overwrite: bool) -> Path:
 
 def write_first_poses(path: Path, scene: BopScene, poses: Sequence[tuple[int, Floats]]) -> None:
     """Write poses, model's number and camera_from_object, of the first frame. Raises DataError: that fails."""
-    entries = [
-        {"cam_R_m2c": pose[:3, :3].ravel().tolist(), "cam_t_m2c": (pose[:3, 3] / BOP_UNIT_M).tolist(), "obj_id": obj_id}
-        for obj_id, pose in poses
-    ]
-    unfinished = path.with_name(f"{path.name}.part")
-    with writing(path):
-        unfinished.write_text(json.dumps({str(scene.frames[0].im_id): entries}, indent=1) + "\n", encoding="utf-8")
-        os.replace(unfinished, path)
+    entries = [pose_entry(obj_id, pose) for obj_id, pose in poses]
+    write_whole(path, (json.dumps({str(scene.frames[0].im_id): entries}, indent=1) + "\n").encode())

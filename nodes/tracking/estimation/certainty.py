@@ -10,6 +10,15 @@ RIGHT_M, RIGHT_RAD = 0.005, float(np.radians(5.0))  # a pose within both of the 
 _SAMPLES = np.random.default_rng(0).normal(size=(512, 6))
 
 
+def present(nats: Floats, given: Floats | float = 1.0) -> Floats:
+    """(m,) the probability that the image is explained by the object and not by clutter, both as likely before.
+
+    Args:
+        nats: (m,) of `likelihood.explains`; given: the probability of something else, if it is; then of both.
+    """
+    return np.asarray(given / (1.0 + np.exp(-np.clip(nats, -50.0, 50.0))))
+
+
 def right(covariances: Floats, nats: Floats) -> Floats:
     """(m,) the probability that poses are within 5 mm and 5° of the truth.
 
@@ -22,4 +31,4 @@ def right(covariances: Floats, nats: Floats) -> Floats:
     twists = np.einsum("mij,sj->msi", np.linalg.cholesky(covariances), _SAMPLES)
     near = np.linalg.norm(twists[..., :3], axis=2) < RIGHT_M
     near &= np.linalg.norm(twists[..., 3:], axis=2) < RIGHT_RAD
-    return np.asarray(near.mean(axis=1) / (1.0 + np.exp(-np.clip(nats, -50.0, 50.0))))
+    return present(nats, near.mean(axis=1))

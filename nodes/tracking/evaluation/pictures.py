@@ -12,8 +12,9 @@ import cv2
 import numpy as np
 
 from hierax.nodes.tracking.datasets.bop import read_image
-from hierax.nodes.tracking.errors import DataError, writing
+from hierax.nodes.tracking.errors import DataError
 from hierax.nodes.tracking.math.geometry import NEAREST_M, Array, Floats, invert, project, transform
+from hierax.nodes.tracking.model.files import UNFINISHED, write_whole
 from hierax.nodes.tracking.schema import AnyArmBelief, PaperObject, TrackedObject
 from hierax.runtime import Probe, Step
 
@@ -36,7 +37,6 @@ _SHEET_COLUMNS = 3
 _SHEET_PICTURES = 9
 _SHEET_WIDTH_PX = 480
 _PICTURE = re.compile(r"frame-(\d{6,})\.png")
-_UNFINISHED = ".part"
 _EPOCHS_AGAIN = 4  # how many of the last epochs can be told again with their expected edges still known
 
 
@@ -90,7 +90,7 @@ class Pictures(Probe):
         if self._folder is None:
             return
         for path in self._folder.iterdir():
-            if path.name.endswith(_UNFINISHED):
+            if path.name.endswith(UNFINISHED):
                 path.unlink()
             elif found := _PICTURE.fullmatch(path.name):
                 self._frames.add(int(found[1]))
@@ -197,10 +197,7 @@ def write_picture(path: Path, picture: Array) -> None:
     """Write an RGB picture as PNG. The file is whole at every moment at which it is there. Raises DataError: it cannot
     be written."""
     _, content = cv2.imencode(".png", np.ascontiguousarray(picture[..., ::-1]))
-    unfinished = path.with_name(path.name + _UNFINISHED)
-    with writing(path):
-        unfinished.write_bytes(content.tobytes())
-        os.replace(unfinished, path)
+    write_whole(path, content.tobytes())
 
 
 def _draw_lines(picture: Array, lines: Floats, colour: tuple[int, int, int], width_px: int) -> None:

@@ -25,6 +25,7 @@ from typing import Any, NamedTuple
 import cv2
 import numpy as np
 
+from hierax.nodes.tracking.datasets.bop_json import pose_entry
 from hierax.nodes.tracking.errors import DataError, writing
 from hierax.nodes.tracking.generator.camera import reported_path
 from hierax.nodes.tracking.generator.kinds import INTRINSICS, KINDS, SIZE, Film, film
@@ -196,10 +197,7 @@ def _cameras(path: Floats, intrinsics: Array) -> dict[str, Any]:
 
 
 def _objects(poses: Sequence[Floats]) -> list[dict[str, Any]]:
-    return [
-        {"cam_R_m2c": pose[:3, :3].ravel().tolist(), "cam_t_m2c": (pose[:3, 3] / BOP_UNIT_M).tolist(), "obj_id": number}
-        for number, pose in enumerate(poses, start=1)
-    ]
+    return [pose_entry(number, pose) for number, pose in enumerate(poses, start=1)]
 
 
 if __name__ == "__main__":

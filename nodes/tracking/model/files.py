@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import re
 import struct
 from collections.abc import Callable
@@ -13,7 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from hierax.nodes.tracking.errors import DataError
+from hierax.nodes.tracking.errors import DataError, writing
 from hierax.nodes.tracking.math.geometry import Floats, transform
 from hierax.nodes.tracking.model.mesh import Mesh, triangulated
 
@@ -28,6 +29,8 @@ _FARTHEST_M = 100.0
 # Twice a face's area, in squares of the mesh's extent: one with less is a line or a point, and left out.
 _LEAST_AREA = 1e-14
 _FACE_LISTS = ("vertex_indices", "vertex_index")
+
+UNFINISHED = ".part"  # what the name of a file that is being written ends with
 
 MAX_FILE_BYTES = 1 << 26  # of a model, an image or a JSON file
 MAX_PIXELS = 1 << 25  # of an image: a small file may unpack to gigabytes
@@ -176,6 +179,14 @@ def read_file(path: Path, expected: str) -> bytes:
     if len(data) > MAX_FILE_BYTES:
         raise DataError(f"{path}: has more than {MAX_FILE_BYTES} bytes; expected {expected} of at most that")
     return data
+
+
+def write_whole(path: Path, content: bytes) -> None:
+    """Write a file that is whole at every moment at which it is there. Raises DataError: it cannot be written."""
+    unfinished = path.with_name(path.name + UNFINISHED)
+    with writing(path):
+        unfinished.write_bytes(content)
+        os.replace(unfinished, path)
 
 
 def image_size(data: bytes) -> tuple[int, int] | None:

@@ -98,6 +98,8 @@ def look_for_missing(
     shown = dict(missing)
     for at in recent:
         shown[at] = [{"pose": objects[at]["pose"], "controls": objects[at]["controls"], "kept": True}]
+    if not sweeps and not any(missing.values()):
+        return {}
     maps = maps_of(image)
     settled = [item for at, item in enumerate(objects) if at not in recent]
     beside = maps.without(_outlines(settled, intrinsics))
