@@ -218,8 +218,16 @@ class Arrivals(OwnerPart):
         elif process not in known:
             instead = "it is no part of the hierarchy" if in_force is None else "another process runs it"
             self._effects.send_order(process, Dismiss(f"{name}: {instead}"))
-        elif process == in_force and (self._suspicions.is_ahead(word) or self._suspicions.is_astray(word)):
+        elif self._has_had_part(name, process) and (
+            self._suspicions.is_ahead(word) or self._suspicions.is_astray(word)
+        ):
             self._suspicions.hear(word)
+
+    def _has_had_part(self, name: str, process: str) -> bool:
+        """Whether a process runs a node, or has run it until it was replaced: a lost record may have undone that."""
+        trial = self.members.trial
+        replaced = trial is not None and (trial.name, trial.process) == (name, process)
+        return replaced or process == self.members.processes.get(name)
 
     def _runs_another(self, name: str, process: str) -> bool:
         """Whether a process is counted on for another node than it says."""

@@ -131,14 +131,20 @@ class Planning(OwnerPart):
         """Make a plan of a change and the nodes that are back; whether that could be done now."""
         version = self.highest + 1
         undone = request.change.name if request is not None and isinstance(request.change, Undo) else ""
-        roster, along = self._without_lost(request, undone)
-        if request is not None:
-            try:
+        roster, along = self.members.roster, tuple[Request, ...]()
+        try:
+            if request is not None and undone:  # first, as what was replaced may stand on others than what replaces it
                 roster = apply(roster, request.change, version, lambda _: version)
-            except HieraxError as error:
-                if not along:  # else it may be done already when those are
-                    self.withdraw(request, str(error))
-                return False
+            roster, along = self._without_lost(roster, request, undone)
+            if request is not None and not undone:
+                roster = apply(roster, request.change, version, lambda _: version)
+        except HieraxError as error:
+            if request is not None and not along:  # else it may be done already when those are
+                self.withdraw(request, str(error))
+            return False
+        if request is not None and undone and undone not in roster.nodes:  # it goes with those that it stands on
+            self.queue.remove(request)
+            return self._try(None, back)
         back = back & roster.nodes.keys() - {undone}
         if (self.members.lost.keys() - back - {undone}) & roster.nodes.keys() or not (request or along or back):
             return False  # others are lost and not back, or there is nothing to do
@@ -148,9 +154,8 @@ class Planning(OwnerPart):
         self._prepare(replace(roster, version=version, instances=instances), request, along, frozenset(back))
         return True
 
-    def _without_lost(self, request: Request | None, undone: str) -> tuple[Roster, tuple[Request, ...]]:
-        """The roster without the lost nodes that are to be detached: one after the other, each would wait for all."""
-        roster = self.members.roster
+    def _without_lost(self, roster: Roster, request: Request | None, undone: str) -> tuple[Roster, tuple[Request, ...]]:
+        """A roster without the lost nodes that are to be detached: one after the other, each would wait for all."""
         lost = self.members.lost
         along = []
         for each in self.queue:

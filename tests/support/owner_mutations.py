@@ -187,6 +187,11 @@ def told_once(join: Callable[..., None]) -> Callable[..., None]:
     return mutant
 
 
+def runs_it_now(_: Any) -> Callable[..., bool]:
+    """Only the process in force is asked whether it is further than the world."""
+    return lambda self, name, process: bool(process == self.members.processes.get(name))
+
+
 MUTATIONS: dict[str, Mutation] = {
     "start kept when an epoch begins": instead(Engine, "_turn", start_kept),
     "version taken up when it is prepared": instead(Engine, "prepare", taken_up_at_once),
@@ -212,6 +217,7 @@ MUTATIONS: dict[str, Mutation] = {
     "failure told once": instead(Member, "join", told_once),
     "who was cut off left alone": instead(Arrivals, "_on_active", lambda _: nothing),
     "who is ahead left alone": instead(Suspicions, "is_ahead", lambda _: no),
+    "what was replaced and is ahead left alone": instead(Arrivals, "_has_had_part", runs_it_now),
     "who is in an attempt of its own left alone": instead(Suspicions, "is_astray", lambda _: no),
     "deadline overlooked": instead(Inquiry, "tick", lambda _: nothing),
     "act repeated in any case": instead(WorldMember, "_should_act", lambda _: lambda *_: True),

@@ -7,7 +7,7 @@ from typing import Any
 import pytest
 
 from hierax.runtime.owner.arrivals import MAX_REPEATS
-from hierax.runtime.owner.effects import OwnerEffects, OwnerPolicy
+from hierax.runtime.owner.effects import DETACH, OwnerEffects, OwnerPolicy
 from hierax.runtime.owner.members import REMEMBERED
 from hierax.runtime.owner.owner import FETCH_S, MAX_TRIES, OVER, Owner
 from hierax.schemas.control import (
@@ -220,9 +220,9 @@ def test_a_dropped_version_is_not_used_again() -> None:
     assert calls[0] == ("keep", 2)
 
 
-def replaced() -> Owned:
-    """One that waits for the state of the node that is replaced."""
-    owned = begun()
+def replaced(owned: Owned | None = None) -> Owned:
+    """One that waits for the state of the node that is replaced; it is in its first epoch before that."""
+    owned = owned or begun()
     owned.hear(propose(Replace("high", OTHER)), join("high.2", request="c1"))
     owned.ready(1, "high.2", "low.1", "world.1")
     assert owned.commit() == [("high.1", HandOver(1, 1, 0)), ("keep", 1)]
@@ -349,6 +349,33 @@ def test_an_owner_that_is_new_knows_what_is_tried() -> None:
     calls = owned.ready(3, "high.1", "low.1", "world.2")
     assert ("answer", "c1", 0, "high: out of luck; what it was to replace goes on") in calls
     assert owned.owner.members.roster.content_hash() == CHAIN.content_hash()
+
+
+def test_what_is_to_be_undone_goes_with_the_node_that_it_stands_on() -> None:
+    owned = Owned(OwnerPolicy(modules=("toys",), on_loss={"low": DETACH}))
+    owned.proceed()
+    owned = replaced(owned)
+    assert fails(owned)
+    calls = owned.hear(Lost("low", "low.1", False))
+    assert prepares(calls) == ["world.1"]
+    calls = owned.ready(3, "world.1")
+    assert calls[0] == ("begin", 2, 1, 3)
+    assert {who for who, order in calls[1:] if isinstance(order, Dismiss)} == {"high.2", "low.1"}
+    assert owned.owner.members.roster.nodes.keys() == {"world"}
+    calls = owned.commit()
+    assert ("high.1", Dismiss("high: it is detached")) in calls
+    why = "low->high: sense in epoch 2: out of luck; high: detached again before the first epoch was committed"
+    assert calls[-1] == ("answer", "c1", 0, why)
+
+
+def test_where_what_was_replaced_is_further_than_a_damaged_record_the_run_ends() -> None:
+    owned = replaced()
+    owned.hear(State("high", 1, b"state"), Taken("high", 1, ""), Lost("high", "high.2", True))
+    ((_, question),) = owned.hear(join("high.1", 2, active=True, version=2, attempt=1))
+    assert isinstance(question, AskStatus)
+    ((kind, why),) = owned.hear(Status("high", question.inquiry, 2, 1, (), "", 2))
+    assert kind == "stop"
+    assert "the world's record was damaged" in why
 
 
 @pytest.mark.parametrize("when", ["before", "after"])
