@@ -110,7 +110,7 @@ class Arrivals(OwnerPart):
         if self._runs_another(name, process):
             return  # somebody says it who is not that process: a dismissal would be of one that has a place
         if members.is_dead(process) and not word.active:
-            back = name in members.lost and (not word.request or process == members.processes.get(name))
+            back = self._is_awaited(name) and (not word.request or process == members.processes.get(name))
             self._effects.send_order(process, Dismiss(f"{name}: it was cut off, and taken for lost", again=back))
             return  # where it is dead, nobody hears that
         if word.active:
@@ -210,7 +210,7 @@ class Arrivals(OwnerPart):
         members = self.members
         known = self._processes_of(name)
         in_force = members.processes.get(name)
-        if name in members.lost and members.is_dead(process):  # it was cut off, and no supervisor here can kill it
+        if self._is_awaited(name) and members.is_dead(process):  # it was cut off, and no supervisor here can kill it
             why = f"{name}: it was cut off, and taken for lost in epoch {self.progress.epoch + 1}"
             self._effects.send_order(process, Dismiss(why, again=True))
         elif name in members.lost and (process not in known or process == in_force):
@@ -222,6 +222,11 @@ class Arrivals(OwnerPart):
             self._suspicions.is_ahead(word) or self._suspicions.is_astray(word)
         ):
             self._suspicions.hear(word)
+
+    def _is_awaited(self, name: str) -> bool:
+        """Whether a process is to come for a node, or for what it has replaced."""
+        trial = self.members.trial
+        return name in self.members.lost or (trial is not None and trial.name == name and not trial.process)
 
     def _has_had_part(self, name: str, process: str) -> bool:
         """Whether a process runs a node, or has run it until it was replaced: a lost record may have undone that."""

@@ -302,6 +302,16 @@ def test_where_what_was_replaced_has_died_its_next_process_goes_on(is_back: str)
     assert owned.owner.members.roster.instance("high") == 2
 
 
+@pytest.mark.parametrize("active", [False, True])
+def test_what_was_replaced_and_was_cut_off_is_to_come_again(active: bool) -> None:
+    owned = replaced()
+    owned.hear(State("high", 1, b"state"), Taken("high", 1, ""), Lost("high", "high.1", True))
+    ((process, word),) = owned.hear(join("high.1", 1, active=active))
+    assert process == "high.1"
+    assert isinstance(word, Dismiss)
+    assert word.again
+
+
 def test_what_was_replaced_and_has_died_again_is_waited_for() -> None:
     owned = replaced()
     owned.hear(State("high", 1, b"state"), Taken("high", 1, ""), Lost("high", "high.1", True))
