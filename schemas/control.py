@@ -153,18 +153,13 @@ class Census(NamedTuple):
 
 
 class Propose(NamedTuple):
-    """To the owner: a change of the roster (as its `plain` gives it) is asked for.
-
-    Attributes:
-        on_loss, rejoin_timeout_s: by node that is new in it, as `OwnerPolicy` has them.
-        alone: those of them that fail alone.
-    """
+    """To the owner: a change of the roster (as its `plain` gives it) is asked for."""
 
     request: str
     change: dict[str, Value]
-    on_loss: dict[str, str] = {}  # noqa: RUF012 - never changed
-    rejoin_timeout_s: dict[str, float] = {}  # noqa: RUF012
-    alone: tuple[str, ...] = ()
+    on_loss: dict[str, str] = {}  # noqa: RUF012 - never changed; by node that is new in it, as `OwnerPolicy` has it
+    rejoin_timeout_s: dict[str, float] = {}  # noqa: RUF012 - likewise
+    alone: tuple[str, ...] = ()  # those of them that fail alone
 
 
 Offered = Prepare | Unchanged | HandOver | TakeOver | AskStatus | Resend

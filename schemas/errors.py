@@ -8,12 +8,8 @@ SHOWN_CHARS = 40
 
 
 class SchemaError(ValueError):
-    """Bytes or a value do not fit the wire format.
-
-    Args:
-        what: what is wrong, and what was expected.
-        where: the field or path at which it shows, e.g. ``payload[0].pose``.
-    """
+    """Bytes or a value do not fit the wire format; `what` says what is wrong, and what was expected, `where` the field
+    or path at which it shows, e.g. ``payload[0].pose``."""
 
     def __init__(self, what: str, where: str = "") -> None:
         self.what = what

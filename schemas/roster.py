@@ -23,12 +23,8 @@ FUNCTIONS = ("sense", "task", "context")
 
 @dataclass(frozen=True)
 class Reference:
-    """Names code.
-
-    Attributes:
-        target: ``package.module:name``, a class or function.
-        parameters: keyword arguments: of the class, or beside the operator's own ones.
-    """
+    """Names code: a class or function by its target, ``package.module:name``, and the parameters as keyword arguments,
+    of the class, or beside the operator's own ones."""
 
     target: str
     parameters: Mapping[str, Value] = field(default_factory=dict)
@@ -51,11 +47,8 @@ class Reference:
 
 @dataclass(frozen=True)
 class ProbeSpec:
-    """A probe of a node: no part of the roster, as the run does not depend on it.
-
-    Attributes:
-        overwrite: whether it may write over the files of another run.
-    """
+    """A probe of a node: no part of the roster, as the run does not depend on it. It may `overwrite` the files of
+    another run, or not."""
 
     node: str
     reference: Reference
@@ -129,16 +122,10 @@ class Roster:
         nodes, edges = read_nodes(fields["nodes"], "roster.nodes"), read_edges(fields["edges"], "roster.edges")
         if not isinstance(instances, dict):
             raise SchemaError("expected a map", "roster.instances")
-        return Roster(
-            read_name(fields["world"], "roster.world"),
-            nodes,
-            edges,
-            _whole(fields["version"], "roster.version"),
-            {
-                read_name(name, "roster.instances"): _whole(n, f"roster.instances.{name}")
-                for name, n in instances.items()
-            },
-        )
+        world, version = read_name(fields["world"], "roster.world"), _whole(fields["version"], "roster.version")
+        where = "roster.instances"
+        numbers = {read_name(name, where): _whole(number, f"{where}.{name}") for name, number in instances.items()}
+        return Roster(world, nodes, edges, version, numbers)
 
 
 def plain_nodes(nodes: Mapping[str, Reference]) -> Value:
@@ -170,8 +157,8 @@ def read_edges(value: Value, where: str) -> tuple[RosterEdge, ...]:
 def _read_edge(value: Value, where: str) -> RosterEdge:
     fields = read_mapping(value, {"lower", "upper", *FUNCTIONS}, where)
     lower, upper = read_name(fields["lower"], f"{where}.lower"), read_name(fields["upper"], f"{where}.upper")
-    given = {kind: fields[kind] for kind in FUNCTIONS if fields[kind] is not None}
-    return RosterEdge(lower, upper, **{kind: Reference.read(plain, f"{where}.{kind}") for kind, plain in given.items()})
+    given = {kind: Reference.read(fields[kind], f"{where}.{kind}") for kind in FUNCTIONS if fields[kind] is not None}
+    return RosterEdge(lower, upper, **given)
 
 
 def read_name(value: Value, where: str) -> str:
@@ -194,33 +181,22 @@ def read_mapping(value: Value, keys: set[str], where: str) -> dict[str, Any]:
 
 @dataclass(frozen=True)
 class Attach:
-    """New nodes, and the edges that join them to each other and to what is there.
-
-    Attributes:
-        nodes: class and parameters by name.
-        edges: each joins at least one of the nodes.
-    """
+    """New nodes, class and parameters by name, and the edges that join them to each other and to what is there: each
+    joins at least one of the nodes."""
 
     nodes: Mapping[str, Reference]
     edges: tuple[RosterEdge, ...] = ()
 
     def plain(self) -> Value:
         """Give it as a value."""
-        return {
-            "change": "attach",
-            "nodes": plain_nodes(self.nodes),
-            "edges": [plain_edge(each) for each in self.edges],
-        }
+        edges = [plain_edge(each) for each in self.edges]
+        return {"change": "attach", "nodes": plain_nodes(self.nodes), "edges": edges}
 
 
 @dataclass(frozen=True)
 class Detach:
-    """A node goes, and its edges with it.
-
-    Attributes:
-        name: of the node.
-        cascade: what only it joins to the world goes as well; else the change is refused where there is such a node.
-    """
+    """The node of a name goes, and its edges with it; with `cascade` what only it joins to the world goes as well, else
+    the change is refused where there is such a node."""
 
     name: str
     cascade: bool = False
@@ -232,13 +208,8 @@ class Detach:
 
 @dataclass(frozen=True)
 class Replace:
-    """Another node takes a node's place and belief.
-
-    Attributes:
-        name: of the node.
-        reference: the new class and parameters.
-        edges: all that the node has from then on; None: those that it has.
-    """
+    """Another node, of the class and parameters of a reference, takes the place and the belief of the node of a name,
+    and has these edges from then on; None: those that it has."""
 
     name: str
     reference: Reference

@@ -223,14 +223,18 @@ def is_sound(value: Any, depth: int) -> bool:
     Runs for every message and state: maps are looked into from where they stand, as a call takes longer.
     """
     kind = type(value)
-    if kind is tuple or kind is list:
+    if kind is tuple or kind is list or (isinstance(value, (tuple, list)) and not isinstance(value, msgpack.ExtType)):
         parts: Collection[Any] = value
-    elif kind is dict and _are_keys(value):
+    elif not isinstance(value, dict):
+        return not isinstance(value, (msgpack.Timestamp, msgpack.ExtType))
+    elif _are_keys(value):
         parts = value.values()
     else:
-        return _is_other_sound(value, depth)
-    if depth >= MAX_DEPTH or len(parts) > MAX_ITEMS:
-        return _is_other_sound(value, depth)
+        return False
+    if len(parts) > MAX_ITEMS or depth > MAX_DEPTH:
+        return False
+    if depth == MAX_DEPTH:  # what holds something may not be in it
+        return all(type(part) in _LEAVES or is_sound(part, depth + 1) for part in parts)
     for part in parts:
         kind = type(part)
         if kind in _LEAVES or part is _NOTHING:
@@ -244,21 +248,6 @@ def is_sound(value: Any, depth: int) -> bool:
         elif not is_sound(part, depth + 1):
             return False
     return True
-
-
-def _is_other_sound(value: Any, depth: int) -> bool:
-    """The same for a value of any type, at any depth; what it holds is looked at in the quick way again."""
-    if isinstance(value, dict):
-        if not _are_keys(value):
-            return False
-        parts: Collection[Any] = value.values()
-    elif isinstance(value, (tuple, list)) and not isinstance(value, msgpack.ExtType):
-        parts = value
-    else:
-        return not isinstance(value, (msgpack.Timestamp, msgpack.ExtType))
-    if depth > MAX_DEPTH or len(parts) > MAX_ITEMS:
-        return False
-    return all(type(part) in _LEAVES or is_sound(part, depth + 1) for part in parts)
 
 
 def _are_keys(names: Collection[Any]) -> bool:

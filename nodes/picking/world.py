@@ -12,9 +12,7 @@ from hierax.nodes.picking.layout import SIDES_M, disturbed, planned
 from hierax.nodes.picking.panda import HOME_RAD, WIDEST_M, camera_of, gripper_at, joints_for
 from hierax.nodes.picking.workcell import STEP_HZ, Arm, Cube, Order, Touch, Workcell
 from hierax.nodes.tracking.math.geometry import Floats, exp_so3, log_so3, make_pose
-from hierax.nodes.tracking.simworld.scene import develop, draw
-from hierax.nodes.tracking.simworld.shapes import Thing, cube
-from hierax.nodes.tracking.simworld.world import check_pictures
+from hierax.nodes.tracking.simworld.world import check_pictures, picture_seen
 from hierax.runtime import NO_TICK, Elements, Tick, Value, World
 
 # How far a cube stands off its place in the plan at most, and how far it is turned.
@@ -120,12 +118,9 @@ def picture_and_hand_seen(belief: Value, tick: Tick = NO_TICK) -> Elements:
     """φ of the world: {"image", "camera", "intrinsics", "frame", "hand"}, the camera's picture and what the arm feels
     of itself, {"gripper": world_from_gripper, by the joints' angles; "width": metres between the finger pads}. The
     camera is mounted so that nothing of the arm is in its view. The arm throws no shadow."""
-    cubes = [Thing(body["pose"], cube(body["side_m"]), tuple(body["colour"])) for body in belief["bodies"]]
-    picture = draw(cubes, belief["camera"], belief["intrinsics"], tuple(belief["size"]))
-    image = develop(picture, belief["blur_px"], belief["noise"], tick.rng)
-    view = {name: belief[name] for name in ("camera", "intrinsics", "frame")}
+    (seen,) = picture_seen(belief, tick)
     hand = {"gripper": gripper_at(belief["joints"]), "width": float(belief["fingers"].sum())}
-    return ({"image": image, **view, "hand": hand},)
+    return ({**seen, "hand": hand},)
 
 
 def _placed(scene: int, cubes: int) -> tuple[dict[str, Any], ...]:

@@ -64,8 +64,7 @@ class ArmNode(Node):
         model_tolerance_mm: standard deviation of where edges are beside their models', in each axis; None: the first
             image that shows enough of an object tells.
 
-    Raises:
-        ValueError: ids are doubled or out of range, a pose is no 4 × 4 matrix, or an option is out of range.
+    Raises ValueError: ids are doubled or out of range, a pose is no 4 × 4 matrix, or an option is out of range.
     """
 
     def __init__(
@@ -118,12 +117,8 @@ class ArmNode(Node):
         }
 
     def observe(self, observations: tuple[schema.Picture, ...], belief: schema.ArmBelief) -> schema.ArmBelief:
-        """τ: the objects' predicted poses, seen from where the camera is now, corrected by the image.
-
-        Args:
-            observations: one element {"image", "camera", "intrinsics", "frame"}, or none.
-            belief: as `predict` left it.
-        """
+        """τ: the objects' predicted poses, seen from where the camera is now, corrected by the image, if there is
+        one."""
         if not observations:
             return belief
         seen = observations[0]
@@ -166,14 +161,9 @@ class ArmNode(Node):
     def predict(
         self, context: tuple[schema.Imagery, ...], actions: schema.Nothing, belief: schema.ArmBelief
     ) -> schema.ArmBelief:
-        """γ: where the objects will be, and which of their edges will be seen, both from the context.
-
-        Args:
-            context: one element as `hierax.nodes.tracking.render.SegmentedDepth` gives it, or
-                none: then the arm knows no shapes, and every object is lost.
-            actions: none.
-            belief: as `observe` left it.
-        """
+        """γ: where the objects will be, and which of their edges will be seen, both from the context that
+        `hierax.nodes.tracking.render.SegmentedDepth` gives; without any the arm knows no shapes, and every object is
+        lost."""
         camera = belief["camera"]
         if camera is None or not context:
             return {**belief, "objects": tuple(_shapeless(item) for item in belief["objects"])}
@@ -266,10 +256,8 @@ class ArmNode(Node):
         }
 
     def _missed(self, item: schema.TrackedObject, expected: Floats, estimate: Estimate | None) -> schema.TrackedObject:
-        """One object that the image does not support: its prediction stands, until patience ends.
-
-        That something which nothing is to be seen of is not seen says nothing against it.
-        """
+        """One object that the image does not support: its prediction stands, until patience ends. That something which
+        nothing is to be seen of is not seen says nothing against it."""
         hidden = estimate is None or float(item["controls"]["visible"].sum()) < LEAST_SHOWN
         misses = item["misses"] + (not hidden)
         lost = item["status"] == schema.LOST or misses >= self._patience
@@ -291,10 +279,8 @@ class ArmNode(Node):
 
 
 def _sighted(item: schema.TrackedObject, sighting: Sighting, swept: bool) -> schema.TrackedObject:
-    """An object after it was looked for; one that was found just now gives way to what explains its place better.
-
-    It is not found before so many images in a row have said so of one pose.
-    """
+    """An object after it was looked for; one that was found just now gives way to what explains its place better. It is
+    not found before so many images in a row have said so of one pose."""
     if sighting.pose is None or sighting.covariance is None:
         before = item["failed_searches"] if item["status"] == schema.LOST else 0
         return {**_unseen(item), "guesses": sighting.guesses, "failed_searches": before + swept, "probation": 0}
@@ -366,11 +352,7 @@ def _is_vague(item: schema.TrackedObject) -> bool:
 
 
 def poses_seen(belief: schema.ArmBelief) -> tuple[schema.Seen, ...]:
-    """φ of the arm: where its objects are in the world, and its camera.
-
-    Returns:
-        Of each object where it is, then the camera; none before the first image.
-    """
+    """φ of the arm: where each of its objects is in the world, then its camera; none before the first image."""
     camera = belief["camera"]
     if camera is None or belief["intrinsics"] is None or belief["size"] is None or belief["frame"] is None:
         return ()

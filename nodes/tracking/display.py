@@ -47,11 +47,9 @@ def world_things(step: Step) -> dict[str, showing.Thing]:
 
 
 def arm_things(step: Step, before: Value, motion: Floats) -> dict[str, showing.Thing]:
-    """The image with edges, the camera in the scene, the objects' scores, and the evidence for their poses.
-
-    Args: step: of the arm. before: what it expected: the red edges; None: there are none. motion: (6, 6) covariance of
-        how far an object may leave its prediction within a frame, when it is pushed.
-    """
+    """The image with edges, the camera in the scene, the objects' scores, and the evidence for their poses; before:
+    what the arm expected, the red edges, if there are any; motion: (6, 6) covariance of how far an object may leave its
+    prediction within a frame, when it is pushed."""
     corrected = step.sensed
     objects = corrected["objects"]
     things: dict[str, showing.Thing] = {
@@ -107,10 +105,8 @@ def _evidence_things(told: Sequence[Evidence], image: Array, intrinsics: Array) 
 
 
 def spatial_things(step: Step, table: bool) -> dict[str, showing.Thing]:
-    """The bodies where they are expected, and what the camera is expected to see of them.
-
-    Args: step: of the spatial node. table: whether the plane z = 0 carries the bodies; it is drawn as a grid.
-    """
+    """The bodies where they are expected, and what the camera is expected to see of them; the plane z = 0, where it
+    carries the bodies, as a grid."""
     belief = step.belief
     things: dict[str, showing.Thing] = {"/scene/table": showing.Lines3D(_grid(), _GRID, 0.0005)} if table else {}
     for body in belief["bodies"]:
@@ -124,11 +120,8 @@ def spatial_things(step: Step, table: bool) -> dict[str, showing.Thing]:
 
 
 def errors(steps: Mapping[str, Step]) -> dict[str, showing.Thing]:
-    """How far the arm's poses are from the truth, seen from the camera, where the world knows it.
-
-    Args: steps: of an epoch, of all nodes.
-    Returns: Of each tracked object ``/error_mm/ID`` and ``/turn_deg/ID``.
-    """
+    """How far the arm's poses are from the truth, seen from the camera, where the world knows it, by an epoch's steps
+    of all nodes: of each tracked object ``/error_mm/ID`` and ``/turn_deg/ID``."""
     worlds = [step.sensed for step in steps.values() if not step.observations and "bodies" in step.sensed]
     arms = [step.sensed for step in steps.values() if "objects" in step.sensed]
     truth = {body["id"]: invert(world["camera"]) @ body["pose"] for world in worlds for body in world["bodies"]}

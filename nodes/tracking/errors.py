@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+import sys
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -21,6 +22,16 @@ def writing(path: Path | None = None) -> Iterator[None]:
         yield
     except OSError as error:
         raise DataError(f"{path or error.filename}: cannot be written: {error.strerror}") from error
+
+
+def printed(work: Callable[[], object]) -> int:
+    """Print what the work of a program gives; its exit code: 0, or 1 where data is wrong, which is said in one line."""
+    try:
+        print(work())
+    except DataError as error:
+        print(f"error: {error}", file=sys.stderr)
+        return 1
+    return 0
 
 
 def check_positive(**numbers: float) -> None:

@@ -61,14 +61,14 @@ class Evidence(NamedTuple):
     """What speaks for the pose of an object, and what for others."""
 
     item: TrackedObject
-    nats: float  # by how much the pose explains the image better than clutter does: the sum of what follows
+    others: tuple[Other, ...]  # best first
+    prior: float | None  # how likely the pose was before the image; None where the prediction is not known
+    nats: float  # by how much the pose explains the image better than clutter does: the sum of the next four
     found: float  # of control points that speak for it
     missing: float  # of those that speak against it: where they should be seen nothing is near
     looks: float  # of peaks that look strange
     wholes: float  # of edges that are off as a whole
-    prior: float | None  # how likely the pose was before the image; None where the prediction is not known
     edges: tuple[Edge, ...]  # those that speak for it most first
-    others: tuple[Other, ...]  # best first
 
     def text(self) -> str:
         """As Markdown that can be read as it stands."""
@@ -102,9 +102,8 @@ def evidence(
 ) -> list[Evidence]:
     """What speaks for the poses of all objects of which something is expected to be seen.
 
-    Args:
-        image: uint8, as it was observed; after: the belief after it; before: the one that the epoch began in, or None.
-        kept: the one after the context came, with the poses that the arm is asked to compare in the next image.
+    Args: image: uint8, as it was observed; after: the belief after it; before: the one that the epoch began in, or
+        None; kept: the one after the context came, with the poses that the arm is asked to compare in the next image;
         motion: (6, 6) covariance of how far an object may leave its prediction within a frame, when it is pushed.
     """
     intrinsics, camera = after["intrinsics"], after["camera"]
@@ -132,7 +131,7 @@ def evidence(
             others.append(_other("as predicted", item, predicted[at], item["edges"], float(before_nats[at])))
         prior = -float(unlikely[at]) if item["id"] in known else None
         best = tuple(sorted(others, key=lambda each: -each.nats))
-        found.append(_evidence(item, at, float(nats[at]), believed, parts, prior, best, intrinsics))
+        found.append(Evidence(item, best, prior, float(nats[at]), *_said(believed, parts, at, intrinsics)))
     return found
 
 
@@ -177,37 +176,22 @@ def _other(name: str, item: TrackedObject, pose: Floats, edges: Floats, nats: fl
     return Other(name, pose, edges, nats, 1000.0 * distance_m, float(np.degrees(angle_rad)))
 
 
-def _evidence(
-    item: TrackedObject,
-    at: int,
-    nats: float,
-    aligned: Aligned,
-    parts: Shares,
-    prior: float | None,
-    others: tuple[Other, ...],
-    intrinsics: Array,
-) -> Evidence:
-    stage = aligned.stage
-    own = stage.controls.owners == at
-    edges = [
-        _edge(aligned, parts, number, np.nonzero(stage.edges == number)[0], intrinsics)
-        for number in np.unique(stage.edges[own])
-    ]
-    return Evidence(
-        item,
-        nats,
-        float(np.maximum(parts.peaks[own], 0.0).sum()),
-        float(np.minimum(parts.peaks[own], 0.0).sum()),
-        float(parts.looks[own].sum()),
-        float(parts.wholes[np.unique(stage.edges[own])].sum()),
-        prior,
-        tuple(sorted(edges, key=lambda each: -each.nats)),
-        others,
-    )
+def _said(
+    aligned: Aligned, parts: Shares, at: int, intrinsics: Array
+) -> tuple[float, float, float, float, tuple[Edge, ...]]:
+    """What the edges of one of the objects say of its pose, as the last fields of `Evidence` have it."""
+    own = aligned.stage.controls.owners == at
+    numbers = np.unique(aligned.stage.edges[own])
+    edges = sorted((_edge(aligned, parts, each, intrinsics) for each in numbers), key=lambda edge: -edge.nats)
+    peaks = parts.peaks[own]
+    nats = (np.maximum(peaks, 0.0), np.minimum(peaks, 0.0), parts.looks[own], parts.wholes[numbers])
+    found, missing, looks, wholes = (float(each.sum()) for each in nats)
+    return found, missing, looks, wholes, tuple(edges)
 
 
-def _edge(aligned: Aligned, parts: Shares, number: int, rows: Array, intrinsics: Array) -> Edge:
+def _edge(aligned: Aligned, parts: Shares, number: int, intrinsics: Array) -> Edge:
     stage, matches = aligned.stage, aligned.matches
+    rows = np.nonzero(stage.edges == number)[0]
     pixels, along = stage.lines.pixels[rows], _DASH_PX * stage.lines.normals[rows, ::-1] * (1.0, -1.0)
     weights, seen = expected(aligned)[rows], aligned.supported[rows]
     off = matches.pixels[rows] - aligned.off[rows]

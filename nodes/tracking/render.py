@@ -11,6 +11,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from hierax.nodes.tracking import schema
 from hierax.nodes.tracking.errors import check_between
 from hierax.nodes.tracking.estimation.tracked import NO_CONTROLS
 from hierax.nodes.tracking.imagery.edges import controls_of
@@ -21,18 +22,7 @@ from hierax.nodes.tracking.math.batched import only
 from hierax.nodes.tracking.math.geometry import Array, Floats, Size, invert, transform
 from hierax.nodes.tracking.model.controls import Controls, gathered
 from hierax.nodes.tracking.model.shapes import shape_of
-from hierax.nodes.tracking.schema import (
-    LOST,
-    TRACKED,
-    Alternative,
-    Body,
-    ControlPoints,
-    ExpectedObject,
-    Imagery,
-    SpatialBelief,
-    Sweep,
-    looking_alike,
-)
+from hierax.nodes.tracking.schema import LOST, TRACKED, Alternative, Body, ControlPoints, SpatialBelief
 
 LEAST_CHANCE = 0.02
 """Control points that are less likely to be seen are left out."""
@@ -88,16 +78,9 @@ class DepthRenderer:
             held, renderer = self._held[item.label]
             if _same(held.vertices, item.vertices) and _same(held.faces, item.faces):
                 return renderer
-            renderer.close()
         made = LayerRenderer(shape_of(item.vertices, item.faces))
         self._held[item.label] = item, made
         return made
-
-    def close(self) -> None:
-        """End what it keeps; the next image starts anew."""
-        for _, renderer in self._held.values():
-            renderer.close()
-        self._held = {}
 
 
 def composed(layers: Mapping[int, Layer], window: Window) -> tuple[Array, Array]:
@@ -129,7 +112,7 @@ class SegmentedDepth:
         self._proposers: dict[int, Proposer] = {}
         self._occlusion = occlusion
 
-    def __call__(self, belief: SpatialBelief) -> tuple[Imagery, ...]:
+    def __call__(self, belief: SpatialBelief) -> tuple[schema.Imagery, ...]:
         """The part of the image that holds all bodies, and of each body the control points whose chance to be seen is
         at least `LEAST_CHANCE`: one element, or none before the camera is known."""
         camera, intrinsics, size = belief["camera"], belief["intrinsics"], belief["size"]
@@ -157,11 +140,13 @@ class SegmentedDepth:
             },
         )
 
-    def _sweeps(self, belief: SpatialBelief, camera: Floats, intrinsics: Array, size: Size) -> tuple[Sweep, ...] | None:
+    def _sweeps(
+        self, belief: SpatialBelief, camera: Floats, intrinsics: Array, size: Size
+    ) -> tuple[schema.Sweep, ...] | None:
         """Where the bodies that are looked for everywhere may be: on the table, and on what stands there."""
         if belief["sweeping"] is None:
             return None
-        found: list[Sweep] = []
+        found: list[schema.Sweep] = []
         for body in belief["bodies"]:
             if body["id"] in belief["sweeping"]:
                 renderer = self._renderer.renderer(item_of(body, camera))
@@ -242,8 +227,8 @@ def _likely(controls: Controls, seen: Array) -> ControlPoints:
     return only(controls, kept).sent(seen[kept])
 
 
-def _expected(body: Body, controls: ControlPoints, others: tuple[Alternative, ...]) -> ExpectedObject:
-    expected: ExpectedObject = {
+def _expected(body: Body, controls: ControlPoints, others: tuple[Alternative, ...]) -> schema.ExpectedObject:
+    expected: schema.ExpectedObject = {
         "id": body["id"],
         "obj_id": body["obj_id"],
         "pose": body["pose"],
@@ -254,7 +239,7 @@ def _expected(body: Body, controls: ControlPoints, others: tuple[Alternative, ..
         "controls": controls,
         "others": others,
     }
-    return {**expected, **looking_alike(body["model"])}
+    return {**expected, **schema.looking_alike(body["model"])}
 
 
 def item_of(body: Body, camera_from_world: Floats) -> Item:

@@ -139,21 +139,20 @@ class SpatialNode(Node):
         """γ: one frame interval of physics."""
         interval_s = belief["interval_s"]
         bodies = [body for body in belief["bodies"] if not is_missing(body, belief)]
-        coasting = [self._coasted(Motion(body["pose"], body["velocity"]), interval_s) for body in bodies]
+        motions = [Motion(body["pose"], body["velocity"]) for body in bodies]
+        coasting = [self._coasted(motion, interval_s) for motion in motions]
         if not self._table:
-            after = tuple(_at(body, to) for body, to in zip(bodies, coasting, strict=True))
-            return {**belief, "bodies": self._looked_for(after, interval_s)}
-        solids = [self._solids[body["id"]][_is_driven(body)] for body in bodies]
-        settled = self._simulator.run(solids, [Motion(body["pose"], body["velocity"]) for body in bodies], interval_s)
-        after = tuple(
-            resting(_at(body, self._bounded(body, free, physical)), _is_carried(free, physical, interval_s))
-            for body, free, physical in zip(bodies, coasting, settled, strict=True)
-        )
-        if not self._search:
-            return {**belief, "bodies": self._looked_for(after, interval_s)}
-        present = {body["id"]: body for body in self._looked_for(after, interval_s)}
-        sweeping = _swept_next(belief)
-        every = tuple(present.get(body["id"]) or _sought(body, sweeping) for body in belief["bodies"])
+            after = [_at(body, to) for body, to in zip(bodies, coasting, strict=True)]
+        else:
+            solids = [self._solids[body["id"]][_is_driven(body)] for body in bodies]
+            settled = self._simulator.run(solids, motions, interval_s)
+            after = [
+                resting(_at(body, self._bounded(body, free, physical)), _is_carried(free, physical, interval_s))
+                for body, free, physical in zip(bodies, coasting, settled, strict=True)
+            ]
+        present = {body["id"]: self._looked_for(body, interval_s) for body in after}
+        sweeping = _swept_next(belief) if self._search else None
+        every = tuple(present.get(body["id"]) or _sought(body, sweeping or ()) for body in belief["bodies"])
         return {**belief, "bodies": every, "sweeping": sweeping}
 
     def metrics(self, belief: schema.SpatialBelief) -> Mapping[str, float]:
@@ -203,10 +202,8 @@ class SpatialNode(Node):
         return self._velocity_gain + (1.0 - self._velocity_gain) * square / (square + _MOVES_SIGMAS**2)
 
     def _moves(self, step: Floats, seen: schema.SeenObject, needed: float) -> bool:
-        """Whether a mean displacement from frame to frame is more than errors of the poses make.
-
-        Errors of poses that follow one another cancel in a running mean of their differences but for a part.
-        """
+        """Whether a mean displacement from frame to frame is more than errors of the poses make: those of poses that
+        follow one another cancel in a running mean of their differences but for a part."""
         share = 2.0 * self._velocity_gain**2 / (2.0 - self._velocity_gain)
         return _sigmas_squared(step, seen["pose"], share * seen["covariance"]) > needed**2
 
@@ -217,20 +214,15 @@ class SpatialNode(Node):
         moved = make_pose(exp_so3(step[3:]) @ pose[:3, :3], pose[:3, 3] + step[:3])
         return Motion(moved, velocity * np.exp(-self._damping * interval_s))
 
-    def _looked_for(self, bodies: Sequence[schema.Body], interval_s: float) -> tuple[schema.Body, ...]:
-        """The bodies with the poses at which they are to be looked for besides."""
-        found = []
-        for body in bodies:
-            moved = [self._coasted(Motion(guess, body["velocity"]), interval_s).pose for guess in body["guesses"]]
-            found.append(_with_others(body, np.array(moved).reshape(-1, 4, 4)))
-        return tuple(found)
+    def _looked_for(self, body: schema.Body, interval_s: float) -> schema.Body:
+        """A body with the poses at which it is to be looked for besides."""
+        moved = [self._coasted(Motion(guess, body["velocity"]), interval_s).pose for guess in body["guesses"]]
+        return _with_others(body, np.array(moved).reshape(-1, 4, 4))
 
     def _bounded(self, body: schema.Body, free: Motion, physical: Motion) -> Motion:
-        """What physics says, drawn back towards the free motion as far as the arm's certainty of the pose asks.
-
-        Where that is needed, something holds or drives the body that physics does not know
-        of, so its velocity stays the observed one.
-        """
+        """What physics says, drawn back towards the free motion as far as the arm's certainty of the pose asks. Where
+        that is needed, something holds or drives the body that physics does not know of: its velocity stays the
+        observed one."""
         if body["status"] != schema.TRACKED:
             return physical
         twist = log_se3(invert(free.pose) @ physical.pose)
@@ -268,10 +260,8 @@ def _body(item: schema.FirstBody) -> schema.Body:
 
 
 def _swept_next(belief: schema.SpatialBelief) -> tuple[int, ...]:
-    """Which missing bodies are looked for everywhere in the next image, those for which that was done least.
-
-    Those that were not found are looked for now and then.
-    """
+    """Which missing bodies are looked for everywhere in the next image, those for which that was done least; those that
+    were not found are looked for now and then."""
     missing = sorted((body["turn"], body["id"]) for body in belief["bodies"] if is_missing(body, belief))
     now = (belief["frame"] or 0) % _SWEPT_EVERY == 0
     return tuple(number for turn, number in missing[:_SWEPT_TOGETHER] if turn < _SWEPT_AT_ONCE or now)
@@ -297,12 +287,8 @@ def _sigmas_squared(step: Floats, pose: Array, covariance: Array) -> float:
 
 
 def _with_others(body: schema.Body, guesses: Floats) -> schema.Body:
-    """The same, with poses to look for it at besides the imagined one, where the arm asks for them.
-
-    Args:
-        body: as it is imagined for the next image.
-        guesses: (n, 4, 4) where it may be by then by what the arm saw.
-    """
+    """A body as it is imagined for the next image, with poses to look for it at besides, where the arm asks for them;
+    guesses: (n, 4, 4) where it may be by then by what the arm saw."""
     if not body["sought"] or not body["known"]:
         return {**body, "others": NO_POSES, "kept": 0}
     covariance = body["covariance"] if body["status"] != schema.TRACKED else body["covariance"] + _ASTRAY
@@ -321,25 +307,16 @@ def _is_carried(free: Motion, physical: Motion, interval_s: float) -> bool:
 
 
 def _is_driven(body: schema.Body) -> bool:
-    """Whether it slides: against friction, things that physics does not know of drive it, and will go on.
-
-    What turns over does not: its foot needs the friction.
-    """
+    """Whether it slides: against friction, things that physics does not know of drive it, and will go on. What turns
+    over does not: its foot needs the friction."""
     velocity = body["velocity"]
     speed, turning = float(np.linalg.norm(velocity[:2])), float(np.linalg.norm(velocity[3:5]))
     return bool(speed > 0.0 and abs(velocity[2]) < 0.3 * speed and turning < _TURNING * speed)
 
 
 def _adrift(heard: schema.Body, body: schema.Body, interval_s: float | None) -> schema.Body:
-    """One that is not seen moves on, but nobody knows how long.
-
-    Its uncertainty grows along its motion, and about the vertical.
-
-    Args:
-        heard: the body with what the arm says of it.
-        body: the same before that.
-        interval_s: since then, seconds.
-    """
+    """One that is not seen moves on, but nobody knows how long: of a body with what the arm has said of it, and before
+    that, the uncertainty grows along its motion, and about the vertical."""
     step = body["velocity"] * (interval_s or 0.0)
     along = body["pose"][:3, :3].T @ step[:3]
     up = body["pose"][2, :3]

@@ -59,10 +59,9 @@ def read_pose(where: str, entry: Any, rotation_key: str, translation_key: str) -
     return orthonormal(make_pose(rotation, translation))
 
 
-def pose_entry(obj_id: int, pose: Floats) -> dict[str, Any]:
-    """Of a model of that number its camera_from_object, as ``scene_gt.json`` has it."""
-    rotation, translation = pose[:3, :3].ravel().tolist(), (pose[:3, 3] / BOP_UNIT_M).tolist()
-    return {"cam_R_m2c": rotation, "cam_t_m2c": translation, "obj_id": obj_id}
+def pose_entry(pose: Floats, rotation_key: str = "cam_R_m2c", translation_key: str = "cam_t_m2c") -> dict[str, Any]:
+    """A pose as `read_pose` reads it."""
+    return {rotation_key: pose[:3, :3].ravel().tolist(), translation_key: (pose[:3, 3] / BOP_UNIT_M).tolist()}
 
 
 def read_symmetry(where: str, entry: Any) -> Symmetry | None:

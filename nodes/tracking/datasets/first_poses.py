@@ -16,10 +16,8 @@ from hierax.nodes.tracking.model.files import write_whole
 
 def objects_of(scene: BopScene) -> list[int]:
     """Numbers of the models of a scene's objects: of those that ``scene_gt.json`` names for the first frame; where
-    there is no such file, of all models.
-
-    Raises DataError: a file is missing or damaged, or there are no models, or too many.
-    """
+    there is no such file, of all models. Raises DataError: a file is missing or damaged, or there are no models, or too
+    many."""
     if (scene.folder / TOLD_POSES).exists():
         return [item.obj_id for item in scene.first_objects(poses=False)]
     info = scene.models / "models_info.json"
@@ -41,5 +39,5 @@ def check_writable(scene: BopScene, overwrite: bool) -> Path:
 
 def write_first_poses(path: Path, scene: BopScene, poses: Sequence[tuple[int, Floats]]) -> None:
     """Write poses, model's number and camera_from_object, of the first frame. Raises DataError: that fails."""
-    entries = [pose_entry(obj_id, pose) for obj_id, pose in poses]
+    entries = [{**pose_entry(pose), "obj_id": obj_id} for obj_id, pose in poses]
     write_whole(path, (json.dumps({str(scene.frames[0].im_id): entries}, indent=1) + "\n").encode())

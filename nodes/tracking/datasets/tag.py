@@ -48,14 +48,9 @@ class Seen(NamedTuple):
 
 
 def tag_of(side_mm: float | None, name: str = FAMILY) -> Tag | None:
-    """A tag as options tell it; None where there is no side.
-
-    Args:
-        side_mm: of the black square, millimetres; name: its family, ``36h11``, or with its number, ``36h11:3``.
-
-    Raises:
-        ValueError: the side is not from 1 to 10 000, there is no such family, or no such number in it.
-    """
+    """A tag as options tell it, by the side of its black square and its family, ``36h11``, or that with its number,
+    ``36h11:3``; None where there is no side. Raises ValueError: the side is not from 1 to 10 000, there is no such
+    family, or no such number in it."""
     family, _, number = name.lower().partition(":")
     if family not in _FAMILIES or not (number.isdecimal() or family == name.lower()):
         raise ValueError(f"tag is {name!r}; expected FAMILY or FAMILY:NUMBER, of the families {', '.join(_FAMILIES)}")
@@ -71,13 +66,8 @@ class TagCamera:
     """Where the camera of a scene is, by a tag.
 
     The first picture that shows the tag tells where the world is that the scene's camera poses are told in. Where none
-    is told, each picture tells the camera's pose; one that does not show the tag leaves the camera where it was.
-
-    Args:
-        scene: the scene; tag: which.
-
-    Raises:
-        DataError: no picture shows it, or one shows several that it may be.
+    is told, each picture tells the camera's pose; one that does not show the tag leaves the camera where it was. Raises
+    DataError: no picture shows it, or one shows several that it may be.
     """
 
     def __init__(self, scene: BopScene, tag: Tag) -> None:
@@ -100,11 +90,8 @@ class TagCamera:
         return self._world @ self._scene.frames[0].camera
 
     def at(self, index: int, image: Array, before: Floats) -> Floats:
-        """world_from_camera of the frame at an index, which is after the first one.
-
-        Args:
-            index: which; image: its picture; before: world_from_camera of the frame before.
-        """
+        """world_from_camera of the frame at an index after the first one, by its picture and by that of the frame
+        before."""
         frame = self._scene.frames[index]
         if frame.told:
             return self._world @ frame.camera
@@ -123,15 +110,9 @@ def tag_camera(folder: str, tag: Tag) -> TagCamera:
 
 
 def find(tag: Tag, image: Array, intrinsics: Array, where: str) -> Seen | None:
-    """The tag in a picture; None where it is not seen, or so flat that it may be tilted either way.
-
-    Args:
-        tag: which; image: uint8, (h, w) gray or (h, w, 3) RGB; intrinsics: fx, fy, cx, cy in pixels.
-        where: what the picture is called, for errors.
-
-    Raises:
-        DataError: several are seen that it may be.
-    """
+    """The tag in a picture, uint8, (h, w) gray or (h, w, 3) RGB, of a camera of fx, fy, cx, cy in pixels; None where it
+    is not seen, or so flat that it may be tilted either way. Raises DataError: several are seen that it may be; says
+    where that is."""
     light = light_of(image)
     grey = light if light.ndim == 2 else light.mean(axis=2)
     read = image if image.ndim == 2 else cv2.cvtColor(image, cv2.COLOR_RGB2GRAY)
@@ -171,11 +152,8 @@ def _corners(side_m: float) -> Floats:
 
 
 def _fitted(pattern: Array, light: Array, square: Floats) -> Floats | None:
-    """A tag's corners (4, 2) in a picture, by all of its pixels: it is drawn as it should be seen, and moved.
-
-    Args:
-        pattern: the tag with half a cell of white around it; light: of the picture; square: (4, 2) about where.
-    """
+    """A tag's corners (4, 2) in a picture's light, from where they are about, by all of its pixels: its pattern is
+    drawn as it should be seen, and moved."""
     low = np.maximum(np.floor(square.min(axis=0)).astype(int) - _AROUND_PX, 0)
     high = np.minimum(np.ceil(square.max(axis=0)).astype(int) + _AROUND_PX, light.shape[::-1])
     part = np.ascontiguousarray(light[low[1] : high[1], low[0] : high[0]])
@@ -193,9 +171,7 @@ def _fitted(pattern: Array, light: Array, square: Floats) -> Floats | None:
         soft = cv2.GaussianBlur(drawn, (0, 0), _BLUR_PX)
         mask = cv2.erode((there > 0.99).astype(np.uint8), np.ones((3, 3), dtype=np.uint8))
         try:
-            _, step = cv2.findTransformECC(
-                soft, part, np.eye(3, dtype=np.float32), cv2.MOTION_HOMOGRAPHY, ends, mask, 1
-            )
+            _, step = cv2.findTransformECC(soft, part, np.eye(3, dtype="f4"), cv2.MOTION_HOMOGRAPHY, ends, mask, 1)
         except cv2.error:  # nothing of it is like the picture
             return None
         pixels = cv2.perspectiveTransform(pixels[None], step.astype(np.float64))[0]

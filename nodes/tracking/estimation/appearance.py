@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from hierax.nodes.tracking.constants import WHOLE_PX
 from hierax.nodes.tracking.estimation.profiles import Profiles, Singles
+from hierax.nodes.tracking.math.batched import found_among
 from hierax.nodes.tracking.math.geometry import Floats
 from hierax.nodes.tracking.model.controls import EDGE_SLOTS, Controls, Indices
 from hierax.nodes.tracking.schema import Looks
@@ -69,8 +70,8 @@ def recalled(objects: list[Looks], controls: Controls, channels: int) -> Memory:
         trust[view] = _trust(slots, wanted[:, 0])
         if not len(keys) or slots["colours"].shape[1] != channels:
             continue
-        place = np.minimum(np.searchsorted(keys, wanted), len(keys) - 1)
-        known = (keys[place] == wanted) & (slots["weights"][place] >= _FIRST_WEIGHT)
+        known, place = found_among(keys, wanted)
+        known &= slots["weights"][place] >= _FIRST_WEIGHT
         known[:, 1] &= creases[view]
         colours[view] = slots["colours"][place]
         precision[view] = np.where(known, 1.0 / (_LEAST_SPREAD + slots["spread"][place]), 0.0)
@@ -90,8 +91,8 @@ def _kept(known: NDArray[np.int64], values: Singles, wanted: NDArray[np.int64]) 
     """(2, n) what is kept under the wanted numbers; zeros of those that are not known."""
     if not len(known):
         return np.zeros((2, len(wanted)), dtype=np.float32)
-    place = np.minimum(np.searchsorted(known, wanted), len(known) - 1)
-    return np.asarray(np.where(known[place] == wanted, values[place].T, np.float32(0.0)))
+    there, place = found_among(known, wanted)
+    return np.asarray(np.where(there, values[place].T, np.float32(0.0)))
 
 
 def _laid_out(
@@ -107,13 +108,8 @@ def _laid_out(
 
 
 def sought(slots: Looks, parts: NDArray[np.int64], found: NDArray[np.bool_]) -> Looks:
-    """What is remembered of the parts of edges after an image.
-
-    Args:
-        slots: before.
-        parts: (n,) of one object's control points that surely nothing hides: numbers of the parts that they are on.
-        found: (n,) which of them were.
-    """
+    """What is remembered of the parts of edges after an image; parts: (n,) numbers of those that one object's control
+    points are on, of which surely nothing hides them; found: (n,) which of them were."""
     if not len(parts):
         return slots
     now, place = np.unique(parts, return_inverse=True)
@@ -130,13 +126,8 @@ def only_found(slots: Looks) -> Looks:
 
 
 def measured(slots: Looks, edges: NDArray[np.int64], offsets: Floats) -> Looks:
-    """What is remembered of the edges after an image.
-
-    Args:
-        slots: before.
-        edges: (n,) of one object's control points that were matched: numbers of their edges.
-        offsets: (n,) pixels from where the corrected pose puts each to where it was found.
-    """
+    """What is remembered of the edges after an image; edges: (n,) numbers of those that one object's matched control
+    points are on; offsets: (n,) pixels from where the corrected pose puts each to where it was found."""
     if not len(edges):
         return slots
     found, place = np.unique(edges, return_inverse=True)
@@ -169,13 +160,8 @@ def moved(slots: Looks) -> Looks:
 
 
 def remembered(slots: Looks, controls: Controls, rows: Indices, colours: Singles) -> Looks:
-    """What is remembered after an image.
-
-    Args:
-        slots: before; controls: of all objects.
-        rows: of one object's control points that were matched and are surely seen.
-        colours: (n, 2, channels) inside and outside of each.
-    """
+    """What is remembered after an image; controls: of all objects; rows: of one object's that were matched and are
+    surely seen; colours: (n, 2, channels) inside and outside of each."""
     used = np.stack((np.ones(len(rows), dtype=bool), controls.creases[rows]), axis=1)
     keys = controls.slots[rows][used]
     if not len(keys):

@@ -13,6 +13,7 @@ from hierax.nodes.tracking.constants import WHOLE_PX
 from hierax.nodes.tracking.estimation.alignment import Aligned, offsets_at
 from hierax.nodes.tracking.estimation.appearance import Memory, recalled
 from hierax.nodes.tracking.estimation.stages import moves_of
+from hierax.nodes.tracking.math.batched import found_among
 from hierax.nodes.tracking.math.geometry import Array, Floats
 from hierax.nodes.tracking.model.controls import Controls, Indices
 from hierax.nodes.tracking.schema import ControlPoints, Looks
@@ -90,6 +91,5 @@ def _known(looks: Looks, edges: Array) -> tuple[Indices, Indices]:
     """Which of some edges are known, and where among the known ones."""
     if not len(looks["bent"]):
         return np.zeros(0, dtype=np.intp), np.zeros(0, dtype=np.intp)
-    place = np.minimum(np.searchsorted(looks["bent"], edges), len(looks["bent"]) - 1)
-    known = np.nonzero(looks["bent"][place] == edges)[0]
-    return known, place[known]
+    known, place = found_among(looks["bent"], edges)
+    return np.nonzero(known)[0], place[known]

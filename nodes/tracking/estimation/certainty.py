@@ -11,23 +11,15 @@ _SAMPLES = np.random.default_rng(0).normal(size=(512, 6))
 
 
 def present(nats: Floats, given: Floats | float = 1.0) -> Floats:
-    """(m,) the probability that the image is explained by the object and not by clutter, both as likely before.
-
-    Args:
-        nats: (m,) of `likelihood.explains`; given: the probability of something else, if it is; then of both.
-    """
+    """(m,) the probability that the image is explained by the object and not by clutter, both as likely before, by nats
+    (m,) of `likelihood.explains`; given: the probability of something else, if it is; then of both."""
     return np.asarray(given / (1.0 + np.exp(-np.clip(nats, -50.0, 50.0))))
 
 
 def right(covariances: Floats, nats: Floats) -> Floats:
-    """(m,) the probability that poses are within 5 mm and 5° of the truth.
-
-    That is, that the image is explained by the object and not by clutter, both as likely before, and that an object
-    which is there is no farther from its pose than its covariance allows.
-
-    Args:
-        covariances: (m, 6, 6) of twists, m² and rad²; nats: (m,) of `likelihood.explains`.
-    """
+    """(m,) the probability that poses are within 5 mm and 5° of the truth: that the image is explained by the object
+    and not by clutter, both as likely before, and that an object which is there is no farther from its pose than its
+    covariance (m, 6, 6), m² and rad², allows; nats: (m,) of `likelihood.explains`."""
     twists = np.einsum("mij,sj->msi", np.linalg.cholesky(covariances), _SAMPLES)
     near = np.linalg.norm(twists[..., :3], axis=2) < RIGHT_M
     near &= np.linalg.norm(twists[..., 3:], axis=2) < RIGHT_RAD

@@ -70,12 +70,8 @@ class Explained(NamedTuple):
 
 
 def task_of(image: Image, objects: Sequence[TrackedObject], prior: Prior, intrinsics: Array) -> Task:
-    """What is to be aligned.
-
-    Args:
-        image, objects, intrinsics: as for `hierax.nodes.tracking.search.association.associate`.
-        prior: of `prior_of`.
-    """
+    """What is to be aligned, as `hierax.nodes.tracking.search.association.associate` is told it; prior: of
+    `prior_of`."""
     controls = gathered([item["controls"] for item in objects])
     # The light on what moves changes.
     known = [
@@ -94,13 +90,8 @@ def task_of(image: Image, objects: Sequence[TrackedObject], prior: Prior, intrin
 
 
 def prior_of(objects: Sequence[TrackedObject], motion: Floats, camera: Floats | None) -> Prior:
-    """What is known before an image.
-
-    Args:
-        objects: as for `hierax.nodes.tracking.search.association.associate`.
-        motion: (6, 6) or (m, 6, 6) of an object's deviation from its prediction within a frame, when it is pushed.
-        camera: (6, 6) inverse covariance of the camera's error; None where its pose is exact.
-    """
+    """What is known before an image; motion: (6, 6) or (m, 6, 6) covariance of an object's deviation from its
+    prediction within a frame, when it is pushed; camera: as `Prior` has it."""
     covariance = np.stack([item["covariance"] for item in objects])
     motion_scale = np.array([_with_motion(item) for item in objects])
     trend = np.array([item["trend"] for item in objects])
@@ -113,11 +104,9 @@ def explained(task: Task) -> Explained | None:
 
 
 def explained_again(task: Task, before: Explained, doubtful: Sequence[int]) -> Explained | None:
-    """The same from where the camera's error puts the objects, when it is large and some are in doubt.
-
-    Far from its edges an object may have taken others; what the rest of them says of the camera brings it near.
-    None where that is no better.
-    """
+    """The same from where the camera's error puts the objects, when it is large and some are in doubt: far from its
+    edges an object may have taken others; what the rest of them says of the camera brings it near. None where that is
+    no better."""
     if task.prior.camera is None or not doubtful:
         return None
     shift = exp_many(before.fused.shift[None])[0]
@@ -152,12 +141,8 @@ def _from(task: Task, shift: Floats) -> Explained | None:
 
 
 def _aligned(task: Task, information: Floats, shift: Floats) -> Aligned | None:
-    """What the image says of the poses.
-
-    Args:
-        task: what is aligned; information: (m, 6, 6) of the predictions.
-        shift: (4, 4) what the camera's error is supposed to do to all poses.
-    """
+    """What the image says of the poses, with information (m, 6, 6) of the predictions, and a shift (4, 4) that the
+    camera's error is supposed to be for all poses."""
     start = task.start._replace(poses=shift @ task.start.poses, information=information)
     found = align(task.image, task.controls, start, task.intrinsics, task.memory, task.search)
     return None if found is None else found._replace(shift=found.shift @ shift)
@@ -175,11 +160,8 @@ def _with_motion(item: TrackedObject) -> float:
 
 
 def apartness(controls: Controls, poses: Floats, intrinsics: Array) -> Floats:
-    """(n,) 0 to 1 of each control point how far its edge stands alone where some poses put it.
-
-    Args:
-        controls: of all objects; poses: (m, 4, 4) camera_from_object; intrinsics: (4,) fx, fy, cx, cy in pixels.
-    """
+    """(n,) 0 to 1 of each control point of all objects how far its edge stands alone where poses (m, 4, 4),
+    camera_from_object, put it."""
     if not len(controls.owners):
         return np.zeros(0)
     seen = placed(poses, controls.owners, controls.points)

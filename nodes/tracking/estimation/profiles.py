@@ -47,11 +47,8 @@ class Profiles(NamedTuple):
 
 
 def smoothed(image: Array) -> Image:
-    """The image that is searched: light, float32 (h, w, channels), 0 to 255, lightly smoothed.
-
-    Args:
-        image: uint8, (h, w) gray or (h, w, 3) RGB, encoded as cameras do.
-    """
+    """The image that is searched: light, float32 (h, w, channels), 0 to 255, lightly smoothed, of an image, uint8,
+    (h, w) gray or (h, w, 3) RGB, that is encoded as cameras do."""
     soft = np.asarray(cv2.GaussianBlur(light_of(image), (5, 5), 0.9), dtype=np.float32)
     return soft[:, :, None] if soft.ndim == 2 else soft
 

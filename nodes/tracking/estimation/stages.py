@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 from hierax.nodes.tracking.constants import STRANGE_WEIGHT, WHOLE_PX
 from hierax.nodes.tracking.estimation.appearance import Memory, strangeness
 from hierax.nodes.tracking.estimation.profiles import Image, Lines, Profiles, Singles, lines_of, read_profiles
-from hierax.nodes.tracking.math.batched import only, pixels_of, placed, tukey
-from hierax.nodes.tracking.math.geometry import NEAREST_M, Array, Floats, cross
+from hierax.nodes.tracking.math.batched import only, pixels_along, pixels_of, placed, tukey
+from hierax.nodes.tracking.math.geometry import Array, Floats, cross
 from hierax.nodes.tracking.model.controls import CREASE, Controls, Indices
 
 _USUAL_SHARPNESS = 0.7  # quantile of the control points' sharpness that counts as an edge in focus
@@ -153,11 +153,9 @@ def chosen_near(seen: Seen, stage: Stage, scale: Floats | float) -> Matches:
 
 
 def weights_of(stage: Stage, matches: Matches, scale: Floats | float, search: Search) -> Floats:
-    """1/px² of each control point: Tukey's function of the distance, less where it may be hidden, where its
-    hypothesis looks strange, and on edges blurred beside the others of its object.
-
-    The blur of a shadow beside the foot of an object draws the peak away from the edge, all along it.
-    """
+    """1/px² of each control point: Tukey's function of the distance, less where it may be hidden, where its hypothesis
+    looks strange, and on edges blurred beside the others of its object: the blur of a shadow beside the foot of an
+    object draws the peak away from the edge, all along it."""
     weights = tukey(matches.pixels, scale) * stage.controls.visible * np.exp(-STRANGE_WEIGHT * matches.strange)
     weights *= stage.memory.trust * stage.memory.apart / search.noise_px**2
     near = weights > 1e-6
@@ -216,9 +214,6 @@ def _jacobian(
     poses: Floats, points: Floats, owners: Indices, normals: Floats, seen: Floats, intrinsics: Array
 ) -> Floats:
     """(n, 12): how a twist of the camera's frame, and one of the object's, move each point along its normal."""
-    inverse = 1.0 / np.maximum(seen[:, 2], NEAREST_M)
-    across, down = normals[:, 0] * intrinsics[0] * inverse, normals[:, 1] * intrinsics[1] * inverse
-    ahead = -(across * seen[:, 0] + down * seen[:, 1]) * inverse
-    towards = np.stack((across, down, ahead), axis=1)
+    towards = pixels_along(normals, seen, intrinsics)
     turned = (towards[:, None, :] @ poses[owners, :3, :3])[:, 0]
     return np.concatenate((towards, cross(seen, towards), turned, cross(points, turned)), axis=1)

@@ -27,14 +27,8 @@ NO_CONTROLS: schema.ControlPoints = {
 
 
 def first_belief(item: schema.FirstPose, covariance: Floats) -> schema.TrackedObject:
-    """An object before the first image.
-
-    Args:
-        item: "id", "obj_id" and "pose", camera_from_object; covariance: (6, 6) of the pose's error.
-
-    Raises:
-        ValueError: the pose is no 4 × 4 matrix of finite numbers.
-    """
+    """An object before the first image, with the (6, 6) covariance of its pose's error. Raises ValueError: the pose is
+    no 4 × 4 matrix of finite numbers."""
     pose = first_pose(item)
     return {
         "id": int(item["id"]),
@@ -63,11 +57,8 @@ def first_belief(item: schema.FirstPose, covariance: Floats) -> schema.TrackedOb
 
 
 def first_pose(item: schema.FirstPose) -> Floats:
-    """(4, 4) camera_from_object in the first frame; the camera's own where it is not known.
-
-    Raises:
-        ValueError: it is no 4 × 4 matrix of finite numbers.
-    """
+    """(4, 4) camera_from_object in the first frame; the camera's own where it is not known. Raises ValueError: it is no
+    4 × 4 matrix of finite numbers."""
     if item["pose"] is None:
         return np.eye(4)
     pose = np.asarray(item["pose"], dtype=np.float64)
@@ -92,11 +83,7 @@ def motion_of(item: schema.TrackedObject) -> Floats:
 
 
 def check_ids(objects: Sequence[schema.TrackedObject] | Sequence[schema.PaperObject]) -> None:
-    """See that objects can be told apart in a label image.
-
-    Raises:
-        ValueError: ids are doubled or out of range.
-    """
+    """See that objects can be told apart in a label image. Raises ValueError: ids are doubled or out of range."""
     ids = [item["id"] for item in objects]
     if len(set(ids)) != len(ids) or not all(1 <= number <= 255 for number in ids):
         raise ValueError(f"ids must be different and from 1 to 255, got {ids}")
@@ -108,13 +95,7 @@ def diagonal_covariance(length_m: float, angle_rad: float) -> Floats:
 
 
 def imagined(item: schema.TrackedObject, expected: schema.ExpectedObject, camera: Floats) -> schema.TrackedObject:
-    """One object's prediction and its visible edges.
-
-    Args:
-        item: the object.
-        expected: its entry in the context, see `hierax.nodes.tracking.render.SegmentedDepth`.
-        camera: (4, 4) world_from_camera.
-    """
+    """One object's prediction and its visible edges, by its entry in the context and world_from_camera."""
     controls = bent(expected["controls"], item["slots"])
     return {
         **item,

@@ -21,7 +21,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from hierax.nodes.tracking.datasets.truth import TruePose
-from hierax.nodes.tracking.errors import DataError, writing
+from hierax.nodes.tracking.errors import DataError, printed, writing
 from hierax.nodes.tracking.evaluation.scoring import LEAST_VISIBLE, RIGHT, is_astray, nearest_off
 from hierax.nodes.tracking.math.geometry import Array, Floats, log_se3, pose_error
 from hierax.nodes.tracking.schema import TRACKED
@@ -196,17 +196,17 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("files", type=Path, nargs="+", metavar="BELIEFS.npz")
     parser.add_argument("--diagram", type=Path, metavar="FILE", help="write the reliability diagram there, as SVG")
     options = parser.parse_args(arguments)
-    try:
+
+    def judged() -> str:
         found = calibration(options.files)
         if found is None:
             raise DataError("nothing was tracked in these files")
         if options.diagram is not None:
-            options.diagram.write_text(found.diagram(), encoding="utf-8")
-    except (DataError, OSError) as error:
-        print(f"error: {error}", file=sys.stderr)
-        return 1
-    print(found.text())
-    return 0
+            with writing(options.diagram):
+                options.diagram.write_text(found.diagram(), encoding="utf-8")
+        return found.text()
+
+    return printed(judged)
 
 
 if __name__ == "__main__":

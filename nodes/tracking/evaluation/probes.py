@@ -69,21 +69,20 @@ class Truth(Probe):
 
     prompt = True
 
-    def __init__(self) -> None:
-        self._results: ResultsFile | None = None
-        self._file: Path | None = None
+    _results: ResultsFile | None = None
+    _file: Path | None = None
 
     def open(self, output: Path | None) -> None:
         """Remember the file, which begins with the first true pose; what another run left there is removed."""
-        self._file = None if output is None else output / TRUTH_FILE
-        if self._file is not None:
+        if output is not None:
+            self._file = output / TRUTH_FILE
             self._file.unlink(missing_ok=True)
 
     def open_again(self, output: Path | None) -> None:
         """Go on behind what is in the file. Raises DataError: it cannot be written, or is no results file."""
-        self._file = None if output is None else output / TRUTH_FILE
-        if self._file is not None and self._file.exists():
-            self._results = ResultsFile(self._file, 0, again=True)
+        if output is not None:
+            self._file = output / TRUTH_FILE
+            self._results = ResultsFile(self._file, 0, again=True) if self._file.exists() else None
 
     def record(self, step: Step) -> None:
         """One frame's true poses."""

@@ -18,7 +18,7 @@ import numpy as np
 
 from hierax.nodes.tracking.datasets.bop import read_results
 from hierax.nodes.tracking.datasets.truth import TruePose, read_truth
-from hierax.nodes.tracking.errors import DataError
+from hierax.nodes.tracking.errors import DataError, printed
 from hierax.nodes.tracking.evaluation.pictures import write_picture
 from hierax.nodes.tracking.evaluation.probes import POSES_FILE, TRUTH_FILE
 from hierax.nodes.tracking.evaluation.scoring import ObjectErrors, object_errors
@@ -118,16 +118,14 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("output", type=Path, help="the run's output folder")
     parser.add_argument("--truth", type=Path, metavar="DIR", help="folder with scene_gt.json of all frames")
     options = parser.parse_args(arguments)
-    output: Path = options.output
-    try:
-        errors = read_errors(output, options.truth)
-        write_picture(output / PLOT_FILE, plot(errors))
-    except DataError as error:
-        print(f"error: {error}", file=sys.stderr)
-        return 1
-    print(table(errors))
-    print(f"drawn in {output / PLOT_FILE}")
-    return 0
+    picture: Path = options.output / PLOT_FILE
+
+    def drawn() -> str:
+        errors = read_errors(options.output, options.truth)
+        write_picture(picture, plot(errors))
+        return f"{table(errors)}\ndrawn in {picture}"
+
+    return printed(drawn)
 
 
 def _draw_panel(panel: Array, title: str, errors: Sequence[ObjectErrors], series: Sequence[Floats]) -> None:

@@ -20,7 +20,7 @@ import numpy as np
 
 from hierax.nodes.tracking.datasets.bop import Result, read_results
 from hierax.nodes.tracking.datasets.truth import TruePose, read_truth
-from hierax.nodes.tracking.errors import DataError
+from hierax.nodes.tracking.errors import printed
 from hierax.nodes.tracking.math.geometry import Array, Floats, exp_se3, invert, log_se3, pose_error, transform
 from hierax.nodes.tracking.model.symmetry import NONE, turns_back
 
@@ -231,17 +231,14 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--displaced", action="store_true", help="models may lie beside their objects, the same always")
     parser.add_argument("--format", choices=("text", "json"), default="text", help="how the figures are printed")
     options = parser.parse_args(arguments)
-    try:
+
+    def scored() -> str:
         found = object_errors(read_results(options.poses), read_truth(options.truth), options.displaced)
-    except DataError as error:
-        print(f"error: {error}", file=sys.stderr)
-        return 1
-    rows = {"all": score(found), **{f"object {item.obj_id}": score([item]) for item in found}}
-    if options.format == "json":
-        print(json.dumps({name: each.plain() for name, each in rows.items()}, indent=2))
-    else:
-        print(table(rows))
-    return 0
+        rows = {"all": score(found), **{f"object {item.obj_id}": score([item]) for item in found}}
+        plain = {name: each.plain() for name, each in rows.items()}
+        return json.dumps(plain, indent=2) if options.format == "json" else table(rows)
+
+    return printed(scored)
 
 
 def _band(right: Array, visible: Floats, low: float, high: float) -> Band:

@@ -73,9 +73,7 @@ def film(kind: str, seed: int, frames: int) -> Film:
 
 
 def _scattered(rng: np.random.Generator, frames: int) -> Film:
-    return _still_life(
-        rng, frames, lambda: stock.scattered(_items(rng), rng, 0.17, 0.02), _swing(rng, 40.0), _mostly_seen
-    )
+    return _still_life(rng, frames, lambda: stock.scattered(_items(rng), rng, 0.17, 0.02), _swing(rng, 40.0))
 
 
 def _hidden(rng: np.random.Generator, frames: int) -> Film:
@@ -113,12 +111,12 @@ def _tower(rng: np.random.Generator, frames: int) -> Film:
         single = stock.scattered([stock.random_mesh(rng, paints[5])], rng, 0.16, 0.01, [*first, *second])
         return None if single is None else [*first, *second, *single]
 
-    return _still_life(rng, frames, towers, _swing(rng, 30.0), _mostly_seen)
+    return _still_life(rng, frames, towers, _swing(rng, 30.0))
 
 
 def _approach(rng: np.random.Generator, frames: int) -> Film:
     swing = _swing(rng, 36.0)._replace(radius_m=(rng.uniform(0.85, 0.95), rng.uniform(0.42, 0.48)), swing_deg=10.0)
-    return _still_life(rng, frames, lambda: stock.scattered(_items(rng), rng, 0.12, 0.015), swing, _mostly_seen)
+    return _still_life(rng, frames, lambda: stock.scattered(_items(rng), rng, 0.12, 0.015), swing)
 
 
 def _low_contrast(rng: np.random.Generator, frames: int) -> Film:
@@ -130,7 +128,7 @@ def _low_contrast(rng: np.random.Generator, frames: int) -> Film:
 
     level = round(grey)
     wood = Wood((level, level - 1, level - 3), 0.5, int(rng.integers(1, 1000)))
-    return _still_life(rng, frames, boxes, _swing(rng, 32.0), _mostly_seen, wood)
+    return _still_life(rng, frames, boxes, _swing(rng, 32.0), wood=wood)
 
 
 def _imprecise(rng: np.random.Generator, frames: int) -> Film:
@@ -140,12 +138,10 @@ def _imprecise(rng: np.random.Generator, frames: int) -> Film:
     made = [item._replace(shape=worn(item.shape, rng)) for item in drawn]
     swing = _swing(rng, 38.0)
     swing = swing._replace(radius_m=(0.75 * swing.radius_m[0], 0.75 * swing.radius_m[1]))
-    shown = _still_life(rng, frames, lambda: stock.scattered(made, rng, 0.13, 0.015), swing, _mostly_seen)
-    told = [
-        thing._replace(shape=thing.shape._replace(mesh=item.shape.mesh))
-        for thing, item in zip(shown.things, drawn, strict=True)
-    ]
-    return replace(shown, things=told)
+    shown = _still_life(rng, frames, lambda: stock.scattered(made, rng, 0.13, 0.015), swing)
+    told = [thing.shape._replace(mesh=item.shape.mesh) for thing, item in zip(shown.things, drawn, strict=True)]
+    things = [thing._replace(shape=shape) for thing, shape in zip(shown.things, told, strict=True)]
+    return replace(shown, things=things)
 
 
 def _curved(rng: np.random.Generator, frames: int) -> Film:
@@ -159,18 +155,14 @@ def _curved(rng: np.random.Generator, frames: int) -> Film:
         stock.Item(stock.cylinder(rng.uniform(0.022, 0.036), rng.uniform(0.05, 0.1)), lying, paints[3]),
         stock.Item(stock.torus(rng.uniform(0.03, 0.042), rng.uniform(0.009, 0.014)), np.eye(3), paints[4]),
     ]
-    return _still_life(
-        rng, frames, lambda: stock.scattered(items, rng, 0.15, 0.015), _swing(rng, 34.0), _mostly_seen, candidates=_FEW
-    )
+    return _still_life(rng, frames, lambda: stock.scattered(items, rng, 0.15, 0.015), _swing(rng, 34.0), tries=_FEW)
 
 
 def _figures(rng: np.random.Generator, frames: int) -> Film:
     """Five of those objects of pybullet's data that `stock` names."""
     names = rng.permutation(list(stock.FOUND))[:5]
     items = [stock.found_thing(str(name), paint) for name, paint in zip(names, stock.colours(rng, 5), strict=True)]
-    return _still_life(
-        rng, frames, lambda: stock.scattered(items, rng, 0.15, 0.015), _swing(rng, 38.0), _mostly_seen, candidates=_FEW
-    )
+    return _still_life(rng, frames, lambda: stock.scattered(items, rng, 0.15, 0.015), _swing(rng, 38.0), tries=_FEW)
 
 
 def _pushed(rng: np.random.Generator, frames: int) -> Film:
@@ -180,19 +172,14 @@ def _pushed(rng: np.random.Generator, frames: int) -> Film:
 
 def _taken(rng: np.random.Generator, frames: int) -> Film:
     """Objects that are taken out, one after the other, and put in elsewhere a little later."""
-    shown = _still_life(
-        rng, frames, lambda: stock.scattered(_items(rng)[:5], rng, 0.15, 0.02), _swing(rng, 40.0), _mostly_seen
-    )
+    shown = _still_life(rng, frames, lambda: stock.scattered(_items(rng)[:5], rng, 0.15, 0.02), _swing(rng, 40.0))
     poses = shown.poses.copy()
     for number, frame in enumerate(range(_TAKEN_FROM, frames, _TAKEN_EVERY)):
         at, back = number % len(shown.things), frame + _TAKEN_FRAMES
         poses[frame:, at, 2, 3] = _OUT_M
         if back < frames:
-            others = [
-                thing._replace(pose=pose)
-                for thing, pose in zip(shown.things, poses[back], strict=True)
-                if pose[2, 3] < _OUT_M / 2
-            ]
+            every = [thing._replace(pose=pose) for thing, pose in zip(shown.things, poses[back], strict=True)]
+            others = [thing for thing in every if thing.pose[2, 3] < _OUT_M / 2]
             poses[back:, at] = _elsewhere(shown.things[at], others, rng)
     return replace(shown, poses=poses)
 
@@ -214,18 +201,29 @@ def _items(rng: np.random.Generator) -> list[stock.Item]:
     ]
 
 
+def _mostly_seen(hidden: Floats) -> float:
+    """High where little is hidden."""
+    return -float((hidden**2).mean()) - float((hidden > 0.6).mean())
+
+
+def _half_hidden(hidden: Floats) -> float:
+    """High where many objects are 30 to 80 % hidden, and none of them nearly all the time, or at first."""
+    wanted = ((hidden > 0.3) & (hidden < 0.8)).mean()
+    return float(wanted - 2.0 * (hidden > 0.88).mean() - 2.0 * (hidden[0] > 0.8).mean())
+
+
 def _still_life(
     rng: np.random.Generator,
     frames: int,
     arranged: Callable[[], list[Thing] | None],
     swing: Swing,
-    merit: Callable[[Floats], float],
+    merit: Callable[[Floats], float] = _mostly_seen,
     wood: Wood | None = None,
-    candidates: int = _CANDIDATES,
+    tries: int = _CANDIDATES,
 ) -> Film:
     """Of many arrangements the one that looks best for its purpose, along the whole path."""
     best: tuple[float, list[Thing], Floats] | None = None
-    for _ in range(candidates):
+    for _ in range(tries):
         things = arranged()
         if things is None:
             continue
@@ -240,17 +238,6 @@ def _still_life(
     _, things, path = best
     poses = np.repeat(np.array([thing.pose for thing in things])[None], frames, axis=0)
     return Film(things, poses, path, _lamp(rng), wood or _wood(rng))
-
-
-def _mostly_seen(hidden: Floats) -> float:
-    """High where little is hidden."""
-    return -float((hidden**2).mean()) - float((hidden > 0.6).mean())
-
-
-def _half_hidden(hidden: Floats) -> float:
-    """High where many objects are 30 to 80 % hidden, and none of them nearly all the time, or at first."""
-    wanted = ((hidden > 0.3) & (hidden < 0.8)).mean()
-    return float(wanted - 2.0 * (hidden > 0.88).mean() - 2.0 * (hidden[0] > 0.8).mean())
 
 
 def _swing(rng: np.random.Generator, elevation_deg: float) -> Swing:

@@ -26,10 +26,10 @@ import cv2
 import numpy as np
 
 from hierax.nodes.tracking.datasets.bop_json import pose_entry
-from hierax.nodes.tracking.errors import DataError, writing
+from hierax.nodes.tracking.errors import printed, writing
 from hierax.nodes.tracking.generator.camera import reported_path
 from hierax.nodes.tracking.generator.kinds import INTRINSICS, KINDS, SIZE, Film, film
-from hierax.nodes.tracking.math.geometry import Array, Floats, exp_se3, invert
+from hierax.nodes.tracking.math.geometry import Array, Floats, exp_se3, invert, lens_matrix
 from hierax.nodes.tracking.model.files import BOP_UNIT_M, write_ply
 from hierax.nodes.tracking.model.mesh import Mesh
 from hierax.nodes.tracking.simworld.raster import visible_shares
@@ -121,10 +121,9 @@ def model_info(mesh: Mesh) -> dict[str, Any]:
     corners = mesh.vertices / BOP_UNIT_M
     low, size = corners.min(axis=0), np.ptp(corners, axis=0)
     spread = np.linalg.norm(corners[:, None] - corners[None], axis=-1)
-    info: dict[str, Any] = {"diameter": float(spread.max()), "symmetries_discrete": []}
-    info.update({f"min_{axis}": float(part) for axis, part in zip("xyz", low, strict=True)})
-    info.update({f"size_{axis}": float(part) for axis, part in zip("xyz", size, strict=True)})
-    return info
+    names = [f"{name}_{axis}" for name in ("min", "size") for axis in "xyz"]
+    box = dict(zip(names, np.concatenate((low, size)).tolist(), strict=True))
+    return {"diameter": float(spread.max()), "symmetries_discrete": [], **box}
 
 
 def write_json(path: Path, content: object) -> None:
@@ -148,13 +147,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     options = parser.parse_args(arguments)
     if options.frames < 1 or options.seed < 0:
         parser.error("expected at least 1 frame, and a seed from 0 on")
-    try:
-        scene = write_scene(options.out, options.kind, options.seed, options.frames, options.exact)
-    except DataError as error:
-        print(f"error: {error}", file=sys.stderr)
-        return 1
-    print(scene)
-    return 0
+    return printed(lambda: write_scene(options.out, options.kind, options.seed, options.frames, options.exact))
 
 
 def _write_models(folder: Path, meshes: Sequence[Mesh], silent: Sequence[int]) -> None:
@@ -183,21 +176,13 @@ def _shares(shown: Film, frame: int) -> Floats:
 
 
 def _cameras(path: Floats, intrinsics: Array) -> dict[str, Any]:
-    fx, fy, cx, cy = intrinsics.tolist()
-    cameras = {}
-    for frame, camera in enumerate(path):
-        seen = invert(camera)
-        cameras[str(frame)] = {
-            "cam_K": [fx, 0.0, cx, 0.0, fy, cy, 0.0, 0.0, 1.0],
-            "cam_R_w2c": seen[:3, :3].ravel().tolist(),
-            "cam_t_w2c": (seen[:3, 3] / BOP_UNIT_M).tolist(),
-            "depth_scale": 1.0,
-        }
-    return cameras
+    lens = lens_matrix(intrinsics).ravel().tolist()
+    poses = [pose_entry(invert(camera), "cam_R_w2c", "cam_t_w2c") for camera in path]
+    return {str(frame): {"cam_K": lens, **pose, "depth_scale": 1.0} for frame, pose in enumerate(poses)}
 
 
 def _objects(poses: Sequence[Floats]) -> list[dict[str, Any]]:
-    return [pose_entry(number, pose) for number, pose in enumerate(poses, start=1)]
+    return [{**pose_entry(pose), "obj_id": number} for number, pose in enumerate(poses, start=1)]
 
 
 if __name__ == "__main__":

@@ -79,15 +79,8 @@ def _open(support: Floats) -> Floats:
 
 
 def resting(body: Body, carried: bool) -> Body:
-    """What rests on something is as high, and as upright, as that leaves it: no longer less certain than that.
-
-    Args:
-        body: as `hierax.nodes.tracking.spatial.SpatialNode` has it.
-        carried: whether something below keeps it from falling.
-
-    Returns:
-        The same with its "support", whether it "stands" on a face there, and its "covariance" as that leaves it.
-    """
+    """What rests on something is as high, and as upright, as that leaves it: no longer less certain than that. Whether
+    something below keeps it from falling is told; of the body "support", "stands" and "covariance" follow."""
     velocity, pose = body["velocity"], body["pose"]
     moves = np.abs(velocity[3:5]).max() > _RESTING_RAD_S or abs(velocity[2]) > _RESTING_M_S
     up = pose[:3, :3].T @ np.array([0.0, 0.0, 1.0])

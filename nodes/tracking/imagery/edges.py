@@ -41,15 +41,6 @@ class _Lines(NamedTuple):
     faces: Ints
 
 
-_NO_LINES = _Lines(
-    np.zeros((0, 2, 3)),
-    np.zeros((0, 3)),
-    np.zeros(0, dtype=np.uint8),
-    np.zeros(0, dtype=np.int32),
-    np.zeros((0, 2), dtype=np.int32),
-)
-
-
 def controls_of(
     shape: Shape,
     pose: Floats,
@@ -58,20 +49,17 @@ def controls_of(
     layer: Layer | None = None,
     radius_m: float = 0.0,
 ) -> Controls:
-    """Points on the edges of an object that would be seen if it were alone.
+    """Points on the edges of an object that would be seen if it were alone: about `SPACING_PX` apart in the image,
+    fewer where there would be more than `POINTS_MAX`; all with ``visible`` 1.
 
-    Args:
-        shape: the object; pose: camera_from_object; intrinsics: (4,) fx, fy, cx, cy in pixels.
-        size: width and height of the image in pixels.
-        layer: the object drawn alone; needed of a body that is not convex.
-        radius_m: by which its convex edges are worn round.
-
-    Returns:
-        About `SPACING_PX` apart in the image, fewer where there would be more than `POINTS_MAX`; all with
-        ``visible`` 1.
+    Args: shape: the object; pose: camera_from_object; intrinsics: (4,) fx, fy, cx, cy in pixels; size: width and height
+        of the image in pixels. layer: the object drawn alone; needed of a body that is not convex. radius_m: by which
+        its convex edges are worn round.
     """
     viewpoint = invert(pose)[:3, 3]
-    lines = joined((_sharp_lines(shape, viewpoint, radius_m), _smooth_lines(shape, viewpoint)))
+    lines = _sharp_lines(shape, viewpoint, radius_m)
+    if len(shape.smooth):
+        lines = joined((lines, _smooth_lines(shape, viewpoint)))
     seen = transform(pose, lines.ends)
     ahead = seen[..., 2].min(axis=1, initial=np.inf) > NEAREST_DRAWN_M
     lines = only(lines, ahead)
@@ -100,8 +88,6 @@ def controls_of(
 
 def _sharp_lines(shape: Shape, viewpoint: Floats, radius_m: float) -> _Lines:
     """The sharp edges beside which something faces the camera, where they are seen if they are worn round."""
-    if not len(shape.edges):
-        return _NO_LINES
     corners = shape.vertices[shape.edges[:, :1]]
     facing = np.sum(shape.normals[shape.edge_faces] * (viewpoint - corners), axis=2) > 0.0
     seen = (facing | ~shape.closed[shape.edge_faces]) & (shape.edge_faces >= 0)
@@ -141,8 +127,6 @@ def _worn(normals: Floats, inwards: Floats, plane: Floats, crease: NDArray[np.bo
 
 def _smooth_lines(shape: Shape, viewpoint: Floats) -> _Lines:
     """Where smooth surfaces turn away from the camera; each chain has a number of its own, for the time being."""
-    if not len(shape.smooth):
-        return _NO_LINES
     found = outline_of(shape, viewpoint)
     patches = shape.patches[shape.smooth[found.smooth]]
     beside = np.stack((patches, np.full_like(patches, -1)), axis=1)
@@ -155,10 +139,8 @@ def _sharp_count(shape: Shape) -> int:
 
 
 def _numbered(shape: Shape, pose: Floats, controls: Controls) -> Controls:
-    """Points on smooth outlines numbered by patch and by the direction to which the outline bounds it in the image.
-
-    So much of an outline stays the same from image to image, and is about straight.
-    """
+    """Points on smooth outlines numbered by patch and by the direction to which the outline bounds it in the image: so
+    much of an outline stays the same from image to image, and is about straight."""
     smooth = controls.edges >= _sharp_count(shape)
     if not smooth.any():
         return controls
@@ -181,12 +163,8 @@ def _numbered(shape: Shape, pose: Floats, controls: Controls) -> Controls:
 
 
 def _spread(lengths: Floats, edges: Ints) -> tuple[NDArray[np.intp], Floats]:
-    """On which line each point is, and how far along it (0 to 1): evenly along each edge's lines, one after the other.
-
-    Args:
-        lengths: (n,) of the lines in pixels; 0 for no points.
-        edges: (n,) number of the edge that each line is a part of, in runs.
-    """
+    """On which line each point is, and how far along it (0 to 1): evenly along each edge's lines, one after the other;
+    lengths: (n,) in pixels, 0 for no points; edges: (n,) numbers of those that the lines are parts of, in runs."""
     starts = np.nonzero(np.diff(edges, prepend=-1))[0]
     if not len(starts):
         return np.zeros(0, dtype=np.intp), np.zeros(0)

@@ -61,21 +61,16 @@ class Layer(NamedTuple):
 
 
 class MeshRenderer:
-    """Draws the depth of one mesh; keeps its client from one image to the next."""
+    """Draws the depth of one mesh; keeps its client, which begins with the first image."""
 
     def __init__(self, vertices: Floats, faces: Array) -> None:
-        self._vertices = vertices
-        self._faces = faces
+        self._vertices, self._faces = vertices, faces
         self._bullet = Bullet()
         self._bodies: list[int] = []
 
     def inverse_depth(self, pose: Floats, intrinsics: Array, window: Window) -> Floats:
-        """(h, w) float64, 1/z in 1/m, 0 where the mesh is not.
-
-        Args:
-            pose: camera_from_object; intrinsics: (4,) fx, fy, cx, cy in pixels, pixel centres at integers.
-            window: the part of the image that is drawn.
-        """
+        """(h, w) float64, 1/z in 1/m, 0 where the mesh is not, in a part of the image, by camera_from_object and fx,
+        fy, cx, cy in pixels, pixel centres at integers."""
         bullet = self._bullet
         if not self._bodies:
             self._create()
@@ -98,10 +93,6 @@ class MeshRenderer:
         seen = np.asarray(result[4], dtype=np.int32).reshape(height, width) >= 0
         return np.where(seen, (far - (far - near) * z_buffer) / (near * far), 0.0)
 
-    def close(self) -> None:
-        """End the client; the next image starts a new one."""
-        self._bullet, self._bodies = Bullet(), []
-
     def _create(self) -> None:
         bullet = self._bullet
         for start in range(0, len(self._faces), _FACES_PER_SHAPE):
@@ -112,11 +103,7 @@ class MeshRenderer:
 
 
 class LayerRenderer:
-    """Draws the layer of one shape.
-
-    Args:
-        shape: of `hierax.nodes.tracking.model.shapes.shape_of`.
-    """
+    """Draws the layer of one shape, of `hierax.nodes.tracking.model.shapes.shape_of`."""
 
     def __init__(self, shape: Shape) -> None:
         self.shape = shape
@@ -124,12 +111,8 @@ class LayerRenderer:
         self._mesh = None if len(shape.faces) <= _CAST_MAX else MeshRenderer(shape.vertices, _both_sides(shape))
 
     def layer(self, pose: Floats, intrinsics: Array, size: tuple[int, int]) -> Layer | None:
-        """The object alone; None where no part of it can be in the image.
-
-        Args:
-            pose: camera_from_object; intrinsics: (4,) fx, fy, cx, cy in pixels, pixel centres at integers.
-            size: width and height of the image in pixels.
-        """
+        """The object alone, by camera_from_object, fx, fy, cx, cy in pixels, pixel centres at integers, and the image's
+        width and height in pixels; None where no part of it can be in the image."""
         shape = self.shape
         window = window_of(transform(pose, _corners(shape.low, shape.high)), intrinsics, size)
         if window is None:
@@ -139,11 +122,6 @@ class LayerRenderer:
         else:
             inverse = self._mesh.inverse_depth(pose, intrinsics, window)
         return Layer(window, inverse, _far_sides(_box_planes(shape.low, shape.high), pose, intrinsics))
-
-    def close(self) -> None:
-        """End what it keeps; the next image starts anew."""
-        if self._mesh is not None:
-            self._mesh.close()
 
 
 def window_of(corners: Floats, intrinsics: Array, size: tuple[int, int]) -> Window | None:
@@ -171,13 +149,8 @@ def surrounding(windows: Sequence[Window]) -> Window:
 
 
 def _cast(corners: Floats, closed: Array, intrinsics: Array, window: Window) -> Floats:
-    """Inverse depth (h, w) at which each pixel's ray first meets a triangle, 0 where it meets none.
-
-    Args:
-        corners: (m, 3, 3) of triangles, camera's frame, metres.
-        closed: (m,) whether only one side is seen, the one from which they go counter-clockwise.
-        intrinsics: (4,) fx, fy, cx, cy in pixels; window: the part of the image.
-    """
+    """Inverse depth (h, w) at which each pixel's ray first meets a triangle, 0 where it meets none; corners: (m, 3, 3)
+    camera's frame, metres; closed: (m,) whether only one side is seen, from which they go counter-clockwise."""
     a, b, c = corners[:, 0], corners[:, 1], corners[:, 2]
     sides = np.stack((cross(b, c), cross(c, a), cross(a, b)), axis=1)
     volume = np.sum(sides[:, 0] * a, axis=1)
@@ -219,11 +192,8 @@ def _boxes(corners: Floats, intrinsics: Array, window: Window) -> NDArray[np.int
 
 
 def _far_sides(planes: Floats, pose: Floats, intrinsics: Array) -> Floats:
-    """What the planes that a ray can leave half spaces n·x <= d through look like, as `Layer.sides`.
-
-    Args:
-        planes: (p, 4) n and d, object's frame; pose: camera_from_object; intrinsics: (4,) fx, fy, cx, cy in pixels.
-    """
+    """What the planes (p, 4), n and d in the object's frame, that a ray can leave half spaces n·x <= d through look
+    like, as `Layer.sides`."""
     fx, fy, cx, cy = (float(part) for part in intrinsics)
     normals = planes[:, :3] @ pose[:3, :3].T
     offsets = planes[:, 3] + normals @ pose[:3, 3]
@@ -256,11 +226,8 @@ def _z_range(corners: Floats) -> tuple[float, float]:
 
 
 def _frustum(intrinsics: Array, window: Window, z_range: tuple[float, float]) -> Floats:
-    """OpenGL's projection of a window of an OpenCV pinhole camera.
-
-    A pixel reaches half a pixel to each side of its centre. TinyRenderer samples half a
-    pixel to the left of and above a pixel's centre in OpenGL's sense, hence the shift.
-    """
+    """OpenGL's projection of a window of an OpenCV pinhole camera. A pixel reaches half a pixel to each side of its
+    centre; TinyRenderer samples half a pixel to the left of and above that in OpenGL's sense, hence the shift."""
     fx, fy, cx, cy = (float(part) for part in intrinsics)
     near, far = z_range
     cx, cy = cx - 0.5, cy + 0.5

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hierax.nodes.tracking.imagery.layers import Layer
-from hierax.nodes.tracking.math.batched import only
+from hierax.nodes.tracking.math.batched import only, pixels_along
 from hierax.nodes.tracking.math.geometry import Array, Floats, invert, project, rays, transform
 
 cv2.setNumThreads(1)
@@ -50,12 +50,8 @@ class _Points(NamedTuple):
 
 
 def chances_seen(points: Sequence[Floats], placed: Sequence[Placed], intrinsics: Array) -> list[NDArray[np.float32]]:
-    """The chance of each point on each object that no other object hides it.
-
-    Args:
-        points: of each object (n, 3), its frame, metres; before the camera.
-        placed: the objects, in the same order; intrinsics: (4,) fx, fy, cx, cy in pixels.
-    """
+    """The chance of each point on each object, (n, 3) metres in its frame, before the camera, that no other object
+    hides it; placed: the objects, in the same order; intrinsics: (4,) fx, fy, cx, cy in pixels."""
     counts = [len(own) for own in points]
     if len(placed) < 2 or not sum(counts):
         return [np.ones(count, dtype=np.float32) for count in counts]
@@ -109,7 +105,7 @@ def _hidden(points: _Points, item: Placed, layer: Layer, intrinsics: Array) -> F
     # What the outline's uncertainty is that of: the point on it, at about the depth beside it.
     touched = rays(outline, intrinsics) * front[:, None]
     errors = points.errors + _errors(transform(invert(item.pose), touched), item)
-    towards = _towards(points.seen, normals * intrinsics[:2])
+    towards = pixels_along(normals, points.seen, intrinsics)
     across = np.einsum("ni,nij,nj->n", towards, errors, towards) + _LEAST_PX**2
     along = errors[:, 2, 2] + _LEAST_M**2
     behind = (points.seen[:, 2] - 0.5 * (front + back)) / np.sqrt(along)
@@ -150,13 +146,6 @@ def _depths(layer: Layer, pixels: Floats, otherwise: float) -> tuple[Floats, Flo
     entered = np.divide(1.0, first, out=np.full(len(first), otherwise), where=there)
     left = np.divide(1.0, last, out=np.full(len(last), otherwise), where=there)
     return entered, np.maximum(entered, left)
-
-
-def _towards(seen: Floats, normals: Floats) -> Floats:
-    """(n, 3): by how many pixels along a normal (times the focal lengths) a point moves in the image, per metre."""
-    inverse = 1.0 / seen[:, 2]
-    across, down = normals[:, 0] * inverse, normals[:, 1] * inverse
-    return np.stack((across, down, -(across * seen[:, 0] + down * seen[:, 1]) * inverse), axis=1)
 
 
 def _normal_cdf(deviations: Floats) -> Floats:

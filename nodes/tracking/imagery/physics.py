@@ -130,10 +130,10 @@ class Simulator:
         return Motion(pose, np.concatenate([linear - np.cross(angular, offset), angular]))
 
 
-def support_points(vertices: Floats) -> Floats:
-    """The vertices that are outermost in one of `HULL_DIRECTIONS` directions, spread evenly over the sphere."""
-    index = np.arange(HULL_DIRECTIONS)
-    height = 1.0 - (2.0 * index + 1.0) / HULL_DIRECTIONS
+def support_points(vertices: Floats, count: int = HULL_DIRECTIONS) -> Floats:
+    """The vertices that are outermost in one of so many directions, spread evenly over the sphere."""
+    index = np.arange(count)
+    height = 1.0 - (2.0 * index + 1.0) / count
     turn = index * np.pi * (3.0 - np.sqrt(5.0))
     radius = np.sqrt(1.0 - height**2)
     directions = np.stack((radius * np.cos(turn), radius * np.sin(turn), height))

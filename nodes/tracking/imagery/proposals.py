@@ -15,17 +15,9 @@ import numpy as np
 
 from hierax.nodes.tracking.imagery.edges import controls_of
 from hierax.nodes.tracking.imagery.layers import LayerRenderer
+from hierax.nodes.tracking.imagery.physics import support_points
 from hierax.nodes.tracking.math.batched import only
-from hierax.nodes.tracking.math.geometry import (
-    Array,
-    Floats,
-    exp_so3,
-    invert,
-    looking_down,
-    make_pose,
-    rays,
-    transform,
-)
+from hierax.nodes.tracking.math.geometry import Array, Floats, exp_so3, invert, looking_down, make_pose, rays, transform
 from hierax.nodes.tracking.model.shapes import Shape
 from hierax.nodes.tracking.schema import Alternative
 
@@ -46,11 +38,7 @@ _ELEVATION_RAD, _DISTANCE = np.radians(7.5), 1.15  # steps between the views tha
 
 
 class Proposer:
-    """Proposes poses of one body; the templates that it keeps are a cache.
-
-    Args:
-        renderer: of the body's shape.
-    """
+    """Proposes poses of one body, by the renderer of its shape; the templates that it keeps are a cache."""
 
     def __init__(self, renderer: LayerRenderer) -> None:
         self.renderer = renderer
@@ -58,11 +46,8 @@ class Proposer:
         self._templates: dict[tuple[float, ...], tuple[Alternative, ...]] = {}
 
     def templates(self, camera: Floats, places: Floats, intrinsics: Array) -> tuple[Alternative, ...]:
-        """The body's poses at a place (place_from_object), as the camera (world_from_camera) sees them there.
-
-        Args:
-            camera: (4, 4); places: (n, 4, 4) world_from_place; intrinsics: (4,) fx, fy, cx, cy in pixels.
-        """
+        """The body's poses at a place (place_from_object), as the camera (world_from_camera; fx, fy, cx, cy in pixels)
+        sees them there; places: (n, 4, 4) world_from_place."""
         away = camera[:3, 3] - places[:, :3, 3].mean(axis=0)
         distance = float(np.linalg.norm(away))
         elevation = round(float(np.arcsin(away[2] / distance)) / _ELEVATION_RAD)
@@ -79,15 +64,15 @@ class Proposer:
         renderer = self.renderer
         layer = None if renderer.shape.convex else renderer.layer(seen, lens, size)
         controls = controls_of(renderer.shape, seen, lens, size, layer)
-        thinned = slice(None, None, max(1, -(-len(controls.points) // POINTS)))
-        few = only(controls, np.arange(len(controls.points))[thinned])
+        count = len(controls.points)
+        few = only(controls, np.arange(0, count, max(1, -(-count // POINTS))))
         return {"pose": pose, "controls": few.sent(few.visible.astype(np.float32)), "kept": False}
 
 
 def resting_poses(shape: Shape) -> list[Floats]:
     """Poses (place_from_object) of a body that stands at a place, turned about the vertical; those that look alike
     once."""
-    corners = _hull_corners(shape.vertices)
+    corners = shape.vertices if len(shape.vertices) <= _CORNERS else support_points(shape.vertices, _CORNERS)
     diameter = float(np.linalg.norm(np.ptp(corners, axis=0)))
     kept: list[Floats] = []
     seen = np.zeros((0, *corners.shape))
@@ -106,11 +91,8 @@ def resting_poses(shape: Shape) -> list[Floats]:
 
 
 def stable_faces(corners: Floats, centre: Floats) -> list[Floats]:
-    """Unit vectors downwards, object's frame, at which a body rests on a face of its convex hull, the lowest first.
-
-    Args:
-        corners: (n, 3) the hull's; centre: (3,) of mass.
-    """
+    """Unit vectors downwards, object's frame, at which a body rests on a face of its convex hull, the lowest first, by
+    the hull's corners (n, 3) and the centre of mass (3,)."""
     diameter = float(np.linalg.norm(np.ptp(corners, axis=0)))
     trios = corners[np.array(list(combinations(range(len(corners)), 3)))]
     normals = np.cross(trios[:, 1] - trios[:, 0], trios[:, 2] - trios[:, 0])
@@ -174,12 +156,8 @@ def places_on(
 def places_seen(
     camera: Floats, intrinsics: Array, size: tuple[int, int], tops: Sequence[Floats], templates: int, turn: int = 0
 ) -> Floats:
-    """Places (n, 4, 4) on the table and on what stands there.
-
-    Args:
-        camera, intrinsics, size: as for `places_on`; tops: of each body that carries things, (k, 3) the corners of its
-            upper face, world's frame; templates: how many poses are tried at each place; turn: as for `places_on`.
-    """
+    """Places (n, 4, 4) on the table and on what stands there, as for `places_on`; tops: of each body that carries
+    things, (k, 3) the corners of its upper face, world's frame; templates: how many poses are tried at each place."""
     table = places_on(camera, intrinsics, size, 0.0, None, _BUDGET // max(templates, 1), turn)
     above = [places_on(camera, intrinsics, size, float(top[:, 2].max()), top[:, :2], _BUDGET, turn) for top in tops]
     return np.concatenate((table, *above))
@@ -192,18 +170,6 @@ def top_of(corners: Floats) -> Floats:
     spread = np.ptp(top[:, :2], axis=0) if len(top) > 2 else np.zeros(2)
     found: Floats = top if spread.min() > 0.01 else top[:0]
     return found
-
-
-def _hull_corners(vertices: Floats) -> Floats:
-    """Corners (n, 3) of a convex hull, of one with many approximately."""
-    if len(vertices) <= _CORNERS:
-        return vertices
-    index = np.arange(_CORNERS)
-    height = 1.0 - (2.0 * index + 1.0) / _CORNERS
-    turn, radius = index * np.pi * (3.0 - np.sqrt(5.0)), np.sqrt(1.0 - height**2)
-    directions = np.stack((radius * np.cos(turn), radius * np.sin(turn), height))
-    outermost: Floats = vertices[np.unique((vertices @ directions).argmax(axis=0))]
-    return outermost
 
 
 def _centre(shape: Shape) -> Floats:

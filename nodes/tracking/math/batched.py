@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from typing import NamedTuple, TypeVar
 
 import numpy as np
+from numpy.typing import NDArray
 
 from hierax.nodes.tracking.math.geometry import NEAREST_M, Array, Floats, cross
 
@@ -101,6 +102,19 @@ def placed(poses: Floats, owners: Array, points: Floats) -> Floats:
 def pixels_of(seen: Floats, intrinsics: Array) -> Floats:
     """Pixels (n, 2) of points (n, 3) in the camera's frame; what is nearer than `NEAREST_M` counts as that far away."""
     return np.asarray(seen[:, :2] / np.maximum(seen[:, 2:], NEAREST_M) * intrinsics[:2] + intrinsics[2:])
+
+
+def pixels_along(normals: Floats, seen: Floats, intrinsics: Array) -> Floats:
+    """(n, 3) by how many pixels along normals (n, 2) points (n, 3) move in the image for each metre, camera's frame."""
+    inverse = 1.0 / np.maximum(seen[:, 2], NEAREST_M)
+    across, down = normals[:, 0] * intrinsics[0] * inverse, normals[:, 1] * intrinsics[1] * inverse
+    return np.stack((across, down, -(across * seen[:, 0] + down * seen[:, 1]) * inverse), axis=1)
+
+
+def found_among(known: Array, wanted: Array) -> tuple[NDArray[np.bool_], NDArray[np.intp]]:
+    """Whether each of the wanted numbers is among the known ones (n,), ascending and at least one; and where."""
+    place = np.minimum(np.searchsorted(known, wanted), len(known) - 1)
+    return np.asarray(known[place] == wanted), place
 
 
 def tukey(residuals: Floats, end: Floats | float) -> Floats:

@@ -6,22 +6,12 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
+from hierax.nodes.tracking import schema
 from hierax.nodes.tracking.errors import check_between, check_positive
 from hierax.nodes.tracking.estimation.tracked import check_ids, diagonal_covariance, first_pose, tracked_metrics
 from hierax.nodes.tracking.math.geometry import NO_POSES, Array, Floats, invert, transform
 from hierax.nodes.tracking.paper.lines import expected_lines, image_lines, match_lines
-from hierax.nodes.tracking.schema import (
-    EXPECTED,
-    LOST,
-    TRACKED,
-    ExpectedObject,
-    FirstPose,
-    Imagery,
-    Nothing,
-    PaperArmBelief,
-    PaperObject,
-    Picture,
-)
+from hierax.nodes.tracking.schema import EXPECTED, LOST, TRACKED, PaperArmBelief, PaperObject
 from hierax.runtime import Node
 
 _NO_EDGES = np.zeros((0, 2, 3))
@@ -45,7 +35,7 @@ class PaperArmNode(Node):
 
     def __init__(
         self,
-        objects: Sequence[FirstPose],
+        objects: Sequence[schema.FirstPose],
         start_m: float = 0.005,
         start_rad: float = 0.035,
         error_px: float = 1.5,
@@ -67,7 +57,7 @@ class PaperArmNode(Node):
         """The objects where they are said to be; no camera, no edges yet."""
         return {"camera": None, "intrinsics": None, "size": None, "frame": None, "objects": self._objects}
 
-    def observe(self, observations: tuple[Picture, ...], belief: PaperArmBelief) -> PaperArmBelief:
+    def observe(self, observations: tuple[schema.Picture, ...], belief: PaperArmBelief) -> PaperArmBelief:
         """τ: each object's expected edges matched to the image's line segments, its pose by solvePnP."""
         if not observations:
             return belief
@@ -87,7 +77,9 @@ class PaperArmNode(Node):
             "objects": tuple(item if lines is None else self._corrected(item, lines, intrinsics) for item in objects),
         }
 
-    def predict(self, context: tuple[Imagery, ...], actions: Nothing, belief: PaperArmBelief) -> PaperArmBelief:
+    def predict(
+        self, context: tuple[schema.Imagery, ...], actions: schema.Nothing, belief: PaperArmBelief
+    ) -> PaperArmBelief:
         """γ: where the objects will be, and which of their edges will be seen, both from the context that
         `hierax.nodes.tracking.render.SegmentedDepth` gives; without any the arm knows no shapes, and every object is
         lost."""
@@ -105,7 +97,7 @@ class PaperArmNode(Node):
         """How many objects are tracked, and the mean score."""
         return tracked_metrics(belief["objects"])
 
-    def _first(self, item: FirstPose) -> PaperObject:
+    def _first(self, item: schema.FirstPose) -> PaperObject:
         return {
             "id": int(item["id"]),
             "obj_id": int(item["obj_id"]),
@@ -140,7 +132,7 @@ class PaperArmNode(Node):
         }
 
 
-def _imagined(item: PaperObject, expected: ExpectedObject, seen: Imagery, camera: Floats) -> PaperObject:
+def _imagined(item: PaperObject, expected: schema.ExpectedObject, seen: schema.Imagery, camera: Floats) -> PaperObject:
     """One object's prediction and its visible edges."""
     drawn_from = invert(seen["camera"]) @ expected["pose"]
     lines = expected_lines(seen["depth"], seen["labels"], item["id"], seen["intrinsics"])

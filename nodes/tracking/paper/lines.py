@@ -14,13 +14,12 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from hierax.nodes.tracking.math.batched import pixels_along
 from hierax.nodes.tracking.math.geometry import (
     NEAREST_M,
     Array,
     Floats,
-    exp_so3,
     lens_matrix,
-    log_so3,
     make_pose,
     project,
     rays,
@@ -184,10 +183,10 @@ def _feet(pixels: Floats, lines: Floats) -> Floats:
 
 
 def _solved(points: Floats, pixels: Floats, pose: Floats, intrinsics: Array) -> Floats | None:
-    start = log_so3(pose[:3, :3]), pose[:3, 3].copy()
+    start = cv2.Rodrigues(pose[:3, :3])[0], pose[:3, 3].copy()
     lens = lens_matrix(intrinsics)
     found, turn, shift = cv2.solvePnP(points, pixels, lens, None, *start, True, cv2.SOLVEPNP_ITERATIVE)
-    solved = make_pose(exp_so3(np.ravel(turn)), np.ravel(shift))
+    solved = make_pose(cv2.Rodrigues(turn)[0], np.ravel(shift))
     return solved if found and np.all(np.isfinite(solved)) else None
 
 
@@ -196,8 +195,6 @@ def _judged(pose: Floats, edges: Floats, lines: Floats, score: float, intrinsics
     seen = transform(pose, points)
     along = np.repeat((lines[:, 1] - lines[:, 0]) / _lengths(lines)[:, None], 2, axis=0)
     normals = np.stack((-along[:, 1], along[:, 0]), axis=1)
-    scaled = normals * intrinsics[:2] / seen[:, 2:]
-    ahead = -np.sum(scaled * seen[:, :2], axis=1) / seen[:, 2]
-    towards = np.column_stack((scaled, ahead)) @ pose[:3, :3]
+    towards = pixels_along(normals, seen, intrinsics) @ pose[:3, :3]
     jacobian = np.concatenate((towards, np.cross(points, towards)), axis=1)
     return LineMatch(pose, jacobian.T @ jacobian, float(score))

@@ -30,7 +30,6 @@ def test_equal_to_ray_casting(seed: int) -> None:
     boxes = some_boxes(np.random.default_rng(seed), 3)
     renderer = DepthRenderer()
     depth, labels = renderer.render(items(boxes), INTRINSICS, SIZE)
-    renderer.close()
     exact = cast(boxes)
     # A pixel centre within rounding of an edge may fall to either side.
     assert (labels != exact.labels).sum() <= 3
@@ -52,8 +51,6 @@ def test_an_image_depends_on_its_arguments_alone() -> None:
     second = fresh.render(items(boxes), INTRINSICS, SIZE)
     assert np.array_equal(first[0], second[0])
     assert np.array_equal(first[1], second[1])
-    used.close()
-    fresh.close()
 
 
 def test_what_is_behind_or_beside_the_camera_is_not_drawn() -> None:
@@ -63,7 +60,6 @@ def test_what_is_behind_or_beside_the_camera_is_not_drawn() -> None:
         depth, labels = renderer.render([Item(1, *mesh, make_pose(np.eye(3), translation))], INTRINSICS, SIZE)
         assert not labels.any()
         assert not depth.any()
-    renderer.close()
 
 
 def test_a_large_mesh_is_drawn_whole() -> None:
@@ -81,7 +77,6 @@ def test_a_large_mesh_is_drawn_whole() -> None:
     renderer = DepthRenderer()
     pose = make_pose(np.eye(3), [0.0, 0.0, 0.5])
     depth, labels = renderer.render([Item(3, vertices, np.array(faces), pose)], INTRINSICS, SIZE)
-    renderer.close()
     expected = np.pi * 525.0 * 530.0 * 0.05**2 / (0.5**2 - 0.05**2)
     assert (labels == 3).sum() == pytest.approx(expected, rel=0.01)
     assert depth[224, 313] == pytest.approx(0.45, abs=1e-4)

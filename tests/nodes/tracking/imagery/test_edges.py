@@ -20,9 +20,7 @@ BOX = (0.08, 0.06, 0.1)
 def controls(mesh: tuple[np.ndarray, np.ndarray], pose: np.ndarray) -> Controls:
     shape = shape_of(*mesh)
     renderer = LayerRenderer(shape)
-    found = controls_of(shape, pose, INTRINSICS, SIZE, renderer.layer(pose, INTRINSICS, SIZE))
-    renderer.close()
-    return found
+    return controls_of(shape, pose, INTRINSICS, SIZE, renderer.layer(pose, INTRINSICS, SIZE))
 
 
 def some_pose(seed: int) -> np.ndarray:

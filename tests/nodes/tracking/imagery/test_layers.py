@@ -49,7 +49,6 @@ def test_rays_and_tiny_renderer_agree(seed: int) -> None:
     assert layer is not None
     renderer = MeshRenderer(shape.vertices, shape.faces)
     drawn = renderer.inverse_depth(pose, INTRINSICS, layer.window)
-    renderer.close()
     both = (drawn > 0) & (layer.inverse > 0)
     assert ((drawn > 0) != (layer.inverse > 0)).sum() <= 3
     assert np.quantile(np.abs(drawn[both] / layer.inverse[both] - 1.0), 0.99) < 1e-5
@@ -65,7 +64,6 @@ def test_an_open_sheet_is_seen_from_both_sides() -> None:
         for turned in (faces, faces[:, ::-1]):
             renderer = LayerRenderer(shape_of(vertices, turned))
             layer = renderer.layer(make_pose(np.eye(3), [0.0, 0.0, 0.5]), INTRINSICS, SIZE)
-            renderer.close()
             assert layer is not None
             assert (layer.inverse > 0).sum() == pytest.approx(105 * 106, rel=0.02)
             assert layer.inverse.max() == pytest.approx(2.0, rel=1e-5)
@@ -97,8 +95,6 @@ def test_a_layer_depends_on_its_arguments_alone(mesh: tuple[np.ndarray, np.ndarr
     assert other is not None
     assert one.window == other.window
     assert np.array_equal(one.inverse, other.inverse)
-    used.close()
-    fresh.close()
 
 
 def test_what_is_behind_or_beside_the_camera_has_no_layer() -> None:
