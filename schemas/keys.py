@@ -18,9 +18,14 @@ STEP = "step"
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.-]*")
 
 
+def is_name(value: object) -> bool:
+    """Whether a value is a name that may stand in keys, file names and deployment files."""
+    return isinstance(value, str) and len(value) <= MAX_NAME_CHARS and _NAME.fullmatch(value) is not None
+
+
 def check_name(name: str, what: str = "name", where: str = "") -> str:
     """A name that may stand in keys, file names and deployment files. Raises `SchemaError` if it may not."""
-    if not isinstance(name, str) or len(name) > MAX_NAME_CHARS or not _NAME.fullmatch(name):
+    if not is_name(name):
         raise SchemaError(
             f"{shown(name)} is no {what}: expected at most {MAX_NAME_CHARS} letters, digits, '_', '.' or '-', "
             "beginning with a letter or a digit",

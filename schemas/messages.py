@@ -87,6 +87,16 @@ class Header(NamedTuple):
     digest: bytes = b""
     extensions: Mapping[str, Value] = NO_EXTENSIONS
 
+    @property
+    def when(self) -> tuple[int, int]:
+        """The epoch and the attempt of it."""
+        return self.epoch, self.attempt
+
+    @property
+    def line(self) -> tuple[str, str, str]:
+        """Kind, sender and receiver."""
+        return self.kind, self.sender, self.receiver
+
 
 class Message(NamedTuple):
     """A header and the elements: observations, task parameters or context."""

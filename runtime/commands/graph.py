@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Mapping
 from contextlib import redirect_stdout
 from enum import Enum
 from typing import TYPE_CHECKING, Annotated
@@ -49,6 +48,7 @@ def graph(
 
 def graph_json(deployment: Deployment) -> Json:
     """Nodes and edges as plain JSON."""
+    from hierax.runtime.core.graph import depths
     from hierax.runtime.core.hierarchy import neighbours_above, neighbours_below
 
     roster = deployment.roster
@@ -63,7 +63,7 @@ def graph_json(deployment: Deployment) -> Json:
                 "above": list(neighbours_above(name, pairs)),
                 "depth": depth,
             }
-            for name, depth in depths(roster).items()
+            for name, depth in depths(roster.nodes, pairs).items()
         },
         "edges": [
             {"lower": edge.lower, "upper": edge.upper}
@@ -73,16 +73,12 @@ def graph_json(deployment: Deployment) -> Json:
     }
 
 
-def depths(roster: Roster) -> Mapping[str, int]:
-    """How far the nodes of a roster are from the world, as `hierax.runtime.core.graph.depths` has it."""
-    from hierax.runtime.core import graph
-
-    return graph.depths(roster.nodes, [edge.pair for edge in roster.edges])
-
-
 def mermaid(roster: Roster) -> str:
     """A Mermaid flowchart: what is sensed goes up in solid lines, tasks and context come down in dotted ones."""
-    ids = {name: f"n{index}" for index, name in enumerate(depths(roster))}
+    from hierax.runtime.core.graph import topological_order
+
+    order = topological_order(roster.nodes, [edge.pair for edge in roster.edges])
+    ids = {name: f"n{index}" for index, name in enumerate(order)}
     lines = ["flowchart BT"]
     for name, number in ids.items():
         lines.append(f'    {number}[("{name}")]' if name == roster.world else f'    {number}["{name}"]')
@@ -104,12 +100,12 @@ def _print_tables(deployment: Deployment) -> None:
         for name, node in content["nodes"].items()
     ]
     print_table({"node": {}, "class": {}, "below": {}, "above": {}, "depth": RIGHT}, nodes)
-    if not content["edges"]:
-        return
-    print()
-    given = content["edges"]
-    edges = [(f"{edge['lower']} -> {edge['upper']}", *(edge[kind] or "" for kind in _FUNCTIONS)) for edge in given]
-    print_table({"edge": {}, **{kind: {} for kind in _FUNCTIONS}}, edges)
+    edges = [
+        (f"{edge['lower']} -> {edge['upper']}", *(edge[kind] or "" for kind in _FUNCTIONS)) for edge in content["edges"]
+    ]
+    if edges:
+        print()
+        print_table({"edge": {}, **{kind: {} for kind in _FUNCTIONS}}, edges)
 
 
 def _name(reference: Reference) -> str:

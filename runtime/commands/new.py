@@ -26,17 +26,12 @@ _TEMPLATES = {
 }
 
 
-def module_name(name: str) -> str:
-    """The module of a project."""
-    return re.sub(r"[^a-z0-9_]", "_", name.lower())
-
-
 def make_project(folder: Path) -> list[Path]:
     """Write a project into a folder that is not there yet, or empty. `folder`: its last part is the project's name.
     Returns the files, in order. Raises `HieraxError` if the name cannot be one, there is something already, or it
     cannot be written."""
     name = folder.resolve().name
-    module = module_name(name)
+    module = re.sub(r"[^a-z0-9_]", "_", name.lower())
     _check_name(name, module)
     if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
         raise HieraxError(f"{folder} is there already, and nothing is overwritten; give another name")
@@ -72,12 +67,10 @@ def new(
     output_format: OutputFormat = Format.text,
 ) -> int:
     """Begin a project: a folder with a node, a deployment file that runs at once, and tests. Overwrites nothing."""
-    from hierax.runtime.commands.new import make_project
-
     made = make_project(name)
     steps = [f"cd {name}", f"hierax run {name.resolve().name}.yaml", "pytest"]
     if output_format is Format.json:
         print_json({"folder": str(name), "files": [str(path) for path in made], "next": steps})
-        return 0
-    print("\n".join([*(f"made {path}" for path in made), "\nnow:", *(f"  {step}" for step in steps)]))
+    else:
+        print("\n".join([*(f"made {path}" for path in made), "\nnow:", *(f"  {step}" for step in steps)]))
     return 0

@@ -174,6 +174,7 @@ def record(
     """Record a launch that runs, until it is over, or Ctrl-C. Exit code 1 if something said is not in the file."""
     from hierax.runtime.recording.info import RunInfo
     from hierax.runtime.recording.live_recording import LiveRecording
+    from hierax.runtime.recording.recorder import Recorder
 
     if hierarchy is not None and options.run is not None:
         raise CommandError("give the launch or --run, not both")
@@ -181,9 +182,8 @@ def record(
     with claimed_file(output, options.overwrite) as target:
         with client_of(options.run if hierarchy is None else hierarchy, options.connect) as client:
             info = RunInfo.read(client.ask({"ask": "record", "pid": 0 if options.connect else os.getpid()}))
-        recording = LiveRecording(
-            info, client.endpoint, target, check=False, host=host, epochs=epochs, watches=True, selection=selection
-        )
+        recorder = Recorder(info, target, selection=selection, epochs=epochs)
+        recording = LiveRecording(recorder, client.endpoint, host=host, watches=True)
         for number in (signal.SIGINT, signal.SIGTERM):
             signal.signal(number, lambda *_: recording.stop())
         notify(f"recording {info.hierarchy}, run {info.run}; Ctrl-C ends it")

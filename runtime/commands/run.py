@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from secrets import token_hex
 from typing import TYPE_CHECKING, Any
 
 from hierax.runtime.commands.options import OF_A_RUN, File, RunOptions, offers
@@ -21,7 +22,8 @@ def run(file: File, options: RunOptions) -> int:
     from hierax.runtime.deployment.snippet import read_schedule
     from hierax.runtime.execution import single
     from hierax.runtime.execution.pacemaker import Breaker
-    from hierax.runtime.recording.recorder import InProcess
+    from hierax.runtime.recording.info import RunInfo
+    from hierax.runtime.recording.recorder import InProcess, Recorder
     from hierax.runtime.watch.prints import named_turns
     from hierax.schemas.roster import new_nodes
 
@@ -32,7 +34,8 @@ def run(file: File, options: RunOptions) -> int:
     def run_scheduled(deployment: Deployment, **given: Any) -> Report:
         schedule = read_schedule(options.at or (), deployment)
         if recorded or options.check:
-            taking.append(InProcess(deployment, options.seed, overrides, target, options.check, selection))
+            info = RunInfo.of(deployment, token_hex(4), "run", options.seed, overrides, from_start=True)
+            taking.append(InProcess(Recorder(info, target, options.check, selection)))
         try:
             recording = taking[0] if taking else None
             given.update(schedule=schedule, watch=_spans(deployment), record=recording, breaker=Breaker())

@@ -69,11 +69,10 @@ def _walk_arrays(a: np.ndarray[Any, Any], b: np.ndarray[Any, Any], path: str, to
         yield Unlike(f"{path} (array)", _described(a), _described(b))
         return
     if tolerance and a.dtype.kind in "fciub" and b.dtype.kind in "fciub":
-        near = np.isclose(a.astype(_wide(a)), b.astype(_wide(b)), rtol=tolerance, atol=tolerance, equal_nan=True)
-        different = ~near
+        wide = np.complex128 if "c" in (a.dtype.kind, b.dtype.kind) else np.float64
+        different = ~np.isclose(a.astype(wide), b.astype(wide), rtol=tolerance, atol=tolerance, equal_nan=True)
     else:
-        different = _bits(a) != _bits(b)
-        different = different.any(axis=-1)
+        different = (_bits(a) != _bits(b)).any(axis=-1)
     places = np.argwhere(different)
     for place in places[:1]:
         at = tuple(int(index) for index in place)
@@ -85,10 +84,6 @@ def _walk_arrays(a: np.ndarray[Any, Any], b: np.ndarray[Any, Any], path: str, to
 def _bits(array: np.ndarray[Any, Any]) -> np.ndarray[Any, Any]:
     flat = np.ascontiguousarray(array).reshape(-1)
     return flat.view(np.uint8).reshape(*array.shape, array.dtype.itemsize)
-
-
-def _wide(array: np.ndarray[Any, Any]) -> Any:
-    return np.complex128 if array.dtype.kind == "c" else np.float64
 
 
 def _described(array: np.ndarray[Any, Any]) -> str:
@@ -136,9 +131,6 @@ class Vigilance:
         """Look at all of it after a call. Raises `OperatorError` if something is not what it was before."""
         for what, value, before in self._kept:
             if _encoded(value) != before:
-                raise OperatorError(call.subject, call.operator, epoch, _told(what, value, before))
-
-
-def _told(what: str, value: Value, before: bytes) -> str:
-    where = difference(decode_value(before), value, (), what)
-    return f"changed the {what} that it was given ({where}); make a copy, or a new value"
+                where = difference(decode_value(before), value, (), what)
+                told = f"changed the {what} that it was given ({where}); make a copy, or a new value"
+                raise OperatorError(call.subject, call.operator, epoch, told)

@@ -265,8 +265,9 @@ class Engine:
         wiring = self._prepared.get(header.roster)
         if wiring is None or header.receiver != self.name:
             return False
-        if wiring.below.get((header.sender, header.kind)) != header.instance:
-            return False
+        return wiring.below.get((header.sender, header.kind)) == header.instance and self._is_later(header)
+
+    def _is_later(self, header: Header) -> bool:
         return self.moves_on(header.epoch) or (header.epoch == self.epoch > 0 and header.attempt > self.attempt)
 
     def _hold(self, message: Message, verdict: Verdict) -> None:

@@ -102,10 +102,10 @@ class StaleEngine(Engine):
         if self._world is not None or waits or len(messages) < len(self.wiring.below):
             return False
         headers = [message.header for message in messages.values()]
-        newest = max((header.epoch, header.attempt) for header in headers)
+        newest = max(header.when for header in headers)
         if newest <= (self.epoch, self.attempt):
             return False
-        late = [header for header in headers if (header.epoch, header.attempt) < newest]
+        late = [header for header in headers if header.when < newest]
         if late and any(DRAIN in header.extensions for header in headers if header not in late):
             return False  # a drained epoch has all its observations
         epoch, attempt = newest
@@ -151,7 +151,7 @@ class StaleEngine(Engine):
         header = message.header
         slot = (header.sender, header.kind)
         known = self._below.get(slot)
-        if known is None or (known.header.epoch, known.header.attempt) < (header.epoch, header.attempt):
+        if known is None or known.header.when < header.when:
             self._below[slot] = message
         elif known.header[:SLOT_FIELDS] == header[:SLOT_FIELDS]:
             self._check_same(known, message)
@@ -189,33 +189,20 @@ class StaleEngine(Engine):
             return epoch > self.epoch
         return super().moves_on(epoch)
 
-    def _takes_up(self, header: Header) -> bool:
+    def _is_later(self, header: Header) -> bool:
         # in the middle of an epoch, too: what it waits for may have been lost with a process
-        wiring = self._prepared.get(header.roster)
-        if wiring is None or header.receiver != self.name:
-            return False
-        if wiring.below.get((header.sender, header.kind)) != header.instance:
-            return False
-        return (header.epoch, header.attempt) > (self.epoch, self.attempt)
+        return header.when > (self.epoch, self.attempt)
 
     def _turn(self, epoch: int, attempt: int) -> None:
         if not self._joins:
             is_unfinished = self.phase is not Phase.DONE
             self.ages.left_out += epoch - self.epoch - 1 + is_unfinished
-        self._remember()
+        if self._staleness.epochs:  # a neighbour below may be in that epoch still, and lack what is as old as it may be
+            oldest = self.epoch - self._staleness.epochs
+            self._sent_in[self.epoch] = dict(self._sent)
+            self._sent_in = {earlier: sent for earlier, sent in self._sent_in.items() if earlier >= oldest}
         self._settle(epoch)
         super()._turn(epoch, attempt)
-
-    def _remember(self) -> None:
-        """Keep what was said in the epoch that is left behind for as long as somebody may lack it.
-
-        A neighbour below may be in that epoch still, and lack what is as old as it may be there.
-        """
-        if self._staleness.epochs:
-            self._sent_in[self.epoch] = dict(self._sent)
-            self._sent_in = {
-                epoch: sent for epoch, sent in self._sent_in.items() if epoch >= self.epoch - self._staleness.epochs
-            }
 
     def _undo(self, attempt: int) -> None:
         self._settle(self.epoch)
@@ -233,7 +220,7 @@ class StaleEngine(Engine):
 
     def _sense(self) -> None:
         headers = [message.header for message in self.inbox.values()]
-        self.used = {(header.sender, header.kind): (header.epoch, header.attempt) for header in headers}
+        self.used = {(header.sender, header.kind): header.when for header in headers}
         self.drains = any(DRAIN in header.extensions for header in headers if header.epoch == self.epoch)
         super()._sense()
 
@@ -253,7 +240,7 @@ class StaleEngine(Engine):
             message = self._choose(slot)
             if message is not None:
                 chosen[slot] = message
-                self.used[slot] = (message.header.epoch, message.header.attempt)
+                self.used[slot] = message.header.when
                 self.ages.add(self.epoch - message.header.epoch)
         return chosen
 

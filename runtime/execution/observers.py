@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from contextlib import ExitStack
 
 from hierax.runtime.core.elements import Value
@@ -81,16 +81,14 @@ class Observers:
         self._set_watchers(())
         with ExitStack() as closing:  # one that raises keeps none from being closed
             for probe in reversed(self._probes):
-                closing.callback(self._close, probe)
-
-    def _close(self, probe: Probe) -> None:
-        try:
-            probe.close()
-        except Exception as error:
-            raise ProbeError(self._name, probe, "close", error) from error
+                closing.callback(self._call, probe, "close", probe.close)
 
     def _show(self, probe: Probe, completed: Completed) -> None:
+        step = completed.step
+        self._call(probe, f"record in epoch {step.epoch}", probe.record, step)
+
+    def _call(self, probe: Probe, operation: str, method: Callable[..., None], *arguments: object) -> None:
         try:
-            probe.record(completed.step)
+            method(*arguments)
         except Exception as error:
-            raise ProbeError(self._name, probe, f"record in epoch {completed.step.epoch}", error) from error
+            raise ProbeError(self._name, probe, operation, error) from error

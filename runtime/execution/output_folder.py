@@ -144,15 +144,8 @@ def open_probes(
     probes = tuple(build_probe(spec.reference, f"probes[{i}]", allowance) for i, spec in own)
     for probe, (_, spec) in zip(probes, own, strict=True):
         probe.overwrite = spec.overwrite
-        _open(probe, name, output, again)
+        try:
+            (probe.open_again if again else probe.open)(output)
+        except Exception as error:
+            raise ProbeError(name, probe, "open", error) from error
     return probes
-
-
-def _open(probe: Probe, name: str, output: Path | None, again: bool) -> None:
-    try:
-        if again:
-            probe.open_again(output)
-        else:
-            probe.open(output)
-    except Exception as error:
-        raise ProbeError(name, probe, "open", error) from error

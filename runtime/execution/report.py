@@ -18,7 +18,6 @@ SMALL_ARRAY = 64  # arrays of so many elements are given whole
 SMALL_BYTES = 64  # so many bytes are given whole
 
 HEAD_BYTES = 16
-_DIGEST_BYTES = 32
 
 Json = Any  # none, a bool, int, finite float, str, list of these or dict from str to these
 
@@ -42,7 +41,9 @@ def plain(value: Value, full: bool = False) -> Json:
         return [_number(value.real), _number(value.imag)]
     if isinstance(value, (bytes, bytearray, memoryview)):
         given = bytes(value)
-        return given.hex() if full or len(given) <= SMALL_BYTES else {"bytes": _about_bytes(given)}
+        if full or len(given) <= SMALL_BYTES:
+            return given.hex()
+        return {"bytes": {"size": len(given), "head": given[:HEAD_BYTES].hex(), "blake2b": _digest(given)}}
     if isinstance(value, dict):
         return {str(key): plain(item, full) for key, item in value.items()}
     if isinstance(value, (tuple, list)):
@@ -50,7 +51,11 @@ def plain(value: Value, full: bool = False) -> Json:
     if isinstance(value, np.generic):
         return plain(value.item())
     if isinstance(value, np.ndarray):
-        return _array(value) if full or value.size <= SMALL_ARRAY else {"array": _about_array(value)}
+        if full or value.size <= SMALL_ARRAY:
+            simple = value.dtype.kind in "biu" or (value.dtype.kind == "f" and bool(np.isfinite(value).all()))
+            return value.tolist() if simple else plain(value.tolist())
+        about = {"dtype": str(value.dtype), "shape": list(value.shape), "blake2b": _digest(array_elements(value))}
+        return {"array": {**about, **statistics(value)}}
     raise TypeError(f"a {type(value).__name__} is no value")
 
 
@@ -67,27 +72,14 @@ def statistics(array: np.ndarray[Any, Any]) -> dict[str, Json]:
     return about
 
 
-def _about_array(array: np.ndarray[Any, Any]) -> dict[str, Json]:
-    digest = blake2b(array_elements(array), digest_size=_DIGEST_BYTES).hexdigest()
-    return {"dtype": str(array.dtype), "shape": list(array.shape), "blake2b": digest, **statistics(array)}
-
-
-def _about_bytes(given: bytes) -> dict[str, Json]:
-    digest = blake2b(given, digest_size=_DIGEST_BYTES).hexdigest()
-    return {"size": len(given), "head": given[:HEAD_BYTES].hex(), "blake2b": digest}
-
-
-def _array(array: np.ndarray[Any, Any]) -> Json:
-    simple = array.dtype.kind in "biu" or (array.dtype.kind == "f" and bool(np.isfinite(array).all()))
-    return array.tolist() if simple else plain(array.tolist())
+def _digest(data: bytes | memoryview) -> str:
+    return blake2b(data, digest_size=32).hexdigest()
 
 
 def _number(number: float) -> float | str:
     if math.isfinite(number):
         return float(number)
-    if math.isnan(number):
-        return "NaN"
-    return "Infinity" if number > 0 else "-Infinity"
+    return "NaN" if math.isnan(number) else "Infinity" if number > 0 else "-Infinity"
 
 
 @dataclass(frozen=True)

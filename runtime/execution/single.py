@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Awaitable, Callable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Sequence
+from contextlib import nullcontext
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Protocol
-
-import anyio
+from typing import Protocol
 
 from hierax.runtime.core.binding import OperatorSetting
 from hierax.runtime.core.digest import DigestChain
@@ -19,7 +17,6 @@ from hierax.runtime.core.process import ActiveNode
 from hierax.runtime.deployment import Deployment
 from hierax.runtime.deployment.snippet import Scheduled
 from hierax.runtime.engine.effects import Saved
-from hierax.runtime.engine.engine import Engine
 from hierax.runtime.engine.table import Phase, Verdict
 from hierax.runtime.engine.wiring import Wiring
 from hierax.runtime.execution.checkpoints import taken_over
@@ -30,7 +27,7 @@ from hierax.runtime.execution.pacemaker import Breaker, Pacemaker
 from hierax.runtime.execution.report import Interrupted, NodeReport, Report, make_report
 from hierax.runtime.execution.runner import Host, NodeRunner, World
 from hierax.runtime.loading.loader import build_hierarchy
-from hierax.runtime.loading.node_loader import NodeLoader
+from hierax.runtime.loading.node_loader import NodeLoader, wait_for
 from hierax.runtime.owner.roster_changes import ChangeError, Undo, apply
 from hierax.runtime.transport.port import MemoryNetwork
 from hierax.schemas.messages import Header
@@ -92,11 +89,8 @@ def run(
     pacemaker = Pacemaker(chain, deployment.epochs if epochs is None else epochs, on_commit)
     nodes = _Nodes(deployment, seed, pacemaker, output, schedule, watch, record, acts, turn or (lambda name: None))
     try:
-        if breaker is None:
+        with nullcontext() if breaker is None else breaker.guarding(pacemaker):
             nodes.run()
-        else:
-            with breaker.guarding(pacemaker):
-                nodes.run()
     finally:
         nodes.close()
         if digests is not None:
@@ -163,7 +157,7 @@ class _Nodes(Host):
 
     def __post_init__(self) -> None:
         deployment = self.deployment
-        self._setting = OperatorSetting(self.seed, _wait)
+        self._setting = OperatorSetting(self.seed, wait_for)
         self._schedule = list(self.schedule)
         self._begins = _World(self.pacemaker, self, [scheduled.epoch for scheduled in self.schedule], self.acts)
         self._alone = {name for name, policy in deployment.restarts.items() if policy.fails_alone}
@@ -195,8 +189,12 @@ class _Nodes(Host):
         reports: dict[str, NodeReport] = {}
         unreported: dict[str, str] = {}
         for name, runner in sorted(self.runners.items()):
-            with _kept(name, unreported if committed is not None else None):
+            try:
                 reports[name] = runner.report(committed)
+            except HieraxError as error:  # noqa: PERF203 - each for itself
+                if committed is None:
+                    raise
+                unreported[name] = str(error)
         return reports, unreported
 
     def _deliver_all(self) -> None:
@@ -257,18 +255,23 @@ class _Nodes(Host):
     def failed(self, error: OperatorError) -> None:
         """What fails alone is detached, or undone, and the epoch begun again without it; as in a launch."""
         world = self.runners[self._world].engine
-        again: OperatorError | None = error
-        while again is not None:
-            name = self._culprit(again)
+        while True:
+            name = self._culprit(error)
             if self._is_tried(name):
-                _log.warning("%s; what %s has replaced goes on", again, name)
+                _log.warning("%s; what %s has replaced goes on", error, name)
                 self._apply(world.epoch, Undo(name, self._trials[name].before))
             else:
-                _log.warning("%s; %s is detached (on_loss)", again, name)
+                _log.warning("%s; %s is detached (on_loss)", error, name)
                 self._failed.add(name)
                 self._apply(world.epoch, Detach(name, cascade=True))
             self._network.drop_all()
-            again = self._begin_again(world)
+            if world.phase is Phase.DONE:  # epochs overlap: the next one is the first without it
+                return
+            try:
+                world.begin_again(world.attempt + 1)
+                return
+            except OperatorError as again:
+                error = again
 
     def _culprit(self, error: OperatorError) -> str:
         """The node that an error is blamed on. Raises the error, if that node does not fail alone."""
@@ -281,15 +284,6 @@ class _Nodes(Host):
     def _is_tried(self, name: str) -> bool:
         """Whether a node has replaced another one with the epoch under way."""
         return name in self._trials and self._trials[name].epoch == self.runners[self._world].engine.epoch
-
-    def _begin_again(self, world: Engine) -> OperatorError | None:
-        if world.phase is Phase.DONE:  # epochs overlap: the next one is the first without it
-            return None
-        try:
-            world.begin_again(world.attempt + 1)
-        except OperatorError as error:
-            return error
-        return None
 
     def _apply(self, epoch: int, change: Change | Undo) -> None:
         old, version = self._roster, self._roster.version + 1
@@ -331,21 +325,3 @@ class _Nodes(Host):
     def _close(self, name: str) -> None:
         self._observers.pop(name).close()
         self.runners.pop(name).port.close()
-
-
-@contextmanager
-def _kept(name: str, failures: dict[str, str] | None) -> Iterator[None]:
-    """Keep why a node fails, where that is wanted."""
-    try:
-        yield
-    except HieraxError as error:
-        if failures is None:
-            raise
-        failures[name] = str(error)
-
-
-def _wait(awaitable: Awaitable[Any]) -> Any:
-    async def wait() -> Any:
-        return await awaitable
-
-    return anyio.run(wait)

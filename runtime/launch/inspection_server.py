@@ -24,7 +24,7 @@ from hierax.runtime.engine.table import Phase
 from hierax.runtime.execution.observers import Observers
 from hierax.runtime.transport.control import InspectionEndpoint
 from hierax.runtime.watch.meter import Meter
-from hierax.runtime.watch.watcher import Copier, Edge, Stepper
+from hierax.runtime.watch.watcher import Copier, Edge, Stepper, Watcher
 from hierax.schemas.errors import SchemaError, shown
 from hierax.schemas.keys import STEP, check_name
 from hierax.schemas.messages import CONTEXT, OBSERVATIONS, TASKS
@@ -51,12 +51,9 @@ class InspectionServer:
     busy: Callable[[], str]  # the operator that the node's thread is in, as ``OPERATOR of SUBJECT``; empty: in none
 
     def __post_init__(self) -> None:
-        self._meter: Meter | None = None
-        self._copier: Copier | None = None
+        self._meter, self._copier, self._stepper = Meter(), Copier(self.endpoint.show), Stepper()
+        self._until_s: dict[Watcher, float] = {}  # of those that watch now
         self._wanted: dict[Edge, float] = {}
-        self._metered_s = 0.0
-        self._stepper: Stepper | None = None
-        self._stepped_s = 0.0
         self._looks: Mapping[str, Callable[[Mapping[str, Any]], dict[str, Value]]] = {
             "meter": self._answer_times,
             "state": self._answer_state,
@@ -69,9 +66,8 @@ class InspectionServer:
         """Answer what was asked, and give up what nobody asks for any more."""
         for question, reply in self.endpoint.questions():
             reply(self._answer(question))
-        if self._stepper is not None:
-            for data in self._stepper.take():
-                self.endpoint.show(STEP, self.name, self.name, data)
+        for data in self._stepper.take():
+            self.endpoint.show(STEP, self.name, self.name, data)
         self._expire(time.monotonic())
 
     def _answer(self, question: Value) -> Value:
@@ -85,10 +81,9 @@ class InspectionServer:
             return {"refusal": str(error)}
 
     def _answer_times(self, question: Mapping[str, Any]) -> dict[str, Value]:
-        self._metered_s = time.monotonic()
-        if self._meter is None:
+        if self._meter not in self._until_s:
             self._meter = Meter()
-            self.observers.watch(self._meter)
+        self._lease(self._meter)
         busy = self.busy()
         engine = self.observers.engine
         waits = () if engine is None else engine.waits_for
@@ -147,39 +142,31 @@ class InspectionServer:
             known = (kind, sender, receiver) in self._wanted or len(self._wanted) < MAX_EDGES
             if sender == self.name and known:
                 self._wanted[kind, sender, receiver] = until_s
-        if self._wanted and self._copier is None:
-            self._copier = Copier(self.endpoint.show)
-            self.observers.watch(self._copier)
-        if self._copier is not None:
-            self._copier.wanted = frozenset(self._wanted)
+        self._copier.wanted = frozenset(self._wanted)
+        if self._wanted:
+            self._lease(self._copier)
         return {"lease_s": LEASE_S}
 
     def _answer_steps(self, question: Mapping[str, Any]) -> dict[str, Value]:
         every = question.get("every")
         if type(every) is not int or every < 1:
             raise SchemaError(f"expected a whole number from 1, got {shown(every)}", "every")
-        self._stepped_s = time.monotonic()
-        if self._stepper is None:
-            self._stepper = Stepper()
-            self.observers.watch(self._stepper)
+        self._lease(self._stepper)
         self._stepper.every = every
         roster = self.roster()
         return {"lease_s": LEASE_S, "roster": None if roster is None else roster.plain()}
 
+    def _lease(self, watcher: Watcher) -> None:
+        if watcher not in self._until_s:
+            self.observers.watch(watcher)
+        self._until_s[watcher] = time.monotonic() + LEASE_S
+
     def _expire(self, now: float) -> None:
-        if self._stepper is not None and now - self._stepped_s > LEASE_S:
-            self.observers.unwatch(self._stepper)
-            self._stepper = None
-        if self._meter is not None and now - self._metered_s > LEASE_S:
-            self.observers.unwatch(self._meter)
-            self._meter = None
-        if self._copier is None:
-            return
         self._wanted = {edge: until_s for edge, until_s in self._wanted.items() if until_s > now}
         self._copier.wanted = frozenset(self._wanted)
-        if not self._wanted:
-            self.observers.unwatch(self._copier)
-            self._copier = None
+        for watcher in [each for each, until_s in self._until_s.items() if now > until_s]:
+            self.observers.unwatch(watcher)
+            del self._until_s[watcher]
 
 
 def _edges_of(question: Mapping[str, Any]) -> list[Edge]:

@@ -102,13 +102,8 @@ def pacemaker_of(order: NodeOrder, epochs: EpochPublisher) -> Pacemaker:
 
 def preload(modules: tuple[str, ...], allowance: Allowance) -> None:
     """Import what will be needed; what fails, or may not be loaded, is told when it is."""
-    for module in modules:
-        if allowance.covers(module):
-            _preload(module)
-
-
-def _preload(module: str) -> None:
-    try:
-        importlib.import_module(module)
-    except Exception as error:
-        _log.info("%s cannot be imported yet: %s", module, error)
+    for module in filter(allowance.covers, modules):
+        try:
+            importlib.import_module(module)
+        except Exception as error:  # noqa: PERF203 - each for itself
+            _log.info("%s cannot be imported yet: %s", module, error)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import AsyncIterator, Callable, Mapping
 from contextlib import asynccontextmanager
+from functools import partial
 from secrets import token_hex
 from typing import Any, get_args, get_type_hints
 
@@ -79,11 +80,7 @@ class Requests:
                 portal.start_task_soon(self._handle, data, reply)
 
             hub.serve(on_query)
-
-            def on_gone(name: str, token: str) -> None:
-                portal.start_task_soon(self._processes.on_gone, name, token)
-
-            hub.watch(on_gone)
+            hub.watch(partial(portal.start_task_soon, self._processes.on_gone))
             try:
                 yield
             finally:
@@ -109,10 +106,16 @@ class Requests:
         if ask == PS:
             return self._status()
         if ask == RECORD:
-            self._processes.orders.recorders.add(_pid_of(query))
+            pid = query.get("pid")
+            if type(pid) is not int or not 0 <= pid < MAX_PID:
+                raise SchemaError(f"expected a process's number, got {shown(pid)}", "question.pid")
+            self._processes.orders.recorders.add(pid)
             return self._processes.orders.info(from_start=False).plain()
         if ask == AWAIT:
-            return await self._changes.wait(_text_of(query, "request"))
+            request = query.get("request")
+            if not isinstance(request, str):
+                raise SchemaError(f"expected a text, got {shown(request)}", "question.request")
+            return await self._changes.wait(request)
         return await self._change_if_room(query)
 
     async def _change_if_room(self, query: dict[str, Any]) -> Value:
@@ -243,17 +246,3 @@ _POLICY: Mapping[str, Callable[[Value], bool]] = {
     "rejoin_timeout_s": _is_time,
     "on_loss": _one_of("on_loss"),
 }
-
-
-def _pid_of(query: Mapping[str, Any]) -> int:
-    pid = query.get("pid")
-    if type(pid) is not int or not 0 <= pid < MAX_PID:
-        raise SchemaError(f"expected a process's number, got {shown(pid)}", "question.pid")
-    return pid
-
-
-def _text_of(query: Mapping[str, Any], field_name: str) -> str:
-    text = query.get(field_name)
-    if not isinstance(text, str):
-        raise SchemaError(f"expected a text, got {shown(text)}", f"question.{field_name}")
-    return text

@@ -11,7 +11,7 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 
 from hierax.runtime.core.errors import PlacedError
-from hierax.schemas.roster import Attach, Change, Reference, Replace, Roster, RosterEdge
+from hierax.schemas.roster import FUNCTIONS, Attach, Change, Reference, Replace, Roster, RosterEdge
 
 TARGET_PATTERN = r"^[A-Za-z_]\w*(\.[A-Za-z_]\w*)*:[A-Za-z_]\w*$"
 """``package.module:name``: one name in a module, nothing within what that names."""
@@ -101,7 +101,7 @@ def references(named: Roster | Change) -> Iterable[tuple[str, Reference]]:
     for name in sorted(nodes):
         yield f"nodes.{name}.class", nodes[name]
     for edge in edges:
-        for kind in ("sense", "task", "context"):
+        for kind in FUNCTIONS:
             reference: Reference | None = getattr(edge, kind)
             if reference is not None:
                 yield f"edges.{edge.lower} -> {edge.upper}.{kind}", reference

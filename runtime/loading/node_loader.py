@@ -15,7 +15,7 @@ from hierax.runtime.core.node import Node, World
 from hierax.runtime.engine.wiring import Place, Wiring
 from hierax.runtime.loading.allowance import Allowance
 from hierax.runtime.loading.loader import bind_edge, bind_node, build_edge, build_node
-from hierax.schemas.roster import Roster, RosterEdge
+from hierax.schemas.roster import Roster, RosterEdge, plain_edge
 from hierax.schemas.values import encode_value
 
 NEAR = 0.8  # how alike two names are, from 0 to 1, of which one is taken for the other misspelt
@@ -30,7 +30,7 @@ class NodeLoader:
         self._setting = setting
         self._allowance = allowance
         self._nodes: dict[bytes, Node] = {}
-        self._edges: dict[RosterEdgeKey, BoundEdge] = {}
+        self._edges: dict[bytes, BoundEdge] = {}
         self._bound: BoundNode | None = None
         self._pairs: list[Pair] = []
 
@@ -64,14 +64,10 @@ class NodeLoader:
 
     def _edge(self, edge: RosterEdge) -> BoundEdge:
         side = "lower" if self._name == edge.lower else "upper"
-        functions = [None if part is None else part.plain() for part in (edge.sense, edge.task, edge.context)]
-        key = (edge.pair, encode_value(functions))
+        key = encode_value(plain_edge(edge))
         if key not in self._edges:
             self._edges[key] = bind_edge(build_edge(edge, self._allowance, side), self._setting, side)
         return self._edges[key]
-
-
-RosterEdgeKey = tuple[tuple[str, str], bytes]  # an edge's pair and its functions, encoded
 
 
 def misspelt_operators(given: type) -> list[str]:

@@ -34,9 +34,9 @@ from hierax.runtime.core.graph import check_graph
 from hierax.runtime.core.hierarchy import neighbours_above, neighbours_below
 from hierax.runtime.core.staleness import BARRIER, Staleness
 from hierax.runtime.recording.reading import Recording
-from hierax.runtime.recording.topics import MESSAGE, ROSTER, STEP, MessageSummary, glance
+from hierax.runtime.recording.topics import MESSAGE, ROSTER, STEP, glance
 from hierax.runtime.recording.trace import Attempt, Line
-from hierax.schemas.messages import CONTEXT, OBSERVATIONS, TASKS
+from hierax.schemas.messages import CONTEXT, OBSERVATIONS, TASKS, Header
 from hierax.schemas.roster import Roster
 from hierax.schemas.steps import NodeStep, Passage
 
@@ -107,7 +107,7 @@ class Checker:
         self._times: dict[Attempt, float] = {}
         self._waiting: deque[NodeStep] = deque()
         self._bytes = 0
-        self._held: list[MessageSummary] = []
+        self._held: list[Header] = []
         self._early: deque[NodeStep] = deque()
         self._committed: tuple[int, int, bytes] = (0, 0, b"")
         self._since: dict[int, int] = {}
@@ -130,23 +130,23 @@ class Checker:
 
     def message(self, data: bytes) -> None:
         """A message along an edge."""
-        header = glance(data)
-        when = header.when
+        header, payload_at = glance(data)
+        when, what = header.when, _in_words(header)
         known = self._messages.setdefault(when, {})
-        content = crc32(memoryview(data)[header.payload_at :])  # what is in the extensions may change
+        content = crc32(memoryview(data)[payload_at:])  # what is in the extensions may change
         before = known.get(header.line)
         self._since[header.roster] = min(header.epoch, self._since.get(header.roster, header.epoch))
         if before is None:
             known[header.line] = (content, header.digest)
             self._check_edge(header)
         elif before[0] != content:
-            self._break("ONCE", when, f"{header} was sent twice, unlike")
+            self._break("ONCE", when, f"{what} was sent twice, unlike")
         time_s = self._times.setdefault(when, header.time_s)
         if time_s != header.time_s:
             self._break("TIME", when, f"{header.sender} says it is {header.time_s} s, another one {time_s} s")
         epoch, attempt, _ = self._committed
         if self._staleness.barrier and header.epoch == epoch and header.attempt > attempt:
-            self._break("COMMIT", when, f"{header} after its commit")
+            self._break("COMMIT", when, f"{what} after its commit")
 
     def step(self, step: NodeStep) -> None:
         """A step of a node."""
@@ -181,7 +181,7 @@ class Checker:
 
     # --- the rules
 
-    def _check_edge(self, header: MessageSummary) -> None:
+    def _check_edge(self, header: Header) -> None:
         roster = self._rosters.get(header.roster)
         if roster is None:
             if len(self._held) < SHOWN:
@@ -190,13 +190,13 @@ class Checker:
         upward = header.kind == OBSERVATIONS
         pair = (header.sender, header.receiver) if upward else (header.receiver, header.sender)
         edge = next((edge for edge in roster.edges if edge.pair == pair), None)
-        named = roster.instance(header.sender)
+        what, named = _in_words(header), roster.instance(header.sender)
         if edge is None:
-            self._break("EDGE", header.when, f"{header}: version {header.roster} has no such edge")
+            self._break("EDGE", header.when, f"{what}: version {header.roster} has no such edge")
         elif header.kind == TASKS and edge.task is None:
-            self._break("EDGE", header.when, f"{header}: the edge has no task function")
+            self._break("EDGE", header.when, f"{what}: the edge has no task function")
         elif header.instance != named:
-            self._break("EDGE", header.when, f"{header}: from instance {header.instance}, the roster names {named}")
+            self._break("EDGE", header.when, f"{what}: from instance {header.instance}, the roster names {named}")
 
     def _check_order(self, step: NodeStep, log: _PortLog, seat: _Seat) -> None:
         self.checked += 1
@@ -293,6 +293,10 @@ class Checker:
     def _break(self, rule: str, when: Attempt, what: str) -> None:
         if len(self.violations) < SHOWN:
             self.violations.append(Violation(rule, *when, what))
+
+
+def _in_words(header: Header) -> str:
+    return f"{header.kind} {header.sender} -> {header.receiver}"
 
 
 def check_recording(recording: Recording) -> Checker:

@@ -79,7 +79,7 @@ def compare(a: Iterable[EpochView], b: Iterable[EpochView], tolerance: float = 0
             if left.digest != right.digest:
                 result.difference = Difference(left.epoch, "run", "digest", "digest", left.digest, right.digest)
         if result.difference is not None:
-            return result
+            break
         result.equal += 1
     return result
 
@@ -95,13 +95,11 @@ def roster_differences(epoch: int, a: Roster, b: Roster) -> list[RosterDifferenc
 def _paired(a: Iterator[EpochView], b: Iterator[EpochView]) -> Iterator[tuple[EpochView, EpochView]]:
     left, right = next(a, None), next(b, None)
     while left is not None and right is not None:
+        first = min(left.epoch, right.epoch)
         if left.epoch == right.epoch:
             yield left, right
-            left, right = next(a, None), next(b, None)
-        elif left.epoch < right.epoch:
-            left = next(a, None)
-        else:
-            right = next(b, None)
+        left = next(a, None) if left.epoch == first else left
+        right = next(b, None) if right.epoch == first else right
 
 
 def _differences(a: EpochView, b: EpochView, tolerance: float, result: Comparison) -> Iterator[Difference]:
@@ -138,28 +136,24 @@ def _differences(a: EpochView, b: EpochView, tolerance: float, result: Compariso
             yield from line(OBSERVATIONS, name, upper)
     for name in reversed(names):
         yield from _used_unlike(a, b, name, upward=False)
-        left, right = a.state_of(name), b.state_of(name)
-        if left is None or right is None:
-            result.unknown += 1
-            left = right = None
+        states = [state for state in (a.state_of(name), b.state_of(name)) if state is not None]
+        result.unknown += len(states) < 2
         below = neighbours_below(name, pairs)
-        if left is not None and right is not None:
-            yield from unlike(name, "select_policy", "policy", (left.policy,), (right.policy,))
-            yield from unlike(name, f"policy {left.policy}", "actions", (left.actions,), (right.actions,))
+        if len(states) == 2:
+            yield from unlike(name, "select_policy", "policy", *((state.policy,) for state in states))
+            yield from unlike(name, f"policy {states[0].policy}", "actions", *((state.actions,) for state in states))
         for lower in below:
             if all((lower, name) in edges for edges in tasks):
                 yield from line(TASKS, name, lower)
-        if left is not None and right is not None:
-            yield from unlike(name, "predict", "belief", (left.belief,), (right.belief,))
+        if len(states) == 2:
+            yield from unlike(name, "predict", "belief", *((state.belief,) for state in states))
         for lower in below:
             yield from line(CONTEXT, name, lower)
 
 
 def _used_unlike(a: EpochView, b: EpochView, name: str, upward: bool) -> Iterator[Difference]:
     """Where epochs overlap, inputs of other epochs are what makes results differ."""
-    left, right = a.used_of(name), b.used_of(name)
-    if left is None or right is None:
-        return
+    left, right = a.used_of(name) or {}, b.used_of(name) or {}
     for slot in sorted(left.keys() & right.keys()):
         sender, kind = slot
         if (kind == OBSERVATIONS) == upward and left[slot][0] != right[slot][0]:

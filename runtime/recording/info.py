@@ -19,8 +19,8 @@ from hierax.runtime.deployment import Deployment
 from hierax.runtime.deployment.secrets import public_settings, public_text
 from hierax.runtime.host.private_files import errors_named
 from hierax.runtime.host.run_folder import RECORDING, is_sealed, seal_or_warn
-from hierax.schemas.errors import SchemaError, shown
-from hierax.schemas.keys import check_name
+from hierax.schemas.errors import shown
+from hierax.schemas.keys import is_name
 
 FORMAT = 2
 READ = (1, FORMAT)  # what this version reads; the first format has neither modules nor a seal
@@ -168,13 +168,6 @@ def _is_text(value: object) -> bool:
     return isinstance(value, str) and "\x00" not in value and not any("\ud800" <= char <= "\udfff" for char in value)
 
 
-def _is_name(value: object) -> bool:
-    try:
-        return bool(check_name(value))  # type: ignore[arg-type]
-    except SchemaError:
-        return False
-
-
 Expected = tuple[str, Callable[[object], bool]]
 _BY_TYPE: dict[object, Expected] = {
     "str": ("text", _is_text),
@@ -193,7 +186,7 @@ _BY_TYPE: dict[object, Expected] = {
     "Mapping[str, Any]": ("a map", lambda value: isinstance(value, Mapping)),
     "tuple[Gap, ...]": ("a list of gaps", lambda value: isinstance(value, (list, tuple))),
 }
-_NAME: Expected = ("a name", _is_name)
+_NAME: Expected = ("a name", is_name)
 _NEW = ("modules", "seal", "left_out")  # fields that the first format lacks
 
 

@@ -19,8 +19,8 @@ from typing import Any
 from hierax.runtime.core.errors import HieraxError
 from hierax.runtime.host.streams import own_streams
 from hierax.runtime.recording.info import Ending, RunInfo
-from hierax.runtime.recording.recorder import open_recorder
-from hierax.runtime.recording.topics import EVERYTHING, Selection
+from hierax.runtime.recording.recorder import Recorder
+from hierax.runtime.recording.topics import Selection
 from hierax.runtime.recording.writing import Target
 from hierax.runtime.transport.bus_tap import BusTap
 from hierax.runtime.transport.launch_client import LaunchClient
@@ -39,26 +39,15 @@ LISTENING, DONE, FAILED = "listening", "done", "failed"
 
 
 class LiveRecording:
-    """A recorder at work: hears a run of an endpoint's hub, until it is told to stop. `file`, `check`, `epochs`,
-    `selection` are as `open_recorder` has them. The settings are Zenoh's own, the host is this machine's for processes
-    on others, and it `watches` where nobody else tells when the launch is over, and how far it came. Raises
-    `HieraxError` if the file cannot be written, or the run cannot be reached."""
+    """A recorder at work: hears a run of an endpoint's hub, until it is told to stop. The settings are Zenoh's own, the
+    host is this machine's for processes on others, and it `watches` where nobody else tells when the launch is over,
+    and how far it came. Raises `HieraxError` if the run cannot be reached."""
 
     def __init__(
-        self,
-        info: RunInfo,
-        endpoint: str,
-        file: Path | Target | None,
-        check: bool,
-        settings: Any = None,
-        host: str | None = None,
-        epochs: int | None = None,
-        watches: bool = False,
-        selection: Selection = EVERYTHING,
+        self, recorder: Recorder, endpoint: str, settings: Any = None, host: str | None = None, watches: bool = False
     ) -> None:
-        self._recorder = open_recorder(info, file, check, selection, epochs)
-        self.checker = self._recorder.checker
-        self._keys = Keys(info.hierarchy, info.run)
+        self._recorder = recorder
+        self._keys = Keys(recorder.info.hierarchy, recorder.info.run)
         self._ear = BusTap(endpoint, self._keys, settings, host)
         self._endpoint, self._settings = endpoint, settings
         self._stopping = False
@@ -78,7 +67,7 @@ class LiveRecording:
         looked_s = time.monotonic()
         try:
             # the order is checked further where nothing more is written
-            while not (self._stopping or (ledger.ended and not (self.checker is not None and recorder.cut))):
+            while not (self._stopping or (ledger.ended and not (recorder.checker is not None and recorder.cut))):
                 self._take(BATCH_S)
                 recorder.flush()
                 if self._watches and time.monotonic() - looked_s > LOOK_S:
@@ -146,23 +135,19 @@ def main() -> int:
     if not order:
         return 0
     try:
-        recording = _begun(order)
+        info, selection = RunInfo.read(order["info"]), Selection(**order["selection"])
+        file = Target(Path(order["file"]), order["descriptor"]) if order["file"] else None
+        recorder = Recorder(info, file, order["check"], selection)
+        recording = LiveRecording(recorder, order["endpoint"], order["settings"], order["host"])
         _say({"status": LISTENING})
         threading.Thread(target=_obey, args=(recording,), daemon=True).start()
         ending = recording.record()
     except HieraxError as error:
         _say({"status": FAILED, "why": str(error)})
         return 1
-    violations = [] if recording.checker is None else [str(each) for each in recording.checker.close()]
+    violations = [] if recorder.checker is None else [str(each) for each in recorder.checker.close()]
     _say({"status": DONE, "ending": ending.plain(), "violations": violations})
     return 0
-
-
-def _begun(order: Mapping[str, Any]) -> LiveRecording:
-    info, selection = RunInfo.read(order["info"]), Selection(**order["selection"])
-    file = Target(Path(order["file"]), order["descriptor"]) if order["file"] else None
-    given = (order["endpoint"], file, order["check"], order["settings"], order["host"])
-    return LiveRecording(info, *given, selection=selection)
 
 
 def _obey(recording: LiveRecording) -> None:

@@ -4,16 +4,14 @@ from __future__ import annotations
 
 import logging
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import replace
 from functools import cache, partial
 from pathlib import Path
-from secrets import token_hex
 from typing import TYPE_CHECKING
 
 import msgpack
 
-from hierax.runtime.deployment import Deployment
 from hierax.runtime.recording.check import Checker
 from hierax.runtime.recording.info import Ending, Gap, RunInfo
 from hierax.runtime.recording.ledger import Ledger
@@ -50,30 +48,30 @@ _log = logging.getLogger("hierax")
 
 
 class Recorder:
-    """Takes in what comes on the keys of a run, for a file, if there is one, and for a checker, which sees all of it.
-    `from_start` and `epochs` are as the `Ledger` has them; `barrier` says whether every node does every epoch, and the
-    selection, what is written."""
+    """Takes in what comes on the keys of a run, for a file, if one is given, and, if it is to `check`, for a checker,
+    which sees all of it. `epochs` is as the `Ledger` has it, and the selection says what is written. Raises
+    `RecordingError` if the file cannot be written."""
 
     def __init__(
         self,
-        file: McapFile | None,
-        checker: Checker | None = None,
-        from_start: bool = True,
-        epochs: int | None = None,
-        barrier: bool = True,
+        info: RunInfo,
+        file: Path | Target | None,
+        check: bool = False,
         selection: Selection = EVERYTHING,
+        epochs: int | None = None,
     ) -> None:
-        self.checker = checker
-        self.ledger = Ledger(from_start, epochs)
+        self.info = replace(info, left_out=tuple(selection.exclude))
+        self.checker = Checker(info.how_stale) if check else None
+        self.ledger = Ledger(info.from_start, epochs)
         self.cut = ""  # by which option of the selection nothing more is written
         self._selection = selection
         self._left_out = dict.fromkeys(selection.exclude, 0)
         self._pattern = cache(selection.leaves_out)
         self._begun_ns = self._newest = self._largest = self._bytes = self._mark = 0
-        self._file = file
-        self._barrier = barrier
+        self._file = None if file is None else McapFile(file, self.info)
+        self._barrier = info.how_stale.barrier
         self._versions: set[int] = set()
-        self._held: list[Entry] | None = None if from_start else []
+        self._held: list[Entry] | None = None if info.from_start else []
         self._messages = self._held_bytes = 0
 
     def take(self, heard: Sample) -> None:
@@ -87,7 +85,11 @@ class Recorder:
             _log.warning("not recorded, as it is not of this kind: %s: %s", heard.key, error)
             self.ledger.add(Gap(0, f"{heard.key}: {error}"))
             return
-        if epoch < 0 or not self.ledger.wants(epoch) or self._is_left_out(heard.key):
+        if epoch < 0 or not self.ledger.wants(epoch):
+            return
+        pattern = self._pattern(heard.key)
+        if pattern:
+            self._left_out[pattern] += 1
             return
         entry = Entry(heard.key, topic, heard.time_ns, epoch, data)
         if self._held is None:
@@ -104,7 +106,7 @@ class Recorder:
         if topic is None:
             return
         if topic.what == MESSAGE:
-            seen = glance(data)
+            seen, _ = glance(data)
             self.ledger.message(seen.line, *seen.when)
             what = f"{seen.kind} message {seen.sender} -> {seen.receiver}: the recorder could not keep up"
             self.ledger.add(Gap(seen.epoch, what))
@@ -155,12 +157,6 @@ class Recorder:
             if (not entry.epoch or entry.epoch >= first) and self.ledger.wants(entry.epoch):
                 self._write(entry)
 
-    def _is_left_out(self, key: str) -> bool:
-        pattern = self._pattern(key)
-        if pattern:
-            self._left_out[pattern] += 1
-        return bool(pattern)
-
     def _keep_bounds(self, file: McapFile, entry: Entry) -> None:
         """The last epoch that is recorded is the one under way when another one may be too much."""
         longest_s, most = self._selection.max_duration_s, self._selection.max_bytes
@@ -171,19 +167,15 @@ class Recorder:
         if entry.epoch > self._newest:
             self._largest = max(self._largest, self._bytes - self._mark)
             self._newest, self._mark = entry.epoch, self._bytes
-            if most is not None and self._is_near(file, most):
-                self.cut = f"--max-size {most} bytes"
+            rest = 2 * self._largest + INDEX_BYTES  # the epoch that begins, and another one
+            if most is not None and file.size + rest > most:
+                file.flush(at_once=True)  # only then it is known what the compressed chunk takes
+                if file.size + rest > most:
+                    self.cut = f"--max-size {most} bytes"
         if longest_s is not None and entry.time_ns - self._begun_ns > longest_s * 1e9:
             self.cut = f"--max-duration {longest_s:g} s"
         if self.cut:
             self.ledger.cut = max(self._newest, self.ledger.first)  # one whole epoch there is in any case
-
-    def _is_near(self, file: McapFile, most: int) -> bool:
-        """Whether the epoch that begins and another one might be too much for the file."""
-        rest = 2 * self._largest + INDEX_BYTES
-        if file.size + rest > most:
-            file.flush(at_once=True)  # only then it is known what the compressed chunk takes
-        return file.size + rest > most
 
     def _account(self, topic: Topic, heard: Sample) -> tuple[int, bytes]:
         """Epoch and bytes of what is recorded; an epoch below 0: it is not."""
@@ -206,7 +198,7 @@ class Recorder:
         return 0, data
 
     def _on_message(self, data: bytes) -> int:
-        seen = glance(data)
+        seen, _ = glance(data)
         if seen.kind == HELLO:
             return -1
         wanted = self.ledger.wants(seen.epoch)
@@ -227,34 +219,14 @@ class Recorder:
         return 0
 
 
-def open_recorder(
-    info: RunInfo, file: Path | Target | None, check: bool, selection: Selection, epochs: int | None = None
-) -> Recorder:
-    """A `Recorder` for a file, if one is given, with a checker, if wanted; `RecordingError` if it cannot be written."""
-    info = replace(info, left_out=tuple(selection.exclude))
-    written = None if file is None else McapFile(file, info)
-    checker = Checker(info.how_stale) if check else None
-    return Recorder(written, checker, info.from_start, epochs, info.how_stale.barrier, selection)
-
-
 class InProcess:
-    """Hands what is said between the nodes of one process to a recorder, as `open_recorder` opens it."""
+    """Hands what is said between the nodes of one process to a recorder."""
 
-    def __init__(
-        self,
-        deployment: Deployment,
-        seed: int,
-        settings: Sequence[str],
-        file: Path | Target | None,
-        check: bool = False,
-        selection: Selection = EVERYTHING,
-    ) -> None:
-        run = token_hex(4)
-        info = RunInfo.of(deployment, run, "run", seed, settings, from_start=True)
-        self._recorder = open_recorder(info, file, check, selection)
-        self.checker = self._recorder.checker
+    def __init__(self, recorder: Recorder) -> None:
+        self._recorder = recorder
+        self.checker = recorder.checker
         self.ending: Ending | None = None  # it goes on
-        self._keys = Keys(deployment.name, run)
+        self._keys = Keys(recorder.info.hierarchy, recorder.info.run)
         self._last = 0
 
     def message(self, header: Header, data: bytes) -> None:

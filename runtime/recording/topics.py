@@ -54,36 +54,8 @@ def topic_of(key: str) -> Topic | None:
     return None if what is None else Topic(what, "", tuple(names))
 
 
-class MessageSummary(NamedTuple):
-    """A message's header, and where its payload begins."""
-
-    kind: str
-    sender: str
-    receiver: str
-    epoch: int
-    attempt: int
-    roster: int
-    instance: int
-    time_s: float
-    digest: bytes
-    payload_at: int
-
-    @property
-    def when(self) -> tuple[int, int]:
-        """The epoch and the attempt of it."""
-        return self.epoch, self.attempt
-
-    @property
-    def line(self) -> tuple[str, str, str]:
-        """Kind, sender and receiver."""
-        return self.kind, self.sender, self.receiver
-
-    def __str__(self) -> str:
-        return f"{self.kind} {self.sender} -> {self.receiver}"
-
-
-def glance(data: bytes) -> MessageSummary:
-    """Read a message's header, and nothing of its payload. Raises `SchemaError` if the bytes do not begin like one."""
+def glance(data: bytes) -> tuple[Header, int]:
+    """A message's header but for its extensions, and where the payload begins; `SchemaError` if it begins otherwise."""
     unpacker = msgpack.Unpacker()
     unpacker.feed(data[:_GLANCED_BYTES])
     try:
@@ -92,7 +64,7 @@ def glance(data: bytes) -> MessageSummary:
         unpacker.skip()  # the extensions
         if tuple(map(type, (code, *fields))) != _HEAD or min(code, *fields[2:6]) < 0:
             raise ValueError("another one is not so typed")
-        return MessageSummary._make((KINDS[code], *fields, unpacker.tell()))
+        return Header(KINDS[code], *fields), unpacker.tell()
     except (ValueError, TypeError, IndexError, RecursionError, msgpack.exceptions.UnpackException) as error:
         raise SchemaError(f"does not begin like a message: {data[:8].hex()}", "message") from error
 

@@ -166,7 +166,7 @@ class Assembly:
             self._rosters.setdefault(roster.version, roster)
             return False
         if what == MESSAGE:
-            seen = glance(entry.data)
+            seen, _ = glance(entry.data)
             pending = self._at(seen.epoch)
             pending.lines.setdefault(seen.line, {})[seen.attempt] = entry.data
             pending.size += len(entry.data)

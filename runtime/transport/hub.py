@@ -46,7 +46,7 @@ class Hub:
         self._introduces = threading.Lock()
         self._queryable: Any = None
         self._watcher: Any = None
-        self._on_gone: Callable[[str, str], None] | None = None
+        self._on_gone: Callable[[str, str], object] | None = None
         self._subscriber: Any = None
         if progress is not None:
             self._subscriber = self._session.declare_subscriber(keys.epochs, _epoch_listener(progress))
@@ -62,7 +62,7 @@ class Hub:
             self._queryable.undeclare()
         self._queryable = None
 
-    def watch(self, on_gone: Callable[[str, str], None]) -> None:
+    def watch(self, on_gone: Callable[[str, str], object]) -> None:
         """Tell of every process of a node that is gone, or cut off: the node's name and the process's token."""
 
         def changed(sample: zenoh.Sample) -> None:

@@ -97,8 +97,9 @@ def open_session(
         config = _configured(ours, zenoh_config)
         _set_low_latency(config, low_latency)
         return _opened(config)
-    except zenoh.ZError as error:
-        raise TransportError(f"Zenoh: {_words(error)}") from None  # its own words may quote a password
+    except zenoh.ZError as error:  # whose own words may quote a password
+        lines = [line for line in str(error).splitlines() if not _QUOTED_LINE.match(line)]
+        raise TransportError("Zenoh: " + _QUOTED_TEXT.sub(r"\1 …", " ".join(lines))) from None
 
 
 def _opened(config: zenoh.Config) -> zenoh.Session:
@@ -212,19 +213,10 @@ def _set_low_latency(config: zenoh.Config, low_latency: bool) -> None:
     config.insert_json5(_LOW_LATENCY, json.dumps(low_latency))
 
 
-def _words(error: zenoh.ZError) -> str:
-    """What Zenoh says is wrong, without what it quotes from its settings."""
-    lines = [line for line in str(error).splitlines() if not _QUOTED_LINE.match(line)]
-    return _QUOTED_TEXT.sub(r"\1 …", " ".join(lines))
-
-
-def _given(zenoh_config: ZenohConfig) -> zenoh.Config:
-    config: zenoh.Config
+def _given(zenoh_config: ZenohConfig) -> Any:
+    if zenoh_config is None:
+        return zenoh.Config.from_env() if os.environ.get("ZENOH_CONFIG") else zenoh.Config()
     if isinstance(zenoh_config, Mapping):
-        config = zenoh.Config.from_json5(json.dumps(zenoh_config))
-    elif zenoh_config is not None:
-        is_text = zenoh_config.lstrip().startswith("{")
-        config = zenoh.Config.from_json5(zenoh_config) if is_text else zenoh.Config.from_file(zenoh_config)
-    else:
-        config = zenoh.Config.from_env() if os.environ.get("ZENOH_CONFIG") else zenoh.Config()
-    return config
+        return zenoh.Config.from_json5(json.dumps(zenoh_config))
+    is_text = zenoh_config.lstrip().startswith("{")
+    return zenoh.Config.from_json5(zenoh_config) if is_text else zenoh.Config.from_file(zenoh_config)

@@ -4,14 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
+from secrets import token_hex
 
 from hierax.runtime.deployment import Deployment
 from hierax.runtime.deployment.read import read_deployment
 from hierax.runtime.deployment.snippet import read_schedule
 from hierax.runtime.execution import single
 from hierax.runtime.execution.report import Report
+from hierax.runtime.recording.info import RunInfo
 from hierax.runtime.recording.reading import Recording
-from hierax.runtime.recording.recorder import InProcess
+from hierax.runtime.recording.recorder import InProcess, Recorder
 
 
 def record(
@@ -24,7 +26,8 @@ def record(
     at: Sequence[str] = (),
 ) -> tuple[Recording, Report]:
     """A run of a deployment, recorded and checked."""
-    recording = InProcess(deployment, seed, settings, path, check=True)
+    info = RunInfo.of(deployment, token_hex(4), "run", seed, settings, from_start=True)
+    recording = InProcess(Recorder(info, path, check=True))
     schedule = read_schedule(at, deployment)
     report = single.run(deployment, epochs=epochs, seed=seed, schedule=schedule, record=recording)
     recording.finish()

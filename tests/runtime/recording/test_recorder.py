@@ -10,7 +10,7 @@ from support.flawed import DEPLOYMENT
 from support.recorded import record_file
 
 from hierax.runtime.recording.reading import Entry, Recording
-from hierax.runtime.recording.recorder import Recorder, open_recorder
+from hierax.runtime.recording.recorder import Recorder
 from hierax.runtime.recording.topics import MESSAGE, STEP, Selection
 from hierax.runtime.transport.bus_tap import Sample
 
@@ -28,7 +28,7 @@ def heard(entry: Entry) -> Sample:
 
 
 def test_what_there_is_no_room_for_is_named(recording: Recording) -> None:
-    recorder = Recorder(None)
+    recorder = Recorder(recording.info, None)
     for entry in recording.entries():
         what, kind, names = entry.topic
         is_picture = what == MESSAGE and kind == "obs" and names == ("world", "low") and entry.epoch == 4
@@ -46,7 +46,7 @@ def test_what_there_is_no_room_for_is_named(recording: Recording) -> None:
 
 
 def test_what_is_left_out_is_named_by_those_who_said_and_heard_it(recording: Recording) -> None:
-    recorder = Recorder(None)
+    recorder = Recorder(recording.info, None)
     for entry in recording.entries():
         if not (entry.topic.what == MESSAGE and entry.topic.kind == "task" and entry.epoch == 9):
             recorder.take(heard(entry))
@@ -59,7 +59,7 @@ def test_what_is_left_out_is_named_by_those_who_said_and_heard_it(recording: Rec
 
 
 def test_a_run_that_went_on_without_its_recorder_is_known(recording: Recording) -> None:
-    recorder = Recorder(None)
+    recorder = Recorder(recording.info, None)
     for entry in recording.entries():
         if entry.epoch <= 10:
             recorder.take(heard(entry))
@@ -70,7 +70,7 @@ def test_a_run_that_went_on_without_its_recorder_is_known(recording: Recording) 
 
 
 def test_bytes_of_another_kind_are_named(recording: Recording, caplog: pytest.LogCaptureFixture) -> None:
-    recorder = Recorder(None)
+    recorder = Recorder(recording.info, None)
     for key, data in (("obs/a/b", b"\x01"), ("steps/a", b"\x90"), ("epochs", b"\x05"), ("roster", b"\x80")):
         recorder.take(Sample(0, f"hierax/flawed/r/{key}", data))
     assert recorder.finish().lost == 4
@@ -78,7 +78,7 @@ def test_bytes_of_another_kind_are_named(recording: Recording, caplog: pytest.Lo
 
 
 def test_so_many_epochs_are_recorded_and_no_more(recording: Recording) -> None:
-    recorder = Recorder(None, from_start=False, epochs=3)
+    recorder = Recorder(replace(recording.info, from_start=False), None, epochs=3)
     for entry in recording.entries():
         recorder.take(heard(entry))
         if recorder.ledger.ended:
@@ -92,7 +92,7 @@ def test_what_comes_before_the_first_whole_epoch_takes_no_room(recording: Record
     """A node may be told late that somebody records; until then the others fill no file."""
     late, most = 7, 72_000
     info = replace(recording.info, from_start=False)
-    recorder = open_recorder(info, tmp_path / "part.mcap", False, Selection(max_bytes=most))
+    recorder = Recorder(info, tmp_path / "part.mcap", selection=Selection(max_bytes=most))
     for entry in recording.entries():
         if entry.topic.what != STEP or entry.topic.names != ("high",) or entry.epoch >= late:
             recorder.take(heard(entry))
