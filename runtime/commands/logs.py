@@ -35,11 +35,16 @@ def find_folder(run: str | None) -> Path:
         raise HieraxError("no launch has left a log on this machine")
     found = folders
     if run is not None:
-        found = meant(run, folders, lambda folder: (folder.name, str(about_run(folder).get("hierarchy", ""))))
+        found = meant(run, folders, _names)
     if not found:
-        names = {name for each in folders for name in (each.name, about_run(each).get("hierarchy")) if name}
+        names = filter(None, (name for each in folders for name in _names(each)))
         raise HieraxError(f"--run: there is no log of a launch {run!r}{did_you_mean(str(run), names, 'there are')}")
     return next(filter(is_alive, found), found[0])
+
+
+def _names(folder: Path) -> tuple[str, str]:
+    """The identification of a launch, and its hierarchy's name; the latter may be empty."""
+    return folder.name, str(about_run(folder).get("hierarchy", ""))
 
 
 def read_since(text: str, now: datetime) -> datetime:
@@ -155,16 +160,6 @@ class Level(str, Enum):
     critical = "critical"
 
 
-def _runs_logged() -> list[tuple[str, str]]:
-    """Give, for completion, the launches that have left logs."""
-    return [(folder.name, str(about_run(folder).get("hierarchy", ""))) for folder in known_folders()]
-
-
-def _names_logged() -> list[str]:
-    """Give, for completion, those that have a log."""
-    return sorted({name for folder in known_folders() for name in Reader(folder).names})
-
-
 def logs(
     run: Annotated[
         str | None,
@@ -172,7 +167,7 @@ def logs(
             "--run",
             help="Which launch, also one that has ended: its identification, or how that begins, or its hierarchy's "
             "name. By default, and of several, the youngest that runs, or else the last one.",
-            autocompletion=_runs_logged,
+            autocompletion=lambda: [_names(folder) for folder in known_folders()],
         ),
     ] = None,
     node: Annotated[
@@ -181,7 +176,7 @@ def logs(
             "--node",
             metavar="NODE",
             help="Of this node alone; `launch` is what happened to the processes. May be given several times.",
-            autocompletion=_names_logged,
+            autocompletion=lambda: sorted({name for folder in known_folders() for name in Reader(folder).names}),
         ),
     ] = None,
     level: Annotated[Level, option("--level")] = Level.debug,

@@ -45,17 +45,11 @@ class BoundEdge:
     context: Call | None
 
     @staticmethod
-    def of(edge: Edge, setting: OperatorSetting, side: str = "both") -> BoundEdge:
-        """Bind an edge: φ for the ``lower`` side, ψ and ϱ for the ``upper``, or ``both``."""
-        low = side in ("lower", "both")
-        up = side in ("upper", "both")
-        return BoundEdge(
-            edge.lower,
-            edge.upper,
-            bind_edge(edge.sense if low else None, edge.lower, edge.upper, "sense", setting),
-            bind_edge(edge.task if up else None, edge.lower, edge.upper, "task", setting),
-            bind_edge(edge.context if up else None, edge.lower, edge.upper, "context", setting),
-        )
+    def of(edge: Edge, setting: OperatorSetting) -> BoundEdge:
+        """Bind the functions that an edge has."""
+        functions = {"sense": edge.sense, "task": edge.task, "context": edge.context}
+        calls = {kind: bind_edge(each, *edge.pair, kind, setting) for kind, each in functions.items()}
+        return BoundEdge(edge.lower, edge.upper, **calls)
 
 
 @dataclass(frozen=True)

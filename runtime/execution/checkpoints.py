@@ -37,17 +37,17 @@ class Checkpoints:
         """What a process in a lost one's place goes on with; None: at the beginning. Raises `HieraxError`."""
         reads = self._slots.read()
         data, faults = newest_whole(reads)
-        if data is not None:
-            checkpoint = decode_checkpoint(data)
+        if data is None:
+            if not never_whole(reads):
+                raise HieraxError(f"its checkpoint cannot be used: {faults}")
             if faults:
-                _log.warning("checkpoint: %s; using that of epoch %d", faults, checkpoint.epoch)
-            start, now = (ActiveNode(*decode_state(state)) for state in (checkpoint.start, checkpoint.now))
-            return checkpoint, Saved(checkpoint.epoch, checkpoint.attempt, start, now)
-        if not never_whole(reads):
-            raise HieraxError(f"its checkpoint cannot be used: {faults}")
+                _log.warning("checkpoint: %s; no other was ever written, so the node begins anew", faults)
+            return None
+        checkpoint = decode_checkpoint(data)
         if faults:
-            _log.warning("checkpoint: %s; no other was ever written, so the node begins anew", faults)
-        return None
+            _log.warning("checkpoint: %s; using that of epoch %d", faults, checkpoint.epoch)
+        start, now = (ActiveNode(*decode_state(state)) for state in (checkpoint.start, checkpoint.now))
+        return checkpoint, Saved(checkpoint.epoch, checkpoint.attempt, start, now)
 
 
 def newest_whole(reads: Sequence[Read]) -> tuple[bytes | None, str]:

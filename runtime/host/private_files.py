@@ -66,7 +66,7 @@ def open_private(folder: int, name: str, flags: int, path: Path) -> int:
     user's, and `OSError` if it cannot be opened."""
     with _links_named(path):
         file = os.open(name, flags & ~os.O_TRUNC | _AT_ONCE, FILE_MODE, dir_fd=folder)
-    with _closed_on_error(file):
+    with closed_on_error(file):
         if _own(file, path).st_mode & 0o077:
             os.fchmod(file, FILE_MODE)
         if flags & os.O_TRUNC:
@@ -115,7 +115,7 @@ def open_result(path: Path | str, append: bool = False, private: bool = False) -
     flags = os.O_RDWR | os.O_CREAT | _AT_ONCE | (os.O_APPEND if append else 0)
     with _links_named(path):
         file = os.open(path, flags, FILE_MODE if private else 0o666)
-    with _closed_on_error(file):
+    with closed_on_error(file):
         _own(file, path)
     return file
 
@@ -144,7 +144,7 @@ def _walked(path: Path, make: bool) -> int:
         while left:
             name = left.pop()
             inner = _inner(folder, name, make)
-            with _closed_on_error(inner):
+            with closed_on_error(inner):
                 target = _target(inner, name, path, is_last=not left)
             if not target:
                 os.close(folder)
@@ -212,7 +212,8 @@ def _own(file: int, path: Path | str) -> os.stat_result:
 
 
 @contextmanager
-def _closed_on_error(file: int) -> Iterator[None]:
+def closed_on_error(file: int) -> Iterator[None]:
+    """Close a descriptor where the block raises."""
     try:
         yield
     except BaseException:

@@ -188,23 +188,18 @@ class Child:
         return True
 
     def send_signal(self, number: signal.Signals) -> None:
-        if self.handle == CLOSED:
-            return
-        try:
-            signal.pidfd_send_signal(self.handle, number)
-        except ProcessLookupError:
-            return  # it has ended by itself
+        with suppress(ProcessLookupError):  # it has ended by itself
+            if self.handle != CLOSED:
+                signal.pidfd_send_signal(self.handle, number)
 
-    def signal_group(self, number: signal.Signals) -> None:
+    def _kill_group(self) -> None:
         """A node's process leads a group, with the programs that the node has started."""
-        try:
-            os.killpg(self.process.pid, number)
-        except ProcessLookupError:
-            return  # all have ended by themselves
+        with suppress(ProcessLookupError):  # all have ended by themselves
+            os.killpg(self.process.pid, signal.SIGKILL)
 
     def kill(self) -> None:
         if self.alive:  # it still stands for its group
-            self.signal_group(signal.SIGKILL)
+            self._kill_group()
         self.send_signal(signal.SIGKILL)
 
     async def close(self) -> None:
@@ -221,7 +216,7 @@ class Child:
         if self.handle == CLOSED:
             return  # it never came to start anything
         await anyio.wait_readable(self.handle)  # the process has ended
-        self.signal_group(signal.SIGKILL)
+        self._kill_group()
         await anyio.sleep(END_TIMEOUT_S)
         listening.cancel()
 
@@ -250,16 +245,13 @@ async def start_child(order: NodeOrder, overhearing: Overhearing) -> Child:
             )
     finally:
         os.close(overheard.writing)
-    child = Child(order, process, _handle_of(process.pid), overheard)
+    try:
+        handle = os.pidfd_open(process.pid)
+    except ProcessLookupError:
+        handle = CLOSED  # killed already, and noticed
+    child = Child(order, process, handle, overheard)
     await child.send(order.plain())
     return child
-
-
-def _handle_of(pid: int) -> int:
-    try:
-        return os.pidfd_open(pid)
-    except ProcessLookupError:
-        return CLOSED  # killed already, and noticed
 
 
 def how_ended(code: int | None) -> str:

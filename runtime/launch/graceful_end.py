@@ -24,7 +24,6 @@ from hierax.runtime.launch.process_supervisor import Notify
 from hierax.runtime.launch.roster_supervisor import RosterSupervisor
 from hierax.runtime.recovery.disk import MappedFile
 from hierax.runtime.recovery.slots import Slots
-from hierax.schemas.checkpoint import WorldRecord
 from hierax.schemas.errors import SchemaError
 
 EPOCH_S = 0.7  # how long the epoch under way may take to come to its end
@@ -70,16 +69,16 @@ class GracefulEnd:
     def recall(self) -> None:
         """Take from their checkpoints what processes did not tell; they have ended."""
         for child in self._processes.present:
-            if child.report is None and self.epoch is not None:
-                self._recall(child, self.epoch)
-
-    def _recall(self, child: Child, epoch: int) -> None:
-        try:
-            child.report = _fields(self._read(child.order, epoch))
-        except (HieraxError, SchemaError) as error:
-            self.unreported[child.name] = str(error)
-        else:
-            self._notify(f"{child.name}: its process did not answer; its checkpoint tells its state, and no metrics")
+            if child.report is not None or self.epoch is None:
+                continue
+            try:
+                child.report = _fields(self._read(child.order, self.epoch))
+            except (HieraxError, SchemaError) as error:
+                self.unreported[child.name] = str(error)
+            else:
+                self._notify(
+                    f"{child.name}: its process did not answer; its checkpoint tells its state, and no metrics"
+                )
 
     async def _ask(self, children: list[Child], epoch: int | None) -> None:
         for child in children:
@@ -99,7 +98,10 @@ class GracefulEnd:
         try:
             with _slots(child.order) as storage:
                 record, saved = read_record(Slots(storage))
-            _write_digest(child.order, record)
+            log = digest_log(child.order.output_path, append=True) if record.epoch > 1 else None
+            if log is not None:  # as a next process of the world's would: this one may have ended before
+                log.write(record.epoch - 1, record.last_digest)
+                log.close()
         except (HieraxError, SchemaError) as error:
             self.unreported[child.name] = str(error)
             return
@@ -123,14 +125,6 @@ def _slots(order: NodeOrder) -> MappedFile:
     if not Path(f"{path}.0").exists():
         raise HieraxError("its process did not answer, and has kept no checkpoint yet")
     return MappedFile(path, order.durability)
-
-
-def _write_digest(order: NodeOrder, record: WorldRecord) -> None:
-    """Write the last epoch's digest, as a next process of the world's would: this one may have ended before."""
-    log = digest_log(order.output_path, append=True) if record.epoch > 1 else None
-    if log is not None:
-        log.write(record.epoch - 1, record.last_digest)
-        log.close()
 
 
 def _fields(state: ActiveNode) -> dict[str, object]:

@@ -13,7 +13,7 @@ from hierax.runtime.deployment import Deployment
 from hierax.runtime.deployment.deployment import RestartPolicy
 from hierax.runtime.deployment.secrets import public_settings
 from hierax.runtime.execution.world_member import has_record, read_record
-from hierax.runtime.launch.frames import COME_BACK, TO_REPORT, NodeOrder
+from hierax.runtime.launch.frames import COME_BACK, NodeOrder
 from hierax.runtime.launch.run_file import Run, write_run
 from hierax.runtime.loading.allowance import module_of
 from hierax.runtime.owner.effects import OwnerPolicy
@@ -144,10 +144,6 @@ class Orders:
         """The order of the process that comes in the place of one that was killed; as that was before the run began."""
         fault, recorded = self._next_fault(order.name), self._is_recorded()
         return replace(order, process=token, fault=fault, recorded=recorded, **changes)
-
-    def to_report(self, order: NodeOrder, token: str, roster: Roster) -> NodeOrder:
-        """The order of a process that comes when the run is over, in the place of one that died before its report."""
-        return replace(order, process=token, life=TO_REPORT, request="", roster=roster)
 
     def elsewhere(self, order: NodeOrder, host: str) -> NodeOrder:
         """The order for a process on another machine, with its address for this one; empty: it is this machine."""

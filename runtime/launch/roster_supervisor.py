@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 from secrets import token_hex
 from typing import Any
 
@@ -10,7 +11,6 @@ import anyio
 import anyio.abc
 import anyio.to_thread
 
-from hierax.runtime.deployment.deployment import RestartPolicy
 from hierax.runtime.execution.pacemaker import SteadyClock
 from hierax.runtime.launch import frames
 from hierax.runtime.launch.child import Child, NodeFailedError, Overhearing, ProcessState, Restarts
@@ -226,7 +226,9 @@ class RosterSupervisor(ProcessSupervisor):
             return
         begun = await self._has_begun()
         delay_s = self._restarts[name].delay_s(child)
-        may_lack = begun and name != self._world and self._policy_of(child).on_loss == DETACH
+        # of a process whose change is not committed yet, as that has it
+        policy = self.changes.policies(child.order.request).get(name, self.policy(name))
+        may_lack = begun and name != self._world and policy.on_loss == DETACH
         if delay_s is None and not may_lack:
             self.fail(failure)
             return
@@ -263,10 +265,15 @@ class RosterSupervisor(ProcessSupervisor):
             return
         if self._last_roster is not None and name != self._world:  # nothing is left to do but to report
             self.members = {**self.members, name: token}
-            again = await self.start(self.orders.to_report(child.order, token, self._last_roster))
+            roster = self._last_roster
+            order = replace(child.order, process=token, life=frames.TO_REPORT, request="", roster=roster)
+            again = await self.start(order)
             await again.send(frames.STOP)
             return
-        living = self._living()
+        # those that live, as far as is known here: of those started elsewhere, whether they are heard of
+        here = [child.token for child in self.children if child.alive and child.name != self._world]
+        there = [token for token in self.members.values() if self.state(token) is ProcessState.ELSEWHERE]
+        living = {each: each for each in (*here, *there)}
         await self.start(self.orders.again(child.order, token, living, self.changes.proposals))
         self._heard_s = self._clock()
         if name == self._world:
@@ -292,16 +299,6 @@ class RosterSupervisor(ProcessSupervisor):
         """Whether another process of a node is to be started."""
         child = self.current.get(name)
         return child is not None and child.state is ProcessState.RESTARTING
-
-    def _policy_of(self, child: Child) -> RestartPolicy:
-        """What is done when a process ends; of one whose change is not committed yet, as that has it."""
-        return self.changes.policies(child.order.request).get(child.name, self.policy(child.name))
-
-    def _living(self) -> dict[str, str]:
-        """The processes that live, as far as is known here: of those started elsewhere, whether they are heard of."""
-        here = [child.token for child in self.children if child.alive and child.name != self._world]
-        there = [token for token in self.members.values() if self.state(token) is ProcessState.ELSEWHERE]
-        return {token: token for token in (*here, *there)}
 
     async def watch_world(self) -> None:
         """Watch the world's process, which watches the others."""

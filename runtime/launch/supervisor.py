@@ -109,6 +109,7 @@ class Supervisor:
     ) -> None:
         deployment = orders.deployment
         self._deployment = deployment
+        self._world = deployment.roster.world
         self._roster = roster  # with which the run begins, or goes on
         self._orders = orders  # what the processes are started with
         self._hub = hub  # through which the processes find one another
@@ -144,7 +145,8 @@ class Supervisor:
                 with anyio.CancelScope(shield=True):
                     await self._end_all()
                     if self._recorder is not None:
-                        await self._recorder.finish(self._last_epoch())
+                        world = self._reports.get(self._world)
+                        await self._recorder.finish(None if world is None else int(world["run"][0]))
                 self._tasks.cancel_scope.cancel()
 
     def close(self) -> None:
@@ -184,10 +186,9 @@ class Supervisor:
         orders.recorders.add(self._recorder.pid)
         self._tasks.start_soon(self._recorder.listen)
 
-    def _last_epoch(self) -> int | None:
-        world = self._orders.deployment.roster.world
-        said = [child.report for child in self._processes.present if child.name == world and child.report is not None]
-        return int(said[0]["run"][0]) if said else None
+    @property
+    def _reports(self) -> dict[str, dict[str, Value]]:
+        return {child.name: child.report for child in self._processes.present if child.report is not None}
 
     async def _start_all(self) -> None:
         roster = self._roster
@@ -222,9 +223,8 @@ class Supervisor:
         async with self._unless_broken():
             with anyio.move_on_after(REPORT_TIMEOUT_S):
                 # the world last: then it has all that the others have sent, and may find that something was forged
-                world = self._orders.deployment.roster.world
-                await self._stop(lambda child: child.name != world)
-                await self._stop(lambda child: child.name == world)
+                await self._stop(lambda child: child.name != self._world)
+                await self._stop(lambda child: child.name == self._world)
                 for child in self._processes.present:
                     await child.ended.wait()
             silent = [child.name for child in self._processes.present if child.report is None]
@@ -289,8 +289,8 @@ class Supervisor:
         self._break(_Interruption())
 
     def _make_report(self) -> Report:
-        reports = {child.name: child.report for child in self._processes.present if child.report is not None}
-        world = reports.get(self._deployment.roster.world, {})
+        reports = self._reports
+        world = reports.get(self._world, {})
         epochs, digest, *times = world.get("run", (0, NO_DIGEST, 0.0, ()))  # it was killed before it began
         if self._deployment.staleness.barrier and self._graceful is None:
             _check_epochs(reports, epochs, world.get("attempt", 0))

@@ -25,7 +25,7 @@ from hierax.runtime.loading.allowance import Allowance
 from hierax.runtime.loading.arguments import wrong_argument
 from hierax.runtime.loading.nearest import did_you_mean
 from hierax.schemas.errors import SchemaError
-from hierax.schemas.roster import Reference, Roster, RosterEdge
+from hierax.schemas.roster import FUNCTIONS, Reference, Roster, RosterEdge
 from hierax.schemas.values import encode_value
 
 
@@ -89,12 +89,9 @@ def build_edge(edge: RosterEdge, allowance: Allowance, side: str = "both") -> Ed
     `NotAllowedError` or `LoadError` as `load` does, or if what is named is no function of the edge's kind, and no class
     whose objects are, which is found out before it is called."""
     where = f"edges.{edge.lower} -> {edge.upper}"
-    wanted = {"lower": ("sense",), "upper": ("task", "context"), "both": ("sense", "task", "context")}[side]
-    functions: dict[str, Callable[..., Any]] = {}
-    for kind in wanted:
-        reference = getattr(edge, kind)
-        if reference is not None:
-            functions[kind] = _edge_function(reference, where, kind, allowance)
+    wanted = {"lower": ("sense",), "upper": ("task", "context"), "both": FUNCTIONS}[side]
+    references = {kind: getattr(edge, kind) for kind in wanted if getattr(edge, kind) is not None}
+    functions = {kind: _edge_function(each, where, kind, allowance) for kind, each in references.items()}
     return Edge(edge.lower, edge.upper, **functions)
 
 
@@ -137,11 +134,11 @@ def bind_node(name: str, node: Node, world: str, pairs: Sequence[Pair], setting:
         raise LoadError(str(error).removeprefix(f"{name}: "), where) from error
 
 
-def bind_edge(edge: Edge, setting: OperatorSetting, side: str = "both") -> BoundEdge:
-    """An edge's functions on one side or both, ready to be called. Raises `LoadError` if one of them cannot be."""
+def bind_edge(edge: Edge, setting: OperatorSetting) -> BoundEdge:
+    """An edge's functions, ready to be called. Raises `LoadError` if one of them cannot be."""
     name = f"{edge.lower}->{edge.upper}"
     try:
-        return BoundEdge.of(edge, setting, side)
+        return BoundEdge.of(edge, setting)
     except HieraxError as error:
         raise LoadError(str(error).removeprefix(f"{name}: "), f"edges.{edge.lower} -> {edge.upper}") from error
 

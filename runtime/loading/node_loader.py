@@ -66,7 +66,7 @@ class NodeLoader:
         side = "lower" if self._name == edge.lower else "upper"
         key = encode_value(plain_edge(edge))
         if key not in self._edges:
-            self._edges[key] = bind_edge(build_edge(edge, self._allowance, side), self._setting, side)
+            self._edges[key] = bind_edge(build_edge(edge, self._allowance, side), self._setting)
         return self._edges[key]
 
 
@@ -105,7 +105,4 @@ def wait_for(awaitable: Awaitable[Any]) -> Any:
     """Drive an async operator, in an event loop of its own."""
     import anyio
 
-    async def wait() -> Any:
-        return await awaitable
-
-    return anyio.run(wait)
+    return anyio.run(lambda: awaitable)

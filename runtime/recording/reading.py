@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import struct
 from collections.abc import Iterator, Mapping
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -149,19 +150,16 @@ def _ending(path: Path) -> Ending | None:
     from mcap.exceptions import McapError
     from mcap.reader import make_reader
 
-    with path.open("rb") as file:
+    with path.open("rb") as file, suppress(McapError, struct.error, UnicodeDecodeError):
         if file.seek(0, 2) < 2 * len(MAGIC):
             return None
         file.seek(-len(MAGIC), 2)
         if file.read() != MAGIC:
             return None
         file.seek(0)
-        try:
-            for record in make_reader(file).iter_metadata():
-                if record.name == ENDING:
-                    return Ending.read(from_metadata(record.metadata, ENDING_TEXTS))
-        except (McapError, struct.error, UnicodeDecodeError):
-            return None
+        for record in make_reader(file).iter_metadata():
+            if record.name == ENDING:
+                return Ending.read(from_metadata(record.metadata, ENDING_TEXTS))
     return None
 
 

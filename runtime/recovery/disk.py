@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Literal, get_args
 
 from hierax.runtime.core.errors import HieraxError
-from hierax.runtime.host.private_files import errors_named, hold, open_private, private_folder
+from hierax.runtime.host.private_files import closed_on_error, errors_named, hold, open_private, private_folder
 
 Durability = Literal["process", "host"]
 """What a record outlives once it is written: the process, or the machine's power too."""
@@ -111,11 +111,8 @@ class _SlotFile:
                 _make(folder, path, durable)
         with errors_named(path, "opened", CheckpointError):
             self._file = open_private(folder, path.name, os.O_RDWR, path)
-        try:
+        with closed_on_error(self._file):
             self._map = self._opened()
-        except BaseException:
-            os.close(self._file)
-            raise
 
     def write(self, data: bytes) -> None:
         end = len(MAGIC) + len(data)
@@ -190,23 +187,16 @@ def _locked(folder: int, path: Path) -> int:
     lock = _beside(path, "lock")
     with errors_named(lock, "opened", CheckpointError):
         file = open_private(folder, lock.name, os.O_RDWR | os.O_CREAT, lock)
-    try:
-        with errors_named(lock, "locked", CheckpointError):
-            _lock(file, path)
-    except BaseException:
-        os.close(file)
-        raise
-    return file
 
-
-def _lock(file: int, path: Path) -> None:
     def in_use(holder: str) -> CheckpointError:
         owner = os.pread(file, _PID_BYTES, 0).decode(errors="replace").strip()
         return CheckpointError(f"{path}: this checkpoint is in use by {f'process {owner}' if owner else holder}")
 
-    hold(file, in_use)
-    os.ftruncate(file, 0)
-    os.pwrite(file, f"{os.getpid()}\n".encode(), 0)
+    with closed_on_error(file), errors_named(lock, "locked", CheckpointError):
+        hold(file, in_use)
+        os.ftruncate(file, 0)
+        os.pwrite(file, f"{os.getpid()}\n".encode(), 0)
+    return file
 
 
 def _beside(path: Path, suffix: str) -> Path:

@@ -195,7 +195,7 @@ def _is_orphaned(path: Path, remove: bool = False) -> bool:
 
 def _configured(ours: Mapping[str, Any], zenoh_config: ZenohConfig) -> zenoh.Config:
     """The user's configuration, with ours where it says nothing."""
-    config = _given(zenoh_config)
+    config: zenoh.Config = _given(zenoh_config)
     default = zenoh.Config()
     for path, value in ours.items():
         if config.get_json(path) == default.get_json(path):

@@ -73,16 +73,14 @@ class _Playing:
             return
         pairs = [edge.pair for edge in trace.roster.edges]
         below, above = neighbours_below(name, pairs), neighbours_above(name, pairs)
-        lines = ((OBSERVATIONS, below), (TASKS, above), (CONTEXT, above))
-        observations, tasks, context = (self._inputs(trace, name, kind, senders) for kind, senders in lines)
+        inputs: list[Elements] = []  # along all edges, in the order of their other ends' names; what lacks is left out
+        for kind, senders in ((OBSERVATIONS, below), (TASKS, above), (CONTEXT, above)):
+            found = (self._exchange.given(trace, (kind, sender, name)) for sender in senders)
+            inputs.append(tuple(chain.from_iterable(each.elements for each in found if each is not None)))
+        observations, tasks, context = inputs
         done = (tasks, context, state.policy, state.actions, state.belief)
         step = Step(trace.epoch, trace.attempt, known.step.time_s, observations, sensed[0], *done)
         self._presenter.step(name, self._nodes.node(trace.roster, name), step, before)
-
-    def _inputs(self, trace: EpochTrace, name: str, kind: str, senders: tuple[str, ...]) -> Elements:
-        """What a node was given along all edges, in the order of their other ends' names; what lacks is left out."""
-        found = (self._exchange.given(trace, (kind, sender, name)) for sender in senders)
-        return tuple(chain.from_iterable(each.elements for each in found if each is not None))
 
 
 @dataclass(frozen=True)

@@ -63,13 +63,15 @@ class RerunCanvas(Canvas):
 
     def _parts(self, each: Placed) -> Parts:
         """What is drawn of a thing; of a mesh whose shape is there already the pose alone."""
-        if not isinstance(each.thing, showing.Mesh):
-            return archetypes(each.thing)
-        shape = self._meshes.get(each.path)
-        self._meshes[each.path] = each.thing
-        if shape is not None and _same(shape, each.thing):
-            return [("", _transform(each.thing.pose))]
-        return archetypes(each.thing)
+        thing = each.thing
+        if isinstance(thing, showing.Mesh):
+            shape = self._meshes.get(each.path)
+            self._meshes[each.path] = thing
+            pairs = [] if shape is None else [(shape.vertices, thing.vertices), (shape.faces, thing.faces)]
+            same = all(np.array_equal(one, other) for one, other in pairs)
+            if shape is not None and shape.colour == thing.colour and same:
+                return [("", _transform(thing.pose))]
+        return archetypes(thing)
 
 
 def archetypes(thing: showing.Thing) -> Parts:
@@ -195,11 +197,6 @@ def _mesh(thing: showing.Mesh) -> rr.Mesh3D:
         vertex_normals=np.repeat(normals, 3, axis=0),
         albedo_factor=thing.colour,
     )
-
-
-def _same(first: showing.Mesh, second: showing.Mesh) -> bool:
-    shapes = ((first.vertices, second.vertices), (first.faces, second.faces))
-    return first.colour == second.colour and all(np.array_equal(one, other) for one, other in shapes)
 
 
 def _compressed(pixels: Any) -> Any:

@@ -12,10 +12,10 @@ import time
 import webbrowser
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
-from threading import Event, Thread
+from threading import Thread
 from urllib.parse import quote
 
 import rerun as rr
@@ -66,9 +66,8 @@ def web_viewer(stream: Stream, port: int | None, memory: str, opens: bool) -> It
 
 def _for_ever() -> None:
     """Wait until Ctrl-C; looked for again and again, as one that another thread takes wakes nobody who only waits."""
-    never = Event()
-    while not never.wait(_LOOK_S):
-        continue
+    while True:
+        time.sleep(_LOOK_S)
 
 
 @contextmanager
@@ -180,8 +179,7 @@ def _data_address(port: int) -> str:
 def _path() -> Path:
     """Rerun's program, which comes with the library."""
     spec = importlib.util.find_spec("rerun_cli")
-    folders = [] if spec is None or spec.submodule_search_locations is None else spec.submodule_search_locations
-    for folder in folders:
+    for folder in (spec and spec.submodule_search_locations) or ():
         program = Path(folder) / "rerun"
         if program.exists():
             return program
@@ -202,10 +200,8 @@ def _free_port(wanted: int = 0) -> int:
 def _wait_for(port: int, program: _Program) -> None:
     deadline = time.monotonic() + UP_TIMEOUT_S
     while True:
-        try:
-            socket.create_connection((HOST, port), timeout=1.0).close()
-            return
-        except OSError:
-            if program.process.poll() is not None or time.monotonic() > deadline:
-                raise HieraxError(f"Rerun's viewer does not listen on port {port}: {program.last_words}") from None
+        with suppress(OSError):
+            return socket.create_connection((HOST, port), timeout=1.0).close()
+        if program.process.poll() is not None or time.monotonic() > deadline:
+            raise HieraxError(f"Rerun's viewer does not listen on port {port}: {program.last_words}")
         time.sleep(_TRY_AGAIN_S)

@@ -132,8 +132,7 @@ def log_console() -> None:
     root.addHandler(handler)
     root.setLevel(level)
     if level is not known:
-        expected = "DEBUG, INFO, WARNING, ERROR or CRITICAL"
-        logging.getLogger("hierax").warning("%s: expected %s, got %r", LEVEL_VARIABLE, expected, given)
+        _LOG.warning("%s: expected DEBUG, INFO, WARNING, ERROR or CRITICAL, got %r", LEVEL_VARIABLE, given)
 
 
 def log_node(run: str, node: str, when: When) -> None:
@@ -147,8 +146,12 @@ def log_node(run: str, node: str, when: When) -> None:
         return record
 
     logging.setLogRecordFactory(make_with_fields)
+    folder = run_folder(run)
+    if not (folder / ABOUT).exists():  # for who keeps processes of a run of another machine here
+        with suppress(OSError, UnsafeFileError):  # it is told when the file cannot be opened
+            begin_run(run, {"hierarchy": "", "deployment": "", "pid": os.getppid()})
     root = logging.getLogger()
-    handler = open_log(_logs_folder(run), node)
+    handler = open_log(folder / LOGS, node)
     if handler is not None:
         handler.addFilter(_throttle.filter)
         root.addHandler(handler)
@@ -161,15 +164,6 @@ def report_left_out() -> None:
         _LOG.log(level, "%d more like this were left out: %s", count, text, extra={"throttled": True})
 
 
-def _logs_folder(run: str) -> Path:
-    """Where the supervisor has made it; or, on another machine, for who keeps processes of the run here."""
-    folder = run_folder(run)
-    if not (folder / ABOUT).exists():
-        with suppress(OSError, UnsafeFileError):  # it is told when the file cannot be opened
-            begin_run(run, {"hierarchy": "", "deployment": "", "pid": os.getppid()})
-    return folder / LOGS
-
-
 def open_log(folder: Path, name: str) -> logging.Handler | None:
     """A handler that appends to the file of a name; None, with a warning, where it cannot be written."""
     path = folder / f"{name}{SUFFIX}"
@@ -177,8 +171,7 @@ def open_log(folder: Path, name: str) -> logging.Handler | None:
         with private_folder(folder, make=True):
             handler = _File(path, maxBytes=MAX_BYTES, backupCount=1, encoding="utf-8", errors="backslashreplace")
     except (OSError, UnsafeFileError) as error:
-        why = getattr(error, "strerror", None) or error
-        logging.getLogger("hierax").warning("%s: the log cannot be written: %s", path, why)
+        _LOG.warning("%s: the log cannot be written: %s", path, getattr(error, "strerror", None) or error)
         return None
     handler.setFormatter(JsonLine())
     return handler

@@ -11,7 +11,7 @@ import pytest
 from hierax.runtime import NO_TICK, Elements, Node, Tick, Value, World
 from hierax.runtime.core.binding import OperatorSetting
 from hierax.runtime.core.errors import HierarchyError, OperatorError
-from hierax.runtime.core.hierarchy import BoundEdge, Edge, Hierarchy
+from hierax.runtime.core.hierarchy import Edge, Hierarchy
 from hierax.runtime.core.process import ActiveHierarchy, sensing_update, update
 
 
@@ -282,13 +282,6 @@ def test_a_hierarchy_checks_its_graph_its_world_and_its_nodes() -> None:
 
 class Swapped(Teller):
     """Its first policy is not its initial one."""
-
-
-def test_an_edge_is_bound_on_its_side_only() -> None:
-    edge = Edge("w", "n", once("o"), once("t"), once("c"))
-    lower, upper = (BoundEdge.of(edge, OperatorSetting(), side) for side in ("lower", "upper"))
-    assert [call is None for call in (lower.sense, lower.task, lower.context)] == [False, True, True]
-    assert [call is None for call in (upper.sense, upper.task, upper.context)] == [True, False, False]
 
 
 def test_neighbours_are_in_the_order_of_their_names() -> None:
