@@ -36,18 +36,6 @@ COMMANDS: tuple[Callable[..., int], ...] = (
     *(new, validate, graph, sim, doctor),
 )
 
-app = typer.Typer(
-    name="hierax",
-    help="Run cognitive hierarchies with perceptual context.",
-    epilog="Exit codes: 0 fine, 1 an expected failure, 2 usage, 3 a bug, 130 Ctrl-C. "
-    "With HIERAX_TRACEBACK=1 failures are shown with the traceback.",
-    add_completion=True,
-    no_args_is_help=True,
-    pretty_exceptions_enable=False,
-    rich_markup_mode=None,
-    context_settings={"help_option_names": ["-h", "--help"]},
-)
-
 
 def epoch(
     epochs: Annotated[int, typer.Option(min=100, help="Epochs in each round.")] = 2000,
@@ -79,7 +67,7 @@ def main(arguments: Sequence[str]) -> int:
 
 def _dispatch(arguments: Sequence[str]) -> int:
     try:
-        typer.main.get_command(app).main(args=list(arguments), prog_name="hierax")
+        typer.main.get_command(app_of(arguments)).main(args=list(arguments), prog_name="hierax")
     except SystemExit as finished:
         return finished.code if isinstance(finished.code, int) else OK
     return OK
@@ -93,7 +81,6 @@ def _print_version(wanted: bool) -> None:
         raise typer.Exit
 
 
-@app.callback()
 def _options(version: Annotated[bool, option("--version", callback=_print_version, is_eager=True)] = False) -> None:
     """Run cognitive hierarchies with perceptual context."""
 
@@ -132,13 +119,36 @@ def _load(found: EntryPoint) -> Callable[..., int]:
     return command
 
 
-for _command in COMMANDS:
-    _register(_command, app)
-for _found in sorted(entry_points(group="hierax.commands"), key=lambda found: found.name):
-    _register(_load(_found), app, _found.name)
+def app_of(arguments: Sequence[str]) -> typer.Typer:
+    """What understands these arguments: where they begin with one of `COMMANDS` it has that one alone, as making the
+    others ready takes longer than many a command does."""
+    app = typer.Typer(
+        name="hierax",
+        help="Run cognitive hierarchies with perceptual context.",
+        epilog="Exit codes: 0 fine, 1 an expected failure, 2 usage, 3 a bug, 130 Ctrl-C. "
+        "With HIERAX_TRACEBACK=1 failures are shown with the traceback.",
+        add_completion=True,
+        no_args_is_help=True,
+        pretty_exceptions_enable=False,
+        rich_markup_mode=None,
+        context_settings={"help_option_names": ["-h", "--help"]},
+        callback=_options,
+    )
+    asked = [command for command in COMMANDS if [command.__name__] == [*arguments[:1]]]
+    for command in asked or COMMANDS:
+        _register(command, app)
+    if not asked:
+        _register_all("hierax.commands", app)
+        bench = typer.Typer(
+            name="bench", help="hierax beside a rival, or with less, in the same run.", no_args_is_help=True
+        )
+        app.add_typer(bench)
+        _register(epoch, bench)
+        _register_all("hierax.benchmarks", bench)
+    return app
 
-bench = typer.Typer(name="bench", help="hierax beside a rival, or with less, in the same run.", no_args_is_help=True)
-app.add_typer(bench)
-_register(epoch, bench)
-for _found in sorted(entry_points(group="hierax.benchmarks"), key=lambda found: found.name):
-    _register(_load(_found), bench, _found.name)
+
+def _register_all(kind: str, group: typer.Typer) -> None:
+    """Register what comes with nodes."""
+    for found in sorted(entry_points(group=kind), key=lambda found: found.name):
+        _register(_load(found), group, found.name)

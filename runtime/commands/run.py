@@ -22,8 +22,6 @@ def run(file: File, options: RunOptions) -> int:
     from hierax.runtime.deployment.snippet import read_schedule
     from hierax.runtime.execution import single
     from hierax.runtime.execution.pacemaker import Breaker
-    from hierax.runtime.recording.info import RunInfo
-    from hierax.runtime.recording.recorder import InProcess, Recorder
     from hierax.runtime.watch.prints import named_turns
     from hierax.schemas.roster import new_nodes
 
@@ -34,6 +32,9 @@ def run(file: File, options: RunOptions) -> int:
     def run_scheduled(deployment: Deployment, **given: Any) -> Report:
         schedule = read_schedule(options.at or (), deployment)
         if recorded or options.check:
+            from hierax.runtime.recording.info import RunInfo
+            from hierax.runtime.recording.recorder import InProcess, Recorder
+
             info = RunInfo.of(deployment, token_hex(4), "run", options.seed, overrides, from_start=True)
             taking.append(InProcess(Recorder(info, target, options.check, selection)))
         try:

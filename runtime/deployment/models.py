@@ -105,48 +105,66 @@ NotNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 
 
+def _field(words: str, default: Any = ..., **constraints: Any) -> Any:
+    """A field by what it is, which the published schema tells too; one without a default has to be given."""
+    return Field(default, description=words, **constraints)
+
+
 class _Model(BaseModel):
-    model_config = ConfigDict(extra="forbid", strict=True, frozen=True, use_attribute_docstrings=True)
+    model_config = ConfigDict(extra="forbid", strict=True, frozen=True)
 
 
 class RestartModel(_Model):
     """What is done when a node's process ends or cannot be reached; durations are in seconds."""
 
-    restart_policy: Literal["never", "on-failure", "always"] = RestartPolicy.restart_policy
-    """after which end of a process another one is started: none, one by a failure or signal, any"""
-    max_restarts: int = Field(default=RestartPolicy.max_restarts, ge=0)
-    """how often within restart_window; 0: no limit"""
-    restart_delay_s: NotNegative = Field(default=RestartPolicy.restart_delay_s, alias="restart_delay")
-    """before a restart, doubled for each one within restart_window; a node's very first one is at once"""
-    max_restart_delay_s: NotNegative = Field(default=RestartPolicy.max_restart_delay_s, alias="max_restart_delay")
-    """the longest that restart_delay grows to"""
-    restart_window_s: Positive | None = Field(default=RestartPolicy.restart_window_s, alias="restart_window")
-    """restarts longer ago than this are forgotten; null: none ever is"""
-    rejoin_timeout_s: Positive = Field(default=RestartPolicy.rejoin_timeout_s, alias="rejoin_timeout")
-    """how long the epoch waits for a lost node to come back, before on_loss"""
-    on_loss: Literal["restart", "detach", "stop"] = Field(
-        default=RestartPolicy.on_loss,
-        description="a node that does not come back: wait on while it is being restarted, else stop; "
+    restart_policy: Literal["never", "on-failure", "always"] = _field(
+        "after which end of a process another one is started: none, one by a failure or signal, any",
+        RestartPolicy.restart_policy,
+    )
+    max_restarts: int = _field("how often within restart_window; 0: no limit", RestartPolicy.max_restarts, ge=0)
+    restart_delay_s: NotNegative = _field(
+        "before a restart, doubled for each one within restart_window; a node's very first one is at once",
+        RestartPolicy.restart_delay_s,
+        alias="restart_delay",
+    )
+    max_restart_delay_s: NotNegative = _field(
+        "the longest that restart_delay grows to", RestartPolicy.max_restart_delay_s, alias="max_restart_delay"
+    )
+    restart_window_s: Positive | None = _field(
+        "restarts longer ago than this are forgotten; null: none ever is",
+        RestartPolicy.restart_window_s,
+        alias="restart_window",
+    )
+    rejoin_timeout_s: Positive = _field(
+        "how long the epoch waits for a lost node to come back, before on_loss",
+        RestartPolicy.rejoin_timeout_s,
+        alias="rejoin_timeout",
+    )
+    on_loss: Literal["restart", "detach", "stop"] = _field(
+        "a node that does not come back: wait on while it is being restarted, else stop; "
         "or detach it, and what only it joins to the world; or stop the run",
+        RestartPolicy.on_loss,
     )
 
 
 class NodeModel(RestartModel):
     """A node: the class, and what it is made with. For its restarts, what is left out is as 'restart' at the top."""
 
-    target: Target = Field(alias="class")
-    """module:name of a class, or of a function that is annotated to return a node"""
-    parameters: Parameters = Field(default={}, description="keyword arguments of the class")
-    rate_hz: Positive | None = None
-    """in free running (staleness: null), how often at most it takes part in an epoch; null: as it can"""
+    target: Target = _field(
+        "module:name of a class, or of a function that is annotated to return a node", alias="class"
+    )
+    parameters: Parameters = _field("keyword arguments of the class", {})
+    rate_hz: Positive | None = _field(
+        "in free running (staleness: null), how often at most it takes part in an epoch; null: as it can", None
+    )
 
 
 class FunctionModel(_Model):
     """A function of an edge, with parameters."""
 
-    function: Target = Field(description="module:name of a function, or of a class whose objects are called")
-    parameters: Parameters = Field(default={}, description="keyword arguments: of the class, or further ones")
-    enabled: bool = Field(default=True, description="false: the empty set, always")
+    function: Target = _field("module:name of a function, or of a class whose objects are called")
+    parameters: Parameters = _field("keyword arguments: of the class, or further ones", {})
+    enabled: bool = _field("false: the empty set, always", True)
 
 
 _InShort = BeforeValidator(_written_out, json_schema_input_type=Target | FunctionModel | None)
@@ -156,27 +174,30 @@ Function = Annotated[FunctionModel | None, _InShort]
 class EdgeModel(_Model):
     """An edge's three functions; one that is left out gives the empty set."""
 
-    sense: Function = Field(default=None, description="from the lower node's belief to the upper one's observations")
-    task: Function = Field(default=None, description="from the upper node's actions to the lower one's tasks")
-    context: Function = Field(default=None, description="from the upper node's belief to the lower one's context")
+    sense: Function = _field("from the lower node's belief to the upper one's observations", None)
+    task: Function = _field("from the upper node's actions to the lower one's tasks", None)
+    context: Function = _field("from the upper node's belief to the lower one's context", None)
 
 
 class ProbeModel(_Model):
     """A probe of a node: sees each epoch, changes nothing."""
 
-    node: NodeName = Field(description="the node that it watches")
-    target: Target = Field(alias="class")
-    """module:name of a class, or of a function that is annotated to return a probe"""
-    parameters: Parameters = Field(default={}, description="keyword arguments of the class")
+    node: NodeName = _field("the node that it watches")
+    target: Target = _field(
+        "module:name of a class, or of a function that is annotated to return a probe", alias="class"
+    )
+    parameters: Parameters = _field("keyword arguments of the class", {})
 
 
 class ViewModel(_Model):
     """What `hierax view` shows of the deployment, beside what each node shows of itself."""
 
-    show: Target | None = None
-    """module:name of a function from all nodes' steps of an epoch, by name, to things by path"""
-    layout: list[list[str | list[str]]] | None = None
-    """columns of views, each from top to bottom; a list of views in place of one: behind tabs"""
+    show: Target | None = _field(
+        "module:name of a function from all nodes' steps of an epoch, by name, to things by path", None
+    )
+    layout: list[list[str | list[str]]] | None = _field(
+        "columns of views, each from top to bottom; a list of views in place of one: behind tabs", None
+    )
 
 
 Edges = Annotated[dict[EdgeName, EdgeModel], _none_as_empty(dict[EdgeName, EdgeModel])]
@@ -192,45 +213,50 @@ ZenohSettings = Annotated[
 class DeploymentModel(_Model):
     """A cognitive hierarchy: its nodes, the edges between them, and how it is run."""
 
-    hierarchy: Name = Field(description="the hierarchy's name")
-    description: str = Field(default="", description="what it is, in one line")
-    epochs: int | None = Field(default=None, ge=1, description="how many; else until the world says finished")
-    world: NodeName = Field(description="which node is the external world")
-    parameters: Parameters = {}
-    """named values: ${NAME} stands for one, --set NAME=VALUE changes it"""
-    nodes: dict[NodeName, NodeModel] = Field(description="by name")
-    edges: Edges = Field(default={}, description="by 'lower -> upper'")
-    probes: Probes = Field(default=[], description="side outputs, no part of the run")
-    modules: ModuleList = Field(
-        default=[],
-        description="whose classes and functions may join the running hierarchy, beside what this file names: "
+    hierarchy: Name = _field("the hierarchy's name")
+    description: str = _field("what it is, in one line", "")
+    epochs: int | None = _field("how many; else until the world says finished", None, ge=1)
+    world: NodeName = _field("which node is the external world")
+    parameters: Parameters = _field("named values: ${NAME} stands for one, --set NAME=VALUE changes it", {})
+    nodes: dict[NodeName, NodeModel] = _field("by name")
+    edges: Edges = _field("by 'lower -> upper'", {})
+    probes: Probes = _field("side outputs, no part of the run", [])
+    modules: ModuleList = _field(
+        "whose classes and functions may join the running hierarchy, beside what this file names: "
         "package.module, or package.* for all inside it",
+        [],
     )
-    restart: Restart = Field(default=RestartModel(), description="of all nodes that say nothing else")
-    durability: Literal["process", "host"] = "process"
-    """what checkpoints outlive: the death of a process, or also that of the machine (slower)"""
-    epoch_deadline_s: Positive | None = EPOCH_DEADLINE_S
-    """how long an epoch may take before who holds it up counts as lost, in seconds; null: for ever"""
-    on_uncertain_act: Literal["repeat", "skip"] = "repeat"
-    """the world's process died, and nobody knows whether it acted: act again (at least once) or not (at most once)"""
-    staleness: int | None = Field(default=0, ge=0, le=MAX_STALENESS)
-    """by how many epochs inputs from above may be older than the node's own; null: free running"""
-    exact: bool = False
-    """with a staleness: they are exactly so old, and the run can be repeated to the bit"""
-    start_timeout_s: Positive = Field(default=30.0, description="how long launch waits for all nodes to come up")
-    low_latency: bool = False
-    """quicker links between processes, for messages of at most 32 KiB; a longer one ends the run"""
-    view: Views = Field(default=ViewModel(), description="how `hierax view` shows it; no part of the run")
-    zenoh: ZenohSettings = None
-    """Zenoh's own settings: a file (relative to this one), JSON5 text, or a map"""
+    restart: Restart = _field("of all nodes that say nothing else", RestartModel())
+    durability: Literal["process", "host"] = _field(
+        "what checkpoints outlive: the death of a process, or also that of the machine (slower)", "process"
+    )
+    epoch_deadline_s: Positive | None = _field(
+        "how long an epoch may take before who holds it up counts as lost, in seconds; null: for ever", EPOCH_DEADLINE_S
+    )
+    on_uncertain_act: Literal["repeat", "skip"] = _field(
+        "the world's process died, and nobody knows whether it acted: act again (at least once) or not (at most once)",
+        "repeat",
+    )
+    staleness: int | None = _field(
+        "by how many epochs inputs from above may be older than the node's own; null: free running",
+        0,
+        ge=0,
+        le=MAX_STALENESS,
+    )
+    exact: bool = _field("with a staleness: they are exactly so old, and the run can be repeated to the bit", False)
+    start_timeout_s: Positive = _field("how long launch waits for all nodes to come up", 30.0)
+    low_latency: bool = _field(
+        "quicker links between processes, for messages of at most 32 KiB; a longer one ends the run", False
+    )
+    view: Views = _field("how `hierax view` shows it; no part of the run", ViewModel())
+    zenoh: ZenohSettings = _field("Zenoh's own settings: a file (relative to this one), JSON5 text, or a map", None)
 
 
 class SnippetModel(_Model):
     """Nodes for a running hierarchy, and the edges that join them to it."""
 
-    nodes: dict[NodeName, NodeModel] = Field(description="by name")
-    edges: dict[EdgeName, EdgeModel] | None = None
-    """by 'lower -> upper'; one end may be a node that is running"""
+    nodes: dict[NodeName, NodeModel] = _field("by name")
+    edges: dict[EdgeName, EdgeModel] | None = _field("by 'lower -> upper'; one end may be a node that is running", None)
 
 
 TopModel = type[DeploymentModel] | type[SnippetModel]

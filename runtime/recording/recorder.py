@@ -29,7 +29,7 @@ from hierax.runtime.recording.topics import (
     topic_of,
 )
 from hierax.runtime.recording.writing import McapFile, Target
-from hierax.runtime.transport.bus_tap import Sample
+from hierax.runtime.transport.port import Sample
 from hierax.schemas.keys import Keys
 from hierax.schemas.messages import HELLO, Header
 from hierax.schemas.roster import Roster

@@ -6,12 +6,12 @@ import logging
 import threading
 import time
 from collections import deque
-from typing import Any, NamedTuple
+from typing import Any
 
 import zenoh
 
 from hierax.runtime.transport.control import SUPERVISOR, answers_on
-from hierax.runtime.transport.port import TransportError
+from hierax.runtime.transport.port import Sample, TransportError
 from hierax.runtime.transport.zenoh_session import ZenohConfig, close_session, open_session
 from hierax.schemas.errors import SchemaError
 from hierax.schemas.keys import Keys
@@ -63,15 +63,6 @@ class StepPublisher:
             publisher.put(data)
         except zenoh.ZError as error:
             _log.info("a step is not told: %s", error)  # closing: the recorder finds that it lacks
-
-
-class Sample(NamedTuple):
-    """What came on a key."""
-
-    time_ns: int  # when, since 1970
-    key: str  # on which one
-    data: bytes  # the bytes; of a liveliness token empty
-    is_up: bool = False  # of a process's liveliness token, whether it appeared; else it is gone
 
 
 class BusTap:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections import deque
 from collections.abc import Callable, Mapping, Sequence
+from typing import NamedTuple
 
 import numpy as np
 
@@ -17,6 +18,15 @@ QUEUE_SIZE = 1024  # how many messages a lane holds at most
 
 class TransportError(HieraxError):
     """A message could not be sent, or the neighbours could not be reached."""
+
+
+class Sample(NamedTuple):
+    """What came on a key."""
+
+    time_ns: int  # when, since 1970
+    key: str  # on which one
+    data: bytes  # the bytes; of a liveliness token empty
+    is_up: bool = False  # of a process's liveliness token, whether it appeared; else it is gone
 
 
 class Port(ABC):

@@ -83,19 +83,24 @@ def test_without_the_package_for_recordings_commands_say_how_to_get_it(tmp_path:
         assert done.stderr == "error: recordings need the package mcap: pip install 'hierax[record]'\n", arguments
 
 
-PACED = 'probes=[{node: world, class: "support.pace:Pace"}]'
+PACED = 'probes=[{{node: {}, class: "support.pace:Pace"}}]'
+WORLDS = {"*.yaml*": "room", "*": "world"}
+"""The world's name, by how a launch is called: that of the tutorial's file, and of all that is shipped."""
 
 
 def gentle(programs: Path, folder: Path) -> Path:
-    """A folder with a `hierax` whose endless launches of what is shipped wait in each epoch, and leave the processor
-    to what goes on beside.
+    """A folder with a `hierax` whose endless launches wait in each epoch, and leave the processor to what goes on
+    beside.
     """
     tools = folder / "tools"
     tools.mkdir()
     program = tools / "hierax"
     real, tests = f'exec "{programs}/hierax" "$@"', shlex.quote(str(ROOT / "tests"))
-    endless = f"PYTHONPATH={tests} {real} --set {shlex.quote(PACED)}"
-    program.write_text(f'#!/bin/sh\ncase "$*" in *.yaml*) ;; launch*" --epochs 1000000"*) {endless};; esac\n{real}\n')
+    endless = "".join(
+        f'launch{called}" --epochs 1000000"*) PYTHONPATH={tests} {real} --set {shlex.quote(PACED.format(world))};; '
+        for called, world in WORLDS.items()
+    )
+    program.write_text(f'#!/bin/sh\ncase "$*" in {endless}esac\n{real}\n')
     program.chmod(0o755)
     return tools
 

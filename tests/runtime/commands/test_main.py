@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 from support.deployments import write
 
-from hierax.runtime.commands.main import COMMANDS, main
+from hierax.runtime.commands.main import COMMANDS, app_of, main
 
 
 def test_the_version(capsys: pytest.CaptureFixture[str]) -> None:
@@ -61,6 +61,32 @@ def test_a_wrong_file_is_one_line_on_standard_error(command: str, capsys: pytest
 def test_a_wrong_override_is_one_line_on_standard_error(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["run", str(write(tmp_path)), "--set", "steep=3"]) == 1
     assert capsys.readouterr().err == "error: --set steep=3: there is no 'steep'; did you mean 'step'?\n"
+
+
+def test_a_command_makes_only_itself_ready() -> None:
+    everything = {command.callback.__name__ for command in app_of([]).registered_commands if command.callback}
+    for command in COMMANDS:
+        (alone,) = app_of([command.__name__, "--epochs"]).registered_commands
+        assert alone.callback is not None
+        assert alone.callback.__name__ == command.__name__
+    assert {command.__name__ for command in COMMANDS} < everything
+
+
+@pytest.mark.parametrize("of_nodes", [["infer"], ["bench", "epoch"], ["bench", "tracking"]])
+def test_what_comes_with_nodes_is_found(of_nodes: list[str], capsys: pytest.CaptureFixture[str]) -> None:
+    assert main([*of_nodes, "--help"]) == 0
+    assert f"Usage: hierax {' '.join(of_nodes)}" in capsys.readouterr().out
+
+
+def test_a_run_imports_nothing_of_links_and_recordings() -> None:
+    script = """
+import sys
+from hierax.runtime.commands.main import main
+code = main(["run", "chain", "--epochs", "1"])
+print(code, sorted({"zenoh", "mcap", "rerun", "opentelemetry"} & set(sys.modules)))
+"""
+    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True)
+    assert done.stdout.endswith("\n0 []\n")
 
 
 def test_help_is_quick_as_it_imports_nothing_heavy() -> None:

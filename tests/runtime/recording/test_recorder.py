@@ -12,7 +12,7 @@ from support.recorded import record_file
 from hierax.runtime.recording.reading import Entry, Recording
 from hierax.runtime.recording.recorder import Recorder
 from hierax.runtime.recording.topics import MESSAGE, STEP, Selection
-from hierax.runtime.transport.bus_tap import Sample
+from hierax.runtime.transport.port import Sample
 
 
 @pytest.fixture(scope="module")
