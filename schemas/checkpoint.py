@@ -18,7 +18,7 @@ from typing import Any, NamedTuple, get_type_hints
 from hierax.schemas.errors import SchemaError, shown
 from hierax.schemas.messages import DIGEST_BYTES, TYPE_NAMES
 from hierax.schemas.roster import Roster
-from hierax.schemas.values import PACKERS, Value, decode_value, encode_value, pack
+from hierax.schemas.values import PACKERS, Value, decode_value, encode_value, fits, pack
 
 FORMAT = 1
 
@@ -126,16 +126,16 @@ Place = tuple[str, int, int, str]
 
 def decode_processes(data: bytes, where: str = "processes") -> dict[str, Place]:
     """The processes of a record: tokens, versions, epochs and requests by name. Raises `SchemaError` if it has none."""
-    processes = decode_value(data, where) if data else {}
-    if type(processes) is not dict or not all(map(_is_place, processes.values())):
+    processes: dict[str, Place] = decode_value(data, where) if data else {}
+    if not fits(processes, dict[str, Place]):
         raise SchemaError("expected a map of names to tokens, versions, epochs and requests", where)
     return processes
 
 
 def decode_alone(data: bytes, where: str = "alone") -> tuple[str, ...] | None:
     """The nodes of a record that fail alone; None: it does not say. Raises `SchemaError` if it is no array of names."""
-    names = decode_value(data, where) if data else None
-    if names is not None and (type(names) is not tuple or not all(type(name) is str for name in names)):
+    names: tuple[str, ...] | None = decode_value(data, where) if data else None
+    if names is not None and not fits(names, tuple[str, ...]):
         raise SchemaError("expected an array of names", where)
     return names
 
@@ -156,16 +156,12 @@ def decode_trial(data: bytes, where: str = "trial") -> tuple[str, Roster, Place,
     if type(trial) is not tuple or [type(part) for part in trial] != [str, dict, tuple, bool]:
         raise SchemaError("expected a name, a roster, a process, and true or false", where)
     name, roster, place, alone = trial
-    if not _is_place(place):
+    if not fits(place, Place):
         raise SchemaError("expected a token, a version, an epoch and a request", where)
     before = Roster.read(roster)
     if name not in before.nodes:
         raise SchemaError(f"{name} is no node of its roster", where)
     return name, before, place, alone
-
-
-def _is_place(value: Value) -> bool:
-    return type(value) is tuple and [type(part) for part in value] == [str, int, int, str]
 
 
 def decode_roster(data: bytes, where: str = "roster") -> Roster:

@@ -7,12 +7,12 @@ processes share; a node's name stays the same when its process is another one.
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any, NamedTuple, cast, get_args, get_origin, get_type_hints
+from typing import NamedTuple, cast, get_args, get_type_hints
 
 from hierax.schemas.errors import SchemaError, shown
 from hierax.schemas.keys import check_name
 from hierax.schemas.limits import MAX_NEIGHBOURS, MAX_NUMBER, MAX_STATE_BYTES, MAX_TEXT_CHARS, MAX_WORD_BYTES
-from hierax.schemas.values import Value, decode_value, encode_value
+from hierax.schemas.values import Value, decode_value, encode_value, fits
 
 NEVER = -1  # the epoch of a process that has no checkpoint
 
@@ -204,7 +204,7 @@ def decode_control(data: bytes) -> Control:
     if len(value) != len(fields) + 1:
         raise SchemaError(f"expected {len(fields)} fields, got {len(value) - 1}", f"control.{name}")
     for (field, hint), part in zip(fields.items(), value[1:], strict=True):
-        if not _fits(part, hint):
+        if not fits(part, hint):
             raise SchemaError(f"got {shown(part)}", f"control.{name}.{field}")
         _check_content(field, part, f"control.{name}.{field}")
     return cast(Control, kind(*value[1:]))
@@ -234,17 +234,3 @@ def _check_content(field: str, part: Value, where: str) -> None:
 
 def _cut(text: Value) -> Value:
     return text if len(text) <= MAX_TEXT_CHARS else text[: MAX_TEXT_CHARS - 1] + "…"
-
-
-def _fits(value: Value, hint: Value) -> bool:
-    origin: Any = get_origin(hint)
-    if hint is Value:
-        return True
-    if origin is tuple:
-        inner = get_args(hint)
-        if inner[-1] is Ellipsis:
-            return isinstance(value, tuple) and all(_fits(part, inner[0]) for part in value)
-        return isinstance(value, tuple) and len(value) == len(inner) and all(map(_fits, value, inner))
-    if origin is dict:
-        return isinstance(value, dict) and all(_fits(part, get_args(hint)[1]) for part in value.values())
-    return type(value) is hint

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Collection, Iterator
 from types import NoneType
-from typing import Any
+from typing import Any, get_args, get_origin
 
 import msgpack
 import numpy as np
@@ -248,6 +248,17 @@ def is_sound(value: Any, depth: int) -> bool:
         elif not is_sound(part, depth + 1):
             return False
     return True
+
+
+def fits(value: Value, hint: Any) -> bool:
+    """Whether a value that was read is of a type: of a plain one, `Value`, or tuples and dicts of such."""
+    origin, inner = get_origin(hint), get_args(hint)
+    if origin is tuple:
+        kinds = inner[:1] * len(value) if type(value) is tuple and inner[-1] is Ellipsis else inner
+        return type(value) is tuple and len(value) == len(kinds) and all(map(fits, value, kinds))
+    if origin is dict:
+        return type(value) is dict and all(fits(part, inner[1]) for part in value.values())
+    return hint is Value or type(value) is hint
 
 
 def _are_keys(names: Collection[Any]) -> bool:

@@ -265,9 +265,6 @@ def _stages_ms(deployment: Deployment) -> dict[str, float]:
         runner.watch(meters[name])
 
     run(deployment, epochs=None, seed=0, watch=watch)
-    return {name: _stage_ms(meters[name]) for name in STAGES if name in meters}
-
-
-def _stage_ms(meter: Meter) -> float:
-    read = meter.read()
-    return float(sum(read["work_ns"][kind] for kind in (OBSERVE, PREDICT, EDGES)) / max(1, read["epochs"]) / 1e6)
+    read = {name: meters[name].read() for name in STAGES if name in meters}
+    work_ns = {name: sum(each["work_ns"][kind] for kind in (OBSERVE, PREDICT, EDGES)) for name, each in read.items()}
+    return {name: float(work_ns[name] / max(1, each["epochs"]) / 1e6) for name, each in read.items()}

@@ -7,7 +7,7 @@ would underflow does not. So impossible and improbable are told apart.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Sequence
 from typing import NamedTuple, TypeVar
 
 import numpy as np
@@ -35,9 +35,61 @@ class ExtendedFloats(NamedTuple):
         """Some columns; None: the one that there is, as a column."""
         return ExtendedFloats(self.fraction[:, columns], self.exponent[:, columns])
 
+    def put(self, columns: int | slice | Places, values: ExtendedFloats) -> None:
+        """Set some columns, in place."""
+        self.fraction[:, columns], self.exponent[:, columns] = values
 
-# By number of states: columns, once each, and the likelihoods there; shape (size, columns).
-Inputs = Mapping[int, tuple[Places, ExtendedFloats]]
+    def along(self, axis: int, ndim: int) -> ExtendedFloats:
+        """As `along` has it."""
+        return ExtendedFloats(along(self.fraction, axis, ndim), along(self.exponent, axis, ndim))
+
+    def times(self, other: ExtendedFloats) -> ExtendedFloats:
+        """The element-wise product."""
+        return _settled(self.fraction * other.fraction, self.exponent + other.exponent)
+
+    def over(self, other: ExtendedFloats) -> ExtendedFloats:
+        """The element-wise quotient; the divisor has no 0."""
+        return _settled(self.fraction / other.fraction, self.exponent - other.exponent)
+
+    def total(self, axis: int) -> ExtendedFloats:
+        """The sum along an axis."""
+        top = self.greatest(axis)
+        shift = np.maximum(self.exponent - np.expand_dims(top, axis), VANISHING)
+        return _settled(np.add.reduce(np.ldexp(self.fraction, shift), axis=axis), top)
+
+    def greatest(self, axis: int) -> Exponents:
+        """The greatest exponent along an axis; 0 where all is 0."""
+        top: Exponents = np.maximum.reduce(np.where(self.fraction > 0, self.exponent, NONE), axis=axis)
+        return np.where(top == NONE, 0, top)
+
+    def as_float64(self, axis: int) -> Floats:
+        """The numbers as float64, scaled by a power of 2 so that the greatest along the axis is from 0.5 to below 1.
+        What is smaller by more than float64 can hold becomes 0."""
+        shift = np.maximum(self.exponent - np.expand_dims(self.greatest(axis), axis), VANISHING)
+        return np.ldexp(self.fraction, shift)
+
+    def shifted(self, axis: int) -> ExtendedFloats:
+        """The same up to a factor: the greatest along the axis from 0.5 to below 1."""
+        exponent = self.exponent - np.expand_dims(self.greatest(axis), axis)
+        return ExtendedFloats(self.fraction, np.where(self.fraction > 0, exponent, 0))
+
+    def products(self, starts: Places) -> ExtendedFloats:
+        """The products of neighbours along the last axis (…, n), each from one of `starts` to the next; none is
+        empty."""
+        values, size = self, self.fraction.shape[-1]
+        while len(starts) < size:
+            lengths = np.diff(starts, append=size)
+            parts = -(-lengths // CHUNK)  # no more than CHUNK factors at a time
+            first = np.cumsum(parts) - parts
+            chunks = np.repeat(starts - CHUNK * first, parts) + CHUNK * np.arange(parts.sum())
+            fractions = np.multiply.reduceat(values.fraction, chunks, axis=-1)
+            values = _settled(fractions, np.add.reduceat(values.exponent, chunks, axis=-1))
+            starts, size = first, len(chunks)
+        return values
+
+
+# Blocks: a number of states, columns, once each in all of them, and the likelihoods there, shape (size, columns).
+Inputs = Sequence[tuple[int, Places, ExtendedFloats]]
 
 
 def along(array: NDArray[N], axis: int, ndim: int) -> NDArray[N]:
@@ -54,58 +106,6 @@ def extended(values: Floats) -> ExtendedFloats:
 def ones(*shape: int) -> ExtendedFloats:
     """An array that is 1 everywhere."""
     return ExtendedFloats(np.full(shape, 0.5), np.ones(shape, np.int64))
-
-
-def multiply(one: ExtendedFloats, other: ExtendedFloats) -> ExtendedFloats:
-    """The element-wise product."""
-    return _settled(one.fraction * other.fraction, one.exponent + other.exponent)
-
-
-def divide(one: ExtendedFloats, other: ExtendedFloats) -> ExtendedFloats:
-    """The element-wise quotient; the divisor has no 0."""
-    return _settled(one.fraction / other.fraction, one.exponent - other.exponent)
-
-
-def total(values: ExtendedFloats, axis: int) -> ExtendedFloats:
-    """The sum along an axis."""
-    top = greatest(values, axis)
-    shift = np.maximum(values.exponent - np.expand_dims(top, axis), VANISHING)
-    return _settled(np.add.reduce(np.ldexp(values.fraction, shift), axis=axis), top)
-
-
-def greatest(values: ExtendedFloats, axis: int) -> Exponents:
-    """The greatest exponent along an axis; 0 where all is 0."""
-    top: Exponents = np.maximum.reduce(np.where(values.fraction > 0, values.exponent, NONE), axis=axis)
-    return np.where(top == NONE, 0, top)
-
-
-def as_float64(values: ExtendedFloats, axis: int) -> Floats:
-    """The numbers as float64, scaled by a power of 2 so that the greatest along the axis is from 0.5 to below 1. What
-    is smaller by more than float64 can hold becomes 0."""
-    shift = np.maximum(values.exponent - np.expand_dims(greatest(values, axis), axis), VANISHING)
-    return np.ldexp(values.fraction, shift)
-
-
-def shifted(values: ExtendedFloats, axis: int) -> ExtendedFloats:
-    """The same up to a factor: the greatest along the axis from 0.5 to below 1."""
-    exponent = values.exponent - np.expand_dims(greatest(values, axis), axis)
-    return ExtendedFloats(values.fraction, np.where(values.fraction > 0, exponent, 0))
-
-
-def products(values: ExtendedFloats, starts: Places) -> ExtendedFloats:
-    """The products of neighbours along the last axis (…, n), each from one of `starts` to the next; none is empty."""
-    size = values.fraction.shape[-1]
-    while len(starts) < size:
-        ends = np.append(starts[1:], size)
-        lengths = ends - starts
-        parts = -(-lengths // CHUNK)  # no more than CHUNK factors at a time
-        first = np.cumsum(parts) - parts
-        chunks = np.repeat(starts - CHUNK * first, parts) + CHUNK * np.arange(parts.sum())
-        values = _settled(
-            np.multiply.reduceat(values.fraction, chunks, axis=-1), np.add.reduceat(values.exponent, chunks, axis=-1)
-        )
-        starts, size = first, len(chunks)
-    return values
 
 
 def _settled(fraction: Floats, exponent: Exponents) -> ExtendedFloats:

@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from hierax.nodes.causal_tree.extended_floats import ExtendedFloats, Floats, Inputs, along, as_float64, greatest
+from hierax.nodes.causal_tree.extended_floats import ExtendedFloats, Floats, Inputs, along
 from hierax.nodes.causal_tree.plan import Group, Plan
 
 LEAST_INPUT = 2.0**-300  # likelihoods further apart than this are none for float64
@@ -33,13 +33,10 @@ class Float64Sweep:
     Every message is scaled so that its greatest number is 1, so all factors of all products are at most 1, and no
     intermediate result is smaller than its end: from the least numbers follows whether something can have underflowed.
 
-    Attributes:
-        likelihoods: by number of states, L of each variable, from what lies further from the root (the prior and the
-            evidence included), up to a factor; shape (size, columns).
-        supports: what comes from the root's side, up to a factor; ones at a root.
-        beliefs: their products.
-        messages: of each group what its families told their tops, up to a factor; shape (tops' states, families).
-        exponents: by so many powers of 2 likelihoods were scaled.
+    By number of states, up to a factor, shape (size, columns), `likelihoods` are L of each variable, from what lies
+    further from the root (the prior and the evidence included), `supports` what comes from the root's side, ones at a
+    root, and `beliefs` their products; `messages` are of each group what its families told their tops, up to a factor,
+    shape (tops' states, families); by `exponents` powers of 2 likelihoods were scaled.
     """
 
     def __init__(self, plan: Plan) -> None:
@@ -58,13 +55,12 @@ class Float64Sweep:
     def up(self, inputs: Inputs) -> bool:
         """Sweep from the leaves to the roots; whether nothing can have underflowed."""
         self.exponents, plain = 0, True
-        for size, evidence in self._evidence.items():
+        for evidence in self._evidence.values():
             evidence.fill(1.0)
-            if size in inputs:
-                columns, values = inputs[size]
-                evidence[:, columns] = scaled = as_float64(values, 0)
-                self.exponents += int(greatest(values, 0).sum())
-                plain = plain and _is_plain(values, scaled)
+        for size, columns, values in inputs:
+            self._evidence[size][:, columns] = scaled = values.as_float64(0)
+            self.exponents += int(values.greatest(0).sum())
+            plain = plain and _is_plain(values, scaled)
         if not plain or self._least_log2 <= FLOOR_LOG2 / 2:  # the tables and priors alone leave no room
             return False
         for size, base in self._plan.base.items():
@@ -82,8 +78,8 @@ class Float64Sweep:
         with np.errstate(all="ignore"):
             for size, likelihood in self.likelihoods.items():
                 np.copyto(self.beliefs[size], likelihood)  # the roots'; the others' follow
-            for size, (columns, values) in at_roots.items():
-                scaled = as_float64(values, 0)
+            for size, columns, values in at_roots:
+                scaled = values.as_float64(0)
                 if not _is_plain(values, scaled):
                     return False
                 least = min(least, float(np.where(scaled > 0, scaled, 1.0).min()))

@@ -13,17 +13,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from hierax.nodes.causal_tree.extended_floats import (
-    ExtendedFloats,
-    Floats,
-    Inputs,
-    Places,
-    extended,
-    multiply,
-    ones,
-    products,
-    shifted,
-)
+from hierax.nodes.causal_tree.extended_floats import ExtendedFloats, Floats, Inputs, extended, ones
 from hierax.nodes.causal_tree.network import Network
 from hierax.nodes.causal_tree.plan import plan_of
 from hierax.nodes.causal_tree.sweep import NothingLeftError, Product, Sweep
@@ -123,7 +113,7 @@ class Fragment:
         for parent, arrows in by_parent.items():
             outside = self._without_slots(heard.evidence, parent)
             rest = _each_without(_stacked([unpacked(heard.slots[arrow]) for arrow in arrows]))
-            sent = packed(multiply(outside.at(None), rest))
+            sent = packed(outside.at(None).times(rest))
             causal.update({arrow: np.ascontiguousarray(sent[..., place]) for place, arrow in enumerate(arrows)})
         return Whole(causal, self._posterior(), None)
 
@@ -136,7 +126,7 @@ class Fragment:
         found = self._without_slots(heard.evidence, parent)
         for each in others:
             if each[1] == parent:
-                found = multiply(found, unpacked(others[each]))
+                found = found.times(unpacked(others[each]))
         return packed(found)
 
     def _without_slots(self, evidence: Sequence[Evidence], name: str) -> ExtendedFloats:
@@ -144,19 +134,19 @@ class Fragment:
         found = self._sweep.inner(self._numbers[name])
         for each in evidence:
             if name in each:
-                found = multiply(found, extended(self._vector(name, each[name])))
+                found = found.times(extended(self._vector(name, each[name])))
         return found
 
     def _swept(self, heard: Heard) -> str | None:
         """Sweep; the node where what is known contradicts itself, if it does."""
         told = {self._guests[arrow]: unpacked(message) for arrow, message in heard.supports.items()}
         if not self._rooted:
-            return self._try(self._inputs(heard, told), {})
+            return self._try(self._inputs(heard, told), ())
         impossible = self._up(heard)
         if impossible is not None:
             return impossible
         was_extended = self._sweep.is_extended
-        contradicts = self._try(None, self._columns(told))
+        contradicts = self._try(None, self._blocks(told))
         if self._sweep.is_extended != was_extended:  # another sweep down should go the same way as this one
             self._known = None
         return contradicts
@@ -194,23 +184,17 @@ class Fragment:
                     _take_in(factors, variable, extended(vector))
                 else:
                     alone[variable] = vector
-        inputs = self._columns(factors)
-        for size, variables in self._by_size(alone).items():
-            columns = self._plan.columns[variables]
-            values = extended(np.array([alone[variable] for variable in variables]).T)
-            if size in inputs:
-                others, theirs = inputs[size]
-                columns = np.concatenate([others, columns])
-                fractions = np.hstack([theirs.fraction, values.fraction])
-                values = ExtendedFloats(fractions, np.hstack([theirs.exponent, values.exponent]))
-            inputs[size] = (columns, values)
-        return inputs
+        alone_blocks = [
+            (size, self._plan.columns[variables], extended(np.array([alone[variable] for variable in variables]).T))
+            for size, variables in self._by_size(alone).items()
+        ]
+        return [*self._blocks(factors), *alone_blocks]
 
-    def _columns(self, factors: Mapping[int, ExtendedFloats]) -> dict[int, tuple[Places, ExtendedFloats]]:
-        return {
-            size: (self._plan.columns[variables], _stacked([factors[variable] for variable in variables]))
+    def _blocks(self, factors: Mapping[int, ExtendedFloats]) -> Inputs:
+        return [
+            (size, self._plan.columns[variables], _stacked([factors[variable] for variable in variables]))
             for size, variables in self._by_size(factors).items()
-        }
+        ]
 
     def _by_size(self, variables: Iterable[int]) -> dict[int, list[int]]:
         found: dict[int, list[int]] = {}
@@ -252,7 +236,7 @@ def _without(messages: Mapping[Arrow, Floats], arrow: Arrow) -> dict[Arrow, Floa
 
 def _take_in(factors: dict[int, ExtendedFloats], variable: int, factor: ExtendedFloats) -> None:
     known = factors.get(variable)
-    factors[variable] = factor if known is None else multiply(known, factor)
+    factors[variable] = factor if known is None else known.times(factor)
 
 
 def _stacked(columns: Sequence[ExtendedFloats]) -> ExtendedFloats:
@@ -262,13 +246,13 @@ def _stacked(columns: Sequence[ExtendedFloats]) -> ExtendedFloats:
 def _each_without(factors: ExtendedFloats) -> ExtendedFloats:
     """The product of all other columns, for each column."""
     apart = Product.of(factors)
-    joined = products(apart.rest, np.zeros(1, np.intp))
+    joined = apart.rest.products(np.zeros(1, np.intp))
     return Product(joined, apart.zeros.sum(axis=1, keepdims=True)).without(apart)
 
 
 def packed(message: ExtendedFloats) -> Floats:
     """A message as an array: fractions, then exponents."""
-    scaled = shifted(message, 0)
+    scaled = message.shifted(0)
     return np.stack([scaled.fraction, scaled.exponent.astype(np.float64)])
 
 

@@ -81,19 +81,19 @@ class Inference:
             unknown = next(name for name in evidence if name not in self._numbers)
             raise EvidenceError("there is no such node", unknown) from None
         if not len(numbers):
-            return {}
+            return ()
         vectors = list(evidence.values())
         flat = _flat(evidence, vectors, self._sizes[numbers])
         if len(self._plan.members) == 1:
             size = self._plan.sizes[0]
-            return {size: (self._plan.columns[numbers], extended(flat.reshape(-1, size).T))}
+            return [(size, self._plan.columns[numbers], extended(flat.reshape(-1, size).T))]
         sizes = self._sizes[numbers]
         ends = np.cumsum(sizes)
-        inputs = {}
+        inputs = []
         for size in np.unique(sizes).tolist():
             which = np.flatnonzero(sizes == size)
             values = flat[(ends[which] - size) + np.arange(size)[:, None]]
-            inputs[size] = (self._plan.columns[numbers[which]], extended(values))
+            inputs.append((size, self._plan.columns[numbers[which]], extended(values)))
         return inputs
 
 

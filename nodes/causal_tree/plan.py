@@ -34,19 +34,12 @@ class Family(NamedTuple):
 Placed = tuple[int, tuple[int, ...], Family]  # a family's top, its others, and the family itself
 
 
-class Block(NamedTuple):
-    """Some columns of the arrays of variables with `size` states."""
-
-    size: int
-    columns: slice
-
-
 @dataclass(frozen=True)
 class Group:
     """Families of one depth and shape; n of them."""
 
     table: Floats  # of all, shape (top's states, others' states…, n)
-    others: tuple[Block, ...]  # for each other, where its n variables are
+    others: tuple[tuple[int, slice], ...]  # for each other, where its n variables are: number of states, columns
     top_size: int  # the tops' number of states
     tops: Places  # their columns, family by family, shape (n,)
     order: Places | None  # the families by top, where they do not stand so; shape (n,)
@@ -206,7 +199,7 @@ def _group(entries: Sequence[Placed], sizes: Sequence[int], columns: Places) -> 
     first, last = int(targets[0]), int(targets[-1])
     return Group(
         table=_stacked(entries, (sizes[top], *(sizes[other] for other in others))),
-        others=tuple(Block(sizes[other], slice(at, at + count)) for other, at in zip(others, firsts, strict=True)),
+        others=tuple((sizes[other], slice(at, at + count)) for other, at in zip(others, firsts, strict=True)),
         top_size=sizes[top],
         tops=tops,
         order=order,

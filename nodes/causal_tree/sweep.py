@@ -12,24 +12,10 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from hierax.nodes.causal_tree.extended_floats import (
-    ExtendedFloats,
-    Floats,
-    Inputs,
-    Places,
-    along,
-    as_float64,
-    divide,
-    extended,
-    multiply,
-    ones,
-    products,
-    total,
-)
+from hierax.nodes.causal_tree.extended_floats import ExtendedFloats, Floats, Inputs, Places, extended, ones
 from hierax.nodes.causal_tree.float64_sweep import Float64Sweep
 from hierax.nodes.causal_tree.plan import Group, Plan
 
-NO_INPUTS: Inputs = {}
 Columns = int | slice | Places
 
 
@@ -66,14 +52,12 @@ class Product(NamedTuple):
 
     def take_in(self, columns: Columns, factors: Product) -> None:
         """Multiply some columns, in place."""
-        rest = multiply(self.at(columns).rest, factors.rest)
-        self.rest.fraction[:, columns] = rest.fraction
-        self.rest.exponent[:, columns] = rest.exponent
+        self.rest.put(columns, self.rest.at(columns).times(factors.rest))
         self.zeros[:, columns] += factors.zeros
 
     def without(self, factors: Product) -> ExtendedFloats:
         """What the products are without one of their factors each."""
-        return Product(divide(self.rest, factors.rest), self.zeros - factors.zeros).value
+        return Product(self.rest.over(factors.rest), self.zeros - factors.zeros).value
 
     def copied(self) -> Product:
         """The same, to be changed."""
@@ -95,7 +79,7 @@ class ExtendedSweep:
         """Sweep from the leaves to the roots. Raises NothingLeftError: the evidence is impossible. Without that, none
         of what follows can be."""
         self.likelihoods = {size: base.copied() for size, base in self._base.items()}
-        for size, (columns, values) in inputs.items():
+        for size, columns, values in inputs:
             self.likelihoods[size].take_in(columns, Product.of(values))
         for size in self.likelihoods:
             self._check(self.likelihoods, size, slice(None))
@@ -103,7 +87,7 @@ class ExtendedSweep:
         for group in reversed(self._plan.groups):
             found = group.extended_table
             for size, columns in reversed(group.others):
-                found = total(multiply(found, self.likelihoods[size].at(columns).value), axis=-2)
+                found = found.times(self.likelihoods[size].at(columns).value).total(-2)
             nothing = ~found.fraction.any(axis=0)
             if nothing.any():
                 raise NothingLeftError(group.nodes[int(nothing.argmax())])
@@ -117,7 +101,7 @@ class ExtendedSweep:
         """Sweep from the roots, of which there are further likelihoods, to the leaves, after `up`. Raises
         NothingLeftError: they contradict the evidence."""
         self.beliefs = {size: likelihood.copied() for size, likelihood in self.likelihoods.items()}
-        for size, (columns, values) in at_roots.items():
+        for size, columns, values in at_roots:
             self.beliefs[size].take_in(columns, Product.of(values))
             self._check(self.beliefs, size, columns)
         self.supports = {size: ones(*base.shape) for size, base in self._plan.base.items()}
@@ -126,16 +110,14 @@ class ExtendedSweep:
 
     def _spread(self, group: Group, at_tops: ExtendedFloats) -> None:
         table = group.extended_table
-        ndim = table.fraction.ndim
-        from_top = total(multiply(table, _along(at_tops, 0, ndim)), axis=0)
+        from_top = table.times(at_tops.along(0, table.fraction.ndim)).total(0)
         likelihoods = [self.likelihoods[size].at(columns).value for size, columns in group.others]
         for other, (size, columns) in enumerate(group.others):
             found = from_top
             for axis in reversed(range(len(likelihoods))):
                 if axis != other:
-                    found = total(multiply(found, _along(likelihoods[axis], axis, found.fraction.ndim)), axis)
-            self.supports[size].fraction[:, columns] = found.fraction
-            self.supports[size].exponent[:, columns] = found.exponent
+                    found = found.times(likelihoods[axis].along(axis, found.fraction.ndim)).total(axis)
+            self.supports[size].put(columns, found)
             self.beliefs[size].take_in(columns, Product.of(found))
 
     def _check(self, found: Mapping[int, Product], size: int, columns: Columns) -> None:
@@ -149,11 +131,7 @@ def _joined(group: Group, messages: Product) -> Product:
     ordered = messages if group.order is None else messages.at(group.order)
     if group.starts is None:
         return ordered
-    return Product(products(ordered.rest, group.starts), np.add.reduceat(ordered.zeros, group.starts, axis=-1))
-
-
-def _along(values: ExtendedFloats, axis: int, ndim: int) -> ExtendedFloats:
-    return ExtendedFloats(along(values.fraction, axis, ndim), along(values.exponent, axis, ndim))
+    return Product(ordered.rest.products(group.starts), np.add.reduceat(ordered.zeros, group.starts, axis=-1))
 
 
 class Sweep:
@@ -162,7 +140,7 @@ class Sweep:
     def __init__(self, plan: Plan) -> None:
         self._plan = plan
         self._float64, self._extended = Float64Sweep(plan), ExtendedSweep(plan)
-        self._inputs: Inputs = {}
+        self._inputs: Inputs = ()
         self.is_extended = False  # whether the last sweep kept exponents apart
 
     def up(self, inputs: Inputs) -> None:
@@ -173,7 +151,7 @@ class Sweep:
         if self.is_extended:
             self._extended.up(inputs)
 
-    def down(self, at_roots: Inputs = NO_INPUTS) -> None:
+    def down(self, at_roots: Inputs = ()) -> None:
         """Sweep from the roots, of which `up` had not these likelihoods, to the leaves, after `up`. Raises
         NothingLeftError: the evidence is impossible."""
         if not self.is_extended and not self._float64.down(at_roots):
@@ -186,7 +164,7 @@ class Sweep:
         """The posteriors of all variables with so many states, after `down`; shape (columns, size)."""
         beliefs = self._last.beliefs[size]
         if isinstance(beliefs, Product):
-            beliefs = as_float64(beliefs.value, 0)
+            beliefs = beliefs.value.as_float64(0)
         return np.asarray(np.divide(beliefs, np.add.reduce(beliefs, axis=0)).T)
 
     def log_evidence(self) -> float:
@@ -194,7 +172,7 @@ class Sweep:
         logs, exponents = 0.0, 0.0
         for root in self._plan.roots:
             size, column = self._place(root)
-            found = total(_column(self._last.likelihoods[size], column), axis=0)
+            found = _column(self._last.likelihoods[size], column).total(0)
             logs += math.log(found.fraction)
             exponents += int(found.exponent)
         if not self.is_extended:
@@ -214,9 +192,9 @@ class Sweep:
     def inner(self, variable: int) -> ExtendedFloats:
         """All that comes to a variable but its own input, after `down`, up to a factor; shape (its states,)."""
         size, column = self._place(variable)
-        found = multiply(self._plan.extended_base[size].at(column), self.support(variable))
+        found = self._plan.extended_base[size].at(column).times(self.support(variable))
         for group, family in self._plan.below.get(variable, ()):
-            found = multiply(found, self.message_up(group, family))
+            found = found.times(self.message_up(group, family))
         return found
 
     @property

@@ -46,7 +46,8 @@ def choose(bodies: Sequence[Mapping[str, Any]], eligible: Sequence[int]) -> Gras
     world_from_box, "size": (3,) m}, all are told; the table is z = 0. From above is easier than from the side, little
     turning is easier than much. A grasp is possible where nothing lies on the box, hand and camera keep clear of all
     boxes and of the table all along the approach, and the arm reaches both ends of it."""
-    boxes = _boxes(bodies)
+    poses, halves = (np.stack([body[name] for body in bodies]) for name in ("pose", "size"))
+    boxes = Boxes(poses[:, :3, 3], poses[:, :3, :3], halves / 2)
     free = [index for index, body in enumerate(bodies) if body["id"] in eligible and _uncovered(boxes, index)]
     found = [(cost, grasp, pose) for index in free for cost, grasp, pose in _candidates(bodies[index])]
     found.sort(key=lambda item: item[0])
@@ -96,11 +97,6 @@ def overlapping(first: Boxes, second: Boxes, index: int) -> NDArray[np.bool_]:
     reach = np.einsum("nij,nj->ni", np.abs(axes @ first.axes), first.halves)
     reach += np.abs(axes @ second.axes[index]) @ second.halves[index] + 1e-9  # of edges that run alike no axis is left
     return np.asarray((np.abs(np.einsum("nij,nj->ni", axes, between)) <= reach).all(axis=1))
-
-
-def _boxes(bodies: Sequence[Mapping[str, Any]]) -> Boxes:
-    poses = np.stack([body["pose"] for body in bodies])
-    return Boxes(poses[:, :3, 3], poses[:, :3, :3], np.stack([body["size"] for body in bodies]) / 2)
 
 
 def _uncovered(boxes: Boxes, index: int) -> bool:

@@ -31,6 +31,8 @@ from hierax.nodes.tracking.search.multistart import FALLING, LEAST_FOUND, held, 
 from hierax.runtime import Node, Step, Value
 from hierax.runtime.core.showing import Things
 
+_Objects = tuple[schema.TrackedObject, ...]
+
 _DRIFT_GAIN = 0.3
 _CONFIRMED = 3  # so many images in a row have to show a missing object in one place
 _PROBATION = 20  # for so many images an object that was found again is looked for elsewhere, too
@@ -125,7 +127,7 @@ class ArmNode(Node):
         reported = np.asarray(seen["camera"], dtype=np.float64)
         camera = reported @ belief["drift"]
         moved = np.eye(4) if belief["camera"] is None else invert(camera) @ belief["camera"]
-        objects: tuple[schema.TrackedObject, ...] = tuple(
+        objects: _Objects = tuple(
             {
                 **item,
                 "pose": moved @ item["pose"],
@@ -182,14 +184,12 @@ class ArmNode(Node):
         """The image with edges, the camera, the scores, and what speaks for the poses."""
         return arm_things(step, before, self._options.motion)
 
-    def _corrected(
-        self, objects: tuple[schema.TrackedObject, ...], image: Image, intrinsics: Array, still: bool
-    ) -> tuple[Floats, tuple[schema.TrackedObject, ...]]:
+    def _corrected(self, objects: _Objects, image: Image, intrinsics: Array, still: bool) -> tuple[Floats, _Objects]:
         """What the camera's error does to all poses, and the objects after the image."""
         if not any(len(item["controls"]["points"]) for item in objects):
             return np.eye(4), objects
         camera = None if still else self._camera
-        known: tuple[schema.TrackedObject, ...] = objects
+        known = objects
         if not self._prior:
             known = tuple({**item, "covariance": _UNKNOWN} for item in objects)
         motion = np.stack([self._motion(item) for item in objects])
@@ -205,13 +205,8 @@ class ArmNode(Node):
         )
 
     def _searched(
-        self,
-        image: Image,
-        objects: tuple[schema.TrackedObject, ...],
-        sweeps: tuple[schema.Sweep, ...],
-        intrinsics: Array,
-        upright: Floats,
-    ) -> tuple[schema.TrackedObject, ...]:
+        self, image: Image, objects: _Objects, sweeps: tuple[schema.Sweep, ...], intrinsics: Array, upright: Floats
+    ) -> _Objects:
         """The objects after those that are missing were looked for."""
         missing = {at: item["others"] for at, item in enumerate(objects) if _is_missing(item)}
         objects = tuple({**_unseen(item), "probation": 0} if _is_refuted(item) else item for item in objects)

@@ -7,7 +7,7 @@ covariance stands in the object's frame.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from types import NoneType, UnionType
 from typing import Annotated, Any, NamedTuple, TypedDict, Union, final, get_args, get_origin, get_type_hints
 
@@ -331,55 +331,43 @@ class SpatialBelief(_Viewing):
 
 
 def fault(value: Any, kind: Any, where: str) -> str:
-    """What is wrong with a value that should be of one of the kinds above; empty where nothing is.
+    """What is wrong with a belief, an observation, or a part of one, which is called `where`, that should be of one of
+    the kinds above, or as one of their fields is annotated; empty where nothing is."""
+    return next(_faults(value, kind, where), "")
 
-    Args:
-        value: a belief, an observation, or a part of one.
-        kind: a class of this module, or the annotation of one of its fields; where: what the value is called.
-    """
-    origin = get_origin(kind)
+
+def _faults(value: Any, kind: Any, where: str) -> Iterator[str]:
+    origin, inner = get_origin(kind), get_args(kind)
     if origin is Annotated:
-        return _array_fault(value, get_args(kind)[1], where)
-    if origin in (Union, UnionType):
-        if value is None and NoneType in get_args(kind):
-            return ""
-        return fault(value, next(each for each in get_args(kind) if each is not NoneType), where)
-    if origin is tuple:
-        return _tuple_fault(value, get_args(kind), where)
-    if hasattr(kind, "__total__"):
-        return _map_fault(value, kind, where)
-    wanted = (int, float) if kind is float else kind
-    right = isinstance(value, wanted) and (kind is bool or not isinstance(value, bool))
-    return "" if right else f"{where}: expected {kind.__name__}, got {type(value).__name__}"
+        yield from _array_faults(value, inner[1], where)
+    elif origin in (Union, UnionType):
+        if value is not None or NoneType not in inner:
+            yield from _faults(value, next(each for each in inner if each is not NoneType), where)
+    elif origin is tuple and not isinstance(value, tuple):
+        yield f"{where}: expected a tuple, got {type(value).__name__}"
+    elif origin is tuple:
+        kinds = inner[:1] * len(value) if inner[-1] is Ellipsis else inner
+        if len(kinds) != len(value):
+            yield f"{where}: expected {len(kinds)} entries, got {len(value)}"
+        for at, (part, each) in enumerate(zip(value, kinds, strict=False)):
+            yield from _faults(part, each, f"{where}[{at}]")
+    elif hasattr(kind, "__total__"):
+        hints = get_type_hints(kind, include_extras=True)
+        if not isinstance(value, Mapping) or not kind.__required_keys__ <= value.keys() <= hints.keys():
+            given = sorted(value) if isinstance(value, Mapping) else type(value).__name__
+            yield f"{where}: expected a map with the keys {sorted(hints)}, got {given}"
+        for name in value:
+            yield from _faults(value[name], hints[name], f"{where}.{name}")
+    elif not isinstance(value, (int, float) if kind is float else kind) or isinstance(value, bool) != (kind is bool):
+        yield f"{where}: expected {kind.__name__}, got {type(value).__name__}"
 
 
-def _map_fault(value: Any, kind: Any, where: str) -> str:
-    hints = get_type_hints(kind, include_extras=True)
-    if not isinstance(value, Mapping) or not kind.__required_keys__ <= value.keys() <= hints.keys():
-        given = sorted(value) if isinstance(value, Mapping) else type(value).__name__
-        return f"{where}: expected a map with the keys {sorted(hints)}, got {given}"
-    faults = (fault(value[name], hint, f"{where}.{name}") for name, hint in hints.items() if name in value)
-    return next(filter(None, faults), "")
-
-
-def _tuple_fault(value: Any, kinds: tuple[Any, ...], where: str) -> str:
-    if not isinstance(value, tuple):
-        return f"{where}: expected a tuple, got {type(value).__name__}"
-    if kinds[-1] is Ellipsis:
-        kinds = kinds[:1] * len(value)
-    if len(kinds) != len(value):
-        return f"{where}: expected {len(kinds)} entries, got {len(value)}"
-    faults = (fault(part, kind, f"{where}[{at}]") for at, (part, kind) in enumerate(zip(value, kinds, strict=True)))
-    return next(filter(None, faults), "")
-
-
-def _array_fault(value: Any, wanted: Is, where: str) -> str:
+def _array_faults(value: Any, wanted: Is, where: str) -> Iterator[str]:
     if not isinstance(value, np.ndarray) or value.dtype.name != wanted.dtype:
         given = f"{value.dtype} array" if isinstance(value, np.ndarray) else type(value).__name__
-        return f"{where}: expected an array of {wanted.dtype} ({wanted.meaning}), got {given}"
-    if wanted.shape == ("...",):
-        return ""
-    fits = len(value.shape) == len(wanted.shape) and all(
-        isinstance(want, str) or want == got for want, got in zip(wanted.shape, value.shape, strict=True)
-    )
-    return "" if fits else f"{where}: expected the shape {wanted.shape} ({wanted.meaning}), got {value.shape}"
+        yield f"{where}: expected an array of {wanted.dtype} ({wanted.meaning}), got {given}"
+    elif wanted.shape != ("...",) and (
+        len(value.shape) != len(wanted.shape)
+        or any(want != got for want, got in zip(wanted.shape, value.shape, strict=True) if isinstance(want, int))
+    ):
+        yield f"{where}: expected the shape {wanted.shape} ({wanted.meaning}), got {value.shape}"

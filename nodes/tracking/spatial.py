@@ -13,17 +13,7 @@ from hierax.nodes.tracking.display import spatial_things
 from hierax.nodes.tracking.errors import check_between
 from hierax.nodes.tracking.imagery.alternatives import elsewhere, resting
 from hierax.nodes.tracking.imagery.physics import GRAVITY_M_S2, Motion, Simulator, Solid
-from hierax.nodes.tracking.math.geometry import (
-    NO_POSES,
-    Array,
-    Floats,
-    exp_se3,
-    exp_so3,
-    invert,
-    log_se3,
-    log_so3,
-    make_pose,
-)
+from hierax.nodes.tracking.math.geometry import NO_POSES, Floats, exp_se3, exp_so3, invert, log_se3, log_so3, make_pose
 from hierax.nodes.tracking.render import is_missing
 from hierax.runtime import NO_TICK, Node, Step, Tick, Value
 from hierax.runtime.core.showing import Things
@@ -188,7 +178,9 @@ class SpatialNode(Node):
             return {**_adrift(heard, body, interval_s), "pose": supposed}
         pose, drift = seen["pose"], body["drift"]
         if interval_s is not None and body["seen"] is not None:
-            observed = _displacement(body["seen"], pose) / interval_s
+            before = body["seen"]
+            turned = log_so3(pose[:3, :3] @ before[:3, :3].T)
+            observed = np.concatenate((pose[:3, 3] - before[:3, 3], turned)) / interval_s
             change = self._gain((observed - drift) * interval_s, seen) * (observed - drift)
             drift = drift + _limited(change, _ACCELERATION * interval_s)
         needed = _STOPPED_SIGMAS if body["velocity"].any() else _MOVES_SIGMAS
@@ -279,7 +271,7 @@ def _limited(change: Floats, most: Floats) -> Floats:
     return np.asarray(change * np.repeat(np.minimum(1.0, most / np.maximum(sizes, 1e-12)), 3))
 
 
-def _sigmas_squared(step: Floats, pose: Array, covariance: Array) -> float:
+def _sigmas_squared(step: Floats, pose: Floats, covariance: Floats) -> float:
     """How much a displacement in the world's frame is beside a covariance in the object's, in variances."""
     rotation = pose[:3, :3]
     turned = np.concatenate((rotation.T @ step[:3], rotation.T @ step[3:]))
@@ -330,8 +322,3 @@ def _adrift(heard: schema.Body, body: schema.Body, interval_s: float | None) -> 
 
 def _at(body: schema.Body, motion: Motion) -> schema.Body:
     return {**body, "pose": motion.pose, "velocity": motion.velocity}
-
-
-def _displacement(start: Floats, end: Array) -> Floats:
-    """How the origin moved (m) and the axes turned (rad), both in the world frame, (6,)."""
-    return np.concatenate((end[:3, 3] - start[:3, 3], log_so3(end[:3, :3] @ start[:3, :3].T)))

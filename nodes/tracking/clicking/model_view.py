@@ -146,11 +146,8 @@ def corners_of(shape: Shape) -> Floats:
 
 
 def fitted(corners: Floats, pixels: Floats, intrinsics: Array) -> Fit | None:
-    """The pose that puts corners nearest to where they were clicked; None where there is none before the camera.
-
-    Args:
-        corners: (n, 3) object's frame, at least `LEAST`; pixels: (n, 2); intrinsics: fx, fy, cx, cy in pixels.
-    """
+    """The pose that puts corners (n, 3), object's frame, at least `LEAST`, nearest to the pixels (n, 2) where they were
+    clicked; None where there is none before the camera."""
     lens, best = lens_matrix(intrinsics), None
     try:
         _, turns, shifts, _ = cv2.solvePnPGeneric(corners, pixels, lens, None, flags=cv2.SOLVEPNP_SQPNP)

@@ -28,11 +28,7 @@ _CONTENT = "default-src 'self' 'unsafe-inline'"
 
 
 class Page(ThreadingHTTPServer):
-    """Serves a session.
-
-    Args: session: what is clicked. port: of the page; 0 for any that is free.
-    Raises DataError: another process listens at the port.
-    """
+    """Serves a session at a port, 0 for any that is free. Raises DataError: another process listens at the port."""
 
     daemon_threads = True
     allow_reuse_address = True

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
@@ -22,19 +22,9 @@ _MOVED_PX = 3.0  # how much farther from the clicks than by them alone an aligne
 _IMAGES = 4  # so often is the picture seen, the first time to know the camera
 
 
-class Found(NamedTuple):
-    """An object whose pose was accepted."""
-
-    obj_id: int
-    pose: Floats  # camera_from_object
-
-
 class Session:
-    """Asks for the corners of a scene's objects in its first picture. Nothing here waits or writes.
-
-    Args: scene: the scene. objects: numbers of their models.
-    Raises DataError: the picture or a model is missing or damaged.
-    """
+    """Asks for the corners of a scene's objects, by the numbers of their models, in its first picture. Nothing here
+    waits or writes. Raises DataError: the picture or a model is missing or damaged."""
 
     def __init__(self, scene: BopScene, objects: list[int]) -> None:
         frame = scene.frames[0]
@@ -60,9 +50,9 @@ class Session:
         return self._at == len(self._objects)
 
     @property
-    def found(self) -> list[Found]:
-        """The objects that were accepted."""
-        return [Found(each["obj_id"], each["pose"]) for each in self._bodies if each["pose"] is not None]
+    def found(self) -> list[tuple[int, Floats]]:
+        """The objects that were accepted: model's number and camera_from_object."""
+        return [(each["obj_id"], each["pose"]) for each in self._bodies if each["pose"] is not None]
 
     def do(self, asked: dict[str, Any]) -> None:
         """What the user asks for: ``{"action": "click", "x": 12.5, "y": 40}``, ``hidden``, ``undo``, ``redo``,
@@ -215,10 +205,8 @@ class Session:
 
 def aligned(picture: Picture, bodies: Sequence[FirstBody]) -> Floats | None:
     """camera_from_object of the last of some bodies where the image has it; None where the image does not support it.
-
-    Args: picture: the image. bodies: their ``pose`` is camera_from_object, as the camera's frame is the world's here;
-        those before the last one are seen, too, and may hide it.
-    """
+    Their ``pose`` is camera_from_object, as the camera's frame is the world's here; those before the last one are seen,
+    too, and may hide it."""
     first: list[FirstPose] = [{"id": each["id"], "obj_id": each["obj_id"], "pose": each["pose"]} for each in bodies]
     arm, spatial, imagine = ArmNode(first), SpatialNode(bodies), SegmentedDepth()
     sensed, believed = arm.initial_belief(), spatial.initial_belief()

@@ -24,8 +24,6 @@ from hierax.nodes.tracking.model.mesh import Mesh
 from hierax.nodes.tracking.model.symmetry import found_symmetry
 from hierax.nodes.tracking.schema import LOST, ScoredPose, Symmetry
 
-cv2.setNumThreads(1)
-
 TOLD_POSES = "scene_gt.json"
 FIRST_POSES = "first_poses.json"  # of `hierax init`; read in the place of the former's
 

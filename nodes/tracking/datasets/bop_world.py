@@ -58,9 +58,7 @@ class BopWorld(World):
 
 
 def frame_seen(belief: SceneBelief) -> tuple[Picture, ...]:
-    """φ of a `BopWorld`: the frame and what its camera is known to be. Returns: One element {"image": uint8 (h, w) or
-    (h, w, 3) RGB; "camera": world_from_camera; "intrinsics": (4,) fx, fy, cx, cy; "frame": im_id}; none after the last
-    frame."""
+    """φ of a `BopWorld`: the frame and what its camera is known to be; none after the last frame."""
     frames = _scene(belief["scene"]).frames
     if belief["index"] >= len(frames):
         return ()

@@ -74,15 +74,9 @@ class _State(NamedTuple):
 def align(
     image: Image, controls: Controls, start: Start, intrinsics: Array, memory: Memory, search: stages.Search
 ) -> Aligned | None:
-    """Correct predicted poses.
-
-    Args:
-        image: of `smoothed`; controls: the control points of all objects; start: where they should be.
-        intrinsics: (4,) fx, fy, cx, cy in pixels; memory: what the objects looked like beside their edges; search: how.
-
-    Returns:
-        The corrected poses; None where no control point is in the image.
-    """
+    """Correct predicted poses; None where no control point is in the image. The image is of `smoothed`, the control
+    points are those of all objects, `start` is where they should be, `memory` what they looked like beside their
+    edges."""
     whole = np.broadcast_to(np.eye(4), start.poses.shape)
     state = _State(start.poses, np.eye(4), whole, np.zeros(len(controls.owners)))
     stage: stages.Stage | None = None

@@ -52,12 +52,8 @@ def memory_of(objects: list[Looks], controls: Controls, channels: int) -> Memory
 
 
 def bent_after(looks: Looks, aligned: Aligned, at: int, pose: Floats, intrinsics: Array) -> Looks:
-    """What is known of one object's edges after an image (a Kalman filter's update, edge by edge).
-
-    Args:
-        looks: before; aligned: how it was matched; at: which of the aligned objects it is.
-        pose: (4, 4) camera_from_object, as it was found; intrinsics: (4,) fx, fy, cx, cy in pixels.
-    """
+    """What is known of one object's edges after an image (a Kalman filter's update, edge by edge); at: which of the
+    aligned objects it is; pose: (4, 4) camera_from_object, as it was found."""
     tolerance = looks["tolerance"]
     if not tolerance:
         return looks

@@ -48,13 +48,9 @@ class Fused(NamedTuple):
 
 
 def fuse(aligned: Aligned, prior: Prior, resting: NDArray[np.bool_] | None = None) -> Fused:
-    """The correction that prediction and image speak for together (a Kalman filter's update).
-
-    Args:
-        aligned: what the image says, found with priors that leave room for motion.
-        prior: what was known before.
-        resting: (m,) which objects are known to rest, however the image surprises; None: none.
-    """
+    """The correction that prediction and image speak for together (a Kalman filter's update); aligned: what the image
+    says, found with priors that leave room for motion; resting: (m,) which objects are known to rest, however the image
+    surprises; None: none."""
     shift, own, vague = _solved(aligned, prior)
     off = _off(aligned, prior, shift, vague)
     trend = prior.trend + _TREND_GAIN * (off - prior.trend)

@@ -12,8 +12,6 @@ from hierax.nodes.tracking.math.batched import placed
 from hierax.nodes.tracking.math.geometry import NEAREST_M, Array, Floats
 from hierax.nodes.tracking.model.controls import Controls, Indices
 
-cv2.setNumThreads(1)
-
 Image = NDArray[np.float32]
 Singles = NDArray[np.float32]
 
@@ -91,13 +89,8 @@ def read_profiles(image: Image, lines: Lines, edges: Indices, reach: int, contra
     """The profiles to `reach` pixels on both sides, and all extremes of their gradients.
 
     A profile is averaged with its neighbours on the edge: noise falls, the edge stays. Peaks are told in grey levels,
-    their places in light.
-
-    Args:
-        image: of `smoothed`.
-        lines: where; its rows ascending, so that neighbours on an edge stand together.
-        edges: (n,) of each line; reach: pixels.
-        contrast: smallest slope that counts as an edge, grey levels per pixel.
+    their places in light. Of the lines the rows are ascending, so that neighbours on an edge (n,) stand together;
+    contrast: smallest slope that counts as an edge, grey levels per pixel.
     """
     half = reach + 1 + _FLANK_PX
     offsets = np.arange(-half, half + 1, dtype=np.float32)

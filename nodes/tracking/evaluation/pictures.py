@@ -18,8 +18,6 @@ from hierax.nodes.tracking.model.files import UNFINISHED, write_whole
 from hierax.nodes.tracking.schema import AnyArmBelief, PaperObject, TrackedObject
 from hierax.runtime import Probe, Step
 
-cv2.setNumThreads(1)
-
 VIDEO_FILE = "video.mp4"
 PICTURES_FOLDER = "pictures"
 CONTACT_SHEET = "contact-sheet.png"

@@ -35,8 +35,6 @@ from hierax.nodes.tracking.model.mesh import Mesh
 from hierax.nodes.tracking.simworld.raster import visible_shares
 from hierax.nodes.tracking.simworld.scene import develop, draw
 
-cv2.setNumThreads(1)
-
 FRAMES = 150
 START_M, START_DEG = 0.007, 3.0
 NOISE, BLUR_PX = 2.5, 0.7
@@ -55,15 +53,11 @@ class Told(NamedTuple):
 def write_scene(
     out: Path, kind: str, seed: int, frames: int = FRAMES, exact: bool = False, objects: int | None = None
 ) -> Path:
-    """Write a scene; equal arguments give equal files.
+    """Write a scene into a dataset's folder, where it replaces what stands there of an earlier one; equal arguments
+    give equal files. Returns: the scene's folder.
 
-    Args:
-        out: the dataset's folder; what stands there of an earlier scene is replaced.
-        kind: one of `KINDS`; seed: draws everything; frames: how many, at 30 a second.
-        exact: say the truth of start and camera; the kind "pushed" always does.
-        objects: take so many of the objects at most, the first; None for all.
-
-    Returns: The scene's folder.
+    Args: kind: one of `KINDS`; seed: draws everything; frames: how many, at 30 a second; exact: say the truth of start
+        and camera; the kind "pushed" always does. objects: take so many of the objects at most, the first; None: all.
     Raises ValueError: there is no such kind, or `frames` or `objects` is not positive. DataError: something cannot be
         written.
     """

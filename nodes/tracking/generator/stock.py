@@ -17,8 +17,6 @@ from hierax.nodes.tracking.model.files import read_mesh
 from hierax.nodes.tracking.model.mesh import Mesh
 from hierax.nodes.tracking.simworld.shapes import Shape, Thing, angle_piece, box, wedge
 
-cv2.setNumThreads(1)
-
 # world_from_object of what lies as it was extruded, and of what has its y axis upwards.
 _UPRIGHT = np.eye(3)
 LYING = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
@@ -87,8 +85,7 @@ def random_mesh(rng: np.random.Generator, colour: tuple[int, int, int]) -> Item:
 
 def random_wedge(rng: np.random.Generator, colour: tuple[int, int, int]) -> Item:
     """A wedge, lying."""
-    width, depth, length = _sizes(rng)
-    return Item(wedge(width, depth, length, rng.uniform(0.3, 0.7)), LYING, colour)
+    return Item(wedge(*_sizes(rng), rng.uniform(0.3, 0.7)), LYING, colour)
 
 
 def _sizes(rng: np.random.Generator) -> tuple[float, float, float]:

@@ -48,14 +48,10 @@ _DRAWS = _normal_table()
 
 
 def elsewhere(pose: Floats, covariance: Floats, support: Floats, turn: int) -> Floats:
-    """Poses (`AT_ONCE`, 4, 4) that a body may have as well.
-
-    Args:
-        pose: world_from_object that it is imagined at; covariance: (6, 6) of that, twist in the object's frame.
-        support: (3,) unit vector upwards in the object's frame where the body stands on something: there it may be
-            elsewhere and turned, but not higher or tilted; zeros where nothing carries it.
-        turn: other numbers give other poses.
-    """
+    """Poses (`AT_ONCE`, 4, 4) that a body may have as well as that which it is imagined at, with its covariance (6, 6),
+    twist in the object's frame; other turns give other poses. `support` is (3,) a unit vector upwards in the object's
+    frame where the body stands on something: there it may be elsewhere and turned, but not higher or tilted; zeros
+    where nothing carries it."""
     directions = _open(support)
     within = directions.T @ covariance @ directions
     values, vectors = np.linalg.eigh(within)

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from hierax.nodes.tracking.imagery.layers import NEAREST_DRAWN_M, Layer
 from hierax.nodes.tracking.math.batched import joined, only
-from hierax.nodes.tracking.math.geometry import Array, Floats, cross, invert, project, transform, unit
+from hierax.nodes.tracking.math.geometry import Array, Floats, Size, cross, invert, project, transform, unit
 from hierax.nodes.tracking.model.controls import CREASE, LIMB, OUTLINE, Controls
 from hierax.nodes.tracking.model.shapes import Ints, Shape, chained
 
@@ -42,12 +42,7 @@ class _Lines(NamedTuple):
 
 
 def controls_of(
-    shape: Shape,
-    pose: Floats,
-    intrinsics: Array,
-    size: tuple[int, int],
-    layer: Layer | None = None,
-    radius_m: float = 0.0,
+    shape: Shape, pose: Floats, intrinsics: Array, size: Size, layer: Layer | None = None, radius_m: float = 0.0
 ) -> Controls:
     """Points on the edges of an object that would be seen if it were alone: about `SPACING_PX` apart in the image,
     fewer where there would be more than `POINTS_MAX`; all with ``visible`` 1.
@@ -80,7 +75,9 @@ def controls_of(
         lines.faces[owners],
         np.ones(len(points)),
     )
-    kept = _in_image(project(transform(pose, points), intrinsics), size)
+    spots = project(transform(pose, points), intrinsics)
+    inside = (spots > -_OUTSIDE_PX) & (spots < np.array(size) - 1.0 + _OUTSIDE_PX)
+    kept = np.asarray(inside.all(axis=1))
     if layer is not None and not shape.convex:
         kept &= ~_hidden_by_itself(controls, pose, intrinsics, layer, _OWN_SHARE * float(np.ptp(shape.vertices)))
     return _numbered(shape, pose, only(controls, kept))
@@ -179,11 +176,6 @@ def _spread(lengths: Floats, edges: Ints) -> tuple[NDArray[np.intp], Floats]:
     owners = np.clip(np.searchsorted(before, places, side="right") - 1, 0, len(lengths) - 1)
     shares = (places - before[owners]) / np.maximum(lengths[owners], 1e-9)
     return owners, np.clip(shares, 0.0, 1.0)
-
-
-def _in_image(pixels: Floats, size: tuple[int, int]) -> NDArray[np.bool_]:
-    inside = (pixels > -_OUTSIDE_PX) & (pixels < np.array(size) - 1.0 + _OUTSIDE_PX)
-    return np.asarray(inside.all(axis=1))
 
 
 def _hidden_by_itself(

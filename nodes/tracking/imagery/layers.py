@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hierax.nodes.tracking.imagery.physics import Bullet
-from hierax.nodes.tracking.math.geometry import Array, Floats, cross, project, quaternion_of, transform
+from hierax.nodes.tracking.math.geometry import Array, Floats, Size, cross, project, quaternion_of, transform
 from hierax.nodes.tracking.model.shapes import Shape
 
 NEAREST_DRAWN_M = 0.01  # what is nearer to the camera is not drawn; farther than where it stops to be looked at
@@ -36,7 +36,7 @@ class Window(NamedTuple):
     bottom: int
 
     @property
-    def size(self) -> tuple[int, int]:
+    def size(self) -> Size:
         """Width and height in pixels."""
         return self.right - self.left, self.bottom - self.top
 
@@ -77,7 +77,10 @@ class MeshRenderer:
         position, quaternion = pose[:3, 3].tolist(), quaternion_of(pose[:3, :3]).tolist()
         for body in self._bodies:
             bullet.resetBasePositionAndOrientation(body, position, quaternion)
-        near, far = _z_range(transform(pose, _corners(self._vertices.min(axis=0), self._vertices.max(axis=0))))
+        # Near and far plane close around the object: that is what a float32 depth buffer is precise with.
+        depths = transform(pose, _corners(self._vertices.min(axis=0), self._vertices.max(axis=0)))[:, 2]
+        near = max(0.95 * float(depths.min()), NEAREST_DRAWN_M)
+        far = max(1.05 * float(depths.max()), 2.0 * near)
         width, height = window.size
         # OpenGL's camera looks along -z with y up; ours along z with y down.
         view = np.diag([1.0, -1.0, -1.0, 1.0])
@@ -108,9 +111,12 @@ class LayerRenderer:
     def __init__(self, shape: Shape) -> None:
         self.shape = shape
         self._triangles = shape.vertices[shape.faces]
-        self._mesh = None if len(shape.faces) <= _CAST_MAX else MeshRenderer(shape.vertices, _both_sides(shape))
+        both_sides = np.concatenate(
+            (shape.faces, shape.faces[~shape.closed][:, ::-1])
+        )  # open sheets are seen from both
+        self._mesh = None if len(shape.faces) <= _CAST_MAX else MeshRenderer(shape.vertices, both_sides)
 
-    def layer(self, pose: Floats, intrinsics: Array, size: tuple[int, int]) -> Layer | None:
+    def layer(self, pose: Floats, intrinsics: Array, size: Size) -> Layer | None:
         """The object alone, by camera_from_object, fx, fy, cx, cy in pixels, pixel centres at integers, and the image's
         width and height in pixels; None where no part of it can be in the image."""
         shape = self.shape
@@ -121,10 +127,10 @@ class LayerRenderer:
             inverse = _cast(transform(pose, self._triangles), shape.closed, intrinsics, window)
         else:
             inverse = self._mesh.inverse_depth(pose, intrinsics, window)
-        return Layer(window, inverse, _far_sides(_box_planes(shape.low, shape.high), pose, intrinsics))
+        return Layer(window, inverse, _far_sides(shape, pose, intrinsics))
 
 
-def window_of(corners: Floats, intrinsics: Array, size: tuple[int, int]) -> Window | None:
+def window_of(corners: Floats, intrinsics: Array, size: Size) -> Window | None:
     """The part of the image that corners (n, 3), camera's frame, span; None where that is nothing."""
     width, height = size
     nearest, farthest = float(corners[:, 2].min()), float(corners[:, 2].max())
@@ -191,38 +197,20 @@ def _boxes(corners: Floats, intrinsics: Array, window: Window) -> NDArray[np.int
     return np.clip(boxes, 0, whole[[2, 3, 2, 3]])
 
 
-def _far_sides(planes: Floats, pose: Floats, intrinsics: Array) -> Floats:
-    """What the planes (p, 4), n and d in the object's frame, that a ray can leave half spaces n·x <= d through look
-    like, as `Layer.sides`."""
+def _far_sides(shape: Shape, pose: Floats, intrinsics: Array) -> Floats:
+    """What the sides of the bounding box that a ray can leave it through look like, as `Layer.sides`."""
     fx, fy, cx, cy = (float(part) for part in intrinsics)
-    normals = planes[:, :3] @ pose[:3, :3].T
-    offsets = planes[:, 3] + normals @ pose[:3, 3]
+    normals = np.concatenate((np.eye(3), -np.eye(3))) @ pose[:3, :3].T
+    offsets = np.concatenate((shape.high, -shape.low)) + normals @ pose[:3, 3]
     normals, offsets = normals[offsets > _BARELY], offsets[offsets > _BARELY]
     across, down = normals[:, 0] / (fx * offsets), normals[:, 1] / (fy * offsets)
     return np.stack((across, down, normals[:, 2] / offsets - across * cx - down * cy), axis=1)
-
-
-def _box_planes(low: Floats, high: Floats) -> Floats:
-    """The six planes (6, 4) of a bounding box."""
-    return np.concatenate((np.column_stack((np.eye(3), high)), np.column_stack((-np.eye(3), -low))))
-
-
-def _both_sides(shape: Shape) -> Array:
-    """The faces, those of open sheets twice, as they are seen from both sides."""
-    open_faces = shape.faces[~shape.closed]
-    return np.concatenate((shape.faces, open_faces[:, ::-1]))
 
 
 def _corners(low: Floats, high: Floats) -> Floats:
     """The eight corners (8, 3) of a bounding box."""
     choose = np.array([[(index >> axis) & 1 for axis in range(3)] for index in range(8)])
     return np.asarray(np.where(choose == 1, high, low))
-
-
-def _z_range(corners: Floats) -> tuple[float, float]:
-    """Near and far plane, close around the object: that is what a float32 depth buffer is precise with."""
-    near = max(0.95 * float(corners[:, 2].min()), NEAREST_DRAWN_M)
-    return near, max(1.05 * float(corners[:, 2].max()), 2.0 * near)
 
 
 def _frustum(intrinsics: Array, window: Window, z_range: tuple[float, float]) -> Floats:
@@ -233,12 +221,12 @@ def _frustum(intrinsics: Array, window: Window, z_range: tuple[float, float]) ->
     cx, cy = cx - 0.5, cy + 0.5
     left, right = (window.left - 0.5 - cx) / fx, (window.right - 0.5 - cx) / fx
     top, bottom = -(window.top - 0.5 - cy) / fy, -(window.bottom - 0.5 - cy) / fy
-    matrix = np.zeros((4, 4))
-    matrix[0, 0] = 2.0 / (right - left)
-    matrix[0, 2] = (right + left) / (right - left)
-    matrix[1, 1] = 2.0 / (top - bottom)
-    matrix[1, 2] = (top + bottom) / (top - bottom)
-    matrix[2, 2] = -(far + near) / (far - near)
-    matrix[2, 3] = -2.0 * far * near / (far - near)
-    matrix[3, 2] = -1.0
-    return matrix
+    width, height, depth = right - left, top - bottom, far - near
+    return np.array(
+        [
+            [2.0 / width, 0.0, (right + left) / width, 0.0],
+            [0.0, 2.0 / height, (top + bottom) / height, 0.0],
+            [0.0, 0.0, -(far + near) / depth, -2.0 * far * near / depth],
+            [0.0, 0.0, -1.0, 0.0],
+        ]
+    )

@@ -16,10 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hierax.nodes.tracking.imagery.layers import Layer
-from hierax.nodes.tracking.math.batched import only, pixels_along
+from hierax.nodes.tracking.math.batched import hat_many, only, pixels_along
 from hierax.nodes.tracking.math.geometry import Array, Floats, invert, project, rays, transform
-
-cv2.setNumThreads(1)
 
 _REACH_PX = 24  # how far outside an outline its uncertainty is still looked at
 
@@ -71,14 +69,9 @@ def chances_seen(points: Sequence[Floats], placed: Sequence[Placed], intrinsics:
 
 def _errors(points: Floats, item: Placed) -> Floats:
     """The covariance (n, 3, 3) of where points (n, 3) of an object are, in the camera's frame."""
-    x, y, z = points.T
-    moves = np.zeros((len(points), 3, 6))
-    moves[:, :, :3] = np.eye(3)
+    shifts = np.broadcast_to(np.eye(3), (len(points), 3, 3))
     # A turn by r moves a point p by r × p.
-    moves[:, 0, 4], moves[:, 0, 5] = z, -y
-    moves[:, 1, 3], moves[:, 1, 5] = -z, x
-    moves[:, 2, 3], moves[:, 2, 4] = y, -x
-    moves = item.pose[:3, :3] @ moves
+    moves = item.pose[:3, :3] @ np.concatenate((shifts, hat_many(points).transpose(0, 2, 1)), axis=2)
     return np.asarray(moves @ item.covariance @ moves.transpose(0, 2, 1))
 
 

@@ -77,17 +77,9 @@ class Simulator:
         duration_s: float,
         drives: Mapping[int, Floats] | None = None,
     ) -> list[Motion]:
-        """Let bodies fall, slide, push and settle.
-
-        Args:
-            solids, motions: of each body, in the same order.
-            duration_s: how long, in seconds; done in equal steps of at most `STEP_S`, at most `MAX_STEPS` of them.
-            drives: by index of a body, the horizontal velocity (2,), m/s, to which a thread
-                draws it; it pulls against the friction of that body alone.
-
-        Returns:
-            The motions afterwards.
-        """
+        """Let bodies fall, slide, push and settle for so many seconds, in equal steps of at most `STEP_S`, at most
+        `MAX_STEPS` of them: the motions afterwards. `drives` is by index of a body the horizontal velocity (2,), m/s,
+        to which a thread draws it; it pulls against the friction of that body alone."""
         if not solids or duration_s <= 0.0:
             return list(motions)
         steps = min(MAX_STEPS, max(1, ceil(duration_s / STEP_S - 1e-6)))

@@ -19,7 +19,7 @@ from hierax.nodes.tracking.imagery.physics import support_points
 from hierax.nodes.tracking.math.batched import only
 from hierax.nodes.tracking.math.geometry import Array, Floats, exp_so3, invert, looking_down, make_pose, rays, transform
 from hierax.nodes.tracking.model.shapes import Shape
-from hierax.nodes.tracking.schema import Alternative
+from hierax.nodes.tracking.schema import Alternative, Size
 
 STEP_PX = 11  # from place to place in the image
 YAWS = 24  # turns about the vertical
@@ -112,21 +112,12 @@ def stable_faces(corners: Floats, centre: Floats) -> list[Floats]:
 
 
 def places_on(
-    camera: Floats,
-    intrinsics: Array,
-    size: tuple[int, int],
-    height: float,
-    outline: Floats | None,
-    most: int,
-    turn: int = 0,
+    camera: Floats, intrinsics: Array, size: Size, height: float, outline: Floats | None, most: int, turn: int = 0
 ) -> Floats:
-    """Places (n, 4, 4), world_from_place, on a level plane, evenly over what the camera sees of it.
-
-    Args:
-        camera: world_from_camera; intrinsics: (4,) fx, fy, cx, cy in pixels; size: of the image, (w, h).
-        height: of the plane, m; outline: (k, 2) the corners of the part of it that is meant, m; None for all of it.
-        most: places, about; turn: others give other places, between those.
-    """
+    """Places (n, 4, 4), world_from_place, on a level plane at a height, m, evenly over what the camera
+    (world_from_camera; fx, fy, cx, cy in pixels; (w, h) of the image) sees of it. outline: (k, 2) the corners of the
+    part of it that is meant, m; None for all of it. most: places, about; turn: others give other places, between
+    those."""
     step = max(STEP_PX, int(np.sqrt(size[0] * size[1] / max(most, 1))))
     across, down = (
         np.arange(step * ((share * turn) % 1.0), end, step) for share, end in zip(_PHASES, size, strict=True)
@@ -154,7 +145,7 @@ def places_on(
 
 
 def places_seen(
-    camera: Floats, intrinsics: Array, size: tuple[int, int], tops: Sequence[Floats], templates: int, turn: int = 0
+    camera: Floats, intrinsics: Array, size: Size, tops: Sequence[Floats], templates: int, turn: int = 0
 ) -> Floats:
     """Places (n, 4, 4) on the table and on what stands there, as for `places_on`; tops: of each body that carries
     things, (k, 3) the corners of its upper face, world's frame; templates: how many poses are tried at each place."""

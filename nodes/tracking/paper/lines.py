@@ -26,8 +26,6 @@ from hierax.nodes.tracking.math.geometry import (
     transform,
 )
 
-cv2.setNumThreads(1)
-
 _BEND = 2e-3  # laplacian of the inverse depth, relative to it, from which a pixel is on an edge
 _VOTES = 12
 _SHORTEST_PX = 8.0

@@ -18,8 +18,6 @@ import numpy as np
 from hierax.nodes.tracking.math.geometry import Array, Floats, Size
 from hierax.nodes.tracking.simworld.shapes import Face
 
-cv2.setNumThreads(1)
-
 LAMP_POINTS = 9  # shadows are the mean of those that so many points of a lamp throw
 
 

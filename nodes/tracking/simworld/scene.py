@@ -19,8 +19,6 @@ from hierax.nodes.tracking.simworld.light import LAMP, Lamp, light_on
 from hierax.nodes.tracking.simworld.raster import Drawn, drawn, homography
 from hierax.nodes.tracking.simworld.shapes import Face, Thing
 
-cv2.setNumThreads(1)
-
 SAMPLES = 2  # per pixel, along each axis
 TABLE_M = (1.5, 1.3)
 TABLE_PX_PER_M = 800

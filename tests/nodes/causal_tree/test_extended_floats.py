@@ -7,19 +7,7 @@ from fractions import Fraction
 import numpy as np
 import pytest
 
-from hierax.nodes.causal_tree.extended_floats import (
-    CHUNK,
-    ExtendedFloats,
-    as_float64,
-    divide,
-    extended,
-    greatest,
-    multiply,
-    ones,
-    products,
-    shifted,
-    total,
-)
+from hierax.nodes.causal_tree.extended_floats import CHUNK, ExtendedFloats, extended, ones
 
 
 def drawn(seed: int, *shape: int) -> ExtendedFloats:
@@ -44,11 +32,11 @@ def assert_equal(found: ExtendedFloats, wanted: np.ndarray, relative: float = 1e
 @pytest.mark.parametrize("seed", range(5))
 def test_arithmetic(seed: int) -> None:
     one, other = drawn(seed, 3, 7), drawn(seed + 100, 3, 7)
-    assert_equal(multiply(one, other), exact(one) * exact(other))
+    assert_equal(one.times(other), exact(one) * exact(other))
     nonzero = ExtendedFloats(np.where(other.fraction > 0, other.fraction, 0.5), other.exponent)
-    assert_equal(divide(one, nonzero), exact(one) / exact(nonzero))
-    assert_equal(total(one, 0), exact(one).sum(axis=0))
-    assert_equal(total(one, 1), exact(one).sum(axis=1))
+    assert_equal(one.over(nonzero), exact(one) / exact(nonzero))
+    assert_equal(one.total(0), exact(one).sum(axis=0))
+    assert_equal(one.total(1), exact(one).sum(axis=1))
 
 
 def test_what_is_extended_is_the_same() -> None:
@@ -59,7 +47,7 @@ def test_what_is_extended_is_the_same() -> None:
 
 def test_a_sum_is_0_only_of_zeros() -> None:
     values = ExtendedFloats(np.array([[0.0, 0.5], [0.0, 0.0]]), np.array([[0, -100000], [0, 0]]))
-    found = total(values, 0)
+    found = values.total(0)
     assert found.fraction.tolist() == [0.0, 0.5]
     assert found.exponent.tolist() == [0, -100000]
 
@@ -69,13 +57,13 @@ def test_products_of_neighbours(lengths: list[int]) -> None:
     rng = np.random.default_rng(len(lengths))
     values = extended(rng.uniform(0.4, 1.1, (2, sum(lengths))))
     starts = np.cumsum([0, *lengths[:-1]])
-    found = products(values, starts)
+    found = values.products(starts)
     logs = np.add.reduceat(np.log(values.fraction) + values.exponent * np.log(2.0), starts, axis=1)
     np.testing.assert_allclose(np.log(found.fraction) + found.exponent * np.log(2.0), logs, rtol=1e-10)
 
 
 def test_narrow_keeps_what_counts() -> None:
     values = ExtendedFloats(np.array([0.5, 0.75, 0.5, 0.0]), np.array([-9000, -8999, -99000, 0]))
-    assert greatest(values, 0) == -8999
-    assert as_float64(values, 0).tolist() == [0.25, 0.75, 0.0, 0.0]
-    assert shifted(values, 0).exponent.tolist() == [-1, 0, -90001, 0]
+    assert values.greatest(0) == -8999
+    assert values.as_float64(0).tolist() == [0.25, 0.75, 0.0, 0.0]
+    assert values.shifted(0).exponent.tolist() == [-1, 0, -90001, 0]
