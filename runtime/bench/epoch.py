@@ -69,7 +69,7 @@ def bench_epoch(epochs: int, rounds: int, progress: Callable[[str], None]) -> li
             for links, times in ours.items():
                 given = [f"picture={picture}", f"low_latency={json.dumps(links == LOW_LATENCY)}"]
                 report = launch(read_deployment("chain", given), epochs=epochs, seed=0)
-                times.append(_counted(report.epochs_us))
+                times.append(_counted(1e6 * np.array(report.epochs_s)))
         rows += [Row(f"{name}, {links} links", times, bare) for links, times in ours.items()]
     trips = []
     for number in range(rounds):
@@ -108,7 +108,7 @@ def _times(world: list[str], *others: list[str]) -> Sequence[float]:
     return times
 
 
-def _counted(epochs_us: Sequence[float]) -> Times:
+def _counted(epochs_us: Sequence[float] | Times) -> Times:
     return np.array(epochs_us[int(WARM_UP * len(epochs_us)) :])
 
 

@@ -8,6 +8,7 @@ import os
 import re
 import time
 from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from datetime import datetime, timedelta, timezone
 from enum import Enum
@@ -109,17 +110,15 @@ class Reader:
         return sorted(entries, key=_time)
 
     def _read(self, path: Path) -> Iterator[Entry]:
-        try:
-            with path.open("rb") as file:
-                number = os.fstat(file.fileno()).st_ino  # a file that was put aside goes on where it was read to
-                file.seek(self._places.get(number, 0))
-                for line in file:
-                    if not line.endswith(b"\n"):
-                        return  # being written
-                    self._places[number] = self._places.get(number, 0) + len(line)
-                    yield from _parsed(line)
-        except FileNotFoundError:
-            return  # put aside just now: it is read under its other name the next time
+        # it may be put aside just now: then it is read under its other name the next time
+        with suppress(FileNotFoundError), path.open("rb") as file:
+            number = os.fstat(file.fileno()).st_ino  # a file that was put aside goes on where it was read to
+            file.seek(self._places.get(number, 0))
+            for line in file:
+                if not line.endswith(b"\n"):
+                    return  # being written
+                self._places[number] = self._places.get(number, 0) + len(line)
+                yield from _parsed(line)
 
 
 def _parsed(line: bytes) -> Iterable[Entry]:

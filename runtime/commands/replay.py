@@ -98,7 +98,7 @@ class _Paced:
     def report(self) -> Report:
         """What the replay has come to: the live nodes after its last epoch."""
         from hierax.runtime.core.binding import metrics_of
-        from hierax.runtime.execution.report import NodeReport, make_report
+        from hierax.runtime.execution.report import NodeReport, Report
 
         assert self._last is not None
         epoch, states = self._last.epoch, self._replay.states
@@ -107,8 +107,8 @@ class _Paced:
             for node, state in sorted(states.items())
         }
         info, times_s = self._replay.recording.info, self.times_s
-        digest, total_s = self._last.digest, sum(times_s)
-        return make_report(info.hierarchy, "replay", info.seed, len(times_s), digest, total_s, times_s, nodes)
+        digest, total_s = self._last.digest.hex(), sum(times_s)
+        return Report(info.hierarchy, "replay", info.seed, len(times_s), digest, total_s, times_s, nodes)
 
 
 def _classes(texts: Sequence[str]) -> Mapping[str, str]:

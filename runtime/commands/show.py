@@ -64,8 +64,9 @@ def print_report(report: Report) -> None:
     speed = f" in {report.wall_s:.3g} s ({rate:.4g} epochs/s)" if rate else ""
     epochs = "1 epoch" if report.epochs == 1 else f"{report.epochs} epochs"
     lines = [f"{report.hierarchy}: {report.mode}, seed {report.seed}, {epochs}{speed}"]
-    if report.p50_us is not None and report.p99_us is not None:
-        lines.append(f"epoch: p50 {report.p50_us:.0f} µs, p99 {report.p99_us:.0f} µs")
+    times = [f"{name} {time_us:.0f} µs" for name, time_us in report.epoch_us.items() if time_us is not None]
+    if times:
+        lines.append(f"epoch: {', '.join(times)}")
     if report.start_s is not None:
         lines.append(f"start to first epoch: {report.start_s:.2f} s")
     lines.append(f"digest: {report.digest}")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from contextlib import suppress
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -122,10 +123,8 @@ class Vigilance:
 
     def keep(self, what: str, value: Value) -> None:
         """This is given to operators from now on; what cannot be encoded is told when it is to travel."""
-        try:
+        with suppress(SchemaError):
             self._kept.append((what, value, encode_value(value)))
-        except SchemaError:
-            return
 
     def check(self, call: Call, epoch: int) -> None:
         """Look at all of it after a call. Raises `OperatorError` if something is not what it was before."""

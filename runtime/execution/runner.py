@@ -204,7 +204,7 @@ class NodeRunner(EngineEffects):
         metrics = metrics_of(engine.name, engine.node.node, state.belief, engine.epoch - ahead)
         if isinstance(engine, StaleEngine):
             metrics.update(engine.ages.metrics())
-        return NodeReport(state.belief, state.policy, state.actions, metrics)
+        return NodeReport(*state, metrics)
 
     # --- what the engine calls
 

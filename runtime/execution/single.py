@@ -24,7 +24,7 @@ from hierax.runtime.execution.free import run_freely
 from hierax.runtime.execution.observers import Observers
 from hierax.runtime.execution.output_folder import digest_log, open_probes, state_log, write_roster
 from hierax.runtime.execution.pacemaker import Breaker, Pacemaker
-from hierax.runtime.execution.report import Interrupted, NodeReport, Report, make_report
+from hierax.runtime.execution.report import Interrupted, NodeReport, Report
 from hierax.runtime.execution.runner import Host, NodeRunner, World
 from hierax.runtime.loading.loader import build_hierarchy
 from hierax.runtime.loading.node_loader import NodeLoader, wait_for
@@ -98,7 +98,7 @@ def run(
     broken = breaker is not None and breaker.came
     reports, unreported = nodes.reports(chain.epoch if broken else None)
     times = (pacemaker.wall_s, pacemaker.epochs_s)
-    report = make_report(deployment.name, "run", seed, chain.epoch, chain.digest, *times, reports, output)
+    report = Report(deployment.name, "run", seed, chain.epoch, chain.digest.hex(), *times, reports, output)
     if broken:
         raise Interrupted(report, unreported)
     return report

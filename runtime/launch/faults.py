@@ -70,10 +70,8 @@ def plant(text: str, member: Member, world: WorldMember | None) -> None:
     """Have the process kill itself at ``INSTANT:N``. Raises `HieraxError` if that is none of this process."""
     fault = Fault.read(text)
     strike = _countdown(fault.number)
-    if fault.place == "save":
-        _wrap(member, "save", fault.before, strike)
-    elif fault.place == "send":
-        _wrap(member.port, "send", fault.before, strike)
+    if fault.place in ("save", "send"):
+        _wrap(member if fault.place == "save" else member.port, fault.place, fault.before, strike)
     elif world is None:
         raise HieraxError(f"--fault {text}: only the world's process comes to {fault.place!r}, not {member.name!r}")
     elif fault.place in RECORDS:

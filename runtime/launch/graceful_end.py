@@ -72,7 +72,7 @@ class GracefulEnd:
             if child.report is not None or self.epoch is None:
                 continue
             try:
-                child.report = _fields(self._read(child.order, self.epoch))
+                child.report = {**self._read(child.order, self.epoch)._asdict(), "metrics": {}}
             except (HieraxError, SchemaError) as error:
                 self.unreported[child.name] = str(error)
             else:
@@ -106,7 +106,7 @@ class GracefulEnd:
             self.unreported[child.name] = str(error)
             return
         run = [record.epoch - 1, record.last_digest, 0.0, np.zeros(0)]
-        child.report = {**_fields(saved.now), "run": run}
+        child.report = {**saved.now._asdict(), "metrics": {}, "run": run}
 
     def _read(self, order: NodeOrder, epoch: int) -> ActiveNode:
         """What a node was after an epoch. Raises `HieraxError` or `SchemaError` if its checkpoint does not tell."""
@@ -125,8 +125,3 @@ def _slots(order: NodeOrder) -> MappedFile:
     if not Path(f"{path}.0").exists():
         raise HieraxError("its process did not answer, and has kept no checkpoint yet")
     return MappedFile(path, order.durability)
-
-
-def _fields(state: ActiveNode) -> dict[str, object]:
-    """A report as a process gives it; its metrics are for the node's class to know."""
-    return {"belief": state.belief, "policy": state.policy, "actions": state.actions, "metrics": {}}

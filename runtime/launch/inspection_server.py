@@ -113,24 +113,12 @@ class InspectionServer:
             "instance": engine.wiring.instance,
         }
         if last is None:  # nothing was done by this process yet
-            state = engine.state
-            return {
-                **told,
-                "epoch": engine.epoch,
-                "attempt": engine.attempt,
-                "committed": True,
-                "belief": state.belief,
-                "policy": state.policy,
-                "actions": state.actions,
-            }
+            when = {"epoch": engine.epoch, "attempt": engine.attempt}
+            return {**told, **when, "committed": True, **engine.state._asdict()}
         step = last.step
-        return {
-            **told,
-            **step._asdict(),
-            "committed": None if isinstance(engine, StaleEngine) else engine.epoch > step.epoch or engine.is_world,
-            "digest": last.digest,
-            "before": self.observers.before,
-        }
+        committed = None if isinstance(engine, StaleEngine) else engine.epoch > step.epoch or engine.is_world
+        about = {"committed": committed, "digest": last.digest, "before": self.observers.before}
+        return {**told, **step._asdict(), **about}
 
     def _answer_neighbours(self, question: Mapping[str, Any]) -> dict[str, Value]:
         engine = self.observers.engine

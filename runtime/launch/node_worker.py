@@ -306,15 +306,9 @@ class NodeWorker:
         pacemaker = None if self._world is None else self._world.pacemaker
         if self._leaves and pacemaker is not None:
             self._epoch = pacemaker.chain.epoch
-        report = member.runner.report(self._epoch)
-        fields: dict[str, Value] = {
-            "belief": report.belief,
-            "policy": report.policy,
-            "actions": report.actions,
-            "metrics": dict(report.metrics),
-            "epoch": member.runner.engine.epoch,
-            "attempt": member.runner.engine.attempt,
-        }
+        engine = member.runner.engine
+        fields: dict[str, Value] = {**vars(member.runner.report(self._epoch)), "epoch": engine.epoch}
+        fields["attempt"] = engine.attempt
         if pacemaker is not None:
             chain = pacemaker.chain
             fields["run"] = [chain.epoch, chain.digest, pacemaker.wall_s, np.array(pacemaker.epochs_s)]

@@ -20,7 +20,7 @@ from hierax.runtime.owner.effects import OwnerPolicy
 from hierax.runtime.recording.info import RunInfo
 from hierax.runtime.recovery.disk import MappedFile
 from hierax.runtime.recovery.slots import Slots
-from hierax.schemas.checkpoint import decode_processes, decode_roster
+from hierax.schemas.checkpoint import WorldRecord, decode_processes, decode_roster
 from hierax.schemas.errors import SchemaError
 from hierax.schemas.roster import Reference, Roster
 
@@ -110,19 +110,21 @@ class Orders:
         """Whether a process of the world's that is dead has begun the run: only with a record is anything sent."""
         name = self.deployment.roster.world
         try:
-            with MappedFile(self._record, self.deployment.durability) as storage:
-                slots = Slots(storage)
-                if not has_record(slots):
-                    return False
-                record, _ = read_record(slots)
-            return bool(decode_processes(record.processes)[name][0] == world)  # else it is that of another run
+            record = self._world_record()
+            # one of another process is that of another run
+            return record is not None and bool(decode_processes(record.processes)[name][0] == world)
         except (HieraxError, SchemaError):
             return True  # its next process says what is wrong with it
 
-    @property
-    def _record(self) -> Path:
+    def _world_record(self) -> WorldRecord | None:
+        """What the world has recorded; None: nothing, so that the run has not begun."""
         world = self.deployment.roster.world
-        return self.options.state / self._lineages.get(world, world)
+        path = self.options.state / self._lineages.get(world, world)
+        if not Path(f"{path}.0").exists():
+            return None
+        with MappedFile(path, self.deployment.durability) as storage:
+            slots = Slots(storage)
+            return read_record(slots)[0] if has_record(slots) else None
 
     def again(
         self, order: NodeOrder, token: str, processes: Mapping[str, str], proposals: Iterable[bytes]
@@ -185,16 +187,10 @@ class Orders:
         """The roster with which the run begins, or goes on. Raises `HieraxError` if it cannot go on, or may not."""
         if not self.resumes:
             return self.deployment.roster
-        path = self._record
-        why = "the run was ended before its first epoch; launch it anew"
-        never = f"{self.options.state}: there is nothing to resume: {why}"
-        if not Path(f"{path}.0").exists():
-            raise HieraxError(never)
-        with MappedFile(path, self.deployment.durability) as storage:
-            slots = Slots(storage)
-            if not has_record(slots):
-                raise HieraxError(never)
-            record, _ = read_record(slots)
+        record = self._world_record()
+        if record is None:
+            why = "the run was ended before its first epoch; launch it anew"
+            raise HieraxError(f"{self.options.state}: there is nothing to resume: {why}")
         self.resumed_after = record.epoch - 1
         if self.options.epochs is not None and self.resumed_after >= self.options.epochs:
             raise HieraxError(f"{self.over}; a greater number of --epochs goes on")

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import subprocess
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -121,7 +122,6 @@ class RecorderChild:
         process = self._process
         assert process is not None
         assert process.stdin is not None
-        try:
+        # where it has ended, that is noticed by itself
+        with suppress(anyio.BrokenResourceError, anyio.ClosedResourceError, OSError):
             await process.stdin.send(line.encode() + b"\n")
-        except (anyio.BrokenResourceError, anyio.ClosedResourceError, OSError):
-            return  # it has ended: that is noticed by itself

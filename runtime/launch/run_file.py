@@ -14,12 +14,7 @@ from hierax.runtime.host.private_files import UnsafeFileError, errors_named, pri
 from hierax.runtime.host.run_folder import NOT_OURS, STATE, is_process, is_sealed, runs_folder, seal_or_warn
 
 _RUN = "run.json"
-_KINDS: Mapping[type, Sequence[str]] = {
-    str: ("deployment", "output"),
-    list: ("settings",),
-    int: ("seed",),
-    dict: ("lineages", "restarts"),
-}
+_KINDS = {"deployment": str, "output": str, "settings": list, "seed": int, "lineages": dict, "restarts": dict}
 _TEMPORARY = Path("/tmp")
 _PROBE = ".probe"  # written to see that it can be
 
@@ -123,31 +118,24 @@ def _folders() -> list[Path]:
 
 
 def _fit_folder() -> Path:
-    reasons = []
+    """Where runs can be registered. Raises `HieraxError` if that is nowhere."""
+    why = ""
     for folder in _folders():
-        reasons.append(_unfit(folder))
-        if not reasons[-1]:
-            return folder
-    raise HieraxError(reasons[-1])
-
-
-def _unfit(folder: Path) -> str:
-    """Why runs cannot be registered there; empty: they can."""
-    try:
-        with private_folder(folder, make=True):
-            return ""
-    except UnsafeFileError as error:
-        return f"{error}; set XDG_RUNTIME_DIR to a folder of your own"
-    except OSError as error:
-        return f"{folder}: the folder of runs cannot be made: {error.strerror or error}"
+        try:
+            with private_folder(folder, make=True):
+                return folder
+        except UnsafeFileError as error:  # noqa: PERF203 - each for itself
+            why = f"{error}; set XDG_RUNTIME_DIR to a folder of your own"
+        except OSError as error:
+            why = f"{folder}: the folder of runs cannot be made: {error.strerror or error}"
+    raise HieraxError(why)
 
 
 def _run(content: Any) -> Run:
     run = Run(**content)
-    for kind, names in _KINDS.items():
-        for name in names:
-            if not isinstance(getattr(run, name), kind):
-                raise TypeError(f"{name}: expected a {kind.__name__}, got {getattr(run, name)!r:.40}")
+    for name, kind in _KINDS.items():
+        if not isinstance(getattr(run, name), kind):
+            raise TypeError(f"{name}: expected a {kind.__name__}, got {getattr(run, name)!r:.40}")
     if not all(isinstance(name, str) and name == os.path.basename(name) for name in run.lineages.values()):
         raise TypeError(f"lineages: expected names of files, got {run.lineages!r:.80}")
     if run.epochs is not None and not isinstance(run.epochs, int):

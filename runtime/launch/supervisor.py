@@ -17,7 +17,7 @@ from hierax.runtime.core.errors import HieraxError
 from hierax.runtime.deployment import Deployment
 from hierax.runtime.execution.output_folder import write_roster
 from hierax.runtime.execution.pacemaker import ending_signals, leave_at_once
-from hierax.runtime.execution.report import Interrupted, NodeReport, Report, make_report
+from hierax.runtime.execution.report import Interrupted, NodeReport, Report
 from hierax.runtime.launch.child import END_TIMEOUT_S, Child, NodeFailedError
 from hierax.runtime.launch.frames import BEGIN, COME_BACK, STOP
 from hierax.runtime.launch.graceful_end import CLOSE_S, GracefulEnd
@@ -294,13 +294,11 @@ class Supervisor:
         epochs, digest, *times = world.get("run", (0, NO_DIGEST, 0.0, ()))  # it was killed before it began
         if self._deployment.staleness.barrier and self._graceful is None:
             _check_epochs(reports, epochs, world.get("attempt", 0))
-        nodes = {
-            name: NodeReport(said["belief"], said["policy"], said["actions"], said["metrics"])
-            for name, said in sorted(reports.items())
-        }
+        fields = ("belief", "policy", "actions", "metrics")
+        nodes = {name: NodeReport(*(said[field] for field in fields)) for name, said in sorted(reports.items())}
         options = self._orders.options
-        run = (self._deployment.name, "launch", options.seed, epochs, digest, times[0], times[1])
-        return make_report(*run, nodes, options.output, self._start_s)
+        run = (self._deployment.name, "launch", options.seed, epochs, digest.hex(), times[0], times[1])
+        return Report(*run, nodes, options.output, self._start_s)
 
 
 def _check_epochs(reports: Mapping[str, Mapping[str, Value]], epochs: int, attempt: int) -> None:

@@ -21,7 +21,7 @@ from hierax.runtime.deployment.read import read_deployment
 from hierax.runtime.engine.effects import Completed
 from hierax.runtime.engine.wiring import Place, Wiring
 from hierax.runtime.execution.pacemaker import Pacemaker
-from hierax.runtime.execution.report import Report, make_report
+from hierax.runtime.execution.report import Report
 from hierax.runtime.execution.runner import NodeRunner, World
 from hierax.runtime.execution.single import run
 from hierax.runtime.loading.allowance import Allowance
@@ -139,9 +139,8 @@ def run_hierarchy(
             runners[receiver].step(message)
     reports = {name: runner.report() for name, runner in runners.items()}
     chain = pacemaker.chain
-    return kept.ran(
-        make_report("test", "run", seed, chain.epoch, chain.digest, pacemaker.wall_s, list(pacemaker.epochs_s), reports)
-    )
+    times = (pacemaker.wall_s, pacemaker.epochs_s)
+    return kept.ran(Report("test", "run", seed, chain.epoch, chain.digest.hex(), *times, reports))
 
 
 @dataclass

@@ -8,6 +8,7 @@ import re
 import signal
 import tempfile
 from collections.abc import Iterator
+from contextlib import suppress
 from pathlib import Path
 from typing import NamedTuple
 
@@ -27,15 +28,13 @@ def orphaned_processes(proc: Path = Path("/proc")) -> Iterator[Orphan]:
     """This user's processes of nodes whose parent is no Python program any more. A node's process ends within 2 s when
     its supervisor dies; one that hangs in an operator may not."""
     for folder in sorted(proc.glob("[0-9]*")):
-        try:
+        with suppress(OSError, IndexError):  # it has ended just now
             if folder.stat().st_uid != os.getuid() or NODE_PROCESS not in _command(folder):
                 continue
             state, parent, began = _status(folder)
             above = _command(proc / parent) or [""]
             if state != "Z" and "python" not in Path(above[0]).name and "hierax" not in above:
                 yield Orphan(int(folder.name), began)
-        except (OSError, IndexError):
-            continue  # it has ended just now
 
 
 def end_process(orphan: Orphan, proc: Path = Path("/proc")) -> None:

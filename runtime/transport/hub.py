@@ -6,6 +6,7 @@ import logging
 import threading
 import time
 from collections.abc import Callable, Mapping
+from contextlib import suppress
 from typing import Any
 
 import zenoh
@@ -136,10 +137,8 @@ def _listen(zenoh_config: ZenohConfig, host: str | None) -> tuple[str, zenoh.Ses
     """Somebody else may take the free endpoint before we do; then another one is tried."""
     for _ in range(_TRIES - 1):
         endpoint = free_endpoint(host)
-        try:
+        with suppress(TransportError):
             return endpoint, open_session(listen=[endpoint], zenoh_config=zenoh_config, shared_memory=False)
-        except TransportError:
-            continue
     endpoint = free_endpoint(host)
     return endpoint, open_session(listen=[endpoint], zenoh_config=zenoh_config, shared_memory=False)
 

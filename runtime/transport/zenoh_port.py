@@ -6,6 +6,7 @@ import logging
 import threading
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from typing import Any
 
@@ -146,10 +147,8 @@ class ZenohPort(Port):
         self._inbox.interrupt()
 
     def _wake(self) -> None:
-        try:
+        with suppress(zenoh.ZError):  # closed, and so nobody waits
             self._session.put(self._own_key, b"", express=True)
-        except zenoh.ZError:
-            return  # closed, and so nobody waits
 
     def close(self) -> None:
         if not self._closed:
@@ -185,10 +184,8 @@ class ZenohPort(Port):
             self._lost(peer, process)
             return
         self.absent.came(process)
-        try:
+        with suppress(TransportError):  # closing: nobody is to be greeted any more
             self._greet(peer)
-        except TransportError:
-            return  # closing: nobody is to be greeted any more
 
     def _lost(self, peer: str, process: str = "") -> None:
         """What was under way from a neighbour's process, or any of its, is lost: greetings and what follows mend it."""

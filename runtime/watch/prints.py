@@ -133,12 +133,6 @@ def print_c_by_lines() -> None:
         library.setvbuf(ctypes.c_void_p.in_dll(library, "stdout"), None, _BY_LINES, 0)
 
 
-def flush_c() -> None:
-    """Have all go out that `printf` was given."""
-    with suppress(AttributeError, OSError):
-        ctypes.CDLL(None).fflush(None)
-
-
 def console_stream(console: Console) -> TextIO:
     """A stream whose lines go to the console as they are."""
     return _text(Lines("", console, lambda line: None))
@@ -223,7 +217,8 @@ class _Turns:
 
     def close(self) -> None:
         """Lead them back, when all was read."""
-        flush_c()
+        with suppress(AttributeError, OSError):
+            ctypes.CDLL(None).fflush(None)  # what `printf` was given
         for number, descriptor in enumerate(self._given, 1):
             os.dup2(descriptor, number)
         for descriptor in (*self._given, *self._writing.values()):

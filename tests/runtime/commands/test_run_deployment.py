@@ -17,7 +17,7 @@ from hierax.runtime.commands.run_deployment import run_deployment
 from hierax.runtime.core.errors import HieraxError
 from hierax.runtime.deployment import Deployment, DeploymentError
 from hierax.runtime.execution.output_folder import SUMMARY
-from hierax.runtime.execution.report import NodeReport, Report, make_report
+from hierax.runtime.execution.report import NodeReport, Report
 
 
 class FakeRunner:
@@ -35,7 +35,7 @@ class FakeRunner:
             if progress is not None:
                 progress(epoch)
         nodes = {"world": NodeReport(float("nan"), "default", (), {"count": 3.0})}
-        return make_report(deployment.name, "fake", options["seed"], 3, bytes(32), 0.1, [0.01], nodes, start_s=0.5)
+        return Report(deployment.name, "fake", options["seed"], 3, bytes(32).hex(), 0.1, [0.01], nodes, start_s=0.5)
 
 
 def run(runner: FakeRunner, path: Path, **options: Any) -> int:

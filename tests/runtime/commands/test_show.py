@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from hierax.runtime.commands.show import brief, print_json, print_report
-from hierax.runtime.execution.report import NodeReport, make_report
+from hierax.runtime.execution.report import NodeReport, Report
 
 
 @pytest.mark.parametrize(
@@ -35,8 +35,8 @@ def test_json_is_strict() -> None:
 
 def test_a_report_as_text(capsys: pytest.CaptureFixture[str]) -> None:
     node = NodeReport({"x": 1.0}, "default", (), {"error_mean": 0.25, "count": 3.0})
-    report = make_report(
-        "toys", "launch", 7, 2, bytes(32), 0.5, [0.25, 0.25], {"[bold]": node}, Path("out"), start_s=0.75
+    report = Report(
+        "toys", "launch", 7, 2, bytes(32).hex(), 0.5, [0.25, 0.25], {"[bold]": node}, Path("out"), start_s=0.75
     )
     print_report(report)
     lines = capsys.readouterr().out.splitlines()
@@ -51,5 +51,5 @@ def test_a_report_as_text(capsys: pytest.CaptureFixture[str]) -> None:
 
 
 def test_a_run_of_no_epoch(capsys: pytest.CaptureFixture[str]) -> None:
-    print_report(make_report("toys", "run", 0, 0, bytes(32), 0.0, [], {}))
+    print_report(Report("toys", "run", 0, 0, bytes(32).hex(), 0.0, [], {}))
     assert capsys.readouterr().out.startswith(f"toys: run, seed 0, 0 epochs\ndigest: {'00' * 32}\n")
