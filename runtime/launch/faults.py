@@ -17,22 +17,16 @@ from hierax.runtime.execution.member import Member
 from hierax.runtime.execution.world_member import WorldMember
 from hierax.runtime.loading.nearest import did_you_mean
 
-METHODS = {"act": "act", "commit": "committed"}
-"""By place that only the world's process comes to, the method of its member that is called there."""
-
-RECORDS = {"keep": 0, "intent": 1, "acted": 2}
-"""By place where the world writes its record: the first or second record of an act; 0: none of an act."""
-
-PLACES = {
-    "save": "a node writes its checkpoint",
-    "send": "a message goes out",
-    "keep": "the world writes its record, before an attempt",
-    "act": "the world acts, with what is recorded before and after it",
-    "intent": "the world records that it is going to act; its actuators move after it",
-    "acted": "the world records that it has acted; its actuators have moved before it",
-    "commit": "an epoch is committed",
+PLACES: dict[str, tuple[str, str, int | None]] = {
+    "save": ("member", "save", None),  # a node writes its checkpoint
+    "send": ("port", "send", None),  # a message goes out
+    "keep": ("world", "write_record", 0),  # the world writes its record, before an attempt
+    "act": ("world", "act", None),  # the world acts, with what is recorded before and after it
+    "intent": ("world", "write_record", 1),  # the world records that it is going to act; its actuators move after it
+    "acted": ("world", "write_record", 2),  # the world records that it has acted; its actuators have moved before it
+    "commit": ("world", "committed", None),  # an epoch is committed
 }
-"""Where a process may kill itself, and what happens there."""
+"""Where a process may kill itself: the part, its method, and of records which one of an act; 0: none of an act."""
 
 INSTANTS = tuple(f"{place}.{side}" for place in PLACES for side in ("before", "after"))
 
@@ -69,44 +63,26 @@ def read_faults(texts: Iterable[str]) -> dict[str, list[str]]:
 def plant(text: str, member: Member, world: WorldMember | None) -> None:
     """Have the process kill itself at ``INSTANT:N``. Raises `HieraxError` if that is none of this process."""
     fault = Fault.read(text)
-    strike = _countdown(fault.number)
-    if fault.place in ("save", "send"):
-        _wrap(member if fault.place == "save" else member.port, fault.place, fault.before, strike)
-    elif world is None:
+    part_name, method, record = PLACES[fault.place]
+    part = {"member": member, "port": member.port, "world": world}[part_name]
+    if part is None:
         raise HieraxError(f"--fault {text}: only the world's process comes to {fault.place!r}, not {member.name!r}")
-    elif fault.place in RECORDS:
-        _plant_at_record(world, fault, strike)
-    else:
-        _wrap(world, METHODS[fault.place], fault.before, strike)
-
-
-def _countdown(number: int) -> Callable[[], None]:
-    """What kills the process when it has been called a number of times."""
-    calls = count(1)
-
-    def strike() -> None:
-        if next(calls) == number:
-            os.kill(os.getpid(), signal.SIGKILL)
-
-    return strike
-
-
-def _plant_at_record(world: WorldMember, fault: Fault, strike: Callable[[], None]) -> None:
-    acts, records = False, 0
+    times, acts, records = count(1), False, 0
 
     def on_act(begins: bool) -> None:
         nonlocal acts, records
         acts, records = begins, 0
 
-    def on_record() -> None:
+    def strike() -> None:
         nonlocal records
         records += acts
-        if records == RECORDS[fault.place]:
-            strike()
+        if record in (None, records) and next(times) == fault.number:
+            os.kill(os.getpid(), signal.SIGKILL)
 
-    _wrap(world, "act", True, lambda: on_act(True))
-    _wrap(world, "act", False, lambda: on_act(False))
-    _wrap(world, "write_record", fault.before, on_record)
+    if record is not None:
+        _wrap(part, "act", True, lambda: on_act(True))
+        _wrap(part, "act", False, lambda: on_act(False))
+    _wrap(part, method, fault.before, strike)
 
 
 def _wrap(part: Any, name: str, before: bool, then: Callable[[], None]) -> None:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import time
 from collections import deque
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass
 from fnmatch import fnmatchcase
 from typing import NamedTuple
 
@@ -55,26 +54,19 @@ class Echo(NamedTuple):
     missed: int  # epochs between the last message with this key and this one of which none came here
 
 
-@dataclass
-class _Lane:
-    times_s: deque[float]
-    epoch: int = 0
-
-
 class Counter:
     """Counts the messages of each key. `clock`: seconds."""
 
     def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
         self._clock = clock
-        self._lanes: dict[Edge, _Lane] = {}
+        self._lanes: dict[Edge, deque[tuple[float, int]]] = {}  # when the last messages came, and their epochs
 
     def take(self, message: Message, size: int) -> Echo:
         """Take in one more message."""
         kind, sender, receiver, epoch = message.header[:4]
-        lane = self._lanes.setdefault((kind, sender, receiver), _Lane(deque(maxlen=WINDOW)))
-        lane.times_s.append(self._clock())
-        passed_s = lane.times_s[-1] - lane.times_s[0]
-        rate_hz = (len(lane.times_s) - 1) / passed_s if passed_s >= SHORTEST_S else None
-        missed = max(epoch - lane.epoch - 1, 0) if lane.epoch else 0
-        lane.epoch = max(epoch, lane.epoch)
-        return Echo(message, size, rate_hz, missed)
+        lane = self._lanes.setdefault((kind, sender, receiver), deque(maxlen=WINDOW))
+        last = max((earlier for _, earlier in lane), default=epoch)
+        lane.append((self._clock(), epoch))
+        passed_s = lane[-1][0] - lane[0][0]
+        rate_hz = (len(lane) - 1) / passed_s if passed_s >= SHORTEST_S else None
+        return Echo(message, size, rate_hz, max(epoch - last - 1, 0))
