@@ -104,12 +104,12 @@ def _roster(model: models.DeploymentModel, document: Document) -> Roster:
 
 
 def _probes(model: models.DeploymentModel, document: Document) -> tuple[ProbeSpec, ...]:
+    probes = []
     for index, probe in enumerate(model.probes):
         check_known(probe.node, model.nodes, document, ("probes", index, "node"))
-    return tuple(
-        ProbeSpec(probe.node, reference(probe.target, probe.parameters, document, ("probes", index)))
-        for index, probe in enumerate(model.probes)
-    )
+        named = reference(probe.target, probe.parameters, document, ("probes", index))
+        probes.append(ProbeSpec(probe.node, named))
+    return tuple(probes)
 
 
 def _modules(model: models.DeploymentModel) -> tuple[str, ...]:
@@ -161,9 +161,14 @@ def roster_edges(given: Mapping[str, models.EdgeModel], document: Document) -> t
     """Edges, by names, without functions that are not enabled. Raises `DeploymentError` if a parameter is no value."""
     edges = []
     for name, edge in given.items():
-        functions = {kind: _function(getattr(edge, kind), document, ("edges", name, kind)) for kind in FUNCTIONS}
+        functions = {kind: getattr(edge, kind) for kind in FUNCTIONS}
+        references = {
+            kind: reference(each.function, each.parameters, document, ("edges", name, kind))
+            for kind, each in functions.items()
+            if each is not None and each.enabled
+        }
         lower, upper = models.split_edge(name)
-        edges.append(RosterEdge(lower, upper, **functions))
+        edges.append(RosterEdge(lower, upper, **references))
     return tuple(sorted(edges, key=lambda edge: edge.pair))
 
 
@@ -193,9 +198,3 @@ def restart_policy(said: models.RestartModel, otherwise: RestartPolicy, place: D
         what = f"expected at least restart_delay, {first_s:g}, got {longest_s:g}"
         raise place.error((*keys, "max_restart_delay"), what)
     return replace(otherwise, **given)
-
-
-def _function(model: models.FunctionModel | None, document: Document, keys: Keys) -> Reference | None:
-    if model is None or not model.enabled:
-        return None
-    return reference(model.function, model.parameters, document, keys)

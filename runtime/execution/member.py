@@ -257,16 +257,15 @@ class Member(Host):
         return logging.INFO
 
     def _offer(self, request: str) -> control.Join:
+        read, fault = None, ""
         try:
             read = self._checkpoints.read()
         except (HieraxError, SchemaError) as error:
-            return control.Join(self.name, self.process, request, control.NEVER, False, str(error))
+            fault = str(error)
         if read is None:
-            return control.Join(self.name, self.process, request, control.NEVER, False, "")
-        checkpoint, self._saved = read
-        return control.Join(
-            self.name, self.process, request, checkpoint.epoch, False, "", checkpoint.roster, checkpoint.attempt
-        )
+            return control.Join(self.name, self.process, request, control.NEVER, False, fault)
+        saved, self._saved = read
+        return control.Join(self.name, self.process, request, saved.epoch, False, "", saved.roster, saved.attempt)
 
     def _prepare(self, order: control.Prepare) -> None:
         try:

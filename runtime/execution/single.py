@@ -107,11 +107,10 @@ def run(
 class _World(World):
     """Begins epochs, and before some of them has the roster changed."""
 
-    def __init__(self, pacemaker: Pacemaker, nodes: _Nodes, due: Sequence[int], acts: bool) -> None:
-        super().__init__(pacemaker)
+    def __init__(self, nodes: _Nodes) -> None:
+        super().__init__(nodes.pacemaker)
         self._nodes = nodes  # of the run
-        self._due = due  # the epochs before which the roster changes
-        self._acts = acts  # whether the world moves its actuators
+        self._due = [scheduled.epoch for scheduled in nodes.schedule]  # the epochs before which the roster changes
 
     def begin_next(self, runner: NodeRunner) -> None:
         epoch = runner.engine.epoch + 1
@@ -125,7 +124,7 @@ class _World(World):
             self._nodes.failed(error)
 
     def act(self, runner: NodeRunner, epoch: int, actions: Elements) -> None:
-        if self._acts:
+        if self._nodes.acts:
             super().act(runner, epoch, actions)
 
 
@@ -159,7 +158,7 @@ class _Nodes(Host):
         deployment = self.deployment
         self._setting = OperatorSetting(self.seed, wait_for)
         self._schedule = list(self.schedule)
-        self._begins = _World(self.pacemaker, self, [scheduled.epoch for scheduled in self.schedule], self.acts)
+        self._begins = _World(self)
         self._alone = {name for name, policy in deployment.restarts.items() if policy.fails_alone}
         self._failed: set[str] = set()
         self._trials: dict[str, _Trial] = {}
