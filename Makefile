@@ -24,9 +24,9 @@ demo: $(RUNS)
 	$(BIN)/python -m hierax.nodes.tracking.evaluation.report demo-output
 	@echo "Look at demo-output/pictures/contact-sheet.png and demo-output/errors.png"
 
-# two workers; tests/conftest.py says which has what
+# three workers, for two cores; tests/conftest.py says which has what
 test: $(INSTALLED)
-	$(BIN)/python -m pytest --numprocesses 2
+	$(BIN)/python -m pytest --numprocesses 3
 
 # those that start no process and take no while: for the loop of who works on it
 test-quick: $(INSTALLED)

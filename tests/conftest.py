@@ -1,4 +1,4 @@
-"""For all tests: how two workers share them, and where launches leave their logs."""
+"""For all tests: how workers share them, and where launches leave their logs."""
 
 from __future__ import annotations
 
@@ -21,6 +21,12 @@ signal.signal(signal.SIGHUP, signal.SIG_DFL)
 # Where nothing compiled may be kept, each of the hundreds of processes that tests start compiles all modules again.
 os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
 sys.dont_write_bytecode = False
+
+# What follows holds for the workers and for what they start. Memory that is given back to the system is cleared before
+# it comes again, image by image; BLAS's threads spin for a while, in each process, before they sleep.
+os.environ.setdefault("MALLOC_MMAP_THRESHOLD_", str(32 << 20))
+os.environ.setdefault("MALLOC_TRIM_THRESHOLD_", str(512 << 20))
+os.environ.setdefault("OPENBLAS_THREAD_TIMEOUT", "4")
 
 STARTING = {
     "tests/benchmarks/": 1,
@@ -45,7 +51,8 @@ STARTING = {
     "tests/test_docs_testing.py": 1,
     "tests/test_readme.py": 1,
 }
-"""Tests that start processes, and which worker has them, one by one: more at once would starve each other."""
+"""Tests that start processes, and which worker has them, one by one: more at once would starve each other. Both wait
+for half of their time; what only computes is done meanwhile by a third one."""
 
 SLOW = (
     "tests/model/",

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from dataclasses import replace
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -13,6 +14,7 @@ from hierax.nodes.tracking.datasets.bop import BopScene, read_image
 from hierax.nodes.tracking.datasets.truth import read_truth
 from hierax.nodes.tracking.errors import DataError
 from hierax.nodes.tracking.estimation.profiles import lines_of, read_profiles, smoothed
+from hierax.nodes.tracking.generator import scenes
 from hierax.nodes.tracking.generator.camera import (
     DRIFT_DEG,
     DRIFT_M,
@@ -169,7 +171,10 @@ def test_so_many_objects_and_frames_as_asked_for(tmp_path: Path) -> None:
     assert len(read_truth(tmp_path / "truth" / "000001")[0]) == 1
 
 
-def test_bad_arguments_are_named(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_bad_arguments_are_named(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(scenes, "film", cache(film))
     with pytest.raises(ValueError, match="kind is 'heap'; expected one of scattered"):
         write_scene(tmp_path, "heap", 0)
     with pytest.raises(ValueError, match="frames is 0"):

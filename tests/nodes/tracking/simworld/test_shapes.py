@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from hierax.nodes.tracking.math.geometry import Floats, exp_so3, make_pose
-from hierax.nodes.tracking.simworld.shapes import Shape, Thing, angle_piece, box, cube, regular, wedge
+from hierax.nodes.tracking.simworld.shapes import Face, Shape, Thing, angle_piece, box, cube, regular, wedge
 
 SHAPES = {
     "cube": (cube(0.05), 0.05**3),
@@ -28,6 +28,12 @@ def test_the_mesh_is_closed_and_holds_the_volume(name: str) -> None:
     assert volume(shape.mesh.vertices, shape.mesh.faces) == pytest.approx(expected)
     sides = np.concatenate([shape.mesh.faces[:, pair] for pair in ([0, 1], [1, 2], [2, 0])]).tolist()
     assert sorted(sides) == sorted([b, a] for a, b in sides)
+
+
+def test_a_normal_is_to_the_bit_that_of_numpy() -> None:
+    for corner, right, up in np.random.default_rng(7).normal(size=(200, 3, 3)):
+        expected = np.cross(right, up)
+        np.testing.assert_array_equal(Face(corner, right, up).normal, expected / np.linalg.norm(expected))
 
 
 def areas(shape: Shape) -> tuple[Floats, float]:
