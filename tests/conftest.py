@@ -37,7 +37,7 @@ STARTING = {
     "tests/nodes/picking/": 1,
     "tests/runtime/commands/": 0,
     "tests/runtime/core/test_digest.py": 1,
-    "tests/runtime/host/test_interpreter.py": 1,
+    "tests/runtime/host/test_streams_processes.py": 1,
     "tests/runtime/host/test_streams.py": 1,
     "tests/runtime/launch/": 0,
     "tests/runtime/loading/test_loader.py": 1,
@@ -65,7 +65,7 @@ SLOW = (
     "tests/nodes/tracking/test_arm.py",
     "tests/nodes/tracking/test_world.py",
     "tests/runtime/engine/test_agrees_with_core.py",
-    "tests/runtime/engine/test_staleness.py",
+    "tests/runtime/engine/test_stale.py",
     "tests/runtime/sim/",
     "tests/schemas/test_hostile_bytes.py",
 )
