@@ -26,11 +26,8 @@ def is_name(value: object) -> bool:
 def check_name(name: str, what: str = "name", where: str = "") -> str:
     """A name that may stand in keys, file names and deployment files. Raises `SchemaError` if it may not."""
     if not is_name(name):
-        raise SchemaError(
-            f"{shown(name)} is no {what}: expected at most {MAX_NAME_CHARS} letters, digits, '_', '.' or '-', "
-            "beginning with a letter or a digit",
-            where,
-        )
+        letters = f"at most {MAX_NAME_CHARS} letters, digits, '_', '.' or '-', beginning with a letter or a digit"
+        raise SchemaError(f"{shown(name)} is no {what}: expected {letters}", where)
     return name
 
 

@@ -126,13 +126,8 @@ class Gain:
         """The gain as plain JSON; the spread is the standard deviation over the seeds."""
         known = np.array(self.differences)
         spread = float(known.std(ddof=1)) if len(known) > 1 else None
-        figures = {
-            "mean": float(known.mean()),
-            "spread": spread,
-            "least": float(known.min()),
-            "most": float(known.max()),
-        }
-        return {"scene": self.name, "seeds": len(known), **figures}
+        mean, least, most = (float(figure) for figure in (known.mean(), known.min(), known.max()))
+        return {"scene": self.name, "seeds": len(known), "mean": mean, "spread": spread, "least": least, "most": most}
 
 
 @dataclass(frozen=True)

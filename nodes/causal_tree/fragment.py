@@ -71,11 +71,8 @@ class Fragment:
     def own_evidence(self, evidence: Mapping[str, Any]) -> dict[str, int | tuple[float, ...]]:
         """What of evidence concerns this part. Raises ValueError: likelihoods of a node are not as many as its states,
         or there is no state of that number."""
-        return {
-            name: checked_evidence(seen, len(self.states[name]), name)
-            for name, seen in evidence.items()
-            if name in self._numbers
-        }
+        mine = [name for name in evidence if name in self._numbers]
+        return {name: checked_evidence(evidence[name], len(self.states[name]), name) for name in mine}
 
     def slots(self, messages: Messages) -> dict[str, dict[str, Floats]]:
         """What of diagnostic support concerns this part: about arrows to it from other parts' nodes."""

@@ -210,10 +210,8 @@ def check_shape(parents: Parents) -> None:
     arrows, entered = ((name, parent) for name, above in parents.items() for parent in above), come_from.items()
     name, parent = next(ends for ends in arrows if ends not in entered and ends[::-1] not in entered)
     loop = [*_between(come_from, name, parent), name]
-    raise NetworkError(
-        f"there is an undirected loop, {' - '.join(map(str, loop))}; expected a tree or polytree, "
-        "with one way at most between any two nodes"
-    )
+    expected = "expected a tree or polytree, with one way at most between any two nodes"
+    raise NetworkError(f"there is an undirected loop, {' - '.join(map(str, loop))}; {expected}")
 
 
 def epochs_needed(network: Description | Network) -> int:

@@ -156,18 +156,11 @@ def _cells(row: Row) -> tuple[str, ...]:
 
     score = row.score
     bands = (score.hidden, score.band(0.5, 0.9), score.band(0.9, 1.0))
-    return (
-        row.name,
-        row.way,
-        *(percent(share) for share in (*score.shares, *(band.shares[1] for band in bands))),
-        f"{score.mean_mm:.2f} ({score.worst_mm:.1f})",
-        f"{score.mean_deg:.2f} ({score.worst_deg:.1f})",
-        percent(score.missing),
-        percent(score.astray),
-        str(score.lost),
-        _after(score.again_frames),
-        *(f"{row.stage_ms.get(stage, float('nan')):.1f}" for stage in ("world", "arm", "spatial")),
-    )
+    right = (*score.shares, *(band.shares[1] for band in bands))
+    errors = (f"{score.mean_mm:.2f} ({score.worst_mm:.1f})", f"{score.mean_deg:.2f} ({score.worst_deg:.1f})")
+    wrong = (percent(score.missing), percent(score.astray), str(score.lost), _after(score.again_frames))
+    times = (f"{row.stage_ms.get(stage, float('nan')):.1f}" for stage in ("world", "arm", "spatial"))
+    return (row.name, row.way, *map(percent, right), *errors, *wrong, *times)
 
 
 def _print_gains(gains: Sequence[Gain]) -> None:

@@ -199,10 +199,8 @@ class ArmNode(Node):
         if found is None:
             return np.eye(4), tuple(_sought(self._missed(item, item["pose"], None)) for item in objects)
         shift, estimates = found
-        return shift, tuple(
-            _sought(self._judged(item, shift @ item["pose"], estimate))
-            for item, estimate in zip(objects, estimates, strict=True)
-        )
+        seen = zip(objects, estimates, strict=True)
+        return shift, tuple(_sought(self._judged(item, shift @ item["pose"], each)) for item, each in seen)
 
     def _searched(
         self, image: Image, objects: _Objects, sweeps: tuple[schema.Sweep, ...], intrinsics: Array, upright: Floats

@@ -63,19 +63,14 @@ def arm_things(step: Step, before: Value, motion: Floats) -> dict[str, showing.T
     things["/camera/image"] = showing.Image(image)
     if before is not None and before["camera"] is not None:
         moved = invert(corrected["camera"]) @ before["camera"]
-        things["/camera/expected"] = showing.Lines2D(
-            edges_seen(before["objects"], moved, intrinsics), EXPECTED, _EXPECTED_PX
-        )
+        lines = edges_seen(before["objects"], moved, intrinsics)
+        things["/camera/expected"] = showing.Lines2D(lines, EXPECTED, _EXPECTED_PX)
     tracked = [item for item in objects if item["status"] == schema.TRACKED]
     things["/camera/corrected"] = showing.Lines2D(edges_seen(tracked, np.eye(4), intrinsics), CORRECTED, _CORRECTED_PX)
     things.update(_names(objects, intrinsics))
-    things["/scene/camera"] = showing.Camera(
-        corrected["camera"],
-        np.asarray(intrinsics) / _COARSER,
-        (corrected["size"][0] // _COARSER, corrected["size"][1] // _COARSER),
-        image[::_COARSER, ::_COARSER],
-        depth_m=_FRUSTUM_M,
-    )
+    lens, small = np.asarray(intrinsics) / _COARSER, image[::_COARSER, ::_COARSER]
+    size = (corrected["size"][0] // _COARSER, corrected["size"][1] // _COARSER)
+    things["/scene/camera"] = showing.Camera(corrected["camera"], lens, size, small, depth_m=_FRUSTUM_M)
     told = evidence(image, corrected, before, step.belief, motion)
     return {**things, **_evidence_things(told, image, intrinsics)}
 
@@ -115,7 +110,8 @@ def spatial_things(step: Step, table: bool) -> dict[str, showing.Thing]:
         things[f"/scene/bodies/{body['id']}"] = showing.Mesh(model["vertices"], model["faces"], body["pose"], colour)
     if belief["camera"] is None:
         return things
-    depth, labels = _imagined(belief)
+    items = [item_of(body, invert(belief["camera"])) for body in belief["bodies"]]
+    depth, labels = _renderer.render(items, belief["intrinsics"], belief["size"])
     return {**things, "/imagined/depth": showing.Depth(depth), "/imagined/labels": showing.Labels(labels)}
 
 
@@ -150,16 +146,6 @@ def _names(objects: Sequence[schema.TrackedObject | schema.PaperObject], intrins
                 project(origin[None], intrinsics), showing.WHITE, 3.0, (name,)
             )
     return things
-
-
-def _imagined(belief: schema.SpatialBelief) -> tuple[Array, Array]:
-    """Depth and labels that the camera is expected to see."""
-    camera, intrinsics, size = belief["camera"], belief["intrinsics"], belief["size"]
-    assert camera is not None
-    assert intrinsics is not None
-    assert size is not None
-    from_world = invert(camera)
-    return _renderer.render([item_of(body, from_world) for body in belief["bodies"]], intrinsics, size)
 
 
 def _grid() -> Floats:

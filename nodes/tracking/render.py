@@ -127,18 +127,17 @@ class SegmentedDepth:
         others = [self._others(scene, number) for number in range(len(bodies))]
         window = surrounding([layer.window for layer in layers.values()])
         depth, labels = composed(layers, window)
-        return (
-            {
-                "depth": depth,
-                "labels": labels,
-                "camera": camera,
-                "intrinsics": intrinsics - np.array([0.0, 0.0, window.left, window.top]),
-                "corner": (window.left, window.top),
-                "size": size,
-                "poses": tuple(map(_expected, bodies, controls, others)),
-                "sweeps": self._sweeps(belief, camera, intrinsics, size),
-            },
-        )
+        imagery: schema.Imagery = {
+            "depth": depth,
+            "labels": labels,
+            "camera": camera,
+            "intrinsics": intrinsics - np.array([0.0, 0.0, window.left, window.top]),
+            "corner": (window.left, window.top),
+            "size": size,
+            "poses": tuple(map(_expected, bodies, controls, others)),
+            "sweeps": self._sweeps(belief, camera, intrinsics, size),
+        }
+        return (imagery,)
 
     def _sweeps(
         self, belief: SpatialBelief, camera: Floats, intrinsics: Array, size: Size
@@ -161,12 +160,11 @@ class SegmentedDepth:
     def _controls(self, scene: _Scene, missing: Collection[int]) -> list[ControlPoints]:
         """The fields of each body's `Controls` that are likely enough to be seen."""
         placed = [_placed(scene, number) for number in range(len(scene.items))]
+        view = (scene.intrinsics, scene.size)
         alone = [
-            controls_of(
-                self._renderer.renderer(item).shape, item.pose, scene.intrinsics, scene.size, each.layer, self._radius_m
-            )
-            if item.label not in missing
-            else gathered([NO_CONTROLS])
+            gathered([NO_CONTROLS])
+            if item.label in missing
+            else controls_of(self._renderer.renderer(item).shape, item.pose, *view, each.layer, self._radius_m)
             for item, each in zip(scene.items, placed, strict=True)
         ]
         chances = self._chances([controls.points for controls in alone], placed, scene.intrinsics)
@@ -187,10 +185,8 @@ class SegmentedDepth:
         poses = [scene.camera_from_world @ pose for pose in body["others"]]
         hollow = not renderer.shape.convex
         layers = [renderer.layer(pose, intrinsics, size) if hollow else None for pose in poses]
-        alone = [
-            controls_of(renderer.shape, pose, intrinsics, size, layer, self._radius_m)
-            for pose, layer in zip(poses, layers, strict=True)
-        ]
+        views = zip(poses, layers, strict=True)
+        alone = [controls_of(renderer.shape, pose, intrinsics, size, layer, self._radius_m) for pose, layer in views]
         hiders = [_placed(scene, other) for other in range(len(scene.items)) if other != number]
         near = _NEAR * np.asarray(body["covariance"], dtype=np.float64)
         placed = [*hiders, *(Placed(pose, near, None) for pose in poses)]

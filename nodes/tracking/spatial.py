@@ -284,13 +284,9 @@ def _with_others(body: schema.Body, guesses: Floats) -> schema.Body:
     if not body["sought"] or not body["known"]:
         return {**body, "others": NO_POSES, "kept": 0}
     covariance = body["covariance"] if body["status"] != schema.TRACKED else body["covariance"] + _ASTRAY
-    others = elsewhere(body["pose"], covariance, body["support"] * body["stands"], body["turn"])
-    return {
-        **body,
-        "others": np.concatenate((guesses, others[len(guesses) :])),
-        "kept": len(guesses),
-        "turn": body["turn"] + 1,
-    }
+    imagined = elsewhere(body["pose"], covariance, body["support"] * body["stands"], body["turn"])
+    others = np.concatenate((guesses, imagined[len(guesses) :]))
+    return {**body, "others": others, "kept": len(guesses), "turn": body["turn"] + 1}
 
 
 def _is_carried(free: Motion, physical: Motion, interval_s: float) -> bool:

@@ -132,9 +132,8 @@ def corners_of(shape: Shape) -> Floats:
             found.append(shape.vertices[vertex])
     corners = np.reshape(found, (-1, 3))
     scale = float(np.ptp(shape.vertices, axis=0).max())
-    rows = np.column_stack(
-        ((corners - corners.mean(axis=0) if len(corners) else corners) / scale, np.ones(len(corners)))
-    )
+    middle = corners.mean(axis=0) if len(corners) else 0.0
+    rows = np.column_stack(((corners - middle) / scale, np.ones(len(corners))))
     spanned, chosen = 1e-3 * np.eye(4), list[int]()
     while len(chosen) < min(_MOST, len(corners)):
         # what the determinant of the corners' moments grows by

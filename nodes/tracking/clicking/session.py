@@ -29,12 +29,8 @@ class Session:
     def __init__(self, scene: BopScene, objects: list[int]) -> None:
         frame = scene.frames[0]
         self.image: Array = scene.image(frame.image)
-        self._picture: Picture = {
-            "image": self.image,
-            "camera": np.eye(4),
-            "intrinsics": frame.intrinsics,
-            "frame": frame.im_id,
-        }
+        lens, number = frame.intrinsics, frame.im_id
+        self._picture: Picture = {"image": self.image, "camera": np.eye(4), "intrinsics": lens, "frame": number}
         self._objects = objects
         meshes = {obj_id: scene.model(obj_id) for obj_id in objects}
         self._models = {obj_id: model_of(*meshes[obj_id]) for obj_id in meshes}
@@ -174,11 +170,11 @@ class Session:
         corners, pixels = (np.array([each[part] for each in clicked]) for part in (1, 2))
         fit = fitted(corners, pixels, self._picture["intrinsics"])
         if fit is None or not fit.fits:
-            off = (
-                "No pose fits" if fit is None else f"The corners lie {fit.off_px:.1f} pixels beside those of the model"
-            )
-            worst = "" if fit is None else f", number {clicked[fit.worst][0]} most"
-            self._judgement = f"{off}{worst}. Take back what was not meant, or begin again."
+            off = "No pose fits"
+            if fit is not None:
+                off = f"The corners lie {fit.off_px:.1f} pixels beside those of the model"
+                off += f", number {clicked[fit.worst][0]} most"
+            self._judgement = f"{off}. Take back what was not meant, or begin again."
             return
         image = aligned(self._picture, [*self._bodies, self._body(fit.pose)])
         there = None if image is None else judged(image, corners, pixels, self._picture["intrinsics"])

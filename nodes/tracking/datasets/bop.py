@@ -124,10 +124,9 @@ class BopScene:
         for key in sorted(cameras, key=int):
             im_id = int(key)
             if im_id not in images:
-                raise DataError(
-                    f"{self.folder}: no image for frame {im_id}; expected rgb/{im_id:06d}.png or gray/{im_id:06d}.png "
-                    f"({', '.join(suffix[1:] for suffix in _IMAGE_SUFFIXES)})"
-                )
+                kinds = ", ".join(suffix[1:] for suffix in _IMAGE_SUFFIXES)
+                expected = f"rgb/{im_id:06d}.png or gray/{im_id:06d}.png ({kinds})"
+                raise DataError(f"{self.folder}: no image for frame {im_id}; expected {expected}")
             frames.append(_frame(path, key, cameras[key], images[im_id]))
         return tuple(frames)
 

@@ -80,10 +80,8 @@ class TagCamera:
                 return
         name = tag.family if tag.number is None else f"{tag.family}:{tag.number}"
         looked = min(len(scene.frames), _PICTURES)
-        raise DataError(
-            f"{scene.folder}: no tag {name} is seen well enough in its first {looked} pictures; expected one that lies "
-            "on the table, with white around it"
-        )
+        unseen = f"{scene.folder}: no tag {name} is seen well enough in its first {looked} pictures"
+        raise DataError(f"{unseen}; expected one that lies on the table, with white around it")
 
     def first(self) -> Floats:
         """world_from_camera of the first frame."""

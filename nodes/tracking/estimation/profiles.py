@@ -139,16 +139,9 @@ def _shift(light: Singles, top: NDArray[np.bool_]) -> Singles:
 
 def _sampled(image: Image, across: Singles, down: Singles) -> Singles:
     """The image at places, row by row; OpenCV takes less than 32768 rows at a time."""
-    parts = [
-        cv2.remap(
-            image,
-            across[start : start + _MOST_ROWS],
-            down[start : start + _MOST_ROWS],
-            cv2.INTER_LINEAR,
-            borderMode=cv2.BORDER_REPLICATE,
-        )
-        for start in range(0, max(1, len(across)), _MOST_ROWS)
-    ]
+    starts = range(0, max(1, len(across)), _MOST_ROWS)
+    places = [(across[start : start + _MOST_ROWS], down[start : start + _MOST_ROWS]) for start in starts]
+    parts = [cv2.remap(image, *each, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE) for each in places]
     return np.asarray(np.concatenate(parts), dtype=np.float32)
 
 

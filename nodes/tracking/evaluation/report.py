@@ -65,10 +65,8 @@ def read_errors(output: Path, truth: Path | None = None) -> list[ObjectErrors]:
         return errors
     if (output / TRUTH_FILE).is_file():
         raise DataError(f"{output / TRUTH_FILE}: no poses")
-    raise DataError(
-        f"{output / TRUTH_FILE}: no such file; only a run of the simulated world writes the true poses, "
-        "those of a scene folder are given as --truth"
-    )
+    hint = "only a run of the simulated world writes the true poses, those of a scene folder are given as --truth"
+    raise DataError(f"{output / TRUTH_FILE}: no such file; {hint}")
 
 
 def _errors(output: Path, truth: Path | None) -> list[ObjectErrors] | None:

@@ -195,10 +195,8 @@ def _items(rng: np.random.Generator) -> list[stock.Item]:
     count = 5 + int(rng.integers(2))
     paints = stock.colours(rng, count)
     meshes = 1 + int(rng.integers(2))
-    return [
-        stock.random_mesh(rng, paint) if number < meshes else stock.random_box(rng, paint)
-        for number, paint in enumerate(paints)
-    ]
+    made = [stock.random_mesh] * meshes + [stock.random_box] * (count - meshes)
+    return [make(rng, paint) for make, paint in zip(made, paints, strict=True)]
 
 
 def _mostly_seen(hidden: Floats) -> float:

@@ -69,23 +69,20 @@ def rounded(shape: Shape, radius_m: float) -> Shape:
     bends = np.linspace(0.0, np.pi / 2.0, _STRIPS + 1)
     levels = [(low + radius_m * (1.0 - np.cos(bend)), radius_m * np.sin(bend)) for bend in bends]
     levels += [(low + high - level, wide) for level, wide in reversed(levels)]
-    rings = np.stack(
-        [np.column_stack((core[owners] + wide * ways, np.full(len(owners), level))) for level, wide in levels]
-    )
-    strips = [
-        _strip(np.stack((lower[at], lower[to], upper[to], upper[at])))
-        for lower, upper in pairwise(rings)
-        for at, to in pairwise([*range(len(owners)), 0])
-    ]
+    rings = np.stack([_at_level(core[owners] + wide * ways, level) for level, wide in levels])
+    steps = list(pairwise([*range(len(owners)), 0]))
+    quads = [(lower[at], lower[to], upper[to], upper[at]) for lower, upper in pairwise(rings) for at, to in steps]
+    strips = filter(None, (_strip(np.stack(quad)) for quad in quads))
     parts = [part[: len(part) // 2, :2] for part in shape.convex]
     pieces = [np.abs(outline[None] - part[:, None]).sum(axis=2).argmin(axis=1) for part in parts]
-    caps = [
-        _side(np.column_stack((core[piece], np.full(len(piece), level))), np.array([0.0, 0.0, up]))[0]
-        for piece in pieces
-        for level, up in ((low, -1.0), (high, 1.0))
-    ]
+    ends = [(piece, level, up) for piece in pieces for level, up in ((low, -1.0), (high, 1.0))]
+    caps = [_side(_at_level(core[piece], level), np.array([0.0, 0.0, up]))[0] for piece, level, up in ends]
     convex = tuple(rings[:, np.isin(owners, piece)].reshape(-1, 3) for piece in pieces)
-    return shape._replace(sides=(*caps, *(strip for strip in strips if strip)), convex=convex)
+    return shape._replace(sides=(*caps, *strips), convex=convex)
+
+
+def _at_level(places: Floats, level: float) -> Floats:
+    return np.column_stack((places, np.full(len(places), level)))
 
 
 def _ways_around(outline: Floats) -> tuple[Indices, Floats, Floats]:

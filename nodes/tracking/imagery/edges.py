@@ -60,21 +60,13 @@ def controls_of(
     lines = only(lines, ahead)
     pixels = project(seen[ahead], intrinsics)
     outside = (pixels.max(axis=1, initial=-np.inf) < 0.0) | (pixels.min(axis=1, initial=np.inf) > np.array(size))
-    owners, shares = _spread(
-        np.where(outside.any(axis=1), 0.0, np.linalg.norm(pixels[:, 1] - pixels[:, 0], axis=1)), lines.edges
-    )
-    step = (lines.ends[:, 1] - lines.ends[:, 0])[owners]
-    points = lines.ends[owners, 0] + shares[:, None] * step
-    controls = Controls(
-        np.zeros(len(points), dtype=np.intp),
-        points,
-        step / np.linalg.norm(step, axis=1, keepdims=True),
-        lines.inwards[owners],
-        lines.kinds[owners],
-        lines.edges[owners],
-        lines.faces[owners],
-        np.ones(len(points)),
-    )
+    lengths = np.where(outside.any(axis=1), 0.0, np.linalg.norm(pixels[:, 1] - pixels[:, 0], axis=1))
+    owners, shares = _spread(lengths, lines.edges)
+    lines = only(lines, owners)  # of each point
+    step = lines.ends[:, 1] - lines.ends[:, 0]
+    points = lines.ends[:, 0] + shares[:, None] * step
+    tangents = step / np.linalg.norm(step, axis=1, keepdims=True)
+    controls = Controls(np.zeros(len(points), dtype=np.intp), points, tangents, *lines[1:], np.ones(len(points)))
     spots = project(transform(pose, points), intrinsics)
     inside = (spots > -_OUTSIDE_PX) & (spots < np.array(size) - 1.0 + _OUTSIDE_PX)
     kept = np.asarray(inside.all(axis=1))

@@ -84,14 +84,9 @@ class MeshRenderer:
         width, height = window.size
         # OpenGL's camera looks along -z with y up; ours along z with y down.
         view = np.diag([1.0, -1.0, -1.0, 1.0])
-        result = bullet.getCameraImage(
-            width,
-            height,
-            viewMatrix=view.T.ravel().tolist(),
-            projectionMatrix=_frustum(intrinsics, window, (near, far)).T.ravel().tolist(),
-            shadow=0,
-            renderer=bullet.ER_TINY_RENDERER,
-        )
+        lens = _frustum(intrinsics, window, (near, far))
+        matrices = {"viewMatrix": view.T.ravel().tolist(), "projectionMatrix": lens.T.ravel().tolist()}
+        result = bullet.getCameraImage(width, height, **matrices, shadow=0, renderer=bullet.ER_TINY_RENDERER)
         z_buffer = np.asarray(result[3], dtype=np.float32).reshape(height, width).astype(np.float64)
         seen = np.asarray(result[4], dtype=np.int32).reshape(height, width) >= 0
         return np.where(seen, (far - (far - near) * z_buffer) / (near * far), 0.0)
@@ -111,9 +106,7 @@ class LayerRenderer:
     def __init__(self, shape: Shape) -> None:
         self.shape = shape
         self._triangles = shape.vertices[shape.faces]
-        both_sides = np.concatenate(
-            (shape.faces, shape.faces[~shape.closed][:, ::-1])
-        )  # open sheets are seen from both
+        both_sides = np.concatenate((shape.faces, shape.faces[~shape.closed][:, ::-1]))  # of open sheets
         self._mesh = None if len(shape.faces) <= _CAST_MAX else MeshRenderer(shape.vertices, both_sides)
 
     def layer(self, pose: Floats, intrinsics: Array, size: Size) -> Layer | None:

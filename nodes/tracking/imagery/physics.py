@@ -97,9 +97,8 @@ class Simulator:
         shape = box_shape(bullet, solid.half.tolist()) if solid.is_box else hull_shape(bullet, solid.hull)
         rotation = motion.pose[:3, :3]
         offset = rotation @ solid.centre
-        handle = create_body(
-            bullet, shape, solid.mass, solid.friction, make_pose(rotation, motion.pose[:3, 3] + offset)
-        )
+        centre = make_pose(rotation, motion.pose[:3, 3] + offset)
+        handle = create_body(bullet, shape, solid.mass, solid.friction, centre)
         linear = motion.velocity[:3] + np.cross(motion.velocity[3:], offset)
         bullet.resetBaseVelocity(handle, linear.tolist(), motion.velocity[3:].tolist())
         return handle

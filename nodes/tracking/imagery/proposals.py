@@ -119,9 +119,7 @@ def places_on(
     part of it that is meant, m; None for all of it. most: places, about; turn: others give other places, between
     those."""
     step = max(STEP_PX, int(np.sqrt(size[0] * size[1] / max(most, 1))))
-    across, down = (
-        np.arange(step * ((share * turn) % 1.0), end, step) for share, end in zip(_PHASES, size, strict=True)
-    )
+    across, down = (np.arange(step * (turn * part % 1.0), end, step) for part, end in zip(_PHASES, size, strict=True))
     pixels = np.stack(np.meshgrid(across, down), axis=-1).reshape(-1, 2)
     directions = rays(pixels, intrinsics) @ camera[:3, :3].T
     drop = camera[2, 3] - height

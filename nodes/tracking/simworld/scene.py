@@ -126,12 +126,8 @@ def _coloured(seen: Drawn, where: Array, colour: tuple[int, int, int], parts: Se
 
 def _face_texture(face: Face, colour: tuple[int, int, int], parts: Sequence[Floats], lamp: Lamp) -> Array:
     """Colour and full cover of each point of a face, float32 (FACE_PX, FACE_PX, 4); of what rests it stays the same."""
-    key = (
-        *(axis.tobytes() for axis in face[:3]),
-        colour,
-        lamp,
-        blake2b(b"".join(part.tobytes() for part in parts)).digest(),
-    )
+    every_part = blake2b(b"".join(part.tobytes() for part in parts)).digest()
+    key = (*(axis.tobytes() for axis in face[:3]), colour, lamp, every_part)
     if key not in _TEXTURES:
         if len(_TEXTURES) >= _TEXTURES_MAX:
             _TEXTURES.clear()
