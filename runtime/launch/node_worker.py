@@ -13,27 +13,31 @@ import numpy as np
 
 from hierax.runtime.core.binding import OperatorSetting, Waiter
 from hierax.runtime.core.errors import ContradictionError, HieraxError
+from hierax.runtime.core.staleness import Staleness
 from hierax.runtime.engine.wiring import Wiring
-from hierax.runtime.execution.member import Member
+from hierax.runtime.execution.checkpoints import Checkpoints
+from hierax.runtime.execution.member import Member, Seat
 from hierax.runtime.execution.observers import Observers
-from hierax.runtime.execution.pacemaker import Pacemaker, call_in
+from hierax.runtime.execution.pacemaker import Pacemaker, SteadyClock, call_in
 from hierax.runtime.execution.world_member import WorldMember
 from hierax.runtime.launch import frames
+from hierax.runtime.launch.faults import plant
 from hierax.runtime.launch.inspection_server import InspectionServer
-from hierax.runtime.launch.member_building import Parts, open_observers, open_slots, pacemaker_of, preload
+from hierax.runtime.launch.member_building import open_observers, open_slots, pacemaker_of, preload
 from hierax.runtime.launch.node_loop import ControlQueue, NodeLoop, WorldWatch
 from hierax.runtime.loading.loader import LoadError, extend_import_path
 from hierax.runtime.loading.node_loader import NodeLoader
 from hierax.runtime.owner.effects import OwnerPolicy
 from hierax.runtime.recording.witness import Witness
+from hierax.runtime.recovery.slots import Slots
 from hierax.runtime.transport.bus_tap import StepPublisher
 from hierax.runtime.transport.control import OWNER, ControlLine, InspectionEndpoint
 from hierax.runtime.transport.port import TransportError
-from hierax.runtime.transport.zenoh_port import EpochPublisher, ZenohPort
+from hierax.runtime.transport.zenoh_port import ZenohPort, epoch_publisher
 from hierax.runtime.transport.zenoh_session import LOOPBACK, LOW_LATENCY_BYTES, open_session
 from hierax.runtime.watch import telemetry
 from hierax.runtime.watch.logs import QUIET
-from hierax.schemas.control import AskStatus, Control, Dismiss, Offered, Word, decode_control
+from hierax.schemas.control import AskStatus, Control, Dismiss, Offered, Order, Word, decode_control
 from hierax.schemas.errors import SchemaError
 from hierax.schemas.keys import Keys
 from hierax.schemas.roster import Roster
@@ -192,13 +196,14 @@ class NodeWorker:
         self._inspection = InspectionServer(*seen, endpoint, self.busy)
         gc.collect()
         gc.freeze()  # what is loaded stays; the collector need not look at it again in the middle of an epoch
-        parts = Parts(order, loader, port, self._line, observers, slots)
+        staleness, alone = Staleness(order.staleness, order.exact), frozenset(order.alone)
+        seat = Seat(order.name, order.process, loader.wiring, port, observers, staleness, alone)
         try:
             if order.owner is not None:
-                pacemaker = pacemaker_of(order, EpochPublisher(session, keys))
-                member = self._begin_world(order.owner, parts, pacemaker)
+                pacemaker = pacemaker_of(order, epoch_publisher(session, keys))
+                member = self._begin_world(order.owner, seat, port, slots, pacemaker)
             else:
-                member = self._begin(parts)
+                member = self._begin(seat, port, slots)
             if self._member is not None:
                 self._run(self._member, port)
             if self._leaves:  # nobody waits for what probes do at their end
@@ -224,16 +229,19 @@ class NodeWorker:
     def _roster(self) -> Roster | None:
         return None if self._world is None else self._world.owner.members.roster
 
-    def _begin(self, parts: Parts) -> Member:
+    def _begin(self, seat: Seat, port: ZenohPort, slots: Slots) -> Member:
         """Come into the run; the member has a part in it where `_member` is set."""
-        order, loader, member = self._order, parts.loader, parts.member()
+        order = self._order
+        member = Member(seat, lambda word: self._line.send(OWNER, word), Checkpoints(slots))
+        if order.fault:
+            plant(order.fault, member, None)
         if order.life == frames.TO_REPORT and order.roster is not None:
-            member.recall(loader.wiring(order.roster))
+            member.recall(seat.wire(order.roster))
             return member
         if order.life == frames.BEGIN and order.roster is not None:
-            wiring = loader.wiring(order.roster)
+            wiring = seat.wire(order.roster)
             member.run(wiring)
-            if not self._connect(parts.port, wiring):
+            if not self._connect(port, wiring):
                 return member
         else:
             member.join(order.request)
@@ -241,18 +249,25 @@ class NodeWorker:
         self._member = member
         return member
 
-    def _begin_world(self, policy: OwnerPolicy, parts: Parts, pacemaker: Pacemaker) -> Member | None:
+    def _begin_world(
+        self, policy: OwnerPolicy, seat: Seat, port: ZenohPort, slots: Slots, pacemaker: Pacemaker
+    ) -> Member | None:
         """Begin the run, or go on with it; None: it was stopped before."""
-        order, processes = self._order, self._order.processes
+        order, processes, roster = self._order, self._order.processes, None
         if order.life == frames.BEGIN and order.roster is not None:
-            if not self._connect(parts.port, parts.loader.wiring(order.roster)):
+            roster = order.roster
+            if not self._connect(port, seat.wire(roster)):
                 return None
             self._pipe.say(frames.UP)
-            told = self._until_told(parts.port)
+            told = self._until_told(port)
             if told is None:
                 return None
             processes = {**told, order.name: order.process}
-        world = self._world = parts.world(policy, self._pipe, pacemaker, processes)
+        parts = (seat, self._send_order, self._pipe, slots, pacemaker, policy, SteadyClock(), processes, roster)
+        pauses = order.staleness is not None  # in free running it has turns
+        world = self._world = WorldMember(*parts, on_uncertain_act=order.on_uncertain_act, pauses=pauses)
+        if order.fault:
+            plant(order.fault, world.member, world)
         last = pacemaker.chain
         if last.epoch:  # the process before may not have said so
             pacemaker.on_commit(last.epoch, last.digest)
@@ -263,6 +278,12 @@ class NodeWorker:
             self._pipe.say(frames.UP)
         self._member = world.member
         return world.member
+
+    def _send_order(self, process: str, word: Order) -> None:
+        if isinstance(word, Dismiss):  # anybody could say it: who is started here hears it from the supervisor
+            self._pipe.dismiss(process, word)
+        else:
+            self._line.send(process, word)
 
     def _connect(self, port: ZenohPort, wiring: Wiring) -> bool:
         """Open the links to the neighbours; whether that was before the run was stopped."""

@@ -282,13 +282,9 @@ class ZenohPort(Port):
             raise TransportError(f"{self._name}: cannot send to {message.header.receiver}: {error}") from error
 
 
-class EpochPublisher:
-    """Tells whoever listens each committed epoch and its digest; nothing waits for it."""
-
-    def __init__(self, session: zenoh.Session, keys: Keys) -> None:
-        self._publisher: Any = session.declare_publisher(
-            keys.epochs, congestion_control=zenoh.CongestionControl.DROP, priority=zenoh.Priority.DATA_LOW
-        )
-
-    def publish(self, epoch: int, digest: bytes) -> None:
-        self._publisher.put(encode_value((epoch, digest)))
+def epoch_publisher(session: zenoh.Session, keys: Keys) -> Callable[[int, bytes], None]:
+    """What tells whoever listens each committed epoch and its digest; nothing waits for it."""
+    publisher = session.declare_publisher(
+        keys.epochs, congestion_control=zenoh.CongestionControl.DROP, priority=zenoh.Priority.DATA_LOW
+    )
+    return lambda epoch, digest: publisher.put(encode_value((epoch, digest)))
