@@ -16,9 +16,8 @@ __all__ = ["NO_TICK", "Elements", "Node", "Probe", "Step", "Tick", "Value", "Wor
 
 _HOMES = {
     **dict.fromkeys(("Elements", "Value"), "hierax.runtime.core.elements"),
-    **dict.fromkeys(("Node", "World"), "hierax.runtime.core.node"),
+    **dict.fromkeys(("NO_TICK", "Node", "Tick", "World"), "hierax.runtime.core.node"),
     **dict.fromkeys(("Probe", "Step"), "hierax.runtime.core.probe"),
-    **dict.fromkeys(("NO_TICK", "Tick"), "hierax.runtime.core.node"),
 }
 
 

@@ -59,12 +59,6 @@ class LaunchStatus:
             raise AnswerError("the launch gave an answer that cannot be read")
         return LaunchStatus(*(answer[field] for field in fields))
 
-    def check_node(self, name: str) -> None:
-        """Check that the launch has a node. Raises `HieraxError` if it has none of this name; with the nearest one."""
-        if name not in self.nodes:
-            known = did_you_mean(name, self.nodes, "the nodes are")
-            raise HieraxError(f"there is no node {name!r} in {self.hierarchy}, run {self.run}{known}")
-
 
 class LaunchClient:
     """Asks one launch, in a session of its own, on that run's keys alone. Raises `TransportError`."""
@@ -124,7 +118,9 @@ class LaunchClient:
 
     def node_state(self, status: LaunchStatus, name: str) -> Answer:
         """What a node believes. Raises `HieraxError` if there is no such node, or its process does not answer."""
-        status.check_node(name)
+        if name not in status.nodes:
+            known = did_you_mean(name, status.nodes, "the nodes are")
+            raise HieraxError(f"there is no node {name!r} in {status.hierarchy}, run {status.run}{known}")
         answer = self.ask_nodes(status, {"look": "state"}, [name]).get(name)
         if answer is None:
             state = status.nodes[name]["state"]

@@ -96,9 +96,7 @@ class Throttle(logging.Filter):
         now = self._clock()
         quiet_s = now - kind.since_s
         if kind.passed < FIRST and not kind.left_out:
-            kind.passed += 1
-            if quiet_s > PAUSES_S[0]:
-                kind.passed = 1
+            kind.passed = 1 if quiet_s > PAUSES_S[0] else kind.passed + 1
             kind.since_s = now
             return True
         if quiet_s < PAUSES_S[kind.pause]:
