@@ -6,7 +6,7 @@ INSTALLED := $(VENV)/.installed
 RUNS := $(VENV)/.runs
 CHECKED := .build/checked
 
-.PHONY: demo test check docs sweep model sim sensitivities mutations kills changes fuzz rival generator_b tutorial interrupts clean test-quick format junk
+.PHONY: demo test check docs sweep model sim sensitivities mutations kills cameras changes fuzz rival generator_b tutorial interrupts clean test-quick format junk
 
 # what runs, recordings included, and what tests need besides: the viewer alone is some hundreds of megabytes
 $(RUNS): pyproject.toml
@@ -59,6 +59,10 @@ mutations: $(INSTALLED)
 # docs/recovery.md: kills, stops and resumes launches of the tracking deployment, for some ten minutes
 kills: $(INSTALLED)
 	$(BIN)/python benchmarks/kills.py
+
+# docs/cameras.md: a video beside its folder, 60 kills before a stream; some minutes
+cameras: $(INSTALLED)
+	$(BIN)/python benchmarks/cameras.py
 
 # docs/changing.md: 200 changes each of three hierarchies that run; some ten minutes
 changes: $(INSTALLED)

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from hierax.nodes.tracking.errors import DataError
+from hierax.nodes.sources.files import DataError
 from hierax.nodes.tracking.math.geometry import Floats
 from hierax.nodes.tracking.model.mesh import Mesh
 

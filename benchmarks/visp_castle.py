@@ -22,9 +22,9 @@ import cv2
 import numpy as np
 from cad import read_cao, read_vrml
 
+from hierax.nodes.sources.files import DataError
 from hierax.nodes.tracking.datasets.bop import read_results
 from hierax.nodes.tracking.datasets.truth import read_truth
-from hierax.nodes.tracking.errors import DataError
 from hierax.nodes.tracking.evaluation.scoring import object_errors, score, table
 from hierax.nodes.tracking.generator.camera import reported_path
 from hierax.nodes.tracking.generator.scenes import model_info, start_error, write_json

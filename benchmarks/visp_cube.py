@@ -22,8 +22,8 @@ import cv2
 import numpy as np
 from cad import cylinder_polygons, mesh_of
 
+from hierax.nodes.sources.files import DataError
 from hierax.nodes.tracking.datasets.bop import read_results
-from hierax.nodes.tracking.errors import DataError
 from hierax.nodes.tracking.generator.scenes import model_info, write_json
 from hierax.nodes.tracking.math.geometry import Array, Floats, exp_so3, make_pose, pose_error, transform
 from hierax.nodes.tracking.model.files import write_ply

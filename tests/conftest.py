@@ -35,6 +35,7 @@ STARTING = {
     "tests/nodes/causal_tree/": 1,
     "tests/nodes/commands/": 1,
     "tests/nodes/picking/": 1,
+    "tests/nodes/sources/test_live_launched.py": 0,
     "tests/runtime/commands/": 0,
     "tests/runtime/core/test_digest.py": 1,
     "tests/runtime/host/test_streams_processes.py": 1,
@@ -56,6 +57,7 @@ for half of their time; what only computes is done meanwhile by a third one."""
 
 SLOW = (
     "tests/model/",
+    "tests/nodes/sources/test_boards.py",
     "tests/nodes/tracking/estimation/test_appearance.py",
     "tests/nodes/tracking/estimation/test_fusion.py",
     "tests/nodes/tracking/estimation/test_joint_alignment.py",
@@ -63,6 +65,7 @@ SLOW = (
     "tests/nodes/tracking/paper/test_arm.py",
     "tests/nodes/tracking/search/",
     "tests/nodes/tracking/test_arm.py",
+    "tests/nodes/tracking/test_world_camera.py",
     "tests/nodes/tracking/test_world.py",
     "tests/runtime/engine/test_agrees_with_core.py",
     "tests/runtime/engine/test_stale.py",

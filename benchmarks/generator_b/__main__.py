@@ -22,7 +22,7 @@ from layouts import FPS, KINDS, Scene, scene
 from lens import gain_of, photograph, random_lens
 from stage import INTRINSICS, visible_shares
 
-from hierax.nodes.tracking.errors import DataError
+from hierax.nodes.sources.files import DataError
 from hierax.nodes.tracking.generator.camera import reported_path
 from hierax.nodes.tracking.generator.scenes import Told, start_error, write_json, write_said, write_truth
 from hierax.nodes.tracking.math.geometry import Floats, invert

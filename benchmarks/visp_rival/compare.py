@@ -23,9 +23,10 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from hierax.nodes.tracking.datasets.bop import BopScene, read_image, read_results
+from hierax.nodes.sources.files import DataError
+from hierax.nodes.sources.images import read_image
+from hierax.nodes.tracking.datasets.bop import BopScene, read_results
 from hierax.nodes.tracking.datasets.truth import read_truth
-from hierax.nodes.tracking.errors import DataError
 from hierax.nodes.tracking.evaluation.scoring import Score, object_errors, score, table
 from hierax.nodes.tracking.math.geometry import Floats, invert
 from hierax.nodes.tracking.model.mesh import Mesh

@@ -9,7 +9,8 @@ import numpy as np
 
 from hierax.nodes.picking.panda import JOINTS
 from hierax.nodes.picking.workcell import FINGERS, panda_file
-from hierax.nodes.tracking.evaluation.pictures import CONTACT_SHEET, contact_sheet, write_picture
+from hierax.nodes.sources.images import write_picture
+from hierax.nodes.tracking.evaluation.pictures import CONTACT_SHEET, contact_sheet
 from hierax.nodes.tracking.imagery.physics import Bullet
 from hierax.nodes.tracking.math.geometry import Array, Size, quaternion_of
 from hierax.runtime import Probe, Step, Value

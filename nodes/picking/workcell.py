@@ -23,7 +23,7 @@ import numpy as np
 import pybullet_data
 
 from hierax.nodes.picking.panda import JOINTS, TORQUES_NM
-from hierax.nodes.tracking.errors import DataError
+from hierax.nodes.sources.files import DataError
 from hierax.nodes.tracking.imagery.physics import Bullet, box_shape, create_body, pose_of, prepare
 from hierax.nodes.tracking.math.geometry import Floats
 

@@ -65,6 +65,8 @@ class ArmNode(Node):
         prior: false: an image corrects poses as if nothing were known of them but where to look.
         model_tolerance_mm: standard deviation of where edges are beside their models', in each axis; None: the first
             image that shows enough of an object tells.
+        camera: of a camera there might have been, world_from_camera, from which the first poses are seen; None: they
+            are seen from the first image's.
 
     Raises ValueError: ids are doubled or out of range, a pose is no 4 × 4 matrix, or an option is out of range.
     """
@@ -84,6 +86,7 @@ class ArmNode(Node):
         patience: int = 10,
         prior: bool = True,
         model_tolerance_mm: float | None = None,
+        camera: Floats | None = None,
     ) -> None:
         check_positive(start_m=start_m, start_rad=start_rad, motion_m=motion_m, motion_rad=motion_rad)
         check_positive(camera_m=camera_m, camera_rad=camera_rad)
@@ -104,11 +107,12 @@ class ArmNode(Node):
         self._found_score = found_score
         self._patience = patience
         self._prior = prior
+        self._first_camera = camera
 
     def initial_belief(self) -> schema.ArmBelief:
         """The objects where they are said to be; no camera, no edges yet."""
         return {
-            "camera": None,
+            "camera": self._first_camera,
             "reported": None,
             "drift": np.eye(4),
             "intrinsics": None,
@@ -119,10 +123,12 @@ class ArmNode(Node):
         }
 
     def observe(self, observations: tuple[schema.Picture, ...], belief: schema.ArmBelief) -> schema.ArmBelief:
-        """τ: the objects' predicted poses, seen from where the camera is now, corrected by the image, if there is
-        one."""
+        """τ: the objects' predicted poses, seen from where the camera is now, corrected by the image; without one
+        nothing is tracked."""
         if not observations:
-            return belief
+            begun = belief["intrinsics"] is not None
+            unseen = tuple(self._blind(item) if begun else item for item in belief["objects"])
+            return {**belief, "frame": None, "objects": unseen}
         seen = observations[0]
         reported = np.asarray(seen["camera"], dtype=np.float64)
         camera = reported @ belief["drift"]
@@ -167,6 +173,8 @@ class ArmNode(Node):
         `hierax.nodes.tracking.render.SegmentedDepth` gives; without any the arm knows no shapes, and every object is
         lost."""
         camera = belief["camera"]
+        if belief["intrinsics"] is None:  # nothing was ever seen
+            return belief
         if camera is None or not context:
             return {**belief, "objects": tuple(_shapeless(item) for item in belief["objects"])}
         expected = {item["id"]: item for item in context[0]["poses"]}
@@ -247,6 +255,10 @@ class ArmNode(Node):
             "status": schema.TRACKED,
             "misses": 0,
         }
+
+    def _blind(self, item: schema.TrackedObject) -> schema.TrackedObject:
+        """One object where there is no image: what it was expected to be."""
+        return _sought(self._missed(item, item["pose"], None))
 
     def _missed(self, item: schema.TrackedObject, expected: Floats, estimate: Estimate | None) -> schema.TrackedObject:
         """One object that the image does not support: its prediction stands, until patience ends. That something which

@@ -1,27 +1,12 @@
-"""What is wrong with the data that a tracking deployment reads."""
+"""Options out of their range."""
 
 from __future__ import annotations
 
 import math
 import sys
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
-from pathlib import Path
+from collections.abc import Callable
 
-from hierax.runtime.core.errors import HieraxError
-
-
-class DataError(HieraxError):
-    """A file of a scene or a model is missing or damaged; the message names it and what was expected."""
-
-
-@contextmanager
-def writing(path: Path | None = None) -> Iterator[None]:
-    """`DataError` for what the system refuses meanwhile: it names the path, or else the file that the system names."""
-    try:
-        yield
-    except OSError as error:
-        raise DataError(f"{path or error.filename}: cannot be written: {error.strerror}") from error
+from hierax.nodes.sources.files import DataError
 
 
 def printed(work: Callable[[], object]) -> int:

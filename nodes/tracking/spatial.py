@@ -116,7 +116,7 @@ class SpatialNode(Node):
         sensed: schema.SpatialBelief = {
             **belief,
             "bodies": bodies,
-            "time_s": tick.time_s,
+            "time_s": tick.time_s if observations else None,  # a gap is no interval
             "interval_s": belief["interval_s"] if interval_s is None else interval_s,
         }
         for camera in cameras:

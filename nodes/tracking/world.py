@@ -1,18 +1,27 @@
-"""One deployment for both worlds: simulated cubes, or a scene folder of photographs in the BOP format.
+"""One deployment for all worlds: simulated cubes, a scene folder in the BOP format, or a camera.
 
-Each function takes ``scene``: None for the simulated world, else the path of the folder. What the nodes may know at the
-start is settled here: both get the objects' first poses, the spatial node their models too, the arm none.
+Each function takes ``scene``, the path of the folder, and ``objects``, a file that tells of the objects before a
+camera, see `hierax.nodes.tracking.datasets.objects`; with neither the world is the simulated one. What the nodes may
+know at the start is settled here: both get the objects' first poses, the spatial node their models too, the arm none.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import partial
+from pathlib import Path
 from typing import Any
 
+import numpy as np
+
+from hierax.nodes.sources.camera import CameraWorld, is_recording
+from hierax.nodes.sources.camera import picture_seen as picture_of_camera
+from hierax.nodes.sources.shots import CameraBelief
 from hierax.nodes.tracking.arm import ArmNode
 from hierax.nodes.tracking.datasets.bop import BopScene
 from hierax.nodes.tracking.datasets.bop_world import BopWorld, frame_seen
-from hierax.nodes.tracking.datasets.tag import FAMILY, tag_camera, tag_of
+from hierax.nodes.tracking.datasets.objects import WORLD, read_objects
+from hierax.nodes.tracking.datasets.tag import FAMILY, locate, tag_camera, tag_of
 from hierax.nodes.tracking.math.geometry import Floats, invert
 from hierax.nodes.tracking.model.mesh import Mesh, box_mesh
 from hierax.nodes.tracking.model.symmetry import NONE, model_of
@@ -35,25 +44,42 @@ def world(
     fps: float = 30.0,
     tag_mm: float | None = None,
     tag: str = FAMILY,
+    camera: str | int | None = None,
+    calibration: str | None = None,
+    objects: str | None = None,
+    source_timeout: float = 5.0,
+    reopen: bool = False,
 ) -> World:
-    """N₀: a `BopWorld` where a scene is given, else a `SimWorld`.
+    """N₀: a `BopWorld` where a scene is given, a `CameraWorld` where a camera is, else a `SimWorld`.
 
     Args: scene: folder of a BOP scene, or None; cubes, frames, noise, blur_px: of the simulated world. fps: frames per
-        second, of either; tag_mm, tag: of a scene folder: side of a tag on the table that tells where the camera is,
-        None for none; and which, see `tag_of`.
-    Raises DataError: a file of the scene is missing or damaged. ValueError: a number is out of its range, or a
-        tag is told for the simulated world.
+        second, of all but live cameras; tag_mm, tag: of a scene folder or a camera: side of a tag on the table that
+        tells where the camera is, None for none; and which, see `tag_of`. camera, calibration, source_timeout, reopen:
+        as for `CameraWorld`, and objects, which tells its pose.
+    Raises DataError: a file of the scene is missing or damaged. ValueError: a number is out of its range, a tag is told
+        for the simulated world, or there is something that goes with a camera alone, or lacks there.
     """
     found = tag_of(tag_mm, tag)
+    _check_world(scene, camera, calibration, objects)
+    if camera is not None and objects is not None:
+        told = read_objects(Path(objects))
+        if found is not None and (told.camera is not None or told.mixed):
+            what = "the camera's pose, or poses in the camera's and in the world's frame"
+            raise ValueError(f"tag_mm is {tag_mm}, and {objects} tells {what}; expected one of the two, in one frame")
+        pose = None if told.camera is None else told.camera.tolist()
+        tagged = None if found is None else partial(locate, found)
+        return CameraWorld(camera, calibration, fps, source_timeout, reopen, pose, tagged)
     if scene is not None:
         return BopWorld(scene, fps, found)
     if found is not None:
-        raise ValueError(f"tag_mm is {tag_mm}; expected it with a scene folder alone")
+        raise ValueError(f"tag_mm is {tag_mm}; expected it with a scene folder or a camera alone")
     return SimWorld(cubes=cubes, frames=frames, noise=noise, blur_px=blur_px, fps=fps)
 
 
-def seen(belief: SceneBelief | SimBelief, tick: Tick = NO_TICK) -> tuple[Picture, ...]:
-    """φ of either world: what the camera sees."""
+def seen(belief: SceneBelief | SimBelief | CameraBelief, tick: Tick = NO_TICK) -> tuple[Picture, ...]:
+    """φ of each world: what the camera sees."""
+    if "ended" in belief:
+        return picture_of_camera(belief)
     return frame_seen(belief) if "scene" in belief else picture_seen(belief, tick)
 
 
@@ -64,12 +90,13 @@ def arm(
     prior: bool = True,
     model_tolerance_mm: float | None = None,
     start: str = GIVEN,
+    objects: str | None = None,
     **options: Any,
 ) -> ArmNode | PaperArmNode:
     """The arm node with the objects' first poses and nothing of their shapes.
 
     Args:
-        scene, cubes: as for `world`.
+        scene, cubes, objects: as for `world`.
         method: how images correct poses: ``robust`` or, by line segments and solvePnP, ``paper``.
         prior, model_tolerance_mm: as for `ArmNode`, where the method has them.
         start: ``given``: first poses are those of the simulated world or of the folder's first frame; ``search``: they
@@ -86,7 +113,9 @@ def arm(
         )
     if method == "robust":
         options |= {"prior": prior, "model_tolerance_mm": model_tolerance_mm}
-    return _ARMS[method](_first_objects(scene, cubes, start)[0], **options)
+    if objects is not None and read_objects(Path(objects)).frame == WORLD:
+        options["camera"] = np.eye(4)
+    return _ARMS[method](_first_objects(scene, cubes, start, objects)[0], **options)
 
 
 def spatial(
@@ -97,39 +126,61 @@ def spatial(
     start: str = GIVEN,
     tag_mm: float | None = None,
     tag: str = FAMILY,
+    objects: str | None = None,
     **options: Any,
 ) -> SpatialNode:
     """The spatial node with the objects' first poses and their models.
 
     Args:
-        scene, cubes: as for `world`.
+        scene, cubes, objects: as for `world`.
         table: whether the world's plane z = 0 carries the objects; None for yes in the
-            simulated world, no in a scene folder, where nobody says which way is up.
+            simulated world, no elsewhere, where nobody says which way is up.
         physics: false for constant velocities in any case, without gravity and contacts.
         start: as for `arm`; tag_mm, tag: as for `world`.
         options: further ones of `SpatialNode`.
 
     Raises ValueError: objects are to be looked for without a table on which they could rest.
     """
-    carried = (scene is None if table is None else table) and physics
-    objects, camera = _first_objects(scene, cubes, start)
+    simulated = scene is None and objects is None
+    carried = (simulated if table is None else table) and physics
+    first, camera = _first_objects(scene, cubes, start, objects)
     found = tag_of(tag_mm, tag)
     if scene is not None and found is not None:
         camera = tag_camera(scene, found).first()
-    search = any(item["pose"] is None for item in objects)
+    search = any(item["pose"] is None for item in first)
     if search and not carried:
         raise ValueError("a first pose is not told; expected table=true with it: bodies are looked for as they rest")
     placed: list[FirstBody] = [
         {**item, "pose": None if item["pose"] is None else camera @ item["pose"], "model": model_of(mesh, symmetry)}
-        for item, (mesh, symmetry) in zip(objects, _models(scene, objects), strict=True)
+        for item, (mesh, symmetry) in zip(first, _models(scene, first, objects), strict=True)
     ]
     return SpatialNode(placed, table=carried, search=search, **options)
 
 
-def _first_objects(scene: str | None, cubes: int, start: str) -> tuple[list[FirstPose], Floats]:
-    """``id``, ``obj_id`` and ``pose`` (camera_from_object) of all objects in the first frame; its world_from_camera."""
+def _check_world(scene: str | None, camera: str | int | None, calibration: str | None, objects: str | None) -> None:
+    if camera is None:
+        alone = next((name for name, each in (("calibration", calibration), ("objects", objects)) if each), None)
+        if alone:
+            raise ValueError(f"{alone} is given and camera is not; expected it with a camera alone")
+    elif scene is not None:
+        raise ValueError(f"scene is {scene} and camera is {camera}; expected one of the two")
+    elif objects is None:
+        raise ValueError(f"camera is {camera} and objects is not given; expected a file that tells what is tracked")
+    elif calibration is None and not is_recording(camera):
+        raise ValueError(f"camera is {camera} and calibration is not given; expected a file, see hierax calibrate")
+
+
+def _first_objects(
+    scene: str | None, cubes: int, start: str, objects: str | None
+) -> tuple[Sequence[FirstPose], Floats]:
+    """``id``, ``obj_id`` and ``pose`` of all objects in the first frame; world_from_frame of the poses' frame, mostly
+    the camera's."""
     if start not in (GIVEN, SEARCH):
         raise ValueError(f"start is {start!r}; expected {GIVEN} or {SEARCH}")
+    if objects is not None:
+        told = read_objects(Path(objects))
+        unknown: list[FirstPose] = [{**item, "pose": None} for item in told.objects]
+        return told.objects if start == GIVEN else unknown, told.world_from_frame
     if scene is not None:
         folder = BopScene(scene)
         found = [_first_pose(*item) for item in folder.first_objects(poses=start == GIVEN)]
@@ -143,8 +194,10 @@ def _first_pose(number: int, obj_id: int, pose: Floats | None) -> FirstPose:
     return {"id": number, "obj_id": obj_id, "pose": pose}
 
 
-def _models(scene: str | None, objects: Sequence[FirstPose]) -> list[tuple[Mesh, Symmetry]]:
+def _models(scene: str | None, first: Sequence[FirstPose], objects: str | None) -> list[tuple[Mesh, Symmetry]]:
+    if objects is not None:
+        return read_objects(Path(objects)).read_models()
     if scene is not None:
         folder = BopScene(scene)
-        return [folder.model(item["obj_id"]) for item in objects]
-    return [(box_mesh([SCENE[item["obj_id"] - 1].side_m] * 3), NONE) for item in objects]  # to be told by first poses
+        return [folder.model(item["obj_id"]) for item in first]
+    return [(box_mesh([SCENE[item["obj_id"] - 1].side_m] * 3), NONE) for item in first]  # to be told by first poses

@@ -98,7 +98,12 @@ def headline(look: Mapping[str, Any]) -> str:
     line = f"{look['hierarchy']}, run {look['run']}: epoch {look['epoch']}, {look['epochs_per_s']:.4g} epochs/s"
     if look["epoch_us"]["p50"] is not None:
         line += f", an epoch p50 {_time(look['epoch_us']['p50'])}, p99 {_time(look['epoch_us']['p99'])}"
-    return f"{line}, roster version {look['roster']}"
+    counts = [
+        f"; {name}: " + ", ".join(f"{what} {figure:.6g}" for what, figure in sorted(node["metrics"].items()))
+        for name, node in look["nodes"].items()
+        if node.get("metrics")
+    ]
+    return f"{line}, roster version {look['roster']}{''.join(counts)}"
 
 
 def table(look: Mapping[str, Any], width: int = WIDE) -> Table:

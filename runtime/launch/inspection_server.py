@@ -2,7 +2,7 @@
 
 A question is a map with ``"look"``, as is the answer:
 
-    meter       where the node's time goes; measured from the first such question until nobody
+    meter       where the node's time goes, and what a world counts; measured from the first such question until nobody
                 has asked for `LEASE_S`, so that it costs nothing while nobody looks
     state       what the node believes, has chosen and was given in the last epoch that it has completed
     neighbours  the names of the nodes below and above
@@ -18,7 +18,10 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
+from hierax.runtime.core.binding import metrics_of
+from hierax.runtime.core.errors import OperatorError
 from hierax.runtime.core.node import class_name
+from hierax.runtime.engine.engine import Engine
 from hierax.runtime.engine.stale import StaleEngine
 from hierax.runtime.engine.table import Phase
 from hierax.runtime.execution.observers import Observers
@@ -96,6 +99,7 @@ class InspectionServer:
             "waits_for": [] if ready else [list(slot) for slot in waits],
             "rss_bytes": _rss_bytes(),
             "cpu_s": time.process_time(),
+            "metrics": {} if engine is None or not engine.is_world else _figures(engine),
             "meter": self._meter.read(busy.partition(" of ")[0], waits[0][0] if waits else ""),
         }
 
@@ -155,6 +159,14 @@ class InspectionServer:
         for watcher in [each for each, until_s in self._until_s.items() if now > until_s]:
             self.observers.unwatch(watcher)
             del self._until_s[watcher]
+
+
+def _figures(world: Engine) -> dict[str, Value]:
+    """What the world counts; nothing where it cannot."""
+    try:
+        return dict(metrics_of(world.name, world.node.node, world.state.belief, world.epoch))
+    except OperatorError:
+        return {}
 
 
 def _edges_of(question: Mapping[str, Any]) -> list[Edge]:

@@ -61,7 +61,7 @@ def overview(status: LaunchStatus, before: Mapping[str, Answer], after: Mapping[
         nodes[name] = {key: told[key] for key in ("state", "pid", "instance", "restarts")}
         nodes[name]["answers"] = answer is not None
         if answer is not None:
-            said = {key: answer[key] for key in ("pid", "epoch", "rss_bytes")}
+            said = {key: answer[key] for key in ("pid", "epoch", "rss_bytes", "metrics")}
             nodes[name] |= {**said, "doing": doing(answer), **rates_between(before.get(name), answer)}
     there = [name for name in nodes if name in after]
     quickest = max(there, key=lambda name: nodes[name]["epochs_per_s"], default="")

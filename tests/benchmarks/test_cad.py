@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from cad import cut, mesh_of, read_cao, read_vrml
 
-from hierax.nodes.tracking.errors import DataError
+from hierax.nodes.sources.files import DataError
 from hierax.nodes.tracking.math.geometry import Floats, exp_so3
 from hierax.nodes.tracking.model.symmetry import found_symmetry
 

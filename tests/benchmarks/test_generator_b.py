@@ -13,7 +13,8 @@ import numpy as np
 import pytest
 from generator_b.bodies import Body, Form, box, imprecise, random_form, worn
 
-from hierax.nodes.tracking.datasets.bop import BopScene, read_image
+from hierax.nodes.sources.images import read_image
+from hierax.nodes.tracking.datasets.bop import BopScene
 from hierax.nodes.tracking.datasets.truth import read_truth
 from hierax.nodes.tracking.math.geometry import project, transform
 from hierax.nodes.tracking.model.mesh import Mesh

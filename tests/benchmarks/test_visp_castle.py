@@ -12,9 +12,10 @@ import cv2
 import numpy as np
 import pytest
 
-from hierax.nodes.tracking.datasets.bop import BopScene, ResultsFile, read_image
+from hierax.nodes.sources.files import DataError
+from hierax.nodes.sources.images import read_image
+from hierax.nodes.tracking.datasets.bop import BopScene, ResultsFile
 from hierax.nodes.tracking.datasets.truth import read_truth
-from hierax.nodes.tracking.errors import DataError
 from hierax.nodes.tracking.math.geometry import Floats, exp_so3, invert, make_pose, project, transform
 
 SCRIPT = Path(__file__).parents[2] / "benchmarks" / "visp_castle.py"

@@ -11,10 +11,11 @@ from types import ModuleType
 import numpy as np
 import pytest
 
+from hierax.nodes.sources.files import DataError
+from hierax.nodes.sources.images import read_image
 from hierax.nodes.tracking import world as tracking
 from hierax.nodes.tracking.arm import poses_seen
-from hierax.nodes.tracking.datasets.bop import BopScene, ResultsFile, read_image
-from hierax.nodes.tracking.errors import DataError
+from hierax.nodes.tracking.datasets.bop import BopScene, ResultsFile
 from hierax.nodes.tracking.math.geometry import Floats, exp_so3, make_pose, project, transform
 from hierax.nodes.tracking.model.mesh import box_mesh
 from hierax.nodes.tracking.render import SegmentedDepth

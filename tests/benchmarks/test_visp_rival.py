@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 from cad import read_cao
 
+from hierax.nodes.sources.files import DataError
 from hierax.nodes.tracking.datasets.bop import BopScene
-from hierax.nodes.tracking.errors import DataError
 from hierax.nodes.tracking.generator.scenes import write_scene
 from hierax.nodes.tracking.math.geometry import invert
 from hierax.nodes.tracking.model.mesh import Mesh

@@ -8,7 +8,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from hierax.nodes.tracking.math.geometry import Array, Floats, invert, lens_matrix
+from hierax.nodes.sources.shots import lens_matrix
+from hierax.nodes.tracking.math.geometry import Array, Floats, invert
 
 GAMMA = 2.2
 _CELL_PX, _SAMPLES, _BLUR_PX, _NOISE = 20, 4, 0.7, 2.5

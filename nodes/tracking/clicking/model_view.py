@@ -12,6 +12,7 @@ from typing import NamedTuple
 import cv2
 import numpy as np
 
+from hierax.nodes.sources.shots import lens_matrix
 from hierax.nodes.tracking.imagery.edges import controls_of
 from hierax.nodes.tracking.imagery.layers import LayerRenderer
 from hierax.nodes.tracking.math.geometry import (
@@ -19,7 +20,6 @@ from hierax.nodes.tracking.math.geometry import (
     Array,
     Floats,
     invert,
-    lens_matrix,
     looking_down,
     make_pose,
     project,

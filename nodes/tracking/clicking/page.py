@@ -17,8 +17,8 @@ from typing import Any
 import cv2
 import numpy as np
 
+from hierax.nodes.sources.files import DataError
 from hierax.nodes.tracking.clicking.session import Session
-from hierax.nodes.tracking.errors import DataError
 from hierax.nodes.tracking.math.geometry import Array
 
 HOST = "127.0.0.1"

@@ -13,13 +13,15 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any, NamedTuple
 
-import cv2
 import numpy as np
 
+from hierax.nodes.sources.calibration import pinhole
+from hierax.nodes.sources.files import DataError, read_numbers, writing
+from hierax.nodes.sources.images import SUFFIXES as IMAGE_SUFFIXES
+from hierax.nodes.sources.images import read_image
 from hierax.nodes.tracking.datasets import bop_json
-from hierax.nodes.tracking.errors import DataError, writing
 from hierax.nodes.tracking.math.geometry import Array, Floats, invert, make_pose
-from hierax.nodes.tracking.model.files import BOP_UNIT_M, MAX_PIXELS, SUFFIXES, image_size, read_file, read_mesh
+from hierax.nodes.tracking.model.files import BOP_UNIT_M, SUFFIXES, read_mesh
 from hierax.nodes.tracking.model.mesh import Mesh
 from hierax.nodes.tracking.model.symmetry import found_symmetry
 from hierax.nodes.tracking.schema import LOST, ScoredPose, Symmetry
@@ -30,14 +32,11 @@ FIRST_POSES = "first_poses.json"  # of `hierax init`; read in the place of the f
 RESULTS_HEADER = "scene_id,im_id,obj_id,score,R,t,time"
 
 _IMAGE_FOLDERS = ("rgb", "gray")
-_IMAGE_SUFFIXES = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".pgm", ".ppm", ".bmp")
 
 MAX_OBJECTS = 255  # in the first frame: each has its label in an image of 8 bits
-MIN_FOCAL_PX, MAX_FOCAL_PX = 1.0, 1e6
 
 _FRAMES_AGAIN = 16  # how many of its last frames a results file can take back
 _MAX_DIGITS = 9
-_TRAILING_BYTES = 1024  # some cameras write a little behind an image's end
 
 
 class Frame(NamedTuple):
@@ -124,7 +123,7 @@ class BopScene:
         for key in sorted(cameras, key=int):
             im_id = int(key)
             if im_id not in images:
-                kinds = ", ".join(suffix[1:] for suffix in _IMAGE_SUFFIXES)
+                kinds = ", ".join(suffix[1:] for suffix in IMAGE_SUFFIXES)
                 expected = f"rgb/{im_id:06d}.png or gray/{im_id:06d}.png ({kinds})"
                 raise DataError(f"{self.folder}: no image for frame {im_id}; expected {expected}")
             frames.append(_frame(path, key, cameras[key], images[im_id]))
@@ -147,34 +146,6 @@ def read_model(folder: Path, obj_id: int) -> tuple[Mesh, Symmetry]:
     names = [folder / f"obj_{obj_id:06d}{suffix}" for suffix in SUFFIXES]
     mesh = read_mesh(next((name for name in names if name.exists()), names[0]), BOP_UNIT_M)
     return mesh, bop_json.read_symmetry(f"{info}: {obj_id}", entry) or found_symmetry(mesh)
-
-
-def read_image(path: Path) -> Array:
-    """An image as uint8, (h, w) gray or (h, w, 3) RGB. Raises DataError: the file is missing, damaged, or has other
-    than 8 bits."""
-    data = read_file(path, "an image")
-    _check_end(path, data)
-    width, height = image_size(data) or (0, 0)
-    if width * height > MAX_PIXELS:
-        raise DataError(f"{path}: has {width}×{height} pixels; expected at most {MAX_PIXELS} in all")
-    try:
-        image = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED) if data else None
-    except cv2.error as error:
-        raise DataError(f"{path}: cannot be decoded: {error.err}; expected an image") from error
-    if image is None:
-        raise DataError(f"{path}: cannot be decoded; expected an image")
-    if image.dtype != np.uint8 or image.ndim > 3:
-        raise DataError(f"{path}: {image.dtype} pixels; expected 8 bits")
-    if image.ndim == 2:
-        return image
-    return np.ascontiguousarray(image[:, :, 2::-1]) if image.shape[2] >= 3 else np.ascontiguousarray(image[:, :, 0])
-
-
-def _check_end(path: Path, data: bytes) -> None:
-    """Refuse what is cut off: decoders fill in what is missing of a JPEG, and print of a PNG what they think of it."""
-    for begin, end, name in ((b"\xff\xd8", b"\xff\xd9", "JPEG"), (b"\x89PNG", b"IEND\xaeB`\x82", "PNG")):
-        if data.startswith(begin) and end not in data[-_TRAILING_BYTES:]:
-            raise DataError(f"{path}: cut off; expected a whole {name} image")
 
 
 def check_no_results(path: Path) -> None:
@@ -317,23 +288,14 @@ def _image_files(folder: Path) -> dict[int, Path]:
     for name in _IMAGE_FOLDERS:
         if not (folder / name).is_dir():
             continue
-        found = sorted(path for path in (folder / name).iterdir() if path.suffix.lower() in _IMAGE_SUFFIXES)
+        found = sorted(path for path in (folder / name).iterdir() if path.suffix.lower() in IMAGE_SUFFIXES)
         return {int(path.stem): path for path in reversed(found) if _is_number(path.stem)}
     raise DataError(f"{folder}: neither rgb/ nor gray/; expected a folder of images")
 
 
 def _frame(path: Path, key: str, entry: Any, image: Path) -> Frame:
     where = f"{path}: frame {key}"
-    matrix = bop_json.read_numbers(where, entry, "cam_K", 9).reshape(3, 3)
-    focal, others = matrix[[0, 1], [0, 1]], np.abs(matrix - np.diag(np.diag(matrix)))
-    if not (focal.min() > 0 and others[0, 1] <= 1e-6 * matrix[0, 0]):
-        raise DataError(f"{where}: cam_K: expected positive focal lengths and no skew")
-    if not (focal.min() >= MIN_FOCAL_PX and focal.max() <= MAX_FOCAL_PX and others.max() <= MAX_FOCAL_PX):
-        bounds = f"{MIN_FOCAL_PX:g} to {MAX_FOCAL_PX:g} pixels, and a principal point not further away"
-        raise DataError(f"{where}: cam_K: expected focal lengths of {bounds}")
-    if others[1, 0] or others[2].any() or matrix[2, 2] != 1:
-        raise DataError(f"{where}: cam_K: expected [fx, 0, cx, 0, fy, cy, 0, 0, 1]")
-    intrinsics = np.array([matrix[0, 0], matrix[1, 1], matrix[0, 2], matrix[1, 2]])
+    intrinsics = pinhole(f"{where}: cam_K", read_numbers(where, entry, "cam_K", 9))
     told = "cam_R_w2c" in entry or "cam_t_w2c" in entry
     camera = invert(bop_json.read_pose(where, entry, "cam_R_w2c", "cam_t_w2c")) if told else np.eye(4)
     return Frame(int(key), image, intrinsics, camera, told)

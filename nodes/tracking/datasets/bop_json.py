@@ -8,16 +8,14 @@ from typing import Any
 
 import numpy as np
 
-from hierax.nodes.tracking.errors import DataError
+from hierax.nodes.sources.files import DataError, read_file, read_numbers
+from hierax.nodes.sources.shots import MAX_DISTANCE_M, is_rotation
 from hierax.nodes.tracking.math.geometry import Floats, make_pose, orthonormal
-from hierax.nodes.tracking.model.files import BOP_UNIT_M, read_file
+from hierax.nodes.tracking.model.files import BOP_UNIT_M
 from hierax.nodes.tracking.model.symmetry import symmetry_of
 from hierax.nodes.tracking.schema import Symmetry
 
 MAX_NUMBER = 999_999  # of a frame, and of a model: files' names have six digits
-MAX_DISTANCE_M = 10_000.0
-_ROTATION_TOLERANCE = 1e-2
-_HUGE = 10**300
 MAX_SYMMETRIES = 128
 _SYMMETRIES = {"symmetries_discrete", "symmetries_continuous"}
 
@@ -52,9 +50,7 @@ def read_pose(where: str, entry: Any, rotation_key: str, translation_key: str) -
     translation = read_numbers(where, entry, translation_key, 3) * BOP_UNIT_M
     if np.abs(translation).max() > MAX_DISTANCE_M:
         raise DataError(f"{where}: {translation_key}: expected millimetres, at most {MAX_DISTANCE_M:g} m")
-    rotation = np.clip(rotation, -2.0, 2.0)  # of what is huge no product is to be had
-    off = float(np.abs(rotation @ rotation.T - np.eye(3)).max())
-    if off > _ROTATION_TOLERANCE or np.linalg.det(rotation) < 0:
+    if not is_rotation(rotation):
         raise DataError(f"{where}: {rotation_key}: expected a rotation matrix, row by row")
     return orthonormal(make_pose(rotation, translation))
 
@@ -85,13 +81,3 @@ def read_symmetry(where: str, entry: Any) -> Symmetry | None:
             raise DataError(f"{where}: symmetries_continuous: axis: expected a direction")
         axes.append((axis, read_numbers(f"{where}: symmetries_continuous", each, "offset", 3) * BOP_UNIT_M))
     return symmetry_of(turns, axes)
-
-
-def read_numbers(where: str, entry: Any, key: str, count: int) -> Floats:
-    """A list of so many finite numbers. Raises DataError: it is missing, or something else."""
-    values = entry.get(key) if isinstance(entry, dict) else None
-    if isinstance(values, list) and len(values) == count and all(type(value) in (int, float) for value in values):
-        numbers = np.array([float(min(max(value, -_HUGE), _HUGE)) for value in values])
-        if np.all(np.isfinite(numbers)):
-            return numbers
-    raise DataError(f"{where}: {key}: expected {count} numbers")

@@ -3,18 +3,14 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
-from concurrent.futures import Future, ThreadPoolExecutor
 from functools import lru_cache
 from pathlib import Path
 
-from hierax.nodes.tracking.datasets.bop import BopScene, read_image
+from hierax.nodes.sources.images import Array, ReadAhead
+from hierax.nodes.tracking.datasets.bop import BopScene
 from hierax.nodes.tracking.datasets.tag import Tag, tag_camera
-from hierax.nodes.tracking.math.geometry import Array
 from hierax.nodes.tracking.schema import Nothing, Picture, SceneBelief
 from hierax.runtime import NO_TICK, Tick, World
-
-AHEAD = 8  # how many images are read ahead at most
 
 
 class BopWorld(World):
@@ -68,34 +64,12 @@ def frame_seen(belief: SceneBelief) -> tuple[Picture, ...]:
     return ({"image": image, "camera": camera, "intrinsics": frame.intrinsics, "frame": frame.im_id},)
 
 
-class ReadAhead:
-    """Images in an order, of which the next, at most `depth`, are read in a thread while one is used. What `read`
-    returns or raises does not depend on it."""
-
-    def __init__(self, paths: Sequence[Path], depth: int = AHEAD, read: Callable[[Path], Array] = read_image) -> None:
-        self._read = read
-        self._paths = paths
-        self._depth = depth
-        self._thread = ThreadPoolExecutor(1, thread_name_prefix="read-ahead")
-        self._begun: dict[int, Future[Array]] = {}
-
-    def read(self, index: int) -> Array:
-        """The image at an index. Raises DataError: it is missing or damaged, or of another size than the others."""
-        ahead = range(index, min(index + 1 + self._depth, len(self._paths)))
-        for at in [at for at in self._begun if at not in ahead]:
-            self._begun.pop(at).cancel()
-        for at in ahead:
-            if at not in self._begun:
-                self._begun[at] = self._thread.submit(self._read, self._paths[at])
-        return self._begun[index].result()
-
-
 @lru_cache(maxsize=4)
 def _scene(folder: str) -> BopScene:
     return BopScene(folder)
 
 
 @lru_cache(maxsize=1)
-def _images(folder: str) -> ReadAhead:
+def _images(folder: str) -> ReadAhead[Path, Array]:
     scene = _scene(folder)
-    return ReadAhead([frame.image for frame in scene.frames], read=scene.image)
+    return ReadAhead([frame.image for frame in scene.frames], scene.image)

@@ -7,11 +7,10 @@ import os
 from collections.abc import Sequence
 from pathlib import Path
 
+from hierax.nodes.sources.files import DataError, write_whole
 from hierax.nodes.tracking.datasets.bop import FIRST_POSES, MAX_OBJECTS, TOLD_POSES, BopScene
 from hierax.nodes.tracking.datasets.bop_json import pose_entry, read_json
-from hierax.nodes.tracking.errors import DataError
 from hierax.nodes.tracking.math.geometry import Floats
-from hierax.nodes.tracking.model.files import write_whole
 
 
 def objects_of(scene: BopScene) -> list[int]:

@@ -13,17 +13,15 @@ from typing import Any, NamedTuple
 import cv2
 import numpy as np
 
+from hierax.nodes.sources.boards import FAMILIES
+from hierax.nodes.sources.files import DataError
+from hierax.nodes.sources.shots import lens_matrix
 from hierax.nodes.tracking.datasets.bop import BopScene
-from hierax.nodes.tracking.errors import DataError, check_between
+from hierax.nodes.tracking.errors import check_between
 from hierax.nodes.tracking.estimation.profiles import light_of
-from hierax.nodes.tracking.math.geometry import Array, Floats, invert, lens_matrix, make_pose, project, transform
+from hierax.nodes.tracking.math.geometry import Array, Floats, invert, make_pose, project, transform
 
 FAMILY = "36h11"
-_FAMILIES = {
-    name.removeprefix("DICT_").removeprefix("APRILTAG_").lower(): getattr(cv2.aruco, name)
-    for name in dir(cv2.aruco)
-    if name.startswith("DICT_")
-}
 _PICTURES = 300  # so many are looked at for the first one that shows it
 _CELL_PX = 16  # of the tag as it is compared with the picture
 _ROUNDS, _SAMPLES, _BLUR_PX = 3, 2, 0.7  # how often it is drawn anew where it was found, in how many samples, how soft
@@ -36,7 +34,7 @@ class Tag(NamedTuple):
     """A tag on the table."""
 
     side_m: float  # of its black square
-    family: str  # as `_FAMILIES` names it
+    family: str  # as `FAMILIES` names it
     number: int | None  # None: the only one that is seen
 
 
@@ -52,8 +50,8 @@ def tag_of(side_mm: float | None, name: str = FAMILY) -> Tag | None:
     ``36h11:3``; None where there is no side. Raises ValueError: the side is not from 1 to 10 000, there is no such
     family, or no such number in it."""
     family, _, number = name.lower().partition(":")
-    if family not in _FAMILIES or not (number.isdecimal() or family == name.lower()):
-        raise ValueError(f"tag is {name!r}; expected FAMILY or FAMILY:NUMBER, of the families {', '.join(_FAMILIES)}")
+    if family not in FAMILIES or not (number.isdecimal() or family == name.lower()):
+        raise ValueError(f"tag is {name!r}; expected FAMILY or FAMILY:NUMBER, of the families {', '.join(FAMILIES)}")
     if number:
         check_between(0, len(_dictionary(family).bytesList) - 1, f"a number of the family {family}", tag=int(number))
     if side_mm is None:
@@ -93,18 +91,27 @@ class TagCamera:
         frame = self._scene.frames[index]
         if frame.told:
             return self._world @ frame.camera
-        found = find(self._tag, image, frame.intrinsics, f"{frame.image}")
-        if found is None:
-            return before
-        corners = _corners(self._tag.side_m)
-        held, now = (project(transform(invert(each), corners), frame.intrinsics) for each in (before, found.camera))
-        return before if np.abs(held - now).max() < _STILL_PX else found.camera
+        camera = locate(self._tag, image, frame.intrinsics, before, f"{frame.image}")
+        return before if camera is None else camera
 
 
 @lru_cache(maxsize=4)
 def tag_camera(folder: str, tag: Tag) -> TagCamera:
     """The camera of a scene folder, made once."""
     return TagCamera(BopScene(folder), tag)
+
+
+def locate(tag: Tag, image: Array, intrinsics: Array, before: Floats | None, where: str) -> Floats | None:
+    """world_from_camera by the tag in a picture; where it is not seen, or the camera stands still, as it was before.
+
+    Args: as for `find`; before: world_from_camera of the picture before, or None.
+    """
+    found = find(tag, image, intrinsics, where)
+    if found is None or before is None:
+        return before if found is None else found.camera
+    corners = _corners(tag.side_m)
+    held, now = (project(transform(invert(each), corners), intrinsics) for each in (before, found.camera))
+    return before if np.abs(held - now).max() < _STILL_PX else found.camera
 
 
 def find(tag: Tag, image: Array, intrinsics: Array, where: str) -> Seen | None:
@@ -193,4 +200,4 @@ def _detector(family: str) -> Any:
 
 
 def _dictionary(family: str) -> Any:
-    return cv2.aruco.getPredefinedDictionary(_FAMILIES[family])
+    return cv2.aruco.getPredefinedDictionary(FAMILIES[family])

@@ -7,9 +7,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from hierax.nodes.sources.files import DataError, read_numbers
 from hierax.nodes.tracking.datasets.bop import read_model
-from hierax.nodes.tracking.datasets.bop_json import read_json, read_numbers, read_obj_id, read_pose
-from hierax.nodes.tracking.errors import DataError
+from hierax.nodes.tracking.datasets.bop_json import read_json, read_obj_id, read_pose
 from hierax.nodes.tracking.imagery.physics import support_points
 from hierax.nodes.tracking.math.geometry import Floats
 from hierax.nodes.tracking.schema import Symmetry

@@ -20,8 +20,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from hierax.nodes.sources.files import DataError, writing
 from hierax.nodes.tracking.datasets.truth import TruePose
-from hierax.nodes.tracking.errors import DataError, printed, writing
+from hierax.nodes.tracking.errors import printed
 from hierax.nodes.tracking.evaluation.scoring import LEAST_VISIBLE, RIGHT, is_astray, nearest_off
 from hierax.nodes.tracking.math.geometry import Array, Floats, log_se3, pose_error
 from hierax.nodes.tracking.schema import TRACKED

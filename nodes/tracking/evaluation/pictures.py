@@ -11,10 +11,9 @@ from typing import NamedTuple
 import cv2
 import numpy as np
 
-from hierax.nodes.tracking.datasets.bop import read_image
-from hierax.nodes.tracking.errors import DataError
+from hierax.nodes.sources.files import UNFINISHED, DataError
+from hierax.nodes.sources.images import read_image, write_picture
 from hierax.nodes.tracking.math.geometry import NEAREST_M, Array, Floats, invert, project, transform
-from hierax.nodes.tracking.model.files import UNFINISHED, write_whole
 from hierax.nodes.tracking.schema import AnyArmBelief, PaperObject, TrackedObject
 from hierax.runtime import Probe, Step
 
@@ -189,13 +188,6 @@ def write_video(path: Path, pictures: Sequence[Path], fps: float) -> None:
     finally:
         writer.release()
     os.replace(unfinished, path)
-
-
-def write_picture(path: Path, picture: Array) -> None:
-    """Write an RGB picture as PNG. The file is whole at every moment at which it is there. Raises DataError: it cannot
-    be written."""
-    _, content = cv2.imencode(".png", np.ascontiguousarray(picture[..., ::-1]))
-    write_whole(path, content.tobytes())
 
 
 def _draw_lines(picture: Array, lines: Floats, colour: tuple[int, int, int], width_px: int) -> None:

@@ -16,10 +16,11 @@ from pathlib import Path
 import cv2
 import numpy as np
 
+from hierax.nodes.sources.files import DataError
+from hierax.nodes.sources.images import write_picture
 from hierax.nodes.tracking.datasets.bop import read_results
 from hierax.nodes.tracking.datasets.truth import TruePose, read_truth
-from hierax.nodes.tracking.errors import DataError, printed
-from hierax.nodes.tracking.evaluation.pictures import write_picture
+from hierax.nodes.tracking.errors import printed
 from hierax.nodes.tracking.evaluation.probes import POSES_FILE, TRUTH_FILE
 from hierax.nodes.tracking.evaluation.scoring import ObjectErrors, object_errors
 from hierax.nodes.tracking.math.geometry import Array, Floats

@@ -25,11 +25,13 @@ from typing import Any, NamedTuple
 import cv2
 import numpy as np
 
+from hierax.nodes.sources.files import writing
+from hierax.nodes.sources.shots import lens_matrix
 from hierax.nodes.tracking.datasets.bop_json import pose_entry
-from hierax.nodes.tracking.errors import printed, writing
+from hierax.nodes.tracking.errors import printed
 from hierax.nodes.tracking.generator.camera import reported_path
 from hierax.nodes.tracking.generator.kinds import INTRINSICS, KINDS, SIZE, Film, film
-from hierax.nodes.tracking.math.geometry import Array, Floats, exp_se3, invert, lens_matrix
+from hierax.nodes.tracking.math.geometry import Array, Floats, exp_se3, invert
 from hierax.nodes.tracking.model.files import BOP_UNIT_M, write_ply
 from hierax.nodes.tracking.model.mesh import Mesh
 from hierax.nodes.tracking.simworld.raster import visible_shares

@@ -61,12 +61,6 @@ def unit(vectors: Floats) -> Floats:
     return np.asarray(vectors / np.maximum(np.linalg.norm(vectors, axis=-1, keepdims=True), 1e-300))
 
 
-def lens_matrix(intrinsics: Array) -> Floats:
-    """The pinhole camera's 3 × 3 matrix of fx, fy, cx, cy in pixels."""
-    fx, fy, cx, cy = intrinsics
-    return np.array([[fx, 0.0, cx], [0.0, fy, cy], [0.0, 0.0, 1.0]])
-
-
 def looking_down(azimuth_rad: float, elevation_rad: float, radius_m: float, target_m: Array) -> Floats:
     """world_from_camera of a camera that looks at a target from a direction, so far away, upright."""
     flat = np.cos(elevation_rad)

@@ -29,6 +29,7 @@ class PaperArmNode(Node):
         error_px: by how much an end point of a line errs across it.
         kept_score: an image in which less of the edges is found does not support a pose.
         patience: images in a row without support until an object is lost.
+        camera: as for `ArmNode`.
 
     Raises ValueError: ids are doubled or out of range, a pose is no 4 × 4 matrix, or an option is out of range.
     """
@@ -41,6 +42,7 @@ class PaperArmNode(Node):
         error_px: float = 1.5,
         kept_score: float = 0.35,
         patience: int = 10,
+        camera: Floats | None = None,
     ) -> None:
         check_positive(start_m=start_m, start_rad=start_rad, error_px=error_px)
         check_between(0, 1, "a number", kept_score=kept_score)
@@ -50,17 +52,22 @@ class PaperArmNode(Node):
         self._error_px = error_px
         self._kept_score = kept_score
         self._patience = patience
+        self._first_camera = camera
         self._objects = tuple(self._first(item) for item in objects)
         check_ids(self._objects)
 
     def initial_belief(self) -> PaperArmBelief:
         """The objects where they are said to be; no camera, no edges yet."""
-        return {"camera": None, "intrinsics": None, "size": None, "frame": None, "objects": self._objects}
+        return {"camera": self._first_camera, "intrinsics": None, "size": None, "frame": None, "objects": self._objects}
 
     def observe(self, observations: tuple[schema.Picture, ...], belief: PaperArmBelief) -> PaperArmBelief:
         """τ: each object's expected edges matched to the image's line segments, its pose by solvePnP."""
         if not observations:
-            return belief
+            unseen: tuple[PaperObject, ...] = tuple(
+                {**item, "status": EXPECTED if item["status"] == TRACKED else item["status"]}
+                for item in belief["objects"]
+            )
+            return {**belief, "frame": None, "objects": unseen}
         seen = observations[0]
         camera = np.asarray(seen["camera"], dtype=np.float64)
         intrinsics = np.asarray(seen["intrinsics"], dtype=np.float64)
@@ -84,6 +91,8 @@ class PaperArmNode(Node):
         `hierax.nodes.tracking.render.SegmentedDepth` gives; without any the arm knows no shapes, and every object is
         lost."""
         camera = belief["camera"]
+        if belief["intrinsics"] is None:  # nothing was ever seen
+            return belief
         expected = {item["id"]: item for item in context[0]["poses"]} if context else {}
         objects: tuple[PaperObject, ...] = tuple(
             {**item, "edges": _NO_EDGES, "score": 0.0, "status": LOST}

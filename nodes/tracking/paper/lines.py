@@ -14,17 +14,9 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from hierax.nodes.sources.shots import lens_matrix
 from hierax.nodes.tracking.math.batched import pixels_along
-from hierax.nodes.tracking.math.geometry import (
-    NEAREST_M,
-    Array,
-    Floats,
-    lens_matrix,
-    make_pose,
-    project,
-    rays,
-    transform,
-)
+from hierax.nodes.tracking.math.geometry import NEAREST_M, Array, Floats, make_pose, project, rays, transform
 
 _BEND = 2e-3  # laplacian of the inverse depth, relative to it, from which a pixel is on an edge
 _VOTES = 12

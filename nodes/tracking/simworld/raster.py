@@ -11,7 +11,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from hierax.nodes.tracking.math.geometry import Array, Floats, Size, invert, lens_matrix, project, transform, unit
+from hierax.nodes.sources.shots import lens_matrix
+from hierax.nodes.tracking.math.geometry import Array, Floats, Size, invert, project, transform, unit
 from hierax.nodes.tracking.simworld.shapes import Face, Thing
 
 _NEAREST_SAMPLED_M = 1e-3  # a face with a corner nearer to the camera is not drawn

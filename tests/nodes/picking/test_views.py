@@ -9,7 +9,7 @@ import pytest
 
 from hierax.nodes.picking.views import SceneView, Views
 from hierax.nodes.picking.world import PickWorld
-from hierax.nodes.tracking.datasets.bop import read_image
+from hierax.nodes.sources.images import read_image
 from hierax.runtime import Step
 
 SIZE = (160, 120)

@@ -10,7 +10,7 @@ import pybullet_data
 import pytest
 
 from hierax.nodes.picking.workcell import FINGER_BOXES_M, FINGER_SIDES, panda_file, panda_text
-from hierax.nodes.tracking.errors import DataError
+from hierax.nodes.sources.files import DataError
 
 
 def test_only_what_collides_is_left() -> None:

@@ -10,9 +10,9 @@ import cv2
 import numpy as np
 import pytest
 
+from hierax.nodes.sources.files import DataError
 from hierax.nodes.tracking.arm import poses_seen
 from hierax.nodes.tracking.datasets.bop_world import BopWorld
-from hierax.nodes.tracking.errors import DataError
 from hierax.nodes.tracking.math.geometry import Floats, invert, pose_error
 from hierax.nodes.tracking.model.files import BOP_UNIT_M, write_ply
 from hierax.nodes.tracking.model.mesh import box_mesh

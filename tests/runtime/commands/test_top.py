@@ -88,6 +88,8 @@ def test_a_node_that_is_long_in_an_operator_and_one_that_is_silent() -> None:
     assert top.split() == ["top", "restarting", "restarting", "3"]
     assert far.split() == ["far", "no", "answer", "no", "answer", "0"]
     assert headline(LOOK) == "toys, run aa: epoch 7, 0.2 epochs/s, an epoch p50 5 s, p99 7 s, roster version 1"
+    counting = {**LOOK, "nodes": {**LOOK["nodes"], "world": {"metrics": {"stalls": 2.0, "passed_over": 117.0}}}}  # type: ignore[dict-item]
+    assert headline(counting).endswith(", roster version 1; world: passed_over 117, stalls 2")
 
 
 def test_a_narrow_terminal_shows_what_matters() -> None:

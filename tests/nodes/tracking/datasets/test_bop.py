@@ -13,8 +13,9 @@ import cv2
 import numpy as np
 import pytest
 
-from hierax.nodes.tracking.datasets.bop import RESULTS_HEADER, BopScene, ResultsFile, read_image, read_results
-from hierax.nodes.tracking.errors import DataError
+from hierax.nodes.sources.files import DataError
+from hierax.nodes.sources.images import read_image
+from hierax.nodes.tracking.datasets.bop import RESULTS_HEADER, BopScene, ResultsFile, read_results
 from hierax.nodes.tracking.math.geometry import exp_so3, make_pose
 from hierax.nodes.tracking.model.files import write_ply
 from hierax.nodes.tracking.model.mesh import box_mesh

@@ -9,8 +9,9 @@ import cv2
 import numpy as np
 import pytest
 
-from hierax.nodes.tracking.datasets.bop_world import BopWorld, ReadAhead, frame_seen
-from hierax.nodes.tracking.errors import DataError
+from hierax.nodes.sources.files import DataError
+from hierax.nodes.sources.images import ReadAhead, read_image
+from hierax.nodes.tracking.datasets.bop_world import BopWorld, frame_seen
 
 
 @pytest.fixture
@@ -56,7 +57,7 @@ def test_images_read_ahead_are_those_asked_for_in_any_order(tmp_path: Path) -> N
     paths = [tmp_path / f"{number}.pgm" for number in range(12)]
     for number, path in enumerate(paths):
         cv2.imwrite(str(path), np.full((6, 8), number, dtype=np.uint8))
-    images = ReadAhead(paths, depth=3)
+    images = ReadAhead(paths, read_image, depth=3)
     order = [0, 1, 2, 2, 1, 7, 8, 8, 0, 11, 10, 11]
     assert [int(images.read(index)[0, 0]) for index in order] == order
 
@@ -64,7 +65,7 @@ def test_images_read_ahead_are_those_asked_for_in_any_order(tmp_path: Path) -> N
 def test_what_is_wrong_with_an_image_is_said_when_it_is_asked_for(tmp_path: Path) -> None:
     paths = [tmp_path / "0.pgm", tmp_path / "1.pgm"]
     cv2.imwrite(str(paths[0]), np.zeros((6, 8), dtype=np.uint8))
-    images = ReadAhead(paths)
+    images = ReadAhead(paths, read_image)
     assert images.read(0).shape == (6, 8)
     for _ in range(2):
         with pytest.raises(DataError, match=r"1\.pgm: no such file"):

@@ -17,9 +17,10 @@ import numpy as np
 import pytest
 from support.junk import mutated
 
-from hierax.nodes.tracking.datasets.bop import BopScene, read_image
+from hierax.nodes.sources.files import DataError
+from hierax.nodes.sources.images import read_image
+from hierax.nodes.tracking.datasets.bop import BopScene
 from hierax.nodes.tracking.datasets.bop_world import BopWorld, frame_seen
-from hierax.nodes.tracking.errors import DataError
 from hierax.nodes.tracking.model import files
 from hierax.nodes.tracking.model.files import MAX_FACES, read_mesh, write_ply
 from hierax.nodes.tracking.model.mesh import box_mesh
@@ -183,7 +184,7 @@ def test_sizes_are_read_from_the_heads_of_images(tmp_path: Path, suffix: str, mo
     path = tmp_path / f"a.{suffix}"
     cv2.imwrite(str(path), np.zeros((30, 40, 3), np.uint8))
     assert read_image(path).shape == (30, 40, 3)
-    monkeypatch.setattr("hierax.nodes.tracking.datasets.bop.MAX_PIXELS", 1000)
+    monkeypatch.setattr("hierax.nodes.sources.images.MAX_PIXELS", 1000)
     with pytest.raises(DataError, match="has 40×30 pixels; expected at most 1000"):
         read_image(path)
 

@@ -13,10 +13,10 @@ import numpy as np
 import pytest
 from support.tags import draw_tag
 
+from hierax.nodes.sources.files import DataError
 from hierax.nodes.tracking.datasets.bop import read_results
 from hierax.nodes.tracking.datasets.tag import find, tag_of
 from hierax.nodes.tracking.datasets.truth import read_truth
-from hierax.nodes.tracking.errors import DataError
 from hierax.nodes.tracking.evaluation.scoring import ObjectErrors, object_errors
 from hierax.nodes.tracking.generator.kinds import INTRINSICS, SIZE
 from hierax.nodes.tracking.generator.scenes import write_scene
@@ -88,7 +88,7 @@ def test_options_that_are_no_tag_are_told(side_mm: float, name: str, message: st
 
 
 def test_the_simulated_world_has_no_tag_and_a_folder_without_one_is_told(tmp_path: Path) -> None:
-    with pytest.raises(ValueError, match="expected it with a scene folder alone"):
+    with pytest.raises(ValueError, match="expected it with a scene folder or a camera alone"):
         world(tag_mm=40.0)
     scene = write_scene(tmp_path, "scattered", 1, 2, True, 1)
     with pytest.raises(DataError, match=re.escape("no tag 36h11:3 is seen well enough in its first 2 pictures")):

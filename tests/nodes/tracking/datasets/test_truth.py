@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 import pytest
 
+from hierax.nodes.sources.files import DataError
 from hierax.nodes.tracking.datasets.truth import read_truth
-from hierax.nodes.tracking.errors import DataError
 
 ENTRY = {"cam_R_m2c": np.eye(3).ravel().tolist(), "cam_t_m2c": [1.0, 2.0, 500.0], "obj_id": 7}
 

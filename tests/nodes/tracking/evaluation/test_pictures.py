@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 from support.arm_steps import arm_belief, step
 
-from hierax.nodes.tracking.datasets.bop import read_image
-from hierax.nodes.tracking.errors import DataError
+from hierax.nodes.sources.files import DataError
+from hierax.nodes.sources.images import read_image
 from hierax.nodes.tracking.evaluation.pictures import (
     CONTACT_SHEET,
     CORRECTED,

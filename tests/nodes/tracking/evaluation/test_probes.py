@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 from support.arm_steps import arm_belief, placed, step
 
+from hierax.nodes.sources.files import DataError
 from hierax.nodes.tracking.datasets.bop import RESULTS_HEADER, read_results, scene_number
-from hierax.nodes.tracking.errors import DataError
 from hierax.nodes.tracking.evaluation.pictures import Pictures
 from hierax.nodes.tracking.evaluation.probes import BopResults, Truth
 from hierax.nodes.tracking.math.geometry import invert

@@ -9,8 +9,8 @@ import cv2
 import numpy as np
 import pytest
 
+from hierax.nodes.sources.files import DataError
 from hierax.nodes.tracking.datasets.bop import ResultsFile
-from hierax.nodes.tracking.errors import DataError
 from hierax.nodes.tracking.evaluation.report import ErrorPlot, main, read_errors, table
 from hierax.nodes.tracking.math.geometry import exp_so3, make_pose
 

@@ -10,9 +10,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from hierax.nodes.tracking.datasets.bop import BopScene, read_image
+from hierax.nodes.sources.files import DataError
+from hierax.nodes.sources.images import read_image
+from hierax.nodes.tracking.datasets.bop import BopScene
 from hierax.nodes.tracking.datasets.truth import read_truth
-from hierax.nodes.tracking.errors import DataError
 from hierax.nodes.tracking.estimation.profiles import lines_of, read_profiles, smoothed
 from hierax.nodes.tracking.generator import scenes
 from hierax.nodes.tracking.generator.camera import (

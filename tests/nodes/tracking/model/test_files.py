@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from hierax.nodes.tracking.errors import DataError
+from hierax.nodes.sources.files import DataError
 from hierax.nodes.tracking.model.files import read_mesh, write_ply
 from hierax.nodes.tracking.model.mesh import box_mesh
 

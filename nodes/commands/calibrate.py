@@ -1,0 +1,116 @@
+"""``hierax calibrate``: a camera's calibration from pictures of a board."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+from enum import Enum
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+if TYPE_CHECKING:
+    from hierax.nodes.sources.boards import Board
+    from hierax.nodes.sources.images import Array
+
+
+class Model(str, Enum):
+    """How a lens distorts."""
+
+    plumb_bob = "plumb_bob"
+    rational_polynomial = "rational_polynomial"
+    equidistant = "equidistant"
+
+
+def calibrate(
+    source: Annotated[
+        str,
+        typer.Argument(metavar="SOURCE", help="A folder of pictures, a video, a device's number, a stream's URL."),
+    ],
+    output: Annotated[Path, typer.Option("--output", "-o", help="The calibration, as ROS's camera_info in YAML.")],
+    board: Annotated[
+        str, typer.Option(metavar="COLUMNSxROWS", help="Inner corners of a chessboard; squares of a ChArUco board.")
+    ] = "9x6",
+    square: Annotated[str, typer.Option(metavar="LENGTH", help="Side of a square: 25mm, 2.5cm, 0.025m, 1in.")] = "25mm",
+    marker: Annotated[
+        str | None, typer.Option(metavar="LENGTH", help="Side of a ChArUco board's markers; none: a chessboard.")
+    ] = None,
+    markers: Annotated[str, typer.Option(metavar="FAMILY", help="OpenCV's name of those markers.")] = "4x4_50",
+    model: Annotated[Model, typer.Option(help="Of the distortion; equidistant: a fisheye lens.")] = Model.plumb_bob,
+    views: Annotated[int, typer.Option(min=5, max=60, help="So many different views are enough.")] = 40,
+    overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace a calibration that is there.")] = False,
+) -> int:
+    """Calibrate a camera: show it a chessboard or a ChArUco board, tilted, near and far, all over the picture."""
+    from hierax.nodes.sources import boards
+    from hierax.nodes.sources.calibration import write_calibration
+    from hierax.nodes.sources.images import write_picture
+    from hierax.runtime.commands.errors import CommandError
+    from hierax.runtime.commands.show import show_progress
+
+    coverage = output.with_name(f"{output.stem}-coverage.png")
+    for path in (output, coverage):
+        if path.exists() and not overwrite:
+            raise CommandError(f"{path}: is there already; --overwrite replaces it")
+    shown = _board(board, square, marker, markers)
+
+    def progress(pictures: int, found: int) -> None:
+        bar = "█" * (20 * found // views)
+        show_progress(f"\r[{bar:░<20}] {found} of {views} views, in {pictures} pictures ", end="")
+
+    found, size = boards.find_views(source, shown, _pictures(source), views, progress)
+    show_progress("")
+    told = boards.calibrate(source, found, size, model.value)
+    write_calibration(told.lens, output)
+    write_picture(coverage, told.picture())
+    fx, fy, cx, cy = told.lens.intrinsics
+    left_out = f", {told.left_out} left out" if told.left_out else ""
+    print(f"{output}: {size[0]}×{size[1]}, fx {fx:.2f}, fy {fy:.2f}, cx {cx:.2f}, cy {cy:.2f} px, {model.value}")
+    print(f"rms {told.rms_px:.3f} px in {len(told.views)} views{left_out}")
+    print(f"{coverage}: corners in {told.covered:.0%} of the picture")
+    return 0
+
+
+def _pictures(source: str) -> Iterator[Array]:
+    """All frames of a source, until it ends."""
+    from hierax.nodes.sources.camera import CameraWorld
+
+    world = CameraWorld(source)
+    belief = world.initial_belief()
+    while not belief["ended"]:
+        if belief["image"] is not None:
+            yield belief["image"]
+        belief = world.predict((), (), belief)
+
+
+def _board(board: str, square: str, marker: str | None, markers: str) -> Board:
+    """The board that options tell. Raises CommandError: one is none."""
+    import cv2
+
+    from hierax.nodes.sources.boards import FAMILIES, Board
+    from hierax.runtime.commands.errors import CommandError
+
+    numbers = re.fullmatch(r"(\d{1,3})x(\d{1,3})", board)
+    columns, rows = map(int, numbers.groups()) if numbers else (0, 0)
+    if min(columns, rows) < 3:
+        raise CommandError(f"--board {board}: expected COLUMNSxROWS, such as 9x6, at least 3 of each")
+    side_m = _length("--square", square)
+    if marker is None:
+        return Board(columns, rows, side_m)
+    marker_m = _length("--marker", marker)
+    if marker_m >= side_m:
+        raise CommandError(f"--marker {marker}: expected less than the square's side, {square}")
+    if markers.lower() not in FAMILIES:
+        raise CommandError(f"--markers {markers}: expected one of {', '.join(FAMILIES)}")
+    return Board(columns, rows, side_m, marker_m, cv2.aruco.getPredefinedDictionary(FAMILIES[markers.lower()]))
+
+
+def _length(option: str, text: str) -> float:
+    from hierax.nodes.sources.files import UNITS_M
+    from hierax.runtime.commands.errors import CommandError
+
+    told = re.fullmatch(rf"(\d+(?:\.\d*)?)({'|'.join(UNITS_M)})", text)
+    length = float(told[1]) * UNITS_M[told[2]] if told else 0.0
+    if not 0.0001 <= length <= 100.0:
+        raise CommandError(f"{option} {text}: expected a length with its unit, such as 25mm")
+    return length

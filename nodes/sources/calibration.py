@@ -1,0 +1,161 @@
+"""Calibrations of cameras, in the files that people have: ROS's camera_info in YAML, and OpenCV's YAML and XML.
+
+The pinhole camera's coefficients are OpenCV's k1, k2, p1, p2[, k3[, k4, k5, k6[, s1 … s4[, τx, τy]]]] (ROS: plumb_bob,
+rational_polynomial), the fisheye camera's k1 … k4 (ROS: equidistant). Straightened frames keep the camera matrix.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+from xml.etree import ElementTree
+
+import cv2
+import numpy as np
+import yaml
+
+from hierax.nodes.sources.files import DataError, Loader, read_file, read_numbers, read_yaml, write_whole
+from hierax.nodes.sources.images import MAX_PIXELS, Array
+from hierax.nodes.sources.shots import Floats, Size, lens_matrix
+
+MIN_FOCAL_PX, MAX_FOCAL_PX = 1.0, 1e6
+PINHOLE, RATIONAL, FISHEYE = "plumb_bob", "rational_polynomial", "equidistant"
+
+_EXPECTED = "a calibration: ROS's camera_info as YAML, or OpenCV's YAML or XML"
+_MATRIX = ("camera_matrix", "cameraMatrix", "K")
+_COEFFICIENTS = ("distortion_coefficients", "dist_coeffs", "distCoeffs", "D")
+_WIDTH, _HEIGHT = ("image_width", "width"), ("image_height", "height")
+_MODEL = "distortion_model"
+_MODELS = {PINHOLE: (4, 5), RATIONAL: (8, 12, 14), FISHEYE: (4,), "fisheye": (4,), "": (0, 4, 5, 8, 12, 14)}
+_MAX_COEFFICIENT = 1e6
+
+
+@dataclass(frozen=True, eq=False)
+class Lens:
+    """A camera's calibration."""
+
+    name: str  # where it comes from
+    size: Size
+    intrinsics: Floats  # (4,) fx, fy, cx, cy in pixels
+    coefficients: Floats  # of the distortion
+    fisheye: bool
+
+    def straightened(self, image: Array) -> Array:
+        """An image without the lens's distortion; what it does not show is black. One without any is given as it is."""
+        if not self.coefficients.any() and not self.fisheye:
+            return image
+        return np.asarray(cv2.remap(image, *self._maps, cv2.INTER_LINEAR))
+
+    @property
+    def matrix(self) -> Floats:
+        """The camera's 3 × 3 matrix."""
+        return lens_matrix(self.intrinsics)
+
+    @cached_property
+    def _maps(self) -> tuple[Array, Array]:
+        make = cv2.fisheye.initUndistortRectifyMap if self.fisheye else cv2.initUndistortRectifyMap
+        maps = make(self.matrix, self.coefficients, np.eye(3), self.matrix, self.size, cv2.CV_16SC2)
+        return maps[0], maps[1]
+
+
+def pinhole(where: str, numbers: Floats) -> Floats:
+    """fx, fy, cx, cy of a camera matrix, row by row. Raises DataError: it is no pinhole camera's."""
+    matrix = numbers.reshape(3, 3)
+    focal, others = matrix[[0, 1], [0, 1]], np.abs(matrix - np.diag(np.diag(matrix)))
+    if not (focal.min() > 0 and others[0, 1] <= 1e-6 * matrix[0, 0]):
+        raise DataError(f"{where}: expected positive focal lengths and no skew")
+    if not (focal.min() >= MIN_FOCAL_PX and focal.max() <= MAX_FOCAL_PX and others.max() <= MAX_FOCAL_PX):
+        bounds = f"{MIN_FOCAL_PX:g} to {MAX_FOCAL_PX:g} pixels, and a principal point not further away"
+        raise DataError(f"{where}: expected focal lengths of {bounds}")
+    if others[1, 0] or others[2].any() or matrix[2, 2] != 1:
+        raise DataError(f"{where}: expected [fx, 0, cx, 0, fy, cy, 0, 0, 1]")
+    return np.array([matrix[0, 0], matrix[1, 1], matrix[0, 2], matrix[1, 2]])
+
+
+def read_calibration(path: Path) -> Lens:
+    """A camera's calibration. Raises DataError, with file, field and what was expected: it is missing or damaged."""
+    content = _read_xml(path) if path.suffix.lower() == ".xml" else read_yaml(path, _EXPECTED)
+    size = (_pixels(path, content, _WIDTH), _pixels(path, content, _HEIGHT))
+    if size[0] * size[1] > MAX_PIXELS:
+        raise DataError(f"{path}: image_width: expected at most {MAX_PIXELS} pixels in all, got {size[0]}×{size[1]}")
+    name, values = _matrix(path, content, _MATRIX)
+    intrinsics = pinhole(f"{path}: {name}", read_numbers(str(path), {name: values}, name, 9))
+    model = content.get(_MODEL) or ("fisheye" if content.get("fisheye_model") in (1, "1", True) else "")
+    if not isinstance(model, str) or model not in _MODELS:
+        raise DataError(f"{path}: {_MODEL}: expected one of {', '.join(filter(None, _MODELS))}, got {model!r:.40}")
+    name, values = _matrix(path, content, _COEFFICIENTS, [])
+    counts = _MODELS[model] if any(values) else (*_MODELS[model], len(values))
+    if len(values) not in counts:
+        numbers = " or ".join(map(str, _MODELS[model]))
+        raise DataError(f"{path}: {name}: expected {numbers} numbers{model and f' of {model}'}, got {len(values)}")
+    coefficients = read_numbers(str(path), {name: values}, name, len(values))
+    if np.abs(coefficients).max(initial=0.0) > _MAX_COEFFICIENT:
+        raise DataError(f"{path}: {name}: expected numbers of at most {_MAX_COEFFICIENT:g}")
+    fisheye = model in (FISHEYE, "fisheye")
+    return Lens(str(path), size, intrinsics, coefficients if len(coefficients) else np.zeros(4), fisheye)
+
+
+def write_calibration(lens: Lens, path: Path) -> None:
+    """Write a calibration as ROS's camera_info. Raises DataError: it cannot be written."""
+    count = len(lens.coefficients)
+    projection = np.hstack([lens.matrix, np.zeros((3, 1))])
+    content = {
+        "image_width": lens.size[0],
+        "image_height": lens.size[1],
+        "camera_name": path.stem,
+        "camera_matrix": _plain(lens.matrix),
+        _MODEL: FISHEYE if lens.fisheye else PINHOLE if count <= 5 else RATIONAL,
+        "distortion_coefficients": _plain(lens.coefficients[None]),
+        "rectification_matrix": _plain(np.eye(3)),
+        "projection_matrix": _plain(projection),
+    }
+    write_whole(path, yaml.safe_dump(content, sort_keys=False, default_flow_style=None, width=120).encode())
+
+
+def _plain(matrix: Floats) -> dict[str, Any]:
+    rows, columns = matrix.shape
+    return {"rows": rows, "cols": columns, "data": matrix.ravel().tolist()}
+
+
+def _found(content: Mapping[str, Any], names: tuple[str, ...]) -> str:
+    return next((name for name in names if name in content), names[0])
+
+
+def _pixels(path: Path, content: Mapping[str, Any], names: tuple[str, ...]) -> int:
+    name = _found(content, names)
+    value = content.get(name)
+    if type(value) is not int or not 0 < value <= MAX_PIXELS:
+        raise DataError(f"{path}: {name}: expected a number of pixels, got {value!r:.40}")
+    return value
+
+
+def _matrix(
+    path: Path, content: Mapping[str, Any], names: tuple[str, ...], otherwise: list[Any] | None = None
+) -> tuple[str, list[Any]]:
+    """The first of these that is there: its name and its numbers, row by row."""
+    name = _found(content, names)
+    value = content.get(name, otherwise)
+    values = value.get("data") if isinstance(value, dict) else value
+    if isinstance(values, list) and values and all(isinstance(row, list) for row in values):
+        values = [number for row in values for number in row]
+    if not isinstance(values, list):
+        raise DataError(f"{path}: {name}: expected a matrix with rows, cols and data")
+    return name, values
+
+
+def _read_xml(path: Path) -> dict[str, Any]:
+    """OpenCV's XML, as its YAML would be read."""
+    try:
+        root = ElementTree.fromstring(read_file(path, _EXPECTED))
+    except ElementTree.ParseError as error:
+        raise DataError(f"{path}, line {error.position[0]}: no XML ({error}); expected {_EXPECTED}") from error
+    content: dict[str, Any] = {}
+    for entry in root:
+        data = entry.find("data")
+        words = ((data if data is not None else entry).text or "").split()
+        values = [yaml.load(word, Loader) for word in words]
+        content[entry.tag] = {"data": values} if data is not None else values[0] if len(values) == 1 else ""
+    return content

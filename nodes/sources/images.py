@@ -1,0 +1,126 @@
+"""Images of files, checked before they are decoded, and read ahead."""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Callable, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
+from pathlib import Path
+from typing import Any, Generic, TypeVar
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from hierax.nodes.sources.files import DataError, read_file, write_whole
+
+Array = NDArray[Any]
+
+SUFFIXES = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".pgm", ".ppm", ".bmp")
+MAX_PIXELS = 1 << 25  # of an image: a small file may unpack to gigabytes
+AHEAD = 8  # how many images are read ahead at most
+
+_TRAILING_BYTES = 1024  # some cameras write a little behind an image's end
+
+Place = TypeVar("Place")
+Read = TypeVar("Read")
+
+
+def read_image(path: Path) -> Array:
+    """An image as uint8, (h, w) gray or (h, w, 3) RGB. Raises DataError: the file is missing, damaged, or has other
+    than 8 bits."""
+    data = read_file(path, "an image")
+    _check_end(path, data)
+    width, height = image_size(data) or (0, 0)
+    if width * height > MAX_PIXELS:
+        raise DataError(f"{path}: has {width}×{height} pixels; expected at most {MAX_PIXELS} in all")
+    try:
+        image = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED) if data else None
+    except cv2.error as error:
+        raise DataError(f"{path}: cannot be decoded: {error.err}; expected an image") from error
+    if image is None:
+        raise DataError(f"{path}: cannot be decoded; expected an image")
+    if image.dtype != np.uint8 or image.ndim > 3:
+        raise DataError(f"{path}: {image.dtype} pixels; expected 8 bits")
+    if image.ndim == 2:
+        return image
+    return np.ascontiguousarray(image[:, :, 2::-1]) if image.shape[2] >= 3 else np.ascontiguousarray(image[:, :, 0])
+
+
+def _check_end(path: Path, data: bytes) -> None:
+    """Refuse what is cut off: decoders fill in what is missing of a JPEG, and print of a PNG what they think of it."""
+    for begin, end, name in ((b"\xff\xd8", b"\xff\xd9", "JPEG"), (b"\x89PNG", b"IEND\xaeB`\x82", "PNG")):
+        if data.startswith(begin) and end not in data[-_TRAILING_BYTES:]:
+            raise DataError(f"{path}: cut off; expected a whole {name} image")
+
+
+class ReadAhead(Generic[Place, Read]):
+    """What is read of places in an order, mostly images of files: the next, at most `depth`, are read in a thread while
+    one is used. What `read` returns or raises does not depend on it."""
+
+    def __init__(self, places: Sequence[Place], read: Callable[[Place], Read], depth: int = AHEAD) -> None:
+        self._read = read
+        self._places = places
+        self._depth = depth
+        self._thread = ThreadPoolExecutor(1, thread_name_prefix="read-ahead")
+        self._begun: dict[int, Future[Read]] = {}
+
+    def read(self, index: int) -> Read:
+        """What is at an index. Raises what its reading raises, DataError for an image."""
+        ahead = range(index, min(index + 1 + self._depth, len(self._places)))
+        for at in [at for at in self._begun if at not in ahead]:
+            self._begun.pop(at).cancel()
+        for at in ahead:
+            if at not in self._begun:
+                self._begun[at] = self._thread.submit(self._read, self._places[at])
+        return self._begun[index].result()
+
+
+def write_picture(path: Path, picture: Array) -> None:
+    """Write an RGB picture as PNG. The file is whole at every moment at which it is there. Raises DataError: it cannot
+    be written."""
+    _, content = cv2.imencode(".png", np.ascontiguousarray(picture[..., ::-1]))
+    write_whole(path, content.tobytes())
+
+
+def image_size(data: bytes) -> tuple[int, int] | None:
+    """Width and height as an image's head has them: PNG, JPEG, BMP, PNM and TIFF; None where it has none."""
+    try:
+        if data.startswith(b"\x89PNG"):
+            return struct.unpack_from(">II", data, 16)
+        if data.startswith(b"BM"):
+            width, height = struct.unpack_from("<ii", data, 18)
+            return abs(width), abs(height)
+        if data.startswith(b"\xff\xd8"):
+            return _jpeg_size(data)
+        if data[:4] in (b"II*\0", b"MM\0*"):
+            return _tiff_size(data, "<" if data.startswith(b"II") else ">")
+        if data[:2] in (b"P2", b"P3", b"P5", b"P6"):
+            words = [line.split(b"#")[0] for line in data[2:4096].splitlines()]
+            width, height = (int(word[:9]) for word in b" ".join(words).split()[:2])
+            return width, height
+    except (struct.error, ValueError, IndexError):
+        return None
+    return None
+
+
+def _jpeg_size(data: bytes) -> tuple[int, int] | None:
+    at = 2
+    while at + 9 < len(data):
+        marker, length = struct.unpack_from(">HH", data, at)
+        if 0xFFC0 <= marker <= 0xFFCF and marker not in (0xFFC4, 0xFFC8, 0xFFCC):
+            height, width = struct.unpack_from(">HH", data, at + 5)
+            return width, height
+        at += 2 + length
+    return None
+
+
+def _tiff_size(data: bytes, order: str) -> tuple[int, int] | None:
+    (at,) = struct.unpack_from(f"{order}I", data, 4)
+    (count,) = struct.unpack_from(f"{order}H", data, at)
+    sizes: dict[int, int] = {}
+    for entry in range(count):
+        tag, kind = struct.unpack_from(f"{order}HH", data, at + 2 + 12 * entry)
+        if tag in (256, 257):
+            sizes[tag] = struct.unpack_from(f"{order}{'H' if kind == 3 else 'I'}", data, at + 10 + 12 * entry)[0]
+    return (sizes[256], sizes[257]) if len(sizes) == 2 else None

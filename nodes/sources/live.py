@@ -1,0 +1,123 @@
+"""Sources that go on whether anybody looks or not: devices and streams. The newest frame counts."""
+
+from __future__ import annotations
+
+import threading
+import time
+from typing import NamedTuple
+
+import cv2
+
+from hierax.nodes.sources.files import DataError
+from hierax.nodes.sources.images import Array
+from hierax.nodes.sources.played import colours, is_grey, quiet
+from hierax.nodes.sources.shots import CameraBelief, Shot, Size, Source, check_size
+
+FIRST_PAUSE_S, LONGEST_PAUSE_S = 0.2, 5.0  # before a source is opened again, doubled each time that this fails
+_END_S = 1.0  # so long the process waits at its end for a frame that is being read
+
+
+class _Taken(NamedTuple):
+    number: int  # counts from 1, in this process
+    image: Array
+    time_s: float
+    wall_s: float
+
+
+class Live(Source):
+    """The newest frame of what `cv2.VideoCapture` opens; a thread reads from the first `shot` on.
+
+    Args:
+        target: number or path of a device, or a URL; timeout_s: after so long without a frame it stalls.
+        reopen: whether to open it again when it ends, stalls or is unplugged, in growing pauses, and give no frame
+            meanwhile; else that is an error.
+    """
+
+    def __init__(self, target: int | str, timeout_s: float, reopen: bool) -> None:
+        self.name = f"camera {target}"
+        self._target = target
+        self._timeout_s = timeout_s
+        self._reopen = reopen
+        self._size: Size | None = None
+        self._changed = threading.Condition()
+        self._newest: _Taken | None = None
+        self._base: int | None = None  # number of the frame before this process's first one
+        self._fault = ""
+        self._opened = 0
+        self._closed = threading.Event()
+        self._thread = threading.Thread(target=self._capture, name="capture", daemon=True)
+
+    def shot(self, belief: CameraBelief) -> Shot:
+        """The newest frame after the belief's; where there is none within the timeout, none, or an error."""
+        if self._base is None:
+            self._base = belief["frame"]
+            self._opened = belief["reopened"] - (belief["index"] == 0)
+            self._size = belief["size"]
+            self._thread.start()
+        with self._changed:
+            after = belief["frame"] - self._base
+            self._changed.wait_for(lambda: self._is_due(after), self._timeout_s)
+            newest, fault = self._newest, self._fault
+        if newest is not None and newest.number > after:
+            height, width = newest.image.shape[:2]
+            self._size = self._size or (width, height)
+            frame = self._base + newest.number
+            passed = frame - belief["frame"] - 1
+            return Shot(frame, newest.image, newest.time_s, newest.wall_s, passed, self._opened)
+        if not self._reopen:
+            told = fault or f"no frame for {self._timeout_s:g} s; expected one within source_timeout"
+            raise DataError(f"{self.name}: {told} (reopen: true waits for it)")
+        return Shot(belief["frame"], None, time.monotonic(), time.time(), reopened=max(self._opened, 0))
+
+    def close(self) -> None:
+        """Read no more. A frame that never comes is not waited for."""
+        self._closed.set()
+        self._thread.join(_END_S)
+
+    def _is_due(self, after: int) -> bool:
+        came = self._newest is not None and self._newest.number > after
+        return came or bool(self._fault and not self._reopen)
+
+    def _capture(self) -> None:
+        pause_s = FIRST_PAUSE_S
+        while not self._closed.is_set():
+            before = self._newest
+            fault = self._stream()
+            with self._changed:
+                self._fault = fault
+                self._changed.notify_all()
+            if not self._reopen:
+                return
+            pause_s = FIRST_PAUSE_S if self._newest is not before else min(2 * pause_s, LONGEST_PAUSE_S)
+            self._closed.wait(pause_s)
+
+    def _stream(self) -> str:
+        """Read frames until that fails; why it did."""
+        quiet()
+        within = int(1000 * self._timeout_s)
+        limits = [cv2.CAP_PROP_OPEN_TIMEOUT_MSEC, within, cv2.CAP_PROP_READ_TIMEOUT_MSEC, within]
+        streams = isinstance(self._target, str) and "://" in self._target
+        capture = cv2.VideoCapture(self._target, cv2.CAP_FFMPEG, limits) if streams else cv2.VideoCapture(self._target)
+        try:
+            if not capture.isOpened():
+                return "cannot be opened; expected a device's number, a file, a folder, or a stream's URL"
+            self._opened += 1
+            grey = is_grey(capture)
+            while not self._closed.is_set():
+                begun_s = time.monotonic()
+                good, image = capture.read()
+                now_s, wall_s = time.monotonic(), time.time()
+                if not good:
+                    if now_s - begun_s >= 0.9 * self._timeout_s:
+                        return f"no frame for {self._timeout_s:g} s; expected one within source_timeout"
+                    return "gives no more frames; it has ended, or was unplugged"
+                check_size(self.name, image, self._size)
+                with self._changed:
+                    number = 1 if self._newest is None else self._newest.number + 1
+                    self._newest = _Taken(number, colours(image, grey), now_s, wall_s)
+                    self._changed.notify_all()
+            return "was closed"
+        except DataError as error:
+            return str(error).removeprefix(f"{self.name}: ")
+        finally:
+            capture.release()

@@ -1,0 +1,76 @@
+"""The frames of a recording: what its world showed, epoch by epoch."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+
+from hierax.nodes.sources.files import DataError
+from hierax.nodes.sources.shots import CameraBelief, Shot, Source, ending
+from hierax.runtime.core.errors import HieraxError
+from hierax.runtime.recording.reading import Recording
+from hierax.runtime.recording.trace import EpochTrace
+from hierax.schemas.messages import OBSERVATIONS
+
+
+class RecordedFrames(Source):
+    """What the world of a recording showed of a camera: any world whose observations hold ``image``, ``camera``,
+    ``intrinsics`` and ``frame``. An epoch in which it showed nothing is one here, too.
+
+    Args: path: the recording.
+    Raises DataError: it cannot be read, or lacks an observation, or shows no pictures.
+    """
+
+    straight = True
+
+    def __init__(self, path: Path) -> None:
+        self.name = str(path)
+        try:
+            self._recording = Recording.open(path)
+        except HieraxError as error:
+            raise DataError(str(error)) from error
+        self._next = 0
+        self._shots = self._read()
+
+    def shot(self, belief: CameraBelief) -> Shot:
+        index = belief["index"]
+        if index < self._next:
+            self._next, self._shots = 0, self._read()
+        while True:
+            shot = next(self._shots, None)
+            if shot is None:
+                return ending(belief)
+            self._next += 1
+            if self._next > index:
+                return shot if shot.image is not None else shot._replace(frame=belief["frame"])
+
+    def _read(self) -> Iterator[Shot]:
+        try:
+            for epoch in self._recording.epochs():
+                yield self._shot(epoch)
+        except DataError:
+            raise
+        except HieraxError as error:
+            raise DataError(str(error)) from error
+
+    def _shot(self, epoch: EpochTrace) -> Shot:
+        world, time_s = epoch.roster.world, epoch.time_s or 0.0
+        shown = [epoch.elements(OBSERVATIONS, *edge.pair) for edge in epoch.roster.edges if edge.lower == world]
+        if not shown or shown[0] is None:
+            raise DataError(f"{self.name}: epoch {epoch.epoch}: lacks what {world} showed; expected its observations")
+        if not shown[0]:
+            return Shot(-1, None, time_s)
+        (picture, *_) = shown[0]
+        try:
+            image, frame = picture["image"], picture["frame"]
+            camera, intrinsics = (np.asarray(picture[each], np.float64) for each in ("camera", "intrinsics"))
+        except (KeyError, TypeError, ValueError) as error:
+            what = f"{world} showed no picture; expected image, camera, intrinsics and frame"
+            raise DataError(f"{self.name}: epoch {epoch.epoch}: {what}") from error
+        if not isinstance(image, np.ndarray) or image.dtype != np.uint8 or type(frame) is not int:
+            raise DataError(f"{self.name}: epoch {epoch.epoch}: image: expected 8 bits a pixel, and a frame's number")
+        if camera.shape != (4, 4) or intrinsics.shape != (4,):
+            raise DataError(f"{self.name}: epoch {epoch.epoch}: camera, intrinsics: expected 4 × 4 and 4 numbers")
+        return Shot(frame, image, time_s, camera=camera, intrinsics=intrinsics)

@@ -1,0 +1,172 @@
+"""Folders, videos and recordings: every frame in order, also from the middle on, and what is wrong with them."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+from support.boards import PINHOLE
+from support.launched import said_here
+from support.streams import number_of, numbered
+
+from hierax.nodes.sources.calibration import write_calibration
+from hierax.nodes.sources.camera import CameraWorld, picture_seen
+from hierax.nodes.sources.files import DataError
+from hierax.nodes.sources.images import Array, write_picture
+from hierax.runtime.testing.node import check_node
+
+COUNT = 12
+SIZE = (320, 240)
+
+
+def shot(number: int) -> Array:
+    noise = np.random.default_rng(number).integers(0, 256, (SIZE[1], SIZE[0], 3), dtype=np.uint8)
+    return numbered(noise, number)
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    out = tmp_path_factory.mktemp("played")
+    (out / "shots").mkdir()
+    codec: Any = cv2.VideoWriter_fourcc(*"FFV1")  # type: ignore[attr-defined]
+    writer = cv2.VideoWriter(str(out / "video.avi"), codec, 10.0, SIZE)
+    for number in range(COUNT):
+        write_picture(out / "shots" / f"shot{number}.png", shot(number))
+        writer.write(np.ascontiguousarray(shot(number)[..., ::-1]))
+    writer.release()
+    return out
+
+
+@pytest.mark.parametrize("name", ["video.avi", "shots"])
+def test_every_frame_is_shown_in_order_and_nothing_after_the_last(folder: Path, name: str) -> None:
+    world = CameraWorld(str(folder / name), fps=20.0)
+    belief = world.initial_belief()
+    for number in range(COUNT):
+        (picture,) = picture_seen(belief)
+        np.testing.assert_array_equal(picture["image"], shot(number))
+        assert (picture["frame"], number_of(picture["image"]), world.time_s(belief, 1)) == (
+            number,
+            number,
+            number / 20.0,
+        )
+        assert not world.finished(belief)
+        belief = world.predict((), (), belief)
+    assert (picture_seen(belief), world.finished(belief)) == ((), True)
+    assert world.predict((), (), belief) == belief
+    assert world.metrics(belief) == {"passed_over": 0.0, "stalls": 0.0, "reopened": 0.0}
+
+
+@pytest.mark.parametrize("name", ["video.avi", "shots"])
+def test_an_epoch_done_again_shows_the_same_also_in_another_process(folder: Path, name: str) -> None:
+    world = CameraWorld(str(folder / name))
+    beliefs = [world.initial_belief()]
+    for _ in range(6):
+        beliefs.append(world.predict((), (), beliefs[-1]))
+    for at in (5, 1, 4):
+        for again in (world, CameraWorld(str(folder / name))):
+            np.testing.assert_array_equal(again.predict((), (), beliefs[at])["image"], shot(at + 1))
+
+
+def test_the_world_keeps_what_every_node_must(folder: Path) -> None:
+    check_node(lambda: CameraWorld(str(folder / "video.avi")), epochs=5)
+
+
+HIERARCHY = """
+hierarchy: eye
+world: camera
+nodes:
+  camera: {class: hierax.nodes.sources.camera:CameraWorld, parameters: {source: SOURCE, calibration: CALIBRATION}}
+  eye: {class: "support.cameras:Eye"}
+edges:
+  camera -> eye: {sense: hierax.nodes.sources.camera:picture_seen}
+"""
+
+
+def test_any_hierarchy_can_use_it_and_its_recording(folder: Path, tmp_path: Path) -> None:
+    calibration = tmp_path / "camera.yaml"
+    write_calibration(replace(PINHOLE, size=SIZE), calibration)
+    video = tmp_path / "0.mcap"
+    sources = ((folder / "video.avi", calibration), (folder / "shots", calibration), (video, "null"))
+    for number, (source, lens) in enumerate(sources):
+        file = tmp_path / f"{number}.yaml"
+        file.write_text(HIERARCHY.replace("SOURCE", str(source)).replace("CALIBRATION", str(lens)))
+        done = said_here("run", str(file), "--record", str(tmp_path / f"{number}.mcap"))
+        assert done.returncode == 0, done.stderr
+        done = said_here("diff", str(video), str(tmp_path / f"{number}.mcap"))
+        assert "first difference" not in done.stdout, done.stdout
+        assert f"{COUNT} epochs" in done.stdout, done.stdout
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "told"),
+    [
+        ("none", None, "none: no such file; expected a device's number, a video, a folder of images, a recording, or"),
+        ("a.mp4", b"no video", "a.mp4: cannot be opened; expected a video, a recording, or a folder of images"),
+        ("a.mp4", b"", "a.mp4: cannot be opened"),
+        ("a.mcap", b"\x89MCAP0\r\n", "a.mcap: was cut off before it says what it is of"),
+        ("a.mcap", b"\x89MCAP", "a.mcap: is no recording"),
+    ],
+)
+def test_what_is_no_source_is_told(name: str, content: bytes | None, told: str, tmp_path: Path) -> None:
+    if content is not None:
+        (tmp_path / name).write_bytes(content)
+    with pytest.raises(DataError, match=re.escape(told)):
+        CameraWorld(str(tmp_path / name)).initial_belief()
+
+
+def test_an_empty_folder_and_a_scene_are_told(tmp_path: Path) -> None:
+    with pytest.raises(DataError, match=r"no images in it; expected some of \.png, \.jpg"):
+        CameraWorld(str(tmp_path)).initial_belief()
+    (tmp_path / "scene_camera.json").touch()
+    with pytest.raises(DataError, match="a scene in the BOP format is scene="):
+        CameraWorld(str(tmp_path)).initial_belief()
+
+
+def test_a_picture_of_another_size_is_refused(tmp_path: Path) -> None:
+    write_picture(tmp_path / "0.png", shot(0))
+    write_picture(tmp_path / "1.png", shot(1)[:100])
+    world = CameraWorld(str(tmp_path))
+    with pytest.raises(DataError, match=re.escape("has 320×100 pixels; expected 320×240")):
+        world.predict((), (), world.initial_belief())
+
+
+def test_a_video_that_is_cut_off_is_told(folder: Path, tmp_path: Path) -> None:
+    """What its head says is there, and more than a second of it lacks."""
+    data = (folder / "video.avi").read_bytes()
+    (tmp_path / "cut.avi").write_bytes(data[: len(data) // 12])
+    world = CameraWorld(str(tmp_path / "cut.avi"))
+
+    def play() -> None:
+        belief = world.initial_belief()
+        while not belief["ended"]:
+            belief = world.predict((), (), belief)
+
+    with pytest.raises(DataError, match=r"cut\.avi: ends, or is damaged, after \d+ frames; expected 12, as it says"):
+        play()
+
+
+def test_a_recording_without_pictures_is_told_and_takes_no_calibration(tmp_path: Path) -> None:
+    done = said_here("run", "servo", "--epochs", "3", "--record", str(tmp_path / "servo.mcap"))
+    assert done.returncode == 0, done.stderr
+    with pytest.raises(DataError, match="epoch 1: world showed no picture; expected image, camera"):
+        CameraWorld(str(tmp_path / "servo.mcap")).initial_belief()
+    write_calibration(PINHOLE, tmp_path / "c.yaml")
+    with pytest.raises(DataError, match="is a recording, whose frames are straightened"):
+        CameraWorld(str(tmp_path / "servo.mcap"), str(tmp_path / "c.yaml")).initial_belief()
+
+
+@pytest.mark.parametrize("options", [{"fps": 0.0}, {"fps": float("inf")}, {"source_timeout": -1.0}])
+def test_options_out_of_range_are_told(options: dict[str, float]) -> None:
+    with pytest.raises(ValueError, match=f"{next(iter(options))} is .*; expected a positive number"):
+        CameraWorld(0, **options)  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize("pose", [[[1.0]], "x", np.diag([1.0, 1.0, -1.0, 1.0]).tolist()])
+def test_a_pose_that_is_none_is_told(pose: Any) -> None:
+    with pytest.raises(DataError, match="pose: expected"):
+        CameraWorld(0, pose=pose)
