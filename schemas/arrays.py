@@ -56,9 +56,7 @@ def check_array(array: np.ndarray[Any, Any]) -> None:
 
 def array_head(array: np.ndarray[Any, Any], offset: int = 0) -> bytes:
     """The bytes that stand before an array's elements, in a message whose array data begins at this offset in bytes.
-
-    The padding counts from there. Raises `SchemaError` as `check_array` does.
-    """
+    The padding counts from there. Raises `SchemaError` as `check_array` does."""
     check_array(array)
     return _head(_code(array), array.shape, offset)
 
@@ -85,9 +83,7 @@ def encode_array(array: np.ndarray[Any, Any]) -> bytes:
 
 def decode_array(data: bytes | memoryview, where: str = "array") -> np.ndarray[Any, Any]:
     """Read the data of extension `ARRAY` in place: read-only, and aligned without a copy where the elements lie so.
-
-    Raises `SchemaError`, with `where` in it, if the data is not an array as described above.
-    """
+    Raises `SchemaError`, with `where` in it, if the data is not an array as described above."""
     if len(data) < _FIXED.size:
         raise SchemaError(f"{len(data)} bytes are too short for an array's head", where)
     ndim, name_length, padding = _FIXED.unpack_from(data)

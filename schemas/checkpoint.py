@@ -83,10 +83,8 @@ def encode_checkpoint(checkpoint: Checkpoint) -> bytes:
 
 
 def decode_checkpoint(data: bytes | memoryview) -> Checkpoint:
-    """Read a node's checkpoint; its states are read to see that they are some.
-
-    Raises `SchemaError` that names the field if the bytes are no checkpoint of this format.
-    """
+    """Read a node's checkpoint; its states are read to see that they are some. Raises `SchemaError` that names the
+    field if the bytes are no checkpoint of this format."""
     fields = read_fields(data, _CHECKPOINT, "checkpoint")
     checkpoint = Checkpoint(*fields[1:])
     decode_state(checkpoint.start, "checkpoint.start")
@@ -103,10 +101,8 @@ def encode_world(record: WorldRecord) -> bytes:
 
 
 def decode_world(data: bytes | memoryview) -> WorldRecord:
-    """Read the world's record; its roster and state are read to see that they are such.
-
-    Raises `SchemaError` that names the field if the bytes are no world's record of this format.
-    """
+    """Read the world's record; its roster and state are read to see that they are such. Raises `SchemaError` that names
+    the field if the bytes are no world's record of this format."""
     record = WorldRecord(*read_fields(data, _WORLD, "record")[1:])
     _check_world(record)
     version = decode_roster(record.roster, "record.roster").version
@@ -146,10 +142,8 @@ def encode_trial(name: str, before: Roster, place: Place, alone: bool) -> bytes:
 
 
 def decode_trial(data: bytes, where: str = "trial") -> tuple[str, Roster, Place, bool] | None:
-    """The node of a record that is tried, the roster before it, what runs there, and whether that fails alone.
-
-    None: there is none. Raises `SchemaError` if the bytes are no such array.
-    """
+    """The node of a record that is tried, the roster before it, what runs there, and whether that fails alone. None:
+    there is none. Raises `SchemaError` if the bytes are no such array."""
     if not data:
         return None
     trial = decode_value(data, where)

@@ -68,11 +68,9 @@ def decode_value(data: bytes | memoryview, where: str = "value") -> Value:
 
 
 def pack(value: Value, packers: Packers, where: str = "value", names: Names = ()) -> bytes:
-    """Pack a value that `is_sound`, by packers that know what to do with what msgpack does not know.
-
-    In errors it is called `where`, and its entries, where it is a tuple, `names`. Raises `SchemaError` if something
-    cannot travel; says where and what.
-    """
+    """Pack a value that `is_sound`, by packers that know what to do with what msgpack does not know. In errors it is
+    called `where`, and its entries, where it is a tuple, `names`. Raises `SchemaError` if something cannot travel; says
+    where and what."""
     idle = packers.idle
     try:
         packer = idle.pop()
@@ -99,10 +97,8 @@ def pack(value: Value, packers: Packers, where: str = "value", names: Names = ()
 
 
 def unpack(data: bytes | memoryview, ext_hook: ExtHook, where: str, names: Names = ()) -> Value:
-    """Unpack exactly one value; memory stays in proportion to `data`. `ext_hook` reads extension types.
-
-    `where` and `names` are as `pack` has them. Raises `SchemaError` if the bytes are not exactly one value.
-    """
+    """Unpack exactly one value; memory stays in proportion to `data`. `ext_hook` reads extension types. `where` and
+    `names` are as `pack` has them. Raises `SchemaError` if the bytes are not exactly one value."""
     size = len(data)
     if size > MAX_MESSAGE_BYTES:
         raise SchemaError(f"{size} bytes; at most {MAX_MESSAGE_BYTES} are allowed", where)
@@ -218,23 +214,22 @@ class _Hooks:
 
 
 def is_sound(value: Any, depth: int) -> bool:
-    """What msgpack lets through and we don't, in either direction; `_flaw` says what.
-
-    Runs for every message and state: maps are looked into from where they stand, as a call takes longer.
-    """
+    """What msgpack lets through and we don't, in either direction; `_flaw` says what. Runs for every message and state:
+    maps are looked into from where they stand, as a call takes longer."""
     kind = type(value)
-    if kind is tuple or kind is list or (isinstance(value, (tuple, list)) and not isinstance(value, msgpack.ExtType)):
+    if kind is tuple or kind is list:
         parts: Collection[Any] = value
-    elif not isinstance(value, dict):
-        return not isinstance(value, (msgpack.Timestamp, msgpack.ExtType))
-    elif _are_keys(value):
+    elif kind is dict or isinstance(value, dict):
+        if not _are_keys(value):
+            return False
         parts = value.values()
+    elif isinstance(value, (tuple, list)) and not isinstance(value, msgpack.ExtType):
+        parts = value
     else:
-        return False
-    if len(parts) > MAX_ITEMS or depth > MAX_DEPTH:
-        return False
-    if depth == MAX_DEPTH:  # what holds something may not be in it
-        return all(type(part) in _LEAVES or is_sound(part, depth + 1) for part in parts)
+        return not isinstance(value, (msgpack.Timestamp, msgpack.ExtType))
+    if depth >= MAX_DEPTH or len(parts) > MAX_ITEMS:  # what is as deep as may be holds nothing that holds something
+        leaves = (type(part) in _LEAVES or is_sound(part, MAX_DEPTH + 1) for part in parts)
+        return depth == MAX_DEPTH and len(parts) <= MAX_ITEMS and all(leaves)
     for part in parts:
         kind = type(part)
         if kind in _LEAVES or part is _NOTHING:
@@ -304,10 +299,8 @@ def _key_flaw(key: Any) -> str:
 
 
 def fault(value: Value, where: str, names: Names, sure: Types = _LEAVES, otherwise: str = "") -> SchemaError:
-    """The first part that cannot travel, as an error; `value`, `where` and `names` as `pack` has them.
-
-    Parts of `sure` types need no look; `otherwise` is said of the whole if nothing is found.
-    """
+    """The first part that cannot travel, as an error; `value`, `where` and `names` as `pack` has them. Parts of `sure`
+    types need no look; `otherwise` is said of the whole if nothing is found."""
     named = type(value) is tuple and len(value) == len(names)
     roots = zip(names, value, strict=True) if named else [(where, value)]
     for name, root in roots:

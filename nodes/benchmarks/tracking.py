@@ -50,10 +50,8 @@ _BELIEFS = "hierax.nodes.tracking.evaluation.calibration:Beliefs"
 @dataclass(frozen=True)
 class Generator:
     """A generator of scenes: the package's, or a program of its own, a Python file or a folder with ``__main__.py``.
-
     ``PROGRAM --kinds`` prints the kinds of scenes that it makes, ``PROGRAM OUT --kind K --seed N --frames N [--exact]``
-    writes one as `write_scene` does, and prints its folder. What fails raises `HieraxError`.
-    """
+    writes one as `write_scene` does, and prints its folder. What fails raises `HieraxError`."""
 
     path: Path | None  # the program; None: the package's
 

@@ -56,10 +56,8 @@ def convex_shape(normals: Floats, offsets: Floats) -> Shape:
 
 
 def rounded(shape: Shape, radius_m: float) -> Shape:
-    """What is seen of a prism (of `extruded`) whose outer edges are worn round; its mesh stays the prism's.
-
-    An edge is a cylinder of so many plane strips that touch it, a corner a part of a ball.
-    """
+    """What is seen of a prism (of `extruded`) whose outer edges are worn round; its mesh stays the prism's. An edge is
+    a cylinder of so many plane strips that touch it, a corner a part of a ball."""
     if radius_m < _LEAST_RADIUS_M:
         return shape
     vertices = shape.mesh.vertices

@@ -163,10 +163,8 @@ def _loaded() -> ModuleType:
 
 
 def prepare(bullet: Bullet, step_s: float, half_m: Sequence[float], friction: float, **solver: int) -> int:
-    """Empty a client's world but for a table, whose handle is returned: a box of these halves, its top z = 0.
-
-    A box, not a plane: against a plane a box has one contact in its first step, and rocks.
-    """
+    """Empty a client's world but for a table, whose handle is returned: a box of these halves, its top z = 0. A box,
+    not a plane: against a plane a box has one contact in its first step, and rocks."""
     bullet.resetSimulation()
     bullet.setPhysicsEngineParameter(fixedTimeStep=step_s, deterministicOverlappingPairs=1, **solver)
     bullet.setGravity(0.0, 0.0, -GRAVITY_M_S2)
