@@ -151,7 +151,7 @@ class ArmNode(Node):
         after = {item["id"]: item for item in corrected}
         objects = tuple(after.get(item["id"], item) for item in objects)
         if sweeps is not None:
-            objects = self._searched(image, objects, sweeps, seen["intrinsics"], camera[2, :3])
+            objects = self._searched(image, objects, sweeps, seen["intrinsics"], camera[2])
         camera = camera @ invert(shift)
         drift = belief["drift"] @ exp_se3(_DRIFT_GAIN * log_se3(invert(reported @ belief["drift"]) @ camera))
         height, width = seen["image"].shape[:2]
@@ -211,14 +211,14 @@ class ArmNode(Node):
         return shift, tuple(_sought(self._judged(item, shift @ item["pose"], each)) for item, each in seen)
 
     def _searched(
-        self, image: Image, objects: _Objects, sweeps: tuple[schema.Sweep, ...], intrinsics: Array, upright: Floats
+        self, image: Image, objects: _Objects, sweeps: tuple[schema.Sweep, ...], intrinsics: Array, level: Floats
     ) -> _Objects:
         """The objects after those that are missing were looked for."""
         missing = {at: item["others"] for at, item in enumerate(objects) if _is_missing(item)}
         objects = tuple({**_unseen(item), "probation": 0} if _is_refuted(item) else item for item in objects)
         if not missing:
             return objects
-        found = look_for_missing(image, objects, missing, sweeps, np.asarray(intrinsics), upright)
+        found = look_for_missing(image, objects, missing, sweeps, np.asarray(intrinsics), level)
         return tuple(
             _sighted(item, found[at], any(sweep["id"] == item["id"] for sweep in sweeps)) if at in found else item
             for at, item in enumerate(objects)

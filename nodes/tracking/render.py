@@ -27,6 +27,8 @@ from hierax.nodes.tracking.schema import LOST, TRACKED, Alternative, Body, Contr
 LEAST_CHANCE = 0.02
 """Control points that are less likely to be seen are left out."""
 
+_ROUGH = 0.3  # of the height that bodies reach: how far it may be off
+_LOWER = 0.25  # of the height that bodies reach: by so much it is tried lower in turns
 _NEAR = 0.1  # of a body's covariance, so much is left around each of its other poses
 
 
@@ -152,9 +154,16 @@ class SegmentedDepth:
                 proposer = self._proposers.get(body["id"])
                 if proposer is None or proposer.renderer is not renderer:
                     proposer = self._proposers[body["id"]] = Proposer(renderer)
-                places = places_seen(camera, intrinsics, size, _tops(belief), len(proposer.resting), body["turn"])
-                templates = proposer.templates(camera, places, intrinsics) if len(places) else ()
-                found.append({"id": body["id"], "places": places, "templates": templates})
+                # One that nobody knows may carry it: in turns with the table, heights are tried that others reach.
+                heights = _heights(belief, body) if body["turn"] % 2 == 0 < body["turn"] else []
+                tops = [] if heights else _tops(belief)
+                places = places_seen(
+                    camera, intrinsics, size, heights or [0.0], tops, len(proposer.resting), body["turn"]
+                )
+                middle = places[:, :3, 3].mean(axis=0) * [1.0, 1.0, 0.0] if len(places) else None
+                templates = () if middle is None else proposer.templates(camera, middle, intrinsics)
+                rough_m = _ROUGH * heights[0] if heights else 0.0
+                found.append({"id": body["id"], "places": places, "templates": templates, "rough_m": rough_m})
         return tuple(found)
 
     def _controls(self, scene: _Scene, missing: Collection[int]) -> list[ControlPoints]:
@@ -210,12 +219,17 @@ def is_missing(body: Body, belief: SpatialBelief) -> bool:
 
 
 def _tops(belief: SpatialBelief) -> list[Floats]:
-    """The upper faces of what stands, and of what is missing where it may rather be than elsewhere, (k, 3) corners in
-    the world's frame."""
-    standing = [(body, body["pose"]) for body in belief["bodies"] if body["stands"] and body["status"] == TRACKED]
-    supposed = [(body, guess) for body in belief["bodies"] if body["status"] == LOST for guess in body["guesses"]]
-    tops = [top_of(transform(pose, body["model"]["vertices"])) for body, pose in standing + supposed]
+    """The upper faces of what stands, (k, 3) corners in the world's frame."""
+    standing = [body for body in belief["bodies"] if body["stands"] and body["status"] == TRACKED]
+    tops = [top_of(transform(body["pose"], body["model"]["vertices"])) for body in standing]
     return [top for top in tops if len(top)]
+
+
+def _heights(belief: SpatialBelief, body: Body) -> list[float]:
+    """About how high one or two of the others would carry a body, m."""
+    others = [np.ptp(other["model"]["vertices"], axis=0).min() for other in belief["bodies"] if other is not body]
+    share = 1.0 - _LOWER * (body["turn"] // 2 % 2)
+    return [float(number * share * np.mean(others)) for number in range(1, 1 + min(2, len(others)))]
 
 
 def _likely(controls: Controls, seen: Array) -> ControlPoints:

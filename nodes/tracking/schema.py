@@ -149,6 +149,7 @@ class Sweep(TypedDict):
     # world_from_place in the context, camera_from_place in the arm's belief, m
     places: Annotated[Floats, Is(("n", 4, 4), "float64", "frames whose z points upwards, m")]
     templates: tuple[Alternative, ...]  # poses that it may have at each place, place_from_object
+    rough_m: float  # standard deviation of how high the places are
 
 
 class Imagery(TypedDict):

@@ -24,7 +24,7 @@ from hierax.nodes.tracking.schema import Alternative, Size
 STEP_PX = 11  # from place to place in the image
 YAWS = 24  # turns about the vertical
 POINTS = 40  # control points of a template
-_BUDGET = 400_000  # places times templates of a sweep at most; places are thinned out to that
+_BUDGET = 150_000  # places times templates of a sweep at most; places are thinned out to that
 _MOST_FACES = 12  # on which a body may rest: the lowest ones
 _FARTHEST = 2.0  # places are no farther away than so many times what the camera looks at
 _CORNERS = 40  # of a convex hull; of larger ones those that are outermost in so many directions
@@ -45,10 +45,10 @@ class Proposer:
         self.resting = resting_poses(renderer.shape)
         self._templates: dict[tuple[float, ...], tuple[Alternative, ...]] = {}
 
-    def templates(self, camera: Floats, places: Floats, intrinsics: Array) -> tuple[Alternative, ...]:
+    def templates(self, camera: Floats, middle: Floats, intrinsics: Array) -> tuple[Alternative, ...]:
         """The body's poses at a place (place_from_object), as the camera (world_from_camera; fx, fy, cx, cy in pixels)
-        sees them there; places: (n, 4, 4) world_from_place."""
-        away = camera[:3, 3] - places[:, :3, 3].mean(axis=0)
+        sees them there; middle: (3,) of the places."""
+        away = camera[:3, 3] - middle
         distance = float(np.linalg.norm(away))
         elevation = round(float(np.arcsin(away[2] / distance)) / _ELEVATION_RAD)
         key = (elevation, round(float(np.log(distance) / np.log(_DISTANCE))), *intrinsics.tolist())
@@ -143,13 +143,21 @@ def places_on(
 
 
 def places_seen(
-    camera: Floats, intrinsics: Array, size: Size, tops: Sequence[Floats], templates: int, turn: int = 0
+    camera: Floats,
+    intrinsics: Array,
+    size: Size,
+    heights: Sequence[float],
+    tops: Sequence[Floats],
+    templates: int,
+    turn: int = 0,
 ) -> Floats:
-    """Places (n, 4, 4) on the table and on what stands there, as for `places_on`; tops: of each body that carries
-    things, (k, 3) the corners of its upper face, world's frame; templates: how many poses are tried at each place."""
-    table = places_on(camera, intrinsics, size, 0.0, None, _BUDGET // max(templates, 1), turn)
+    """Places (n, 4, 4) on planes of those heights all over the image, and on what stands there, as for `places_on`;
+    tops: of each body that carries things, (k, 3) the corners of its upper face, world's frame; templates: how many
+    poses are tried at each place."""
+    most = _BUDGET // max(templates * len(heights), 1)
+    planes = [places_on(camera, intrinsics, size, height, None, most, turn) for height in heights]
     above = [places_on(camera, intrinsics, size, float(top[:, 2].max()), top[:, :2], _BUDGET, turn) for top in tops]
-    return np.concatenate((table, *above))
+    return np.concatenate((*planes, *above))
 
 
 def top_of(corners: Floats) -> Floats:

@@ -8,13 +8,11 @@ one is believed when any other choice for its object explains the image clearly 
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping, Sequence
-from itertools import permutations
+from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
 
-from hierax.nodes.tracking.constants import PARALLEL
 from hierax.nodes.tracking.estimation.alignment import Aligned, Start, align
 from hierax.nodes.tracking.estimation.bending import memory_of
 from hierax.nodes.tracking.estimation.likelihood import explains, painted
@@ -22,13 +20,14 @@ from hierax.nodes.tracking.estimation.profiles import Image
 from hierax.nodes.tracking.estimation.stages import Search
 from hierax.nodes.tracking.imagery.edges import POINTS_MAX
 from hierax.nodes.tracking.math.batched import inverse, invert_many, log_many, only, pixels_of
-from hierax.nodes.tracking.math.geometry import NO_POSES, Array, Floats, invert, transform
+from hierax.nodes.tracking.math.geometry import NO_POSES, Array, Floats, transform
 from hierax.nodes.tracking.model.controls import gathered
 from hierax.nodes.tracking.model.symmetry import alike
 from hierax.nodes.tracking.schema import TRACKED, Alternative, ControlPoints, Looks, Sweep, TrackedObject
 from hierax.nodes.tracking.search.multistart import FINE, LEAST_FOUND, ROUGH, ROUGH_POINTS, held, squared
 from hierax.nodes.tracking.search.reacquisition import different
 from hierax.nodes.tracking.search.sweep import Maps, maps_of, stands_out, swept
+from hierax.nodes.tracking.search.together import Judged, Together, carriers_of, conflicts_of, is_in, look_alike
 
 _FRESH, _OLD = 4, 3  # guesses of a sweep, and of those that were judged, that go up
 # By so much a pose has to explain the image better than clutter does: of the tens of thousands that were tried (e to
@@ -38,14 +37,9 @@ _SURE_SCORE = 0.75
 # And by so much better than any other choice, nats, of which so many have to be its edges', and with so many control
 # points in sight: on generator A (tower, hidden 0, low contrast 0) right ones have at least 7.5, 8.2 and 52.
 _CLEARLY, _LEAST_EDGES, _LEAST_IN_SIGHT = 6.0, 8.0, 40.0
-_SWEEPS = 2  # so often all that are missing have to be looked for before one is believed
+_SWEEPS = 3  # so often all that are missing have to be looked for before one is believed
 _LEAST_SCORE = 0.6
-_ALIKE_M = 0.004  # poses whose outlines are no farther apart than that in the mean look alike
 _RIVALS = 8  # so many missing objects are chosen for together at most
-_INSIDE = 0.2  # of a body's box: more of it in another's cannot be
-# Poses of which so many edges are those of another are of the same thing: so near, and about parallel.
-_CLAIMED, _CLAIM_PX = 0.35, 4.0
-_SAMPLES = np.stack(np.meshgrid(*[np.linspace(-0.45, 0.45, 6)] * 3), axis=-1).reshape(-1, 3)
 
 # How far a pose in which a body rests may be off (standard deviations), and of that upwards, and about level axes: by
 # the camera's error.
@@ -64,25 +58,13 @@ class Sighting(NamedTuple):
     again: bool = False  # whether the image before said the same
 
 
-class _Judged(NamedTuple):
-    """Poses of missing objects, aligned."""
-
-    owners: Array  # (n,) whose
-    fine: Aligned
-    nats: Floats  # (n,) by how much each explains the image better than clutter does
-    worth: Floats  # (n,) the same, and how likely it was before
-    covariance: Floats  # (n, 6, 6)
-    boxes: Floats  # (n, 2, 3) low and high corner in the object's frame
-    edges: list[Floats]  # of each, (k, 4) pixels and normals of those edges that the image shows
-
-
 def look_for_missing(
     image: Image,
     objects: Sequence[TrackedObject],
     missing: Mapping[int, Sequence[Alternative]],
     sweeps: Sequence[Sweep],
     intrinsics: Array,
-    upright: Floats,
+    level: Floats,
 ) -> dict[int, Sighting]:
     """What an image says of the missing objects, by their index; nothing of those that it was not looked for.
 
@@ -91,9 +73,9 @@ def look_for_missing(
         objects: all of them, those that are seen where this image has them.
         missing: by the index of those that are missing, what would be seen of them where they may be.
         sweeps: of some that are missing; intrinsics: (4,) fx, fy, cx, cy in pixels.
-        upright: (3,) unit vector upwards, camera's frame.
+        level: (4,) unit vector upwards, camera's frame, and how high the camera is above the table, m.
     """
-    search = _Search(image, intrinsics, upright)
+    search = _Search(image, intrinsics, level)
     recent = [at for at, item in enumerate(objects) if item["status"] == TRACKED and item["probation"]]
     shown = dict(missing)
     for at in recent:
@@ -104,7 +86,7 @@ def look_for_missing(
     settled = [item for at, item in enumerate(objects) if at not in recent]
     beside = maps.without(_outlines(settled, intrinsics))
     judged = _judged(search, beside, objects, shown) if any(missing.values()) else None
-    found = _decided(judged, objects, list(missing), recent) if judged is not None else {}
+    found = _decided(judged, objects, list(missing), recent, level) if judged is not None else {}
     places = {objects[at]["id"]: at for at in missing}
     maps = maps.without(_outlines(objects, intrinsics))
     for sweep in sweeps:
@@ -118,10 +100,16 @@ def look_for_missing(
 class _Search(NamedTuple):
     image: Image
     intrinsics: Array
-    upright: Floats
+    level: Floats
 
     def aligned(
-        self, controls: Sequence[ControlPoints], looks: list[Looks], poses: Floats, how: Search, most: int
+        self,
+        controls: Sequence[ControlPoints],
+        looks: list[Looks],
+        poses: Floats,
+        how: Search,
+        most: int,
+        rough_m: float = 0.0,
     ) -> tuple[Aligned, Floats, Floats] | None:
         """Poses (n, 4, 4), each with its control points and what is remembered of its object, aligned to the image;
         how unlikely that is (n,), nats, and the covariances (n, 6, 6)."""
@@ -129,8 +117,10 @@ class _Search(NamedTuple):
         places = every.rows_of(range(len(controls)), most)
         chosen = every.of(places)
         memory = memory_of(looks, every, self.image.shape[2])
-        supports = poses[:, :3, :3].transpose(0, 2, 1) @ self.upright
-        information = inverse(np.stack([held(_OFF, support, _UPWARDS, _TILTING) for support in supports]))
+        supports = poses[:, :3, :3].transpose(0, 2, 1) @ self.level[:3]
+        off = np.stack([held(_OFF, support, _UPWARDS, _TILTING) for support in supports])
+        off[:, :3, :3] += rough_m**2 * np.einsum("ni,nj->nij", supports, supports)
+        information = inverse(off)
         rows = only(memory, np.concatenate(places))
         found = align(self.image, chosen, Start(poses, information), self.intrinsics, rows, how)
         if found is None:
@@ -141,7 +131,7 @@ class _Search(NamedTuple):
 
 def _judged(
     search: _Search, maps: Maps, objects: Sequence[TrackedObject], missing: Mapping[int, Sequence[Alternative]]
-) -> _Judged | None:
+) -> Judged | None:
     """The guesses of the missing objects, each aligned with what would be seen of it."""
     rows = [(at, other) for at, others in missing.items() for other in others if len(other["controls"]["points"])]
     if not rows:
@@ -158,19 +148,17 @@ def _judged(
     lines = np.concatenate((fine.stage.lines.pixels, fine.stage.lines.normals), axis=1)
     owners = fine.stage.controls.owners
     edges = [lines[(owners == row) & fine.supported] for row in range(len(rows))]
-    return _Judged(np.array([at for at, _ in rows]), fine, nats, worth, covariance, boxes, edges)
+    return Judged(np.array([at for at, _ in rows]), fine, nats, worth, covariance, boxes, edges)
 
 
 def _decided(
-    judged: _Judged, objects: Sequence[TrackedObject], missing: Sequence[int], recent: Sequence[int]
+    judged: Judged, objects: Sequence[TrackedObject], missing: Sequence[int], recent: Sequence[int], level: Floats
 ) -> dict[int, Sighting]:
     """What is believed of the missing objects, and of those that were found just now: these give way."""
     fine, worth = judged.fine, judged.worth
-    staying = [_placed(item) for at, item in enumerate(objects) if item["status"] == TRACKED and at not in recent]
-    free = [
-        not any(_is_in(fine.poses[row], judged.boxes[row], pose, box) for pose, box in filter(None, staying))
-        for row in range(len(worth))
-    ]
+    placed = [_placed(item) for at, item in enumerate(objects) if item["status"] == TRACKED and at not in recent]
+    staying = [each for each in placed if each is not None]
+    free = [not any(is_in(fine.poses[row], judged.boxes[row], *each) for each in staying) for row in range(len(worth))]
     possible = np.array(free) & (fine.scores >= _LEAST_SCORE) & (fine.shown >= LEAST_FOUND)
     ranked: dict[int, list[int]] = {}
     for at in missing:
@@ -180,8 +168,10 @@ def _decided(
     least = np.where(fine.scores > _SURE_SCORE, _LEAST_NATS, _SURE_NATS)
     options = {at: np.nonzero(judged.owners == at)[0].tolist() for at in recent}
     options |= {at: [row for row in ranked[at] if worth[row] > least[row]] for at in first}
-    together = _Together(
-        options, np.maximum(worth, 1.0), _conflicts(judged, [row for rows in options.values() for row in rows])
+    rows = [row for own in options.values() for row in own]
+    carriers = carriers_of(judged, rows, staying, level)
+    together = Together(
+        options, np.maximum(worth, 1.0), conflicts_of(judged, rows), carriers, len(missing) + len(recent)
     )
     best, chosen = together.best(())
     ready = all(objects[at]["failed_searches"] >= _SWEEPS for at in missing)
@@ -190,7 +180,7 @@ def _decided(
         row = chosen.get(at)
         sure = row is not None and ready and judged.nats[row] > _LEAST_EDGES and fine.shown[row] > _LEAST_IN_SIGHT
         if row is not None and sure:
-            sure = best - together.best(_alike(judged, row, options[at]))[0] > _CLEARLY
+            sure = best - together.best(look_alike(judged, row, options[at]))[0] > _CLEARLY
         kept = [other for other in ranked[at] if other != row or not sure][:_OLD]
         guesses = fine.poses[kept] if kept else NO_POSES
         found[at] = Sighting(guesses)
@@ -212,66 +202,6 @@ def _placed(item: TrackedObject) -> tuple[Floats, Floats] | None:
     return (item["pose"], _box(item["controls"])) if len(item["controls"]["points"]) else None
 
 
-class _Together(NamedTuple):
-    """Poses that several objects may have."""
-
-    options: Mapping[int, list[int]]  # of each, the rows of its poses
-    worth: Floats  # of each row, nats
-    conflicts: set[tuple[int, int]]  # rows that cannot both be
-
-    def best(self, without: Collection[int]) -> tuple[float, dict[int, int]]:
-        """The most that one choice for each object, or none, is worth, and that choice, some rows left out."""
-        partial: list[tuple[float, dict[int, int]]] = [(0.0, {})]
-        for at, rows in self.options.items():
-            partial += [
-                (value + float(self.worth[row]), {**chosen, at: row})
-                for value, chosen in partial
-                for row in rows
-                if row not in without and not any((row, other) in self.conflicts for other in chosen.values())
-            ]
-        return max(partial, key=lambda each: each[0])
-
-
-def _alike(judged: _Judged, row: int, rows: Sequence[int]) -> list[int]:
-    """Those rows of an object that put it at the same place with the same outlines, about, whichever side is where."""
-    controls = judged.fine.stage.controls
-
-    def outlines(number: int) -> Floats:
-        return transform(judged.fine.poses[number], controls.points[controls.owners == number])
-
-    own = outlines(row)
-    apart = {other: np.linalg.norm(own[:, None] - outlines(other)[None], axis=-1) for other in rows}
-    return [other for other, away in apart.items() if max(away.min(axis=0).mean(), away.min(axis=1).mean()) < _ALIKE_M]
-
-
-def _conflicts(judged: _Judged, rows: Sequence[int]) -> set[tuple[int, int]]:
-    """Rows of different objects of which one is in the other, or has its edges where the other has them."""
-    poses, boxes, edges = judged.fine.poses, judged.boxes, judged.edges
-    return {
-        pair
-        for one, other in permutations(rows, 2)
-        if judged.owners[one] != judged.owners[other]
-        and (_is_in(poses[one], boxes[one], poses[other], boxes[other]) or _is_claimed(edges[one], edges[other]))
-        for pair in ((one, other), (other, one))
-    }
-
-
-def _is_claimed(edges: Floats, others: Floats) -> bool:
-    """Whether too many of a pose's edges in the image, (n, 4) pixels and normals, are another's, too."""
-    if not len(edges) or not len(others):
-        return False
-    near = np.linalg.norm(edges[:, None, :2] - others[None, :, :2], axis=-1) < _CLAIM_PX
-    parallel = np.abs(edges[:, 2:] @ others[:, 2:].T) > PARALLEL
-    return bool((near & parallel).any(axis=1).mean() > _CLAIMED)
-
-
-def _is_in(pose: Floats, box: Floats, other: Floats, around: Floats) -> bool:
-    """Whether more of a box than bodies can share is inside of another one."""
-    points = box.mean(axis=0) + _SAMPLES * np.ptp(box, axis=0)
-    inside = transform(invert(other) @ pose, points)
-    return bool(((inside > around[0]) & (inside < around[1])).all(axis=1).mean() > _INSIDE)
-
-
 def _box(controls: ControlPoints) -> Floats:
     return np.array([controls["points"].min(axis=0), controls["points"].max(axis=0)])
 
@@ -288,7 +218,7 @@ def _fresh(search: _Search, maps: Maps, looks: Looks, sweep: Sweep) -> Floats:
         return NO_POSES
     proposed = swept(maps, sweep, search.intrinsics)
     controls = [sweep["templates"][number]["controls"] for number in proposed.templates]
-    found = search.aligned(controls, [looks] * len(controls), proposed.poses, ROUGH, ROUGH_POINTS)
+    found = search.aligned(controls, [looks] * len(controls), proposed.poses, ROUGH, ROUGH_POINTS, sweep["rough_m"])
     if found is None:
         return NO_POSES
     rough, unlikely, _ = found

@@ -37,7 +37,7 @@ _MOST = 2.0  # nats that a control point says at most
 _CHANCE = 0.5  # and so many it says of clutter
 _CREASE = 0.3  # what faces of one body differ by counts so much
 _EVERY, _SECOND = 3, 8000  # control points that poses are judged by at first, and how many by all of them
-_KEPT, _BEST = 240, 32  # poses that are looked at more closely, and that are given
+_KEPT, _BEST = 600, 80  # poses that are looked at more closely, and that are given
 _APART_PX, _APART_RAD = 14.0, 0.2  # poses nearer than that, from one to the next, are one
 _TRY_PX, _TRY_RAD = 5.0, 0.09  # steps of the closer look
 _LEAST_LOOKS = 3  # places on a face that tell what it looks like
@@ -99,11 +99,10 @@ def swept(maps: Maps, sweep: Sweep, intrinsics: Array) -> Proposed:
     numbers, where = np.unravel_index(rows, rough.shape)
     some = [(places[where[numbers == number]], side) for number, side in enumerate(sides)]
     nats = np.concatenate([_stands_out(maps.colours, *own, intrinsics) for own in some])
-    order = np.argsort(-nats, kind="stable")[: 8 * _KEPT]
+    order = np.argsort(-nats, kind="stable")[:_KEPT]
     numbers, where = numbers[order], where[order]
     first = Proposed(places[where] @ np.stack([templates[number]["pose"] for number in numbers]), numbers, nats[order])
-    kept = _apart(first, 0.5 * _APART_PX, intrinsics, _KEPT)
-    return _closer(maps, sweep, sides, only(first, np.array(kept, dtype=np.intp)), intrinsics)
+    return _closer(maps, sweep, sides, first, intrinsics)
 
 
 def stands_out(maps: Maps, poses: Floats, controls: Sequence[ControlPoints], intrinsics: Array) -> Floats:
@@ -215,7 +214,7 @@ def _closer(maps: Maps, sweep: Sweep, sides: Sequence[_Sides], first: Proposed, 
         poses[rows], nats[rows] = tried.reshape(-1, len(rows), 4, 4)[best, np.arange(len(rows))], found.max(axis=0)
     order = np.argsort(-nats, kind="stable")
     closer = Proposed(poses[order], first.templates[order], nats[order])
-    return only(closer, np.array(_apart(closer, _APART_PX, intrinsics, _BEST), dtype=np.intp))
+    return only(closer, np.array(_apart(closer, intrinsics), dtype=np.intp))
 
 
 def _nats(maps: Singles, poses: Floats, controls: ControlPoints, intrinsics: Array) -> Floats:
@@ -255,17 +254,17 @@ def _edges(small: Singles) -> tuple[NDArray[np.bool_], Singles]:
     return edges, (np.arctan2(gy, gx) % np.pi).astype(np.float32)
 
 
-def _apart(found: Proposed, apart_px: float, intrinsics: Array, most: int) -> list[int]:
-    """Numbers of poses, best first, that are apart from all better ones."""
+def _apart(found: Proposed, intrinsics: Array) -> list[int]:
+    """Numbers of the first few poses, best first, that are apart from all better ones."""
     flat = found.poses[:, :3, 3] * (intrinsics[0] / found.poses[:, 2, 3])[:, None]
     kept: list[int] = []
     for number in range(len(flat)):
-        near = np.linalg.norm(flat[kept] - flat[number], axis=1) < apart_px
+        near = np.linalg.norm(flat[kept] - flat[number], axis=1) < _APART_PX
         if near.any():
             turned = np.einsum("nij,ij->n", found.poses[kept, :3, :3], found.poses[number, :3, :3])
             if (near & (turned > 1.0 + 2.0 * np.cos(_APART_RAD))).any():
                 continue
         kept.append(number)
-        if len(kept) == most:
+        if len(kept) == _BEST:
             break
     return kept

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from support.boxes import INTRINSICS, SIZE, Box, cast
 
-from hierax.nodes.tracking.math.geometry import exp_so3, invert, make_pose
+from hierax.nodes.tracking.math.geometry import NO_POSES, exp_so3, invert, looking_down, make_pose
 from hierax.nodes.tracking.model.mesh import box_mesh
 from hierax.nodes.tracking.render import DepthRenderer, Item, SegmentedDepth
 
@@ -114,3 +114,23 @@ def test_context_is_the_scene_as_the_camera_sees_it() -> None:
     assert np.array_equal(element["camera"], camera)
     assert element["poses"][0]["id"] == 5
     assert np.array_equal(element["poses"][0]["pose"], pose)
+
+
+def test_a_missing_body_is_also_looked_for_where_others_that_nobody_knows_would_carry_it() -> None:
+    camera = looking_down(0.4, 0.75, 0.45, np.zeros(3))
+    bodies = []
+    for number, side in ((1, 0.05), (2, 0.03)):
+        mesh = box_mesh((side, side, side))
+        body = {"id": number, "obj_id": number, "pose": np.eye(4), "velocity": np.zeros(6), "covariance": np.eye(6)}
+        body.update(status="lost", support=np.zeros(3), stands=False, guesses=NO_POSES, others=NO_POSES, kept=0)
+        body.update(turn=number, model={"vertices": mesh.vertices, "faces": mesh.faces})
+        bodies.append(body)
+    seen = {"camera": camera, "intrinsics": INTRINSICS, "size": SIZE, "frame": 3}
+    (element,) = SegmentedDepth()({**seen, "bodies": tuple(bodies), "sweeping": (1, 2)})
+    table, above = element["sweeps"]
+    assert np.unique(table["places"][:, 2, 3]).tolist() == [0.0]
+    assert table["rough_m"] == 0.0
+    heights = np.unique(above["places"][:, 2, 3])
+    assert len(heights) == 1
+    assert 0.03 < heights[0] < 0.06
+    assert above["rough_m"] > 0.005

@@ -42,8 +42,8 @@ def picture(mesh: Mesh, seed: int) -> Array:
 def sweep_of(mesh: Mesh) -> Sweep:
     proposer = Proposer(LayerRenderer(shape_of(mesh.vertices, mesh.faces)))
     places = places_on(CAMERA, INTRINSICS, SIZE, 0.0, None, 10_000)
-    templates = proposer.templates(CAMERA, places, INTRINSICS)
-    return {"id": 1, "places": invert(CAMERA) @ places, "templates": templates}
+    templates = proposer.templates(CAMERA, np.zeros(3), INTRINSICS)
+    return {"id": 1, "places": invert(CAMERA) @ places, "templates": templates, "rough_m": 0.0}
 
 
 def off_m(poses: Floats, mesh: Mesh) -> Floats:
