@@ -139,10 +139,17 @@ def test_operators_are_pure_and_beliefs_are_values() -> None:
     assert len(kept) < 100_000
 
 
-def test_no_observation_changes_nothing() -> None:
+def test_without_an_observation_what_was_tracked_is_expected() -> None:
     arm = node()
     belief = after_first_epoch(arm)
-    assert arm.observe((), belief) is belief
+    blind = arm.observe((), belief)
+    assert blind["frame"] is None
+    assert poses_seen(blind) == ()
+    for item, before in zip(blind["objects"], belief["objects"], strict=True):
+        assert item["status"] == ("lost" if before["status"] == "lost" else "expected")
+        np.testing.assert_array_equal(item["pose"], before["pose"])
+    first = arm.initial_belief()
+    assert arm.observe((), first)["objects"] == first["objects"]
 
 
 @pytest.mark.parametrize(
