@@ -2,21 +2,19 @@
 
 from __future__ import annotations
 
-import json
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, nullcontext, redirect_stdout
 from dataclasses import replace
 
 from hierax.runtime.commands.ctrl_c import INTERRUPTED
-from hierax.runtime.commands.errors import OK, CommandError, interrupted, notify
+from hierax.runtime.commands.errors import OK, interrupted, notify
 from hierax.runtime.commands.options import Format, RunOptions
 from hierax.runtime.commands.show import print_json, print_report
 from hierax.runtime.deployment.read import read_deployment
-from hierax.runtime.execution.output_folder import SUMMARY, claimed_output
+from hierax.runtime.execution.output_folder import claimed_output, write_summary
 from hierax.runtime.execution.pacemaker import called
 from hierax.runtime.execution.report import Interrupted, Report
-from hierax.runtime.host.private_files import errors_named, write_result
 from hierax.runtime.loading.loader import extend_import_path
 from hierax.runtime.watch.prints import NamedLines
 
@@ -44,10 +42,7 @@ def run_deployment(runner: Runner, file: str, options: RunOptions, goes_on: bool
         except Interrupted as broken:
             report, code = broken.report, INTERRUPTED
         if output is not None:
-            start = {} if report.start_s is None else {"start_s": report.start_s}
-            summary = json.dumps({**report.plain(), **start}, indent=2, allow_nan=False)
-            with errors_named(output / SUMMARY, kind=CommandError):
-                write_result(output / SUMMARY, summary.encode() + b"\n")
+            write_summary(output, report)
     if options.output_format is Format.json:
         print_json(report.plain())
     else:
@@ -60,7 +55,7 @@ def run_deployment(runner: Runner, file: str, options: RunOptions, goes_on: bool
 
 
 @contextmanager
-def _progress(name: str, limit: int | None) -> Iterator[Callable[[int], None] | None]:
+def _progress(name: str, limit: int | None) -> Iterator[Callable[[int, bytes], None] | None]:
     """A progress bar on standard error, where that is a terminal."""
     if not sys.stderr.isatty():
         yield None
@@ -72,7 +67,7 @@ def _progress(name: str, limit: int | None) -> Iterator[Callable[[int], None] | 
     with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
         task = bar.add_task(name, total=limit)
 
-        def show(epoch: int) -> None:
+        def show(epoch: int, _: bytes) -> None:
             bar.update(task, completed=epoch)
 
         yield show

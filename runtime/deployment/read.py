@@ -53,6 +53,11 @@ def read_deployment(file: str | Path, overrides: Sequence[str] = ()) -> Deployme
     document = read_document(path, "hierarchy, world, nodes and edges")
     for override in overrides:
         apply_override(document, override)
+    return deployment_of(document, path)
+
+
+def deployment_of(document: Document, path: Path) -> Deployment:
+    """What a document says, whose file has this path. Raises `DeploymentError` as `read_deployment` does."""
     root = substitute(document)
     try:
         model = models.DeploymentModel.model_validate(root)

@@ -20,7 +20,7 @@ from hierax.runtime.deployment.parameters import substitute
 from hierax.runtime.deployment.read import read_document, restart_policy, roster_edges, roster_nodes
 from hierax.runtime.loading.allowance import NotAllowedError
 from hierax.runtime.loading.nearest import did_you_mean
-from hierax.runtime.owner.roster_changes import ChangeError, apply
+from hierax.runtime.owner.roster_changes import ChangeError, next_roster
 from hierax.schemas.roster import Attach, Change, Detach, Replace, Roster
 
 FORMS = {"attach": "EPOCH:attach:FILE", "detach": "EPOCH:detach:NAME[:cascade]", "replace": "EPOCH:replace:NAME:FILE"}
@@ -36,15 +36,36 @@ def read_attach(source: str | Path, deployment: Deployment) -> Attach:
     if _is_node(source, deployment):
         name, roster = str(source), deployment.roster
         return Attach({name: roster.nodes[name]}, tuple(edge for edge in roster.edges if name in edge.pair))
-    model, document = _read(source, deployment)
-    return Attach(roster_nodes(model.nodes, document), roster_edges(model.edges or {}, document))
+    return attach_of(_document(source, deployment))
 
 
 def read_replace(source: str | Path, name: str, deployment: Deployment) -> Replace:
     """What replaces the node of a name. The source is the path of a snippet that has this node alone. Its edges are all
     that the node has from then on; without ``edges`` it keeps those that it has. Raises `DeploymentError` as
     `read_attach` does, or if the snippet has another node."""
-    model, document = _read(source, deployment)
+    return replace_of(_document(source, deployment), name)
+
+
+def read_restarts(source: str | Path, deployment: Deployment, *, attached: bool = False) -> Mapping[str, RestartPolicy]:
+    """What a source of `read_attach` or `read_replace` says about the restarts of its nodes. What it leaves out is as
+    ``restart`` at the top of the deployment file has it; but what is attached fails alone (``on_loss: detach``) where
+    neither file says what is to follow. Raises `DeploymentError` as `read_attach` does."""
+    if _is_node(source, deployment):
+        own = deployment.restarts[str(source)]
+        said = _says(deployment, "nodes", str(source))
+        return {str(source): own if said else replace(own, on_loss=_otherwise(deployment, attached).on_loss)}
+    return restarts_of(_document(source, deployment), deployment, attached=attached)
+
+
+def attach_of(document: Document) -> Attach:
+    """What a snippet's document attaches. Raises `DeploymentError` if it is wrong."""
+    model = _checked(document)
+    return Attach(roster_nodes(model.nodes, document), roster_edges(model.edges or {}, document))
+
+
+def replace_of(document: Document, name: str) -> Replace:
+    """What a snippet's document has in the place of the node of a name. Raises `DeploymentError` if it is wrong."""
+    model = _checked(document)
     for given in model.nodes:
         if given != name:
             raise document.error(("nodes", given), f"expected no other node than the one to be replaced, {name!r}")
@@ -52,19 +73,18 @@ def read_replace(source: str | Path, name: str, deployment: Deployment) -> Repla
     return Replace(name, roster_nodes(model.nodes, document)[name], edges)
 
 
-def read_restarts(source: str | Path, deployment: Deployment, *, attached: bool = False) -> Mapping[str, RestartPolicy]:
-    """What a source of `read_attach` or `read_replace` says about the restarts of its nodes. What it leaves out is as
-    ``restart`` at the top of the deployment file has it; but what is attached fails alone (``on_loss: detach``) where
-    neither file says what is to follow. Raises `DeploymentError` as `read_attach` does."""
-    otherwise = deployment.restart
+def restarts_of(document: Document, deployment: Deployment, *, attached: bool = False) -> Mapping[str, RestartPolicy]:
+    """What a snippet's document says about the restarts of its nodes, as `read_restarts` has it."""
+    otherwise = _otherwise(deployment, attached)
+    nodes = _checked(document).nodes.items()
+    return {name: restart_policy(node, otherwise, document, ("nodes", name)) for name, node in nodes}
+
+
+def _otherwise(deployment: Deployment, attached: bool) -> RestartPolicy:
+    """What holds of a node of which a snippet says nothing."""
     if attached and not _says(deployment, "restart"):
-        otherwise = replace(otherwise, on_loss="detach")
-    if _is_node(source, deployment):
-        own = deployment.restarts[str(source)]
-        said = _says(deployment, "nodes", str(source))
-        return {str(source): own if said else replace(own, on_loss=otherwise.on_loss)}
-    model, document = _read(source, deployment)
-    return {name: restart_policy(node, otherwise, document, ("nodes", name)) for name, node in model.nodes.items()}
+        return replace(deployment.restart, on_loss="detach")
+    return deployment.restart
 
 
 def _says(deployment: Deployment, *keys: str) -> bool:
@@ -84,13 +104,17 @@ def _is_file(source: str | Path) -> bool:
         raise DeploymentError(f"cannot be read: {error}", str(source)) from error
 
 
-def _read(source: str | Path, deployment: Deployment) -> tuple[SnippetModel, Document]:
+def _document(source: str | Path, deployment: Deployment) -> Document:
     if not _is_file(source):
         nearest = did_you_mean(str(source), deployment.roster.nodes, "its nodes are")
         what = f"there is no such file, and {deployment.path} has no node of that name{nearest}"
         raise DeploymentError(what, str(source))
     document = read_document(Path(source), "nodes and edges")
     document.outer = deployment.document
+    return document
+
+
+def _checked(document: Document) -> SnippetModel:
     root = substitute(document)
     try:
         model = SnippetModel.model_validate(root)
@@ -102,7 +126,7 @@ def _read(source: str | Path, deployment: Deployment) -> tuple[SnippetModel, Doc
         if not model.nodes.keys() & set(split_edge(edge)):
             names = " or ".join(map(repr, sorted(model.nodes)))
             raise document.error(("edges", edge), f"joins two other nodes; expected an edge of {names}")
-    return model, document
+    return model
 
 
 class Scheduled(NamedTuple):
@@ -127,10 +151,9 @@ def read_schedule(texts: Sequence[str], deployment: Deployment) -> tuple[Schedul
 
 
 def _after(change: Change, roster: Roster, deployment: Deployment, place: str) -> Roster:
-    version = roster.version + 1
     try:
         deployment.allowance.check_all(change)
-        return apply(roster, change, version, lambda _: version)
+        return next_roster(roster, change)
     except (ChangeError, NotAllowedError) as error:
         raise DeploymentError(str(error), place) from error
 

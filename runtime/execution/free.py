@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import heapq
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 
 import numpy as np
 
@@ -20,8 +20,8 @@ def run_freely(
     seed: int,
     pacemaker: Pacemaker,
     turn: Callable[[str], None],  # told whose turn it is
-) -> None:
-    """Run until the world is done.
+) -> Iterator[None]:
+    """Run until the world is done; gives control back after every turn.
 
     A node's turns are a period apart, from a beginning that the seed draws. At each turn it takes in what has come, and
     takes part in the newest epoch. Which of two turns at the same time comes first is drawn, too: the same seed gives
@@ -49,3 +49,4 @@ def run_freely(
             runner.step(message)
         runner.poll()
         plan(name, time_s)
+        yield

@@ -10,6 +10,7 @@ and whatever the deployment's probes write.
 
 from __future__ import annotations
 
+import json
 import os
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
@@ -20,6 +21,7 @@ import msgpack
 
 from hierax.runtime.core.errors import HieraxError, ProbeError
 from hierax.runtime.core.probe import Probe
+from hierax.runtime.execution.report import Report
 from hierax.runtime.host.private_files import HeldError, errors_named, hold, open_result, write_result
 from hierax.runtime.loading.allowance import Allowance
 from hierax.runtime.loading.loader import build_probe
@@ -31,6 +33,14 @@ ROSTER = "roster.msgpack"
 DIGESTS = "digests.msgpack"
 STATES = "states"
 SUMMARY = "summary.json"
+
+
+def write_summary(output: Path, report: Report) -> None:
+    """Write the report. Raises `OutputError` if it cannot be written."""
+    start = {} if report.start_s is None else {"start_s": report.start_s}
+    summary = json.dumps({**report.plain(), **start}, indent=2, allow_nan=False)
+    with errors_named(output / SUMMARY, kind=OutputError):
+        write_result(output / SUMMARY, summary.encode() + b"\n")
 
 
 class Log:

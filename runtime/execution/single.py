@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable, Sequence
-from contextlib import nullcontext
+from collections import deque
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import closing, nullcontext
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Protocol
+from typing import Any, Protocol
 
 from hierax.runtime.core.binding import OperatorSetting
 from hierax.runtime.core.digest import DigestChain
@@ -27,8 +28,9 @@ from hierax.runtime.execution.pacemaker import Breaker, Pacemaker
 from hierax.runtime.execution.report import Interrupted, NodeReport, Report
 from hierax.runtime.execution.runner import Host, NodeRunner, World
 from hierax.runtime.loading.loader import build_hierarchy
+from hierax.runtime.loading.nearest import did_you_mean
 from hierax.runtime.loading.node_loader import NodeLoader, wait_for
-from hierax.runtime.owner.roster_changes import ChangeError, Undo, apply
+from hierax.runtime.owner.roster_changes import ChangeError, Undo, next_roster
 from hierax.runtime.transport.port import MemoryNetwork
 from hierax.schemas.messages import Header
 from hierax.schemas.roster import Change, Detach, Replace, Roster, new_nodes
@@ -57,51 +59,103 @@ Watch = Callable[[str, NodeRunner], None]  # told a node's name and its runner: 
 def run(
     deployment: Deployment,  # what to run
     *,
-    epochs: int | None,  # how many; None: the deployment's number, or until the world has finished
-    seed: int,  # of all random numbers, and of the order in which messages are delivered
-    output: Path | None = None,  # folder for the states, digests and what probes write; None: nothing is written
-    progress: Callable[[int], None] | None = None,  # told the number of each epoch that is committed
-    schedule: Schedule = (),  # what changes when, in order
-    watch: Watch | None = None,  # called for each node as its runner is made
-    record: RunRecord | None = None,  # takes in what is said; None: nobody does
     breaker: Breaker | None = None,  # ends the run when a signal comes; None: nothing does
-    acts: bool = True,  # whether the world moves its actuators
-    turn: Callable[[str], None] | None = None,  # told whose turn it is, before it
+    **given: Any,  # as `SingleRun` has them
 ) -> Report:
     """Run a deployment in this process.
 
     Raises `HieraxError` if a node cannot be loaded or failed, or a change is refused, and `Interrupted` if the breaker
     has ended it.
     """
-    if output is not None:
-        write_roster(output, deployment.roster)
-    digests = digest_log(output)
+    single = SingleRun(deployment, **given)
+    with closing(single), nullcontext() if breaker is None else breaker.guarding(single.pacemaker):
+        deque(single.epochs(), maxlen=0)
+    return single.report(breaker is not None and breaker.came)
 
-    def on_commit(epoch: int, digest: bytes) -> None:
-        if digests is not None:
-            digests.write(epoch, digest)
-        if record is not None:
-            record.committed(epoch, digest)
-        if progress is not None:
-            progress(epoch)
 
-    chain = DigestChain(deployment.roster.content_hash())
-    pacemaker = Pacemaker(chain, deployment.epochs if epochs is None else epochs, on_commit)
-    nodes = _Nodes(deployment, seed, pacemaker, output, schedule, watch, record, acts, turn or (lambda name: None))
-    try:
-        with nullcontext() if breaker is None else breaker.guarding(pacemaker):
-            nodes.run()
-    finally:
-        nodes.close()
-        if digests is not None:
-            digests.close()
-    broken = breaker is not None and breaker.came
-    reports, unreported = nodes.reports(chain.epoch if broken else None)
-    times = (pacemaker.wall_s, pacemaker.epochs_s)
-    report = Report(deployment.name, "run", seed, chain.epoch, chain.digest.hex(), *times, reports, output)
-    if broken:
-        raise Interrupted(report, unreported)
-    return report
+class SingleRun:
+    """A run of a deployment in this process, which goes on as its epochs are asked for.
+
+    Raises `HieraxError` if a node cannot be loaded.
+    """
+
+    def __init__(
+        self,
+        deployment: Deployment,  # what to run
+        *,
+        epochs: int | None,  # how many; None: the deployment's number, or until the world has finished
+        seed: int,  # of all random numbers, and of the order in which messages are delivered
+        output: Path | None = None,  # folder for the states, digests and what probes write; None: nothing is written
+        progress: Callable[[int, bytes], None] | None = None,  # told each epoch that is committed, and its digest
+        schedule: Schedule = (),  # what changes when, in order
+        watch: Watch | None = None,  # called for each node as its runner is made
+        record: RunRecord | None = None,  # takes in what is said; None: nobody does
+        acts: bool = True,  # whether the world moves its actuators
+        turn: Callable[[str], None] | None = None,  # told whose turn it is, before it
+    ) -> None:
+        if output is not None:
+            write_roster(output, deployment.roster)
+        self._deployment, self._seed, self._output, self._record = deployment, seed, output, record
+        self._progress = progress
+        self._told: deque[tuple[int, bytes]] = deque()
+        self._digests = digest_log(output)
+        chain = DigestChain(deployment.roster.content_hash())
+        self.pacemaker = Pacemaker(chain, deployment.epochs if epochs is None else epochs, self._on_commit)
+        turn = turn or (lambda name: None)
+        try:
+            self._nodes = _Nodes(deployment, seed, self.pacemaker, output, schedule, watch, record, acts, turn)
+        except BaseException:
+            self._close_log()
+            raise
+
+    def epochs(self) -> Iterator[tuple[int, bytes]]:
+        """Go on; gives each epoch's number and digest once it is committed, when the next one may have begun.
+
+        Raises `HieraxError` if a node failed, or a change is refused.
+        """
+        for _ in self._nodes.turns():
+            while self._told:
+                yield self._told.popleft()
+
+    def change(self, change: Change, alone: frozenset[str]) -> int:
+        """Have the roster change as soon as may be, and give the first epoch under it; `alone`: its new nodes that fail
+        alone. Raises `HieraxError` if it is refused, or the run has no such epoch any more."""
+        return self._nodes.ask(change, alone)
+
+    def node_report(self, name: str) -> NodeReport:
+        """A node as it is after the last epoch that it has done. Raises `HieraxError` if there is none of this name."""
+        nodes = self._nodes.runners
+        if name not in nodes:
+            raise HieraxError(f"there is no node {name!r}{did_you_mean(name, nodes, 'the nodes are')}")
+        return nodes[name].report(None)
+
+    def report(self, broken: bool = False) -> Report:
+        """What the run has come to. Raises `Interrupted` with that where it was broken off."""
+        chain, pacemaker = self.pacemaker.chain, self.pacemaker
+        reports, unreported = self._nodes.reports(chain.epoch if broken else None)
+        times = (pacemaker.wall_s, pacemaker.epochs_s)
+        run = (self._deployment.name, "run", self._seed, chain.epoch, chain.digest.hex())
+        report = Report(*run, *times, reports, self._output)
+        if broken:
+            raise Interrupted(report, unreported)
+        return report
+
+    def close(self) -> None:
+        self._nodes.close()
+        self._close_log()
+
+    def _close_log(self) -> None:
+        if self._digests is not None:
+            self._digests.close()
+
+    def _on_commit(self, epoch: int, digest: bytes) -> None:
+        if self._digests is not None:
+            self._digests.write(epoch, digest)
+        if self._record is not None:
+            self._record.committed(epoch, digest)
+        if self._progress is not None:
+            self._progress(epoch, digest)
+        self._told.append((epoch, digest))
 
 
 class _World(World):
@@ -110,13 +164,13 @@ class _World(World):
     def __init__(self, nodes: _Nodes) -> None:
         super().__init__(nodes.pacemaker)
         self._nodes = nodes  # of the run
-        self._due = [scheduled.epoch for scheduled in nodes.schedule]  # the epochs before which the roster changes
+        self.due = {scheduled.epoch for scheduled in nodes.schedule}  # the epochs before which the roster changes
 
     def begin_next(self, runner: NodeRunner) -> None:
         epoch = runner.engine.epoch + 1
-        if epoch in self._due:
+        if epoch in self.due:
             self._nodes.change(epoch)
-        runner.drain(self.pacemaker.limit == epoch or epoch + 1 in self._due)
+        runner.drain(self.pacemaker.limit == epoch or epoch + 1 in self.due)
         self.pacemaker.start()
         try:
             runner.engine.begin()
@@ -177,11 +231,27 @@ class _Nodes(Host):
             self.turn(name)
             self.runners[name] = self._run_node(name, self._loaders[name].wiring(self._roster))
 
-    def run(self) -> None:
+    def turns(self) -> Iterator[None]:
+        """Run; gives control back after every turn of a node."""
         if self.deployment.staleness.free:
-            run_freely(self.runners, self.deployment, self.seed, self.pacemaker, self.turn)
-        else:
-            self._deliver_all()
+            return run_freely(self.runners, self.deployment, self.seed, self.pacemaker, self.turn)
+        return self._deliver_all()
+
+    def ask(self, change: Change, alone: frozenset[str]) -> int:
+        """Have the roster change when nothing is under way that was begun without knowing of it."""
+        world = self.runners[self._world].engine
+        epoch = world.epoch + (1 if world.phase is Phase.DONE else 2)
+        limit = self.pacemaker.limit
+        if self.pacemaker.done or (limit is not None and epoch > limit):
+            raise ChangeError(f"the run ends before epoch {epoch}, with which that would take effect")
+        self._allowance.check_all(change)
+        roster = self._roster
+        for each in [*(scheduled.change for scheduled in self._schedule if scheduled.epoch <= epoch), change]:
+            roster = next_roster(roster, each)
+        self._schedule.append(Scheduled(epoch, change, alone))
+        self._schedule.sort(key=lambda scheduled: scheduled.epoch)
+        self._begins.due.add(epoch)
+        return epoch
 
     def reports(self, committed: int | None) -> tuple[dict[str, NodeReport], dict[str, str]]:
         """What the nodes have come to; of a run broken off after a committed epoch also who cannot tell, and why."""
@@ -196,15 +266,17 @@ class _Nodes(Host):
                 unreported[name] = str(error)
         return reports, unreported
 
-    def _deliver_all(self) -> None:
+    def _deliver_all(self) -> Iterator[None]:
         runners, network, turn = self.runners, self._network, self.turn
         turn(self._world)
         runners[self._world].finish()
+        yield  # a world without neighbours is done by now
         while (name := network.next_receiver()) is not None:
             message = runners[name].port.receive()
             if message is not None:
                 turn(name)
                 runners[name].step(message)
+                yield
         if not self.pacemaker.done:
             waiting = {name: runner.engine.waits_for for name, runner in runners.items()}
             raise HieraxError(f"nothing is under way any more, but nodes wait: {waiting}")
@@ -285,8 +357,9 @@ class _Nodes(Host):
         return name in self._trials and self._trials[name].epoch == self.runners[self._world].engine.epoch
 
     def _apply(self, epoch: int, change: Change | Undo) -> None:
-        old, version = self._roster, self._roster.version + 1
-        roster = self._roster = apply(old, change, version, lambda _: version)
+        old = self._roster
+        roster = self._roster = next_roster(old, change)
+        version = roster.version
         for name in sorted(old.nodes.keys() - roster.nodes.keys()):
             self._close(name)
         for name in sorted(roster.nodes):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import tempfile
+import threading
 import time
 from collections.abc import AsyncIterator, Callable, Mapping, Sequence
 from contextlib import ExitStack, asynccontextmanager
@@ -37,6 +38,7 @@ from hierax.schemas.values import Value
 REPORT_TIMEOUT_S = 60.0  # how long they may take for their reports, and their probes to close, when it is over
 
 POLL_S = 0.01
+LOOK_S = 0.05  # at who wants the run to end
 
 
 class _Interruption(Exception):  # noqa: N818 - no error: somebody pressed Ctrl-C
@@ -49,7 +51,7 @@ def launch(
     epochs: int | None,  # how many; None: the deployment's number, or until the world has finished
     seed: int,  # of all random numbers
     output: Path | None = None,  # folder for the states, digests and what probes write; None: nothing is written
-    progress: Callable[[int], None] | None = None,  # told the number of each epoch committed, without holding the run
+    progress: Callable[[int, bytes], None] | None = None,  # told epochs committed and their digests; holds nothing up
     notify: Notify = lambda what: None,  # told what happens to the processes
     state: Path | None = None,  # folder of the checkpoints, which stays; None: one that goes with the run
     resumed: Run | None = None,  # go on with this run, whose checkpoints are in `state`
@@ -57,6 +59,8 @@ def launch(
     overrides: Sequence[str] = (),  # likewise
     faults: Mapping[str, Sequence[str]] | None = None,  # likewise
     recording: RecordingRequest | None = None,  # whether and where it is recorded; told how that ended
+    opened: Callable[[str], None] = lambda endpoint: None,  # told where it is reached, before anything runs
+    broken: threading.Event | None = None,  # set by who wants it to end, as a signal does; needed outside main threads
 ) -> Report:
     """Run a deployment with each node in a process of its own, over Zenoh.
 
@@ -80,19 +84,26 @@ def launch(
         roster = orders.roster()
         orders.save()
         try:
-            return anyio.run(_run, orders, roster, hub, notify, recording, begun_s)
+            opened(hub.endpoint)
+            return anyio.run(_run, orders, roster, hub, notify, recording, begun_s, broken)
         except _Interruption as error:
             raise KeyboardInterrupt from error
     raise AssertionError  # pragma: no cover - `with` never swallows
 
 
 async def _run(
-    orders: Orders, roster: Roster, hub: Hub, notify: Notify, recording: RecordingRequest | None, begun_s: float
+    orders: Orders,
+    roster: Roster,
+    hub: Hub,
+    notify: Notify,
+    recording: RecordingRequest | None,
+    begun_s: float,
+    broken: threading.Event | None,
 ) -> Report:
     deployment = orders.deployment
     path = str(deployment.path.resolve())
     registered = register(Running(orders.run_id, deployment.name, hub.endpoint, os.getpid(), path, orders.overrides))
-    supervisor = Supervisor(orders, roster, hub, notify, recording)
+    supervisor = Supervisor(orders, roster, hub, notify, recording, broken)
     try:
         await supervisor.run(begun_s)
     finally:
@@ -105,7 +116,13 @@ class Supervisor:
     """Starts the processes of a launch, has them run, and ends them."""
 
     def __init__(
-        self, orders: Orders, roster: Roster, hub: Hub, notify: Notify, recording: RecordingRequest | None
+        self,
+        orders: Orders,
+        roster: Roster,
+        hub: Hub,
+        notify: Notify,
+        recording: RecordingRequest | None,
+        broken_by: threading.Event | None,
     ) -> None:
         deployment = orders.deployment
         self._deployment = deployment
@@ -114,6 +131,7 @@ class Supervisor:
         self._orders = orders  # what the processes are started with
         self._hub = hub  # through which the processes find one another
         self._print = notify  # tells people what happens
+        self._broken_by = broken_by  # in the place of signals
         self._broken = anyio.Event()
         self._why: Exception | None = None
         self._are_started = False
@@ -270,6 +288,11 @@ class Supervisor:
 
     async def _watch_signals(self) -> None:
         """The first signal ends the run in good order, the second one at once."""
+        if self._broken_by is not None:
+            while not self._broken_by.is_set():
+                await anyio.sleep(LOOK_S)
+            self._tasks.start_soon(self._end_early)
+            return
         with anyio.open_signal_receiver(*ending_signals()) as signals:
             async for _ in signals:
                 self._signals += 1

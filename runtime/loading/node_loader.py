@@ -102,7 +102,23 @@ def _alike(one: str, other: str) -> float:
 
 
 def wait_for(awaitable: Awaitable[Any]) -> Any:
-    """Drive an async operator, in an event loop of its own."""
+    """Drive an async operator, in an event loop of its own; beside one that this thread has, as in a notebook, in
+    another thread."""
+    import asyncio
+    from concurrent.futures import ThreadPoolExecutor
+
     import anyio
 
+<<<<<<< HEAD
     return anyio.run(lambda: awaitable)
+=======
+    async def wait() -> Any:
+        return await awaitable
+
+    try:
+        asyncio.get_running_loop()
+    except RuntimeError:
+        return anyio.run(wait)
+    with ThreadPoolExecutor(1) as beside:
+        return beside.submit(anyio.run, wait).result()
+>>>>>>> ee60180 (Hierarchies are written, run and launched from Python, too)

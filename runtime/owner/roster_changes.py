@@ -45,6 +45,13 @@ def apply(roster: Roster, change: Change | Undo, version: int, instances: Callab
     return _replace(roster, change, version, instances)
 
 
+def next_roster(roster: Roster, change: Change | Undo) -> Roster:
+    """The roster after a change, under the next version, which new processes have as their instance; raises as `apply`
+    does."""
+    version = roster.version + 1
+    return apply(roster, change, version, lambda _: version)
+
+
 def touched(old: Roster, new: Roster) -> frozenset[str]:
     """The nodes that must be ready for a roster before it takes effect.
 

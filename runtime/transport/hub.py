@@ -33,12 +33,16 @@ _log = logging.getLogger("hierax")
 class Hub:
     """A session that every process connects to and gossips through; messages of the run don't pass it.
 
-    `progress` is told each committed epoch, from a thread of Zenoh's; `host`: as `BusTap` has it. Raises
+    `progress` is told each committed epoch and its digest, from a thread of Zenoh's; `host`: as `BusTap` has it. Raises
     `TransportError` if Zenoh refuses its configuration, or no endpoint could be listened on.
     """
 
     def __init__(
-        self, keys: Keys, zenoh_config: ZenohConfig, progress: Callable[[int], None] | None, host: str | None = None
+        self,
+        keys: Keys,
+        zenoh_config: ZenohConfig,
+        progress: Callable[[int, bytes], None] | None,
+        host: str | None = None,
     ) -> None:
         self.endpoint, self._session = _listen(zenoh_config, host)
         self._keys = keys  # of the run
@@ -143,13 +147,13 @@ def _listen(zenoh_config: ZenohConfig, host: str | None) -> tuple[str, zenoh.Ses
     return endpoint, open_session(listen=[endpoint], zenoh_config=zenoh_config, shared_memory=False)
 
 
-def _epoch_listener(progress: Callable[[int], None]) -> Callable[[zenoh.Sample], None]:
+def _epoch_listener(progress: Callable[[int, bytes], None]) -> Callable[[zenoh.Sample], None]:
     def on_sample(sample: zenoh.Sample) -> None:
         try:
-            epoch, _ = decode_value(sample.payload.to_bytes(), "epoch")
+            epoch, digest = decode_value(sample.payload.to_bytes(), "epoch")
         except (SchemaError, ValueError, TypeError):
             return  # not from our world: a bar on a screen is all that it would have moved
-        if type(epoch) is int and 0 <= epoch <= MAX_NUMBER:
-            progress(epoch)
+        if type(epoch) is int and 0 <= epoch <= MAX_NUMBER and isinstance(digest, bytes):
+            progress(epoch, digest)
 
     return on_sample

@@ -27,13 +27,15 @@ class FakeRunner:
         self.failure = failure
         self.called: dict[str, Any] = {}
 
-    def __call__(self, deployment: Deployment, *, progress: Callable[[int], None] | None, **options: Any) -> Report:
+    def __call__(
+        self, deployment: Deployment, *, progress: Callable[[int, bytes], None] | None, **options: Any
+    ) -> Report:
         self.called = {"progress": progress, **options}
         if self.failure is not None:
             raise self.failure
         for epoch in (1, 2, 3):
             if progress is not None:
-                progress(epoch)
+                progress(epoch, bytes(32))
         nodes = {"world": NodeReport(float("nan"), "default", (), {"count": 3.0})}
         return Report(deployment.name, "fake", options["seed"], 3, bytes(32).hex(), 0.1, [0.01], nodes, start_s=0.5)
 

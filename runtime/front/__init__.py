@@ -1,0 +1,37 @@
+"""hierax from Python: hierarchies of classes and functions, run in this process or launched, epoch by epoch.
+
+``hierax.Hierarchy`` describes one, ``hierax.run`` and ``hierax.launch`` run it, or a deployment file. Nodes are written
+with what `hierax.runtime` has.
+"""
+
+from __future__ import annotations
+
+TYPE_CHECKING = False
+
+if TYPE_CHECKING:
+    from typing import Any
+
+    from hierax.runtime.scripting.hierarchy import Hierarchy
+    from hierax.runtime.scripting.runs import Epoch, Run, launch, run
+
+__all__ = ["Epoch", "Hierarchy", "Run", "launch", "run"]
+
+_HOMES = {
+    "Hierarchy": "hierax.runtime.scripting.hierarchy",
+    **dict.fromkeys(("Epoch", "Run", "launch", "run"), "hierax.runtime.scripting.runs"),
+}
+
+
+def __getattr__(name: str) -> Any:
+    """Imported when first asked for, as `hierax.runtime` does: every command comes through here."""
+    if name not in _HOMES:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    from importlib import import_module
+
+    value = getattr(import_module(_HOMES[name]), name)
+    globals()[name] = value
+    return value
+
+
+def __dir__() -> list[str]:
+    return sorted({*globals(), *__all__})

@@ -1,0 +1,146 @@
+"""A hierarchy described in Python, in the place of a deployment file."""
+
+from __future__ import annotations
+
+import inspect
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+from hierax.runtime.core.errors import HierarchyError
+from hierax.runtime.core.node import World
+from hierax.runtime.deployment import Deployment
+from hierax.runtime.deployment.deployment import Document
+from hierax.runtime.deployment.read import deployment_of
+from hierax.runtime.scripting.names import Code, named, script_folder, script_modules
+from hierax.schemas.roster import FUNCTIONS
+
+
+class Hierarchy:
+    """Nodes by class, edges by function: what a deployment file says, from Python.
+
+    >>> hierarchy = Hierarchy("servo", epochs=60)
+    >>> hierarchy.add("world", SlidingWorld).add("camera", CameraNode)
+    >>> hierarchy.join("world", "camera", sense=partial(MeasuredPosition, noise=0.1), task=camera_task)
+
+    Classes and functions are given as themselves, with parameters as `functools.partial` of them. They have to be at
+    the top of a module: processes of a launch import them from there. The node whose class derives from `World` is N₀.
+
+    Args:
+        name: of the hierarchy.
+        fields: what else stands at the top of a deployment file: ``epochs``, ``staleness``, ``modules``, ….
+    """
+
+    def __init__(self, name: str, **fields: Any) -> None:
+        self.name = name
+        self._fields = fields
+        self._world: str | None = None
+        self._nodes: dict[str, dict[str, Any]] = {}
+        self._edges: dict[str, dict[str, Any]] = {}
+        self._probes: list[dict[str, Any]] = []
+
+    def add(self, name: str, of: Code, **fields: Any) -> Hierarchy:
+        """A node. Raises `HierarchyError` if there is one of that name, or `of` cannot be found by its name.
+
+        Args:
+            name: of the node.
+            of: its class, or a function annotated to return a node.
+            fields: what else a deployment file says of a node: ``on_loss``, ``max_restarts``, ``rate_hz``, ….
+        """
+        if name in self._nodes:
+            raise HierarchyError(f"there is a node {name!r} already")
+        target, parameters = named(of, f"node {name!r}")
+        if _makes_world(of):
+            if self._world is not None:
+                raise HierarchyError(f"node {name!r} is a World, and {self._world!r} is one already; expected one")
+            self._world = name
+        self._nodes[name] = {"class": target, **({"parameters": parameters} if parameters else {}), **fields}
+        return self
+
+    def join(
+        self,
+        lower: str,
+        upper: str,
+        *,
+        sense: Code | None = None,
+        task: Code | None = None,
+        context: Code | None = None,
+    ) -> Hierarchy:
+        """An edge, with φ, ψ and ϱ; one that is None gives the empty set. Raises `HierarchyError` as `add` does."""
+        edge = f"{lower} -> {upper}"
+        if edge in self._edges:
+            raise HierarchyError(f"there is an edge {edge!r} already")
+        self._edges[edge] = {
+            kind: _function(given, f"edge {edge!r}, {kind}")
+            for kind, given in zip(FUNCTIONS, (sense, task, context), strict=True)
+            if given is not None
+        }
+        return self
+
+    def probe(self, node: str, of: Code) -> Hierarchy:
+        """A probe of a node. Raises `HierarchyError` if `of` cannot be found by its name."""
+        target, parameters = named(of, f"probe of {node!r}")
+        self._probes.append({"node": node, "class": target, **({"parameters": parameters} if parameters else {})})
+        return self
+
+    def snippet(self, deployment: Deployment) -> Document:
+        """Its nodes and edges alone, for a run of a deployment."""
+        edges = {"edges": self._edges} if self._edges else {}
+        root = {"nodes": self._nodes, **edges}
+        return Document(f"hierarchy {self.name!r}", root, {}, outer=deployment.document)
+
+    def targets(self) -> list[str]:
+        """All that it names, as ``module:name``."""
+        functions = [function for edge in self._edges.values() for function in edge.values()]
+        named_so = [each if isinstance(each, str) else each["function"] for each in functions]
+        return [each["class"] for each in (*self._nodes.values(), *self._probes)] + named_so
+
+    def root(self) -> dict[str, Any]:
+        """All that it says, as a deployment file does. Raises `HierarchyError` if it has no world."""
+        if self._world is None:
+            raise HierarchyError(f"hierarchy {self.name!r} has no world: add a node whose class derives from World")
+        probes = {"probes": self._probes} if self._probes else {}
+        top = {"hierarchy": self.name, **self._fields, "world": self._world}
+        return {**top, "nodes": self._nodes, "edges": self._edges, **probes}
+
+    def deployment(self) -> Deployment:
+        """The same, checked as a deployment file is. Raises `HieraxError` if that finds something wrong."""
+        document = Document(f"hierarchy {self.name!r}", self.root(), {})
+        deployment = deployment_of(document, Path(f"{self.name}.yaml"))
+        folder = script_folder()
+        paths = () if folder is None else (str(folder),)
+        return replace(
+            deployment,
+            import_paths=tuple(dict.fromkeys((*paths, *deployment.import_paths))),
+            modules=tuple(sorted({*deployment.modules, *script_modules()})),  # also for what is attached later
+        )
+
+    def to_yaml(self, file: str | Path | None = None) -> str:
+        """The deployment file that says the same, checked; written to `file` where that is given.
+
+        Raises `HieraxError` if something is wrong, or the file exists.
+        """
+        import yaml
+
+        self.deployment()
+        text: str = yaml.safe_dump(self.root(), sort_keys=False, allow_unicode=True, width=120)
+        if file is not None:
+            try:
+                with Path(file).open("x", encoding="utf-8") as opened:
+                    opened.write(text)
+            except OSError as error:
+                raise HierarchyError(f"{file}: cannot be written: {error.strerror or error}") from error
+        return text
+
+
+def _function(given: Code, what: str) -> Any:
+    target, parameters = named(given, what)
+    return {"function": target, "parameters": parameters} if parameters else target
+
+
+def _makes_world(of: Code) -> bool:
+    while isinstance(of, partial):
+        of = of.func
+    made = of if inspect.isclass(of) else inspect.get_annotations(of, eval_str=True).get("return")
+    return inspect.isclass(made) and issubclass(made, World)

@@ -1,0 +1,325 @@
+"""Runs that a script goes through epoch by epoch: in this process, or with each node in a process of its own."""
+
+from __future__ import annotations
+
+import queue
+import threading
+from abc import ABC, abstractmethod
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import ExitStack
+from dataclasses import replace
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from types import TracebackType
+from typing import Any, NamedTuple
+
+from hierax.runtime.core.elements import Value
+from hierax.runtime.core.errors import HierarchyError, HieraxError
+from hierax.runtime.deployment import Deployment
+from hierax.runtime.deployment.deployment import RestartPolicy
+from hierax.runtime.deployment.read import read_deployment
+from hierax.runtime.deployment.snippet import attach_of, replace_of, restarts_of
+from hierax.runtime.execution.output_folder import claimed_output, write_summary
+from hierax.runtime.execution.report import Interrupted, Report
+from hierax.runtime.execution.single import SingleRun
+from hierax.runtime.launch.recorder_process import RecordingRequest
+from hierax.runtime.launch.supervisor import launch as launch_processes
+from hierax.runtime.loading.loader import extend_import_path
+from hierax.runtime.recording.recorder import InProcess
+from hierax.runtime.recording.topics import EVERYTHING
+from hierax.runtime.recording.writing import Target, claimed, require_mcap
+from hierax.runtime.scripting.hierarchy import Hierarchy
+from hierax.runtime.transport.launch_client import LaunchClient
+from hierax.schemas.roster import Change, Detach
+
+CHANGE_TIMEOUT_S = 120.0  # how long a change of a launch may take: processes come up, and the epoch under way ends
+_OPENS_S = 60.0  # how long a launch may take until it can be reached
+
+
+class Epoch(NamedTuple):
+    """An epoch that is committed."""
+
+    number: int  # from 1 on
+    digest: str  # of all up to it, hexadecimal; the same in every kind of run
+
+
+class Run(ABC):
+    """A run; iterating over it gives its epochs. As a context manager it is ended when the block is left.
+
+    A run in this process goes on only while it is iterated over; a launch goes on by itself, and epochs are told as
+    they come, of which one may be missing where this machine has no time to tell it.
+    """
+
+    def __init__(self, deployment: Deployment, stack: ExitStack) -> None:
+        self.deployment = deployment  # what is run
+        self._stack = stack  # what is given back at the end
+
+    def __iter__(self) -> Iterator[Epoch]:
+        return self
+
+    def __enter__(self) -> Run:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None
+    ) -> None:
+        self.close()
+
+    @abstractmethod
+    def __next__(self) -> Epoch:
+        """Wait for the next epoch. Raises `HieraxError` if the run failed."""
+
+    @abstractmethod
+    def belief(self, name: str) -> Value:
+        """What a node believes now. Raises `HieraxError` if there is none of this name, or it does not answer."""
+
+    @abstractmethod
+    def close(self) -> None:
+        """End the run where it is; nothing is left of it but what it has written."""
+
+    @abstractmethod
+    def _change(self, change: Change, policies: Mapping[str, RestartPolicy]) -> int:
+        """Have the roster change; gives the first epoch under it."""
+
+    @abstractmethod
+    def _report(self) -> Report:
+        """What it has come to; it is at its end."""
+
+    def report(self) -> Report:
+        """Go on to the end; gives what the run has come to. Raises `HieraxError` if it failed."""
+        for _ in self:
+            pass
+        report = self._report()
+        if report.output is not None:
+            write_summary(report.output, report)
+        self.close()
+        return report
+
+    def attach(self, part: Hierarchy) -> int:
+        """Attach nodes while it runs; gives the first epoch with them.
+
+        Args:
+            part: the nodes, and edges that join them to each other and to what runs.
+
+        Raises:
+            HieraxError: it is refused; nothing has changed then.
+        """
+        document = part.snippet(self.deployment)
+        return self._change(attach_of(document), restarts_of(document, self.deployment, attached=True))
+
+    def detach(self, name: str, *, cascade: bool = False) -> int:
+        """Detach a node while it runs, `cascade`: also what only it joins to the world; gives the first epoch without
+        it. Raises `HieraxError` if it is refused."""
+        return self._change(Detach(name, cascade), {})
+
+    def replace(self, name: str, part: Hierarchy) -> int:
+        """Have another node take a node's place and belief; gives the first epoch with it.
+
+        Args:
+            name: of the node.
+            part: has one node of that name, and all its edges from then on; without edges it keeps those it has.
+
+        Raises:
+            HieraxError: it is refused.
+        """
+        document = part.snippet(self.deployment)
+        return self._change(replace_of(document, name), restarts_of(document, self.deployment))
+
+
+class _Local(Run):
+    """In this process: deterministic, in virtual time."""
+
+    def __init__(self, deployment: Deployment, stack: ExitStack, single: SingleRun) -> None:
+        super().__init__(deployment, stack)
+        self._single = single
+        self._epochs = single.epochs()
+        stack.callback(single.close)
+
+    def __next__(self) -> Epoch:
+        with self.deployment.explaining():
+            number, digest = next(self._epochs)
+        return Epoch(number, digest.hex())
+
+    def belief(self, name: str) -> Value:
+        return self._single.node_report(name).belief
+
+    def close(self) -> None:
+        self._epochs = iter(())
+        self._stack.close()
+
+    def _change(self, change: Change, policies: Mapping[str, RestartPolicy]) -> int:
+        return self._single.change(change, frozenset(name for name, each in policies.items() if each.fails_alone))
+
+    def _report(self) -> Report:
+        return self._single.report()
+
+
+class _Launched(Run):
+    """Each node in a process of its own, kept by a thread of this one."""
+
+    def __init__(self, deployment: Deployment, stack: ExitStack, options: Mapping[str, Any]) -> None:
+        super().__init__(deployment, stack)
+        self._told: queue.SimpleQueue[Epoch | None] = queue.SimpleQueue()
+        self._endpoint: queue.SimpleQueue[str] = queue.SimpleQueue()
+        self._end = threading.Event()
+        self._failure: BaseException | None = None
+        self._result: Report | None = None
+        self._client: LaunchClient | None = None
+        self._thread = threading.Thread(target=self._keep, args=(options,), name="hierax-launch", daemon=True)
+        self._thread.start()
+
+    def _keep(self, options: Mapping[str, Any]) -> None:
+        def tell(number: int, digest: bytes) -> None:
+            self._told.put(Epoch(number, digest.hex()))
+
+        try:
+            with self.deployment.explaining():
+                self._result = launch_processes(
+                    self.deployment, progress=tell, opened=self._endpoint.put, broken=self._end, **options
+                )
+        except Interrupted as broken:
+            self._result = broken.report
+        except BaseException as error:
+            self._failure = error
+        finally:
+            self._told.put(None)
+
+    def __next__(self) -> Epoch:
+        epoch = self._told.get()
+        if epoch is not None:
+            return epoch
+        self._told.put(None)
+        self._thread.join()
+        if self._failure is not None and not self._end.is_set():
+            raise self._failure
+        raise StopIteration
+
+    def belief(self, name: str) -> Value:
+        client = self._asked()
+        belief: Value = client.node_state(client.status(), name)["belief"]
+        return belief
+
+    def close(self) -> None:
+        self._end.set()
+        self._thread.join()
+        if self._client is not None:
+            self._client.close()
+            self._client = None
+        self._stack.close()
+
+    def _change(self, change: Change, policies: Mapping[str, RestartPolicy]) -> int:
+        told = {name: vars(policy) for name, policy in policies.items()}
+        question = {"ask": "change", "change": change.plain(), "restarts": told, "here": False, "host": ""}
+        return int(self._asked().ask(question, CHANGE_TIMEOUT_S)["epoch"])
+
+    def _asked(self) -> LaunchClient:
+        if self._client is None:
+            if not self._thread.is_alive():
+                raise HieraxError("the run is over")
+            try:
+                self._client = LaunchClient(self._endpoint.get(timeout=_OPENS_S))
+            except queue.Empty as error:
+                raise HieraxError(f"the launch cannot be reached after {_OPENS_S:g} s") from error
+        return self._client
+
+    def _report(self) -> Report:
+        if self._result is None:
+            raise self._failure or HieraxError("the run was ended before it had begun")
+        return self._result
+
+
+def run(
+    what: Hierarchy | str | Path,
+    *,
+    epochs: int | None = None,
+    seed: int = 0,
+    settings: Sequence[str] = (),
+    output: str | Path | None = None,
+    record: str | Path | None = None,
+    overwrite: bool = False,
+) -> Run:
+    """Run a hierarchy in this process: deterministic, in virtual time, a step at a time.
+
+    Args:
+        what: a hierarchy, a deployment file, or the name of a shipped one.
+        epochs: how many; None: as the deployment says, or until the world has finished.
+        seed: of all random numbers, and of the order in which messages are delivered.
+        settings: of a file, ``PATH=VALUE`` as ``--set`` has them.
+        output: a folder for states, digests and what probes write.
+        record: a file for a recording (needs the package ``mcap``).
+        overwrite: whether what is in `output` and `record` already is replaced.
+
+    Raises:
+        HieraxError: the hierarchy is wrong, a node cannot be loaded, or something cannot be written.
+    """
+    with ExitStack() as stack:
+        deployment, target, folder = _prepared(stack, what, settings, output, record, overwrite)
+        recording = None
+        if target is not None:
+            recording = InProcess(deployment, seed, settings, target, False, EVERYTHING)
+            stack.callback(recording.finish)
+        with deployment.explaining():
+            single = SingleRun(deployment, epochs=epochs, seed=seed, output=folder, record=recording)
+        return _Local(deployment, stack.pop_all(), single)
+    raise AssertionError  # pragma: no cover - `with` never swallows
+
+
+def launch(
+    what: Hierarchy | str | Path,
+    *,
+    epochs: int | None = None,
+    seed: int = 0,
+    settings: Sequence[str] = (),
+    output: str | Path | None = None,
+    record: str | Path | None = None,
+    overwrite: bool = False,
+) -> Run:
+    """Run a hierarchy over Zenoh, each node in a process of its own; it begins at once.
+
+    Arguments and errors are those of `run`; what goes wrong later is raised where epochs are waited for. A script that
+    launches its own classes guards what it does by ``if __name__ == "__main__":``, as processes import it.
+    """
+    with ExitStack() as stack:
+        deployment, target, folder = _prepared(stack, what, settings, output, record, overwrite)
+        if isinstance(what, Hierarchy):
+            alien = sorted(target for target in what.targets() if target.startswith("__main__:"))
+            if alien:
+                where = "is defined where no other process can import it; write it into a module"
+                raise HierarchyError(f"{alien[0].partition(':')[2]} {where} (in a notebook: %%writefile nodes.py)")
+        recording = None if target is None else RecordingRequest(target, check=False)
+        overrides = tuple(settings)
+        options = {"epochs": epochs, "seed": seed, "output": folder, "overrides": overrides, "recording": recording}
+        return _Launched(deployment, stack.pop_all(), options)
+    raise AssertionError  # pragma: no cover - `with` never swallows
+
+
+def _prepared(
+    stack: ExitStack,
+    what: Hierarchy | str | Path,
+    settings: Sequence[str],
+    output: str | Path | None,
+    record: str | Path | None,
+    overwrite: bool,
+) -> tuple[Deployment, Target | None, Path | None]:
+    """What is run, and the places that are written to, which the run has for itself."""
+    if isinstance(what, Hierarchy) and settings:
+        raise HierarchyError(
+            "settings are for deployment files; a Hierarchy is given its parameters by functools.partial"
+        )
+    if isinstance(what, Hierarchy):  # tools and recordings read its file
+        home = Path(stack.enter_context(TemporaryDirectory(prefix="hierax-"))) / f"{what.name}.yaml"
+        what.to_yaml(home)
+        deployment = replace(what.deployment(), path=home)
+    else:
+        deployment = read_deployment(what, settings)
+    probes = tuple(replace(each, overwrite=overwrite) for each in deployment.probes)
+    deployment = replace(deployment, probes=probes)
+    extend_import_path(deployment.import_paths)
+    folder = None if output is None else Path(output)
+    if folder is not None:
+        stack.enter_context(claimed_output(folder, overwrite))
+    target = None
+    if record is not None:
+        require_mcap()
+        target = stack.enter_context(claimed(Path(record), overwrite))
+    return deployment, target, folder
