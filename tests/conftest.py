@@ -44,6 +44,7 @@ STARTING = {
     "tests/runtime/loading/test_loader.py": 1,
     "tests/runtime/recording/": 1,
     "tests/runtime/recovery/": 0,
+    "tests/runtime/scripting/test_runs.py": 1,
     "tests/runtime/testing/": 1,
     "tests/runtime/tools/": 1,
     "tests/runtime/transport/": 0,

@@ -41,10 +41,8 @@ def expected(belief: Value) -> Elements:
 """
 
 
-def block(language: str) -> str:
-    found = re.search(rf"```{language}\n(.*?)```", README.read_text(encoding="utf-8"), re.DOTALL)
-    assert found
-    return found.group(1)
+def block(language: str, number: int = 0) -> str:
+    return str(re.findall(rf"```{language}\n(.*?)```", README.read_text(encoding="utf-8"), re.DOTALL)[number])
 
 
 def hierax(folder: Path, *arguments: str) -> str:
@@ -62,6 +60,22 @@ def test_the_node_and_the_deployment_file_run(tmp_path: Path) -> None:
     assert reports[0]["digest"] == reports[1]["digest"]
     assert reports[0]["epochs"] == 100
     assert reports[0]["nodes"]["room"]["belief"] == {"celsius": 12.0}
+
+
+def test_the_script_runs_as_the_file_does(tmp_path: Path) -> None:
+    (tmp_path / "house.py").write_text(block("python") + REST_OF_THE_HOUSE, encoding="utf-8")
+    (tmp_path / "house.yaml").write_text(block("yaml"), encoding="utf-8")
+    ends = "    print(run.report().digest)\n    assert house.to_yaml('written.yaml')\n"
+    (tmp_path / "script.py").write_text(block("python", 1) + ends, encoding="utf-8")
+    done = subprocess.run(
+        [sys.executable, "script.py"], cwd=tmp_path, capture_output=True, text=True, timeout=60, check=False
+    )
+    assert done.returncode == 0, done.stderr
+    digests = [
+        json.loads(hierax(tmp_path, "run", each, "--format", "json"))["digest"]
+        for each in ("house.yaml", "written.yaml")
+    ]
+    assert [done.stdout.splitlines()[-1]] * 2 == digests
 
 
 def test_every_shipped_deployment_is_named() -> None:

@@ -238,9 +238,10 @@ class _Nodes(Host):
         return self._deliver_all()
 
     def ask(self, change: Change, alone: frozenset[str]) -> int:
-        """Have the roster change when nothing is under way that was begun without knowing of it."""
+        """Have the roster change with the next epoch; where epochs overlap, the one under way has to be drained."""
         world = self.runners[self._world].engine
-        epoch = world.epoch + (1 if world.phase is Phase.DONE else 2)
+        overlaps = world.phase is not Phase.DONE and not self.deployment.staleness.barrier
+        epoch = world.epoch + 1 + overlaps
         limit = self.pacemaker.limit
         if self.pacemaker.done or (limit is not None and epoch > limit):
             raise ChangeError(f"the run ends before epoch {epoch}, with which that would take effect")

@@ -13,7 +13,7 @@ from hierax.runtime.core.node import World
 from hierax.runtime.deployment import Deployment
 from hierax.runtime.deployment.deployment import Document
 from hierax.runtime.deployment.read import deployment_of
-from hierax.runtime.scripting.names import Code, named, script_folder, script_modules
+from hierax.runtime.scripting.names import Code, named, script_folders, script_modules
 from hierax.schemas.roster import FUNCTIONS
 
 
@@ -108,11 +108,9 @@ class Hierarchy:
         """The same, checked as a deployment file is. Raises `HieraxError` if that finds something wrong."""
         document = Document(f"hierarchy {self.name!r}", self.root(), {})
         deployment = deployment_of(document, Path(f"{self.name}.yaml"))
-        folder = script_folder()
-        paths = () if folder is None else (str(folder),)
         return replace(
             deployment,
-            import_paths=tuple(dict.fromkeys((*paths, *deployment.import_paths))),
+            import_paths=tuple(dict.fromkeys((*script_folders(), *deployment.import_paths))),
             modules=tuple(sorted({*deployment.modules, *script_modules()})),  # also for what is attached later
         )
 

@@ -38,11 +38,11 @@ def named(code: Code, what: str) -> tuple[str, dict[str, Any]]:
     return f"{_module_name(module)}:{name}", {key: _plain(value, f"{what}: {key}") for key, value in parameters.items()}
 
 
-def script_folder() -> Path | None:
-    """Where the script that runs is found by its name; None: there is none, as in a notebook."""
-    main = sys.modules[_MAIN]
-    file = getattr(main, "__file__", None)
-    return None if file is None or getattr(main, "__spec__", None) is not None else Path(file).resolve().parent
+def script_folders() -> list[str]:
+    """The folders in which other processes have to look, too: those of this script's path, but for Python's own."""
+    own = {Path(prefix).resolve() for prefix in (sys.prefix, sys.base_prefix)}
+    folders = [Path(folder).resolve() for folder in sys.path if Path(folder).is_dir()]
+    return [str(folder) for folder in folders if not own & {folder, *folder.parents}]
 
 
 def script_modules() -> set[str]:

@@ -11,7 +11,7 @@ from dataclasses import replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from types import TracebackType
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, cast
 
 from hierax.runtime.core.elements import Value
 from hierax.runtime.core.errors import HierarchyError, HieraxError
@@ -25,14 +25,17 @@ from hierax.runtime.execution.single import SingleRun
 from hierax.runtime.launch.recorder_process import RecordingRequest
 from hierax.runtime.launch.supervisor import launch as launch_processes
 from hierax.runtime.loading.loader import extend_import_path
+from hierax.runtime.loading.nearest import did_you_mean
 from hierax.runtime.recording.recorder import InProcess
 from hierax.runtime.recording.topics import EVERYTHING
 from hierax.runtime.recording.writing import Target, claimed, require_mcap
 from hierax.runtime.scripting.hierarchy import Hierarchy
 from hierax.runtime.transport.launch_client import LaunchClient
+from hierax.runtime.transport.port import TransportError
 from hierax.schemas.roster import Change, Detach
 
 CHANGE_TIMEOUT_S = 120.0  # how long a change of a launch may take: processes come up, and the epoch under way ends
+_ENDS_S = 5.0  # how long a launch of which a process does not answer may take to be over
 _OPENS_S = 60.0  # how long a launch may take until it can be reached
 
 
@@ -195,9 +198,21 @@ class _Launched(Run):
         raise StopIteration
 
     def belief(self, name: str) -> Value:
-        client = self._asked()
-        belief: Value = client.node_state(client.status(), name)["belief"]
-        return belief
+        """Of a run that has come to its end, what it believed last."""
+        try:
+            if self._thread.is_alive():
+                client = self._asked()
+                status = client.status()
+                status.check_node(name)
+                return cast(Value, client.node_state(status, name)["belief"])
+        except TransportError:
+            self._thread.join(_ENDS_S)  # its processes are about to go
+            if self._thread.is_alive():
+                raise
+        nodes = self._report().nodes
+        if name not in nodes:
+            raise HieraxError(f"there is no node {name!r}{did_you_mean(name, nodes, 'the nodes are')}")
+        return nodes[name].belief
 
     def close(self) -> None:
         self._end.set()
@@ -215,7 +230,7 @@ class _Launched(Run):
     def _asked(self) -> LaunchClient:
         if self._client is None:
             if not self._thread.is_alive():
-                raise HieraxError("the run is over")
+                raise TransportError("the run is over")
             try:
                 self._client = LaunchClient(self._endpoint.get(timeout=_OPENS_S))
             except queue.Empty as error:

@@ -124,7 +124,7 @@ class LaunchClient:
         answer = self.ask_nodes(status, {"look": "state"}, [name]).get(name)
         if answer is None:
             state = status.nodes[name]["state"]
-            raise HieraxError(f"{name}: its process does not answer; the launch says that it is {state}")
+            raise TransportError(f"{name}: its process does not answer; the launch says that it is {state}")
         if "refusal" in answer:
             raise AnswerError(f"{name}: {answer['refusal']}")
         return answer

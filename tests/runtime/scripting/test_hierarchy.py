@@ -1,0 +1,93 @@
+"""Hierarchies that are described in Python say what their deployment file says."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import hierax
+from hierax.nodes.servo import CameraNode, MeasuredPosition, MotionNode, SlidingWorld, camera_task, position
+from hierax.runtime.core.errors import HieraxError
+from hierax.runtime.deployment.read import read_deployment
+
+
+def servo(**fields: Any) -> hierax.Hierarchy:
+    """The shipped deployment, in Python."""
+    hierarchy = hierax.Hierarchy("servo", epochs=60, **fields)
+    hierarchy.add("world", SlidingWorld).add("camera", CameraNode).add("motion", MotionNode)
+    hierarchy.join("world", "camera", sense=partial(MeasuredPosition, noise=0.1), task=camera_task)
+    return hierarchy.join("camera", "motion", sense=position, context=position)
+
+
+def test_it_is_the_shipped_file() -> None:
+    assert servo().deployment().roster == read_deployment("servo").roster
+
+
+def test_its_file_says_the_same(tmp_path: Path) -> None:
+    hierarchy = servo(staleness=1, description="a € in Python").probe("camera", MotionNode)
+    text = hierarchy.to_yaml(tmp_path / "servo.yaml")
+    assert (tmp_path / "servo.yaml").read_text(encoding="utf-8") == text
+    read, made = read_deployment(tmp_path / "servo.yaml"), hierarchy.deployment()
+    assert (read.roster, read.probes, read.staleness) == (made.roster, made.probes, made.staleness)
+    with pytest.raises(HieraxError, match=r"servo\.yaml: cannot be written: File exists"):
+        hierarchy.to_yaml(tmp_path / "servo.yaml")
+
+
+def test_parameters_are_as_a_file_has_them() -> None:
+    inner = partial(
+        MeasuredPosition, noise=np.float64(0.3), text="a ${b}", array=np.eye(2), pair=(1, 2), where=Path("x")
+    )
+    hierarchy = hierax.Hierarchy("servo").add("world", SlidingWorld).add("camera", CameraNode)
+    edge = hierarchy.join("world", "camera", sense=partial(inner, noise=0.1)).deployment().roster.edges[0]
+    assert edge.sense is not None
+    given = {"noise": 0.1, "text": "a ${b}", "array": ((1.0, 0.0), (0.0, 1.0)), "pair": (1, 2), "where": "x"}
+    assert edge.sense.parameters == given
+
+
+def inside() -> Any:
+    """A class that has no name at the top of a module."""
+
+    class Inner(CameraNode):
+        pass
+
+    return Inner
+
+
+@pytest.mark.parametrize(
+    ("make", "what"),
+    [
+        (lambda: hierax.Hierarchy("a").add("n", inside()), r"node 'n': .*Inner cannot be found by its name"),
+        (lambda: hierax.Hierarchy("a").add("n", lambda: None), r"node 'n': .*cannot be found by its name"),
+        (lambda: hierax.Hierarchy("a").add("n", partial(CameraNode, 3)), r"node 'n': give parameters by name: partial"),
+        (
+            lambda: hierax.Hierarchy("a").add("n", partial(CameraNode, x=object())),
+            r"node 'n': x: expected text, numbers",
+        ),
+        (lambda: hierax.Hierarchy("a").add("n", "CameraNode"), r"node 'n': expected a class, a function"),
+        (lambda: servo().add("world", CameraNode), r"there is a node 'world' already"),
+        (lambda: servo().add("second", SlidingWorld), r"node 'second' is a World, and 'world' is one already"),
+        (lambda: servo().join("world", "camera"), r"there is an edge 'world -> camera' already"),
+        (lambda: hierax.Hierarchy("a").add("n", CameraNode).deployment(), r"hierarchy 'a' has no world"),
+        (
+            lambda: servo(stalness=1).deployment(),
+            r"hierarchy 'servo': stalness: unknown field; did you mean 'staleness'",
+        ),
+        (
+            lambda: servo().add("n", CameraNode, on_los="x").deployment(),
+            r"nodes\.n\.on_los: unknown field; did you mean",
+        ),
+        (
+            lambda: servo().join("camera", "n").deployment(),
+            r"hierarchy 'servo': edges\.camera -> n: there is no node 'n'",
+        ),
+    ],
+)
+def test_what_is_wrong_is_told_in_one_line(make: Callable[[], object], what: str) -> None:
+    with pytest.raises(HieraxError, match=what) as caught:
+        make()
+    assert "\n" not in str(caught.value)

@@ -1,0 +1,187 @@
+"""Runs from Python: epoch by epoch, changed while they go, the same in one process, launched and replayed."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from collections.abc import Callable
+from functools import partial
+from itertools import islice
+from pathlib import Path
+
+import pytest
+from support.script_nodes import Failing, seen
+from support.toy_nodes import Counter, Summer, Waiting
+
+import hierax
+from hierax.nodes.servo import MotionNode, position
+from hierax.runtime.commands.main import main
+from hierax.runtime.core.errors import HieraxError
+from hierax.runtime.core.node import Node
+from hierax.runtime.deployment.snippet import Scheduled, attach_of
+from hierax.runtime.execution.single import run as run_at_once
+from hierax.runtime.launch.run_file import known_runs
+from hierax.schemas.roster import Detach
+
+Start = Callable[..., hierax.Run]
+MODES = pytest.mark.parametrize("start", [hierax.run, hierax.launch])
+
+
+def toys(of: type[Node] = Summer, **fields: object) -> hierax.Hierarchy:
+    hierarchy = hierax.Hierarchy("toys", modules=["support.*"], **fields)
+    return hierarchy.add("world", Counter).add("sum", of).join("world", "sum", sense=seen)
+
+
+@MODES
+def test_a_run_gives_its_epochs_and_its_report(start: Start) -> None:
+    with start(toys(), epochs=20, seed=3) as run:
+        epochs = list(run)
+        report = run.report()
+    assert [epoch.number for epoch in epochs] == list(range(1, 21))
+    assert (report.epochs, report.digest) == (20, epochs[-1].digest)
+    assert run.belief("sum") == report.nodes["sum"].belief == sum(range(20)), "also when it is over"
+    assert report.digest == hierax.run(toys(), epochs=20, seed=3).report().digest
+
+
+def test_a_run_in_this_process_waits_for_who_goes_through_it() -> None:
+    with hierax.run(toys()) as run:
+        for epoch in islice(run, 50):
+            assert run.belief("world") in (epoch.number, epoch.number + 1), "the next one may be under way"
+        with pytest.raises(HieraxError, match=r"there is no node 'sun'; did you mean 'sum'"):
+            run.belief("sun")
+        assert next(run).number == 51
+    assert list(run) == [], "it is ended"
+
+
+@MODES
+def test_nodes_come_and_go_while_it_runs(start: Start) -> None:
+    part = hierax.Hierarchy("more").add("more", partial(Summer, scale=2.0)).join("sum", "more", sense=seen)
+    with start(toys()) as run:
+        next(run)
+        first = run.attach(part)
+        assert next(epoch for epoch in run if epoch.number > first)
+        second = run.replace("more", hierax.Hierarchy("other").add("more", Waiting))
+        assert isinstance(run.belief("more"), float)
+        third = run.detach("more")
+        assert 1 < first < second <= third
+        assert next(epoch for epoch in run if epoch.number >= third)
+        with pytest.raises(HieraxError, match="more"):
+            run.belief("more")
+        with pytest.raises(HieraxError, match=r"cannot detach 'more': there is no such node"):
+            run.detach("more")
+        alien = hierax.Hierarchy("alien").add("alien", MotionNode).join("sum", "alien", sense=position)
+        with pytest.raises(HieraxError, match=r"'hierax\.nodes\.servo:MotionNode' may not be loaded in this run"):
+            run.attach(alien)
+        next(run)
+
+
+def test_a_change_takes_effect_with_the_first_epoch_that_can_know_of_it() -> None:
+    part = hierax.Hierarchy("more").add("more", Summer).join("sum", "more", sense=seen)
+    with hierax.run(toys(), epochs=20) as run:
+        assert run.attach(part) == 1, "nothing has begun"
+        assert next(run).number == 1
+        assert run.detach("more") == 3
+        digest = run.report().digest
+    file = toys().deployment()
+    schedule = (Scheduled(1, attach_of(part.snippet(file))), Scheduled(3, Detach("more")))
+    assert run_at_once(file, epochs=20, seed=0, schedule=schedule).digest == digest
+
+
+@MODES
+def test_what_a_node_raises_is_raised_where_epochs_are_waited_for(start: Start) -> None:
+    with start(toys(Failing)) as run, pytest.raises(HieraxError, match="out of luck"):
+        list(run)
+
+
+@MODES
+def test_a_change_after_the_end_is_refused(start: Start) -> None:
+    with start(toys(), epochs=3) as run:
+        list(run)
+        with pytest.raises(HieraxError, match="the run"):
+            run.detach("sum")
+
+
+def test_leaving_the_block_ends_a_launch() -> None:
+    def leave() -> None:
+        with hierax.launch(toys()) as run:
+            assert next(run).number >= 1
+            assert any(each.hierarchy == "toys" for each in known_runs())
+            raise KeyError
+
+    with pytest.raises(KeyError):
+        leave()
+    assert not any(each.hierarchy == "toys" for each in known_runs())
+
+
+@MODES
+def test_recordings_verify(start: Start, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    file, output = tmp_path / "toys.mcap", tmp_path / "out"
+    report = start(toys(), epochs=12, record=file, output=output).report()
+    assert main(["replay", str(file), "--verify", "--trust"]) == 0
+    assert "12 epochs, 12 digests: all results are alike" in capsys.readouterr().out
+    assert json.loads((output / "summary.json").read_text("utf-8"))["digest"] == report.digest
+    with pytest.raises(HieraxError, match="is there already"):
+        start(toys(), epochs=12, record=file)
+    with pytest.raises(HieraxError, match="there is a run in it already"):
+        start(toys(), epochs=12, output=output)
+
+
+def test_shipped_deployments_run_by_their_names() -> None:
+    report = hierax.run("letters", settings=["letters=C?T"]).report()
+    assert report.nodes["word"].metrics["CAT"] == pytest.approx(1.0)
+    with pytest.raises(HieraxError, match="settings are for deployment files"):
+        hierax.run(toys(), settings=["a=1"])
+
+
+SCRIPT = """
+import hierax
+from hierax.runtime import Node, World
+
+class Ticks(World):
+    def initial_belief(self): return 0
+    def predict(self, context, actions, belief): return belief + 1
+
+class Last(Node):
+    def initial_belief(self): return None
+    def observe(self, observations, belief): return observations[0]
+
+def seen(belief): return (belief,)
+
+def house():
+    return hierax.Hierarchy("house").add("world", Ticks).add("last", Last).join("world", "last", sense=seen)
+
+if __name__ == "__main__":
+    one = hierax.run(house(), epochs=5).report()
+    two = hierax.launch(house(), epochs=5).report()
+    assert one.digest == two.digest, (one, two)
+    print(two.nodes["last"].belief)
+"""
+
+
+def script(folder: Path, *arguments: str, text: str = "") -> subprocess.CompletedProcess[str]:
+    command = [sys.executable, *arguments]
+    return subprocess.run(command, input=text, cwd=folder, capture_output=True, text=True, timeout=120, check=False)
+
+
+def test_a_script_launches_classes_of_its_own(tmp_path: Path) -> None:
+    (tmp_path / "made").mkdir()
+    (tmp_path / "made" / "house_script.py").write_text(SCRIPT, encoding="utf-8")
+    done = script(tmp_path, "made/house_script.py")
+    assert (done.returncode, done.stdout) == (0, "4\n"), done.stderr
+
+
+def test_classes_that_no_process_can_import_are_refused(tmp_path: Path) -> None:
+    done = script(tmp_path, "-", text=SCRIPT)
+    assert done.returncode == 1
+    assert ": Last is defined where no other process can import it" in done.stderr
+
+
+def test_async_operators_run_beside_a_loop() -> None:
+    """As in a notebook, whose cells are run by a loop in the same thread."""
+    import asyncio
+
+    async def cell() -> float:
+        return float(hierax.run(toys(Waiting), epochs=5).report().nodes["sum"].belief)  # type: ignore[arg-type]
+
+    assert asyncio.run(cell()) == sum(range(5))
