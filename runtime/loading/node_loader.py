@@ -109,16 +109,9 @@ def wait_for(awaitable: Awaitable[Any]) -> Any:
 
     import anyio
 
-<<<<<<< HEAD
-    return anyio.run(lambda: awaitable)
-=======
-    async def wait() -> Any:
-        return await awaitable
-
     try:
         asyncio.get_running_loop()
     except RuntimeError:
-        return anyio.run(wait)
+        return anyio.run(lambda: awaitable)
     with ThreadPoolExecutor(1) as beside:
-        return beside.submit(anyio.run, wait).result()
->>>>>>> ee60180 (Hierarchies are written, run and launched from Python, too)
+        return beside.submit(anyio.run, lambda: awaitable).result()

@@ -9,6 +9,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import replace
 from pathlib import Path
+from secrets import token_hex
 from tempfile import TemporaryDirectory
 from types import TracebackType
 from typing import Any, NamedTuple, cast
@@ -26,7 +27,8 @@ from hierax.runtime.launch.recorder_process import RecordingRequest
 from hierax.runtime.launch.supervisor import launch as launch_processes
 from hierax.runtime.loading.loader import extend_import_path
 from hierax.runtime.loading.nearest import did_you_mean
-from hierax.runtime.recording.recorder import InProcess
+from hierax.runtime.recording.info import RunInfo
+from hierax.runtime.recording.recorder import InProcess, Recorder
 from hierax.runtime.recording.topics import EVERYTHING
 from hierax.runtime.recording.writing import Target, claimed, require_mcap
 from hierax.runtime.scripting.hierarchy import Hierarchy
@@ -271,7 +273,8 @@ def run(
         deployment, target, folder = _prepared(stack, what, settings, output, record, overwrite)
         recording = None
         if target is not None:
-            recording = InProcess(deployment, seed, settings, target, False, EVERYTHING)
+            info = RunInfo.of(deployment, token_hex(4), "run", seed, settings, from_start=True)
+            recording = InProcess(Recorder(info, target, False, EVERYTHING))
             stack.callback(recording.finish)
         with deployment.explaining():
             single = SingleRun(deployment, epochs=epochs, seed=seed, output=folder, record=recording)
