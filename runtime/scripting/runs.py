@@ -204,9 +204,7 @@ class _Launched(Run):
         try:
             if self._thread.is_alive():
                 client = self._asked()
-                status = client.status()
-                status.check_node(name)
-                return cast(Value, client.node_state(status, name)["belief"])
+                return cast(Value, client.node_state(client.status(), name)["belief"])
         except TransportError:
             self._thread.join(_ENDS_S)  # its processes are about to go
             if self._thread.is_alive():
