@@ -10,6 +10,7 @@ from typing import Annotated, get_type_hints
 
 import typer
 
+from hierax.runtime.commands import set_parameters
 from hierax.runtime.commands.ctrl_c import CTRL_C, INTERRUPTED
 from hierax.runtime.commands.doctor import doctor
 from hierax.runtime.commands.echo import echo
@@ -30,7 +31,7 @@ from hierax.runtime.commands.top import top
 from hierax.runtime.commands.view import view
 
 COMMANDS: tuple[Callable[..., int], ...] = (
-    *(run, launch, attach, detach, replace),
+    *(run, launch, attach, detach, replace, set_parameters.set),
     *(ps, top, inspect, echo, logs, view),
     *(record, replay, diff, check),
     *(new, validate, graph, sim, doctor),

@@ -50,22 +50,22 @@ def attach(
             "--here: give the launch's deployment file by --deployment, as no launch of yours answers there: what runs "
             "here is what that file and SOURCE name; or --trust, to run whatever the launch names"
         )
-    file = _deployment(endpoint, options.deployment_file)
+    file = deployment_at(endpoint, options.deployment_file)
     change = read_attach(source, file)
     restarts = read_restarts(source, file, attached=True)
     what = f"attached {', '.join(change.nodes)}"
     if not here:
-        return _print_epoch(_change(endpoint, change, restarts), what, options.output_format)
+        return print_epoch(ask_for(endpoint, change, restarts), what, options.output_format)
     from hierax.runtime.launch.attached_processes import run_attached
 
     named = _here(source, change, own, options.trust, endpoint, host)
-    offer = _change(endpoint, change, restarts, here=True, host=named.host)
+    offer = ask_for(endpoint, change, restarts, here=True, host=named.host)
     request = offer.get("request")
     if not isinstance(request, str):
         raise CommandError(f"the launch at {endpoint} gave no order, and no reason")
 
     def await_change() -> None:
-        _print_epoch(_ask(endpoint, {"ask": "await", "request": request}), what, options.output_format)
+        print_epoch(_ask(endpoint, {"ask": "await", "request": request}), what, options.output_format)
 
     return run_attached(offer.get("orders"), request, named, restarts, await_change, notify)
 
@@ -75,8 +75,8 @@ def detach(node: Node, options: RunOptions, cascade: Annotated[bool, option("--c
     """Detach a node from a hierarchy that runs, and print the epoch at which it took effect."""
     from hierax.schemas.roster import Detach
 
-    answer = _change(endpoint_of(options.run, options.connect), Detach(node, cascade), {})
-    return _print_epoch(answer, f"detached {node}", options.output_format)
+    answer = ask_for(endpoint_of(options.run, options.connect), Detach(node, cascade), {})
+    return print_epoch(answer, f"detached {node}", options.output_format)
 
 
 @offers("run", "connect", "deployment_file", "output_format")
@@ -85,9 +85,9 @@ def replace(node: Node, source: Snippet, options: RunOptions) -> int:
     from hierax.runtime.deployment.snippet import read_replace, read_restarts
 
     endpoint = endpoint_of(options.run, options.connect)
-    file = _deployment(endpoint, options.deployment_file)
-    answer = _change(endpoint, read_replace(source, node, file), read_restarts(source, file))
-    return _print_epoch(answer, f"replaced {node}", options.output_format)
+    file = deployment_at(endpoint, options.deployment_file)
+    answer = ask_for(endpoint, read_replace(source, node, file), read_restarts(source, file))
+    return print_epoch(answer, f"replaced {node}", options.output_format)
 
 
 @offers("run", "connect", "output_format")
@@ -161,7 +161,8 @@ def _print_runs(runs: Sequence[Mapping[str, Any]]) -> None:
         print_table({"node": {}, "state": {}, "pid": RIGHT, "instance": RIGHT, "restarts": RIGHT}, rows)
 
 
-def _deployment(endpoint: str, file: str | None) -> Deployment:
+def deployment_at(endpoint: str, file: str | None) -> Deployment:
+    """The deployment of a launch, read from a file, or from the one that the launch names."""
     from hierax.runtime.deployment.read import read_deployment
 
     said = _ask(endpoint, {"ask": "ps"})
@@ -191,14 +192,16 @@ def _ask(endpoint: str, question: Mapping[str, Any]) -> dict[str, Any]:
         return client.ask(dict(question), TIMEOUT_S)
 
 
-def _change(
+def ask_for(
     endpoint: str, change: Change, restarts: Mapping[str, RestartPolicy], here: bool = False, host: str = ""
 ) -> dict[str, Any]:
+    """Have a launch change; gives its answer when the change counts. Raises `HieraxError` if it is refused."""
     policies = {name: vars(policy) for name, policy in restarts.items()}
     return _ask(endpoint, {"ask": "change", "change": change.plain(), "restarts": policies, "here": here, "host": host})
 
 
-def _print_epoch(answer: Mapping[str, Any], what: str, output_format: Format) -> int:
+def print_epoch(answer: Mapping[str, Any], what: str, output_format: Format) -> int:
+    """Say at which epoch a change took effect."""
     if output_format is Format.json:
         print_json({"epoch": answer["epoch"]})
     else:

@@ -60,6 +60,8 @@ def table_of(columns: Mapping[str, Mapping[str, Any]], rows: Sequence[tuple[str,
 
 def print_report(report: Report) -> None:
     """A run's report as text."""
+    from hierax.runtime.execution.timing import lines_of
+
     rate = report.epochs_per_s
     speed = f" in {report.wall_s:.3g} s ({rate:.4g} epochs/s)" if rate else ""
     epochs = "1 epoch" if report.epochs == 1 else f"{report.epochs} epochs"
@@ -69,6 +71,7 @@ def print_report(report: Report) -> None:
         lines.append(f"epoch: {', '.join(times)}")
     if report.start_s is not None:
         lines.append(f"start to first epoch: {report.start_s:.2f} s")
+    lines += lines_of(report.timing)
     lines.append(f"digest: {report.digest}")
     if report.output is not None:
         lines.append(f"output: {report.output}")

@@ -94,7 +94,9 @@ def _show_live(looks: Iterator[Mapping[str, Any]]) -> None:
 
 
 def headline(look: Mapping[str, Any]) -> str:
-    """A launch in one line."""
+    """A launch in one line, and in further ones how it keeps its times."""
+    from hierax.runtime.execution.timing import lines_of
+
     line = f"{look['hierarchy']}, run {look['run']}: epoch {look['epoch']}, {look['epochs_per_s']:.4g} epochs/s"
     if look["epoch_us"]["p50"] is not None:
         line += f", an epoch p50 {_time(look['epoch_us']['p50'])}, p99 {_time(look['epoch_us']['p99'])}"
@@ -103,7 +105,8 @@ def headline(look: Mapping[str, Any]) -> str:
         for name, node in look["nodes"].items()
         if node.get("metrics")
     ]
-    return f"{line}, roster version {look['roster']}{''.join(counts)}"
+    line += f", roster version {look['roster']}{''.join(counts)}"
+    return "\n".join([line, *lines_of(look.get("timing"))])
 
 
 def table(look: Mapping[str, Any], width: int = WIDE) -> Table:

@@ -18,6 +18,9 @@ from hierax.runtime.loading.nearest import did_you_mean
 from hierax.schemas.roster import ProbeSpec, Roster
 from hierax.schemas.values import Value
 
+Late = Literal["catch_up", "skip"]
+"""What follows an epoch that took too long: those that are overdue begin at once, or their times pass by."""
+
 Keys = tuple[str | int, ...]  # the path of a value: names and, in lists, numbers from 0
 
 _INDEX = re.compile(r"\[(\d+)\]")
@@ -240,7 +243,10 @@ class Deployment:
     epoch_deadline_s: float | None  # how long until who holds an epoch up counts as lost, in seconds; None: for ever
     on_uncertain_act: Literal["repeat", "skip"]  # of a world of which nobody knows if it acted: at least, at most once
     staleness: Staleness  # how old inputs from above may be
-    rates_hz: Mapping[str, float]  # by node, how often at most it takes part in an epoch of a free run, if it says so
+    rates_hz: Mapping[str, float]  # by node that says so: how often at most it takes part in an epoch of a free run
+    late: Late  # what follows an epoch of a world with a rate that took too long
+    budgets_ms: Mapping[str, float]  # by node that says so, how long it may be at work in an epoch
+    scheduling: Mapping[str, Mapping[str, Value]]  # by node that says so, how the system is asked to run its thread
     start_timeout_s: float  # how long all nodes may take to come up, in seconds
     zenoh: Mapping[str, Value] | str | None  # its own settings: a map, JSON5 text in braces, or the path of a file
     low_latency: bool  # whether processes have links that carry short messages more quickly, and no long ones

@@ -147,6 +147,18 @@ class RestartModel(_Model):
     )
 
 
+class SchedulingModel(_Model):
+    """How the system is asked to run a node's thread; where that is not allowed, one warning says how it would be."""
+
+    policy: Literal["fifo", "rr", "other"] = _field(
+        "real-time (first in, first out; in turns), or as all else", "other"
+    )
+    priority: int = _field("of a real-time policy", 1, ge=1, le=99)
+    cpus: list[Annotated[int, Field(ge=0, le=4095)]] | None = _field(
+        "the processors that the process keeps to; null: any", None
+    )
+
+
 class NodeModel(RestartModel):
     """A node: the class, and what it is made with. For its restarts, what is left out is as 'restart' at the top."""
 
@@ -155,8 +167,15 @@ class NodeModel(RestartModel):
     )
     parameters: Parameters = _field("keyword arguments of the class", {})
     rate_hz: Positive | None = _field(
-        "in free running (staleness: null), how often at most it takes part in an epoch; null: as it can", None
+        "of the world, with the barrier: how often an epoch begins; of any node, in free running (staleness: null): "
+        "how often at most it takes part in one; null: as it can",
+        None,
     )
+    budget_ms: Positive | None = _field(
+        "how long it may be at work in an epoch: more is counted and told, nothing else; by default the world's period",
+        None,
+    )
+    scheduling: SchedulingModel | None = _field("how the system is asked to run its thread, in a launch", None)
 
 
 class FunctionModel(_Model):
@@ -242,6 +261,10 @@ class DeploymentModel(_Model):
         0,
         ge=0,
         le=MAX_STALENESS,
+    )
+    late: Literal["catch_up", "skip"] = _field(
+        "of a world with a rate, what follows an epoch that took too long: those overdue begin at once, or are skipped",
+        "catch_up",
     )
     exact: bool = _field("with a staleness: they are exactly so old, and the run can be repeated to the bit", False)
     start_timeout_s: Positive = _field("how long launch waits for all nodes to come up", 30.0)

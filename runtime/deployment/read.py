@@ -41,6 +41,7 @@ _AS_SAID = (
     "on_uncertain_act",
     "start_timeout_s",
     "low_latency",
+    "late",
 )
 """Fields of the deployment that are those of the file."""
 
@@ -75,6 +76,13 @@ def deployment_of(document: Document, path: Path) -> Deployment:
         restart=restart,
         staleness=_staleness(model, document),
         rates_hz={name: node.rate_hz for name, node in model.nodes.items() if node.rate_hz is not None},
+        budgets_ms={name: node.budget_ms for name, node in model.nodes.items() if node.budget_ms is not None},
+        scheduling={
+            name: {**given, "cpus": None if given["cpus"] is None else tuple(given["cpus"])}
+            for name, node in model.nodes.items()
+            if node.scheduling is not None
+            for given in [node.scheduling.model_dump()]
+        },
         zenoh=_zenoh(model.zenoh, path, document),
         import_paths=import_paths(path),
         document=document,
@@ -140,8 +148,9 @@ def _staleness(model: models.DeploymentModel, document: Document) -> Staleness:
     if model.exact and (staleness.barrier or staleness.free):
         raise document.error(("exact",), "means something only with a staleness of 1 or more")
     for name, node in model.nodes.items():
-        if node.rate_hz is not None and not staleness.free:
-            raise document.error(("nodes", name, "rate_hz"), "nodes have rates only in free running (staleness: null)")
+        if node.rate_hz is not None and not staleness.free and not (staleness.barrier and name == model.world):
+            what = "nodes have rates only in free running (staleness: null), the world also with the barrier"
+            raise document.error(("nodes", name, "rate_hz"), what)
     if model.low_latency and not staleness.barrier:
         what = "goes with a staleness of 0 only: nodes that do not wait for one another may fill its links"
         raise document.error(("low_latency",), what)

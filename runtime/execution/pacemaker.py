@@ -19,6 +19,7 @@ from hierax.runtime.core.digest import DigestChain
 from hierax.runtime.engine.engine import Engine
 from hierax.runtime.engine.stale import StaleEngine
 from hierax.runtime.engine.table import Phase
+from hierax.runtime.execution.pace import Pace
 
 Clock = Callable[[], float]
 
@@ -42,6 +43,7 @@ class Pacemaker:
     limit: int | None  # how many epochs; None: until the world has finished
     on_commit: Callable[[int, bytes], None]  # told each epoch and its digest, after the next one has begun
     clock: Clock = time.perf_counter  # seconds
+    pace: Pace | None = None  # of a world with a rate, with the barrier
     epochs_s: deque[float] = field(default_factory=lambda: deque(maxlen=EPOCHS_TIMED))  # from beginning to commit
     first_s: float | None = None
     last_s: float = 0.0

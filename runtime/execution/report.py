@@ -111,6 +111,7 @@ class Report:
     start_s: float | None = None  # from the start of the processes to the first epoch, in seconds; None in one process
     interrupted: bool = False  # whether the run was broken off by a signal; then all is of the last epoch committed
     unreported: Mapping[str, str] = field(default_factory=dict)  # the nodes whose state is not told then, and why
+    timing: Json = None  # as `timing.timing_of` gives it; None: nothing was held to a time
 
     @property
     def epochs_per_s(self) -> float | None:
@@ -136,6 +137,7 @@ class Report:
             "epoch_us": self.epoch_us,
             "nodes": {name: self.nodes[name].plain() for name in sorted(self.nodes)},
             **broken,
+            **({} if self.timing is None else {"timing": self.timing}),
         }
 
 

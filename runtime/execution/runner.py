@@ -136,12 +136,16 @@ class NodeRunner(EngineEffects):
             self._host.failed(error)
         self.finish()
 
+    def turned(self) -> None:
+        """It has waited for its time, which has come."""
+        for watcher in self.observers.watchers:
+            watcher.turned()
+
     def poll(self) -> bool:
         """In free running: take part in the next epoch, if there is one; whether there was."""
         engine, world = self.engine, self.world
         before = engine.epoch
-        for watcher in self.observers.watchers:
-            watcher.turned()
+        self.turned()
         did = False
         try:
             if world is None:

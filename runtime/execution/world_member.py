@@ -146,9 +146,18 @@ class WorldMember(World, OwnerEffects):
         self.owner.hear(word)
         self._runner.finish()
 
+    @property
+    def wait_s(self) -> float | None:
+        """In a pause, how long until the next epoch is due; None: there is no pause."""
+        if not self.paused:
+            return None
+        pace = self.pacemaker.pace
+        return 0.0 if pace is None else max(pace.wait_s(), 0.0)
+
     def resume(self) -> None:
         """Begin the next epoch after a pause."""
-        self.paused = False
+        self.paused = self.owner.progress.held = False
+        self._runner.turned()
         self._proceed()
         self._runner.finish()
 
@@ -175,6 +184,7 @@ class WorldMember(World, OwnerEffects):
 
     def begin(self, epoch: int, attempt: int, version: int) -> None:
         engine, pacemaker = self._runner.engine, self.pacemaker
+        self.paused = False
         self._supervision.begins(self.owner, epoch, attempt, version)
         if engine.phase is Phase.DONE:
             pacemaker.start()
@@ -184,6 +194,10 @@ class WorldMember(World, OwnerEffects):
             self._roster_bytes = b""
         self._runner.drain(pacemaker.limit == epoch or self.owner.progress.drains)
         self.write_record()
+        if pacemaker.pace is not None and engine.phase is Phase.DONE:
+            late = pacemaker.pace.begin(epoch)
+            if late:
+                self.note(late)
         try:
             if engine.phase is Phase.DONE:
                 engine.begin(attempt)
@@ -213,8 +227,11 @@ class WorldMember(World, OwnerEffects):
         if committed is None:
             return
         self.owner.committed(committed.epoch)
-        if self._pauses and not runner.engine.node.above:
-            self.paused = True
+        pace = self.pacemaker.pace
+        if pace is not None:
+            pace.ended()
+        if (pace is not None and pace.wait_s() > 0.0) or (self._pauses and not runner.engine.node.above):
+            self.paused = self.owner.progress.held = True
             self.write_record()  # nobody hears of a commit that a crash could undo
         else:
             self._proceed()

@@ -14,6 +14,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 
+from hierax.runtime.deployment.deployment import Late
 from hierax.runtime.execution.world_member import OnUncertainAct, Supervision
 from hierax.runtime.loading.allowance import Allowance
 from hierax.runtime.owner.effects import OwnerPolicy
@@ -68,6 +69,9 @@ class NodeOrder:
     staleness: int | None  # how old inputs from above may be, in epochs; None: free running
     exact: bool  # whether they are exactly so old
     rate_hz: float | None = None  # in free running, how often at most the node takes part in an epoch; None: as it can
+    late: Late = "catch_up"  # of the world's, which has a rate with the barrier, too
+    budget_ms: float | None = None  # how long the node may be at work in an epoch; None: that is not looked at
+    scheduling: Mapping[str, Value] | None = None  # how the system is asked to run the node's thread
     hub: str  # endpoint of the supervisor, through which the processes find one another
     host: str  # address of the process's machine at which others may link; empty: this machine's processes only
     settings: Value  # Zenoh's own

@@ -8,6 +8,7 @@ A question is a map with ``"look"``, as is the answer:
     neighbours  the names of the nodes below and above
     echo        copies of the messages in ``"edges"``, each kind, sender and receiver, for `LEASE_S`
     steps       what the node does in epochs that ``"every"`` divides, for `LEASE_S`; of the world's also the roster
+    roster      of the world's process, the roster in force; of others nothing
 """
 
 from __future__ import annotations
@@ -52,6 +53,7 @@ class InspectionServer:
     roster: Callable[[], Roster | None]  # of the world's process, once the run has begun, gives the roster in force
     endpoint: InspectionEndpoint  # where they come in
     busy: Callable[[], str]  # the operator that the node's thread is in, as ``OPERATOR of SUBJECT``; empty: in none
+    timing: Callable[[], Mapping[str, Value]] = dict  # gives what the node is held to, and how often it did not keep it
 
     def __post_init__(self) -> None:
         self._meter, self._copier, self._stepper = Meter(), Copier(self.endpoint.show), Stepper()
@@ -63,6 +65,7 @@ class InspectionServer:
             "neighbours": self._answer_neighbours,
             "echo": self._echo,
             "steps": self._answer_steps,
+            "roster": self._answer_roster,
         }
 
     def serve(self) -> None:
@@ -101,6 +104,7 @@ class InspectionServer:
             "cpu_s": time.process_time(),
             "metrics": {} if engine is None or not engine.is_world else _figures(engine),
             "meter": self._meter.read(busy.partition(" of ")[0], waits[0][0] if waits else ""),
+            "timing": self.timing(),
         }
 
     def _answer_state(self, question: Mapping[str, Any]) -> dict[str, Value]:
@@ -145,8 +149,11 @@ class InspectionServer:
             raise SchemaError(f"expected a whole number from 1, got {shown(every)}", "every")
         self._lease(self._stepper)
         self._stepper.every = every
+        return {"lease_s": LEASE_S, **self._answer_roster(question)}
+
+    def _answer_roster(self, question: Mapping[str, Any]) -> dict[str, Value]:
         roster = self.roster()
-        return {"lease_s": LEASE_S, "roster": None if roster is None else roster.plain()}
+        return {"roster": None if roster is None else roster.plain()}
 
     def _lease(self, watcher: Watcher) -> None:
         if watcher not in self._until_s:

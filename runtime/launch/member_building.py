@@ -10,6 +10,7 @@ from pathlib import Path
 from hierax.runtime.core.digest import DigestChain
 from hierax.runtime.execution.observers import Observers
 from hierax.runtime.execution.output_folder import digest_log, open_probes, state_log
+from hierax.runtime.execution.pace import Pace
 from hierax.runtime.execution.pacemaker import Pacemaker
 from hierax.runtime.launch.frames import BEGIN, NodeOrder
 from hierax.runtime.loading.allowance import Allowance
@@ -42,7 +43,9 @@ def pacemaker_of(order: NodeOrder, publish: Callable[[int, bytes], None]) -> Pac
             log.write(epoch, digest)
             log.flush()
 
-    return Pacemaker(DigestChain(roster_hash), order.epochs, on_commit)
+    paced = order.rate_hz is not None and order.staleness == 0
+    pace = Pace(order.rate_hz, order.late) if order.rate_hz is not None and paced else None
+    return Pacemaker(DigestChain(roster_hash), order.epochs, on_commit, pace=pace)
 
 
 def preload(modules: tuple[str, ...], allowance: Allowance) -> None:

@@ -22,6 +22,7 @@ from hierax.schemas.messages import Message
 IDLE_S = 0.5  # how long a node may get no further before it asks whether it is still part of the hierarchy
 AT_ONCE = 256  # how many messages are taken in before anything else is looked at
 REST = 10_000  # how many messages are looked at when the run is over
+NAP_S = 0.001  # how long the world's thread sleeps at once while its next epoch is not due
 BEAT_S = 0.2  # how often the world's process says that it lives
 
 _log = logging.getLogger("hierax")
@@ -113,8 +114,9 @@ class WorldWatch:
             why = f"it is in {state[1]} in epoch {state[0] + 1}, past the deadline"
             self.pipe.end(self.order.name, self.order.process, why)
 
-    def serve(self) -> bool:
-        """Between two messages, called by the node's thread: say what has come of the last one; whether it waits."""
+    def serve(self) -> float | None:
+        """Between two messages, called by the node's thread: say what has come of the last one; how long the
+        world waits until the next epoch is due, None: it does not."""
         world, owner = self.world, self.world.owner
         if owner.members.roster.version != self._version:
             self._version = owner.members.roster.version
@@ -123,9 +125,9 @@ class WorldWatch:
             world.end_soon()
         if world.pacemaker.done:
             self.pipe.finish(owner)
-        if world.paused:
+        if world.wait_s == 0.0:
             world.resume()
-        return world.paused
+        return world.wait_s
 
 
 @dataclass
@@ -179,15 +181,17 @@ class NodeLoop:
             self._run_in_step()
 
     def _run_in_step(self) -> None:
-        watch, paused = self.watch, False
+        watch, wait_s = self.watch, None
         while not self.stopping.is_set():
             if self.words or self._ticks:
                 self._serve()
             if self.member.dismissed:
                 return
             if watch is not None:
-                paused = watch.serve()
-            self._take_next(self.port.poll if self.words or paused else self.port.receive)
+                wait_s = watch.serve()
+            took = self._take_next(self.port.poll if self.words or wait_s is not None else self.port.receive)
+            if wait_s and not took:
+                time.sleep(min(wait_s, NAP_S))
 
     def _run_freely(self) -> None:
         """Do the same as in step, but the node takes its turns when they are due, on the newest of what has come."""

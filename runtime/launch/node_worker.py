@@ -20,6 +20,7 @@ from hierax.runtime.execution.member import Member, Seat
 from hierax.runtime.execution.observers import Observers
 from hierax.runtime.execution.pacemaker import Pacemaker, SteadyClock, call_in
 from hierax.runtime.execution.world_member import WorldMember
+from hierax.runtime.host.scheduling import ask_scheduler
 from hierax.runtime.launch import frames
 from hierax.runtime.launch.faults import plant
 from hierax.runtime.launch.inspection_server import InspectionServer
@@ -36,6 +37,7 @@ from hierax.runtime.transport.port import TransportError
 from hierax.runtime.transport.zenoh_port import ZenohPort, epoch_publisher
 from hierax.runtime.transport.zenoh_session import LOOPBACK, LOW_LATENCY_BYTES, open_session
 from hierax.runtime.watch import telemetry
+from hierax.runtime.watch.budget import Budget
 from hierax.runtime.watch.logs import QUIET
 from hierax.schemas.control import AskStatus, Control, Dismiss, Offered, Order, Word, decode_control
 from hierax.schemas.errors import SchemaError
@@ -63,6 +65,7 @@ class NodeWorker:
         self._inspection: InspectionServer | None = None
         self._publisher: StepPublisher
         self._witness: Witness | None = None
+        self._budget: Budget | None = None
         self._recorded = False
         self._thread = 0
         self._words = ControlQueue(self._wake)
@@ -131,7 +134,8 @@ class NodeWorker:
     @property
     def period_s(self) -> float | None:
         """In free running, from one turn to the next; None: as it can."""
-        return None if self._order.rate_hz is None else 1 / self._order.rate_hz
+        order = self._order
+        return None if order.rate_hz is None or order.staleness is not None else 1 / order.rate_hz
 
     def greet(self) -> None:
         """Greet the neighbours that have not answered."""
@@ -189,11 +193,14 @@ class NodeWorker:
         self._publisher = StepPublisher(session, keys, order.name)
         if order.recorded and self._publisher.wait(RECORDER_TIMEOUT_S):
             self._be_recorded(observers, True)
+        if order.budget_ms is not None:
+            self._budget = Budget(order.budget_ms)
+            observers.watch(self._budget)
         if telemetry.wanted():
             observers.watch(telemetry.open_spans(order.deployment, order.run, order.name))
         endpoint = InspectionEndpoint(session, keys, order.name)
         seen = (order.name, order.process, observers, self._roster)
-        self._inspection = InspectionServer(*seen, endpoint, self.busy)
+        self._inspection = InspectionServer(*seen, endpoint, self.busy, self._timing)
         gc.collect()
         gc.freeze()  # what is loaded stays; the collector need not look at it again in the middle of an epoch
         staleness, alone = Staleness(order.staleness, order.exact), frozenset(order.alone)
@@ -225,6 +232,14 @@ class NodeWorker:
             told, roster = self._publisher, self._roster if is_world else None
             self._witness = Witness(self._order.name, lambda: observers.engine, told.step, told.roster, roster)
             observers.watch(self._witness)
+
+    def _timing(self) -> dict[str, Value]:
+        """What the node and the world are held to, and how often they do not keep it."""
+        pace = None if self._world is None else self._world.pacemaker.pace
+        return {
+            **({} if self._budget is None else {"budget": self._budget.told()}),
+            **({} if pace is None else {"pace": pace.told()}),
+        }
 
     def _roster(self) -> Roster | None:
         return None if self._world is None else self._world.owner.members.roster
@@ -309,6 +324,8 @@ class NodeWorker:
 
     def _run(self, member: Member, port: ZenohPort) -> None:
         order, world = self._order, self._world
+        if order.scheduling is not None:
+            ask_scheduler(order.name, **order.scheduling)
         watch = None if world is None else WorldWatch(order, self._pipe, world, self.busy)
         self._loop = loop = NodeLoop(order, member, watch, port, self._words, self._stopping)
         loop.run()
@@ -333,7 +350,7 @@ class NodeWorker:
         if pacemaker is not None:
             chain = pacemaker.chain
             fields["run"] = [chain.epoch, chain.digest, pacemaker.wall_s, np.array(pacemaker.epochs_s)]
-        self._pipe.say(frames.REPORT, **fields)
+        self._pipe.say(frames.REPORT, **fields, timing=self._timing())
         return 0
 
     def _wake(self) -> None:

@@ -89,6 +89,9 @@ class Orders:
             staleness=deployment.staleness.epochs,
             exact=deployment.staleness.exact,
             rate_hz=deployment.rates_hz.get(name),
+            late=deployment.late,
+            budget_ms=self._budget_ms(name),
+            scheduling=deployment.scheduling.get(name),
             hub=self.hub,
             host=self.options.host or "",
             settings=deployment.zenoh,
@@ -105,6 +108,13 @@ class Orders:
             fault=self._next_fault(name),
             recorded=self._is_recorded(),
         )
+
+    def _budget_ms(self, name: str) -> float | None:
+        """Its own; where the world has a rate with the barrier, else the time from an epoch to the next."""
+        deployment = self.deployment
+        rate_hz = deployment.rates_hz.get(deployment.roster.world)
+        period_ms = 1e3 / rate_hz if rate_hz is not None and deployment.staleness.barrier else None
+        return deployment.budgets_ms.get(name, period_ms)
 
     def has_begun(self, world: str) -> bool:
         """Whether a process of the world's that is dead has begun the run: only with a record is anything sent."""

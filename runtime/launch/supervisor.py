@@ -19,6 +19,7 @@ from hierax.runtime.deployment import Deployment
 from hierax.runtime.execution.output_folder import write_roster
 from hierax.runtime.execution.pacemaker import ending_signals, leave_at_once
 from hierax.runtime.execution.report import Interrupted, NodeReport, Report
+from hierax.runtime.execution.timing import timing_of
 from hierax.runtime.launch.child import END_TIMEOUT_S, Child, NodeFailedError
 from hierax.runtime.launch.frames import BEGIN, COME_BACK, STOP
 from hierax.runtime.launch.graceful_end import CLOSE_S, GracefulEnd
@@ -321,7 +322,8 @@ class Supervisor:
         nodes = {name: NodeReport(*(said[field] for field in fields)) for name, said in sorted(reports.items())}
         options = self._orders.options
         run = (self._deployment.name, "launch", options.seed, epochs, digest.hex(), times[0], times[1])
-        return Report(*run, nodes, options.output, self._start_s)
+        timing = timing_of({name: said.get("timing", {}) for name, said in reports.items()})
+        return Report(*run, nodes, options.output, self._start_s, timing=timing)
 
 
 def _check_epochs(reports: Mapping[str, Mapping[str, Value]], epochs: int, attempt: int) -> None:

@@ -35,11 +35,12 @@ class EpochProgress:
         self.running = False  # whether an epoch is under way
         self.drains = False  # whether the epoch under way does not overlap with the next one
         self.drained = False  # whether the last one committed did not
+        self.held = False  # whether the next one is not due yet
         self.over = False  # whether it was the last one of the run
         self._skips = self.attempt != NEVER  # of the next epoch the first attempt may have been begun and forgotten
 
     def begin(self) -> None:
-        self.running = True
+        self.running, self.held = True, False
         self.attempt += 1
         self.inquiry.start()
         self.effects.begin(self.epoch + 1, self.attempt, self.members.roster.version)

@@ -70,7 +70,7 @@ class Owner(OwnerPart):
     def proceed(self) -> None:
         """The world may begin the next epoch."""
         progress = self.progress
-        if progress.running:
+        if progress.running or progress.held:
             return
         plan = self.planning.plan
         if not self.members.lost:

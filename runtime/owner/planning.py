@@ -269,7 +269,7 @@ class Planning(OwnerPart):
             return
         if plan.stage is Stage.PREPARE:
             plan.stage = Stage.READY
-            if self.progress.running and not plan.urgent:
+            if (self.progress.running or self.progress.held) and not plan.urgent:
                 return
         self.take_effect(plan)
 

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from hierax.runtime.execution.report import Json
+from hierax.runtime.execution.timing import timing_of
 from hierax.runtime.transport.launch_client import Answer, LaunchStatus
 
 NS_PER_S = 1e9
@@ -64,6 +65,7 @@ def overview(status: LaunchStatus, before: Mapping[str, Answer], after: Mapping[
             said = {key: answer[key] for key in ("pid", "epoch", "rss_bytes", "metrics")}
             nodes[name] |= {**said, "doing": doing(answer), **rates_between(before.get(name), answer)}
     there = [name for name in nodes if name in after]
+    timing = timing_of({name: answer.get("timing", {}) for name, answer in after.items()})
     quickest = max(there, key=lambda name: nodes[name]["epochs_per_s"], default="")
     epochs_ns = after[quickest]["meter"]["epochs_ns"] if quickest else ()
     return {
@@ -76,4 +78,5 @@ def overview(status: LaunchStatus, before: Mapping[str, Answer], after: Mapping[
             f"p{percent}": float(np.percentile(epochs_ns, percent)) / 1e3 if epochs_ns else None for percent in (50, 99)
         },
         "nodes": nodes,
+        **({} if timing is None else {"timing": timing}),
     }

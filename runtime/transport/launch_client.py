@@ -22,6 +22,7 @@ from hierax.runtime.transport.port import TransportError
 from hierax.runtime.transport.zenoh_session import ZenohConfig, close_session, open_session
 from hierax.schemas.errors import SchemaError, shown
 from hierax.schemas.keys import Keys
+from hierax.schemas.roster import Roster
 from hierax.schemas.values import Value
 
 FIND_TIMEOUT_S = 5.0  # how long it may take until the launch's session has heard of the client's
@@ -128,6 +129,17 @@ class LaunchClient:
         if "refusal" in answer:
             raise AnswerError(f"{name}: {answer['refusal']}")
         return answer
+
+    def roster(self, status: LaunchStatus) -> Roster:
+        """The roster in force. Raises `HieraxError` if the world's process does not tell it."""
+        told = [each.get("roster") for each in self.ask_nodes(status, {"look": "roster"}, status.nodes).values()]
+        found = [each for each in told if each is not None]
+        if not found:
+            raise TransportError(f"the launch at {self.endpoint} does not tell its roster")
+        try:
+            return Roster.read(found[0])
+        except SchemaError as error:
+            raise AnswerError(f"the launch at {self.endpoint} gave a roster that cannot be read: {error}") from error
 
     def answers_of(
         self, question: Value, names: Collection[str], timeout_s: float = NODES_TIMEOUT_S

@@ -66,7 +66,10 @@ def test_one_value_is_changed(override: str, path: list[str | int], value: objec
         ("parameters.steep=3", "there is no 'steep' in parameters; did you mean 'step'?"),
         ("nodes.wrld.class=3", "there is no 'wrld' in nodes; did you mean 'world'?"),
         ("nodes.world.clas=3", "there is no 'clas' in nodes.world; did you mean 'class'?"),
-        ("nodes.world.step=3", "there is no 'step' in nodes.world; expected one of class, max_restart_delay, "),
+        (
+            "nodes.world.step=3",
+            "there is no 'step' in nodes.world; expected one of budget_ms, class, max_restart_delay, ",
+        ),
         ("nodes.world.max_restart=3", "there is no 'max_restart' in nodes.world; did you mean 'max_restarts'?"),
         ("restart.max_restart=3", "there is no 'max_restart' in restart; did you mean 'max_restarts'?"),
         ("edges.left -> top=3", "there is no 'left -> top' in edges; did you mean 'left -> top.most'?"),

@@ -1,0 +1,51 @@
+"""``hierax set``: parameters of a node of a launch that runs."""
+
+from __future__ import annotations
+
+from typing import Annotated, Any
+
+from hierax.runtime.commands.errors import CommandError
+from hierax.runtime.commands.membership import ask_for, deployment_at, print_epoch
+from hierax.runtime.commands.options import RunOptions, argument, offers
+from hierax.runtime.commands.which_launch import client_at, endpoint_of
+from hierax.runtime.loading.nearest import did_you_mean
+
+
+@offers("run", "connect", "deployment_file", "output_format")
+def set(
+    texts: Annotated[list[str], argument("NODE.PARAMETER=VALUE…", "Parameters of one node, values as YAML has them.")],
+    options: RunOptions,
+) -> int:
+    """Change parameters of a node of a hierarchy that runs, which keeps its belief, and print the epoch."""
+    from hierax.schemas.roster import Reference, Replace
+
+    given = [_parameter(text) for text in texts]
+    (node, *others) = dict.fromkeys(name for name, _, _ in given)
+    if others:
+        raise CommandError(f"expected parameters of one node, got some of {node} and {', '.join(others)}")
+    endpoint = endpoint_of(options.run, options.connect)
+    with client_at(endpoint) as client:
+        status = client.status()
+        roster = client.roster(status)
+    if node not in roster.nodes:
+        known = did_you_mean(node, roster.nodes, "the nodes are")
+        raise CommandError(f"there is no node {node!r} in {status.hierarchy}, run {status.run}{known}")
+    was = roster.nodes[node]
+    for name, value in ((name, value) for _, name, value in given):
+        was = Reference(was.target, {**was.parameters, name: value})
+    file = deployment_at(endpoint, options.deployment_file)
+    restarts = {node: file.restarts.get(node, file.restart)}
+    what = ", ".join(f"{name} = {value!r}" for _, name, value in given)
+    return print_epoch(ask_for(endpoint, Replace(node, was), restarts), f"{node}: {what}", options.output_format)
+
+
+def _parameter(text: str) -> tuple[str, str, Any]:
+    """Node, parameter and value of ``NODE.PARAMETER=VALUE``. Raises `CommandError` if it is written otherwise."""
+    from hierax.runtime.deployment.tree import read_tree
+    from hierax.schemas.values import decode_value, encode_value
+
+    path, equals, value = text.partition("=")
+    node, dot, name = path.rpartition(".")
+    if not (equals and dot and node.strip() and name.strip()):
+        raise CommandError(f"expected NODE.PARAMETER=VALUE, got {text!r}")
+    return node.strip(), name.strip(), decode_value(encode_value(read_tree(value, text, has_lines=False).value))

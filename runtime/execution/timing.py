@@ -1,0 +1,65 @@
+"""How a launch has kept its times: epochs that began late, and the nodes that took longer than they may."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from hierax.runtime.execution.report import Json
+
+Told = Mapping[str, Mapping[str, Any]]
+"""By node, what its process tells: of the world's ``pace``, by `Pace.told`, and ``budget``, by `Budget.told`."""
+
+
+def timing_of(told: Told) -> Json:
+    """All of a launch; None where nothing is held to a time.
+
+    ``rate`` has how late epochs began, in milliseconds, and after whom: an epoch begins late as the one before was not
+    done, so those are named that were over their budget in it, or in the first of several that began late in a row.
+    ``budgets`` has by node how many epochs took it longer, and the longest of them.
+    """
+    paces = [each["pace"] for each in told.values() if "pace" in each]
+    budgets = {name: each["budget"] for name, each in told.items() if "budget" in each}
+    kept = {name: {what: each[what] for what in ("budget_ms", "over", "max_ms")} for name, each in budgets.items()}
+    if not paces:
+        return {"budgets": kept} if kept else None
+    (pace,) = paces
+    after = culprits(pace["epochs"], {name: each["epochs"] for name, each in budgets.items()})
+    rate = {what: each for what, each in pace.items() if what != "epochs"}
+    return {"rate": {**rate, "after": dict(after)}, "budgets": kept}
+
+
+def culprits(late: Sequence[int], over: Mapping[str, Sequence[int]]) -> Counter[str]:
+    """How many epochs that began late each node is to blame for.
+
+    Args:
+        late: the epochs that began late, in order.
+        over: by node, the epochs in which it took too long.
+    """
+    epochs = {name: set(each) for name, each in over.items()}
+    blamed: Counter[str] = Counter()
+    before, names = 0, list[str]()
+    for epoch in late:
+        found = [name for name in sorted(epochs) if epoch - 1 in epochs[name]]
+        names = found or (names if before == epoch - 1 else [])
+        blamed.update(names)
+        before = epoch
+    return blamed
+
+
+def lines_of(timing: Json) -> list[str]:
+    """The same for people to read."""
+    lines = []
+    rate = (timing or {}).get("rate")
+    if rate is not None:
+        times = ", ".join(f"{what} {rate[f'{what}_ms']:.2f} ms" for what in ("p50", "p99", "max"))
+        after = ", ".join(f"{name} {count}" for name, count in sorted(rate["after"].items()))
+        skipped = f", {rate['skipped']} times skipped" if rate["skipped"] else ""
+        said = f"{rate['late']} epochs begun late{f' (after {after})' if after else ''}{skipped}"
+        lines.append(f"every {rate['period_ms']:g} ms: {said}; lateness {times}")
+    for name, budget in sorted((timing or {}).get("budgets", {}).items()):
+        if budget["over"]:
+            took = f"{budget['over']} epochs took longer, the longest {budget['max_ms']:.1f} ms"
+            lines.append(f"{name}: a budget of {budget['budget_ms']:g} ms; {took}")
+    return lines

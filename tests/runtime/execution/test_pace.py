@@ -1,0 +1,81 @@
+"""When a world with a rate begins its epochs, and what is told of those that are late."""
+
+from __future__ import annotations
+
+import pytest
+
+from hierax.runtime.deployment.deployment import Late
+from hierax.runtime.execution.pace import Pace
+from hierax.runtime.execution.timing import culprits, lines_of, timing_of
+
+
+class Epochs:
+    """Epochs of a world at 10 Hz, under a clock that passes as they do."""
+
+    def __init__(self, late: Late = "catch_up") -> None:
+        self.now = 100.0
+        self.pace = Pace(10.0, late, lambda: self.now)
+        self.number = 0
+        self.notes: list[str] = []
+
+    def does(self, took_s: float) -> float:
+        """One that takes so long, begun when it is due; gives when it began, from the first one's beginning on."""
+        self.now += max(self.pace.wait_s(), 0.0)
+        self.number += 1
+        began_s = self.now - 100.0
+        note = self.pace.begin(self.number)
+        if note:
+            self.notes.append(note)
+        self.now += took_s
+        self.pace.ended()
+        return began_s
+
+
+def test_epochs_begin_where_the_rate_has_them_and_no_error_adds_up() -> None:
+    epochs = Epochs()
+    begun = [epochs.does(0.03 + 0.001 * (number % 7)) for number in range(10_000)]
+    assert begun == pytest.approx([0.1 * number for number in range(10_000)], abs=1e-6)
+    told = epochs.pace.told()
+    assert (told["late"], told["skipped"], told["epochs"]) == (0, 0, [])
+    assert told["max_ms"] == pytest.approx(0.0, abs=1e-6)
+
+
+def test_epochs_that_are_overdue_begin_at_once() -> None:
+    epochs = Epochs("catch_up")
+    begun = [epochs.does(took_s) for took_s in (0.35, 0.02, 0.02, 0.02, 0.02, 0.02)]
+    assert begun == pytest.approx([0.0, 0.35, 0.37, 0.39, 0.41, 0.5])
+    told = epochs.pace.told()
+    assert (told["late"], told["skipped"], told["epochs"]) == (4, 0, [2, 3, 4, 5])
+    assert told["max_ms"] == pytest.approx(250.0)
+    assert epochs.notes[0] == "epoch 2 begins 250.0 ms late, as the one before was not done (1 so far)"
+    assert len(epochs.notes) == 3, "the first, the second and the fourth"
+
+
+def test_times_that_have_passed_are_skipped() -> None:
+    epochs = Epochs("skip")
+    begun = [epochs.does(took_s) for took_s in (0.35, 0.02, 0.02, 0.02)]
+    assert begun == pytest.approx([0.0, 0.35, 0.4, 0.5])
+    told = epochs.pace.told()
+    assert (told["late"], told["skipped"], told["epochs"]) == (1, 2, [2])
+
+
+def test_late_epochs_are_put_down_to_those_that_took_too_long() -> None:
+    late = [11, 12, 13, 21, 40]
+    over = {"slow": [10, 30], "quick": [20], "other": [20, 38]}
+    assert culprits(late, over) == {"slow": 3, "quick": 1, "other": 1}
+
+
+def test_what_is_told_of_a_launch() -> None:
+    epochs = Epochs()
+    for took_s in (0.02, 0.35, 0.02, 0.02, 0.02, 0.02):
+        epochs.does(took_s)
+    budget = {"budget_ms": 100.0, "over": 1, "max_ms": 340.0, "epochs": [2]}
+    kept = {"budget_ms": 5.0, "over": 0, "max_ms": 0.0, "epochs": []}
+    timing = timing_of({"world": {"pace": epochs.pace.told(), "budget": kept}, "slow": {"budget": budget}, "free": {}})
+    assert timing["rate"]["after"] == {"slow": 4}
+    assert lines_of(timing) == [
+        "every 100 ms: 4 epochs begun late (after slow 4); lateness p50 50.00 ms, p99 246.00 ms, max 250.00 ms",
+        "slow: a budget of 100 ms; 1 epochs took longer, the longest 340.0 ms",
+    ]
+    assert timing_of({"free": {}}) is None
+    assert lines_of(None) == []

@@ -1,0 +1,79 @@
+"""Launches whose world has a rate: on time, late, and changed by `hierax set`."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+from pathlib import Path
+from typing import Any
+
+import pytest
+from support.launched import Launched, hierax, run_here, said_here
+
+DEPLOYMENT = """
+hierarchy: paced
+world: world
+epochs: 150
+nodes:
+  world: {class: "support.rate_nodes:Ticks", rate_hz: 100}
+  slow: {class: "support.rate_nodes:Sometimes", parameters: {every: 50, took_ms: 35.0}, budget_ms: 20}
+  quick: {class: "support.rate_nodes:Counts"}
+edges:
+  world -> slow: {sense: "support.rate_nodes:seen"}
+  world -> quick: {sense: "support.rate_nodes:seen"}
+"""
+
+
+@pytest.fixture
+def file(tmp_path: Path) -> str:
+    path = tmp_path / "paced.yaml"
+    path.write_text(DEPLOYMENT, encoding="utf-8")
+    return str(path)
+
+
+def test_late_epochs_are_named_with_the_node_and_nothing_drifts(file: str) -> None:
+    report = hierax("launch", file)
+    timing, wanted = report["timing"], run_here(file)
+    assert report["digest"] == wanted["digest"], "a rate changes nothing but when"
+    assert timing["budgets"]["slow"]["over"] == 3
+    assert timing["budgets"]["slow"]["max_ms"] >= 35.0
+    assert timing["rate"]["after"]["slow"] >= 3
+    assert timing["rate"]["late"] >= timing["rate"]["after"]["slow"]
+    assert report["wall_s"] >= 1.49, "the last of 150 epochs begins 1.49 s after the first"
+
+
+def test_a_rate_is_for_the_world_alone_with_the_barrier(file: str) -> None:
+    said = said_here("run", file, "--set", "nodes.slow.rate_hz=5")
+    assert said.returncode == 1
+    assert (
+        "nodes.slow.rate_hz: nodes have rates only in free running (staleness: null), the world also with"
+        in said.stderr
+    )
+
+
+def test_parameters_of_a_node_are_set_while_it_runs(file: str, tmp_path: Path) -> None:
+    def said(*arguments: str) -> subprocess.CompletedProcess[str]:
+        return said_here(*arguments, folder=tmp_path)
+
+    def told(*arguments: str) -> Any:
+        done = said(*arguments, "--format", "json")
+        assert done.returncode == 0, done.stderr
+        return json.loads(done.stdout)
+
+    with Launched(tmp_path, file, "--epochs", "1000000"):
+        told("ps", "--wait", "5")
+        for text, why in [
+            ("slow.took_ms=long", "nodes.slow.parameters.took_ms: expected a number, got 'long'"),
+            ("slow.took=1", "has no such parameter; did you mean 'took_ms'?"),
+            ("slo.took_ms=1", "there is no node 'slo' in paced"),
+            ("took_ms=1", "expected NODE.PARAMETER=VALUE, got 'took_ms=1'"),
+        ]:
+            done = said("set", text)
+            assert (done.returncode, why in done.stderr) == (1, True), done
+        assert told("inspect", "slow")["roster"] == 0, "nothing has changed"
+        epoch = told("set", "slow.took_ms=0.5", "slow.every=7")["epoch"]
+        assert epoch > 5
+        assert told("inspect", "slow")["belief"] >= epoch - 1, "it has kept what it had counted"
+        timing = told("top", "--once", "--interval", "0.2")["timing"]
+        assert timing["rate"]["period_ms"] == 10.0
+        assert timing["budgets"]["slow"]["budget_ms"] == 20.0
