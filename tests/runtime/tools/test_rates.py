@@ -19,6 +19,7 @@ def answer(seconds: float, epochs: int, process: str = "a", **change: Any) -> di
         "busy": "",
         "waits_for": [["low", "obs"]],
         "rss_bytes": 1 << 20,
+        "metrics": {},
         "cpu_s": seconds / 2,
         "meter": {
             "ns": ns,
