@@ -43,8 +43,8 @@ def pacemaker_of(order: NodeOrder, publish: Callable[[int, bytes], None]) -> Pac
             log.write(epoch, digest)
             log.flush()
 
-    paced = order.rate_hz is not None and order.staleness == 0
-    pace = Pace(order.rate_hz, order.late) if order.rate_hz is not None and paced else None
+    is_paced = order.rate_hz is not None and order.staleness == 0  # in free running it takes turns
+    pace = Pace(order.rate_hz, order.late) if is_paced and order.rate_hz else None
     return Pacemaker(DigestChain(roster_hash), order.epochs, on_commit, pace=pace)
 
 
