@@ -75,7 +75,7 @@ def _pictures(source: str) -> Iterator[Array]:
     """All frames of a source, until it ends."""
     from hierax.nodes.sources.camera import CameraWorld
 
-    world = CameraWorld(source)
+    world = CameraWorld(source, straighten=False)
     belief = world.initial_belief()
     while not belief["ended"]:
         if belief["image"] is not None:

@@ -77,12 +77,16 @@ def pinhole(where: str, numbers: Floats) -> Floats:
 
 def read_calibration(path: Path) -> Lens:
     """A camera's calibration. Raises DataError, with file, field and what was expected: it is missing or damaged."""
-    content = _read_xml(path) if path.suffix.lower() == ".xml" else read_yaml(path, _EXPECTED)
+    return lens_of(str(path), _read_xml(path) if path.suffix.lower() == ".xml" else read_yaml(path, _EXPECTED))
+
+
+def lens_of(path: str, content: Mapping[str, Any]) -> Lens:
+    """The same of what is in a file, or in a message; `path`: what it is called in errors."""
     size = (_pixels(path, content, _WIDTH), _pixels(path, content, _HEIGHT))
     if size[0] * size[1] > MAX_PIXELS:
         raise DataError(f"{path}: image_width: expected at most {MAX_PIXELS} pixels in all, got {size[0]}×{size[1]}")
     name, values = _matrix(path, content, _MATRIX)
-    intrinsics = pinhole(f"{path}: {name}", read_numbers(str(path), {name: values}, name, 9))
+    intrinsics = pinhole(f"{path}: {name}", read_numbers(path, {name: values}, name, 9))
     model = content.get(_MODEL) or ("fisheye" if content.get("fisheye_model") in (1, "1", True) else "")
     if not isinstance(model, str) or model not in _MODELS:
         raise DataError(f"{path}: {_MODEL}: expected one of {', '.join(filter(None, _MODELS))}, got {model!r:.40}")
@@ -91,11 +95,11 @@ def read_calibration(path: Path) -> Lens:
     if len(values) not in counts:
         numbers = " or ".join(map(str, _MODELS[model]))
         raise DataError(f"{path}: {name}: expected {numbers} numbers{model and f' of {model}'}, got {len(values)}")
-    coefficients = read_numbers(str(path), {name: values}, name, len(values))
+    coefficients = read_numbers(path, {name: values}, name, len(values))
     if np.abs(coefficients).max(initial=0.0) > _MAX_COEFFICIENT:
         raise DataError(f"{path}: {name}: expected numbers of at most {_MAX_COEFFICIENT:g}")
     fisheye = model in (FISHEYE, "fisheye")
-    return Lens(str(path), size, intrinsics, coefficients if len(coefficients) else np.zeros(4), fisheye)
+    return Lens(path, size, intrinsics, coefficients if len(coefficients) else np.zeros(4), fisheye)
 
 
 def write_calibration(lens: Lens, path: Path) -> None:
@@ -124,7 +128,7 @@ def _found(content: Mapping[str, Any], names: tuple[str, ...]) -> str:
     return next((name for name in names if name in content), names[0])
 
 
-def _pixels(path: Path, content: Mapping[str, Any], names: tuple[str, ...]) -> int:
+def _pixels(path: str, content: Mapping[str, Any], names: tuple[str, ...]) -> int:
     name = _found(content, names)
     value = content.get(name)
     if type(value) is not int or not 0 < value <= MAX_PIXELS:
@@ -133,7 +137,7 @@ def _pixels(path: Path, content: Mapping[str, Any], names: tuple[str, ...]) -> i
 
 
 def _matrix(
-    path: Path, content: Mapping[str, Any], names: tuple[str, ...], otherwise: list[Any] | None = None
+    path: str, content: Mapping[str, Any], names: tuple[str, ...], otherwise: list[Any] | None = None
 ) -> tuple[str, list[Any]]:
     """The first of these that is there: its name and its numbers, row by row."""
     name = _found(content, names)

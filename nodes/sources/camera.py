@@ -1,9 +1,10 @@
-"""N₀ over a camera, a video, a folder of images or a recording: a frame an epoch, straightened."""
+"""N₀ over a camera, a video, a folder of images, a bag or a recording: a frame an epoch, straightened."""
 
 from __future__ import annotations
 
 import logging
 import math
+import re
 import weakref
 from collections.abc import Callable, Mapping
 from pathlib import Path
@@ -18,7 +19,8 @@ from hierax.nodes.sources.shots import CameraBelief, Floats, Source, check_size,
 from hierax.runtime import World
 
 _LOG = logging.getLogger(__name__)
-_MCAP = b"\x89MCAP"
+_MCAP, _SQLITE = b"\x89MCAP", b"SQLite format 3\0"
+_ROS_MCAP = re.compile(re.escape(_MCAP) + rb"0\r\n\x01.{8}\x04\0\0\0ros2", re.DOTALL)  # the head, with its profile
 
 Locate = Callable[[Array, Floats, Floats | None, str], Floats | None]
 """Where the camera is, world_from_camera, by a straightened frame, the intrinsics, where it was before, and what the
@@ -34,16 +36,25 @@ class Picture(TypedDict):
     frame: int  # its number
 
 
-def open_source(source: str | int, fps: float = 30.0, timeout_s: float = 5.0, reopen: bool = False) -> Source:
-    """What a name stands for: a device's number or path, a stream's URL, a folder of images, a recording, or a video.
+def open_source(
+    source: str | int, fps: float = 30.0, timeout_s: float = 5.0, reopen: bool = False, topic: str | None = None
+) -> Source:
+    """What a name stands for: a device's number or path, a stream's URL, a folder of images, a recording, a rosbag2, or
+    a video.
 
-    Args: fps: of what is played; timeout_s, reopen: of what is live, see `Live`.
+    Args: fps: of what is played; timeout_s, reopen: of what is live, see `Live`; topic: of a bag, see `BagFrames`.
     Raises DataError: there is no such file, or it cannot be opened.
     """
     from hierax.nodes.sources.live import Live
     from hierax.nodes.sources.played import Folder, Video
 
     path = Path(str(source))
+    if is_bag(source):
+        from hierax.nodes.ros2.bag import BagFrames
+
+        return BagFrames(path, topic)
+    if topic is not None:
+        raise DataError(f"{source}: is no bag of ROS 2; expected no camera_topic with it")
     if str(source).isdecimal():
         return Live(int(source), timeout_s, reopen)
     if "://" in str(source) or path.is_char_device():
@@ -51,7 +62,7 @@ def open_source(source: str | int, fps: float = 30.0, timeout_s: float = 5.0, re
     if path.is_dir():
         return Folder(path, fps)
     if not path.is_file():
-        expected = "a device's number, a video, a folder of images, a recording, or a stream's URL"
+        expected = "a device's number, a video, a folder of images, a recording, a bag, or a stream's URL"
         raise DataError(f"{path}: no such file; expected {expected}")
     if is_recording(source):
         from hierax.nodes.sources.recorded import RecordedFrames
@@ -61,12 +72,36 @@ def open_source(source: str | int, fps: float = 30.0, timeout_s: float = 5.0, re
 
 
 def is_recording(source: str | int) -> bool:
-    """Whether a source is a recording: an MCAP file."""
+    """Whether a source is a recording: an MCAP file that is no bag."""
+    return _head(source).startswith(_MCAP) and not is_bag(source)
+
+
+def is_bag(source: str | int) -> bool:
+    """Whether a source is a rosbag2: a folder with its metadata, or a file of its own, MCAP of ROS 2 or SQLite."""
+    head = _head(source)
+    in_file = head.startswith(_SQLITE) or _ROS_MCAP.match(head) is not None
+    return in_file or Path(str(source), "metadata.yaml").is_file()
+
+
+def knows_camera(source: str | int, topic: str | None = None) -> bool:
+    """Whether a source tells its camera matrix: a recording, and a bag with CameraInfo. Raises DataError: it is a bag,
+    and cannot be read."""
+    if not is_bag(source):
+        return is_recording(source)
+    bag = open_source(source, topic=topic)
+    bag.close()
+    return bag.lens is not None
+
+
+def _head(source: str | int) -> bytes:
     path = Path(str(source))
     if not path.is_file():
-        return False
-    with path.open("rb") as file:
-        return file.read(len(_MCAP)) == _MCAP
+        return b""
+    try:
+        with path.open("rb") as file:
+            return file.read(32)
+    except OSError:
+        return b""  # who opens it says so
 
 
 class CameraWorld(World):
@@ -76,12 +111,15 @@ class CameraWorld(World):
 
     Args:
         source: as for `open_source`; it is opened when the first frame is asked for.
-        calibration: file with the lens's, see `hierax.nodes.sources.calibration`; None: frames stay as they are.
+        calibration: file with the lens's, see `hierax.nodes.sources.calibration`; None: a bag's CameraInfo tells it,
+            frames of others stay as they are.
         fps: frames per second of what is played; source_timeout: seconds without a frame until a live source stalls.
         reopen: whether a live source that ends, stalls or is unplugged is opened again, in growing pauses, with nothing
             observed meanwhile; else that is an error.
         pose: world_from_camera, 4 × 4; None: the world is the camera's.
         locate: tells the camera's pose by each frame, in place of `pose`; until it does, nothing is observed.
+        topic: of a bag that has pictures on several.
+        straighten: false leaves frames as they were taken.
 
     Raises DataError: the calibration is missing or damaged. ValueError: an option is out of range.
     """
@@ -95,12 +133,15 @@ class CameraWorld(World):
         reopen: bool = False,
         pose: list[list[float]] | None = None,
         locate: Locate | None = None,
+        topic: str | None = None,
+        straighten: bool = True,
     ) -> None:
         for name, value in (("fps", fps), ("source_timeout", source_timeout)):
             if not 0.0 < value < math.inf:
                 raise ValueError(f"{name} is {value}; expected a positive number")
         self._name = source
-        self._options = (float(fps), float(source_timeout), reopen)
+        self._options = (float(fps), float(source_timeout), reopen, topic)
+        self._straighten = straighten
         self._lens = None if calibration is None else read_calibration(Path(calibration))
         self._pose = np.eye(4) if pose is None else read_matrix("pose", pose)
         self._locate = locate
@@ -108,6 +149,7 @@ class CameraWorld(World):
 
     def initial_belief(self) -> CameraBelief:
         """The first frame is yet to be seen; the source is opened for it."""
+        self._source()
         lens = self._lens
         return self._next(
             {
@@ -178,6 +220,8 @@ class CameraWorld(World):
         if self._opened is None:
             self._opened = open_source(self._name, *self._options)
             weakref.finalize(self, self._opened.close)
+            if self._straighten:
+                self._lens = self._lens or self._opened.lens
             if self._opened.straight and (self._lens is not None or self._locate is not None):
                 what = "is a recording, whose frames are straightened and whose camera is known"
                 raise DataError(f"{self._name}: {what}; expected no calibration and no tag with it")

@@ -29,7 +29,11 @@ Read = TypeVar("Read")
 def read_image(path: Path) -> Array:
     """An image as uint8, (h, w) gray or (h, w, 3) RGB. Raises DataError: the file is missing, damaged, or has other
     than 8 bits."""
-    data = read_file(path, "an image")
+    return decode_image(str(path), read_file(path, "an image"))
+
+
+def decode_image(path: str, data: bytes) -> Array:
+    """The same of what is in a file, or in a message; `path`: what it is called in errors."""
     _check_end(path, data)
     width, height = image_size(data) or (0, 0)
     if width * height > MAX_PIXELS:
@@ -47,7 +51,7 @@ def read_image(path: Path) -> Array:
     return np.ascontiguousarray(image[:, :, 2::-1]) if image.shape[2] >= 3 else np.ascontiguousarray(image[:, :, 0])
 
 
-def _check_end(path: Path, data: bytes) -> None:
+def _check_end(path: str, data: bytes) -> None:
     """Refuse what is cut off: decoders fill in what is missing of a JPEG, and print of a PNG what they think of it."""
     for begin, end, name in ((b"\xff\xd8", b"\xff\xd9", "JPEG"), (b"\x89PNG", b"IEND\xaeB`\x82", "PNG")):
         if data.startswith(begin) and end not in data[-_TRAILING_BYTES:]:

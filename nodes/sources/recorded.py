@@ -49,28 +49,29 @@ class RecordedFrames(Source):
     def _read(self) -> Iterator[Shot]:
         try:
             for epoch in self._recording.epochs():
-                yield self._shot(epoch)
+                yield shot_of(self.name, epoch)
         except DataError:
             raise
         except HieraxError as error:
             raise DataError(str(error)) from error
 
-    def _shot(self, epoch: EpochTrace) -> Shot:
-        world, time_s = epoch.roster.world, epoch.time_s or 0.0
-        shown = [epoch.elements(OBSERVATIONS, *edge.pair) for edge in epoch.roster.edges if edge.lower == world]
-        if not shown or shown[0] is None:
-            raise DataError(f"{self.name}: epoch {epoch.epoch}: lacks what {world} showed; expected its observations")
-        if not shown[0]:
-            return Shot(-1, None, time_s)
-        (picture, *_) = shown[0]
-        try:
-            image, frame = picture["image"], picture["frame"]
-            camera, intrinsics = (np.asarray(picture[each], np.float64) for each in ("camera", "intrinsics"))
-        except (KeyError, TypeError, ValueError) as error:
-            what = f"{world} showed no picture; expected image, camera, intrinsics and frame"
-            raise DataError(f"{self.name}: epoch {epoch.epoch}: {what}") from error
-        if not isinstance(image, np.ndarray) or image.dtype != np.uint8 or type(frame) is not int:
-            raise DataError(f"{self.name}: epoch {epoch.epoch}: image: expected 8 bits a pixel, and a frame's number")
-        if camera.shape != (4, 4) or intrinsics.shape != (4,):
-            raise DataError(f"{self.name}: epoch {epoch.epoch}: camera, intrinsics: expected 4 × 4 and 4 numbers")
-        return Shot(frame, image, time_s, camera=camera, intrinsics=intrinsics)
+
+def shot_of(recording: str, epoch: EpochTrace) -> Shot:
+    """What a recording's world showed in an epoch. Raises DataError, as `RecordedFrames`."""
+    world, time_s, where = epoch.roster.world, epoch.time_s or 0.0, f"{recording}: epoch {epoch.epoch}"
+    shown = [epoch.elements(OBSERVATIONS, *edge.pair) for edge in epoch.roster.edges if edge.lower == world]
+    if not shown or shown[0] is None:
+        raise DataError(f"{where}: lacks what {world} showed; expected its observations")
+    if not shown[0]:
+        return Shot(-1, None, time_s)
+    (picture, *_) = shown[0]
+    try:
+        image, frame = picture["image"], picture["frame"]
+        camera, intrinsics = (np.asarray(picture[each], np.float64) for each in ("camera", "intrinsics"))
+    except (KeyError, IndexError, TypeError, ValueError) as error:
+        raise DataError(f"{where}: {world} showed no picture; expected image, camera, intrinsics and frame") from error
+    if not isinstance(image, np.ndarray) or image.dtype != np.uint8 or type(frame) is not int:
+        raise DataError(f"{where}: image: expected 8 bits a pixel, and a frame's number")
+    if camera.shape != (4, 4) or intrinsics.shape != (4,):
+        raise DataError(f"{where}: camera, intrinsics: expected 4 × 4 and 4 numbers")
+    return Shot(frame, image, time_s, camera=camera, intrinsics=intrinsics)

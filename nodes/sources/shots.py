@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from typing import NamedTuple, TypedDict
+from typing import TYPE_CHECKING, NamedTuple, TypedDict
 
 import numpy as np
 from numpy.typing import NDArray
 
 from hierax.nodes.sources.files import DataError, read_numbers
 from hierax.nodes.sources.images import MAX_PIXELS, Array
+
+if TYPE_CHECKING:
+    from hierax.nodes.sources.calibration import Lens
 
 Floats = NDArray[np.float64]
 Size = tuple[int, int]  # width and height in pixels
@@ -59,6 +62,7 @@ class Source(ABC):
 
     name: str  # for errors
     straight = False  # whether frames are straightened, and cameras told, already
+    lens: Lens | None = None  # what it says itself of the lens that took its frames
 
     @abstractmethod
     def shot(self, belief: CameraBelief) -> Shot:

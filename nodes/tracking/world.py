@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from hierax.nodes.sources.camera import CameraWorld, is_recording
+from hierax.nodes.sources.camera import CameraWorld, knows_camera
 from hierax.nodes.sources.camera import picture_seen as picture_of_camera
 from hierax.nodes.sources.shots import CameraBelief
 from hierax.nodes.tracking.arm import ArmNode
@@ -49,18 +49,19 @@ def world(
     objects: str | None = None,
     source_timeout: float = 5.0,
     reopen: bool = False,
+    camera_topic: str | None = None,
 ) -> World:
     """N₀: a `BopWorld` where a scene is given, a `CameraWorld` where a camera is, else a `SimWorld`.
 
     Args: scene: folder of a BOP scene, or None; cubes, frames, noise, blur_px: of the simulated world. fps: frames per
         second, of all but live cameras; tag_mm, tag: of a scene folder or a camera: side of a tag on the table that
         tells where the camera is, None for none; and which, see `tag_of`. camera, calibration, source_timeout, reopen:
-        as for `CameraWorld`, and objects, which tells its pose.
+        as for `CameraWorld`, and objects, which tells its pose; camera_topic: its `topic`.
     Raises DataError: a file of the scene is missing or damaged. ValueError: a number is out of its range, a tag is told
         for the simulated world, or there is something that goes with a camera alone, or lacks there.
     """
     found = tag_of(tag_mm, tag)
-    _check_world(scene, camera, calibration, objects)
+    _check_world(scene, camera, calibration, objects, camera_topic)
     if camera is not None and objects is not None:
         told = read_objects(Path(objects))
         if found is not None and (told.camera is not None or told.mixed):
@@ -68,7 +69,7 @@ def world(
             raise ValueError(f"tag_mm is {tag_mm}, and {objects} tells {what}; expected one of the two, in one frame")
         pose = None if told.camera is None else told.camera.tolist()
         tagged = None if found is None else partial(locate, found)
-        return CameraWorld(camera, calibration, fps, source_timeout, reopen, pose, tagged)
+        return CameraWorld(camera, calibration, fps, source_timeout, reopen, pose, tagged, camera_topic)
     if scene is not None:
         return BopWorld(scene, fps, found)
     if found is not None:
@@ -157,16 +158,19 @@ def spatial(
     return SpatialNode(placed, table=carried, search=search, **options)
 
 
-def _check_world(scene: str | None, camera: str | int | None, calibration: str | None, objects: str | None) -> None:
+def _check_world(
+    scene: str | None, camera: str | int | None, calibration: str | None, objects: str | None, topic: str | None
+) -> None:
     if camera is None:
-        alone = next((name for name, each in (("calibration", calibration), ("objects", objects)) if each), None)
+        given = (("calibration", calibration), ("objects", objects), ("camera_topic", topic))
+        alone = next((name for name, each in given if each), None)
         if alone:
             raise ValueError(f"{alone} is given and camera is not; expected it with a camera alone")
     elif scene is not None:
         raise ValueError(f"scene is {scene} and camera is {camera}; expected one of the two")
     elif objects is None:
         raise ValueError(f"camera is {camera} and objects is not given; expected a file that tells what is tracked")
-    elif calibration is None and not is_recording(camera):
+    elif calibration is None and not knows_camera(camera, topic):
         raise ValueError(f"camera is {camera} and calibration is not given; expected a file, see hierax calibrate")
 
 

@@ -105,7 +105,11 @@ def test_any_hierarchy_can_use_it_and_its_recording(folder: Path, tmp_path: Path
 @pytest.mark.parametrize(
     ("name", "content", "told"),
     [
-        ("none", None, "none: no such file; expected a device's number, a video, a folder of images, a recording, or"),
+        (
+            "none",
+            None,
+            "none: no such file; expected a device's number, a video, a folder of images, a recording, a bag, or",
+        ),
         ("a.mp4", b"no video", "a.mp4: cannot be opened; expected a video, a recording, or a folder of images"),
         ("a.mp4", b"", "a.mp4: cannot be opened"),
         ("a.mcap", b"\x89MCAP0\r\n", "a.mcap: was cut off before it says what it is of"),

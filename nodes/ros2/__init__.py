@@ -1,0 +1,1 @@
+"""ROS 2 without ROS: bags as sources of pictures, and recordings as bags."""

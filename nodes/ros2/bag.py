@@ -1,0 +1,140 @@
+"""Frames of a rosbag2: all pictures of one of its topics, and what its CameraInfo says of the lens."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from hierax.nodes.ros2.messages import CAMERA_INFO, COMPRESSED, IMAGE, image_of, messages, require_rosbags, time_of
+from hierax.nodes.sources.calibration import Lens, lens_of
+from hierax.nodes.sources.files import DataError
+from hierax.nodes.sources.shots import CameraBelief, Shot, Source, ending
+
+if TYPE_CHECKING:
+    from rosbags.interfaces import Connection
+
+_KINDS = (IMAGE, COMPRESSED)
+_EXPECTED = f"{IMAGE} or {COMPRESSED}"
+
+
+class BagFrames(Source):
+    """The pictures of a rosbag2's topic, in the order in which they were recorded, at their headers' times.
+
+    Args:
+        path: the bag's folder, or a single file of it, .mcap or .db3.
+        topic: which, where there are several with pictures.
+    Raises DataError: it is damaged, has no such topic, or no picture there.
+    """
+
+    def __init__(self, path: Path, topic: str | None = None) -> None:
+        require_rosbags(path)
+        from rosbags.rosbag2 import Reader
+
+        self._path = path
+        with _reading(str(path)):
+            self._reader = Reader(path)
+            self._reader.open()
+        try:
+            self._topic = _choose(path, self._reader.connections, topic)
+            self.name = f"{path}: {self._topic}"
+            self._images = [each for each in self._reader.connections if each.topic == self._topic]
+            with _reading(self.name):
+                self._count = sum(each.msgcount for each in self._images)
+            if not self._count:
+                raise DataError(f"{self.name}: has no messages; expected pictures")
+            self.lens = self._told_lens()
+        except BaseException:
+            self.close()
+            raise
+        self._next, self._found = 0, self._read(self._images)
+
+    def shot(self, belief: CameraBelief) -> Shot:
+        index = belief["index"]
+        if index < self._next:
+            self._next, self._found = 0, self._read(self._images)
+        data = b""
+        while self._next <= index:
+            found = next(self._found, None)
+            if found is None:
+                if self._next < self._count:
+                    raise DataError(f"{self.name}: ends after {self._next} pictures; expected {self._count}")
+                return ending(belief)
+            kind, data = found
+            self._next += 1
+        where = f"{self.name}, picture {index + 1}"
+        message = _decoded(where, kind, data)
+        return Shot(index, image_of(where, message), time_of(where, message))
+
+    def close(self) -> None:
+        self._reader.close()
+
+    def _read(self, connections: Sequence[Connection]) -> Iterator[tuple[str, bytes]]:
+        """Types and contents of the messages."""
+        with _reading(self.name):
+            for connection, _, data in self._reader.messages(connections):
+                yield connection.msgtype, data
+
+    def _told_lens(self) -> Lens | None:
+        """As the first CameraInfo beside the topic has it, or of the bag where it has just one; None: there is none,
+        or it says that nobody knows."""
+        beside, _, name = self._topic.rpartition("/")
+        if self._images[0].msgtype == COMPRESSED and name == "compressed":
+            beside, _, name = beside.rpartition("/")
+        infos = {each.topic for each in self._reader.connections if each.msgtype == CAMERA_INFO and each.msgcount}
+        chosen = infos & {f"{beside}/camera_info"} or (infos if len(infos) == 1 else set())
+        found = next(self._read([each for each in self._reader.connections if each.topic in chosen]), None)
+        if not chosen or found is None:
+            return None
+        where = f"{self._path}: {min(chosen)}"
+        told = _decoded(where, *found)
+        if not told.k.any():
+            return None
+        straight = name.startswith("image_rect")
+        content = {
+            "image_width": told.width,
+            "image_height": told.height,
+            "K": (told.p.reshape(3, 4)[:, :3].ravel() if straight else told.k).tolist(),
+            "D": [] if straight else np.asarray(told.d).tolist(),
+            "distortion_model": told.distortion_model,
+        }
+        return lens_of(where, content)
+
+
+def _choose(path: Path, connections: Sequence[Connection], topic: str | None) -> str:
+    """The topic with pictures: the given one, or the only one. Raises DataError: it is another's, or there are others,
+    which are told."""
+    kinds: dict[str, str] = {each.topic: each.msgtype for each in connections}
+    shown = sorted(name for name, kind in kinds.items() if kind in _KINDS)
+    listed = ", ".join(shown)
+    if topic is None:
+        if len(shown) == 1:
+            return shown[0]
+        if shown:
+            raise DataError(f"{path}: has pictures on {listed}; expected one of them as camera_topic")
+        others = ", ".join(f"{name} ({kind})" for name, kind in sorted(kinds.items())) or "nothing"
+        raise DataError(f"{path}: expected a topic of {_EXPECTED}, found {others:.400}")
+    if topic not in kinds:
+        raise DataError(f"{path}: has no topic {topic}; expected one with pictures: {listed or 'there is none'}")
+    if topic not in shown:
+        raise DataError(f"{path}: {topic} is of {kinds[topic]}; expected {_EXPECTED}: {listed or 'there is none'}")
+    return topic
+
+
+def _decoded(where: str, kind: str, data: bytes) -> Any:
+    with _reading(where):
+        return messages().deserialize_cdr(data, kind)
+
+
+@contextmanager
+def _reading(where: str) -> Iterator[None]:
+    try:
+        yield
+    except DataError:
+        raise
+    except Exception as error:  # rosbags raises whatever it meets where a file is damaged
+        said = (str(error).splitlines() or [type(error).__name__])[0]
+        raise DataError(f"{where}: cannot be read: {said:.200}; expected a whole rosbag2, MCAP or SQLite") from error

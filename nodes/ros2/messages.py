@@ -1,0 +1,85 @@
+"""ROS's messages, by the package `rosbags`, which has their definitions, their type hashes and CDR."""
+
+from __future__ import annotations
+
+from functools import cache
+from typing import TYPE_CHECKING, Any
+
+import cv2
+import numpy as np
+
+from hierax.nodes.sources.files import DataError
+from hierax.nodes.sources.images import MAX_PIXELS, Array, decode_image
+
+if TYPE_CHECKING:
+    from rosbags.typesys.store import Typestore
+
+IMAGE, COMPRESSED = "sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage"
+CAMERA_INFO = "sensor_msgs/msg/CameraInfo"
+NS = 1_000_000_000  # nanoseconds in a second
+
+_LAYOUTS: dict[str, tuple[int, int | None]] = {  # bytes a pixel, and OpenCV's way from there to gray or RGB
+    "mono8": (1, None),
+    "8UC1": (1, None),
+    "rgb8": (3, None),
+    "bgr8": (3, cv2.COLOR_BGR2RGB),
+    "8UC3": (3, cv2.COLOR_BGR2RGB),
+    "rgba8": (4, cv2.COLOR_RGBA2RGB),
+    "bgra8": (4, cv2.COLOR_BGRA2RGB),
+    "bayer_rggb8": (1, cv2.COLOR_BayerRGGB2RGB),
+    "bayer_bggr8": (1, cv2.COLOR_BayerBGGR2RGB),
+    "bayer_gbrg8": (1, cv2.COLOR_BayerGBRG2RGB),
+    "bayer_grbg8": (1, cv2.COLOR_BayerGRBG2RGB),
+}
+
+
+def require_rosbags(path: object) -> None:
+    """See that bags can be read and written. Raises DataError if the package lacks; it names the bag."""
+    try:
+        import rosbags.rosbag2  # noqa: F401
+    except ModuleNotFoundError as error:
+        raise DataError(f"{path}: bags need the package rosbags: pip install 'hierax[ros2]'") from error
+
+
+@cache
+def messages() -> Typestore:
+    """The definitions of ROS's messages; those used here are alike in all distributions from Humble on."""
+    from rosbags.typesys import Stores, get_typestore
+
+    return get_typestore(Stores.ROS2_JAZZY)
+
+
+def made(kind: str, **fields: Any) -> Any:
+    """A message of a type such as ``geometry_msgs/msg/Point``."""
+    return messages().types[kind](**fields)
+
+
+def image_of(where: str, message: Any) -> Array:
+    """The picture of an Image or CompressedImage as nodes have it: uint8, (h, w) gray or (h, w, 3) RGB. Raises
+    DataError, with `where`: it is damaged, or has another encoding."""
+    if not hasattr(message, "encoding"):
+        return decode_image(where, message.data.tobytes())
+    if message.encoding not in _LAYOUTS:
+        raise DataError(f"{where}: encoding {message.encoding!r:.40}; expected one of {', '.join(_LAYOUTS)}")
+    channels, conversion = _LAYOUTS[message.encoding]
+    height, width, step = message.height, message.width, message.step
+    if not 0 < width * height <= MAX_PIXELS:
+        raise DataError(f"{where}: has {width}×{height} pixels; expected at least one, and at most {MAX_PIXELS}")
+    if step < width * channels or len(message.data) != step * height:
+        told = f"{len(message.data)} bytes in rows of {step}"
+        raise DataError(f"{where}: has {told}; expected {height} rows of at least {width * channels}")
+    rows = message.data.reshape(height, step)[:, : width * channels]
+    pixels = np.ascontiguousarray(rows.reshape(height, width, channels) if channels > 1 else rows)
+    if conversion is None:
+        return pixels
+    if message.encoding.startswith("bayer") and min(width, height) < 3:
+        raise DataError(f"{where}: has {width}×{height} pixels; expected at least 3×3 of {message.encoding}")
+    return np.asarray(cv2.cvtColor(pixels, conversion))
+
+
+def time_of(where: str, message: Any) -> float:
+    """The stamp of a message's header in seconds. Raises DataError: it is none."""
+    stamp = message.header.stamp
+    if stamp.sec < 0 or stamp.nanosec >= NS:
+        raise DataError(f"{where}: header.stamp is {stamp.sec} s, {stamp.nanosec} ns; expected a time since 1970")
+    return (int(stamp.sec) * NS + int(stamp.nanosec)) / NS
