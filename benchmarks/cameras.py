@@ -5,7 +5,7 @@
     python benchmarks/cameras.py kills --kills 20 --seed 1
 
 video   the photographs of a cube as a BOP folder and as a video (FFV1): the states of arm and spatial node, epoch by
-        epoch, and epochs a second of both
+        epoch, and epochs a second of both; and the video at 30 Hz: no frame passed over, and how late epochs begin
 kills   a stream over HTTP at 60 Hz, reopened when it stalls or breaks off; SIGKILL of each process in turn: no picture
         twice or out of order at the arm, and the recording verifies
 
@@ -40,6 +40,7 @@ from hierax.runtime.recording.reading import Recording  # noqa: E402
 from hierax.schemas.values import encode_value  # noqa: E402
 
 NODES = ("world", "arm", "spatial")
+RATE_HZ, LATENESS_MS = 30.0, 5.0
 STEADY = ("restart.max_restarts=0", "restart.restart_delay=0.0", "reopen=true", "source_timeout=0.5")
 
 
@@ -76,6 +77,13 @@ def video(options: argparse.Namespace, out: Path) -> list[str]:
         states.append(list(_states(path)))
         rate = plain["epochs"] / plain["wall_s"]
         print(f"{name}: {plain['epochs']} epochs, {rate:.1f} epochs/s over Zenoh, {plain['nodes']['arm']['metrics']}")
+    paced = hierax("launch", "tracking", *words, "--set", f"nodes.world.rate_hz={RATE_HZ:g}")
+    kept = paced["timing"]["rate"]
+    lateness = f"lateness p50 {kept['p50_ms']:.2f} ms, p99 {kept['p99_ms']:.2f} ms, max {kept['max_ms']:.2f} ms"
+    passed_over = paced["nodes"]["world"]["metrics"].get("passed_over", 0.0)
+    print(f"video at {RATE_HZ:g} Hz: {paced['epochs']} epochs, {kept['late']} begun late, {lateness}")
+    if passed_over or paced["epochs"] != plain["epochs"] or kept["p99_ms"] >= LATENESS_MS:
+        return [f"{passed_over:g} frames passed over, {paced['epochs']} epochs, {lateness}"]
     return [] if states[0] == states[1] else ["the video's states are not those of the folder"]
 
 

@@ -16,12 +16,13 @@ TOLD = 1024  # how many late epochs, the last ones, are told by their numbers
 
 
 class Pace:
-    """Epoch k is due k periods after the first: times are counted from there, so that no error adds up."""
+    """Epoch k is due k - 2 periods after the second one: times are counted from there, so that no error adds up."""
 
     def __init__(self, rate_hz: float, late: Late, clock: Callable[[], float] = time.monotonic) -> None:
         self.period_s = 1.0 / rate_hz
         self._skips = late == "skip"
         self._clock = clock  # seconds
+        self._is_warm = False
         self._first_s = math.nan
         self._slot = 0  # the next one
         self._overdue = False
@@ -41,8 +42,11 @@ class Pace:
     def begin(self, epoch: int) -> str:
         """An epoch begins now; what people should know of it: the first one that is late, the second, the fourth, …"""
         now = self._clock()
+        if not self._is_warm:  # in the first one all is made ready, for as long as that takes
+            self._is_warm = True
+            return ""
         if math.isnan(self._first_s):
-            self._first_s = now - self._slot * self.period_s
+            self._first_s = now
         lateness_s = now - self._first_s - self._slot * self.period_s
         self._lateness_s.append(lateness_s)
         self._most_s = max(self._most_s, lateness_s)

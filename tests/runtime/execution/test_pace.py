@@ -17,6 +17,8 @@ class Epochs:
         self.pace = Pace(10.0, late, lambda: self.now)
         self.number = 0
         self.notes: list[str] = []
+        self.pace.begin(0)  # the first one is not on time, whatever it takes
+        self.pace.ended()
 
     def does(self, took_s: float) -> float:
         """One that takes so long, begun when it is due; gives when it began, from the first one's beginning on."""
