@@ -23,6 +23,7 @@ from hierax.nodes.tracking.schema import EXPECTED, LOST, TRACKED
 from hierax.runtime.core.errors import HieraxError
 from hierax.runtime.recording.reading import Recording
 from hierax.runtime.recording.trace import EpochTrace
+from hierax.schemas.errors import SchemaError
 
 if TYPE_CHECKING:
     from rosbags.interfaces import Connection
@@ -65,7 +66,7 @@ def export_rosbag(path: Path, folder: Path, poses: str = "arm", overwrite: bool 
             return topics.counts
     except DataError:
         raise
-    except HieraxError as error:
+    except (HieraxError, SchemaError) as error:
         raise DataError(str(error)) from error
 
 
@@ -162,7 +163,7 @@ def _believed(where: str, epoch: EpochTrace, node: str) -> tuple[Floats | None, 
             _Object(int(item["id"]), _pose(item["pose"]), str(item["status"]), _figures(item))
             for item in belief["objects"]
         ]
-    except (KeyError, IndexError, TypeError, ValueError) as error:
+    except (LookupError, TypeError, ValueError, OverflowError) as error:
         what = "camera, and objects with id, pose and status, as an arm of tracking has them"
         raise DataError(f"{where}: {node} believes no poses; expected {what}") from error
     return camera, objects

@@ -12,6 +12,7 @@ from hierax.nodes.sources.shots import CameraBelief, Shot, Source, ending
 from hierax.runtime.core.errors import HieraxError
 from hierax.runtime.recording.reading import Recording
 from hierax.runtime.recording.trace import EpochTrace
+from hierax.schemas.errors import SchemaError
 from hierax.schemas.messages import OBSERVATIONS
 
 
@@ -52,7 +53,7 @@ class RecordedFrames(Source):
                 yield shot_of(self.name, epoch)
         except DataError:
             raise
-        except HieraxError as error:
+        except (HieraxError, SchemaError) as error:
             raise DataError(str(error)) from error
 
 

@@ -278,6 +278,7 @@ class Subject:
             ["check", at],
             ["check", at, "--format", "json"],
             ["view", at, "--save", f"{at}.rrd", *trust],
+            ["export", at, "--rosbag", f"{at}.bag", "--poses", node, "--overwrite"],
         ]
 
 

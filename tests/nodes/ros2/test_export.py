@@ -5,6 +5,7 @@ from __future__ import annotations
 import errno
 import re
 from collections import defaultdict
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -16,10 +17,12 @@ from rosbags.highlevel import AnyReader
 from rosbags.rosbag2 import Reader, Writer
 from support.bags import camera_info, compressed, image, write_bag
 from support.cameras import filmed, settings
+from support.junk_recordings import Contents
 from support.launched import said_here
 
 from hierax.nodes.ros2.export import export_rosbag
 from hierax.nodes.sources.calibration import read_calibration
+from hierax.nodes.sources.camera import CameraWorld
 from hierax.nodes.sources.files import DataError
 from hierax.nodes.sources.images import read_image
 from hierax.nodes.tracking.math.geometry import rotation_of
@@ -187,6 +190,18 @@ def test_a_full_disk_leaves_what_was_there(made: Path, tmp_path: Path, monkeypat
     with pytest.raises(DataError, match="bag: cannot be written: No space left on device"):
         export_rosbag(made / "folder.mcap", tmp_path / "bag", overwrite=True)
     assert sorted(tmp_path.rglob("*")) == before
+
+
+def test_a_message_that_is_none_is_told(made: Path, tmp_path: Path) -> None:
+    """Its end lacks, which is seen when it is read. As a source of pictures, too."""
+    contents = Contents.read(made / "folder.mcap")
+    said = tuple(each._replace(data=each.data[:-3]) if "/obs/world/" in each.topic else each for each in contents.said)
+    spoilt = tmp_path / "spoilt.mcap"
+    replace(contents, said=said).write(spoilt)
+    with pytest.raises(DataError, match=re.escape(f"{spoilt}: ")):
+        export_rosbag(spoilt, tmp_path / "bag")
+    with pytest.raises(DataError, match=re.escape(f"{spoilt}: ")):
+        CameraWorld(str(spoilt)).initial_belief()
 
 
 def test_what_a_recording_lacks_is_told(made: Path, tmp_path: Path) -> None:
