@@ -83,6 +83,8 @@ class Video(Source):
         if told < _ENDLESS and self._next + max(rate, 1.0) < told:  # containers estimate, but not by a second
             what = f"ends, or is damaged, after {self._next} frames; expected {told:.0f}, as it says itself"
             raise DataError(f"{self.name}: {what}")
+        if self._next == 0:
+            raise DataError(f"{self.name}: is damaged; expected a video of which a frame can be decoded")
         return None
 
 

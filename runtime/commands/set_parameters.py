@@ -23,6 +23,9 @@ def set(
     (node, *others) = dict.fromkeys(name for name, _, _ in given)
     if others:
         raise CommandError(f"expected parameters of one node, got some of {node} and {', '.join(others)}")
+    names = [name for _, name, _ in given]
+    if len({*names}) < len(names):
+        raise CommandError(f"expected each parameter once, got {', '.join(names)}")
     endpoint = endpoint_of(options.run, options.connect)
     with client_at(endpoint) as client:
         status = client.status()

@@ -238,6 +238,8 @@ class NodeLoop:
             engine.compare(message)
 
     def _serve(self) -> None:
+        if self.member.runner is not None and (self.words or self._ticks):
+            self.member.runner.turned()  # what follows from a word is work since then, not since the last message
         take_word = self.member.take_word if self.watch is None else self.watch.world.take_word
         for word in self.words.taken():
             take_word(word)

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import atexit
 import queue
+import sys
 import threading
 from abc import ABC, abstractmethod
 from collections.abc import Iterator, Mapping, Sequence
@@ -17,7 +19,7 @@ from typing import Any, NamedTuple, cast
 from hierax.runtime.core.elements import Value
 from hierax.runtime.core.errors import HierarchyError, HieraxError
 from hierax.runtime.deployment import Deployment
-from hierax.runtime.deployment.deployment import RestartPolicy
+from hierax.runtime.deployment.deployment import Document, RestartPolicy
 from hierax.runtime.deployment.read import read_deployment
 from hierax.runtime.deployment.snippet import attach_of, replace_of, restarts_of
 from hierax.runtime.execution.output_folder import claimed_output, write_summary
@@ -25,6 +27,7 @@ from hierax.runtime.execution.report import Interrupted, Report
 from hierax.runtime.execution.single import SingleRun
 from hierax.runtime.launch.recorder_process import RecordingRequest
 from hierax.runtime.launch.supervisor import launch as launch_processes
+from hierax.runtime.loading.allowance import module_of, references
 from hierax.runtime.loading.loader import extend_import_path
 from hierax.runtime.loading.nearest import did_you_mean
 from hierax.runtime.recording.info import RunInfo
@@ -92,9 +95,13 @@ class Run(ABC):
 
     def report(self) -> Report:
         """Go on to the end; gives what the run has come to. Raises `HieraxError` if it failed."""
-        for _ in self:
-            pass
-        report = self._report()
+        try:
+            for _ in self:
+                pass
+            report = self._report()
+        except BaseException:  # also where Ctrl-C ends the wait
+            self.close()
+            raise
         if report.output is not None:
             write_summary(report.output, report)
         self.close()
@@ -109,7 +116,7 @@ class Run(ABC):
         Raises:
             HieraxError: it is refused; nothing has changed then.
         """
-        document = part.snippet(self.deployment)
+        document = _snippet(part, self.deployment)
         return self._change(attach_of(document), restarts_of(document, self.deployment, attached=True))
 
     def detach(self, name: str, *, cascade: bool = False) -> int:
@@ -127,7 +134,7 @@ class Run(ABC):
         Raises:
             HieraxError: it is refused.
         """
-        document = part.snippet(self.deployment)
+        document = _snippet(part, self.deployment)
         return self._change(replace_of(document, name), restarts_of(document, self.deployment))
 
 
@@ -172,6 +179,7 @@ class _Launched(Run):
         self._client: LaunchClient | None = None
         self._thread = threading.Thread(target=self._keep, args=(options,), name="hierax-launch", daemon=True)
         self._thread.start()
+        atexit.register(self.close)  # Python kills threads that are left, and where one is in Zenoh aborts with it
 
     def _keep(self, options: Mapping[str, Any]) -> None:
         def tell(number: int, digest: bytes) -> None:
@@ -184,6 +192,9 @@ class _Launched(Run):
                 )
         except Interrupted as broken:
             self._result = broken.report
+        except HieraxError as error:  # what went wrong, did so in another process: how it got here tells nothing
+            error.__cause__ = None
+            self._failure = error.with_traceback(None)
         except BaseException as error:
             self._failure = error
         finally:
@@ -215,6 +226,7 @@ class _Launched(Run):
         return nodes[name].belief
 
     def close(self) -> None:
+        atexit.unregister(self.close)
         self._end.set()
         self._thread.join()
         if self._client is not None:
@@ -268,7 +280,7 @@ def run(
         HieraxError: the hierarchy is wrong, a node cannot be loaded, or something cannot be written.
     """
     with ExitStack() as stack:
-        deployment, target, folder = _prepared(stack, what, settings, output, record, overwrite)
+        deployment, target, folder = _prepared(stack, what, epochs, seed, settings, output, record, overwrite)
         recording = None
         if target is not None:
             info = RunInfo.of(deployment, token_hex(4), "run", seed, settings, from_start=True)
@@ -296,12 +308,13 @@ def launch(
     launches its own classes guards what it does by ``if __name__ == "__main__":``, as processes import it.
     """
     with ExitStack() as stack:
-        deployment, target, folder = _prepared(stack, what, settings, output, record, overwrite)
+        deployment, target, folder = _prepared(stack, what, epochs, seed, settings, output, record, overwrite)
         if isinstance(what, Hierarchy):
             alien = sorted(target for target in what.targets() if target.startswith("__main__:"))
             if alien:
                 where = "is defined where no other process can import it; write it into a module"
                 raise HierarchyError(f"{alien[0].partition(':')[2]} {where} (in a notebook: %%writefile nodes.py)")
+        _check_not_imported(deployment)
         recording = None if target is None else RecordingRequest(target, check=False)
         overrides = tuple(settings)
         options = {"epochs": epochs, "seed": seed, "output": folder, "overrides": overrides, "recording": recording}
@@ -309,15 +322,36 @@ def launch(
     raise AssertionError  # pragma: no cover - `with` never swallows
 
 
+def _check_not_imported(deployment: Deployment) -> None:
+    """Raise `HierarchyError` where a module is being imported from which the launch's own processes would import code:
+    each of them would launch it once more."""
+    for module in {module_of(reference.target) for _, reference in references(deployment.roster)}:
+        if getattr(getattr(sys.modules.get(module), "__spec__", None), "_initializing", False):
+            guard = "guard what it does as a script by `if __name__ == '__main__':`"
+            raise HierarchyError(f"{module} launches {deployment.name!r} while it is imported; {guard}")
+
+
+def _snippet(part: Hierarchy, deployment: Deployment) -> Document:
+    """What a part says. Raises `HierarchyError` if it is none."""
+    if not isinstance(part, Hierarchy):
+        raise HierarchyError(f"expected a hierax.Hierarchy with what is to be there, got {part!r:.80}")
+    return part.snippet(deployment)
+
+
 def _prepared(
     stack: ExitStack,
     what: Hierarchy | str | Path,
+    epochs: int | None,
+    seed: int,
     settings: Sequence[str],
     output: str | Path | None,
     record: str | Path | None,
     overwrite: bool,
 ) -> tuple[Deployment, Target | None, Path | None]:
     """What is run, and the places that are written to, which the run has for itself."""
+    for name, value, least in (("epochs", epochs, 1), ("seed", seed, 0)):
+        if value is not None and not (isinstance(value, int) and value >= least):
+            raise HierarchyError(f"{name}: expected a whole number from {least} on, got {value!r:.80}")
     if isinstance(what, Hierarchy) and settings:
         raise HierarchyError(
             "settings are for deployment files; a Hierarchy is given its parameters by functools.partial"

@@ -154,6 +154,18 @@ def test_a_video_that_is_cut_off_is_told(folder: Path, tmp_path: Path) -> None:
         play()
 
 
+def test_a_video_without_a_frame_is_told(tmp_path: Path) -> None:
+    """It is so short that its head may be wrong by all of it."""
+    writer = cv2.VideoWriter(str(tmp_path / "one.avi"), cv2.VideoWriter_fourcc(*"FFV1"), 30, (64, 48))  # type: ignore[attr-defined]
+    writer.write(np.random.default_rng(1).integers(0, 256, (48, 64, 3), np.uint8))
+    writer.release()
+    data = (tmp_path / "one.avi").read_bytes()
+    (tmp_path / "cut.avi").write_bytes(data[: data.index(b"movi") + 200])
+    world = CameraWorld(str(tmp_path / "cut.avi"))
+    with pytest.raises(DataError, match=r"cut\.avi: is damaged; expected a video of which a frame can be decoded"):
+        world.predict((), (), world.initial_belief())
+
+
 def test_a_recording_without_pictures_is_told_and_takes_no_calibration(tmp_path: Path) -> None:
     done = said_here("run", "servo", "--epochs", "3", "--record", str(tmp_path / "servo.mcap"))
     assert done.returncode == 0, done.stderr

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from support.launched import Launched, hierax, run_here, said_here
+from support.launched import Launched, hierax, run_here, said_here, until
 
 DEPLOYMENT = """
 hierarchy: paced
@@ -66,9 +66,10 @@ def test_parameters_of_a_node_are_set_while_it_runs(file: str, tmp_path: Path) -
             ("slow.took_ms=long", "nodes.slow.parameters.took_ms: expected a number, got 'long'"),
             ("slow.took=1", "has no such parameter; did you mean 'took_ms'?"),
             ("slo.took_ms=1", "there is no node 'slo' in paced"),
+            ("slow.took_ms=1 slow.took_ms=2", "expected each parameter once, got took_ms, took_ms"),
             ("took_ms=1", "expected NODE.PARAMETER=VALUE, got 'took_ms=1'"),
         ]:
-            done = said("set", text)
+            done = said("set", *text.split())
             assert (done.returncode, why in done.stderr) == (1, True), done
         assert told("inspect", "slow")["roster"] == 0, "nothing has changed"
         epoch = told("set", "slow.took_ms=0.5", "slow.every=7")["epoch"]
@@ -77,3 +78,15 @@ def test_parameters_of_a_node_are_set_while_it_runs(file: str, tmp_path: Path) -
         timing = told("top", "--once", "--interval", "0.2")["timing"]
         assert timing["rate"]["period_ms"] == 10.0
         assert timing["budgets"]["slow"]["budget_ms"] == 20.0
+
+
+def test_who_waits_for_a_process_that_was_killed_was_not_at_work(file: str, tmp_path: Path) -> None:
+    budgets = [("world", 200), ("quick", 200), ("slow", 200)]
+    settings = [f"nodes.{name}.budget_ms={budget}" for name, budget in budgets]
+    settings += ["nodes.slow.parameters.every=1", "nodes.slow.parameters.took_ms=8.0"]
+    with Launched(tmp_path, file, *(word for each in settings for word in ("--set", each))) as launch:
+        until(lambda: launch.epoch >= 10, "ten epochs")
+        launch.kill("slow")
+        report = json.loads(launch.end())
+    assert "slow: its process is lost" in launch.err
+    assert {name: report["timing"]["budgets"][name]["over"] for name in ("world", "quick")} == {"world": 0, "quick": 0}

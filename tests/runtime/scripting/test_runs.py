@@ -127,6 +127,15 @@ def test_recordings_verify(start: Start, tmp_path: Path, capsys: pytest.CaptureF
         start(toys(), epochs=12, output=output)
 
 
+@MODES
+def test_what_is_no_part_and_no_number_is_refused(start: Start) -> None:
+    for options, why in [({"epochs": 0}, "epochs: expected a whole number from 1"), ({"seed": -1}, "seed: expected a")]:
+        with pytest.raises(HieraxError, match=why):
+            start(toys(), **options)
+    with start(toys()) as run, pytest.raises(HieraxError, match=r"expected a hierax\.Hierarchy .* got 'more\.yaml'"):
+        run.attach("more.yaml")  # type: ignore[arg-type]
+
+
 def test_shipped_deployments_run_by_their_names() -> None:
     report = hierax.run("letters", settings=["letters=C?T"]).report()
     assert report.nodes["word"].metrics["CAT"] == pytest.approx(1.0)
@@ -169,6 +178,31 @@ def test_a_script_launches_classes_of_its_own(tmp_path: Path) -> None:
     (tmp_path / "made" / "house_script.py").write_text(SCRIPT, encoding="utf-8")
     done = script(tmp_path, "made/house_script.py")
     assert (done.returncode, done.stdout) == (0, "4\n"), done.stderr
+
+
+UNGUARDED = SCRIPT.partition("if __name__")[0] + "hierax.launch(house(), epochs=5).report()"
+LEFT = (
+    SCRIPT.partition("if __name__")[0]
+    + """
+if __name__ == "__main__":
+    run = hierax.launch(house())
+    print(next(run).number > 0)
+"""
+)
+
+
+def test_a_script_that_would_launch_itself_in_each_process_is_told_so(tmp_path: Path) -> None:
+    (tmp_path / "house_script.py").write_text(UNGUARDED, encoding="utf-8")
+    done = script(tmp_path, "house_script.py")
+    assert done.returncode == 1
+    assert "house_script launches 'house' while it is imported; guard what it does" in done.stderr.splitlines()[-1]
+    assert "supervisor.py" not in done.stderr, "how it got here is not shown"
+
+
+def test_a_launch_that_a_script_leaves_ends_with_it(tmp_path: Path) -> None:
+    (tmp_path / "house_script.py").write_text(LEFT, encoding="utf-8")
+    done = script(tmp_path, "house_script.py")
+    assert (done.returncode, done.stdout, done.stderr) == (0, "True\n", "")
 
 
 def test_classes_that_no_process_can_import_are_refused(tmp_path: Path) -> None:
