@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import atexit
+import logging
 import queue
 import sys
 import threading
@@ -42,6 +43,8 @@ from hierax.schemas.roster import Change, Detach
 CHANGE_TIMEOUT_S = 120.0  # how long a change of a launch may take: processes come up, and the epoch under way ends
 _ENDS_S = 5.0  # how long a launch of which a process does not answer may take to be over
 _OPENS_S = 60.0  # how long a launch may take until it can be reached
+
+_log = logging.getLogger("hierax")
 
 
 class Epoch(NamedTuple):
@@ -188,7 +191,12 @@ class _Launched(Run):
         try:
             with self.deployment.explaining():
                 self._result = launch_processes(
-                    self.deployment, progress=tell, opened=self._endpoint.put, broken=self._end, **options
+                    self.deployment,
+                    progress=tell,
+                    notify=_log.warning,
+                    opened=self._endpoint.put,
+                    broken=self._end,
+                    **options,
                 )
         except Interrupted as broken:
             self._result = broken.report

@@ -95,6 +95,17 @@ def test_what_a_node_raises_is_raised_where_epochs_are_waited_for(start: Start) 
 
 
 @MODES
+def test_what_is_attached_fails_alone_and_it_is_said(start: Start, caplog: pytest.LogCaptureFixture) -> None:
+    part = hierax.Hierarchy("more").add("more", Failing).join("sum", "more", sense=seen)
+    with start(toys()) as run, caplog.at_level("WARNING", "hierax"):
+        run.attach(part)
+        for _ in run:
+            if "out of luck" in caplog.text and "more is detached (on_loss)" in caplog.text:
+                break
+        next(run)
+
+
+@MODES
 def test_a_change_after_the_end_is_refused(start: Start) -> None:
     with start(toys(), epochs=3) as run:
         list(run)
