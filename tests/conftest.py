@@ -58,7 +58,10 @@ for half of their time; what only computes is done meanwhile by a third one."""
 
 SLOW = (
     "tests/model/",
+    "tests/nodes/ros2/test_export.py",
     "tests/nodes/sources/test_boards.py",
+    "tests/nodes/sources/test_live.py",
+    "tests/nodes/test_servo.py",
     "tests/nodes/tracking/estimation/test_appearance.py",
     "tests/nodes/tracking/estimation/test_fusion.py",
     "tests/nodes/tracking/estimation/test_joint_alignment.py",
