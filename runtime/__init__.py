@@ -23,13 +23,17 @@ _HOMES = {
 
 def __getattr__(name: str) -> Any:
     """Imported when first asked for: numpy takes a tenth of a second, and every pytest loads the plugin below."""
-    if name not in _HOMES:
-        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    return brought_home(globals(), _HOMES, name)
+
+
+def brought_home(package: dict[str, Any], homes: dict[str, str], name: str) -> Any:
+    """What a package offers under a name, imported from its home and kept among the package's globals."""
+    if name not in homes:
+        raise AttributeError(f"module {package['__name__']!r} has no attribute {name!r}")
     from importlib import import_module
 
-    value = getattr(import_module(_HOMES[name]), name)
-    globals()[name] = value
-    return value
+    package[name] = getattr(import_module(homes[name]), name)
+    return package[name]
 
 
 def __dir__() -> list[str]:

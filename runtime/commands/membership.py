@@ -22,7 +22,6 @@ if TYPE_CHECKING:
     from hierax.schemas.roster import Attach, Change
 
 _LOOPBACK = re.compile(r"[a-z]+/(127\.|localhost|\[::1\])")
-TIMEOUT_S = 120.0  # how long a change may take: new processes import what they need, and the epoch under way must end
 WAIT_S = 60.0  # how long `ps --wait` waits
 LOOK_S = 0.1
 
@@ -188,16 +187,18 @@ def _here(
 
 def _ask(endpoint: str, question: Mapping[str, Any]) -> dict[str, Any]:
     """Ask a launch in a session for that alone: one that is held is cut off where this machine has no time for it."""
+    from hierax.runtime.transport.launch_client import CHANGE_TIMEOUT_S
+
     with client_at(endpoint) as client:
-        return client.ask(dict(question), TIMEOUT_S)
+        return client.ask(dict(question), CHANGE_TIMEOUT_S)
 
 
 def ask_for(
     endpoint: str, change: Change, restarts: Mapping[str, RestartPolicy], here: bool = False, host: str = ""
 ) -> dict[str, Any]:
     """Have a launch change; gives its answer when the change counts. Raises `HieraxError` if it is refused."""
-    policies = {name: vars(policy) for name, policy in restarts.items()}
-    return _ask(endpoint, {"ask": "change", "change": change.plain(), "restarts": policies, "here": here, "host": host})
+    with client_at(endpoint) as client:
+        return client.change(change, restarts, here, host)
 
 
 def print_epoch(answer: Mapping[str, Any], what: str, output_format: Format) -> int:

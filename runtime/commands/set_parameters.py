@@ -8,7 +8,6 @@ from hierax.runtime.commands.errors import CommandError
 from hierax.runtime.commands.membership import ask_for, deployment_at, print_epoch
 from hierax.runtime.commands.options import RunOptions, argument, offers
 from hierax.runtime.commands.which_launch import client_at, endpoint_of
-from hierax.runtime.loading.nearest import did_you_mean
 
 
 @offers("run", "connect", "deployment_file", "output_format")
@@ -29,17 +28,13 @@ def set(
     endpoint = endpoint_of(options.run, options.connect)
     with client_at(endpoint) as client:
         status = client.status()
-        roster = client.roster(status)
-    if node not in roster.nodes:
-        known = did_you_mean(node, roster.nodes, "the nodes are")
-        raise CommandError(f"there is no node {node!r} in {status.hierarchy}, run {status.run}{known}")
-    was = roster.nodes[node]
-    for name, value in ((name, value) for _, name, value in given):
-        was = Reference(was.target, {**was.parameters, name: value})
+        status.check_node(node)
+        was = client.roster(status).nodes[node]
+    changed = Reference(was.target, {**was.parameters, **{name: value for _, name, value in given}})
     file = deployment_at(endpoint, options.deployment_file)
     restarts = {node: file.restarts.get(node, file.restart)}
     what = ", ".join(f"{name} = {value!r}" for _, name, value in given)
-    return print_epoch(ask_for(endpoint, Replace(node, was), restarts), f"{node}: {what}", options.output_format)
+    return print_epoch(ask_for(endpoint, Replace(node, changed), restarts), f"{node}: {what}", options.output_format)
 
 
 def _parameter(text: str) -> tuple[str, str, Any]:

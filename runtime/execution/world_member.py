@@ -146,11 +146,8 @@ class WorldMember(World, OwnerEffects):
         self.owner.hear(word)
         self._runner.finish()
 
-    @property
-    def wait_s(self) -> float | None:
-        """In a pause, how long until the next epoch is due; None: there is no pause."""
-        if not self.paused:
-            return None
+    def wait_s(self) -> float:
+        """In a pause, how long until the next epoch is due."""
         pace = self.pacemaker.pace
         return 0.0 if pace is None else max(pace.wait_s(), 0.0)
 

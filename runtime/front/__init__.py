@@ -24,13 +24,9 @@ _HOMES = {
 
 def __getattr__(name: str) -> Any:
     """Imported when first asked for, as `hierax.runtime` does: every command comes through here."""
-    if name not in _HOMES:
-        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    from importlib import import_module
+    from hierax.runtime import brought_home
 
-    value = getattr(import_module(_HOMES[name]), name)
-    globals()[name] = value
-    return value
+    return brought_home(globals(), _HOMES, name)
 
 
 def __dir__() -> list[str]:

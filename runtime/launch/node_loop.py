@@ -125,9 +125,9 @@ class WorldWatch:
             world.end_soon()
         if world.pacemaker.done:
             self.pipe.finish(owner)
-        if world.wait_s == 0.0:
+        if world.paused and world.wait_s() == 0.0:
             world.resume()
-        return world.wait_s
+        return world.wait_s() if world.paused else None
 
 
 @dataclass

@@ -114,15 +114,19 @@ class Hierarchy:
             modules=tuple(sorted({*deployment.modules, *script_modules()})),  # also for what is attached later
         )
 
+    def text(self) -> str:
+        """The same as YAML, not checked."""
+        import yaml
+
+        return str(yaml.safe_dump(self.root(), sort_keys=False, allow_unicode=True, width=120))
+
     def to_yaml(self, file: str | Path | None = None) -> str:
         """The deployment file that says the same, checked; written to `file` where that is given.
 
         Raises `HieraxError` if something is wrong, or the file exists.
         """
-        import yaml
-
         self.deployment()
-        text: str = yaml.safe_dump(self.root(), sort_keys=False, allow_unicode=True, width=120)
+        text = self.text()
         if file is not None:
             try:
                 with Path(file).open("x", encoding="utf-8") as opened:

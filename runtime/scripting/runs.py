@@ -40,7 +40,6 @@ from hierax.runtime.transport.launch_client import LaunchClient
 from hierax.runtime.transport.port import TransportError
 from hierax.schemas.roster import Change, Detach
 
-CHANGE_TIMEOUT_S = 120.0  # how long a change of a launch may take: processes come up, and the epoch under way ends
 _ENDS_S = 5.0  # how long a launch of which a process does not answer may take to be over
 _OPENS_S = 60.0  # how long a launch may take until it can be reached
 
@@ -243,9 +242,7 @@ class _Launched(Run):
         self._stack.close()
 
     def _change(self, change: Change, policies: Mapping[str, RestartPolicy]) -> int:
-        told = {name: vars(policy) for name, policy in policies.items()}
-        question = {"ask": "change", "change": change.plain(), "restarts": told, "here": False, "host": ""}
-        return int(self._asked().ask(question, CHANGE_TIMEOUT_S)["epoch"])
+        return int(self._asked().change(change, policies)["epoch"])
 
     def _asked(self) -> LaunchClient:
         if self._client is None:
@@ -366,8 +363,8 @@ def _prepared(
         )
     if isinstance(what, Hierarchy):  # tools and recordings read its file
         home = Path(stack.enter_context(TemporaryDirectory(prefix="hierax-"))) / f"{what.name}.yaml"
-        what.to_yaml(home)
         deployment = replace(what.deployment(), path=home)
+        home.write_text(what.text(), encoding="utf-8")
     else:
         deployment = read_deployment(what, settings)
     probes = tuple(replace(each, overwrite=overwrite) for each in deployment.probes)

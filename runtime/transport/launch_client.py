@@ -22,13 +22,16 @@ from hierax.runtime.transport.port import TransportError
 from hierax.runtime.transport.zenoh_session import ZenohConfig, close_session, open_session
 from hierax.schemas.errors import SchemaError, shown
 from hierax.schemas.keys import Keys
-from hierax.schemas.roster import Roster
+from hierax.schemas.roster import Change, Roster
 from hierax.schemas.values import Value
 
 FIND_TIMEOUT_S = 5.0  # how long it may take until the launch's session has heard of the client's
 FOUND_TIMEOUT_S = 2.0  # how long supervisors may take to say which runs they supervise
 
 NODES_TIMEOUT_S = 2.0
+CHANGE_TIMEOUT_S = 120.0
+"""How long a change may take: new processes import what they need, and the epoch under way must end."""
+
 LOOK_AGAIN_S = 0.02
 KNOCK_TIMEOUT_S = 5.0
 
@@ -59,6 +62,12 @@ class LaunchStatus:
         ):
             raise AnswerError("the launch gave an answer that cannot be read")
         return LaunchStatus(*(answer[field] for field in fields))
+
+    def check_node(self, name: str) -> None:
+        """Raise `HieraxError`, with the nearest name, if the launch has no node of this one."""
+        if name not in self.nodes:
+            known = did_you_mean(name, self.nodes, "the nodes are")
+            raise HieraxError(f"there is no node {name!r} in {self.hierarchy}, run {self.run}{known}")
 
 
 class LaunchClient:
@@ -107,6 +116,13 @@ class LaunchClient:
             if isinstance(answer, dict) and answer.get("process") == status.nodes[name]["process"]
         }
 
+    def change(self, change: Change, policies: Mapping[str, object], here: bool = False, host: str = "") -> Answer:
+        """Have the roster change, with restart policies by new node; what the launch answers when the change counts, or
+        at once, where its processes are kept `here`. Raises `AnswerError` if it is refused."""
+        restarts = {name: vars(policy) for name, policy in policies.items()}
+        question = {"ask": "change", "change": change.plain(), "restarts": restarts, "here": here, "host": host}
+        return self.ask(question, CHANGE_TIMEOUT_S)
+
     def edges(self, status: LaunchStatus) -> list[tuple[str, str]]:
         """The edges of a launch, as (lower, upper), in order."""
         answers = self.ask_nodes(status, {"look": "neighbours"}, status.nodes)
@@ -119,9 +135,7 @@ class LaunchClient:
 
     def node_state(self, status: LaunchStatus, name: str) -> Answer:
         """What a node believes. Raises `HieraxError` if there is no such node, or its process does not answer."""
-        if name not in status.nodes:
-            known = did_you_mean(name, status.nodes, "the nodes are")
-            raise HieraxError(f"there is no node {name!r} in {status.hierarchy}, run {status.run}{known}")
+        status.check_node(name)
         answer = self.ask_nodes(status, {"look": "state"}, [name]).get(name)
         if answer is None:
             state = status.nodes[name]["state"]
