@@ -15,6 +15,9 @@ if TYPE_CHECKING:
     from hierax.nodes.sources.images import Array
 
 
+_FAMILY = "4x4_50"
+
+
 class Model(str, Enum):
     """How a lens distorts."""
 
@@ -36,7 +39,9 @@ def calibrate(
     marker: Annotated[
         str | None, typer.Option(metavar="LENGTH", help="Side of a ChArUco board's markers; none: a chessboard.")
     ] = None,
-    markers: Annotated[str, typer.Option(metavar="FAMILY", help="OpenCV's name of those markers.")] = "4x4_50",
+    markers: Annotated[
+        str | None, typer.Option(metavar="FAMILY", help=f"OpenCV's name of those markers, {_FAMILY} by default.")
+    ] = None,
     model: Annotated[Model, typer.Option(help="Of the distortion; equidistant: a fisheye lens.")] = Model.plumb_bob,
     views: Annotated[int, typer.Option(min=5, max=60, help="So many different views are enough.")] = 40,
     overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace a calibration that is there.")] = False,
@@ -83,34 +88,37 @@ def _pictures(source: str) -> Iterator[Array]:
         belief = world.predict((), (), belief)
 
 
-def _board(board: str, square: str, marker: str | None, markers: str) -> Board:
-    """The board that options tell. Raises CommandError: one is none."""
+def _board(board: str, square: str, marker: str | None, markers: str | None) -> Board:
+    """The board that options tell. Raises UsageError: one is none."""
     import cv2
 
     from hierax.nodes.sources.boards import FAMILIES, Board
-    from hierax.runtime.commands.errors import CommandError
+    from hierax.runtime.commands.errors import UsageError
 
     numbers = re.fullmatch(r"(\d{1,3})x(\d{1,3})", board)
     columns, rows = map(int, numbers.groups()) if numbers else (0, 0)
     if min(columns, rows) < 3:
-        raise CommandError(f"--board {board}: expected COLUMNSxROWS, such as 9x6, at least 3 of each")
+        raise UsageError(f"--board {board}: expected COLUMNSxROWS, such as 9x6, at least 3 of each")
     side_m = _length("--square", square)
     if marker is None:
+        if markers is not None:
+            raise UsageError(f"--markers {markers}: means something only with --marker, their side")
         return Board(columns, rows, side_m)
     marker_m = _length("--marker", marker)
     if marker_m >= side_m:
-        raise CommandError(f"--marker {marker}: expected less than the square's side, {square}")
-    if markers.lower() not in FAMILIES:
-        raise CommandError(f"--markers {markers}: expected one of {', '.join(FAMILIES)}")
-    return Board(columns, rows, side_m, marker_m, cv2.aruco.getPredefinedDictionary(FAMILIES[markers.lower()]))
+        raise UsageError(f"--marker {marker}: expected less than the square's side, {square}")
+    family = FAMILIES.get((markers or _FAMILY).lower())
+    if family is None:
+        raise UsageError(f"--markers {markers}: expected one of {', '.join(FAMILIES)}")
+    return Board(columns, rows, side_m, marker_m, cv2.aruco.getPredefinedDictionary(family))
 
 
 def _length(option: str, text: str) -> float:
     from hierax.nodes.sources.files import UNITS_M
-    from hierax.runtime.commands.errors import CommandError
+    from hierax.runtime.commands.errors import UsageError
 
     told = re.fullmatch(rf"(\d+(?:\.\d*)?)({'|'.join(UNITS_M)})", text)
     length = float(told[1]) * UNITS_M[told[2]] if told else 0.0
     if not 0.0001 <= length <= 100.0:
-        raise CommandError(f"{option} {text}: expected a length with its unit, such as 25mm")
+        raise UsageError(f"{option} {text}: expected a length with its unit, such as 25mm")
     return length

@@ -31,6 +31,7 @@ _WIDTH, _HEIGHT = ("image_width", "width"), ("image_height", "height")
 _MODEL = "distortion_model"
 _MODELS = {PINHOLE: (4, 5), RATIONAL: (8, 12, 14), FISHEYE: (4,), "fisheye": (4,), "": (0, 4, 5, 8, 12, 14)}
 _MAX_COEFFICIENT = 1e6
+_FOLD_CELLS = 128  # along the longer side of a picture, in which it is looked for folds
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,10 +55,30 @@ class Lens:
         """The camera's 3 × 3 matrix."""
         return lens_matrix(self.intrinsics)
 
+    def folds(self) -> bool:
+        """Whether, in the largest circle about the principal point, two places of the straight picture are one of the
+        distorted one. In its corners a good calibration may, too: nobody has seen a board there."""
+        scale = _FOLD_CELLS / max(self.size)
+        size = (max(2, round(scale * self.size[0])), max(2, round(scale * self.size[1])))
+        across, down = self._mapped(np.diag([scale, scale, 1.0]) @ self.matrix, size, cv2.CV_32FC1)
+        centre = scale * self.intrinsics[2:]
+        away = np.stack(np.meshgrid(np.arange(size[0]), np.arange(size[1])), axis=-1) - centre
+        (across_down, across_across), (down_down, down_across) = np.gradient(across), np.gradient(down)
+        upright = across_across * down_down > across_down * down_across
+        bent = np.stack((across, down), axis=-1) - self.intrinsics[2:]
+        on_its_side = (bent * away).sum(axis=-1) > 0.0
+        distance = np.linalg.norm(away, axis=-1)
+        inside = (distance > 1.0) & (distance < min(*centre, *(size - centre)))
+        return not (upright & on_its_side)[inside].all()
+
     @cached_property
     def _maps(self) -> tuple[Array, Array]:
+        return self._mapped(self.matrix, self.size, cv2.CV_16SC2)
+
+    def _mapped(self, matrix: Floats, size: Size, kind: int) -> tuple[Array, Array]:
+        """Where in the distorted picture each pixel of a straight one is that has another matrix and size."""
         make = cv2.fisheye.initUndistortRectifyMap if self.fisheye else cv2.initUndistortRectifyMap
-        maps = make(self.matrix, self.coefficients, np.eye(3), self.matrix, self.size, cv2.CV_16SC2)
+        maps = make(self.matrix, self.coefficients, np.eye(3), matrix, size, kind)
         return maps[0], maps[1]
 
 
@@ -91,7 +112,7 @@ def lens_of(path: str, content: Mapping[str, Any]) -> Lens:
     if not isinstance(model, str) or model not in _MODELS:
         raise DataError(f"{path}: {_MODEL}: expected one of {', '.join(filter(None, _MODELS))}, got {model!r:.40}")
     name, values = _matrix(path, content, _COEFFICIENTS, [])
-    counts = _MODELS[model] if any(values) else (*_MODELS[model], len(values))
+    counts = _MODELS[model] if any(values) else {count for each in _MODELS.values() for count in each}
     if len(values) not in counts:
         numbers = " or ".join(map(str, _MODELS[model]))
         raise DataError(f"{path}: {name}: expected {numbers} numbers{model and f' of {model}'}, got {len(values)}")
@@ -99,7 +120,11 @@ def lens_of(path: str, content: Mapping[str, Any]) -> Lens:
     if np.abs(coefficients).max(initial=0.0) > _MAX_COEFFICIENT:
         raise DataError(f"{path}: {name}: expected numbers of at most {_MAX_COEFFICIENT:g}")
     fisheye = model in (FISHEYE, "fisheye")
-    return Lens(path, size, intrinsics, coefficients if len(coefficients) else np.zeros(4), fisheye)
+    lens = Lens(path, size, intrinsics, coefficients if len(coefficients) else np.zeros(4), fisheye)
+    if lens.folds():
+        what = "bend the picture so far that parts of it lie upon others; expected those of a lens"
+        raise DataError(f"{path}: {name}: {values!s:.60} {what}")
+    return lens
 
 
 def write_calibration(lens: Lens, path: Path) -> None:

@@ -20,6 +20,10 @@ class CommandError(HieraxError):
     """What a command was told to do cannot be done on this machine."""
 
 
+class UsageError(CommandError):
+    """What a command was told is not what it takes."""
+
+
 def exit_code(command: Callable[[], int]) -> int:
     """Run a command; its exit code, or, told in a line, that of what failed, with the traceback of a bug."""
     try:
@@ -34,7 +38,7 @@ def exit_code(command: Callable[[], int]) -> int:
         if os.environ.get(TRACEBACK_VARIABLE):
             traceback.print_exc()
         _say(f"error: {' '.join(str(error).split())}")
-        return FAILED
+        return USAGE if isinstance(error, UsageError) else FAILED
     except KeyboardInterrupt:
         return interrupted()
     except BrokenPipeError:

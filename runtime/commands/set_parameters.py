@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Annotated, Any
 
-from hierax.runtime.commands.errors import CommandError
+from hierax.runtime.commands.errors import UsageError
 from hierax.runtime.commands.membership import ask_for, deployment_at, print_epoch
 from hierax.runtime.commands.options import RunOptions, argument, offers
 from hierax.runtime.commands.which_launch import client_at, endpoint_of
@@ -21,10 +21,10 @@ def set(
     given = [_parameter(text) for text in texts]
     (node, *others) = dict.fromkeys(name for name, _, _ in given)
     if others:
-        raise CommandError(f"expected parameters of one node, got some of {node} and {', '.join(others)}")
+        raise UsageError(f"expected parameters of one node, got some of {node} and {', '.join(others)}")
     names = [name for _, name, _ in given]
     if len({*names}) < len(names):
-        raise CommandError(f"expected each parameter once, got {', '.join(names)}")
+        raise UsageError(f"expected each parameter once, got {', '.join(names)}")
     endpoint = endpoint_of(options.run, options.connect)
     with client_at(endpoint) as client:
         status = client.status()
@@ -38,12 +38,12 @@ def set(
 
 
 def _parameter(text: str) -> tuple[str, str, Any]:
-    """Node, parameter and value of ``NODE.PARAMETER=VALUE``. Raises `CommandError` if it is written otherwise."""
+    """Node, parameter and value of ``NODE.PARAMETER=VALUE``. Raises `UsageError` if it is written otherwise."""
     from hierax.runtime.deployment.tree import read_tree
     from hierax.schemas.values import decode_value, encode_value
 
     path, equals, value = text.partition("=")
     node, dot, name = path.rpartition(".")
     if not (equals and dot and node.strip() and name.strip()):
-        raise CommandError(f"expected NODE.PARAMETER=VALUE, got {text!r}")
+        raise UsageError(f"expected NODE.PARAMETER=VALUE, got {text!r}")
     return node.strip(), name.strip(), decode_value(encode_value(read_tree(value, text, has_lines=False).value))

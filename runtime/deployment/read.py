@@ -77,12 +77,7 @@ def deployment_of(document: Document, path: Path) -> Deployment:
         staleness=_staleness(model, document),
         rates_hz={name: node.rate_hz for name, node in model.nodes.items() if node.rate_hz is not None},
         budgets_ms={name: node.budget_ms for name, node in model.nodes.items() if node.budget_ms is not None},
-        scheduling={
-            name: {**given, "cpus": None if given["cpus"] is None else tuple(given["cpus"])}
-            for name, node in model.nodes.items()
-            if node.scheduling is not None
-            for given in [node.scheduling.model_dump()]
-        },
+        scheduling=_scheduling(model, document),
         zenoh=_zenoh(model.zenoh, path, document),
         import_paths=import_paths(path),
         document=document,
@@ -151,10 +146,25 @@ def _staleness(model: models.DeploymentModel, document: Document) -> Staleness:
         if node.rate_hz is not None and not staleness.free and not (staleness.barrier and name == model.world):
             what = "nodes have rates only in free running (staleness: null), the world also with the barrier"
             raise document.error(("nodes", name, "rate_hz"), what)
+    if "late" in model.model_fields_set and not (staleness.barrier and model.nodes[model.world].rate_hz):
+        what = f"means something only where the world has a rate, with the barrier: nodes.{model.world}.rate_hz"
+        raise document.error(("late",), what)
     if model.low_latency and not staleness.barrier:
         what = "goes with a staleness of 0 only: nodes that do not wait for one another may fill its links"
         raise document.error(("low_latency",), what)
     return staleness
+
+
+def _scheduling(model: models.DeploymentModel, document: Document) -> dict[str, dict[str, Any]]:
+    found = {}
+    for name, node in model.nodes.items():
+        given = node.scheduling
+        if given is not None:
+            if given.policy == "other" and "priority" in given.model_fields_set:
+                what = "means something only with a real-time policy: fifo or rr"
+                raise document.error(("nodes", name, "scheduling", "priority"), what)
+            found[name] = {**given.model_dump(), "cpus": None if given.cpus is None else tuple(given.cpus)}
+    return found
 
 
 def _zenoh(value: str | dict[str, Any] | None, path: Path, document: Document) -> dict[str, Any] | str | None:

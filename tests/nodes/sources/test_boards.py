@@ -96,20 +96,29 @@ def test_the_command_writes_a_calibration_that_can_be_read_and_a_picture_of_the_
 @pytest.mark.parametrize(
     ("arguments", "told"),
     [
-        (["none", "-o", "x.yaml"], "none: no such file; expected a device's number, a video, a folder of images"),
         (["none", "-o", "x.yaml", "--board", "9"], "--board 9: expected COLUMNSxROWS"),
         (["none", "-o", "x.yaml", "--board", "2x6"], "--board 2x6: expected COLUMNSxROWS, such as 9x6, at least 3"),
         (["none", "-o", "x.yaml", "--square", "25"], "--square 25: expected a length with its unit"),
         (["none", "-o", "x.yaml", "--square", "0mm"], "--square 0mm: expected a length"),
         (["none", "-o", "x.yaml", "--marker", "30mm"], "--marker 30mm: expected less than the square's side, 25mm"),
         (["none", "-o", "x.yaml", "--marker", "9mm", "--markers", "x"], "--markers x: expected one of 4x4_100"),
+        (["none", "-o", "x.yaml", "--markers", "5x5_50"], "--markers 5x5_50: means something only with --marker"),
     ],
 )
-def test_what_cannot_be_calibrated_is_told(
+def test_options_that_tell_no_board_are_named(
     arguments: list[str], told: str, capsys: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    assert main(["calibrate", *arguments]) == 1
+    assert main(["calibrate", *arguments]) == 2
     said = capsys.readouterr().err
     assert said.startswith("error: " + told)
     assert said.count("\n") == 1
+
+
+def test_a_source_that_is_not_there_is_named(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert main(["calibrate", "none", "-o", "x.yaml"]) == 1
+    expected = "error: none: no such file; expected a device's number, a video, a folder of images"
+    assert capsys.readouterr().err.startswith(expected)

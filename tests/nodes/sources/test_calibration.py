@@ -99,6 +99,19 @@ def test_a_lens_without_distortion_leaves_pictures_as_they_are() -> None:
 
 
 @pytest.mark.parametrize(
+    ("focal", "coefficients", "fisheye"),
+    [
+        (610.0, [-0.4, 0.0, 0.0, 0.0], False),
+        (517.3, [0.2624, -0.9531, -0.0054, 0.0026, 1.1633], False),  # a depth camera
+        (300.0, [-0.3, 0.0, 0.0, 0.0], False),  # in the corners alone, where no board was seen
+        (190.0, [-0.01, 0.05, -0.04, 0.007], True),
+    ],
+)
+def test_lenses_that_there_are_do_not_fold_the_picture(focal: float, coefficients: list[float], fisheye: bool) -> None:
+    assert not Lens("x", SIZE, np.array([focal, focal, 318.0, 241.0]), np.array(coefficients), fisheye).folds()
+
+
+@pytest.mark.parametrize(
     ("change", "told"),
     [
         ({"image_width": None}, "image_width: expected a number of pixels, got None"),
@@ -117,6 +130,15 @@ def test_a_lens_without_distortion_leaves_pictures_as_they_are() -> None:
         ({"distortion_model": ["a"]}, "distortion_model: expected one of plumb_bob"),
         ({"distortion_coefficients": "x"}, "distortion_coefficients: expected a matrix with rows, cols and data"),
         ({"distortion_coefficients": {"data": [0.1] * 3}}, "distortion_coefficients: expected 4 or 5 numbers of plumb"),
+        ({"distortion_coefficients": {"data": [0.0] * 2}}, "distortion_coefficients: expected 4 or 5 numbers of plumb"),
+        (
+            {"distortion_coefficients": {"data": [-50.0, 0.0, 0.0, 0.0]}},
+            "distortion_coefficients: [-50.0, 0.0, 0.0, 0.0] bend the picture so far that parts of it lie upon others",
+        ),
+        (
+            {"distortion_coefficients": {"data": [-1e6, 0.0, 0.0, 0.0]}, "distortion_model": "equidistant"},
+            "distortion_coefficients: [-1000000.0, 0.0, 0.0, 0.0] bend the picture so far",
+        ),
         ({"distortion_coefficients": {"data": ["x"] * 5}}, "distortion_coefficients: expected 5 numbers"),
         ({"distortion_coefficients": {"data": [1e9] * 5}}, "distortion_coefficients: expected numbers of at most 1e"),
         (

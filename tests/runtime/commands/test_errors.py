@@ -5,7 +5,7 @@ import sys
 
 import pytest
 
-from hierax.runtime.commands.errors import TRACEBACK_VARIABLE, CommandError, exit_code
+from hierax.runtime.commands.errors import TRACEBACK_VARIABLE, CommandError, UsageError, exit_code
 from hierax.schemas.errors import SchemaError
 
 
@@ -26,6 +26,11 @@ def test_an_expected_failure_is_one_line(
     assert exit_code(lambda: failing(error)) == 1
     out, err = capsys.readouterr()
     assert (out, err.replace(":", "")) == ("", "error the disk is full\n")
+
+
+def test_what_a_command_does_not_take_has_a_code_of_its_own(capsys: pytest.CaptureFixture[str]) -> None:
+    assert exit_code(lambda: failing(UsageError("expected a name"))) == 2
+    assert capsys.readouterr().err == "error: expected a name\n"
 
 
 def test_the_traceback_of_a_failure_on_demand(
