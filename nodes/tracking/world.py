@@ -153,7 +153,7 @@ def spatial(
         raise ValueError("a first pose is not told; expected table=true with it: bodies are looked for as they rest")
     placed: list[FirstBody] = [
         {**item, "pose": None if item["pose"] is None else camera @ item["pose"], "model": model_of(mesh, symmetry)}
-        for item, (mesh, symmetry) in zip(first, _models(scene, first, objects), strict=True)
+        for item, (mesh, symmetry) in zip(first, _models(scene, first, objects, found is not None), strict=True)
     ]
     return SpatialNode(placed, table=carried, search=search, **options)
 
@@ -198,9 +198,11 @@ def _first_pose(number: int, obj_id: int, pose: Floats | None) -> FirstPose:
     return {"id": number, "obj_id": obj_id, "pose": pose}
 
 
-def _models(scene: str | None, first: Sequence[FirstPose], objects: str | None) -> list[tuple[Mesh, Symmetry]]:
+def _models(
+    scene: str | None, first: Sequence[FirstPose], objects: str | None, tagged: bool
+) -> list[tuple[Mesh, Symmetry]]:
     if objects is not None:
-        return read_objects(Path(objects)).read_models()
+        return read_objects(Path(objects)).read_models(tagged)
     if scene is not None:
         folder = BopScene(scene)
         return [folder.model(item["obj_id"]) for item in first]

@@ -4,11 +4,13 @@
     objects:
       - {id: 1, model: cube.ply, unit: mm, pose: [[…], …], frame: camera}
 
-Poses are metres, in the frame of the first picture's camera, or of the world; ``pose: null`` is looked for.
+Poses are metres, in the frame of the first picture's camera, or of the world; ``pose: null`` is looked for. The unit is
+of the model's vertices, mm by default.
 """
 
 from __future__ import annotations
 
+import logging
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -18,7 +20,7 @@ from hierax.nodes.sources.files import UNITS_M, DataError, read_yaml
 from hierax.nodes.sources.shots import read_matrix
 from hierax.nodes.tracking.datasets.bop import MAX_OBJECTS
 from hierax.nodes.tracking.datasets.bop_json import read_symmetry
-from hierax.nodes.tracking.math.geometry import Floats, orthonormal
+from hierax.nodes.tracking.math.geometry import Floats, invert, orthonormal, transform
 from hierax.nodes.tracking.model.files import read_mesh
 from hierax.nodes.tracking.model.mesh import Mesh
 from hierax.nodes.tracking.model.symmetry import found_symmetry
@@ -27,6 +29,11 @@ from hierax.nodes.tracking.schema import FirstPose, Symmetry
 CAMERA, WORLD = "camera", "world"
 _FIELDS = ("id", "model", "unit", "pose", "frame", "symmetries_discrete", "symmetries_continuous")
 _EXPECTED = "a list of objects, and world_from_camera where it is known"
+_LEAST_M = 0.001  # from corner to corner
+_LEAST_SEEN = 0.002  # what is smaller beside its distance is no two pixels
+_INSIDE = 3.0  # what is larger beside it is about the camera
+
+_LOG = logging.getLogger("hierax")
 
 
 class ObjectsFile(NamedTuple):
@@ -44,13 +51,44 @@ class ObjectsFile(NamedTuple):
         """Of the frame of the poses, as far as the file tells."""
         return np.eye(4) if self.frame == WORLD or self.camera is None else self.camera
 
-    def read_models(self) -> list[tuple[Mesh, Symmetry]]:
-        """Each object's mesh and symmetry. Raises DataError: a model is missing or damaged."""
+    def read_models(self, tagged: bool = False) -> list[tuple[Mesh, Symmetry]]:
+        """Each object's mesh and symmetry; `tagged`: the world's frame is that of a tag in the pictures.
+
+        Raises DataError: a model is missing or damaged, or no camera sees an object that is so large, there.
+        """
         found = []
         for at, (model, unit_m, entry) in enumerate(self.models):
-            mesh = read_mesh(model, unit_m)
-            found.append((mesh, read_symmetry(f"{self.path}: objects[{at}]", entry) or found_symmetry(mesh)))
+            mesh, where = read_mesh(model, unit_m), f"{self.path}: objects[{at}]"
+            self._check_seen(where, mesh, self.objects[at]["pose"], tagged)
+            found.append((mesh, read_symmetry(where, entry) or found_symmetry(mesh)))
         return found
+
+    def _check_seen(self, where: str, mesh: Mesh, pose: Floats | None, tagged: bool) -> None:
+        size_m = float(np.linalg.norm(np.ptp(mesh.vertices, axis=0)))
+        if size_m < _LEAST_M:
+            what = f"the model is {1000.0 * size_m:.3g} mm large by it; expected at least {1000.0 * _LEAST_M:g} mm"
+            raise DataError(f"{where}: unit: {what}")
+        if pose is None:
+            return
+        if self.frame == WORLD and self.camera is not None:
+            pose = invert(self.camera) @ pose
+        points = transform(pose, mesh.vertices)
+        away_m = float(np.linalg.norm(points.mean(axis=0)))
+        if size_m < _LEAST_SEEN * away_m:
+            what = f"the object is {away_m:.3g} m away and {size_m:.3g} m large, which no camera sees"
+            raise DataError(f"{where}: pose: {what}; expected a translation in metres, and the model's unit")
+        if self.frame == WORLD and tagged:
+            return
+        if points[:, 2].max() <= 0.0:
+            what = (
+                "the object is behind the camera; expected it before it, the third number of the translation forwards"
+            )
+            raise DataError(f"{where}: pose: {what}")
+        if size_m > _INSIDE * away_m:
+            what = (
+                f"the object is {size_m:.3g} m large and {away_m:.3g} m away, all about the camera; is its unit right?"
+            )
+            _LOG.warning("%s: %s", where, what)
 
 
 def read_objects(path: Path) -> ObjectsFile:

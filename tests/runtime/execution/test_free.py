@@ -185,7 +185,7 @@ def test_fields_of_the_deployment(tmp_path: Path) -> None:
         ("epochs: 3", "staleness: 0\nexact: true", "exact", "means something only with a staleness of 1 or more"),
         ("epochs: 3", "staleness: null\nexact: true", "exact", "means something only with a staleness of 1 or more"),
         ("epochs: 3", "late: skip", "late", "means something only where the world has a rate, with the barrier: node"),
-        ("  left: {", "  left: {scheduling: {priority: 20}, ", "scheduling", "priority: means something only with a rea"),
+        ("  left: {", "  left: {scheduling: {priority: 20}, ", "scheduling", "means something only with a rea"),
         ("epochs: 3", "staleness: 9", "staleness", "8, got 9"),
         ("epochs: 3", "staleness: -1", "staleness", "expected at least 0, got -1"),
         ("epochs: 3", "staleness: 1.5", "staleness", "a whole number"),

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from contextlib import nullcontext
 from pathlib import Path
 from typing import Any
 
@@ -20,6 +21,12 @@ from hierax.nodes.tracking.world import arm, spatial
 POSE = exp_se3(np.array([0.1, 0.2, 0.5, 0.3, -0.2, 0.1]))
 CAMERA = exp_se3(np.array([0.0, 0.1, 0.6, 2.0, 0.1, 0.0]))
 OBJECT = {"id": 1, "model": "box.ply", "unit": "cm", "pose": POSE.tolist(), "frame": "camera"}
+
+
+def at(*translation: float) -> list[list[float]]:
+    pose = np.eye(4)
+    pose[:3, 3] = translation
+    return pose.tolist()  # type: ignore[no-any-return]
 
 
 def written(folder: Path, content: Any) -> Path:
@@ -50,11 +57,12 @@ def test_nodes_begin_with_it(tmp_path: Path) -> None:
     np.testing.assert_array_equal(arm(objects=path).initial_belief()["objects"][0]["pose"], POSE)
     (body,) = spatial(objects=path).initial_belief()["bodies"]
     np.testing.assert_array_equal(body["pose"], CAMERA @ POSE)
-    in_world = str(written(tmp_path, {"objects": [OBJECT | {"frame": "world"}], "camera": CAMERA.tolist()}))
+    on_table = {**OBJECT, "frame": "world", "pose": (CAMERA @ POSE).tolist()}
+    in_world = str(written(tmp_path, {"objects": [on_table], "camera": CAMERA.tolist()}))
     belief = arm(objects=in_world).initial_belief()
     np.testing.assert_array_equal(belief["camera"], np.eye(4))
-    np.testing.assert_array_equal(belief["objects"][0]["pose"], POSE)
-    np.testing.assert_array_equal(spatial(objects=in_world).initial_belief()["bodies"][0]["pose"], POSE)
+    np.testing.assert_array_equal(belief["objects"][0]["pose"], CAMERA @ POSE)
+    np.testing.assert_allclose(spatial(objects=in_world).initial_belief()["bodies"][0]["pose"], CAMERA @ POSE)
     searched = spatial(objects=path, start="search", table=True).initial_belief()
     assert searched["sweeping"] == ()
 
@@ -106,10 +114,40 @@ def test_each_bad_field_is_named(content: Any, told: str, tmp_path: Path) -> Non
     [
         ({"model": "none.ply"}, "none.ply: no such file; expected a PLY model"),
         ({"model": "box.txt"}, "box.txt: expected a model that ends in .ply"),
+        (
+            {"pose": at(100.0, 200.0, 500.0)},
+            "objects[0]: pose: the object is 548 m away and 0.0707 m large, which no cam",
+        ),
+        (
+            {"pose": at(0.0, 0.0, -0.5)},
+            "objects.yaml: objects[0]: pose: the object is behind the camera; expected it be",
+        ),
+        (
+            {"unit": "mm", "model": "tiny.ply"},
+            "objects.yaml: objects[0]: unit: the model is 0.0707 mm large by it; expected at least 1 mm",
+        ),
+        ({"unit": "m", "model": "huge.ply"}, "huge.ply: a vertex is 2.5e+03 m from the origin; expected at most 100 m"),
         ({"symmetries_discrete": [[1.0]]}, "objects.yaml: objects[0]: symmetries_discrete: expected 16 numbers"),
     ],
 )
 def test_a_bad_model_is_told(entry: dict[str, Any], told: str, tmp_path: Path) -> None:
     path = written(tmp_path, {"objects": [OBJECT | entry]})
+    for name, unit_m in (("tiny", 1.0), ("huge", 1e-5)):
+        write_ply(tmp_path / f"{name}.ply", box_mesh([0.03, 0.04, 0.05]), unit_m=unit_m)
     with pytest.raises(DataError, match=re.escape(told)):
         spatial(objects=str(path))
+
+
+def test_a_pose_in_millimetres_is_told_in_the_frame_of_a_tag_too(tmp_path: Path) -> None:
+    for z, told in ((-0.5, ""), (500.0, "pose: the object is 500 m away and 0.0707 m large, which no camera sees")):
+        path = written(tmp_path, {"objects": [OBJECT | {"frame": "world", "pose": at(0.0, 0.0, z)}]})
+        with pytest.raises(DataError, match=re.escape(told)) if told else nullcontext():
+            spatial(objects=str(path), tag_mm=80.0)
+
+
+def test_what_is_all_about_the_camera_is_warned_of(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    path = written(tmp_path, {"objects": [OBJECT | {"unit": "m"}]})
+    assert len(spatial(objects=str(path)).initial_belief()["bodies"]) == 1
+    (line,) = caplog.messages
+    assert "objects[0]: the object is 7.07 m large and 0.5" in line
+    assert "is its unit right?" in line
