@@ -111,6 +111,8 @@ class NodeWorker:
     def hear(self, control: Control, size: int) -> None:
         """What came over Zenoh for the member, or for the owner, and its bytes; lost where too much waits."""
         member = self._member
+        if self._port is not None:
+            self._port.answered()
         if isinstance(control, AskStatus) and member is not None:  # answered also while the thread is in an operator
             self._line.send(OWNER, member.status(control.inquiry, self.busy()))
         elif not self._words.put(control, size):
@@ -260,6 +262,7 @@ class NodeWorker:
                 return member
         else:
             member.join(order.request)
+            port.absent.waits(order.process)
         self._pipe.say(frames.UP)
         self._member = member
         return member

@@ -161,14 +161,12 @@ class Requests:
             processes.orders.order(name, token_hex(8), NEWCOMER, request=request, reference=reference)
             for name, reference in new_nodes(change).items()
         ]
+        await processes.send_to_owner(proposal)  # first: who comes for what nobody has asked for is turned away
         if here:
             orders = [processes.orders.elsewhere(order, host) for order in orders]
-        else:
-            for order in orders:
-                await processes.start(order)
-        await processes.send_to_owner(proposal)
-        if here:
             return {"request": request, "orders": [order.plain() for order in orders]}
+        for order in orders:
+            await processes.start(order)
         return request
 
     async def _check(self, change: Change) -> None:

@@ -27,6 +27,8 @@ UNKNOWN = ""  # the mark of a neighbour that was not heard of yet
 # How long after a process was last heard of it is asked for; most that are gone have died.
 TRIES_S = (0.3, 1.0, 3.0, 10.0)
 
+FIRST_TRY = 2  # which of these comes first for a process that nobody has answered yet: most others only start up
+
 
 @dataclass(eq=False)
 class Handshake:
@@ -156,8 +158,8 @@ class AbsentProcesses:
     """Processes that one end has lost sight of, though they may live: their link broke, and nobody dials it again.
 
     Zenoh dials the hub again by itself, and peers when the hub tells of them anew. Where the link between two peers
-    breaks and both keep theirs to the hub, nobody does. Whoever misses a process then says so, and the hub tells of all
-    of them anew (`Hub.introduce`).
+    breaks and both keep theirs to the hub, nobody does, nor where it could not be opened in the first place. Whoever
+    misses a process, or waits for an answer itself, then says so, and the hub tells of all anew (`Hub.introduce`).
     """
 
     def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
@@ -171,6 +173,10 @@ class AbsentProcesses:
     def came(self, process: str) -> None:
         """Note that its liveliness token is there."""
         self._since.pop(process, None)
+
+    def waits(self, process: str) -> None:
+        """Note that this process waits for others that it may have no link to yet; until it `came` to have them."""
+        self._since.setdefault(process, (self._clock(), FIRST_TRY))
 
     def due(self) -> list[str]:
         now = self._clock()

@@ -62,7 +62,7 @@ class ZenohPort(Port):
         self._lanes: Mapping[str, Lane] = {}
         self._publishers: dict[Lane, Any] = {}
         self._shaking = threading.Lock()
-        self.absent = AbsentProcesses()  # processes of the run that were there, and whose links broke
+        self.absent = AbsentProcesses()  # processes of the run whose links broke, or whose first ones did not open
         self._own_key = keys.edge(INTERRUPT, name, name)
         try:
             queue = zenoh.handlers.FifoChannel(QUEUE_SIZE)
@@ -95,6 +95,7 @@ class ZenohPort(Port):
             raise TransportError(f"{self._name}: Zenoh: {error}") from error
         link = Link(rendezvous, opened)
         self._links = {**self._links, version: link}
+        self.absent.waits(self._process)
         self._tell_if_open(link)
         self.greet()
 
@@ -145,6 +146,11 @@ class ZenohPort(Port):
 
     def interrupt(self) -> None:
         self._inbox.interrupt()
+
+    def answered(self) -> None:
+        """Somebody was heard; where no neighbour is waited for, this process has the links that it needs."""
+        if self.ready:
+            self.absent.came(self._process)
 
     def _wake(self) -> None:
         with suppress(zenoh.ZError):  # closed, and so nobody waits
@@ -262,6 +268,7 @@ class ZenohPort(Port):
     def _tell_if_open(self, link: Link) -> None:
         if not link.told and link.rendezvous.ready:
             link.told = True
+            self.answered()
             link.opened(link.rendezvous.version)
 
     def _put_all(self, greetings: Iterable[tuple[str, Message]]) -> None:

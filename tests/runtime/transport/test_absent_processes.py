@@ -10,7 +10,7 @@ from support.launched import until
 from support.sockets import break_link
 
 from hierax.runtime.transport.hub import Hub
-from hierax.runtime.transport.rendezvous import TRIES_S, AbsentProcesses
+from hierax.runtime.transport.rendezvous import FIRST_TRY, TRIES_S, AbsentProcesses
 from hierax.runtime.transport.zenoh_port import ZenohPort
 from hierax.runtime.transport.zenoh_session import open_session
 from hierax.schemas.keys import Keys
@@ -29,6 +29,59 @@ def test_who_is_gone_is_asked_for_a_few_times() -> None:
         asked += [(process, now) for process in absent.due()]
     assert [process for process, _ in asked] == ["a"] * len(TRIES_S)
     assert [when for _, when in asked] == pytest.approx(TRIES_S, abs=0.11)
+
+
+def test_who_waits_for_its_first_links_asks_for_itself_until_it_is_answered() -> None:
+    now = 0.0
+    absent = AbsentProcesses(lambda: now)
+    absent.waits("newcomer")
+    now = 1.0
+    absent.waits("newcomer")  # still
+    asked = []
+    for tenth in range(10, 200):
+        now = tenth / 10
+        asked += [(process, now) for process in absent.due()]
+    assert [when for _, when in asked] == pytest.approx(TRIES_S[FIRST_TRY:], abs=0.11)
+    absent.waits("newcomer")
+    absent.came("newcomer")
+    now += 100.0
+    assert not absent.due()
+
+
+def test_a_port_waits_for_its_neighbours_until_all_are_linked_and_hears_nobody_before() -> None:
+    keys, now = Keys("absent", token_hex(4)), 0.0
+    hub = Hub(keys, None, None)
+    ports = {
+        name: ZenohPort(open_session(connect=[hub.endpoint]), keys, name, f"process of {name}")
+        for name in ("low", "up")
+    }
+    for port in ports.values():
+        port.absent = AbsentProcesses(lambda: now)
+    try:
+        ports["low"].link([], ["up"], 0, {}, lambda _: None)
+        ports["low"].answered()  # by the owner, say, but not by its neighbour
+        now = TRIES_S[FIRST_TRY]
+        assert ports["low"].absent.due() == ["process of low"]
+        ports["up"].link(["low"], [], 0, {}, lambda _: None)
+        greeting = threading.Event()
+
+        def greet() -> None:
+            while not greeting.wait(0.01):
+                for port in ports.values():
+                    port.greet()
+
+        threads = [threading.Thread(target=port.connect, daemon=True) for port in ports.values()]
+        for thread in (*threads, greeter := threading.Thread(target=greet, daemon=True)):
+            thread.start()
+        until(lambda: not any(thread.is_alive() for thread in threads), "the handshakes")
+        greeting.set()
+        greeter.join()
+        now += 100.0
+        assert not any(port.absent.due() for port in ports.values())
+    finally:
+        for port in ports.values():
+            port.close()
+        hub.close()
 
 
 def test_a_link_that_breaks_alone_is_made_again_and_both_ends_are_told() -> None:
