@@ -44,6 +44,7 @@ sys.path.insert(0, str(ROOT / "tests"))
 from links import kill_at_first, stop_and_go  # noqa: E402
 from support.device_cubes import LOG  # noqa: E402
 from support.device_nodes import acts  # noqa: E402
+from support.faults import written  # noqa: E402
 from support.launched import Launched, hierax, is_alive, until  # noqa: E402
 
 EPOCHS = 60
@@ -102,7 +103,7 @@ def kill_at_instants(options: argparse.Namespace) -> list[str]:
             for side in ("before", "after"):
                 spec = fault_of(node, place, side)
                 with tempfile.TemporaryDirectory() as folder:
-                    run = Run(Path(folder), True, *["--fault", spec] * options.times)
+                    run = Run(Path(folder), True, faults=[spec] * options.times)
                     found = run.until_end()
                 costs += found.costs(options.times)
                 name = spec.split(":")[1]
@@ -234,10 +235,11 @@ class Found:
 class Run:
     """A launch whose commits are watched."""
 
-    def __init__(self, folder: Path, with_device: bool, *options: str) -> None:
+    def __init__(self, folder: Path, with_device: bool, *options: str, faults: Sequence[str] = ()) -> None:
         self._log = folder / "device.log"
         os.environ[LOG] = str(self._log)
         begins = () if "--resume" in options else (deployment(folder, with_device), "--epochs", str(EPOCHS), *RESTARTS)
+        os.environ.update(written(folder / "faults", faults) if faults else {})
         self.launch = Launched(folder, *begins, *options)
         self.victims: list[str] = []
         self._groups: list[list[float]] = []

@@ -14,12 +14,11 @@ if TYPE_CHECKING:
     from hierax.runtime.launch.run_file import Run
 
 
-@offers(*OF_A_RUN, "state", "resume", "host", "faults", "trust")
+@offers(*OF_A_RUN, "state", "resume", "host", "trust")
 def launch(options: RunOptions, file: LaunchedFile = None) -> int:
     """Run a deployment with each node in a process of its own, over Zenoh."""
     from hierax.runtime.commands.run_deployment import run_deployment
     from hierax.runtime.launch import supervisor
-    from hierax.runtime.launch.faults import read_faults
     from hierax.runtime.launch.recorder_process import RecordingRequest
     from hierax.runtime.watch import telemetry
 
@@ -39,7 +38,6 @@ def launch(options: RunOptions, file: LaunchedFile = None) -> int:
             resumed=run,
             host=options.host,
             overrides=tuple(options.overrides or ()),
-            faults=read_faults(options.faults or ()),
             recording=recording,
         )
         goes_on = run is not None and output is not None and output.absolute() == Path(run.output).absolute()

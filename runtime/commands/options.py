@@ -30,8 +30,6 @@ _WORDS = """
 --epochs N: How many epochs; by default what the file says, or until the world has finished.
 --exclude KEY-PATTERN: Leave out of the recording what comes on such keys: KIND/FROM/TO or steps/NODE, with * for any,
     as in obs/camera/*. May be given several times.
---fault NODE:INSTANT:N: Have a node's process kill itself the N-th time it comes to an instant; its next process takes
-    the node's next one. For tests.
 --faults KIND,…: Kinds of faults; by default all. 'none': only changes.
 --follow: Go on until the launch is over, or Ctrl-C.
 --format: How the result is printed.
@@ -163,7 +161,6 @@ class RunOptions:
     state: Annotated[Path | None, option("--state")] = None
     resume: Annotated[Path | None, option("--resume")] = None
     host: Annotated[str | None, option("--host")] = None
-    faults: Annotated[list[str] | None, option("--fault", hidden=True)] = None
     run: Run = None
     connect: Connect = None
     native: Annotated[bool, option("--native")] = False

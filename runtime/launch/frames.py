@@ -86,7 +86,6 @@ class NodeOrder:
     processes: Mapping[str, str] = field(default_factory=dict)  # of the world's: those of other nodes that live
     proposals: tuple[bytes, ...] = ()  # of the world's process that comes back: control messages for the owner
     alone: tuple[str, ...] = ()  # the nodes of `roster` that fail alone
-    fault: str = ""  # where the process kills itself, as `hierax.runtime.launch.faults` has it; empty: nowhere
     recorded: bool = False  # whether somebody records the run, who has to hear the process from its first message on
     elsewhere: bool = False  # whether who attaches the node starts the process: its dismissal comes over Zenoh
 

@@ -22,7 +22,6 @@ from hierax.runtime.execution.pacemaker import Pacemaker, SteadyClock, call_in
 from hierax.runtime.execution.world_member import WorldMember
 from hierax.runtime.host.scheduling import ask_scheduler
 from hierax.runtime.launch import frames
-from hierax.runtime.launch.faults import plant
 from hierax.runtime.launch.inspection_server import InspectionServer
 from hierax.runtime.launch.member_building import open_observers, open_slots, pacemaker_of, preload
 from hierax.runtime.launch.node_loop import ControlQueue, NodeLoop, WorldWatch
@@ -250,8 +249,6 @@ class NodeWorker:
         """Come into the run; the member has a part in it where `_member` is set."""
         order = self._order
         member = Member(seat, lambda word: self._line.send(OWNER, word), Checkpoints(slots))
-        if order.fault:
-            plant(order.fault, member, None)
         if order.life == frames.TO_REPORT and order.roster is not None:
             member.recall(seat.wire(order.roster))
             return member
@@ -284,8 +281,6 @@ class NodeWorker:
         parts = (seat, self._send_order, self._pipe, slots, pacemaker, policy, SteadyClock(), processes, roster)
         pauses = order.staleness is not None  # in free running it has turns
         world = self._world = WorldMember(*parts, on_uncertain_act=order.on_uncertain_act, pauses=pauses)
-        if order.fault:
-            plant(order.fault, world.member, world)
         last = pacemaker.chain
         if last.epoch:  # the process before may not have said so
             pacemaker.on_commit(last.epoch, last.digest)

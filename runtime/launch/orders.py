@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from collections import deque
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -37,7 +36,6 @@ class LaunchOptions:
     output: Path | None = None  # folder for the states, digests and what probes write; None: nothing is written
     host: str | None = None  # address of this machine at which processes on others may join; None: none may
     overrides: Sequence[str] = ()  # with which the deployment file was read, for those who read it again
-    faults: Mapping[str, Sequence[str]] = field(default_factory=dict)  # by node, where its processes kill themselves
 
 
 class Orders:
@@ -56,7 +54,6 @@ class Orders:
         self.resumes = resumed is not None  # whether the run goes on with one that was written down
         self._policies = dict(deployment.restarts)
         self._lineages: dict[str, str] = {}
-        self._faults = {name: deque(each) for name, each in options.faults.items()}
         if resumed is not None:
             self._take_up(resumed)
 
@@ -105,7 +102,6 @@ class Orders:
             on_uncertain_act=deployment.on_uncertain_act,
             processes=dict(processes or {}) if is_world else {},
             alone=tuple(sorted(name for name, policy in deployment.restarts.items() if policy.fails_alone)),
-            fault=self._next_fault(name),
             recorded=self._is_recorded(),
         )
 
@@ -154,8 +150,7 @@ class Orders:
 
     def anew(self, order: NodeOrder, token: str, **changes: Any) -> NodeOrder:
         """The order of the process that comes in the place of one that was killed; as that was before the run began."""
-        fault, recorded = self._next_fault(order.name), self._is_recorded()
-        return replace(order, process=token, fault=fault, recorded=recorded, **changes)
+        return replace(order, process=token, recorded=self._is_recorded(), **changes)
 
     def elsewhere(self, order: NodeOrder, host: str) -> NodeOrder:
         """The order for a process on another machine, with its address for this one; empty: it is this machine."""
@@ -213,10 +208,6 @@ class Orders:
         """Why a run cannot be resumed that has come to its end."""
         done = f"the run is over, it has done {self.resumed_after} epochs"
         return f"{self.options.state}: there is nothing to resume: {done}"
-
-    def _next_fault(self, name: str) -> str:
-        left = self._faults.get(name)
-        return left.popleft() if left else ""
 
     def info(self, from_start: bool) -> RunInfo:
         """What a recording says of the run. `from_start`: whether it begins with the run."""

@@ -58,7 +58,6 @@ def launch(
     resumed: Run | None = None,  # go on with this run, whose checkpoints are in `state`
     host: str | None = None,  # as `LaunchOptions` has it
     overrides: Sequence[str] = (),  # likewise
-    faults: Mapping[str, Sequence[str]] | None = None,  # likewise
     recording: RecordingRequest | None = None,  # whether and where it is recorded; told how that ended
     opened: Callable[[str], None] = lambda endpoint: None,  # told where it is reached, before anything runs
     broken: threading.Event | None = None,  # set by who wants it to end, as a signal does; needed outside main threads
@@ -77,7 +76,7 @@ def launch(
         if output is not None and resumed is None:
             write_roster(output, deployment.roster)
         limit = deployment.epochs if epochs is None else epochs
-        options = LaunchOptions(seed, limit, state, output, host, overrides, faults or {})
+        options = LaunchOptions(seed, limit, state, output, host, overrides)
         run_id = token_hex(4)
         hub = Hub(Keys(deployment.name, run_id), deployment.zenoh, progress, host)
         stack.callback(hub.close)

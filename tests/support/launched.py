@@ -20,6 +20,7 @@ from unittest.mock import patch
 import msgpack
 
 from hierax.runtime.commands.main import main
+from support import faults
 
 HIERAX = [sys.executable, "-m", "hierax.runtime.commands.entry"]
 TESTS = Path(__file__).parents[1]
@@ -31,7 +32,8 @@ C = TypeVar("C", bound="Command")
 def environment(folder: Path | None = None) -> dict[str, str]:
     """In which the tests' own nodes are found; and, with a folder, no launches but those of this folder."""
     here = {} if folder is None else {"XDG_RUNTIME_DIR": str(folder)}
-    return {**os.environ, "PYTHONPATH": str(TESTS), **here}
+    path = [TESTS, TESTS / "support" / "planted"] if faults.FOLDER in os.environ else [TESTS]
+    return {**os.environ, "PYTHONPATH": os.pathsep.join(map(str, path)), **here}
 
 
 def hierax(*arguments: str) -> dict[str, Any]:

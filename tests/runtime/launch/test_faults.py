@@ -1,47 +1,29 @@
-"""Faults: what they are written as, and when they strike."""
+"""The faults of `support.faults`: when they strike."""
 
 from __future__ import annotations
 
+from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
 import pytest
+from support import faults
+from support.faults import plant, plant_next, written
 
-from hierax.runtime.core.errors import HieraxError
 from hierax.runtime.execution.member import Member
 from hierax.runtime.execution.world_member import WorldMember
-from hierax.runtime.launch import faults
-from hierax.runtime.launch.faults import INSTANTS, Fault, plant, read_faults
 from hierax.runtime.transport.port import Port
 
 
-def test_all_instants_can_be_named() -> None:
-    assert len(INSTANTS) == 14
-    for instant in INSTANTS:
-        place, _, side = instant.partition(".")
-        assert Fault.read(f"{instant}:3") == Fault(place, side == "before", 3)
-
-
-@pytest.mark.parametrize(
-    ("text", "what"),
-    [
-        ("send.befor:1", "'send.befor' is no instant; did you mean 'send.before'?"),
-        ("send:1", "'send' is no instant"),
-        ("send.before", "'' is no instant"),
-        ("send.before:0", "expected INSTANT:N with N from 1"),
-        ("send.before:-1", "expected INSTANT:N with N from 1"),
-        ("send.before:x", "expected INSTANT:N with N from 1"),
-    ],
-)
-def test_what_is_no_fault_is_refused(text: str, what: str) -> None:
-    with pytest.raises(HieraxError, match=f"--fault {text}: ") as error:
-        Fault.read(text)
-    assert what in str(error.value)
-
-
-def test_faults_of_a_node_keep_their_order() -> None:
-    said = ["arm:send.after:2", "world:keep.before:1", "arm:save.before:9"]
-    assert read_faults(said) == {"arm": ["send.after:2", "save.before:9"], "world": ["keep.before:1"]}
+def test_faults_of_a_node_keep_their_order(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    left = written(tmp_path / "faults", ["arm:send.after:2", "world:keep.before:1", "arm:save.before:9"])
+    monkeypatch.setenv(*left.popitem())
+    planted: list[str] = []
+    monkeypatch.setattr(faults, "plant", lambda text, member, world: planted.append(text))
+    arm: Any = SimpleNamespace(name="arm")
+    for _ in range(3):
+        plant_next(arm, None)
+    assert planted == ["send.after:2", "save.before:9"]
 
 
 class _Process:
@@ -105,10 +87,8 @@ def test_a_fault_strikes_at_its_instant_and_once(fault: str, second: str, monkey
     assert process.epoch() == usual
 
 
-def test_a_node_has_no_instants_of_the_world(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_node_kills_itself_when_it_saves(monkeypatch: pytest.MonkeyPatch) -> None:
     process = _Process(monkeypatch)
-    with pytest.raises(HieraxError, match="only the world's process comes to 'commit', not 'node'"):
-        plant("commit.before:1", process.member, None)
     plant("save.after:1", process.member, None)
     process.member.save()
     assert process.told == ["save", "killed"]

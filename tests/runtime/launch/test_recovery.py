@@ -12,11 +12,13 @@ import random
 import re
 import signal
 import time
+from collections.abc import Sequence
 from pathlib import Path
 
 import msgpack
 import pytest
 from support.device_nodes import DEVICE, MOVES_S, acts
+from support.faults import written
 from support.launched import Command, Launched, is_alive, processes_of, run_here, until
 from support.recompute_digest import main as recompute_digest
 
@@ -56,8 +58,10 @@ class Device:
         self.log.unlink()
         return digest
 
-    def launch(self, epochs: int, *options: str, moves_s: float = 0.0) -> Launched:
+    def launch(self, epochs: int, *options: str, moves_s: float = 0.0, faults: Sequence[str] = ()) -> Launched:
         self._environment.setenv(MOVES_S, str(moves_s))
+        for name, value in written(self._folder / "faults", faults).items() if faults else ():
+            self._environment.setenv(name, value)
         return Launched(self._folder, self.file, "--epochs", str(epochs), *options)
 
 
@@ -72,7 +76,7 @@ def test_a_process_may_be_killed_at_every_instant(node: str, device: Device) -> 
     device.write()
     wanted = device.digest(EPOCHS)
     faults = [f"{place}.{side}:{2 + n % 2}" for n, place in enumerate(PLACES[node]) for side in ("before", "after")]
-    with device.launch(EPOCHS, *(option for fault in faults for option in ("--fault", f"{node}:{fault}"))) as launch:
+    with device.launch(EPOCHS, faults=[f"{node}:{fault}" for fault in faults]) as launch:
         report = launch.report()
         assert launch.err.count(f"{node}: its process ended by signal SIGKILL; it is started again") == len(faults)
         assert sorted(launch.written) == list(range(1, EPOCHS + 1))
@@ -93,7 +97,7 @@ def test_an_uncertain_act_is_repeated_or_skipped(policy: str, before_it: int, af
     """The world is killed before one act, and after another; how often each was done then."""
     device.write(on_uncertain_act=policy)
     wanted = device.digest(10)
-    with device.launch(10, "--fault", "world:intent.after:4", "--fault", "world:acted.before:3") as launch:
+    with device.launch(10, faults=["world:intent.after:4", "world:acted.before:3"]) as launch:
         assert launch.report()["digest"] == wanted
         uncertain = re.findall(r"nobody knows whether the act of epoch (\d+) was done", launch.err)
     first, second = map(int, uncertain)
