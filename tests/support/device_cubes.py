@@ -16,12 +16,12 @@ class Actuated(SimWorld):
     """Moves a device as well, which logs the epochs in which it moved.
 
     Args:
-        scene: None.
-        parameters: of `SimWorld`.
+        cubes, frames, noise, blur_px: of `SimWorld`.
+        others: what else the deployment gives to the function that makes its world; all at their defaults.
     """
 
-    def __init__(self, scene: None = None, **parameters: Any) -> None:
-        super().__init__(**parameters)
+    def __init__(self, cubes: int, frames: int, noise: float, blur_px: float, **others: Any) -> None:
+        super().__init__(cubes=cubes, frames=frames, noise=noise, blur_px=blur_px)
 
     def act(self, actions: Elements, tick: Tick = NO_TICK) -> None:
         device = os.open(os.environ[LOG], os.O_WRONLY | os.O_APPEND | os.O_CREAT)
