@@ -4,19 +4,24 @@ from __future__ import annotations
 
 import logging
 import os
+import signal
 from collections import Counter
 from collections.abc import Callable, Collection, Generator, Iterator, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from concurrent.futures.process import BrokenProcessPool
 from contextlib import closing
 from dataclasses import dataclass, field, replace
+from functools import partial
+from multiprocessing import active_children, get_context
 from typing import TypeVar
 
-from hierax.runtime.core.errors import HierarchyError
+from hierax.runtime.core.errors import HierarchyError, HieraxError
 from hierax.runtime.core.graph import check_graph
 from hierax.runtime.execution.report import Json
+from hierax.runtime.host.streams import started_deaf
 from hierax.runtime.sim.journal import KINDS, Tally
 from hierax.runtime.sim.scenario import FAULTS, Scenario, draw_scenario
 from hierax.runtime.sim.simulation import Result, simulate
-from hierax.runtime.sim.workers import done_by_workers
 from hierax.schemas.roster import Roster
 
 CHUNK = 50  # how many seeds a worker takes at a time
@@ -142,11 +147,25 @@ def _without_node(roster: Roster, name: str) -> Roster | None:
 def _done(
     chunks: Sequence[range], faults: tuple[str, ...], epochs: int | None, jobs: int
 ) -> Generator[list[Result], None, None]:
+    """What comes of each chunk, in order. Raises `HieraxError` if a process that simulates has ended."""
+    simulated = partial(simulate_chunk, faults=faults, epochs=epochs)
     if jobs <= 1:
-        for chunk in chunks:
-            yield simulate_chunk(chunk, faults, epochs)
+        yield from map(simulated, chunks)
         return
-    yield from done_by_workers(simulate_chunk, [(chunk, faults, epochs) for chunk in chunks], jobs)
+    # forked, so that nothing is imported from the current folder; Ctrl-C is for who has started them
+    ignoring = (signal.SIGINT, signal.SIG_IGN)
+    with ProcessPoolExecutor(jobs, get_context("fork"), signal.signal, ignoring) as pool:
+        try:
+            with started_deaf():
+                done = pool.map(simulated, chunks)
+            yield from done
+        except BrokenProcessPool as error:
+            raise HieraxError("a process that simulates has ended") from error
+        except BaseException:
+            pool.shutdown(wait=False, cancel_futures=True)
+            for worker in active_children():
+                worker.kill()
+            raise
 
 
 def simulate_chunk(seeds: range, faults: tuple[str, ...], epochs: int | None) -> list[Result]:
