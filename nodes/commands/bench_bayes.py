@@ -8,7 +8,9 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from hierax.runtime.commands.errors import CommandError
 from hierax.runtime.commands.options import Format, OutputFormat
+from hierax.runtime.commands.show import print_json, print_table, show_progress
 
 if TYPE_CHECKING:
     from hierax.nodes.benchmarks.bayes import Cell
@@ -24,7 +26,6 @@ def bayes(
 ) -> int:
     """Time exact posteriors in causal trees beside pyAgrum and pgmpy (pip install 'hierax[bench]')."""
     from hierax.nodes.benchmarks.bayes import bench_bayes
-    from hierax.runtime.commands.show import print_json, show_progress
 
     cells = bench_bayes(_sizes(nodes), rounds, seed, show_progress)
     if output_format is Format.json:
@@ -35,7 +36,6 @@ def bayes(
 
 
 def _sizes(text: str) -> list[int]:
-    from hierax.runtime.commands.errors import CommandError
 
     sizes = [int(part) for part in text.split(",") if part.strip().isdecimal() and int(part) > 0]
     if len(sizes) != text.count(",") + 1:
@@ -46,7 +46,6 @@ def _sizes(text: str) -> list[int]:
 
 
 def _print(cells: Sequence[Cell]) -> None:
-    from hierax.runtime.commands.show import print_table
 
     rows: dict[str, list[str]] = {}
     for cell in cells:

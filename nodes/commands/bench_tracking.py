@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from hierax.runtime.commands.options import Format, OutputFormat, Overrides
+from hierax.runtime.commands.show import print_json, print_table, show_progress
 from hierax.runtime.core.errors import HieraxError
 
 if TYPE_CHECKING:
@@ -59,7 +60,6 @@ def tracking(
     """Track scenes with and without context, physics and prior, beside the truth."""
     from hierax.nodes.benchmarks import tracking as bench
     from hierax.nodes.tracking.world import GIVEN, SEARCH
-    from hierax.runtime.commands.show import print_json, show_progress
 
     as_json = output_format is Format.json
     if start not in (GIVEN, SEARCH):
@@ -99,7 +99,6 @@ def tracking(
 
 def _bench_starts(scenes: Sequence[Scene], settings: Sequence[str], folder: Path, as_json: bool) -> int:
     from hierax.nodes.benchmarks.first_poses import bench_starts
-    from hierax.runtime.commands.show import print_json, print_table, show_progress
 
     found = bench_starts(scenes, settings, folder, show_progress)
     if as_json:
@@ -139,7 +138,6 @@ def _given(scene: Path, truth: Path | None, table: bool) -> Scene:
 
 
 def _print_rows(rows: Sequence[Row]) -> None:
-    from hierax.runtime.commands.show import print_table
 
     heads = ["2/2", "5/5", "10/5", "5/5: 0.1–0.5", "0.5–0.9", "0.9–1", "mm (worst)", "° (worst)"]
     heads += ["no pose", "astray", "lost", "back", "ms world", "arm", "spatial"]
@@ -164,7 +162,6 @@ def _cells(row: Row) -> tuple[str, ...]:
 
 
 def _print_gains(gains: Sequence[Gain]) -> None:
-    from hierax.runtime.commands.show import print_table
 
     if not gains:
         return
@@ -181,7 +178,6 @@ def _print_gains(gains: Sequence[Gain]) -> None:
 
 def _print_speeds(speeds: Sequence[Speed]) -> None:
     from hierax.nodes.benchmarks.tracking import STAGES
-    from hierax.runtime.commands.show import print_table
 
     rows = []
     for each in speeds:

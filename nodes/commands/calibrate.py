@@ -10,6 +10,9 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from hierax.runtime.commands.errors import CommandError, UsageError
+from hierax.runtime.commands.show import show_progress
+
 if TYPE_CHECKING:
     from hierax.nodes.sources.boards import Board
     from hierax.nodes.sources.images import Array
@@ -50,8 +53,6 @@ def calibrate(
     from hierax.nodes.sources import boards
     from hierax.nodes.sources.calibration import write_calibration
     from hierax.nodes.sources.images import write_picture
-    from hierax.runtime.commands.errors import CommandError
-    from hierax.runtime.commands.show import show_progress
 
     coverage = output.with_name(f"{output.stem}-coverage.png")
     for path in (output, coverage):
@@ -93,7 +94,6 @@ def _board(board: str, square: str, marker: str | None, markers: str | None) -> 
     import cv2
 
     from hierax.nodes.sources.boards import FAMILIES, Board
-    from hierax.runtime.commands.errors import UsageError
 
     numbers = re.fullmatch(r"(\d{1,3})x(\d{1,3})", board)
     columns, rows = map(int, numbers.groups()) if numbers else (0, 0)
@@ -115,7 +115,6 @@ def _board(board: str, square: str, marker: str | None, markers: str | None) -> 
 
 def _length(option: str, text: str) -> float:
     from hierax.nodes.sources.files import UNITS_M
-    from hierax.runtime.commands.errors import UsageError
 
     told = re.fullmatch(rf"(\d+(?:\.\d*)?)({'|'.join(UNITS_M)})", text)
     length = float(told[1]) * UNITS_M[told[2]] if told else 0.0

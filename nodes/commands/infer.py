@@ -9,7 +9,11 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from hierax.runtime.commands.errors import CommandError
 from hierax.runtime.commands.options import Format, OutputFormat
+from hierax.runtime.commands.show import print_json, print_table
+from hierax.runtime.core.errors import HieraxError
+from hierax.runtime.loading.nearest import did_you_mean
 
 if TYPE_CHECKING:
     from hierax.nodes.causal_tree import Network
@@ -33,7 +37,6 @@ def infer(
 ) -> int:
     """Print the posterior of every node of a Bayesian network, exactly."""
     from hierax.nodes.causal_tree import Inference, read_network
-    from hierax.runtime.commands.show import print_json, print_table
 
     read = read_network(network)
     inference = Inference(read)
@@ -56,9 +59,6 @@ def infer(
 def _evidence(network: Network, given: Sequence[str]) -> dict[Any, Any]:
     """Evidence by node, as likelihoods. Raises HieraxError: an option is no evidence; says which one."""
     from hierax.nodes.causal_tree import likelihoods
-    from hierax.runtime.commands.errors import CommandError
-    from hierax.runtime.core.errors import HieraxError
-    from hierax.runtime.loading.nearest import did_you_mean
 
     names = {str(name): name for name in network.variables}
     found: dict[Any, Any] = {}

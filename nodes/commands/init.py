@@ -7,6 +7,8 @@ from typing import Annotated
 
 import typer
 
+from hierax.runtime.commands.errors import CommandError, notify
+
 
 def init(
     folder: Annotated[Path, typer.Argument(metavar="FOLDER", help="A scene in the BOP format, DATASET/SPLIT/000001.")],
@@ -18,7 +20,6 @@ def init(
     from hierax.nodes.tracking.clicking.session import Session
     from hierax.nodes.tracking.datasets.bop import BopScene
     from hierax.nodes.tracking.datasets.first_poses import check_writable, objects_of, write_first_poses
-    from hierax.runtime.commands.errors import CommandError, notify
 
     scene = BopScene(folder)
     path = check_writable(scene, overwrite)

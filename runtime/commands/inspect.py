@@ -10,6 +10,7 @@ from hierax.runtime.commands.errors import CommandError, notify
 from hierax.runtime.commands.options import Format, Full, Node, RunOptions, argument, offers, option
 from hierax.runtime.commands.show import print_json
 from hierax.runtime.commands.which_launch import client_at, endpoint_of, own_deployment
+from hierax.runtime.core.errors import HieraxError
 
 if TYPE_CHECKING:
     from hierax.runtime.execution.report import Json
@@ -53,7 +54,6 @@ def _of_launch(node: str, options: RunOptions) -> tuple[tuple[str, str], Answer,
 
 def _told(endpoint: str, node: str, answer: Answer) -> Told:
     """What a node of a launch on this machine shows; nothing where it is another one than its deployment file has."""
-    from hierax.runtime.core.errors import HieraxError
     from hierax.runtime.core.node import class_name
     from hierax.runtime.core.probe import Step
     from hierax.runtime.loading.loader import build_node, extend_import_path

@@ -4,14 +4,11 @@ from __future__ import annotations
 
 import functools
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from hierax.runtime.commands.errors import CommandError, notify
 from hierax.runtime.commands.options import OF_A_RUN, LaunchedFile, RunOptions, offers
 from hierax.runtime.commands.recordings import claimed_file, report_outcome, selection_of
-
-if TYPE_CHECKING:
-    from hierax.runtime.launch.run_file import Run
+from hierax.runtime.launch.run_file import Run, read_run
 
 
 @offers(*OF_A_RUN, "state", "resume", "host", "trust")
@@ -52,7 +49,6 @@ def launch(options: RunOptions, file: LaunchedFile = None) -> int:
 def _resumed(file: str | None, options: RunOptions) -> Run | None:
     """The run that is resumed, whose own options are taken over where others are not given; None: a new one begins."""
     from hierax.runtime.deployment.secrets import completed
-    from hierax.runtime.launch.run_file import read_run
 
     if options.resume is None:
         if options.trust:

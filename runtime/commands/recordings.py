@@ -28,7 +28,6 @@ from hierax.runtime.commands.show import print_json
 from hierax.runtime.commands.which_launch import client_of
 
 if TYPE_CHECKING:
-    from hierax.runtime.commands.options import RunOptions
     from hierax.runtime.recording.diff import Comparison, EpochView
     from hierax.runtime.recording.info import Ending
     from hierax.runtime.recording.reading import Recording

@@ -13,6 +13,8 @@ import typer
 
 from hierax.runtime.commands.errors import CommandError, notify
 from hierax.runtime.commands.options import RunOptions, offers
+from hierax.runtime.commands.which_launch import client_at, endpoint_of, known_run, own_deployment
+from hierax.runtime.core.errors import HieraxError
 
 if TYPE_CHECKING:
     from hierax.runtime.deployment import Deployment
@@ -109,8 +111,6 @@ def _of_recording(file: Path, options: RunOptions) -> Source:
 
 
 def _of_launch(options: RunOptions) -> Source:
-    from hierax.runtime.commands.which_launch import client_at, endpoint_of, known_run, own_deployment
-    from hierax.runtime.core.errors import HieraxError
     from hierax.runtime.loading.allowance import ANYTHING
     from hierax.runtime.viewing.live import show_launch
 

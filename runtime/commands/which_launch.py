@@ -12,6 +12,7 @@ from hierax.runtime.core.errors import HieraxError
 from hierax.runtime.host.run_folder import meant
 from hierax.runtime.launch.run_file import Running, known_runs
 from hierax.runtime.loading.nearest import did_you_mean
+from hierax.schemas.keys import Keys
 
 if TYPE_CHECKING:
     from hierax.runtime.deployment import Deployment
@@ -64,7 +65,6 @@ def own_deployment(endpoint: str, file: str | None) -> Deployment | None:
 def client_at(endpoint: str, running: Running | None = None) -> LaunchClient:
     """A client of the launch at an endpoint, of one known here on its keys alone; `TransportError` if none answers."""
     from hierax.runtime.transport import launch_client
-    from hierax.schemas.keys import Keys
 
     running = running or known_run(endpoint)
     keys = None if running is None else Keys(running.hierarchy, running.run)
