@@ -6,7 +6,7 @@ INSTALLED := $(VENV)/.installed
 RUNS := $(VENV)/.runs
 CHECKED := .build/checked
 
-.PHONY: demo test check docs sweep model sim sensitivities mutations kills cameras changes fuzz rival generator_b tutorial interrupts clean test-quick format junk
+.PHONY: demo test check docs sweep model sim sensitivities mutations kills cameras changes growth fuzz rival generator_b tutorial interrupts clean test-quick format junk
 
 # what runs, recordings included, and what tests need besides: the viewer alone is some hundreds of megabytes
 $(RUNS): pyproject.toml
@@ -67,6 +67,10 @@ cameras: $(INSTALLED)
 # docs/changing.md: 200 changes each of three hierarchies that run; some ten minutes
 changes: $(INSTALLED)
 	$(BIN)/python benchmarks/changes.py
+
+# docs/speed.md: what a node costs in hierarchies of 9 to 10 000; some minutes
+growth: $(INSTALLED)
+	$(BIN)/python benchmarks/growth.py
 
 # docs/limits.md: 10⁶ things said on all keys of a launch; some minutes
 fuzz: $(INSTALLED)

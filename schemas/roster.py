@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from functools import cached_property
 from hashlib import blake2b
 from typing import Any
 
@@ -93,6 +94,23 @@ class Roster:
     edges: tuple[RosterEdge, ...]
     version: int = 0
     instances: Mapping[str, int] = field(default_factory=dict)
+
+    @cached_property
+    def tasking(self) -> frozenset[tuple[str, str]]:
+        """The edges that have a task function, by their names, lower first."""
+        return frozenset(edge.pair for edge in self.edges if edge.task is not None)
+
+    def edges_of(self, name: str) -> tuple[RosterEdge, ...]:
+        """The edges that join a node to others."""
+        return self._edges_by_node.get(name, ())
+
+    @cached_property
+    def _edges_by_node(self) -> Mapping[str, tuple[RosterEdge, ...]]:
+        found: dict[str, list[RosterEdge]] = {}
+        for edge in self.edges:
+            for end in dict.fromkeys(edge.pair):
+                found.setdefault(end, []).append(edge)
+        return {name: tuple(edges) for name, edges in found.items()}
 
     def content(self) -> Value:
         """What the run's meaning depends on."""

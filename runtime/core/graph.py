@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable, Sequence
+from collections import defaultdict
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from graphlib import CycleError, TopologicalSorter
 
 from hierax.runtime.core.errors import HierarchyError
@@ -53,26 +54,39 @@ def topological_order(names: Iterable[str], pairs: Iterable[Pair]) -> tuple[str,
 def depths(names: Iterable[str], pairs: Sequence[Pair]) -> dict[str, int]:
     """How many edges lie on the longest way from the world to each node, in an order from below to above."""
     found: dict[str, int] = {}
+    below, _ = neighbours(pairs)
     for name in topological_order(names, pairs):
-        found[name] = max((found[lower] + 1 for lower, upper in pairs if upper == name), default=0)
+        found[name] = max((found[lower] + 1 for lower in below.get(name, ())), default=0)
     return found
 
 
 def unreached(world: str, names: Collection[str], pairs: Sequence[Pair]) -> list[str]:
     """The names that cannot be reached from the world."""
     reached = {world}
+    below, _ = neighbours(pairs)
     for name in topological_order(names, pairs):
-        if any(lower in reached for lower, upper in pairs if upper == name):
+        if not reached.isdisjoint(below.get(name, ())):
             reached.add(name)
     return [name for name in names if name not in reached]
 
 
+def neighbours(pairs: Iterable[Pair]) -> tuple[Mapping[str, tuple[str, ...]], Mapping[str, tuple[str, ...]]]:
+    """The nodes below, and those above, by the name of each node that has some there; themselves by name."""
+    below: dict[str, list[str]] = defaultdict(list)
+    above: dict[str, list[str]] = defaultdict(list)
+    for lower, upper in sorted(pairs):
+        below[upper].append(lower)
+        above[lower].append(upper)
+    return {name: tuple(each) for name, each in below.items()}, {name: tuple(each) for name, each in above.items()}
+
+
 def _check_edges(known: Sequence[str], pairs: Sequence[Pair]) -> None:
     seen: set[Pair] = set()
+    names = frozenset(known)
     for lower, upper in pairs:
         name = f"{lower}->{upper}"
         for end in (lower, upper):
-            if end not in known:
+            if end not in names:
                 raise HierarchyError(f"edge {name} names {end!r}, which is none of the nodes {_list(known)}")
         if lower == upper:
             raise HierarchyError(f"edge {name} joins a node to itself")

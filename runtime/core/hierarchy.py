@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 
 from hierax.runtime.core.binding import BoundNode, Call, OperatorSetting, bind_edge, require_no_world, require_world
 from hierax.runtime.core.elements import Elements
-from hierax.runtime.core.graph import Pair, check_graph, topological_order
+from hierax.runtime.core.graph import Pair, check_graph, neighbours, topological_order
 from hierax.runtime.core.node import Node, World
 
 
@@ -81,8 +81,9 @@ class Hierarchy:
         require_world(self.world, self.nodes[self.world])
         for name in sorted(self.nodes.keys() - {self.world}):
             require_no_world(name, self.nodes[name])
+        below, above = neighbours(pairs)
         bound = {
-            name: BoundNode(name, node, neighbours_below(name, pairs), neighbours_above(name, pairs), self.setting)
+            name: BoundNode(name, node, below.get(name, ()), above.get(name, ()), self.setting)
             for name, node in sorted(self.nodes.items())
         }
         edges = {edge.pair: BoundEdge.of(edge, self.setting) for edge in self.edges}

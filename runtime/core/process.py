@@ -85,18 +85,24 @@ def apply(function: Call | None, epoch: int, time_s: float, argument: Value) -> 
 
 def sensing_update(active: ActiveHierarchy, name: str, epoch: int, time_s: float) -> ActiveHierarchy:
     """Definition 4 in a hierarchy: the observations are what the sense functions make of the beliefs below."""
+    return active if name == active.hierarchy.world else active.with_state(name, _sensed(active, name, epoch, time_s))
+
+
+def _sensed(active: ActiveHierarchy, name: str, epoch: int, time_s: float) -> ActiveNode:
     hierarchy = active.hierarchy
-    if name == hierarchy.world:
-        return active
     observations: Elements = ()
     for lower in hierarchy.below(name):
         edge = hierarchy.bound_edges[lower, name]
         observations += apply(edge.sense, epoch, time_s, active.states[lower].belief)
-    return active.with_state(name, sense(hierarchy.bound[name], active.states[name], observations, epoch, time_s))
+    return sense(hierarchy.bound[name], active.states[name], observations, epoch, time_s)
 
 
 def prediction_update(active: ActiveHierarchy, name: str, epoch: int, time_s: float) -> ActiveHierarchy:
     """Definition 5 in a hierarchy: tasks and context are what the edges make of actions and beliefs above."""
+    return active.with_state(name, _predicted(active, name, epoch, time_s))
+
+
+def _predicted(active: ActiveHierarchy, name: str, epoch: int, time_s: float) -> ActiveNode:
     hierarchy = active.hierarchy
     tasks: Elements = ()
     context: Elements = ()
@@ -105,7 +111,7 @@ def prediction_update(active: ActiveHierarchy, name: str, epoch: int, time_s: fl
         tasks += apply(edge.task, epoch, time_s, active.states[upper].actions)
         context += apply(edge.context, epoch, time_s, active.states[upper].belief)
     bound, state = hierarchy.bound[name], active.states[name]
-    return active.with_state(name, predict(bound, state, tasks, context, epoch, time_s))
+    return predict(bound, state, tasks, context, epoch, time_s)
 
 
 def update(
@@ -131,11 +137,13 @@ def update(
     epoch = active.epoch + 1
     world = active.states[hierarchy.world]
     time_s = epoch_time_s(hierarchy.world, hierarchy.world_node, world.belief, epoch)
+    states = dict(active.states)  # one copy for all: with one for each node this would grow with their square
+    updated = ActiveHierarchy(hierarchy, MappingProxyType(states), epoch)
     for name in sensing:
-        active = sensing_update(active, name, epoch, time_s)
+        states[name] = _sensed(updated, name, epoch, time_s)
     for name in prediction:
-        active = prediction_update(active, name, epoch, time_s)
-    return replace(active, epoch=epoch)
+        states[name] = _predicted(updated, name, epoch, time_s)
+    return updated
 
 
 def _check_order(hierarchy: Hierarchy, upward: Sequence[str]) -> None:

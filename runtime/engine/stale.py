@@ -65,6 +65,7 @@ class StaleEngine(Engine):
         self._staleness = staleness  # of the deployment; the other arguments are as `Engine` has them
         self._above: dict[Slot, dict[int, Message]] = {}
         self._below: dict[Slot, Message] = {}
+        self._lacking: set[Slot] = set()  # while it waits to predict: what there is no input of that may be used
         self._first = 1
         self._is_rewired = True
         self.drains = False
@@ -78,7 +79,7 @@ class StaleEngine(Engine):
     @property
     def waits_for(self) -> tuple[Slot, ...]:
         if self.phase is Phase.PREDICT:
-            return tuple(sorted(slot for slot in self.wiring.above if self._choose(slot) is None))
+            return tuple(sorted(self._lacking))
         return super().waits_for
 
     def receive(self, message: Message) -> None:
@@ -122,6 +123,7 @@ class StaleEngine(Engine):
         self._is_rewired = True
         self._above.clear()
         self._below.clear()
+        self._lacking.update(self.wiring.above if self.phase is Phase.PREDICT else ())
         self._sent_in.clear()
         self._sent.clear()
 
@@ -136,16 +138,19 @@ class StaleEngine(Engine):
     def _keep(self, message: Message) -> None:
         """An input from above: kept as long as it may be wanted."""
         header = message.header
-        kept = self._above.setdefault((header.sender, header.kind), {})
+        slot = (header.sender, header.kind)
+        kept = self._above.setdefault(slot, {})
         known = kept.get(header.epoch)
         if known is not None and known.header.attempt >= header.attempt:
             if known.header[:SLOT_FIELDS] == header[:SLOT_FIELDS]:
                 self._check_same(known, message)
             return
         kept[header.epoch] = message
-        self._forget()
-        if self.phase is Phase.PREDICT and self._is_satisfied():
-            self._predict()
+        self._forget(kept)
+        if self.phase is Phase.PREDICT:
+            self._look_for(slot)
+            if not self._lacking:
+                self._predict()
 
     def _keep_newest(self, message: Message) -> None:
         header = message.header
@@ -156,14 +161,12 @@ class StaleEngine(Engine):
         elif known.header[:SLOT_FIELDS] == header[:SLOT_FIELDS]:
             self._check_same(known, message)
 
-    def _forget(self) -> None:
-        oldest = self._oldest()  # a drained epoch may be followed by one that is none
-        for slot, kept in self._above.items():
-            if self._staleness.free:
-                newest = max(kept)
-                self._above[slot] = {newest: kept[newest]}
-            else:
-                self._above[slot] = {epoch: message for epoch, message in kept.items() if epoch >= oldest}
+    def _forget(self, kept: dict[int, Message]) -> None:
+        """Of what is kept of one neighbour above, what is not wanted any more."""
+        # not the oldest of this epoch alone: a drained one may be followed by one that is none
+        oldest = max(kept) if self._staleness.free else self._oldest()
+        for epoch in [epoch for epoch in kept if epoch < oldest]:
+            del kept[epoch]
 
     def _oldest(self) -> int:
         """The oldest epoch whose inputs may be used in one that is not drained."""
@@ -180,8 +183,19 @@ class StaleEngine(Engine):
         newest = max(kept, default=-1)
         return kept[newest] if newest >= oldest else None
 
-    def _is_satisfied(self) -> bool:
-        return all(self._choose(slot) is not None for slot in self.wiring.above)
+    def _enter(self, phase: Phase) -> None:
+        super()._enter(phase)
+        self._lacking.clear()
+        if phase is Phase.PREDICT:
+            for slot in self.awaited:
+                self._look_for(slot)
+
+    def _look_for(self, slot: Slot) -> None:
+        """Whether there is an input that may be used, now that something has come of it, or the half has begun."""
+        if self._choose(slot) is None:
+            self._lacking.add(slot)
+        else:
+            self._lacking.discard(slot)
 
     def moves_on(self, epoch: int) -> bool:
         # where a process was lost, epochs may have gone on without this node
@@ -226,7 +240,7 @@ class StaleEngine(Engine):
 
     def _send_up(self) -> None:
         super()._send_up()
-        if self.phase is Phase.PREDICT and self._is_satisfied():
+        if self.phase is Phase.PREDICT and not self._lacking:
             self._predict()
 
     def _predict(self) -> None:

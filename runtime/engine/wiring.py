@@ -27,9 +27,8 @@ class Place:
 
     @staticmethod
     def of(roster: Roster, hashed: bool = True) -> Place:
-        tasking = frozenset(edge.pair for edge in roster.edges if edge.task is not None)
         content = roster.content_hash() if hashed else NO_DIGEST
-        return Place(roster.version, content, roster.instances, tasking)
+        return Place(roster.version, content, roster.instances, roster.tasking)
 
     def instance(self, name: str) -> int:
         return self.instances.get(name, 0)

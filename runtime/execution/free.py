@@ -37,10 +37,14 @@ def run_freely(
 
     for name in sorted(runners):
         plan(name, -random.random() * quickest_s)
+    world = deployment.roster.world
+    version = runners[world].engine.wiring.roster
     while not pacemaker.done:
         time_s, _, name = heapq.heappop(turns)
-        for newcomer in sorted(runners.keys() - {turn[2] for turn in turns} - {name}):
-            plan(newcomer, time_s)
+        if version != runners[world].engine.wiring.roster:
+            version = runners[world].engine.wiring.roster
+            for newcomer in sorted(runners.keys() - {turn[2] for turn in turns} - {name}):
+                plan(newcomer, time_s)
         runner = runners.get(name)
         if runner is None:
             continue  # detached

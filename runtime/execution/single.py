@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import gc
 import logging
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import closing, nullcontext
+from contextlib import closing, contextmanager, nullcontext
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Protocol
@@ -52,6 +53,8 @@ class RunRecord(Protocol):
     def watch(self, name: str, runner: NodeRunner, roster: Callable[[], Roster] | None) -> None:
         """Have a node tell its steps; `roster` is the world's, and gives the one in force."""
 
+
+MADE_A_NODE = 100  # so many objects a node are made, and not given back, before cycles among them are looked for
 
 Watch = Callable[[str, NodeRunner], None]  # told a node's name and its runner: may have it watched
 
@@ -113,9 +116,10 @@ class SingleRun:
 
         Raises `HieraxError` if a node failed, or a change is refused.
         """
-        for _ in self._nodes.turns():
-            while self._told:
-                yield self._told.popleft()
+        with _rarely_collecting(len(self._nodes.runners)):
+            for _ in self._nodes.turns():
+                while self._told:
+                    yield self._told.popleft()
 
     def change(self, change: Change, alone: frozenset[str]) -> int:
         """Have the roster change as soon as may be, and give the first epoch under it; `alone`: its new nodes that fail
@@ -156,6 +160,21 @@ class SingleRun:
         if self._progress is not None:
             self._progress(epoch, digest)
         self._told.append((epoch, digest))
+
+
+@contextmanager
+def _rarely_collecting(nodes: int) -> Iterator[None]:
+    """Have the search for cycles in memory wait longer where there are many nodes.
+
+    It goes through all objects that there are whenever a quarter as many were made, and an epoch makes some dozens a
+    node, which the next one gives back: each of ten thousand nodes would pay for it as much as for the epoch.
+    """
+    before = gc.get_threshold()
+    gc.set_threshold(max(before[0], MADE_A_NODE * nodes) if before[0] else 0, *before[1:])
+    try:
+        yield
+    finally:
+        gc.set_threshold(*before)
 
 
 class _World(World):

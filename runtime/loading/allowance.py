@@ -70,8 +70,7 @@ class Allowance:
     def check_part(self, roster: Roster, name: str) -> None:
         """Raise `NotAllowedError` as `check_all` does, of what a roster names for one node and its edges."""
         nodes = {name: roster.nodes[name]} if name in roster.nodes else {}
-        edges = tuple(edge for edge in roster.edges if name in edge.pair)
-        self.check_all(Attach(nodes, edges))
+        self.check_all(Attach(nodes, roster.edges_of(name)))
 
 
 ANYTHING = Allowance(("*",))  # whatever is named: for who has said that its source is trusted. No file can say so.

@@ -11,14 +11,14 @@ import pkgutil
 import re
 import sys
 import traceback
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable
 from types import ModuleType, UnionType
 from typing import Any, Union, get_args, get_origin, get_type_hints
 
 from hierax.runtime.core.binding import BoundNode, OperatorSetting, check_signature, require_no_world
 from hierax.runtime.core.errors import HieraxError, PlacedError
-from hierax.runtime.core.graph import Pair
-from hierax.runtime.core.hierarchy import BoundEdge, Edge, Hierarchy, neighbours_above, neighbours_below
+from hierax.runtime.core.graph import neighbours
+from hierax.runtime.core.hierarchy import BoundEdge, Edge, Hierarchy
 from hierax.runtime.core.node import Node, World
 from hierax.runtime.core.probe import Probe
 from hierax.runtime.loading.allowance import Allowance
@@ -105,9 +105,9 @@ def build_hierarchy(roster: Roster, setting: OperatorSetting, allowance: Allowan
         for name, reference in roster.nodes.items()
     }
     edges = [build_edge(edge, allowance) for edge in roster.edges]
-    pairs = [edge.pair for edge in edges]
+    below, above = neighbours(edge.pair for edge in edges)
     for name, node in nodes.items():  # each by itself first: these errors know their place
-        bind_node(name, node, roster.world, pairs, setting)
+        bind_node(name, node, roster.world, below.get(name, ()), above.get(name, ()), setting)
     for edge in edges:
         bind_edge(edge, setting)
     return Hierarchy(nodes, roster.world, edges, setting)
@@ -121,7 +121,9 @@ def load_function(target: str, where: str, allowance: Allowance) -> Callable[...
     return found
 
 
-def bind_node(name: str, node: Node, world: str, pairs: Sequence[Pair], setting: OperatorSetting) -> BoundNode:
+def bind_node(
+    name: str, node: Node, world: str, below: tuple[str, ...], above: tuple[str, ...], setting: OperatorSetting
+) -> BoundNode:
     """A node with its neighbours, ready to be called; `LoadError` if it cannot be, or just N₀ is to be a world."""
     where = f"nodes.{name}"
     if name == world and not isinstance(node, World):
@@ -129,7 +131,7 @@ def bind_node(name: str, node: Node, world: str, pairs: Sequence[Pair], setting:
     try:
         if name != world:
             require_no_world(name, node)
-        return BoundNode(name, node, neighbours_below(name, pairs), neighbours_above(name, pairs), setting)
+        return BoundNode(name, node, below, above, setting)
     except HieraxError as error:
         raise LoadError(str(error).removeprefix(f"{name}: "), where) from error
 

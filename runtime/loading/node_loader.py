@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import inspect
 import logging
-from collections.abc import Awaitable, Iterator
+from collections.abc import Awaitable, Iterator, Sequence
 from difflib import SequenceMatcher
 from typing import Any
 
 from hierax.runtime.core.binding import BoundNode, OperatorSetting
-from hierax.runtime.core.graph import Pair
+from hierax.runtime.core.graph import neighbours
 from hierax.runtime.core.hierarchy import BoundEdge
 from hierax.runtime.core.node import Node, World
 from hierax.runtime.engine.wiring import Place, Wiring
@@ -32,25 +32,24 @@ class NodeLoader:
         self._nodes: dict[bytes, Node] = {}
         self._edges: dict[bytes, BoundEdge] = {}
         self._bound: BoundNode | None = None
-        self._pairs: list[Pair] = []
 
     def wiring(self, roster: Roster) -> Wiring:
         """The node's wiring under a version of the roster; `NotAllowedError` or `LoadError` if it cannot be had."""
         if self._name == roster.world:  # it answers for the others, too
             self._allowance.check_all(roster)
         self._allowance.check_part(roster, self._name)
-        edges = [edge for edge in roster.edges if self._name in edge.pair]
-        bound = self._bind(roster, [edge.pair for edge in edges])
+        edges = roster.edges_of(self._name)
+        bound = self._bind(roster, edges)
         place = Place.of(roster, hashed=self._name == roster.world)
         return Wiring(bound, [self._edge(edge) for edge in edges], place)
 
-    def _bind(self, roster: Roster, pairs: list[Pair]) -> BoundNode:
+    def _bind(self, roster: Roster, edges: Sequence[RosterEdge]) -> BoundNode:
         """The node with its neighbours; where neither changes the same one, as looking at operators takes long."""
         name, node, last = self._name, self._node(roster), self._bound
-        if last is not None and last.node is node and sorted(pairs) == self._pairs:
-            return last
-        self._bound, self._pairs = bind_node(name, node, roster.world, pairs, self._setting), sorted(pairs)
-        return self._bound
+        below, above = (each.get(name, ()) for each in neighbours(edge.pair for edge in edges))
+        if last is None or last.node is not node or (last.below, last.above) != (below, above):
+            last = self._bound = bind_node(name, node, roster.world, below, above, self._setting)
+        return last
 
     def _node(self, roster: Roster) -> Node:
         reference = roster.nodes[self._name]

@@ -98,7 +98,8 @@ def _detach(roster: Roster, change: Detach, version: int) -> Roster:
             f"{what}: only it joins {_list(lost)} to the world; detach {'it' if len(lost) == 1 else 'them'} first, "
             "or cascade (--cascade)"
         )
-    nodes = {name: node for name, node in roster.nodes.items() if name in staying - lost}
+    staying -= lost
+    nodes = {name: node for name, node in roster.nodes.items() if name in staying}
     edges = [edge for edge in roster.edges if edge.lower in nodes and edge.upper in nodes]
     _check_hierarchy(roster.world, nodes, edges, what)
     return _successor(roster, version, nodes, edges, {})

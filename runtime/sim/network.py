@@ -17,8 +17,6 @@ from hierax.runtime.transport.port import Port
 from hierax.schemas.control import Control, encode_control
 from hierax.schemas.messages import Header, Message, encode_message
 
-Pair = tuple[int, str, int]  # one end of a link: its own instance, the other's name and instance
-
 SHORTEST_S, LONGEST_S = 0.0003, 0.003  # how long a message takes
 
 BLOCK_BYTES = 64  # what a torn write leaves behind is made of such blocks: a cache line
@@ -103,12 +101,17 @@ class Host(ABC):
     def __init__(self, name: str, token: str) -> None:
         self.name = name  # of the node, and of the process alone
         self.token = token  # likewise
-        self.links: dict[int, frozenset[Pair]] = {}  # ends of links, by version of the roster
+        # ends of links, by version of the roster: its own instance, and those of the others by name
+        self.links: dict[int, tuple[int, Mapping[str, int]]] = {}
         self.opening: dict[int, Callable[[int], None]] = {}  # what is to be called when a version's links are open
 
     @property
     def neighbours(self) -> set[str]:
-        return {other for pairs in self.links.values() for _, other, _ in pairs}
+        return {other for _, others in self.links.values() for other in others}
+
+    def links_to(self, other: str) -> set[tuple[int, int]]:
+        """Its ends of links to another node: its own instance, and the other's."""
+        return {(own, others[other]) for own, others in self.links.values() if other in others}
 
     @abstractmethod
     def point(self, what: str) -> None:
@@ -144,14 +147,14 @@ class SimPort(Port):
     ) -> None:
         process = self._process
         process.point("link")
-        own = instances.get(process.name, 0)
-        process.links[version] = frozenset((own, other, instances.get(other, 0)) for other in (*below, *above))
+        others = {other: instances.get(other, 0) for other in (*below, *above)}
+        process.links[version] = (instances.get(process.name, 0), others)
         process.opening[version] = opened
         self._network.declare(process)
 
     def unlink(self, version: int) -> None:
         process = self._process
-        process.links = {later: pairs for later, pairs in process.links.items() if later >= version}
+        process.links = {later: link for later, link in process.links.items() if later >= version}
         process.opening = {later: opened for later, opened in process.opening.items() if later >= version}
 
     def interrupt(self) -> None:
@@ -173,9 +176,14 @@ class Network:
         self._rng = rng  # of delays and faults
         self._journal = journal  # told what befalls messages
         self._checker = checker  # told of each message, and where one is lost that must not be
+        self._by_name: dict[str, list[Host]] = {}
         self._lanes: dict[tuple[str, str, str], float] = {}
         self._broken: Counter[frozenset[str]] = Counter()
         self._breaks: Counter[frozenset[str]] = Counter()
+
+    def came(self, process: Host) -> None:
+        """A process is there."""
+        self._by_name.setdefault(process.name, []).append(process)
 
     def parted(self, one: str, other: str) -> bool:
         return (one in self.cut) != (other in self.cut) or self._broken[frozenset((one, other))] > 0
@@ -209,15 +217,13 @@ class Network:
         header = message.header
         self._checker.sends(header)
         data = encode_message(message)
-        pair = (header.sender, header.instance)
-        open_to = [pair[1:] for pairs in sender.links.values() for pair in pairs if pair[0] == header.instance]
+        open_to = {own for instance, own in sender.links_to(header.receiver) if instance == header.instance}
         reached = False
         for process in self._named(header.receiver):
-            ends = {end for pairs in process.links.values() for end in pairs if end[1] == header.sender}
+            ends = process.links_to(header.sender)
             if not ends or self.parted(sender.token, process.token):
                 continue
-            right = {own for own, *other in ends if tuple(other) == pair}
-            reached |= any((header.receiver, own) in open_to for own in right)
+            reached |= any(own in open_to for own, instance in ends if instance == header.instance)
             self._put(sender.token, process.token, header.kind, data)
         if not reached:
             self._check_lost(sender, header)
@@ -247,24 +253,26 @@ class Network:
         """Tell those whose links are open at both ends by now."""
         for process in list(self.hosts.values()):
             for version, opened in list(process.opening.items()):
-                if all(self._is_open(process, pair) for pair in process.links[version]):
+                own, others = process.links[version]
+                if all(self._is_open(process, own, *other) for other in others.items()):
                     del process.opening[version]
                     if self.at_once:
                         opened(version)
                     else:
                         self._clock.schedule(self._delay(), process.take, "opened", (opened, version))
 
-    def _is_open(self, process: Host, pair: Pair) -> bool:
-        own, other, instance = pair
-        mirrored = (instance, process.name, own)
+    def _is_open(self, process: Host, own: int, other: str, instance: int) -> bool:
         return any(
-            mirrored in pairs and not self.parted(process.token, neighbour.token)
+            (instance, own) in neighbour.links_to(process.name) and not self.parted(process.token, neighbour.token)
             for neighbour in self._named(other)
-            for pairs in neighbour.links.values()
         )
 
     def _named(self, name: str) -> list[Host]:
-        return [process for process in self.hosts.values() if process.name == name]
+        """The processes of a node that live."""
+        living = [process for process in self._by_name.get(name, ()) if process.token in self.hosts]
+        if living:
+            self._by_name[name] = living
+        return living
 
     def _put(self, sender: str, receiver: str, kind: str, data: bytes) -> None:
         now = self._clock.now

@@ -131,6 +131,7 @@ class SimSupervisor(Supervision):
         token = f"{name}.{self._started[name]}"
         process = SimProcess(around, self, name, token, request, storage or SimStorage(self._disk_rng))
         around.processes[token] = process
+        around.network.came(process)
         occupy(around, process, self)
         around.clock.schedule(self._rng.uniform(0.0, TICK_S), self._tick, process)
         around.journal.trace(f"{token} starts" + (f" for {request}" if request else ""))

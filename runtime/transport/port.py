@@ -5,14 +5,14 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections import deque
 from collections.abc import Callable, Mapping, Sequence
-from typing import NamedTuple
-
-import numpy as np
+from random import Random
+from typing import Generic, NamedTuple, TypeVar
 
 from hierax.runtime.core.errors import HieraxError
 from hierax.schemas.messages import Header, Message, decode_message, encode_message
 
 Lane = tuple[str, str]  # sender and kind: what of one receiver's messages stays in order
+Drawn = TypeVar("Drawn")
 QUEUE_SIZE = 1024  # how many messages a lane holds at most
 
 
@@ -92,13 +92,47 @@ class Port(ABC):
         """Give up all that the port holds. Returns within a bounded time; calling it again does nothing."""
 
 
+class DrawnSet(Generic[Drawn]):
+    """Of which one may be drawn, put in or taken out in the same time, however many there are.
+
+    What is drawn follows from the draws, and from what was put in and taken out before, in this order.
+    """
+
+    def __init__(self, random: Random) -> None:
+        self._random = random
+        self._all: list[Drawn] = []
+        self._places: dict[Drawn, int] = {}
+
+    def __bool__(self) -> bool:
+        return bool(self._all)
+
+    def draw(self) -> Drawn:
+        count = len(self._all)
+        return self._all[0] if count == 1 else self._all[int(count * self._random.random())]
+
+    def add(self, one: Drawn) -> None:
+        if one not in self._places:
+            self._places[one] = len(self._all)
+            self._all.append(one)
+
+    def discard(self, one: Drawn) -> None:
+        place = self._places.pop(one, None)
+        if place is None:
+            return
+        last = self._all.pop()
+        if place < len(self._all):
+            self._all[place] = last
+            self._places[last] = place
+
+
 class MemoryNetwork:
     """Ports that reach one another in memory; messages travel as bytes, in an order that the seed decides."""
 
     tap: Callable[[Header, bytes], None] | None = None  # shown header and bytes of every message; None: nobody is
 
     def __init__(self, seed: int = 0, queue_size: int = QUEUE_SIZE) -> None:
-        self._random = np.random.Generator(np.random.PCG64(seed))
+        self.random = Random(seed)
+        self.waiting: DrawnSet[str] = DrawnSet(self.random)  # the nodes that have something to receive
         self._queue_size = queue_size  # how many messages of one sender, receiver and kind may be under way
         self._ports: dict[str, MemoryPort] = {}
 
@@ -112,38 +146,32 @@ class MemoryNetwork:
 
     def next_receiver(self) -> str | None:
         """A node that has a message to receive, by the seed; None where nothing is under way."""
-        waiting = [name for name, port in sorted(self._ports.items()) if port.lanes or port.breaks]
-        return waiting[self.draw(len(waiting))] if waiting else None
-
-    def draw(self, count: int) -> int:
-        return 0 if count == 1 else int(self._random.integers(count))
+        return self.waiting.draw() if self.waiting else None
 
     def put(self, message: Message) -> None:
         header = message.header
         port = self._ports.get(header.receiver)
         if port is None:
             raise TransportError(f"{header.sender}: no node {header.receiver!r} to send to")
-        lane = port.lanes.setdefault((header.sender, header.kind), deque())
-        if len(lane) >= self._queue_size:
+        waiting = port.waiting((header.sender, header.kind))
+        if waiting >= self._queue_size:
             raise TransportError(
-                f"{header.sender}: {len(lane)} {header.kind} messages to {header.receiver} are not received yet"
+                f"{header.sender}: {waiting} {header.kind} messages to {header.receiver} are not received yet"
             )
         data = encode_message(message)
         if self.tap is not None:
             self.tap(header, data)
-        lane.append(data)
+        port.put((header.sender, header.kind), data)
 
     def drop_all(self) -> None:
         """Lose what is under way."""
         for port in self._ports.values():
-            port.lanes.clear()
+            port.lose()
 
     def break_link(self, one: str, other: str) -> None:
         """Break the link between two nodes, which loses what is under way on it, and mend it."""
         for name, neighbour in ((one, other), (other, one)):
-            port = self._ports[name]
-            port.lanes = {lane: queue for lane, queue in port.lanes.items() if lane[0] != neighbour}
-            port.breaks.append(neighbour)
+            self._ports[name].break_off(neighbour)
 
     def forget(self, name: str) -> None:
         self._ports.pop(name, None)
@@ -157,8 +185,42 @@ class MemoryPort(Port):
         self._name = name
         self._interrupted = False
         self._closed = False
-        self.lanes: dict[Lane, deque[bytes]] = {}
-        self.breaks: deque[str] = deque()
+        self._lanes: dict[Lane, list[bytes]] = {}  # mostly of one message: a deque takes a block of sixty-four
+        self._filled: DrawnSet[Lane] = DrawnSet(network.random)
+        self._breaks: deque[str] = deque()
+
+    def waiting(self, lane: Lane) -> int:
+        """How many messages of a lane are not received yet."""
+        queue = self._lanes.get(lane)
+        return 0 if queue is None else len(queue)
+
+    def put(self, lane: Lane, data: bytes) -> None:
+        """A message is on its way here."""
+        queue = self._lanes.get(lane)
+        if queue is None:
+            queue = self._lanes[lane] = []
+        if not queue:
+            self._filled.add(lane)
+            self._network.waiting.add(self._name)
+        queue.append(data)
+
+    def lose(self, sender: str | None = None) -> None:
+        """Lose what is under way here, from one sender or from all."""
+        for lane, queue in self._lanes.items():
+            if sender in (None, lane[0]):
+                queue.clear()
+                self._filled.discard(lane)
+        self._settle()
+
+    def break_off(self, neighbour: str) -> None:
+        """The link to a neighbour breaks, which loses what is under way on it, and is mended."""
+        self.lose(neighbour)
+        self._breaks.append(neighbour)
+        self._network.waiting.add(self._name)
+
+    def _settle(self) -> None:
+        if not self._filled and not self._breaks:
+            self._network.waiting.discard(self._name)
 
     def send(self, message: Message) -> None:
         if self._closed:
@@ -166,16 +228,18 @@ class MemoryPort(Port):
         self._network.put(message)
 
     def receive(self) -> Message | None:
-        while self.breaks and not self._closed:
-            self.mended(self.breaks.popleft())
-        if self._interrupted or self._closed or not self.lanes:
+        while self._breaks and not self._closed:
+            self.mended(self._breaks.popleft())
+            self._settle()
+        if self._interrupted or self._closed or not self._filled:
             self._interrupted = False
             return None
-        names = sorted(self.lanes)
-        lane = names[self._network.draw(len(names))]
-        data = self.lanes[lane].popleft()
-        if not self.lanes[lane]:
-            del self.lanes[lane]
+        lane = self._filled.draw()
+        queue = self._lanes[lane]
+        data = queue.pop(0)
+        if not queue:
+            self._filled.discard(lane)
+            self._settle()
         return decode_message(data)
 
     def link(
@@ -195,6 +259,9 @@ class MemoryPort(Port):
         self._interrupted = True
 
     def close(self) -> None:
+        if self._closed:
+            return
         self._closed = True
-        self.lanes.clear()
+        self._breaks.clear()
+        self.lose()
         self._network.forget(self._name)

@@ -1,0 +1,147 @@
+"""What a node costs does not grow with how many there are: counted in lines of Python, whatever else is running."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable, Iterator
+from types import FrameType
+from typing import Any
+
+import pytest
+
+from hierax.nodes.chain import Counter, Relay, count, level
+from hierax.runtime.core.binding import OperatorSetting
+from hierax.runtime.core.process import ActiveHierarchy, update
+from hierax.runtime.execution.single import SingleRun
+from hierax.runtime.loading.allowance import ANYTHING
+from hierax.runtime.loading.loader import build_hierarchy
+from hierax.runtime.scripting.hierarchy import Hierarchy
+from hierax.runtime.transport.port import MemoryNetwork
+from hierax.schemas.messages import OBSERVATIONS, Header, Message
+
+FEW, MANY = 20, 160
+EPOCHS = 4
+SHAPES: dict[str, Callable[[int], int]] = {
+    "chain": lambda index: index - 1,
+    "star": lambda index: 0,
+    "tree": lambda index: (index - 1) // 3,
+    "a node over many": lambda index: 0 if index < 4 else 1 + index % 3,
+}
+"""The node below each."""
+
+
+def described(shape: str, size: int, **fields: Any) -> Hierarchy:
+    made = Hierarchy("grown", **fields).add("n0", Counter)
+    for index in range(1, size):
+        made.add(f"n{index}", Relay)
+    for index in range(1, size):
+        lower = SHAPES[shape](index)
+        made.join(f"n{lower}", f"n{index}", sense=level if lower else count, context=level)
+    if shape == "a node over many":
+        made.add("top", Relay)
+        for index in range(1, size):
+            made.join(f"n{index}", "top", sense=level, context=level)
+    return made
+
+
+def lines(call: Callable[[], object]) -> int:
+    """How many lines of Python a call runs; each turn of a loop counts."""
+    ran = 0
+
+    def trace(frame: FrameType, event: str, argument: object) -> Any:
+        nonlocal ran
+        ran += event == "line"
+        return trace
+
+    before = sys.gettrace()
+    sys.settrace(trace)
+    try:
+        call()
+    finally:
+        sys.settrace(before)
+    return ran
+
+
+def epochs(run: Iterator[object], number: int = EPOCHS) -> None:
+    for _ in range(number):
+        next(run)
+
+
+@pytest.mark.parametrize("fields", [{}, {"staleness": 1}, {"staleness": None}], ids=["barrier", "stale", "free"])
+@pytest.mark.parametrize("shape", SHAPES)
+def test_an_epoch_costs_a_node_as_much_among_many(shape: str, fields: dict[str, Any]) -> None:
+    """Fails where a delivery, or a turn, looks at all nodes or at all neighbours of one."""
+    a_node = []
+    for size in (FEW, MANY):
+        run = SingleRun(described(shape, size, **fields).deployment(), epochs=None, seed=1).epochs()
+        epochs(run, 2)
+        a_node.append(lines(lambda: epochs(run)) / size)  # noqa: B023 - called at once
+    few, many = a_node
+    assert many < 1.5 * few, f"{many:.0f} lines a node for {MANY} nodes, {few:.0f} for {FEW}"
+
+
+@pytest.mark.parametrize("shape", SHAPES)
+def test_a_start_costs_a_node_as_much_among_many(shape: str) -> None:
+    a_node = []
+    for size in (FEW, MANY):
+        given = described(shape, size)
+        a_node.append(lines(lambda: SingleRun(given.deployment(), epochs=None, seed=1)) / size)  # noqa: B023
+    few, many = a_node
+    assert many < 1.3 * few, f"{many:.0f} lines a node for {MANY} nodes, {few:.0f} for {FEW}"
+
+
+def test_the_formal_update_copies_no_states_for_each_node() -> None:
+    roster = described("chain", FEW).deployment().roster
+    active = ActiveHierarchy.initial(build_hierarchy(roster, OperatorSetting(), ANYTHING))
+    before = dict(active.states)
+    after = update(active)
+    assert dict(active.states) == before
+    assert after.epoch == 1
+    assert after.states["n0"].belief["count"] == 1
+    with pytest.raises(TypeError):
+        after.states["n0"] = before["n0"]  # type: ignore[index]
+
+
+class Compared(str):
+    """A name that counts how often it is compared with another one."""
+
+    count = 0
+
+    def __lt__(self, other: object) -> bool:
+        Compared.count += 1
+        return str.__lt__(self, str(other))
+
+
+def test_a_delivery_compares_no_names() -> None:
+    """Sorting compares where no line of Python runs."""
+    network = MemoryNetwork(seed=3)
+    names = [Compared(f"n{index}") for index in range(50)]
+    ports = {name: network.open_port(name) for name in names}
+    for name in names:
+        for kind in range(10):
+            ports[name].send(Message(Header(OBSERVATIONS, names[kind], name, 1, 0, 0, 0, 0.0, b""), ()))
+    Compared.count = 0
+    received = 0
+    while (name := network.next_receiver()) is not None:
+        received += ports[name].receive() is not None
+    assert received == 500
+    assert Compared.count == 0
+
+
+def test_the_order_is_that_of_the_seed() -> None:
+    def order(seed: int) -> list[str]:
+        network = MemoryNetwork(seed)
+        ports = {f"n{index}": network.open_port(f"n{index}") for index in range(12)}
+        for sender in ports:
+            for receiver in ports:
+                ports[sender].send(Message(Header(OBSERVATIONS, sender, receiver, 1, 0, 0, 0, 0.0, b""), ()))
+        found = []
+        while (name := network.next_receiver()) is not None:
+            message = ports[name].receive()
+            assert message is not None
+            found.append(f"{message.header.sender}->{name}")
+        assert len(set(found)) == 144
+        return found
+
+    assert order(1) == order(1)
+    assert order(1) != order(2)
