@@ -4,32 +4,30 @@ from __future__ import annotations
 
 import math
 import time
-from collections import deque
 from collections.abc import Callable, Sequence
 
 import numpy as np
 
 from hierax.runtime.deployment.deployment import Late
+from hierax.runtime.execution.times import Times
 
-KEPT = 65536  # of how many epochs, the last ones, the lateness is kept
-TOLD = 1024  # how many late epochs, the last ones, are told by their numbers
+STALL_S = 0.5  # who is so late, and was on time before, was held up by more than work
 
 
 class Pace:
     """Epoch k is due k - 2 periods after the second one: times are counted from there, so that no error adds up."""
 
-    def __init__(self, rate_hz: float, late: Late, clock: Callable[[], float] = time.monotonic) -> None:
+    def __init__(
+        self, rate_hz: float, late: Late, times: Times | None = None, clock: Callable[[], float] = time.monotonic
+    ) -> None:
         self.period_s = 1.0 / rate_hz
         self._skips = late == "skip"
+        self._times = times or Times()
         self._clock = clock  # seconds
         self._is_warm = False
         self._first_s = math.nan
         self._slot = 0  # the next one
-        self._overdue = False
-        self._lateness_s: deque[float] = deque(maxlen=KEPT)
-        self._late: deque[int] = deque(maxlen=TOLD)
-        self._late_count = self._skipped = 0
-        self._most_s = 0.0
+        self._overdue = self._was_late = False
 
     def wait_s(self) -> float:
         """How long until the next epoch is due; 0 or less: it is."""
@@ -40,7 +38,8 @@ class Pace:
         self._overdue = self.wait_s() < 0.0
 
     def begin(self, epoch: int) -> str:
-        """An epoch begins now; what people should know of it: the first one that is late, the second, the fourth, …"""
+        """An epoch begins now; what people should know of it: the first one that is late, the second, the fourth, …,
+        and each time that many are, at once."""
         now = self._clock()
         if not self._is_warm:  # in the first one all is made ready, for as long as that takes
             self._is_warm = True
@@ -48,33 +47,31 @@ class Pace:
         if math.isnan(self._first_s):
             self._first_s = now
         lateness_s = now - self._first_s - self._slot * self.period_s
-        self._lateness_s.append(lateness_s)
-        self._most_s = max(self._most_s, lateness_s)
-        is_late, self._overdue = self._overdue, False
-        if is_late:
-            self._late_count += 1
-            self._late.append(epoch)
-        self._slot += 1
-        if self._skips:
-            slot = math.ceil((now - self._first_s) / self.period_s)
-            self._skipped += max(0, slot - self._slot)
-            self._slot = max(self._slot, slot)
-        count = self._late_count
-        if not is_late or count & (count - 1):
+        overdue = math.ceil((now - self._first_s) / self.period_s) - self._slot  # epochs, this one among them
+        was_late, is_late = self._was_late, self._overdue
+        self._was_late, self._overdue = is_late, False
+        passed = max(0, overdue - 1) if self._skips else 0
+        self._slot += 1 + passed
+        self._times.begun_late(lateness_s, epoch if is_late else None, passed)
+        if not is_late:
             return ""
-        return f"epoch {epoch} begins {1e3 * lateness_s:.1f} ms late, as the one before was not done ({count} so far)"
+        begins, count = f"epoch {epoch} begins {1e3 * lateness_s:.1f} ms late", self._times.late.count
+        if lateness_s >= STALL_S and overdue > 1 and not was_late:
+            return f"{begins}: {overdue} epochs late, {'which are left out' if self._skips else 'which follow at once'}"
+        return "" if count & (count - 1) else f"{begins}, as the one before was not done ({count} so far)"
 
     def told(self) -> dict[str, float | int | Sequence[int]]:
         """How late epochs have begun, in milliseconds; how many, and which, as the one before was not done; and how
         many times have passed by."""
-        p50, p99 = np.percentile(self._lateness_s, (50, 99)) if self._lateness_s else (0.0, 0.0)
+        times = self._times
+        p50, p99 = np.percentile(times.lateness_s.numbers(), (50, 99)) if times.lateness_s.count else (0.0, 0.0)
         return {
             "period_ms": 1e3 * self.period_s,
             "p50_ms": 1e3 * float(p50),
             "p99_ms": 1e3 * float(p99),
-            "max_ms": 1e3 * self._most_s,
-            "last_ms": 1e3 * self._lateness_s[-1] if self._lateness_s else 0.0,
-            "late": self._late_count,
-            "skipped": self._skipped,
-            "epochs": list(self._late),
+            "max_ms": 1e3 * times.most_late_s,
+            "last_ms": 1e3 * times.lateness_s.last,
+            "late": times.late.count,
+            "skipped": times.skipped,
+            "epochs": times.late.numbers().astype(int).tolist(),
         }

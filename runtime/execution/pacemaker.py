@@ -7,7 +7,6 @@ import signal
 import sys
 import threading
 import time
-from collections import deque
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
@@ -20,10 +19,9 @@ from hierax.runtime.engine.engine import Engine
 from hierax.runtime.engine.stale import StaleEngine
 from hierax.runtime.engine.table import Phase
 from hierax.runtime.execution.pace import Pace
+from hierax.runtime.execution.times import Times
 
 Clock = Callable[[], float]
-
-EPOCHS_TIMED = 1_000_000  # of how many epochs, the last ones, the times are kept
 
 PATIENCE_S = 0.7  # how long the epoch under way may take to come to its end
 OVERDUE_S = 1.2  # how long, if no operator can be broken off before
@@ -44,9 +42,7 @@ class Pacemaker:
     on_commit: Callable[[int, bytes], None]  # told each epoch and its digest, after the next one has begun
     clock: Clock = time.perf_counter  # seconds
     pace: Pace | None = None  # of a world with a rate, with the barrier
-    epochs_s: deque[float] = field(default_factory=lambda: deque(maxlen=EPOCHS_TIMED))  # from beginning to commit
-    first_s: float | None = None
-    last_s: float = 0.0
+    times: Times = field(default_factory=Times)  # of its epochs, from beginning to commit
     done: bool = False
     asked: bool = False  # whether the run is to end as soon as may be; any thread, and a signal's handler, may set it
     _started: float = 0.0
@@ -64,17 +60,11 @@ class Pacemaker:
 
     def start(self) -> None:
         self._started = self.clock()
-        if self.first_s is None:
-            self.first_s = self._started
+        self.times.begun(self._started)
 
     def stop(self) -> None:
-        self.last_s = self.clock()
-        self.epochs_s.append(self.last_s - self._started)
-
-    @property
-    def wall_s(self) -> float:
-        """The time from the beginning of the first epoch to the commit of the last."""
-        return 0.0 if self.first_s is None else self.last_s - self.first_s
+        now_s = self.clock()
+        self.times.ended(now_s, now_s - self._started)
 
 
 class Breaker:

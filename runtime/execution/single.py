@@ -137,7 +137,7 @@ class SingleRun:
         """What the run has come to. Raises `Interrupted` with that where it was broken off."""
         chain, pacemaker = self.pacemaker.chain, self.pacemaker
         reports, unreported = self._nodes.reports(chain.epoch if broken else None)
-        times = (pacemaker.wall_s, pacemaker.epochs_s)
+        times = (pacemaker.times.wall_s, pacemaker.times.took_s.numbers().tolist())
         run = (self._deployment.name, "run", self._seed, chain.epoch, chain.digest.hex())
         report = Report(*run, *times, reports, self._output)
         if broken:

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import importlib
 import logging
+import os
 from collections.abc import Callable
+from mmap import mmap
 from pathlib import Path
 
 from hierax.runtime.core.digest import DigestChain
@@ -12,6 +14,8 @@ from hierax.runtime.execution.observers import Observers
 from hierax.runtime.execution.output_folder import digest_log, open_probes, state_log
 from hierax.runtime.execution.pace import Pace
 from hierax.runtime.execution.pacemaker import Pacemaker
+from hierax.runtime.execution.times import TIMES_BYTES, Times
+from hierax.runtime.host.private_files import errors_named, open_private, private_folder
 from hierax.runtime.launch.frames import BEGIN, NodeOrder
 from hierax.runtime.loading.allowance import Allowance
 from hierax.runtime.recovery.disk import MappedFile
@@ -44,8 +48,24 @@ def pacemaker_of(order: NodeOrder, publish: Callable[[int, bytes], None]) -> Pac
             log.flush()
 
     is_paced = order.rate_hz is not None and order.staleness == 0  # in free running it takes turns
-    pace = Pace(order.rate_hz, order.late) if is_paced and order.rate_hz else None
-    return Pacemaker(DigestChain(roster_hash), order.epochs, on_commit, pace=pace)
+    times = open_times(order)
+    pace = Pace(order.rate_hz, order.late, times) if is_paced and order.rate_hz else None
+    return Pacemaker(DigestChain(roster_hash), order.epochs, on_commit, pace=pace, times=times)
+
+
+def open_times(order: NodeOrder) -> Times:
+    """The run's, beside the world's record. Raises `HieraxError` if the file cannot be opened."""
+    path = Path(f"{order.checkpoint}.times")
+    with errors_named(path, "opened"), private_folder(path.parent) as folder:
+        file = open_private(folder, path.name, os.O_RDWR | os.O_CREAT, path)
+        try:
+            os.posix_fallocate(file, 0, TIMES_BYTES)
+            times = Times(mmap(file, TIMES_BYTES), int(order.run, 16))
+        finally:
+            os.close(file)
+    if order.life == BEGIN:
+        times.clear()
+    return times
 
 
 def preload(modules: tuple[str, ...], allowance: Allowance) -> None:

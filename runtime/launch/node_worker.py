@@ -9,8 +9,6 @@ import threading
 from collections.abc import Mapping
 from typing import get_args
 
-import numpy as np
-
 from hierax.runtime.core.binding import OperatorSetting, Waiter
 from hierax.runtime.core.errors import ContradictionError, HieraxError
 from hierax.runtime.core.staleness import Staleness
@@ -346,8 +344,8 @@ class NodeWorker:
         fields: dict[str, Value] = {**vars(member.runner.report(self._epoch)), "epoch": engine.epoch}
         fields["attempt"] = engine.attempt
         if pacemaker is not None:
-            chain = pacemaker.chain
-            fields["run"] = [chain.epoch, chain.digest, pacemaker.wall_s, np.array(pacemaker.epochs_s)]
+            chain, times = pacemaker.chain, pacemaker.times
+            fields["run"] = [chain.epoch, chain.digest, times.wall_s, times.took_s.numbers()]
         self._pipe.say(frames.REPORT, **fields, timing=self._timing())
         return 0
 

@@ -139,7 +139,7 @@ def run_hierarchy(
             runners[receiver].step(message)
     reports = {name: runner.report() for name, runner in runners.items()}
     chain = pacemaker.chain
-    times = (pacemaker.wall_s, pacemaker.epochs_s)
+    times = (pacemaker.times.wall_s, pacemaker.times.took_s.numbers().tolist())
     return kept.ran(Report("test", "run", seed, chain.epoch, chain.digest.hex(), *times, reports))
 
 

@@ -14,7 +14,7 @@ class Epochs:
 
     def __init__(self, late: Late = "catch_up") -> None:
         self.now = 100.0
-        self.pace = Pace(10.0, late, lambda: self.now)
+        self.pace = Pace(10.0, late, clock=lambda: self.now)
         self.number = 0
         self.notes: list[str] = []
         self.pace.begin(0)  # the first one is not on time, whatever it takes
@@ -59,6 +59,19 @@ def test_times_that_have_passed_are_skipped() -> None:
     assert begun == pytest.approx([0.0, 0.35, 0.4, 0.5])
     told = epochs.pace.told()
     assert (told["late"], told["skipped"], told["epochs"]) == (1, 2, [2])
+
+
+@pytest.mark.parametrize(
+    ("late", "then"),
+    [("catch_up", "20 epochs late, which follow at once"), ("skip", "20 epochs late, which are left out")],
+)
+def test_many_that_are_late_at_once_have_a_line_of_their_own(late: Late, then: str) -> None:
+    epochs = Epochs(late)
+    for took_s in (0.15, 0.15, *[0.01] * 5, 2.03, *[0.001] * 40, 2.03, 0.01):
+        epochs.does(took_s)
+    told = [note for note in epochs.notes if "epochs late" in note]
+    assert told[0].startswith("epoch 9 begins 1930.0 ms late: " + then), epochs.notes
+    assert len(told) == 2, "each time"
 
 
 def test_late_epochs_are_put_down_to_those_that_took_too_long() -> None:

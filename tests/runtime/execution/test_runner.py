@@ -14,7 +14,6 @@ import pytest
 from support.hierarchies import MixingNode
 from support.toy_nodes import Counter, Keeper
 
-import hierax.runtime.execution.pacemaker as pacemaker_module
 from hierax.runtime import NO_TICK, Node, Probe, Step, Tick, Value
 from hierax.runtime.core.binding import BoundNode, OperatorSetting
 from hierax.runtime.core.digest import DigestChain
@@ -53,7 +52,7 @@ def test_it_ends_at_the_limit_or_when_the_world_has_finished(limit: int | None, 
     runner.finish()
     pacemaker = pacemaker_of(runner)
     assert pacemaker.done
-    assert (pacemaker.chain.epoch, len(pacemaker.epochs_s)) == (epochs, epochs)
+    assert (pacemaker.chain.epoch, pacemaker.times.took_s.count) == (epochs, epochs)
     assert [step.epoch for step in keeper.steps] == list(range(1, epochs + 1))
     assert runner.report().metrics == {"count": float(epochs)}
 
@@ -61,22 +60,15 @@ def test_it_ends_at_the_limit_or_when_the_world_has_finished(limit: int | None, 
 def test_each_epoch_is_timed_from_its_beginning_to_its_commit() -> None:
     runner = alone(Counter(), 3)
     runner.finish()
-    pacemaker = pacemaker_of(runner)
-    assert list(pacemaker.epochs_s) == [1.0, 1.0, 1.0]
-    assert (pacemaker.first_s, pacemaker.last_s, pacemaker.wall_s) == (0.0, 5.0, 5.0)
-
-
-def test_the_times_of_the_last_epochs_are_kept(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(pacemaker_module, "EPOCHS_TIMED", 2)
-    runner = alone(Counter(), 5)
-    runner.finish()
-    assert len(pacemaker_of(runner).epochs_s) == 2
+    times = pacemaker_of(runner).times
+    assert times.took_s.numbers().tolist() == [1.0, 1.0, 1.0]
+    assert times.wall_s == 5.0
 
 
 def test_without_an_epoch_no_time_passes() -> None:
     runner = alone(Counter(), 0)
     runner.finish()
-    assert pacemaker_of(runner).wall_s == 0.0
+    assert pacemaker_of(runner).times.wall_s == 0.0
 
 
 def test_a_world_alone_tells_each_epoch_before_the_one_after_the_next() -> None:

@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import json
+import os
+import signal
 import subprocess
+import time
 from pathlib import Path
 from typing import Any
 
@@ -91,3 +94,39 @@ def test_who_waits_for_a_process_that_was_killed_was_not_at_work(file: str, tmp_
         report = json.loads(launch.end())
     assert "slow: its process is lost" in launch.err
     assert {name: report["timing"]["budgets"][name]["over"] for name in ("world", "quick")} == {"world": 0, "quick": 0}
+
+
+def test_what_a_world_that_was_killed_had_counted_is_told(file: str, tmp_path: Path) -> None:
+    """In the summary all epochs and their times are the run's, and so are those of a run that is resumed."""
+    settings = ["nodes.slow.parameters.every=10", "restart.restart_delay=0"]
+    words = [word for each in settings for word in ("--set", each)]
+    begun_s = time.monotonic()
+    with Launched(tmp_path, file, *words, "--epochs", "400") as launch:
+        for epoch in (60, 120):
+            until(lambda least=epoch: launch.epoch >= least, f"{epoch} epochs")
+            launch.kill("world")
+        until(lambda: launch.epoch >= 170, "170 epochs")
+        launch.process.send_signal(signal.SIGINT)
+        broken = json.loads(launch.end())
+    lasted_s = time.monotonic() - begun_s
+    time.sleep(1.0)  # a pause, which counts for nothing
+    begun_s = time.monotonic()
+    with Launched(tmp_path, "--resume", str(tmp_path / "state")) as launch:
+        report = json.loads(launch.end())
+    lasted_s += time.monotonic() - begun_s
+    assert report["epochs"] == 400
+    assert 1.6 <= broken["wall_s"] < report["wall_s"] < lasted_s
+    assert report["wall_s"] - broken["wall_s"] >= 0.01 * (400 - broken["epochs"] - 3)
+    assert report["timing"]["rate"]["late"] > broken["timing"]["rate"]["late"] >= 30
+
+
+def test_the_backlog_of_a_world_that_stood_still_has_a_line(file: str, tmp_path: Path) -> None:
+    with Launched(tmp_path, file, "--set", "nodes.slow.parameters.took_ms=0", "--epochs", "1000") as launch:
+        until(lambda: launch.epoch >= 30, "thirty epochs")
+        pid = launch.until_pid("world")
+        os.kill(pid, signal.SIGSTOP)
+        time.sleep(1.5)
+        os.kill(pid, signal.SIGCONT)
+        launch.until_said("epochs late, which follow at once")
+        until(lambda: launch.epoch >= 200, "what is overdue")
+        launch.end()
