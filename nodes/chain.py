@@ -1,7 +1,5 @@
 """A chain of three nodes that do next to nothing: what an epoch costs by itself."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from hierax.runtime import Elements, Node, Value, World

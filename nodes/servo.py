@@ -5,8 +5,6 @@ moves the camera there; a node above knows how things slide and predicts where t
 the context. All positions are in metres along the plane, from where the object starts.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator, Mapping
 

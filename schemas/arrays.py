@@ -15,8 +15,6 @@ The padding (0 to 15) puts the elements on a multiple of 16, counted from the st
 the payload, of the message: numpy then reads them in place and aligned.
 """
 
-from __future__ import annotations
-
 import struct
 from functools import lru_cache
 from math import prod

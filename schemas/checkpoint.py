@@ -10,8 +10,6 @@ Roster and states are in them as bytes, each one encoded value: as they are at h
 encoded, a record takes about a microsecond.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple, get_type_hints
 

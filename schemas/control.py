@@ -4,8 +4,6 @@ Each is a msgpack array of its name and its fields. A *process* is a token that 
 processes share; a node's name stays the same when its process is another one.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from typing import NamedTuple, cast, get_args, get_type_hints
 

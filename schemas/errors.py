@@ -1,7 +1,5 @@
 """The one error that reading a message can raise."""
 
-from __future__ import annotations
-
 from typing import Any
 
 SHOWN_CHARS = 40

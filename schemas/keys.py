@@ -4,8 +4,6 @@
 that access-control lists follow from the roster.
 """
 
-from __future__ import annotations
-
 import re
 from dataclasses import dataclass
 

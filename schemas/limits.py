@@ -3,8 +3,6 @@
 A message that breaks one of them is refused with a `SchemaError` before memory in proportion to its claims is taken.
 """
 
-from __future__ import annotations
-
 MAX_MESSAGE_BYTES = 256 * 1024 * 1024
 MAX_ARRAY_BYTES = 256 * 1024 * 1024
 MAX_ARRAY_NDIM = 16

@@ -11,8 +11,6 @@ extension `ARRAY`, follows the payload as a further element of the message, and 
 bytes of all that follows the payload (unsigned 32 bits). So large arrays are read in place, without a copy.
 """
 
-from __future__ import annotations
-
 import struct
 from collections.abc import Mapping
 from typing import Any, NamedTuple

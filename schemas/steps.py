@@ -8,8 +8,6 @@ A step is one msgpack array that any msgpack library reads, a format number in f
 State, sensed belief and start are in it as bytes, each one encoded value.
 """
 
-from __future__ import annotations
-
 from typing import Any, NamedTuple, get_origin, get_type_hints
 
 from hierax.schemas.checkpoint import FORMAT, read_fields

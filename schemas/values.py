@@ -5,8 +5,6 @@ or a numpy array of numbers or bools. One value has one encoding (a dict keeps i
 back as a tuple, a numpy scalar as a Python number.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Collection, Iterator
 from types import NoneType
 from typing import Any, get_args, get_origin

@@ -4,8 +4,6 @@ Times are of one update: an evidence set in, the posteriors of all nodes out; in
 other processes share the processors. Errors are against node-by-node propagation in extended precision.
 """
 
-from __future__ import annotations
-
 import math
 import statistics
 import time

@@ -1,7 +1,5 @@
 """``hierax bench tracking --start search``: objects whose first poses nobody tells, beside the truth."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path

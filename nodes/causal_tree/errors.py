@@ -1,7 +1,5 @@
 """What can be wrong with a network or with evidence."""
 
-from __future__ import annotations
-
 from hierax.runtime.core.errors import HieraxError
 
 Name = str | int  # a node's id

@@ -1,7 +1,5 @@
 """The sweep in ordinary float64: exact enough while no number comes near underflow, which is checked, not hoped."""
 
-from __future__ import annotations
-
 import math
 from typing import NamedTuple
 

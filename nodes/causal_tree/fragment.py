@@ -5,8 +5,6 @@ prior but the causal support that came down along the arrow, and belongs to this
 a network by itself, and is swept as one.
 """
 
-from __future__ import annotations
-
 import operator
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any, NamedTuple

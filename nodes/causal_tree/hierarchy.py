@@ -1,8 +1,6 @@
 """From a network to a hierarchy: a deployment with a process for each node, or for each part; and its N₀, which shows
 one evidence set after the other."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from graphlib import CycleError, TopologicalSorter
 from typing import Any

@@ -1,7 +1,5 @@
 """Posteriors of a network in one process."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from typing import Any
 

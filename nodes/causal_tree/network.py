@@ -1,7 +1,5 @@
 """A Bayesian network without undirected loops: what a description says, checked, and how far news has to travel."""
 
-from __future__ import annotations
-
 import math
 from collections import Counter
 from collections.abc import Hashable, Mapping, Sequence

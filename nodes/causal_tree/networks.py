@@ -1,8 +1,6 @@
 """Where networks come from: lists, a seed, and files (JSON, YAML, and BIF, which pyAgrum reads); and what evidence a
 user may write."""
 
-from __future__ import annotations
-
 import json
 import re
 import warnings

@@ -14,8 +14,6 @@ A belief is ``{"age", "evidence", "below", "above", "diagnostic", "causal", "pos
 - ``age``: for how many epochs the evidence has been the same; ``impossible``: where it contradicts itself, or empty.
 """
 
-from __future__ import annotations
-
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from typing import Any
 

@@ -9,8 +9,6 @@ Families of one depth, with tables of one shape, are a `Group`. Variables with t
 of one array, in such an order that the others of a group stand side by side.
 """
 
-from __future__ import annotations
-
 import itertools
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """``hierax export``: a recording as other programs read it."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Annotated
 

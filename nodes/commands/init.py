@@ -1,7 +1,5 @@
 """``hierax init``: first poses of a scene folder's objects, by clicking corners on a page."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Annotated
 

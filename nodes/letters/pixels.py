@@ -9,8 +9,6 @@ and likewise of A. With the two ideal templates alone, the noise in the pixels w
 them is read, and with full confidence.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping, Sequence
 from functools import lru_cache

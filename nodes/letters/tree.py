@@ -10,8 +10,6 @@ follows from the other two and is kept to be read. 0 means impossible, exactly: 
 and what would underflow stays at `TINY`, so that later evidence can still choose it.
 """
 
-from __future__ import annotations
-
 import math
 import sys
 from collections.abc import Iterable, Mapping, Sequence

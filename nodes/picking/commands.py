@@ -5,8 +5,6 @@ the way down each node's policy is chosen by the command that came from above: t
 the bit, and the policy's one action is that command again.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator, Mapping
 from typing import Any
 

@@ -1,7 +1,5 @@
 """The grasp node: chooses a free cube of those that are tracked, and has the gripper take it and lift it."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from typing import Any
 

@@ -5,8 +5,6 @@ The plan gives each cube a place. Where it really stands is the world's alone: i
 the scene would have.
 """
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import numpy as np

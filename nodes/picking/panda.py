@@ -5,8 +5,6 @@ the direction in which they close. Lengths are those of the maker's table of Den
 convention), as in pybullet_data's model. The arm stands in the origin of the world, on the table z = 0.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from hierax.nodes.tracking.math.geometry import Array, Floats, exp_so3, invert, log_so3, make_pose

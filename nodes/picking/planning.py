@@ -1,7 +1,5 @@
 """Where a parallel-jaw gripper can take a box: by two opposite faces, reachable, without touching anything else."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 

@@ -4,8 +4,6 @@ Both do what they do in `hierax.nodes.tracking`, and two things more: what the a
 them, and the grasp node's commands go down.
 """
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

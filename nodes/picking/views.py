@@ -1,7 +1,5 @@
 """Pictures of the whole scene, arm included, from beside the table: for people, not for any node."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from pathlib import Path
 

@@ -10,8 +10,6 @@ fingers are boxes: the model's finger is a mesh with a rounded inside, which in 
 point of contact, against which the box turns; a box in its place has four.
 """
 
-from __future__ import annotations
-
 import os
 import weakref
 from collections.abc import Sequence

@@ -1,7 +1,5 @@
 """The world of the picking arm: cubes on a table, the arm, the camera in its hand. True poses are here alone."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from typing import Any
 

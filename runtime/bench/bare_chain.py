@@ -3,8 +3,6 @@
 Run as a process for each role: world, arm, spatial, or echo (which answers the world at once, for the time of a bare
 round trip). The world prints how long each epoch took, in microseconds, as JSON."""
 
-from __future__ import annotations
-
 import argparse
 import json
 import os

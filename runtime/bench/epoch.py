@@ -1,7 +1,5 @@
 """`hierax bench epoch`: an epoch of a chain of three processes, beside the same chain in bare Zenoh."""
 
-from __future__ import annotations
-
 import json
 import os
 import subprocess

@@ -1,7 +1,5 @@
 """``hierax doctor``: what is wrong with this machine, and how it is mended."""
 
-from __future__ import annotations
-
 from typing import Annotated
 
 from hierax.runtime.commands.options import Format, OutputFormat, option

@@ -1,7 +1,5 @@
 """One error handler for all commands, and the exit codes."""
 
-from __future__ import annotations
-
 import os
 import sys
 import traceback

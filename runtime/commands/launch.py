@@ -1,7 +1,5 @@
 """``hierax launch``: a deployment, each node in a process of its own."""
 
-from __future__ import annotations
-
 import functools
 from pathlib import Path
 

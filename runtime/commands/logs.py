@@ -1,7 +1,5 @@
 """``hierax logs``: what the processes of a launch have said."""
 
-from __future__ import annotations
-
 import json
 import logging
 import os

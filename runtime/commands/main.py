@@ -1,7 +1,5 @@
 """The command ``hierax``."""
 
-from __future__ import annotations
-
 import functools
 from collections.abc import Callable, Sequence
 from importlib.metadata import EntryPoint, entry_points

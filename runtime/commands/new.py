@@ -1,7 +1,5 @@
 """``hierax new``: a project of one's own."""
 
-from __future__ import annotations
-
 import importlib.util
 import keyword
 import re

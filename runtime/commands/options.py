@@ -1,7 +1,5 @@
 """Arguments and options that several commands share, and the words for those of all."""
 
-from __future__ import annotations
-
 import glob
 import re
 from collections.abc import Callable

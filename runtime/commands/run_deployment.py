@@ -1,7 +1,5 @@
 """What ``run`` and ``launch`` have in common: options to a report, printed and kept."""
 
-from __future__ import annotations
-
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, nullcontext, redirect_stdout

@@ -1,7 +1,5 @@
 """``hierax set``: parameters of a node of a launch that runs."""
 
-from __future__ import annotations
-
 from typing import Annotated, Any
 
 from hierax.runtime.commands.errors import UsageError

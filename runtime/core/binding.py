@@ -4,8 +4,6 @@ A user's operator may or may not take a ``tick``, and may be an ``async def``. H
 both are settled once, when a node is built, so that nothing has to look again.
 """
 
-from __future__ import annotations
-
 import inspect
 from collections.abc import Awaitable, Callable, Mapping
 from dataclasses import dataclass

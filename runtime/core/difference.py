@@ -1,7 +1,5 @@
 """Where two values differ; and whether operators leave alone what they are given."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from typing import Any, NamedTuple

@@ -5,8 +5,6 @@ parents, in name order. The epoch's digest chains the last one, the epoch's numb
 digest, which, as the digests flow down every edge, covers all nodes.
 """
 
-from __future__ import annotations
-
 import struct
 from collections.abc import Iterable
 from hashlib import blake2b

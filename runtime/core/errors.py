@@ -1,7 +1,5 @@
 """Errors of the core, each saying whose fault it is."""
 
-from __future__ import annotations
-
 
 class HieraxError(Exception):
     """Base of the errors that a user can cause and mend: one clear line each."""

@@ -1,7 +1,5 @@
 """Probes: they see what a node did in each epoch and write it somewhere; the run never depends on them."""
 
-from __future__ import annotations
-
 from abc import ABC, abstractmethod
 from pathlib import Path
 from typing import NamedTuple

@@ -15,8 +15,6 @@ kind:
 Arrays may be lists, too. What is built wrongly is refused with a ValueError that says what was expected.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, ClassVar

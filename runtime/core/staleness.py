@@ -1,7 +1,5 @@
 """How old the inputs from above may be."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 

@@ -3,8 +3,6 @@
 They check one field at a time. What joins several (an edge's nodes, the world's name) is checked in
 `hierax.runtime.deployment.read`."""
 
-from __future__ import annotations
-
 import re
 from typing import Annotated, Any, Literal, get_origin
 

@@ -1,7 +1,5 @@
 """Changes to a deployment file as read: ``${NAME}``, a named value put where it is meant, and ``--set PATH=VALUE``."""
 
-from __future__ import annotations
-
 import re
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Reading a deployment file: text to tree, ``--set``, ``${NAME}``, models, roster."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path

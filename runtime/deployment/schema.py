@@ -2,8 +2,6 @@
 
 ``python -m hierax.runtime.deployment.schema`` prints it; it is kept beside this module."""
 
-from __future__ import annotations
-
 import json
 import sys
 from pathlib import Path

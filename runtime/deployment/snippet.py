@@ -4,8 +4,6 @@
 checked that depends on the roster which it will find: what nodes there are then, and what may be loaded,
 `hierax.runtime.owner.roster_changes` decides."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from functools import reduce

@@ -3,8 +3,6 @@
 The core schema of YAML 1.2 is read (``1e-3`` is a number, ``on`` and ``no`` are text), with merge keys; a number that
 begins with a superfluous zero (``000001``) is text. Unlike YAML allows, keys are text and no map holds a key twice."""
 
-from __future__ import annotations
-
 import base64
 import binascii
 import re

@@ -1,7 +1,5 @@
 """What an engine calls: messages to send, states to keep, and events."""
 
-from __future__ import annotations
-
 from abc import ABC, abstractmethod
 from typing import NamedTuple
 

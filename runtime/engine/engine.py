@@ -1,7 +1,5 @@
 """The engine of one node: the table of `hierax.runtime.engine.table`, executed."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 
 from hierax.runtime.core.binding import Call, epoch_time_s, is_finished

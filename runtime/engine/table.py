@@ -55,8 +55,6 @@ Where it does not, somebody else has spoken in the sender's name, and nobody kno
 was the sender's: the engine raises a `ContradictionError`, which ends the run.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator, Mapping
 from enum import Enum
 from sys import getsizeof

@@ -1,7 +1,5 @@
 """A node's checkpoints: its states at the start and at the end of the last epoch, in two slots."""
 
-from __future__ import annotations
-
 import logging
 from collections.abc import Sequence
 

@@ -1,7 +1,5 @@
 """A dry epoch: every operator and edge function is called once, and nothing comes of it."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 from hierax.runtime.core.digest import travels

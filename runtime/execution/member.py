@@ -1,7 +1,5 @@
 """A node of a run that may change: its runner, with checkpoints, and ears for the roster's owner."""
 
-from __future__ import annotations
-
 import logging
 from collections.abc import Callable
 from dataclasses import dataclass

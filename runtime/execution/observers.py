@@ -1,7 +1,5 @@
 """Those who see what a node does: its state log, its probes, and watchers that come and go."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterable, Sequence
 from contextlib import ExitStack
 

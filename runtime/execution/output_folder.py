@@ -8,8 +8,6 @@
 and whatever the deployment's probes write.
 """
 
-from __future__ import annotations
-
 import json
 import os
 from collections.abc import Iterator, Sequence

@@ -1,7 +1,5 @@
 """What a run has come to, and values as plain JSON."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace

@@ -1,7 +1,5 @@
 """How a launch has kept its times: epochs that began late, and the nodes that took longer than they may."""
 
-from __future__ import annotations
-
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from typing import Any

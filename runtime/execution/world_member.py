@@ -1,7 +1,5 @@
 """The world's process: a member, and the owner of the roster beside it."""
 
-from __future__ import annotations
-
 import logging
 from collections.abc import Callable, Container, Mapping
 from typing import Literal

@@ -4,8 +4,6 @@ What a launch believes later (checkpoints, what it takes to resume, where launch
 is in folders that nobody else can write to, and no other user can read it. What a run gives
 its user (outputs, recordings) is as readable as that user's other files."""
 
-from __future__ import annotations
-
 import errno
 import fcntl
 import os

@@ -5,8 +5,6 @@ A key is 32 random bytes, for each user on each machine. What runs say of themse
 when it is written; only who has the key could have made a seal that fits.
 """
 
-from __future__ import annotations
-
 import functools
 import hmac
 import json

@@ -1,7 +1,5 @@
 """Asks the system to run a node's thread before others, or on processors of its own."""
 
-from __future__ import annotations
-
 import logging
 import os
 from collections.abc import Sequence

@@ -4,8 +4,6 @@ and ignoring Ctrl-C, which is for who has started them, who ends them.
 Zenoh prints its log to descriptor 1, as do libraries that nodes use. A process that calls `own_streams` or `own_output`
 has descriptor 1 lead to standard error, and keeps the real standard output for what it says itself."""
 
-from __future__ import annotations
-
 import io
 import os
 import signal

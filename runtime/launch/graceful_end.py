@@ -5,8 +5,6 @@ the world says which epoch was the last one, and every node what it was after it
 its checkpoint speaks for it.
 """
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import anyio

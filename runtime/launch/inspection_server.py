@@ -11,8 +11,6 @@ A question is a map with ``"look"``, as is the answer:
     roster      of the world's process, the roster in force; of others nothing
 """
 
-from __future__ import annotations
-
 import os
 import time
 from collections.abc import Callable, Mapping

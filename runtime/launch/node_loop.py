@@ -1,7 +1,5 @@
 """What a node's thread does while the run goes on: message by message, and what others say beside them."""
 
-from __future__ import annotations
-
 import logging
 import threading
 import time

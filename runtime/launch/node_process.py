@@ -5,8 +5,6 @@ runs the engine and sends, with nothing else on its way. The other has the event
 it greets neighbours until they answer, and listens to the supervisor.
 """
 
-from __future__ import annotations
-
 import io
 import logging
 import os

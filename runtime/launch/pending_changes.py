@@ -1,7 +1,5 @@
 """The changes of a launch's roster that were asked for, and what became of them."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 

@@ -1,7 +1,5 @@
 """The supervisor of processes: of those of a launch, and of those that are attached to one from elsewhere."""
 
-from __future__ import annotations
-
 import signal
 from abc import ABC, abstractmethod
 from collections.abc import Callable

@@ -1,7 +1,5 @@
 """The recorder's process beside a launch."""
 
-from __future__ import annotations
-
 import json
 import subprocess
 from collections.abc import Callable

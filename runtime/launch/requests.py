@@ -1,7 +1,5 @@
 """What others ask of a launch that runs: changes of its roster, and how it does."""
 
-from __future__ import annotations
-
 from collections.abc import AsyncIterator, Callable, Mapping
 from contextlib import asynccontextmanager
 from functools import partial

@@ -1,7 +1,5 @@
 """The processes of a launch's roster: what they say, and what follows when one ends before its time."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import replace
 from secrets import token_hex

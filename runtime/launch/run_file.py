@@ -1,7 +1,5 @@
 """Files about runs: one beside its checkpoints, to go on with it; one in a common place, to find it while it runs."""
 
-from __future__ import annotations
-
 import json
 import os
 from collections.abc import Mapping, Sequence

@@ -1,7 +1,5 @@
 """Launching a deployment: each node its own process, kept alive until the run is over."""
 
-from __future__ import annotations
-
 import os
 import tempfile
 import threading

@@ -3,8 +3,6 @@
 Annotations of true or false, whole numbers, numbers and texts are looked at, each or None;
 others, and those that cannot be resolved, are the code's own business."""
 
-from __future__ import annotations
-
 import inspect
 import math
 import types

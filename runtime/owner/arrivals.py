@@ -4,8 +4,6 @@ Only the world begins epochs and attempts, so no node can be ahead of it. One th
 that is so: anybody may have said it in its name, or have sent it observations in the name of a node below.
 """
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 from hierax.runtime.owner.context import OwnerContext, OwnerPart

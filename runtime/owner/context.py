@@ -1,7 +1,5 @@
 """What the parts of an owner share: how far the run is, and what became of the changes that were asked for."""
 
-from __future__ import annotations
-
 from collections import OrderedDict
 from collections.abc import Callable
 from dataclasses import KW_ONLY, dataclass

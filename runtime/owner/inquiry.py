@@ -1,7 +1,5 @@
 """Who is to blame for an epoch that does not end."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 

@@ -1,7 +1,5 @@
 """Processes that are lost, and nodes that do not come back."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 from hierax.runtime.owner.context import OwnerContext, OwnerPart

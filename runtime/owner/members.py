@@ -1,7 +1,5 @@
 """Which process runs which node, who is lost, who offers to come in; and the version that is on its way."""
 
-from __future__ import annotations
-
 from collections import OrderedDict
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field

@@ -1,7 +1,5 @@
 """The owner of the roster: decides which version an epoch runs under, and when one is done again."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterable, Mapping
 from math import inf
 

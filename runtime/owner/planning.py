@@ -1,7 +1,5 @@
 """Changes and recoveries on their way: the queue, and the version of the roster that is prepared."""
 
-from __future__ import annotations
-
 from collections import deque
 from collections.abc import Callable
 from dataclasses import replace

@@ -19,8 +19,6 @@ it, and at the messages and digests themselves:
 "Before" and "after" are as the node's own port saw them: nothing that comes over a network
 says in which order two others acted, but what one has received another has sent before."""
 
-from __future__ import annotations
-
 from collections import deque
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field

@@ -4,8 +4,6 @@ In each epoch results are compared in the formal order: upward each node's `obse
 its `select_policy`, policy, `task`, `predict` and `context`. So everything that went into the first one that differs
 was the same."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
 from typing import NamedTuple

@@ -3,8 +3,6 @@
 Every step names the messages that went in and out at its node's port, and counts the steps. So what lacks is known
 whoever has lost it, and how."""
 
-from __future__ import annotations
-
 import time
 from collections import deque
 from collections.abc import Callable, Mapping

@@ -4,8 +4,6 @@ Started by a supervisor with its order, a JSON object, as the first line of stan
 End of file there means that the run is over; a second line, if there was one, is the number
 of its last epoch. What it has to say goes to standard output as JSON objects, one a line."""
 
-from __future__ import annotations
-
 import json
 import os
 import sys

@@ -4,8 +4,6 @@ Some nodes are *live*: their operators are called again. The others, by default 
 give what they gave. A live node gets what live nodes give now, and of the others what was
 recorded, each from the epoch and attempt whose message was used then."""
 
-from __future__ import annotations
-
 import tempfile
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import KW_ONLY, dataclass, field, replace

@@ -1,7 +1,5 @@
 """An epoch that was done again, and what went along the lines of a replay."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 from dataclasses import dataclass, field
 from typing import NamedTuple

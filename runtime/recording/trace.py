@@ -1,7 +1,5 @@
 """Traces: what happened in each epoch, put together from what was heard in any order."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property

@@ -1,7 +1,5 @@
 """The watcher that tells whoever records what a node does."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Callable
 from dataclasses import dataclass

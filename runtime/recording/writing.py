@@ -1,7 +1,5 @@
 """Writing a recording: an MCAP file, one channel per key, chunks that are whole on disk soon."""
 
-from __future__ import annotations
-
 import os
 import time
 from collections.abc import Iterator

@@ -6,8 +6,6 @@ checksum is over all that follows it, so that it does not matter which parts of 
 or lost a write, and is damaged too.
 """
 
-from __future__ import annotations
-
 import struct
 from typing import NamedTuple
 from zlib import crc32

@@ -1,7 +1,5 @@
 """The names by which processes find what a script gives as objects: ``module:name`` of classes and functions."""
 
-from __future__ import annotations
-
 import sys
 from collections.abc import Callable, Mapping
 from functools import partial

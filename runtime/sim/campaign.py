@@ -1,7 +1,5 @@
 """Many simulations, over all cores, and how small a failing one can be made."""
 
-from __future__ import annotations
-
 import logging
 import os
 import signal

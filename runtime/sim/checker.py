@@ -1,7 +1,5 @@
 """What must hold, whatever happens: checked against the formal core, apart from the engine."""
 
-from __future__ import annotations
-
 from collections import Counter
 from collections.abc import Callable, Mapping
 from types import MappingProxyType

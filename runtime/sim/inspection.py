@@ -6,8 +6,6 @@ roster, in which epoch and attempt: of the world's, what it was told to begin; o
 that it observed last. So nothing of the engine's own bookkeeping is relied upon.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any, NamedTuple

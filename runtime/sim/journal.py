@@ -1,7 +1,5 @@
 """What is noted of a simulation: its events in words, and how often each kind of thing occurred."""
 
-from __future__ import annotations
-
 from collections import Counter
 from collections.abc import Callable, Mapping
 from typing import Any, get_args

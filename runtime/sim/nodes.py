@@ -4,8 +4,6 @@ They hash all their arguments, in order, so that a lost, doubled, stale or reord
 input, a wrong belief or another random number shows in every state above and below.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping
 from functools import partial
 from hashlib import blake2b

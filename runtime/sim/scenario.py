@@ -1,7 +1,5 @@
 """What happens in one simulation: all of it follows from a seed, and can be made smaller."""
 
-from __future__ import annotations
-
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field
 from random import Random

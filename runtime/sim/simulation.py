@@ -1,7 +1,5 @@
 """One simulation: a run under the faults of a scenario, and whether all that must hold does."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass
 from random import Random

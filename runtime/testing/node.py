@@ -1,7 +1,5 @@
 """`check_node`: what every node has to do, as one function to call from a test."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from functools import partial
 from typing import Any, NamedTuple

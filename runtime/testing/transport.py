@@ -1,7 +1,5 @@
 """`check_transport`: what every transport has to do, as one function to call from a test."""
 
-from __future__ import annotations
-
 import threading
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence

@@ -1,7 +1,5 @@
 """What is wrong with this machine, and how it is mended."""
 
-from __future__ import annotations
-
 import os
 import platform
 import re

@@ -1,7 +1,5 @@
 """Which messages somebody wants to see, and how many of them come, how large."""
 
-from __future__ import annotations
-
 import time
 from collections import deque
 from collections.abc import Callable, Iterable, Sequence

@@ -1,7 +1,5 @@
 """What launches leave behind when they are killed: processes, and folders of checkpoints."""
 
-from __future__ import annotations
-
 import fcntl
 import os
 import re

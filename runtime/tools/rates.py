@@ -1,7 +1,5 @@
 """From two looks at a launch to what its nodes do in between."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from math import inf
 from typing import Any

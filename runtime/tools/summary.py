@@ -1,7 +1,5 @@
 """Values as text for people: arrays summarised, everything else as it is."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from itertools import islice
 from typing import Any

@@ -1,7 +1,5 @@
 """Both ends of a recording: where a node tells its steps, and where a recorder hears all that is said."""
 
-from __future__ import annotations
-
 import logging
 import threading
 import time

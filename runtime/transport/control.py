@@ -3,8 +3,6 @@
 What goes along the line may be lost, and is said again.
 """
 
-from __future__ import annotations
-
 import logging
 from collections import deque
 from collections.abc import Callable, Iterator

@@ -1,7 +1,5 @@
 """The supervisor's Zenoh session: the processes of a run find one another through it."""
 
-from __future__ import annotations
-
 import logging
 import threading
 import time

@@ -9,8 +9,6 @@ A thread that sleeps in Zenoh's queue is woken by what is put there, which waits
 interrupts the node is held up, this is done only while the thread sleeps, and it makes room before it goes on.
 """
 
-from __future__ import annotations
-
 import os
 import threading
 from collections import deque

@@ -1,7 +1,5 @@
 """A node's port over Zenoh: one publisher for each outgoing key, one subscriber for all incoming ones."""
 
-from __future__ import annotations
-
 import logging
 import threading
 from collections import deque

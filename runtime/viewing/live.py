@@ -1,7 +1,5 @@
 """Seeing a run in this process, or a launch, which waits for nobody: what cannot be shown in time is left out."""
 
-from __future__ import annotations
-
 import time
 from collections import deque
 from collections.abc import Callable

@@ -1,7 +1,5 @@
 """From the nodes' steps to what is on the canvas: the same for a run, a launch and a recording."""
 
-from __future__ import annotations
-
 from collections import deque
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field

@@ -1,7 +1,5 @@
 """Seeing a recording, and what one node shows in words and figures, for a terminal."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from itertools import chain
 

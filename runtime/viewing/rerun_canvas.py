@@ -1,7 +1,5 @@
 """A canvas of Rerun's: things as its archetypes, views as its blueprint."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Sequence
 from typing import Any
 

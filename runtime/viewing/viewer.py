@@ -1,7 +1,5 @@
 """Where a stream of Rerun's goes: a web viewer on this machine, a window, or a file."""
 
-from __future__ import annotations
-
 import ctypes
 import importlib.util
 import re

@@ -2,8 +2,6 @@
 
 That is in columns of cells, each of one view or of several behind tabs."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from enum import Enum

@@ -1,7 +1,5 @@
 """A node's budget: in which epochs it has worked for longer than it may."""
 
-from __future__ import annotations
-
 from collections import deque
 
 from hierax.runtime.engine.effects import Completed

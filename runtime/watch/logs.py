@@ -8,8 +8,6 @@ as well. Every record has the fields ``run``, ``node``, ``epoch`` and ``attempt`
 
 ``exception`` holds a traceback; what is given as ``extra`` stands under its own names."""
 
-from __future__ import annotations
-
 import json
 import logging
 import logging.handlers

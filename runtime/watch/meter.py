@@ -1,7 +1,5 @@
 """Where a node's time goes: in its operators, or waiting, and for whom."""
 
-from __future__ import annotations
-
 import time
 from collections import deque
 from collections.abc import Callable

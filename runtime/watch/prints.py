@@ -7,8 +7,6 @@ Python's own prints are named in the node's process, which knows the epoch. What
 while a library prints and holds the interpreter's lock. In `hierax run` nodes take turns in one process; see `_Turns`.
 """
 
-from __future__ import annotations
-
 import ctypes
 import io
 import json

@@ -1,7 +1,5 @@
 """Watchers: they see what a node does, in the node's thread, while they are there."""
 
-from __future__ import annotations
-
 import time
 from collections import deque
 from collections.abc import Callable, Collection, Iterator
