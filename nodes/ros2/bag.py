@@ -7,12 +7,21 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
-
-from hierax.nodes.ros2.messages import CAMERA_INFO, COMPRESSED, IMAGE, image_of, messages, require_rosbags, time_of
-from hierax.nodes.sources.calibration import Lens, lens_of
+from hierax.nodes.ros2.messages import (
+    CAMERA_INFO,
+    COMPRESSED,
+    IMAGE,
+    NS,
+    beside,
+    header_of,
+    image_of,
+    messages,
+    require,
+    told_lens,
+)
+from hierax.nodes.sources.calibration import Lens
 from hierax.nodes.sources.files import DataError
-from hierax.nodes.sources.shots import CameraBelief, Shot, Source, ending
+from hierax.nodes.sources.shots import Seen, Shot, Source, ending
 
 if TYPE_CHECKING:
     from rosbags.interfaces import Connection
@@ -31,7 +40,7 @@ class BagFrames(Source):
     """
 
     def __init__(self, path: Path, topic: str | None = None) -> None:
-        require_rosbags(path)
+        require("rosbags.rosbag2", path)
         from rosbags.rosbag2 import Reader
 
         self._path = path
@@ -52,7 +61,7 @@ class BagFrames(Source):
             raise
         self._next, self._found = 0, self._read(self._images)
 
-    def shot(self, belief: CameraBelief) -> Shot:
+    def shot(self, belief: Seen) -> Shot:
         index = belief["index"]
         if index < self._next:
             self._next, self._found = 0, self._read(self._images)
@@ -67,7 +76,8 @@ class BagFrames(Source):
             self._next += 1
         where = f"{self.name}, picture {index + 1}"
         message = _decoded(where, kind, data)
-        return Shot(index, image_of(where, message), time_of(where, message))
+        header = header_of(where, message)
+        return Shot(index, image_of(where, message), header["stamp_ns"] / NS, header=header)
 
     def close(self) -> None:
         self._reader.close()
@@ -81,27 +91,14 @@ class BagFrames(Source):
     def _told_lens(self) -> Lens | None:
         """As the first CameraInfo beside the topic has it, or of the bag where it has just one; None: there is none,
         or it says that nobody knows."""
-        beside, _, name = self._topic.rpartition("/")
-        if self._images[0].msgtype == COMPRESSED and name == "compressed":
-            beside, _, name = beside.rpartition("/")
+        expected, straight = beside(self._topic, self._images[0].msgtype == COMPRESSED)
         infos = {each.topic for each in self._reader.connections if each.msgtype == CAMERA_INFO and each.msgcount}
-        chosen = infos & {f"{beside}/camera_info"} or (infos if len(infos) == 1 else set())
+        chosen = infos & {expected} or (infos if len(infos) == 1 else set())
         found = next(self._read([each for each in self._reader.connections if each.topic in chosen]), None)
         if not chosen or found is None:
             return None
         where = f"{self._path}: {min(chosen)}"
-        told = _decoded(where, *found)
-        if not told.k.any():
-            return None
-        straight = name.startswith("image_rect")
-        content = {
-            "image_width": told.width,
-            "image_height": told.height,
-            "K": (told.p.reshape(3, 4)[:, :3].ravel() if straight else told.k).tolist(),
-            "D": [] if straight else np.asarray(told.d).tolist(),
-            "distortion_model": told.distortion_model,
-        }
-        return lens_of(where, content)
+        return told_lens(where, _decoded(where, *found), straight)
 
 
 def _choose(path: Path, connections: Sequence[Connection], topic: str | None) -> str:

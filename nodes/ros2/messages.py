@@ -3,20 +3,32 @@
 from __future__ import annotations
 
 from functools import cache
+from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 import cv2
 import numpy as np
 
+from hierax.nodes.sources.calibration import Lens, lens_of
 from hierax.nodes.sources.files import DataError
 from hierax.nodes.sources.images import MAX_PIXELS, Array, decode_image
+from hierax.nodes.sources.shots import Header
 
 if TYPE_CHECKING:
     from rosbags.typesys.store import Typestore
 
 IMAGE, COMPRESSED = "sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage"
 CAMERA_INFO = "sensor_msgs/msg/CameraInfo"
+TRANSFORMS = "tf2_msgs/msg/TFMessage"
 NS = 1_000_000_000  # nanoseconds in a second
+
+_VISION = {  # vision_msgs 4, which rosbags has not
+    "BoundingBox3D": "geometry_msgs/Pose center\ngeometry_msgs/Vector3 size",
+    "ObjectHypothesis": "string class_id\nfloat64 score",
+    "ObjectHypothesisWithPose": "ObjectHypothesis hypothesis\ngeometry_msgs/PoseWithCovariance pose",
+    "Detection3D": "std_msgs/Header header\nObjectHypothesisWithPose[] results\nBoundingBox3D bbox\nstring id",
+    "Detection3DArray": "std_msgs/Header header\nDetection3D[] detections",
+}
 
 _LAYOUTS: dict[str, tuple[int, int | None]] = {  # bytes a pixel, and OpenCV's way from there to gray or RGB
     "mono8": (1, None),
@@ -33,20 +45,24 @@ _LAYOUTS: dict[str, tuple[int, int | None]] = {  # bytes a pixel, and OpenCV's w
 }
 
 
-def require_rosbags(path: object) -> None:
-    """See that bags can be read and written. Raises DataError if the package lacks; it names the bag."""
+def require(module: str, where: object) -> None:
+    """See that a package is there. Raises DataError if it lacks, which names what asks for it."""
     try:
-        import rosbags.rosbag2  # noqa: F401
+        import_module(module)
     except ModuleNotFoundError as error:
-        raise DataError(f"{path}: bags need the package rosbags: pip install 'hierax[ros2]'") from error
+        package = module.partition(".")[0]
+        raise DataError(f"{where}: this needs the package {package}: pip install 'hierax[ros2]'") from error
 
 
 @cache
 def messages() -> Typestore:
     """The definitions of ROS's messages; those used here are alike in all distributions from Humble on."""
-    from rosbags.typesys import Stores, get_typestore
+    from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
-    return get_typestore(Stores.ROS2_JAZZY)
+    store = get_typestore(Stores.ROS2_JAZZY)
+    for name, definition in _VISION.items():
+        store.register(get_types_from_msg(definition, f"vision_msgs/msg/{name}"))
+    return store
 
 
 def made(kind: str, **fields: Any) -> Any:
@@ -77,9 +93,32 @@ def image_of(where: str, message: Any) -> Array:
     return np.asarray(cv2.cvtColor(pixels, conversion))
 
 
-def time_of(where: str, message: Any) -> float:
-    """The stamp of a message's header in seconds. Raises DataError: it is none."""
+def header_of(where: str, message: Any) -> Header:
+    """The stamp and the frame of a message. Raises DataError: its stamp is no time."""
     stamp = message.header.stamp
     if stamp.sec < 0 or stamp.nanosec >= NS:
         raise DataError(f"{where}: header.stamp is {stamp.sec} s, {stamp.nanosec} ns; expected a time since 1970")
-    return (int(stamp.sec) * NS + int(stamp.nanosec)) / NS
+    return {"stamp_ns": int(stamp.sec) * NS + int(stamp.nanosec), "frame_id": str(message.header.frame_id)}
+
+
+def told_lens(where: str, info: Any, straight: bool) -> Lens | None:
+    """The lens of a CameraInfo, or, where pictures are straight already, the camera of its P; None: it says that nobody
+    knows. Raises DataError, with `where`: it is no camera's."""
+    if not info.k.any():
+        return None
+    content = {
+        "image_width": info.width,
+        "image_height": info.height,
+        "K": (info.p.reshape(3, 4)[:, :3].ravel() if straight else info.k).tolist(),
+        "D": [] if straight else np.asarray(info.d).tolist(),
+        "distortion_model": info.distortion_model,
+    }
+    return lens_of(where, content)
+
+
+def beside(topic: str, compressed: bool) -> tuple[str, bool]:
+    """The topic on which a topic with pictures has its CameraInfo, and whether its name says that they are straight."""
+    place, _, name = topic.rpartition("/")
+    if compressed and name == "compressed":
+        place, _, name = place.rpartition("/")
+    return f"{place}/camera_info", name.startswith("image_rect")

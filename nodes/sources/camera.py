@@ -1,4 +1,4 @@
-"""N₀ over a camera, a video, a folder of images, a bag or a recording: a frame an epoch, straightened."""
+"""N₀ over a camera, a video, a folder of images, a bag, a topic or a recording: a frame an epoch, straightened."""
 
 from __future__ import annotations
 
@@ -8,14 +8,13 @@ import re
 import weakref
 from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import TypedDict
 
 import numpy as np
 
 from hierax.nodes.sources.calibration import read_calibration
 from hierax.nodes.sources.files import DataError
 from hierax.nodes.sources.images import Array
-from hierax.nodes.sources.shots import CameraBelief, Floats, Source, check_size, read_matrix
+from hierax.nodes.sources.shots import CameraBelief, Floats, Shot, Source, Told, check_size, read_matrix
 from hierax.runtime import World
 
 _LOG = logging.getLogger(__name__)
@@ -27,7 +26,7 @@ Locate = Callable[[Array, Floats, Floats | None, str], Floats | None]
 source is called; None: nobody knows."""
 
 
-class Picture(TypedDict):
+class Picture(Told):
     """What is observed of a camera."""
 
     image: Array  # uint8, (h, w) gray or (h, w, 3) RGB
@@ -37,18 +36,28 @@ class Picture(TypedDict):
 
 
 def open_source(
-    source: str | int, fps: float = 30.0, timeout_s: float = 5.0, reopen: bool = False, topic: str | None = None
+    source: str | int,
+    fps: float = 30.0,
+    timeout_s: float = 5.0,
+    reopen: bool = False,
+    topic: str | None = None,
+    calibrated: bool = False,
 ) -> Source:
-    """What a name stands for: a device's number or path, a stream's URL, a folder of images, a recording, a rosbag2, or
-    a video.
+    """What a name stands for: a device's number or path, a stream's URL, a topic of ROS, a folder of images, a
+    recording, a rosbag2, or a video.
 
-    Args: fps: of what is played; timeout_s, reopen: of what is live, see `Live`; topic: of a bag, see `BagFrames`.
+    Args: fps: of what is played; timeout_s, reopen: of what is live, see `Live`; topic: of a bag, see `BagFrames`;
+        calibrated: whether the lens is known, so that none is waited for.
     Raises DataError: there is no such file, or it cannot be opened.
     """
-    from hierax.nodes.sources.live import Live
+    from hierax.nodes.sources.live import Captured
     from hierax.nodes.sources.played import Folder, Video
 
     path = Path(str(source))
+    if is_ros(source):
+        from hierax.nodes.ros2.live import TopicFrames
+
+        return TopicFrames(str(source), timeout_s, reopen, calibrated)
     if is_bag(source):
         from hierax.nodes.ros2.bag import BagFrames
 
@@ -56,19 +65,24 @@ def open_source(
     if topic is not None:
         raise DataError(f"{source}: is no bag of ROS 2; expected no camera_topic with it")
     if str(source).isdecimal():
-        return Live(int(source), timeout_s, reopen)
+        return Captured(int(source), timeout_s, reopen)
     if "://" in str(source) or path.is_char_device():
-        return Live(str(source), timeout_s, reopen)
+        return Captured(str(source), timeout_s, reopen)
     if path.is_dir():
         return Folder(path, fps)
     if not path.is_file():
-        expected = "a device's number, a video, a folder of images, a recording, a bag, or a stream's URL"
+        expected = "a device's number, a video, a folder of images, a recording, a bag, a topic, or a stream's URL"
         raise DataError(f"{path}: no such file; expected {expected}")
     if is_recording(source):
         from hierax.nodes.sources.recorded import RecordedFrames
 
         return RecordedFrames(path)
     return Video(path, fps)
+
+
+def is_ros(source: str | int) -> bool:
+    """Whether a source is a topic of ROS, see `hierax.nodes.ros2.carrier`."""
+    return str(source).startswith(("ros:", "ros+zenoh:"))
 
 
 def is_recording(source: str | int) -> bool:
@@ -84,13 +98,23 @@ def is_bag(source: str | int) -> bool:
 
 
 def knows_camera(source: str | int, topic: str | None = None) -> bool:
-    """Whether a source tells its camera matrix: a recording, and a bag with CameraInfo. Raises DataError: it is a bag,
-    and cannot be read."""
+    """Whether a source tells its camera matrix: a recording, a topic of ROS, and a bag with CameraInfo. Raises
+    DataError: it is a bag, and cannot be read."""
     if not is_bag(source):
-        return is_recording(source)
+        return is_recording(source) or is_ros(source)
     bag = open_source(source, topic=topic)
     bag.close()
     return bag.lens is not None
+
+
+def tells_pose(source: str | int) -> bool:
+    """Whether a source tells where the camera is, as a topic does whose name says in which frame. Raises DataError: it
+    is misnamed."""
+    if not is_ros(source):
+        return False
+    from hierax.nodes.ros2.live import address_of_camera
+
+    return "world" in address_of_camera(str(source)).options
 
 
 def _head(source: str | int) -> bytes:
@@ -140,7 +164,7 @@ class CameraWorld(World):
             if not 0.0 < value < math.inf:
                 raise ValueError(f"{name} is {value}; expected a positive number")
         self._name = source
-        self._options = (float(fps), float(source_timeout), reopen, topic)
+        self._options = (float(fps), float(source_timeout), reopen, topic, calibration is not None or not straighten)
         self._straighten = straighten
         self._lens = None if calibration is None else read_calibration(Path(calibration))
         self._pose = np.eye(4) if pose is None else read_matrix("pose", pose)
@@ -206,15 +230,27 @@ class CameraWorld(World):
         }
         if shot.image is None:
             return after
-        check_size(source.name, shot.image, belief["size"])
-        height, width = shot.image.shape[:2]
-        image = shot.image if self._lens is None else self._lens.straightened(shot.image)
-        camera, intrinsics = belief["camera"], belief["intrinsics"]
-        if shot.camera is not None and shot.intrinsics is not None:
-            camera, intrinsics = shot.camera, shot.intrinsics
+        return self._with_picture(after, shot, shot.image, source)
+
+    def _with_picture(self, belief: CameraBelief, shot: Shot, taken: Array, source: Source) -> CameraBelief:
+        if self._straighten:
+            self._lens = self._lens or source.lens  # a topic's is known with its first picture
+        size = belief["size"] if belief["size"] is not None or self._lens is None else self._lens.size
+        check_size(source.name, taken, size)
+        height, width = taken.shape[:2]
+        image = taken if self._lens is None else self._lens.straightened(taken)
+        camera, intrinsics = belief["camera"], belief["intrinsics"] if self._lens is None else self._lens.intrinsics
+        if shot.intrinsics is not None:
+            intrinsics = shot.intrinsics
+        if shot.camera is not None:
+            camera = shot.camera
         elif self._locate is not None:
             camera = self._locate(image, intrinsics, camera, source.name)
-        return {**after, "image": image, "size": (width, height), "camera": camera, "intrinsics": intrinsics}
+        after: CameraBelief = {**belief, "image": image, "size": (width, height), "camera": camera}
+        after["intrinsics"] = intrinsics
+        if shot.header is not None:
+            after["header"] = shot.header
+        return after
 
     def _source(self) -> Source:
         if self._opened is None:
@@ -234,4 +270,7 @@ def picture_seen(belief: CameraBelief) -> tuple[Picture, ...]:
     image, camera = belief["image"], belief["camera"]
     if image is None or camera is None:
         return ()
-    return ({"image": image, "camera": camera, "intrinsics": belief["intrinsics"], "frame": belief["frame"]},)
+    seen: Picture = {"image": image, "camera": camera, "intrinsics": belief["intrinsics"], "frame": belief["frame"]}
+    if "header" in belief:
+        seen["header"] = belief["header"]
+    return (seen,)

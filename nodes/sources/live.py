@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import threading
 import time
+from abc import abstractmethod
 from typing import NamedTuple
 
 import cv2
 
 from hierax.nodes.sources.files import DataError
-from hierax.nodes.sources.images import Array
 from hierax.nodes.sources.played import colours, is_grey, quiet
-from hierax.nodes.sources.shots import CameraBelief, Shot, Size, Source, check_size
+from hierax.nodes.sources.shots import Seen, Shot, Size, Source, check_size
 
 FIRST_PAUSE_S, LONGEST_PAUSE_S = 0.2, 5.0  # before a source is opened again, doubled each time that this fails
 _END_S = 1.0  # so long the process waits at its end for a frame that is being read
@@ -19,23 +19,20 @@ _END_S = 1.0  # so long the process waits at its end for a frame that is being r
 
 class _Taken(NamedTuple):
     number: int  # counts from 1, in this process
-    image: Array
-    time_s: float
-    wall_s: float
+    shot: Shot
 
 
 class Live(Source):
-    """The newest frame of what `cv2.VideoCapture` opens; a thread reads from the first `shot` on.
+    """The newest of what a thread takes from the first `shot` on.
 
     Args:
-        target: number or path of a device, or a URL; timeout_s: after so long without a frame it stalls.
+        name: for errors; timeout_s: after so long without a frame it stalls.
         reopen: whether to open it again when it ends, stalls or is unplugged, in growing pauses, and give no frame
             meanwhile; else that is an error.
     """
 
-    def __init__(self, target: int | str, timeout_s: float, reopen: bool) -> None:
-        self.name = f"camera {target}"
-        self._target = target
+    def __init__(self, name: str, timeout_s: float, reopen: bool) -> None:
+        self.name = name
         self._timeout_s = timeout_s
         self._reopen = reopen
         self._size: Size | None = None
@@ -47,7 +44,7 @@ class Live(Source):
         self._closed = threading.Event()
         self._thread = threading.Thread(target=self._capture, name="capture", daemon=True)
 
-    def shot(self, belief: CameraBelief) -> Shot:
+    def shot(self, belief: Seen) -> Shot:
         """The newest frame after the belief's; where there is none within the timeout, none, or an error."""
         if self._base is None:
             self._base = belief["frame"]
@@ -59,13 +56,14 @@ class Live(Source):
             self._changed.wait_for(lambda: self._is_due(after), self._timeout_s)
             newest, fault = self._newest, self._fault
         if newest is not None and newest.number > after:
-            height, width = newest.image.shape[:2]
-            self._size = self._size or (width, height)
+            if newest.shot.image is not None:
+                height, width = newest.shot.image.shape[:2]
+                self._size = self._size or (width, height)
             frame = self._base + newest.number
-            passed = frame - belief["frame"] - 1
-            return Shot(frame, newest.image, newest.time_s, newest.wall_s, passed, self._opened)
+            passed_over = frame - belief["frame"] - 1
+            return newest.shot._replace(frame=frame, passed_over=passed_over, reopened=self._opened)
         if not self._reopen:
-            told = fault or f"no frame for {self._timeout_s:g} s; expected one within source_timeout"
+            told = fault or f"no frame for {self._timeout_s:g} s; expected one within source_timeout{self._lacking()}"
             raise DataError(f"{self.name}: {told} (reopen: true waits for it)")
         return Shot(belief["frame"], None, time.monotonic(), time.time(), reopened=max(self._opened, 0))
 
@@ -73,6 +71,23 @@ class Live(Source):
         """Read no more. A frame that never comes is not waited for."""
         self._closed.set()
         self._thread.join(_END_S)
+
+    @abstractmethod
+    def _stream(self) -> str:
+        """Have frames taken until that fails; why it did. Called in the thread; a DataError is told likewise."""
+
+    def _lacking(self) -> str:
+        """What a frame that does not come may wait for."""
+        return ""
+
+    def _take(self, shot: Shot, count: int = 1) -> None:
+        """A frame is there, of so many since the one before. Raises DataError: it is of another size."""
+        if shot.image is not None:
+            check_size(self.name, shot.image, self._size)
+        with self._changed:
+            before = 0 if self._newest is None else self._newest.number
+            self._newest = _Taken(before + count, shot)
+            self._changed.notify_all()
 
     def _is_due(self, after: int) -> bool:
         came = self._newest is not None and self._newest.number > after
@@ -82,7 +97,10 @@ class Live(Source):
         pause_s = FIRST_PAUSE_S
         while not self._closed.is_set():
             before = self._newest
-            fault = self._stream()
+            try:
+                fault = self._stream()
+            except DataError as error:
+                fault = str(error).removeprefix(f"{self.name}: ")
             with self._changed:
                 self._fault = fault
                 self._changed.notify_all()
@@ -91,8 +109,15 @@ class Live(Source):
             pause_s = FIRST_PAUSE_S if self._newest is not before else min(2 * pause_s, LONGEST_PAUSE_S)
             self._closed.wait(pause_s)
 
+
+class Captured(Live):
+    """The newest frame of what `cv2.VideoCapture` opens: the number or path of a device, or a URL."""
+
+    def __init__(self, target: int | str, timeout_s: float, reopen: bool) -> None:
+        super().__init__(f"camera {target}", timeout_s, reopen)
+        self._target = target
+
     def _stream(self) -> str:
-        """Read frames until that fails; why it did."""
         quiet()
         within = int(1000 * self._timeout_s)
         limits = [cv2.CAP_PROP_OPEN_TIMEOUT_MSEC, within, cv2.CAP_PROP_READ_TIMEOUT_MSEC, within]
@@ -111,13 +136,7 @@ class Live(Source):
                     if now_s - begun_s >= 0.9 * self._timeout_s:
                         return f"no frame for {self._timeout_s:g} s; expected one within source_timeout"
                     return "gives no more frames; it has ended, or was unplugged"
-                check_size(self.name, image, self._size)
-                with self._changed:
-                    number = 1 if self._newest is None else self._newest.number + 1
-                    self._newest = _Taken(number, colours(image, grey), now_s, wall_s)
-                    self._changed.notify_all()
+                self._take(Shot(0, colours(image, grey), now_s, wall_s))
             return "was closed"
-        except DataError as error:
-            return str(error).removeprefix(f"{self.name}: ")
         finally:
             capture.release()

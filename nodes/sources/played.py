@@ -12,7 +12,7 @@ import numpy as np
 
 from hierax.nodes.sources.files import DataError
 from hierax.nodes.sources.images import SUFFIXES, Array, ReadAhead, read_image
-from hierax.nodes.sources.shots import CameraBelief, Shot, Source, ending
+from hierax.nodes.sources.shots import Seen, Shot, Source, ending
 
 _ENDLESS = 1 << 31  # more frames than any video has
 _GREY = (b"Y800", b"GREY", b"Y8  ")  # pixel formats of one channel
@@ -35,7 +35,7 @@ class Folder(Source):
         self._files = sorted(found, key=_by_number)
         self._images = ReadAhead(self._files, read_image)
 
-    def shot(self, belief: CameraBelief) -> Shot:
+    def shot(self, belief: Seen) -> Shot:
         index = belief["index"]
         if index >= len(self._files):
             return ending(belief)
@@ -55,7 +55,7 @@ class Video(Source):
         self._begin()
         self._frames = ReadAhead(range(_ENDLESS), self._decoded)
 
-    def shot(self, belief: CameraBelief) -> Shot:
+    def shot(self, belief: Seen) -> Shot:
         index = belief["index"]
         image = self._frames.read(index)
         return ending(belief) if image is None else Shot(index, image, index / self._fps)

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from hierax.nodes.sources.files import DataError
-from hierax.nodes.sources.shots import CameraBelief, Shot, Source, ending
+from hierax.nodes.sources.shots import MAX_STAMP_NS, Seen, Shot, Source, ending
 from hierax.runtime.core.errors import HieraxError
 from hierax.runtime.recording.reading import Recording
 from hierax.runtime.recording.trace import EpochTrace
@@ -35,7 +35,7 @@ class RecordedFrames(Source):
         self._next = 0
         self._shots = self._read()
 
-    def shot(self, belief: CameraBelief) -> Shot:
+    def shot(self, belief: Seen) -> Shot:
         index = belief["index"]
         if index < self._next:
             self._next, self._shots = 0, self._read()
@@ -75,4 +75,12 @@ def shot_of(recording: str, epoch: EpochTrace) -> Shot:
         raise DataError(f"{where}: image: expected 8 bits a pixel, and a frame's number")
     if camera.shape != (4, 4) or intrinsics.shape != (4,):
         raise DataError(f"{where}: camera, intrinsics: expected 4 × 4 and 4 numbers")
-    return Shot(frame, image, time_s, camera=camera, intrinsics=intrinsics)
+    header = picture.get("header")
+    if header is not None and not _is_header(header):
+        raise DataError(f"{where}: header: expected stamp_ns and frame_id")
+    return Shot(frame, image, time_s, camera=camera, intrinsics=intrinsics, header=header)
+
+
+def _is_header(header: object) -> bool:
+    told = (header.get("stamp_ns"), header.get("frame_id")) if isinstance(header, dict) else (None, None)
+    return type(told[0]) is int and 0 <= told[0] < MAX_STAMP_NS and type(told[1]) is str

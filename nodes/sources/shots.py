@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from typing import TYPE_CHECKING, NamedTuple, TypedDict
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any, NamedTuple, TypedDict
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,24 +19,43 @@ Floats = NDArray[np.float64]
 Size = tuple[int, int]  # width and height in pixels
 
 MAX_DISTANCE_M = 10_000.0
+MAX_STAMP_NS = 2**31 * 10**9  # as ROS has times
 _ROTATION_TOLERANCE = 1e-2
 
 
-class CameraBelief(TypedDict):
-    """What the world that shows a source's frames is."""
+class Header(TypedDict):
+    """What ROS says of a picture."""
+
+    stamp_ns: int  # since 1970, mostly
+    frame_id: str  # of the camera
+
+
+class Told(TypedDict, total=False):
+    """What goes with pictures of ROS alone."""
+
+    header: Header
+
+
+class Seen(TypedDict):
+    """What every world believes that shows what a source gives."""
 
     index: int  # how many epochs it has shown before
     frame: int  # number of the newest frame, from 0; -1 before the first
-    image: Array | None  # that frame, straightened, uint8 (h, w) gray or (h, w, 3) RGB; None: none came for this epoch
     size: Size | None  # of the frames; None before the first where no calibration tells
-    camera: Floats | None  # (4, 4) world_from_camera; None: nobody knows yet
-    intrinsics: Floats  # (4,) fx, fy, cx, cy in pixels; zeros: nobody knows
     time_s: float  # of a live source the capture's, by the monotonic clock; else frames over frames per second
     wall_s: float | None  # of a live source the capture's, since 1970
     passed_over: int  # frames of a live source that newer ones displaced
     stalls: int  # epochs without a frame
     reopened: int  # how often a live source was opened anew
     ended: bool  # whether there is nothing left to show
+
+
+class CameraBelief(Seen, Told):
+    """What the world that shows a source's frames is."""
+
+    image: Array | None  # that frame, straightened, uint8 (h, w) gray or (h, w, 3) RGB; None: none came for this epoch
+    camera: Floats | None  # (4, 4) world_from_camera; None: nobody knows yet
+    intrinsics: Floats  # (4,) fx, fy, cx, cy in pixels; zeros: nobody knows
 
 
 class Shot(NamedTuple):
@@ -48,11 +68,13 @@ class Shot(NamedTuple):
     passed_over: int = 0  # since the frame before
     reopened: int = 0  # how often the source was, in all
     ended: bool = False
-    camera: Floats | None = None  # world_from_camera and fx, fy, cx, cy, where a recording tells them
+    camera: Floats | None = None  # world_from_camera and fx, fy, cx, cy, where the source tells them
     intrinsics: Floats | None = None
+    header: Header | None = None
+    heard: Mapping[str, Any] | None = None  # of topics, in place of a picture
 
 
-def ending(belief: CameraBelief) -> Shot:
+def ending(belief: Seen) -> Shot:
     """What follows the last frame."""
     return Shot(belief["frame"], None, belief["time_s"], ended=True)
 
@@ -65,7 +87,7 @@ class Source(ABC):
     lens: Lens | None = None  # what it says itself of the lens that took its frames
 
     @abstractmethod
-    def shot(self, belief: CameraBelief) -> Shot:
+    def shot(self, belief: Seen) -> Shot:
         """What follows a belief. Raises DataError: it is damaged, or gives no frame where it should."""
 
     def close(self) -> None:

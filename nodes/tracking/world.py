@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from hierax.nodes.sources.camera import CameraWorld, knows_camera
+from hierax.nodes.sources.camera import CameraWorld, knows_camera, tells_pose
 from hierax.nodes.sources.camera import picture_seen as picture_of_camera
 from hierax.nodes.sources.shots import CameraBelief
 from hierax.nodes.tracking.arm import ArmNode
@@ -64,9 +64,12 @@ def world(
     _check_world(scene, camera, calibration, objects, camera_topic)
     if camera is not None and objects is not None:
         told = read_objects(Path(objects))
-        if found is not None and (told.camera is not None or told.mixed):
+        by = f"tag_mm is {tag_mm}" if found is not None else f"camera is {camera}" if tells_pose(camera) else ""
+        if by and (told.camera is not None or told.mixed):
             what = "the camera's pose, or poses in the camera's and in the world's frame"
-            raise ValueError(f"tag_mm is {tag_mm}, and {objects} tells {what}; expected one of the two, in one frame")
+            raise ValueError(f"{by}, and {objects} tells {what}; expected one of the two, in one frame")
+        if found is not None and tells_pose(camera):
+            raise ValueError(f"tag_mm is {tag_mm}, and camera is {camera}; expected one of the two to tell its pose")
         pose = None if told.camera is None else told.camera.tolist()
         tagged = None if found is None else partial(locate, found)
         return CameraWorld(camera, calibration, fps, source_timeout, reopen, pose, tagged, camera_topic)

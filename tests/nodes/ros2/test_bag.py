@@ -231,5 +231,5 @@ def test_a_bag_that_lacks_pictures_is_told(tmp_path: Path) -> None:
 def test_without_the_package_it_is_told_how_to_get_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     bag = write_bag(tmp_path / "bag", {"/eye": [image(0, shot(0), "rgb8")]})
     monkeypatch.setitem(__import__("sys").modules, "rosbags.rosbag2", None)
-    with pytest.raises(DataError, match=re.escape("bags need the package rosbags: pip install 'hierax[ros2]'")):
+    with pytest.raises(DataError, match=re.escape("this needs the package rosbags: pip install 'hierax[ros2]'")):
         CameraWorld(str(bag)).initial_belief()

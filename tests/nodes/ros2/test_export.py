@@ -110,7 +110,8 @@ def matrix(position: Any, turn: Any) -> Any:
 @pytest.mark.parametrize("read", [by_rosbags, by_mcap])
 def test_others_read_what_was_seen_and_believed(read: Any, made: Path) -> None:
     found, beliefs = read(made / "exported"), believed(made / "folder.mcap")
-    topics = ["/camera/camera_info", "/camera/image_rect", "/diagnostics", "/object_1/pose", "/object_2/pose", "/tf"]
+    topics = ["/camera/camera_info", "/camera/image_rect", "/detections", "/diagnostics"]
+    topics += ["/object_1/pose", "/object_2/pose", "/tf"]
     assert sorted(found) == topics
     assert {name: len(messages) for name, messages in found.items()} == dict.fromkeys(topics, FRAMES)
     lens = read_calibration(made / "camera.yaml")
@@ -135,6 +136,19 @@ def test_others_read_what_was_seen_and_believed(read: Any, made: Path) -> None:
             np.testing.assert_allclose(pose, item["pose"], atol=1e-12)
             moved = frames[f"object_{item['id']}"]
             np.testing.assert_array_equal(matrix(moved.transform.translation, moved.transform.rotation), pose)
+        detections = {each.id: each.results[0] for each in at["/detections"][1].detections}
+        for item in belief["objects"]:
+            found_it = detections[str(item["id"])]
+            assert (found_it.hypothesis.class_id, found_it.hypothesis.score) == (
+                str(item["obj_id"]),
+                item["probability"],
+            )
+            place = found_it.pose.pose
+            np.testing.assert_allclose(matrix(place.position, place.orientation), item["pose"], atol=1e-12)
+            covariance = np.asarray(found_it.pose.covariance).reshape(6, 6)
+            variances = np.trace(covariance[:3, :3]), np.trace(covariance[3:, 3:])
+            told_by = item["covariance"]
+            np.testing.assert_allclose(variances, (np.trace(told_by[:3, :3]), np.trace(told_by[3:, 3:])))
         told = at["/diagnostics"][1].status
         figures = [{each.key: float(each.value) for each in status.values} for status in told]
         names = ("score", "probability", "nats")

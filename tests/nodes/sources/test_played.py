@@ -108,7 +108,7 @@ def test_any_hierarchy_can_use_it_and_its_recording(folder: Path, tmp_path: Path
         (
             "none",
             None,
-            "none: no such file; expected a device's number, a video, a folder of images, a recording, a bag, or",
+            "none: no such file; expected a device's number, a video, a folder of images, a recording, a bag, a topic,",
         ),
         ("a.mp4", b"no video", "a.mp4: cannot be opened; expected a video, a recording, or a folder of images"),
         ("a.mp4", b"", "a.mp4: cannot be opened"),

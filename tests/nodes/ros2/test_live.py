@@ -1,0 +1,168 @@
+"""Topics as live sources: pictures with their camera and its pose, and whatever else is published, over Zenoh."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+
+import numpy as np
+import pytest
+from support.bags import camera_info, compressed, image
+from support.topics import Talker, joints, router, stamped, transforms
+
+from hierax.nodes.ros2.carrier import LATCHED, QOS
+from hierax.nodes.ros2.world import TopicsWorld, topics_heard
+from hierax.nodes.sources.calibration import Lens
+from hierax.nodes.sources.camera import CameraWorld, picture_seen
+from hierax.nodes.sources.files import DataError
+from hierax.nodes.sources.images import Array
+from hierax.nodes.sources.shots import CameraBelief
+from hierax.schemas.values import encode_value
+
+RAW, INFO = "/camera/image_raw", "/camera/camera_info"
+SIZE = (32, 24)
+PLAIN = Lens("told", SIZE, np.array([30.0, 31.0, 15.5, 11.5]), np.zeros(5), False)
+BENT = Lens("told", SIZE, np.array([30.0, 30.0, 15.5, 11.5]), np.array([-0.3, 0.0, 0.0, 0.0, 0.0]), False)
+STEP_NS = 10_000_000
+
+
+@pytest.fixture
+def where(monkeypatch: pytest.MonkeyPatch) -> Iterator[str]:
+    monkeypatch.setenv("ROS_DOMAIN_ID", "51")
+    with router() as found:
+        yield found
+
+
+@pytest.fixture
+def talker(where: str) -> Iterator[Talker]:
+    with Talker(where) as found:
+        yield found
+
+
+def numbered(number: int) -> Array:
+    return np.full((SIZE[1], SIZE[0]), number % 200, np.uint8)
+
+
+def shows(talker: Talker, encoding: str = "mono8", lens: Lens | None = PLAIN, rate_hz: float = 100.0) -> None:
+    """Publish pictures that tell their number, as a camera does."""
+
+    def say(number: int) -> None:
+        stamp_ns = STEP_NS * (number + 1)
+        if lens is not None:
+            talker.say(INFO, stamped(camera_info(lens), stamp_ns), QOS["sensor_data"])
+        talker.say(RAW, stamped(image(0, numbered(number), encoding), stamp_ns), QOS["sensor_data"])
+
+    talker.keep_on(rate_hz, say)
+
+
+def follow(world: CameraWorld, belief: CameraBelief, epochs: int) -> list[CameraBelief]:
+    beliefs = [belief]
+    for _ in range(epochs):
+        beliefs.append(world.predict((), (), beliefs[-1]))
+    return beliefs
+
+
+def test_the_newest_picture_is_shown_with_its_camera_stamp_and_frame(where: str, talker: Talker) -> None:
+    shows(talker)
+    world = CameraWorld(f"ros+zenoh://{where}{RAW}", source_timeout=60.0)
+    for belief in follow(world, world.initial_belief(), 4):
+        (seen,) = picture_seen(belief)
+        number = seen["header"]["stamp_ns"] // STEP_NS - 1
+        assert seen["header"] == {"stamp_ns": STEP_NS * (number + 1), "frame_id": "lens"}
+        np.testing.assert_array_equal(seen["image"], numbered(number))
+        np.testing.assert_array_equal(seen["intrinsics"], PLAIN.intrinsics)
+        np.testing.assert_array_equal(seen["camera"], np.eye(4))
+        assert belief["time_s"] == seen["header"]["stamp_ns"] / 1e9
+        assert belief["frame"] == belief["index"] + belief["passed_over"]
+        assert encode_value(dict(belief))
+    assert belief["reopened"] == 0
+    again = CameraWorld(f"ros+zenoh://{where}{RAW}", source_timeout=60.0)  # as another process would
+    after = again.predict((), (), belief)
+    assert (after["frame"] > belief["frame"], after["time_s"] > belief["time_s"]) == (True, True)
+    assert after["reopened"] == 1
+
+
+def test_pictures_are_straightened_by_camera_info_and_compressed_ones_are_decoded(where: str, talker: Talker) -> None:
+    rgb = np.random.default_rng(3).integers(0, 255, (SIZE[1], SIZE[0], 3), np.uint8)
+
+    def say(number: int) -> None:
+        talker.say("/camera/camera_info", camera_info(BENT))
+        talker.say(f"{RAW}/compressed", stamped(compressed(0, rgb), number + 1))
+
+    talker.keep_on(100.0, say)
+    world = CameraWorld(f"ros+zenoh://{where}{RAW}/compressed?qos=reliable", source_timeout=60.0)
+    (seen,) = picture_seen(world.initial_belief())
+    np.testing.assert_array_equal(seen["image"], BENT.straightened(rgb))
+    np.testing.assert_array_equal(seen["intrinsics"], BENT.intrinsics)
+
+
+def test_the_cameras_pose_is_that_of_tf_at_the_time_of_the_picture(where: str, talker: Talker) -> None:
+    turned = (0.0, 0.0, np.sin(np.pi / 4), np.cos(np.pi / 4))  # 90° about z
+    talker.say("/tf_static", transforms(0, "hand", "lens", (0.0, 0.0, 1.0), (0.0, 0.0, 0.0, 1.0)), LATCHED)
+
+    def say(number: int) -> None:
+        stamp_ns = STEP_NS * (2 * number + 1)
+        talker.say(RAW, stamped(image(0, numbered(number), "mono8"), stamp_ns), QOS["sensor_data"])
+        talker.say("/tf", transforms(stamp_ns + STEP_NS, "map", "hand", (stamp_ns / 1e9, 0.0, 0.0), turned))
+
+    talker.keep_on(50.0, say)
+    world = CameraWorld(f"ros+zenoh://{where}{RAW}?world=map", source_timeout=60.0, straighten=False)
+    for belief in follow(world, world.initial_belief(), 3):
+        pose = belief["camera"]
+        assert pose is not None
+        np.testing.assert_allclose(pose[:3, :3] @ [1.0, 0.0, 0.0], [0.0, 1.0, 0.0], atol=1e-12)
+        np.testing.assert_allclose(pose[:3, 3], [belief["time_s"] - STEP_NS / 1e9, 0.0, 1.0], atol=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("encoding", "options", "told"),
+    [
+        ("16UC1", "", "encoding '16UC1'; expected one of mono8"),
+        ("mono8", "?info=/other/camera_info", "source_timeout; no CameraInfo came on /other/camera_info"),
+        ("mono8", "?world=map", "source_timeout; tf does not tell where lens is in map when a picture is taken"),
+    ],
+)
+def test_what_lacks_is_told(encoding: str, options: str, told: str, where: str, talker: Talker) -> None:
+    shows(talker, encoding)
+    name = f"ros+zenoh://{where}{RAW}{options}"
+    world = CameraWorld(name, source_timeout=1.0 if "source_timeout" in told else 60.0)
+    with pytest.raises(DataError, match=re.escape(name) + ".*" + re.escape(told)):
+        follow(world, world.initial_belief(), 100)
+
+
+def test_a_topic_that_nobody_publishes_or_of_another_type_is_told(where: str, talker: Talker) -> None:
+    nobody = CameraWorld(f"ros+zenoh://{where}/nothing", source_timeout=0.3)
+    with pytest.raises(DataError, match="within source_timeout; nobody publishes /nothing"):
+        nobody.initial_belief()
+    waiting = CameraWorld(f"ros+zenoh://{where}/nothing", source_timeout=0.1, reopen=True)
+    belief = follow(waiting, waiting.initial_belief(), 1)[-1]
+    assert (picture_seen(belief), belief["stalls"]) == ((), 2)
+    talker.say("/joints", joints(1, 0.5))
+    wrong = CameraWorld(f"ros+zenoh://{where}/joints", source_timeout=60.0)
+    with pytest.raises(DataError, match=r"/joints is of sensor_msgs/msg/JointState; expected sensor_msgs/msg/Compr"):
+        wrong.initial_belief()
+
+
+def test_topics_that_belong_together_are_shown_together(where: str, talker: Talker) -> None:
+    def say(number: int) -> None:
+        stamp_ns = STEP_NS * (number + 1)
+        if number % 2 == 0:  # joints come twice as often, and two milliseconds later
+            talker.say(RAW, stamped(image(0, numbered(number), "mono8"), stamp_ns))
+        talker.say("/joints", joints(stamp_ns + 2_000_000, float(number), -1.0))
+
+    talker.keep_on(100.0, say)
+    named = {"picture": f"ros+zenoh://{where}{RAW}?qos=reliable", "arm": f"ros+zenoh://{where}/joints?qos=reliable"}
+    world = TopicsWorld(named, within_s=0.003, source_timeout=60.0)
+    belief = world.initial_belief()
+    for _ in range(4):
+        (heard,) = topics_heard(belief)
+        number = heard["picture"]["header"]["stamp_ns"] // STEP_NS - 1
+        assert number % 2 == 0
+        np.testing.assert_array_equal(heard["picture"]["image"], numbered(number))
+        np.testing.assert_array_equal(heard["arm"]["position"], [number, -1.0])
+        assert (heard["arm"]["name"], heard["arm"]["header"]["frame_id"]) == (("joint_0", "joint_1"), "base")
+        assert encode_value(dict(belief))
+        before, belief = belief, world.predict((), (), belief)
+        assert belief["frame"] > before["frame"]
+    with pytest.raises(ValueError, match="expected all of one carrier"):
+        TopicsWorld({"one": "ros:/one", "two": "ros+zenoh:/two"})
