@@ -58,13 +58,19 @@ class Ledger:
 
     @property
     def complete(self) -> bool:
-        """Whether every node that told anything has told of the last epoch that is wanted, and nothing lacks."""
-        return self.settled and self.cut is not None and min(self._told.values(), default=0) >= self.cut
+        """Whether every node that is there has told of the last epoch that is wanted, and nothing lacks."""
+        names = self._names or self._told.keys()
+        return self.settled and self.cut is not None and all(self._told.get(name, 0) >= self.cut for name in names)
 
     @property
     def ended(self) -> bool:
         """Whether the last epoch that is wanted is committed."""
         return self.cut is not None and self.last >= self.cut
+
+    def end(self, epoch: int) -> None:
+        """No epoch after this one is wanted; what had been told of later ones is not looked for any more."""
+        self.cut = epoch
+        self._missing = {when: bits for when, bits in self._missing.items() if when[0] <= epoch}
 
     def wants(self, epoch: int) -> bool:
         """Whether something of an epoch is wanted."""
@@ -125,7 +131,7 @@ class Ledger:
         self._streams[name] = (stream, max(number, last))
         self._first.setdefault(name, epoch)
         if self.epochs is not None and self.cut is None and self.first:
-            self.cut = self.first + self.epochs - 1
+            self.end(self.first + self.epochs - 1)
 
     def add(self, gap: Gap) -> None:
         """Something is known to lack."""

@@ -26,8 +26,8 @@ from hierax.runtime.watch.logs import log_console
 from hierax.schemas.keys import Keys
 
 BATCH_S = 0.05  # how long what is heard may wait to be written
-LINGER_S = 2.0  # how long what was said, by the words of others, may still be on its way at the end
-QUIET_S = 0.3  # how long nothing may come at the end before it is the end
+LINGER_S = 10.0  # how long what was said, by the words of others, may still be on its way at the end
+QUIET_S = 1.0  # how long nothing may come at the end before it is the end
 LOOK_S = 1.0
 CUT_OFF_LOOKS = 5
 """How often the launch is asked; how often in a row it has to be further, and nothing come, for a recorder to end."""
@@ -109,13 +109,13 @@ class LiveRecording:
         ledger = self._recorder.ledger
         self._take(0.0)
         if ledger.cut is None:
-            ledger.cut = max(ledger.last, self._last or 0)
+            ledger.end(max(ledger.last, self._last or 0))
         begun_s = quiet_s = time.monotonic()
         while not ledger.complete and time.monotonic() - begun_s < LINGER_S:
             if self._take(BATCH_S):
                 quiet_s = time.monotonic()
             # where epochs overlap, or a node was detached, not everybody tells of the last epoch
-            if ledger.settled and ledger.last >= ledger.cut and time.monotonic() - quiet_s > QUIET_S:
+            if ledger.settled and ledger.ended and time.monotonic() - quiet_s > QUIET_S:
                 return
 
 

@@ -175,7 +175,7 @@ class Recorder:
         if longest_s is not None and entry.time_ns - self._begun_ns > longest_s * 1e9:
             self.cut = f"--max-duration {longest_s:g} s"
         if self.cut:
-            self.ledger.cut = max(self._newest, self.ledger.first)  # one whole epoch there is in any case
+            self.ledger.end(max(self._newest, self.ledger.first))  # one whole epoch there is in any case
 
     def _account(self, topic: Topic, heard: Sample) -> tuple[int, bytes]:
         """Epoch and bytes of what is recorded; an epoch below 0: it is not."""

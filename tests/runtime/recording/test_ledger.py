@@ -76,6 +76,32 @@ def test_a_node_that_does_not_tell_to_the_end_is_named() -> None:
     assert (lost, str(gaps[0])) == (1, "epoch 2: steps of b from here on")
 
 
+def test_what_was_told_of_epochs_after_the_last_one_that_is_wanted_is_not_missed() -> None:
+    """A node may be an epoch ahead of the world, or more has come in, before it is known where a recording ends."""
+    ledger = Ledger(from_start=True)
+    ledger.expect({"a": 0, "b": 0})
+    ledger.message(("obs", "a", "b"), 37, 0)
+    ledger.step(step("a", 1, 37, sent("b", 37), sent("b", 38)))
+    ledger.step(step("a", 2, 38, sent("b", 38), chain=b"x"))
+    assert not ledger.settled
+    ledger.end(37)
+    assert ledger.settled
+    assert not ledger.complete, "b has not told of it"
+    ledger.step(step("b", 1, 37, got("a", 37)))
+    assert ledger.complete
+    assert ledger.close(37) == ((), 0)
+
+
+def test_who_has_left_is_not_waited_for() -> None:
+    ledger = Ledger(from_start=True)
+    ledger.expect({"a": 0, "b": 0})
+    ledger.step(step("b", 1, 1))
+    ledger.expect({"a": 0})
+    ledger.step(step("a", 1, 2))
+    ledger.end(2)
+    assert ledger.complete
+
+
 def test_steps_are_counted_in_their_stream() -> None:
     ledger = Ledger(from_start=True)
     for number, epoch in ((1, 1), (2, 2), (5, 5)):
@@ -126,7 +152,7 @@ def test_beyond_the_cut_nothing_is_wanted() -> None:
     ledger = Ledger(from_start=True)
     ledger.step(step("a", 1, 1, sent("b", 1), chain=b"x"))
     ledger.message(("obs", "a", "b"), 1, 0)
-    ledger.cut = ledger.last
+    ledger.end(ledger.last)
     assert ledger.complete
     ledger.step(step("a", 2, 2, sent("b", 2)))
     assert ledger.complete
