@@ -10,19 +10,18 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import yaml
 
 from hierax.nodes.causal_tree.errors import EvidenceError, Name, NetworkError
 from hierax.nodes.causal_tree.extended_floats import Floats
 from hierax.nodes.causal_tree.network import MAX_NODES, MAX_STATES, Network, Variable, check_tables, parse
+from hierax.runtime.deployment import DeploymentError
+from hierax.runtime.deployment.tree import read_tree
 
 # What a file may have, by its ending.
 MAX_BYTES = {".json": 1 << 26, ".yaml": 1 << 22, ".yml": 1 << 22, ".bif": 1 << 26}
 
 SUFFIXES = tuple(MAX_BYTES)
 
-MAX_YAML_VALUES = 1 << 18  # values of a YAML file, aliases counted wherever they stand
-MAX_DEPTH = 80
 
 # A network; a description; the path of a file; or ``{nodes, states, seed}``: a random tree.
 Source = Network | Sequence[Mapping[str, Any]] | Mapping[str, Any] | str
@@ -114,52 +113,6 @@ def _state(variable: Variable, value: object) -> int:
     raise EvidenceError(f"there is no state {value!r:.60}; expected one of {shown}", variable.name)
 
 
-class _Loader(yaml.SafeLoader):
-    """Numbers and booleans as YAML 1.2 has them: 1e-12 is a number, and no and yes are the names of states. Stops at
-    what is too much before it is made."""
-
-    _composed = 0
-    _depth = 0
-
-    def compose_node(self, parent: yaml.Node | None, index: Any) -> yaml.Node | None:
-        self._composed += 1
-        self._depth += 1
-        if self._composed > MAX_YAML_VALUES:
-            raise NetworkError(f"has more than {MAX_YAML_VALUES} values in YAML; JSON may have more")
-        if self._depth > MAX_DEPTH:
-            raise NetworkError(f"is nested deeper than {MAX_DEPTH} levels")
-        node: yaml.Node | None = super().compose_node(parent, index)
-        self._depth -= 1
-        return node
-
-    def construct_document(self, node: yaml.Node) -> Any:
-        if _size(node, {}) > MAX_YAML_VALUES:
-            raise NetworkError(f"has more than {MAX_YAML_VALUES} values in YAML, aliases counted wherever they stand")
-        return super().construct_document(node)
-
-
-def _size(node: yaml.Node, known: dict[int, int]) -> int:
-    """How many values a node has; one that is within itself has more than are allowed."""
-    if isinstance(node, yaml.ScalarNode):
-        return 1
-    if id(node) not in known:
-        known[id(node)] = MAX_YAML_VALUES + 1
-        parts = node.value if isinstance(node, yaml.SequenceNode) else [part for pair in node.value for part in pair]
-        known[id(node)] = 1 + sum(_size(part, known) for part in parts)
-    return known[id(node)]
-
-
-_TAG = "tag:yaml.org,2002:"
-_Loader.yaml_implicit_resolvers = {
-    first: [(tag, pattern) for tag, pattern in resolvers if tag not in (f"{_TAG}bool", f"{_TAG}float")]
-    for first, resolvers in yaml.SafeLoader.yaml_implicit_resolvers.items()
-}
-_Loader.add_implicit_resolver(f"{_TAG}bool", re.compile(r"(?:true|True|TRUE|false|False|FALSE)\Z"), list("tTfF"))
-_FINITE = r"[-+]?(?:\.[0-9]+|[0-9]+\.[0-9]*|[0-9]+(?=[eE]))(?:[eE][-+]?[0-9]+)?"
-_FLOAT = re.compile(rf"(?:{_FINITE}|[-+]?\.(?:inf|Inf|INF)|\.(?:nan|NaN|NAN))\Z")
-_Loader.add_implicit_resolver(f"{_TAG}float", _FLOAT, list("-+.0123456789"))
-
-
 def read_network(file: str | Path) -> Network:
     """Read a network: JSON or YAML with the list of nodes that `parse` takes, or a map with that list as ``network``;
     or BIF. Raises NetworkError: the file cannot be read, or holds no network; says which file, and which node."""
@@ -169,7 +122,9 @@ def read_network(file: str | Path) -> Network:
         raise NetworkError(f"{path}: expected a file with the ending {', '.join(SUFFIXES)}")
     try:
         text = _text(path, MAX_BYTES[suffix])
-        return parse(_from_bif(path, text) if suffix == ".bif" else _from_text(text, suffix == ".json"))
+        return parse(_from_bif(path, text) if suffix == ".bif" else _from_text(text, path, suffix == ".json"))
+    except DeploymentError as error:  # of YAML, which is told with its line
+        raise NetworkError(str(error)) from error
     except NetworkError as error:
         placed = NetworkError(f"{path}: {error}")
         placed.node = error.node
@@ -196,17 +151,13 @@ def _text(path: Path, most: int) -> str:
         raise NetworkError(f"byte {error.object[error.start]:#04x} is not UTF-8") from error
 
 
-def _from_text(text: str, is_json: bool) -> Any:
+def _from_text(text: str, path: Path, is_json: bool) -> Any:
     try:
-        content = json.loads(text) if is_json else yaml.load(text, Loader=_Loader)
-    except NetworkError:
-        raise
+        content = json.loads(text) if is_json else read_tree(text, str(path)).value
     except RecursionError as error:
         raise NetworkError("is nested too deeply; expected a list of nodes") from error
     except ValueError as error:
-        raise NetworkError(f"is no {'JSON' if is_json else 'YAML'}: {error}") from error
-    except yaml.YAMLError as error:
-        raise NetworkError(f"is no YAML: {' '.join(str(error).split())}") from error
+        raise NetworkError(f"is no JSON: {error}") from error
     return content["network"] if isinstance(content, dict) and "network" in content else content
 
 
