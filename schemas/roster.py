@@ -31,7 +31,6 @@ class Reference:
     parameters: Mapping[str, Value] = field(default_factory=dict)
 
     def plain(self) -> Value:
-        """Give it as a value."""
         return {"target": self.target, "parameters": dict(self.parameters)}
 
     @staticmethod
@@ -129,7 +128,6 @@ class Roster:
         return self.instances.get(name, 0)
 
     def plain(self) -> Value:
-        """The whole roster as a value."""
         return {**self.content(), "version": self.version, "instances": dict(self.instances)}
 
     @staticmethod
@@ -152,7 +150,6 @@ def plain_nodes(nodes: Mapping[str, Reference]) -> Value:
 
 
 def plain_edge(edge: RosterEdge) -> Value:
-    """An edge as a value."""
     functions = {kind: getattr(edge, kind) for kind in FUNCTIONS}
     plain = {kind: None if function is None else function.plain() for kind, function in functions.items()}
     return {"lower": edge.lower, "upper": edge.upper, **plain}
@@ -206,7 +203,6 @@ class Attach:
     edges: tuple[RosterEdge, ...] = ()
 
     def plain(self) -> Value:
-        """Give it as a value."""
         edges = [plain_edge(each) for each in self.edges]
         return {"change": "attach", "nodes": plain_nodes(self.nodes), "edges": edges}
 
@@ -220,7 +216,6 @@ class Detach:
     cascade: bool = False
 
     def plain(self) -> Value:
-        """Give it as a value."""
         return {"change": "detach", "name": self.name, "cascade": self.cascade}
 
 
@@ -234,7 +229,6 @@ class Replace:
     edges: tuple[RosterEdge, ...] | None = None
 
     def plain(self) -> Value:
-        """Give it as a value."""
         edges = None if self.edges is None else [plain_edge(edge) for edge in self.edges]
         return {"change": "replace", "name": self.name, "reference": self.reference.plain(), "edges": edges}
 

@@ -62,7 +62,6 @@ _PASSAGE = (bool, str, str, int, int)
 
 
 def encode_step(step: NodeStep) -> bytes:
-    """The bytes of a step."""
     return pack((FORMAT, *step), PACKERS)
 
 

@@ -107,7 +107,6 @@ class Row:
     hidden_shares: Sequence[float]
 
     def plain(self) -> dict[str, Json]:
-        """The row as plain JSON."""
         hidden = [None if np.isnan(share) else share for share in self.hidden_shares]
         told = {"stage_ms": self.stage_ms, "hidden_shares": hidden}
         return {"scene": self.name, "way": self.way, **self.score.plain(), **told}
@@ -142,7 +141,6 @@ class Speed:
         return float(np.median(self.rounds))
 
     def plain(self) -> dict[str, Json]:
-        """The speed as plain JSON."""
         return {**asdict(self), "epochs_hz": self.epochs_hz}
 
 

@@ -40,7 +40,6 @@ class ExtendedFloats(NamedTuple):
         self.fraction[:, columns], self.exponent[:, columns] = values
 
     def along(self, axis: int, ndim: int) -> ExtendedFloats:
-        """As `along` has it."""
         return ExtendedFloats(along(self.fraction, axis, ndim), along(self.exponent, axis, ndim))
 
     def times(self, other: ExtendedFloats) -> ExtendedFloats:

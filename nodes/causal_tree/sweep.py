@@ -42,12 +42,10 @@ class Product(NamedTuple):
 
     @property
     def value(self) -> ExtendedFloats:
-        """What the product is."""
         gone = self.zeros > 0
         return ExtendedFloats(np.where(gone, 0.0, self.rest.fraction), np.where(gone, 0, self.rest.exponent))
 
     def at(self, columns: Columns) -> Product:
-        """Some columns."""
         return Product(self.rest.at(columns), self.zeros[:, columns])
 
     def take_in(self, columns: Columns, factors: Product) -> None:

@@ -99,7 +99,6 @@ class PickWorld(CommandedNode, World):
         return {**belief, **arm._asdict(), **frame, **controller, "camera": camera, "bodies": bodies}
 
     def time_s(self, belief: Value, epoch: int) -> float:
-        """The time of the belief's frame."""
         return float(belief["time_s"])
 
     def finished(self, belief: Value) -> bool:

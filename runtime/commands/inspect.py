@@ -95,7 +95,6 @@ def _of_recording(node: str, file: Path, epoch: int | None, trust: bool) -> tupl
 
 
 def as_json(hierarchy: str, run: str, node: str, answer: Answer, full: bool = False) -> dict[str, Json]:
-    """All of it as plain JSON."""
     from hierax.runtime.execution.report import plain
 
     told = {key: plain(value, full) for key, value in answer.items() if key not in _UNSAID}

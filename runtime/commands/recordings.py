@@ -108,7 +108,6 @@ def report_violations(violations: Sequence[Any]) -> int:
 
 
 def comparison_json(comparison: Comparison) -> dict[str, Any]:
-    """A comparison as plain JSON."""
     from hierax.runtime.execution.report import plain
 
     difference = comparison.difference

@@ -101,7 +101,6 @@ class Hierarchy:
 
     @property
     def world_node(self) -> World:
-        """The node N₀."""
         return require_world(self.world, self.nodes[self.world])
 
 

@@ -37,7 +37,6 @@ def deployment_schema() -> dict[str, Any]:
 
 
 def schema_text() -> str:
-    """The schema as it is published."""
     return json.dumps(deployment_schema(), indent=2) + "\n"
 
 

@@ -481,7 +481,6 @@ class Engine:
             raise cannot_travel(self.name, self.epoch, self._sensed, state, error) from error
 
     def _encoded_saved(self, state: ActiveNode) -> bytes:
-        """The bytes of the state with which it begins."""
         try:
             return encode_state(state.belief, state.policy, state.actions)
         except SchemaError as error:

@@ -45,7 +45,6 @@ def runs_folder() -> Path:
 
 
 def run_folder(run: str) -> Path:
-    """The folder of a launch."""
     return runs_folder() / run
 
 

@@ -111,7 +111,6 @@ class Checker:
         self._since: dict[int, int] = {}
 
     def roster(self, roster: Roster) -> None:
-        """A version of the roster."""
         if roster.version in self._rosters:
             return
         self._rosters[roster.version] = roster
@@ -147,7 +146,6 @@ class Checker:
             self._break("COMMIT", when, f"{what} after its commit")
 
     def step(self, step: NodeStep) -> None:
-        """A step of a node."""
         if self._early or step.roster > max(self._rosters, default=-1):
             self._early.append(step)  # its roster comes along another link
             if len(self._early) > HELD_STEPS:

@@ -85,7 +85,6 @@ class RunInfo:
         return Staleness(self.staleness, self.exact)
 
     def plain(self) -> dict[str, Any]:
-        """Give it as a value."""
         return asdict(self)
 
     @staticmethod
@@ -127,7 +126,6 @@ class Ending:
     left_out: Mapping[str, int] = field(default_factory=dict)  # how much came on such keys, by their pattern
 
     def plain(self) -> dict[str, Any]:
-        """Give it as a value."""
         return asdict(self)
 
     @staticmethod

@@ -230,11 +230,9 @@ class InProcess:
         self._last = 0
 
     def message(self, header: Header, data: bytes) -> None:
-        """A message is on its way."""
         self._take(self._keys.edge(header.kind, header.sender, header.receiver), data)
 
     def committed(self, epoch: int, digest: bytes) -> None:
-        """An epoch is committed."""
         self._last = epoch
         self._take(self._keys.epochs, encode_value((epoch, digest)))
         self._recorder.flush()

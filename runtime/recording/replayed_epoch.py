@@ -33,7 +33,6 @@ class ReplayedEpoch:
 
     @property
     def epoch(self) -> int:
-        """The number of the epoch."""
         return self.recorded.epoch
 
     @property

@@ -66,7 +66,6 @@ class EpochTrace:
     place: str = ""  # of the recording, for errors: `SchemaError` where a message is none
 
     def message(self, data: bytes) -> Message:
-        """Read one of the messages."""
         try:
             return decode_message(data)
         except SchemaError as error:

@@ -60,7 +60,6 @@ class Counter:
         self._lanes: dict[Edge, deque[tuple[float, int]]] = {}  # when the last messages came, and their epochs
 
     def take(self, message: Message, size: int) -> Echo:
-        """Take in one more message."""
         kind, sender, receiver, epoch = message.header[:4]
         lane = self._lanes.setdefault((kind, sender, receiver), deque(maxlen=WINDOW))
         last = max((earlier for _, earlier in lane), default=epoch)

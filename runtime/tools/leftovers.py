@@ -35,14 +35,14 @@ def orphaned_processes(proc: Path = Path("/proc")) -> Iterator[Orphan]:
                 yield Orphan(int(folder.name), began)
 
 
-def end_process(orphan: Orphan, proc: Path = Path("/proc")) -> None:
+def end_process(orphan: Orphan) -> None:
     """Kill an orphan, if it is still the same process."""
     try:
         handle = os.pidfd_open(orphan.pid)
     except ProcessLookupError:
         return
     try:
-        if _status(proc / str(orphan.pid))[2] == orphan.began:
+        if _status(Path(f"/proc/{orphan.pid}"))[2] == orphan.began:
             signal.pidfd_send_signal(handle, signal.SIGKILL)
     except (ProcessLookupError, FileNotFoundError):
         return

@@ -45,7 +45,6 @@ class _Playing:
         self._committed = (0, 0)
 
     def epoch(self, trace: EpochTrace) -> None:
-        """Show an epoch."""
         self._presenter.set_roster(trace.roster)
         self._exchange.recall(trace)
         epoch, heard_ns = self._committed

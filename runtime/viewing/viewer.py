@@ -130,7 +130,6 @@ class _Program:
         return next((line for line in reversed(lines) if "error" in line.lower()), lines[-1] if lines else "")[:400]
 
     def close(self) -> None:
-        """End it."""
         self.process.terminate()
         self.process.wait()
         self._listener.join()

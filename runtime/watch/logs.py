@@ -230,7 +230,6 @@ class LaunchLog:
     epoch: Callable[[], int]
 
     def write(self, message: str, node: str = LAUNCH, logger: str = "hierax.launch") -> None:
-        """Write a line."""
         if self.handler is None:
             return
         fields = {"name": logger, "levelno": logging.INFO, "levelname": "INFO", "msg": message}

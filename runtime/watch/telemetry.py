@@ -31,8 +31,6 @@ TRACEPARENT, TRACESTATE = "traceparent", "tracestate"  # keys of a header's exte
 FLUSH_S = 2.0  # how long a node that has come to its end waits for its last spans to be sent
 _INSTRUMENTATION = "hierax"
 
-Clock = Callable[[], int]
-
 
 def wanted() -> bool:
     """Whether the environment asks for spans. Raises `HieraxError` if it asks for what cannot be had here."""
@@ -74,17 +72,14 @@ def _exporter() -> SpanExporter:
 
 
 class Spans(Watcher):
-    """Makes a node's spans; `flush` sends what is not sent yet, and the clock gives nanoseconds since 1970."""
+    """Makes a node's spans; `flush` sends what is not sent yet."""
 
-    def __init__(
-        self, tracer: Tracer, node: str, flush: Callable[[], object] | None = None, clock: Clock = time.time_ns
-    ) -> None:
+    def __init__(self, tracer: Tracer, node: str, flush: Callable[[], object] | None = None) -> None:
         from opentelemetry.trace.propagation.tracecontext import TraceContextTextMapPropagator
 
         self._tracer = tracer
         self._node = node
         self._flush = flush
-        self._clock = clock
         self._propagator = TraceContextTextMapPropagator()
         self._epoch = (0, 0)
         self._span: Span | None = None
@@ -98,7 +93,7 @@ class Spans(Watcher):
 
     def received(self, message: Message) -> None:
         if not self._works:
-            self._mark = self._clock()
+            self._mark = time.time_ns()
         header = message.header
         if header.kind == OBSERVATIONS:
             self._parent = _carried(header)
@@ -107,12 +102,12 @@ class Spans(Watcher):
 
     def turned(self) -> None:
         if not self._works:
-            self._mark = self._clock()
+            self._mark = time.time_ns()
 
     def called(self, called: Called) -> None:
         from opentelemetry.trace import set_span_in_context
 
-        now = self._clock()
+        now = time.time_ns()
         begun, self._mark = self._mark or now, now
         span = self._begin(called.epoch, called.attempt, begun)
         links = self._links() if called.operator == "predict" else ()
@@ -125,17 +120,17 @@ class Spans(Watcher):
 
     def sending(self, message: Message) -> Message:
         header = message.header
-        self._begin(header.epoch, header.attempt, self._mark or self._clock())
+        self._begin(header.epoch, header.attempt, self._mark or time.time_ns())
         if not self._carrier:
             return message
         extensions = {**header.extensions, **self._carrier}
         return message._replace(header=header._replace(extensions=extensions))
 
     def sent(self, message: Message) -> None:
-        self._mark = self._clock()
+        self._mark = time.time_ns()
 
     def acted(self, epoch: int) -> None:
-        self._mark = self._acted[epoch] = self._clock()
+        self._mark = self._acted[epoch] = time.time_ns()
 
     def completed(self, completed: Completed) -> None:
         epoch = completed.step.epoch
@@ -143,7 +138,7 @@ class Spans(Watcher):
         acted = self._acted.pop(epoch, None)  # where the next epoch has begun meanwhile
         if span is not None:
             span.set_attribute("hierax.digest", completed.digest.hex())
-            span.end(self._clock() if acted is None else acted)
+            span.end(time.time_ns() if acted is None else acted)
 
     def served(self) -> None:
         self._works = False
