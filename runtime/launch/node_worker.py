@@ -4,9 +4,13 @@ from __future__ import annotations
 
 import gc
 import logging
+import os
+import signal
 import sys
 import threading
+import time
 from collections.abc import Mapping
+from math import inf
 from typing import get_args
 
 from hierax.runtime.core.binding import OperatorSetting, Waiter
@@ -45,6 +49,12 @@ from hierax.schemas.values import Value
 RECORDER_TIMEOUT_S = 10.0
 """How long a process waits for a recorder that is said to be there; then it goes on unheard, which is a gap."""
 
+OPENS_S = 20.0
+"""How long the session and what it declares may take to open, the connection's own patience of 10 s among it.
+
+Zenoh up to 1.10.2 may hang there while other processes come and go (eclipse-zenoh/zenoh#2581): whoever does ends
+itself, and another process is started in its place, as after any kill."""
+
 _log = logging.getLogger("hierax")
 
 
@@ -65,6 +75,7 @@ class NodeWorker:
         self._budget: Budget | None = None
         self._recorded = False
         self._thread = 0
+        self._opens_s = inf  # since when the session opens; infinite: it does not
         self._words = ControlQueue(self._wake)
         self._loop: NodeLoop | None = None
         self._processes: Mapping[str, str] | None = None
@@ -116,6 +127,9 @@ class NodeWorker:
             _log.warning("%s: dropped %s: too much waits", self._order.name, type(control).__name__)
 
     def tick(self) -> None:
+        if time.monotonic() - self._opens_s > OPENS_S:
+            _log.error("%s: Zenoh has hung for %g s; the process ends itself", self._order.name, OPENS_S)
+            os.kill(os.getpid(), signal.SIGKILL)
         member = self._member
         if self._inspection is not None:
             self._inspection.serve()
@@ -179,6 +193,7 @@ class NodeWorker:
         if order.roster is not None:
             loader.wiring(order.roster)  # what cannot be loaded is told before anybody is waited for
         listen = [f"tcp/{order.host}:0"] if order.host else [LOOPBACK]
+        self._opens_s = time.monotonic()
         session = open_session(listen, [order.hub], order.settings, low_latency=order.low_latency)
         most_bytes = LOW_LATENCY_BYTES if order.low_latency else None
         keys = Keys(order.deployment, order.run)
@@ -188,8 +203,10 @@ class NodeWorker:
         self._line = ControlLine(session, keys, order.process, offered, self.hear, most_bytes)
         if is_world:
             self._owners_line = ControlLine(session, keys, OWNER, get_args(Word), self.hear, most_bytes)
-        observers, slots = open_observers(order), open_slots(order)
         self._publisher = StepPublisher(session, keys, order.name)
+        endpoint = InspectionEndpoint(session, keys, order.name)
+        self._opens_s = inf
+        observers, slots = open_observers(order), open_slots(order)
         if order.recorded and self._publisher.wait(RECORDER_TIMEOUT_S):
             self._be_recorded(observers, True)
         if order.budget_ms is not None:
@@ -197,7 +214,6 @@ class NodeWorker:
             observers.watch(self._budget)
         if telemetry.wanted():
             observers.watch(telemetry.open_spans(order.deployment, order.run, order.name))
-        endpoint = InspectionEndpoint(session, keys, order.name)
         seen = (order.name, order.process, observers, self._roster)
         self._inspection = InspectionServer(*seen, endpoint, self.busy, self._timing)
         gc.collect()

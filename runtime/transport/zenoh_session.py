@@ -35,6 +35,11 @@ that could not be opened is tried again, as when the other side has not yet noti
 cannot be reached for good is an error of ours.
 """
 
+RUNTIME = "(net: (worker_threads: 8))"
+"""Zenoh's threads, where ZENOH_RUNTIME says nothing. With one thread for its network's life, as is its default, a
+session hangs for good where others come and go while its first links open (eclipse-zenoh/zenoh#2581, up to 1.10.2):
+the thread waits for a lock whose owner waits for what that thread is to do. A thread that sleeps costs 15 kB."""
+
 LEASE_MS = 1000
 LOW_LATENCY_BYTES = 32 * 1024
 """What a low-latency link surely carries at once. Zenoh loses a longer message without a word (from 48 KiB on,
@@ -76,6 +81,7 @@ def open_session(
 ) -> zenoh.Session:
     """Open a session. Raises `TransportError` if Zenoh refuses the settings, or cannot listen."""
     zenoh.init_log_from_env_or(LOGGED)
+    os.environ.setdefault("ZENOH_RUNTIME", RUNTIME)
     ours: dict[str, Any] = {
         "mode": mode,
         "listen/endpoints": list(listen),
