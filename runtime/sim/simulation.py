@@ -91,7 +91,6 @@ class Result(NamedTuple):
     violation: str  # what did not hold; empty: all did
     epochs: int  # how many were committed
     tally: Tally  # how often each kind of thing occurred
-    virtual_s: float  # how long it took in virtual time
     stopped: str  # why the run gave up, as it may under some faults
     answers: Mapping[str, str]  # what became of the changes that were asked for
 
@@ -115,7 +114,6 @@ def simulate(scenario: Scenario, trace: list[str] | None = None) -> Result:
         violation,
         around.checker.told,
         around.journal.tally,
-        around.clock.now,
         supervisor.stopped,
         supervisor.answers,
     )
