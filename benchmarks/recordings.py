@@ -30,7 +30,6 @@ from pathlib import Path
 from typing import Any
 
 from hierax.runtime.core.errors import HieraxError
-from hierax.runtime.core.hierarchy import neighbours_above
 from hierax.runtime.deployment.deployment import shipped
 from hierax.runtime.deployment.read import read_deployment
 from hierax.runtime.recording.reading import Recording
@@ -187,8 +186,7 @@ def _record_deployment(name: str) -> list[str]:
 def _kinds(name: str) -> list[str]:
     """The world, one in the middle, one that has nothing above it."""
     roster = read_deployment(name).roster
-    pairs = [edge.pair for edge in roster.edges]
-    tops = [each for each in sorted(roster.nodes) if not neighbours_above(each, pairs)]
+    tops = [each for each in sorted(roster.nodes) if not roster.above(each)]
     middle = [each for each in sorted(roster.nodes) if each != roster.world and each not in tops]
     return [roster.world, *middle[:1], tops[-1]]
 

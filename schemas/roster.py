@@ -95,6 +95,19 @@ class Roster:
     instances: Mapping[str, int] = field(default_factory=dict)
 
     @cached_property
+    def pairs(self) -> tuple[tuple[str, str], ...]:
+        """The edges by their names, lower first."""
+        return tuple(edge.pair for edge in self.edges)
+
+    def below(self, name: str) -> tuple[str, ...]:
+        """The nodes right below one, by name."""
+        return tuple(sorted(edge.lower for edge in self.edges_of(name) if edge.upper == name))
+
+    def above(self, name: str) -> tuple[str, ...]:
+        """The nodes right above one, by name."""
+        return tuple(sorted(edge.upper for edge in self.edges_of(name) if edge.lower == name))
+
+    @cached_property
     def tasking(self) -> frozenset[tuple[str, str]]:
         """The edges that have a task function, by their names, lower first."""
         return frozenset(edge.pair for edge in self.edges if edge.task is not None)

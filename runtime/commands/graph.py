@@ -49,21 +49,19 @@ def graph(
 def graph_json(deployment: Deployment) -> Json:
     """Nodes and edges as plain JSON."""
     from hierax.runtime.core.graph import depths
-    from hierax.runtime.core.hierarchy import neighbours_above, neighbours_below
 
     roster = deployment.roster
-    pairs = [edge.pair for edge in roster.edges]
     return {
         "hierarchy": deployment.name,
         "world": roster.world,
         "nodes": {
             name: {
                 "class": roster.nodes[name].target,
-                "below": list(neighbours_below(name, pairs)),
-                "above": list(neighbours_above(name, pairs)),
+                "below": list(roster.below(name)),
+                "above": list(roster.above(name)),
                 "depth": depth,
             }
-            for name, depth in depths(roster.nodes, pairs).items()
+            for name, depth in depths(roster.nodes, roster.pairs).items()
         },
         "edges": [
             {"lower": edge.lower, "upper": edge.upper}
@@ -77,7 +75,7 @@ def mermaid(roster: Roster) -> str:
     """A Mermaid flowchart: what is sensed goes up in solid lines, tasks and context come down in dotted ones."""
     from hierax.runtime.core.graph import topological_order
 
-    order = topological_order(roster.nodes, [edge.pair for edge in roster.edges])
+    order = topological_order(roster.nodes, roster.pairs)
     ids = {name: f"n{index}" for index, name in enumerate(order)}
     lines = ["flowchart BT"]
     for name, number in ids.items():

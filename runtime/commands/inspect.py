@@ -77,7 +77,6 @@ def _told(endpoint: str, node: str, answer: Answer) -> Told:
 
 def _of_recording(node: str, file: Path, epoch: int | None, trust: bool) -> tuple[tuple[str, str], Answer, Told]:
     """The same of a recording."""
-    from hierax.runtime.core.hierarchy import neighbours_above, neighbours_below
     from hierax.runtime.core.node import class_name
     from hierax.runtime.loading.loader import extend_import_path
     from hierax.runtime.recording.reading import Recording
@@ -88,8 +87,7 @@ def _of_recording(node: str, file: Path, epoch: int | None, trust: bool) -> tupl
     allowance = allowance_of(recording, trust)
     extend_import_path(recorded_deployment(recording.info).import_paths)
     look, roster = recorded_look(recording, node, epoch, allowance)
-    pairs = [edge.pair for edge in roster.edges]
-    about = {"below": neighbours_below(node, pairs), "above": neighbours_above(node, pairs), "committed": True}
+    about = {"below": roster.below(node), "above": roster.above(node), "committed": True}
     answer = {"class": class_name(look.node), **about, "policies": (look.step.policy,), **look.step._asdict()}
     return (recording.info.hierarchy, recording.info.run), answer, look.told()
 

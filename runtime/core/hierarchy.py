@@ -102,13 +102,3 @@ class Hierarchy:
     @property
     def world_node(self) -> World:
         return require_world(self.world, self.nodes[self.world])
-
-
-def neighbours_below(name: str, pairs: Sequence[Pair]) -> tuple[str, ...]:
-    """The lower ends of the edges into `name`, by name."""
-    return tuple(sorted(lower for lower, upper in pairs if upper == name))
-
-
-def neighbours_above(name: str, pairs: Sequence[Pair]) -> tuple[str, ...]:
-    """The upper ends of the edges out of `name`, by name."""
-    return tuple(sorted(upper for lower, upper in pairs if lower == name))

@@ -60,8 +60,8 @@ class Suspicions(OwnerPart):
             return
         progress = self.progress
         where = f"epoch {status.epoch}, attempt {status.attempt}, roster version {status.version}"
-        lowers = sorted(edge.lower for edge in self.members.roster.edges if edge.upper == status.name)
-        who = f"somebody else has sent it observations in the name of {' or '.join(lowers)}"
+        lowers = " or ".join(self.members.roster.below(status.name))
+        who = f"somebody else has sent it observations in the name of {lowers}"
         what = f"{status.name} is in {where}, which the world has not begun: {who}"
         if status.version > self.members.roster.version or status.epoch != progress.epoch + 1:
             self._effects.stop(f"{what}, or the world's record was damaged; the world is in epoch {progress.epoch + 1}")

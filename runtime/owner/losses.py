@@ -36,7 +36,7 @@ class Losses(OwnerPart):
         if word.version != members.roster.version or members.processes.get(word.name) != word.process:
             return
         told = tuple(word.subject.split("->"))
-        if word.name not in told or (len(told) > 1 and told not in {edge.pair for edge in members.roster.edges}):
+        if word.name not in told or (len(told) > 1 and told not in members.roster.pairs):
             return
         trial = members.trial
         alone = members.alone if trial is None else members.alone | {trial.name}

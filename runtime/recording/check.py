@@ -29,7 +29,6 @@ from zlib import crc32
 from hierax.runtime.core.digest import epoch_digest, node_digest
 from hierax.runtime.core.errors import HierarchyError
 from hierax.runtime.core.graph import check_graph
-from hierax.runtime.core.hierarchy import neighbours_above, neighbours_below
 from hierax.runtime.core.staleness import BARRIER, Staleness
 from hierax.runtime.recording.reading import Recording
 from hierax.runtime.recording.topics import MESSAGE, ROSTER, STEP, glance
@@ -115,7 +114,7 @@ class Checker:
             return
         self._rosters[roster.version] = roster
         try:
-            check_graph(roster.world, roster.nodes, [edge.pair for edge in roster.edges])
+            check_graph(roster.world, roster.nodes, roster.pairs)
         except HierarchyError as error:
             self._break("GRAPH", (self._committed[0] + 1, 0), f"roster version {roster.version}: {error}")
         held, self._held = self._held, []
@@ -277,9 +276,7 @@ class Checker:
     def _seat(self, roster: Roster, name: str) -> _Seat:
         key = (roster.version, name)
         if key not in self._seats:
-            pairs = [edge.pair for edge in roster.edges]
-            tasks = {edge.pair for edge in roster.edges if edge.task is not None}
-            below, above = neighbours_below(name, pairs), neighbours_above(name, pairs)
+            below, above, tasks = roster.below(name), roster.above(name), roster.tasking
             to_above, from_above = ([(kind, peer) for peer in above] for kind in (OBSERVATIONS, CONTEXT))
             from_above += [(TASKS, peer) for peer in above if (name, peer) in tasks]
             to_below = [(CONTEXT, peer) for peer in below] + [(TASKS, peer) for peer in below if (peer, name) in tasks]

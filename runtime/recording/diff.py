@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 from hierax.runtime.core.difference import ABSENT, first_unlike
 from hierax.runtime.core.elements import Value
-from hierax.runtime.core.hierarchy import neighbours_above, neighbours_below
+from hierax.runtime.core.graph import neighbours
 from hierax.runtime.recording.replayed_epoch import ReplayedEpoch
 from hierax.runtime.recording.trace import EpochTrace
 from hierax.schemas.messages import CONTEXT, OBSERVATIONS, TASKS
@@ -104,8 +104,7 @@ def _differences(a: EpochView, b: EpochView, tolerance: float, result: Compariso
     epoch = a.epoch
     if a.time_s is not None and b.time_s is not None and a.time_s != b.time_s:
         yield Difference(epoch, a.roster.world, "time", "time_s", a.time_s, b.time_s)
-    pairs = sorted({edge.pair for edge in a.roster.edges} & {edge.pair for edge in b.roster.edges})
-    tasks = [{edge.pair for edge in each.roster.edges if edge.task is not None} for each in (a, b)]
+    below, above = neighbours({*a.roster.pairs} & {*b.roster.pairs})
     names = [name for name in a.order if name in b.roster.nodes]
 
     def unlike(subject: str, operator: str, path: str, left: Value, right: Value) -> Iterator[Difference]:
@@ -130,22 +129,21 @@ def _differences(a: EpochView, b: EpochView, tolerance: float, result: Compariso
         yield from _used_unlike(a, b, name, upward=True)
         if name != a.roster.world:
             yield from unlike(name, "observe", "belief", a.sensed_of(name), b.sensed_of(name))
-        for upper in neighbours_above(name, pairs):
+        for upper in above.get(name, ()):
             yield from line(OBSERVATIONS, name, upper)
     for name in reversed(names):
         yield from _used_unlike(a, b, name, upward=False)
         states = [state for state in (a.state_of(name), b.state_of(name)) if state is not None]
         result.unknown += len(states) < 2
-        below = neighbours_below(name, pairs)
         if len(states) == 2:
             yield from unlike(name, "select_policy", "policy", *((state.policy,) for state in states))
             yield from unlike(name, f"policy {states[0].policy}", "actions", *((state.actions,) for state in states))
-        for lower in below:
-            if all((lower, name) in edges for edges in tasks):
+        for lower in below.get(name, ()):
+            if (lower, name) in a.roster.tasking & b.roster.tasking:
                 yield from line(TASKS, name, lower)
         if len(states) == 2:
             yield from unlike(name, "predict", "belief", *((state.belief,) for state in states))
-        for lower in below:
+        for lower in below.get(name, ()):
             yield from line(CONTEXT, name, lower)
 
 

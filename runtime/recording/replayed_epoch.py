@@ -6,7 +6,6 @@ from typing import NamedTuple
 
 from hierax.runtime.core.digest import elements_cannot_travel, node_digest
 from hierax.runtime.core.elements import Elements, Value
-from hierax.runtime.core.hierarchy import neighbours_above
 from hierax.runtime.core.process import ActiveNode
 from hierax.runtime.recording.info import RecordingError
 from hierax.runtime.recording.trace import Attempt, EpochTrace, Line, order_of
@@ -109,8 +108,7 @@ class Exchange:
 
     def digest(self, recorded: EpochTrace, name: str, state: bytes) -> bytes:
         """A node's digest, of its encoded state and what came from above; empty where that is not known."""
-        pairs = [edge.pair for edge in recorded.roster.edges]
-        used = [self.given(recorded, (CONTEXT, upper, name)) for upper in neighbours_above(name, pairs)]
+        used = [self.given(recorded, (CONTEXT, upper, name)) for upper in recorded.roster.above(name)]
         above = [b"" if given is None else given.digest for given in used]
         return node_digest(state, above) if all(above) else b""
 

@@ -121,7 +121,7 @@ class EpochTrace:
 
 def order_of(roster: Roster) -> tuple[str, ...]:
     """The nodes of a roster from below to above, ties by name."""
-    return topological_order(roster.nodes, [edge.pair for edge in roster.edges])
+    return topological_order(roster.nodes, roster.pairs)
 
 
 @dataclass
@@ -137,7 +137,7 @@ class _Pending:
 
 def check_roster(roster: Roster) -> Roster:
     """A roster that is a hierarchy, as it is. Raises `HierarchyError` if it is none."""
-    check_graph(roster.world, roster.nodes, [edge.pair for edge in roster.edges])
+    check_graph(roster.world, roster.nodes, roster.pairs)
     return roster
 
 

@@ -68,7 +68,7 @@ class SimWorld:
 
     def link(self) -> None:
         roster = self._around.scenario.roster
-        above = tuple(sorted(edge.upper for edge in roster.edges if edge.lower == self._process.name))
+        above = roster.above(self._process.name)
         self._port.link((), above, roster.version, roster.instances, lambda _: None)
 
     def _begin(self, living: Mapping[str, str]) -> None:

@@ -13,7 +13,7 @@ from hierax.runtime.core.difference import difference
 from hierax.runtime.core.digest import NO_DIGEST, DigestChain
 from hierax.runtime.core.elements import Value
 from hierax.runtime.core.errors import HieraxError
-from hierax.runtime.core.hierarchy import Edge, Hierarchy, neighbours_above, neighbours_below
+from hierax.runtime.core.hierarchy import Edge, Hierarchy
 from hierax.runtime.core.node import Node
 from hierax.runtime.core.probe import Step
 from hierax.runtime.core.process import ActiveNode, predict, sense
@@ -245,14 +245,13 @@ def read_recorded(file: str | Path, name: str, epochs: int | None = None, trust:
 
 
 def _place(roster: Roster, name: str) -> tuple[Reference, tuple[str, ...], tuple[str, ...]]:
-    pairs = [edge.pair for edge in roster.edges]
-    return roster.nodes[name], neighbours_below(name, pairs), neighbours_above(name, pairs)
+    return roster.nodes[name], roster.below(name), roster.above(name)
 
 
 def _input(exchange: Exchange, trace: EpochTrace, name: str) -> Input:
     _, below, above = _place(trace.roster, name)
-    tasking = {edge.upper for edge in trace.roster.edges if edge.task is not None and edge.lower == name}
-    lines = ((OBSERVATIONS, below), (TASKS, [upper for upper in above if upper in tasking]), (CONTEXT, above))
+    tasking = [upper for upper in above if (name, upper) in trace.roster.tasking]
+    lines = ((OBSERVATIONS, below), (TASKS, tasking), (CONTEXT, above))
     exchange.recall(trace)
     given = [exchange.elements(trace, kind, senders, name) for kind, senders in lines]
     return Input(trace.epoch, trace.nodes[name].step.time_s, *given)

@@ -181,9 +181,8 @@ class ViewPresenter:
 
 def hierarchy_graph(roster: Roster, figures: Mapping[str, str]) -> Graph:
     """The hierarchy, the world at the bottom, each node with some figures of its belief, if there is a text of them."""
-    pairs = [(edge.lower, edge.upper) for edge in roster.edges]
     rows: dict[int, list[str]] = {}
-    for name, depth in depths(roster.nodes, pairs).items():
+    for name, depth in depths(roster.nodes, roster.pairs).items():
         rows.setdefault(depth, []).append(name)
     across, up = _APART
     places = {
@@ -192,7 +191,7 @@ def hierarchy_graph(roster: Roster, figures: Mapping[str, str]) -> Graph:
         for at, name in enumerate(row)
     }
     texts = {name: "\n".join(filter(None, (name, figures.get(name, "")))) for name in places}
-    return Graph(texts, pairs, places, {roster.world: colour_of(7)})
+    return Graph(texts, roster.pairs, places, {roster.world: colour_of(7)})
 
 
 def belief_text(belief: Value) -> str:

@@ -4,7 +4,6 @@ from dataclasses import dataclass
 from itertools import chain
 
 from hierax.runtime.core.elements import Elements, Value
-from hierax.runtime.core.hierarchy import neighbours_above, neighbours_below
 from hierax.runtime.core.node import Node
 from hierax.runtime.core.probe import Step
 from hierax.runtime.core.showing import Curve
@@ -68,8 +67,7 @@ class _Playing:
             sensed = None if before is None else (before,)  # the world senses nothing
         if sensed is None:
             return
-        pairs = [edge.pair for edge in trace.roster.edges]
-        below, above = neighbours_below(name, pairs), neighbours_above(name, pairs)
+        below, above = trace.roster.below(name), trace.roster.above(name)
         inputs: list[Elements] = []  # along all edges, in the order of their other ends' names; what lacks is left out
         for kind, senders in ((OBSERVATIONS, below), (TASKS, above), (CONTEXT, above)):
             found = (self._exchange.given(trace, (kind, sender, name)) for sender in senders)

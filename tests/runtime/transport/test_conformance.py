@@ -13,7 +13,7 @@ import zenoh
 from support.live import until
 from support.sockets import break_link
 
-from hierax.runtime.core.hierarchy import neighbours_above, neighbours_below
+from hierax.runtime.core.graph import neighbours
 from hierax.runtime.testing.transport import check_transport, receive
 from hierax.runtime.transport import inbox
 from hierax.runtime.transport.port import MemoryNetwork, MemoryPort, Port, TransportError
@@ -73,7 +73,8 @@ def open_zenoh(
     for number, name in enumerate(sorted({name for edge in edges for name in edge})):
         session = open_session([LOOPBACK if number else hub], [hub] if number else [], low_latency=low_latency)
         ports[name] = ZenohPort(session, keys, name, most_bytes=LOW_LATENCY_BYTES if low_latency else None)
-        ports[name].link(neighbours_below(name, edges), neighbours_above(name, edges), 0, {}, lambda _: None)
+        below, above = (each.get(name, ()) for each in neighbours(edges))
+        ports[name].link(below, above, 0, {}, lambda _: None)
         for data in early:
             for kind in (OBSERVATIONS, CONTEXT, INTERRUPT):
                 session.put(keys.edge(kind, name, name), data)
