@@ -8,7 +8,7 @@ CHECKED := .build/checked
 ROS := $(VENV)/ros/.installed
 WHEELS := 'ros-rclpy[fastrtps]>=9.1,<9.2' 'empy<4' $(foreach name,sensor geometry visualization diagnostic,ros-kilted-$(name)-msgs)
 
-.PHONY: demo test check docs sweep model sim sensitivities mutations kills cameras changes growth fuzz rival generator_b tutorial interrupts clean test-quick format junk
+.PHONY: demo test check docs sweep model sim sensitivities mutations kills cameras ros2 changes growth fuzz rival generator_b tutorial interrupts clean test-quick format junk
 
 # what runs, recordings included, and what tests need besides: the viewer alone is some hundreds of megabytes
 $(RUNS): pyproject.toml
@@ -75,6 +75,10 @@ kills: $(INSTALLED)
 # docs/cameras.md: a video beside its folder, 60 kills before a stream; some minutes
 cameras: $(INSTALLED)
 	$(BIN)/python benchmarks/cameras.py
+
+# docs/ros2.md: photographs by rclpy and as a bag, beside a node of rclpy that only answers; some minutes
+ros2: $(ROS)
+	$(BIN)/python benchmarks/ros2.py
 
 # docs/changing.md: 200 changes each of three hierarchies that run; some ten minutes
 changes: $(INSTALLED)

@@ -74,7 +74,7 @@ def video(options: argparse.Namespace, out: Path) -> list[str]:
         words = [word for each in told for word in ("--set", each)]
         plain = hierax("launch", "tracking", *words)
         hierax("run", "tracking", *words, "--record", str(path))
-        states.append(list(_states(path)))
+        states.append(list(states(path)))
         rate = plain["epochs"] / plain["wall_s"]
         print(f"{name}: {plain['epochs']} epochs, {rate:.1f} epochs/s over Zenoh, {plain['nodes']['arm']['metrics']}")
     paced = hierax("launch", "tracking", *words, "--set", f"nodes.world.rate_hz={RATE_HZ:g}")
@@ -87,7 +87,8 @@ def video(options: argparse.Namespace, out: Path) -> list[str]:
     return [] if states[0] == states[1] else ["the video's states are not those of the folder"]
 
 
-def _states(path: Path) -> list[tuple[bytes, ...]]:
+def states(path: Path) -> list[tuple[bytes, ...]]:
+    """Of arm and spatial node, epoch by epoch, of a recording."""
     epochs = Recording.open(path).epochs()
     return [tuple(encode_value(tuple(epoch.nodes[name].state)) for name in ("arm", "spatial")) for epoch in epochs]
 

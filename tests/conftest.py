@@ -35,6 +35,8 @@ STARTING = {
     "tests/nodes/causal_tree/": 1,
     "tests/nodes/commands/": 1,
     "tests/nodes/picking/": 1,
+    "tests/nodes/ros2/test_by_rclpy.py": 1,
+    "tests/nodes/ros2/test_launched.py": 0,
     "tests/nodes/sources/test_live_launched.py": 0,
     "tests/runtime/commands/": 0,
     "tests/runtime/core/test_digest.py": 1,
@@ -59,6 +61,7 @@ for half of their time; what only computes is done meanwhile by a third one."""
 SLOW = (
     "tests/model/",
     "tests/nodes/ros2/test_export.py",
+    "tests/nodes/ros2/test_live.py",
     "tests/nodes/sources/test_boards.py",
     "tests/nodes/sources/test_live.py",
     "tests/nodes/test_servo.py",

@@ -13,9 +13,9 @@ from hierax.nodes.ros2.messages import (
     IMAGE,
     NS,
     beside,
+    decoded,
     header_of,
     image_of,
-    messages,
     require,
     told_lens,
 )
@@ -123,7 +123,7 @@ def _choose(path: Path, connections: Sequence[Connection], topic: str | None) ->
 
 def _decoded(where: str, kind: str, data: bytes) -> Any:
     with _reading(where):
-        return messages().deserialize_cdr(data, kind)
+        return decoded(data, kind)
 
 
 @contextmanager

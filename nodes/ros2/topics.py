@@ -8,7 +8,7 @@ from collections.abc import Callable, Mapping
 from typing import Any, NamedTuple
 
 from hierax.nodes.ros2.carrier import Carrier, Qos
-from hierax.nodes.ros2.messages import messages
+from hierax.nodes.ros2.messages import decoded
 from hierax.nodes.sources.files import DataError
 
 _KEPT = 30  # messages of a topic that wait for others
@@ -55,7 +55,7 @@ class Topics:
         def heard(data: bytes, sent_ns: int) -> None:
             with self._changed:
                 try:
-                    came(messages().deserialize_cdr(data, kind), sent_ns)
+                    came(decoded(data, kind), sent_ns)
                 except Exception as error:  # rosbags raises whatever it meets where a message is damaged
                     said = (str(error).splitlines() or [type(error).__name__])[0]
                     self._fault = DataError(f"{topic}: cannot be read: {said:.200}; expected a whole {kind}")
