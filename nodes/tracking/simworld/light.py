@@ -11,6 +11,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
+from math import ceil, copysign, floor, hypot
 
 import cv2
 import numpy as np
@@ -18,6 +19,8 @@ import numpy as np
 from hierax.nodes.tracking.math.geometry import Array, Floats, Size
 from hierax.nodes.tracking.simworld.shapes import Face
 
+Window = tuple[int, int, int, int]  # pixels of a picture: left, top, right, bottom, the ends excluded
+LEAST_M = 1e-4  # what rises less over a face throws no shadow on it
 LAMP_POINTS = 9  # shadows are the mean of those that so many points of a lamp throw
 
 
@@ -41,23 +44,46 @@ LAMP = Lamp()
 
 
 def light_on(face: Face, parts: Sequence[Floats], size: Size, homography: Floats, lamp: Lamp = LAMP) -> Array:
-    """How bright a white face is, shadows included, float32 (h, w), with a homography from the face's coordinates to
-    pixels of the result, all of them in front of the camera. Of the convex parts, corners (n, 3) in the world's frame,
-    that may throw a shadow on it, its own may be one."""
-    slope = max(0.0, float(lamp.direction @ face.normal))
-    light = np.full((size[1], size[0]), lamp.ambient + lamp.diffuse * slope, np.float32)
-    thrown = [shadows(corners, face, lamp) for corners in parts]
-    thrown = [polygons for polygons in thrown if polygons]
-    if not thrown:
-        return light
-    share = np.float32(lamp.diffuse * slope / LAMP_POINTS)
-    for polygons in zip(*thrown, strict=True):
-        dark = np.zeros_like(light)
-        for polygon in polygons:
-            pixels = np.column_stack((polygon, np.ones(len(polygon)))) @ homography.T
-            _fill(dark, pixels[:, :2] / pixels[:, 2:])
-        light -= share * dark
+    """How bright a white face is, shadows included, float32 (h, w); as `shaded` has it."""
+    bright, (left, top, right, bottom), shade = shaded(face, parts, size, homography, lamp)
+    light = np.full((size[1], size[0]), bright, np.float32)
+    light[top:bottom, left:right] = shade
     return light
+
+
+def shaded(
+    face: Face, parts: Sequence[Floats], size: Size, homography: Floats, lamp: Lamp = LAMP
+) -> tuple[float, Window, Array]:
+    """How bright a white face is out of all shadows; a window of pixels outside of which it is so; and how bright it is
+    inside, float32 (h, w). The homography leads from the face's coordinates to pixels, all of them in front of the
+    camera. Of the convex parts, corners (n, 3) in the world's frame, that may throw a shadow on it, its own may be one.
+    """
+    normal = face.normal
+    slope = max(0.0, float(lamp.direction @ normal))
+    bright = lamp.ambient + lamp.diffuse * slope
+    over = [corners for corners in parts if ((corners - face.corner) @ normal).max() > LEAST_M] if slope else []
+    thrown = [[_in_pixels(polygon, homography) for polygon in shadows(corners, face, lamp)] for corners in over]
+    thrown = [polygons for polygons in thrown if polygons]
+    every = [polygon for polygons in thrown for polygon in polygons]
+    left, top, right, bottom = 0, 0, 0, 0
+    if every:
+        corners = np.concatenate(every)
+        left, top = (int(x) for x in np.maximum(np.floor(corners.min(axis=0)).astype(int) - 1, 0))
+        right, bottom = (int(x) for x in np.minimum(np.ceil(corners.max(axis=0)).astype(int) + 2, size))
+    light = np.full((max(bottom - top, 0), max(right - left, 0)), bright, np.float32)
+    dark, share = np.empty_like(light), np.float32(lamp.diffuse * slope / LAMP_POINTS)
+    for polygons in zip(*thrown, strict=True) if light.size else ():
+        dark.fill(0.0)
+        for polygon in polygons:
+            _fill(dark, (polygon - (left, top)).tolist())
+        dark *= share
+        light -= dark
+    return bright, (left, top, left + light.shape[1], top + light.shape[0]), light
+
+
+def _in_pixels(polygon: Floats, homography: Floats) -> Floats:
+    pixels = polygon @ homography[:, :2].T + homography[:, 2]
+    return np.asarray(pixels[:, :2] / pixels[:, 2:])
 
 
 def shadows(corners: Floats, face: Face, lamp: Lamp = LAMP) -> list[Floats]:
@@ -67,7 +93,8 @@ def shadows(corners: Floats, face: Face, lamp: Lamp = LAMP) -> list[Floats]:
     normal = face.normal
     heights = (corners - face.corner) @ normal
     rays = _rays(lamp)
-    if float((rays @ normal).min()) <= 1e-3 or heights.max() <= 1e-4:
+    slopes = rays @ normal
+    if float(slopes.min()) <= 1e-3 or heights.max() <= LEAST_M:
         return []
     points = [corners[heights >= 0]]
     below = corners[heights < 0]
@@ -78,32 +105,31 @@ def shadows(corners: Floats, face: Face, lamp: Lamp = LAMP) -> list[Floats]:
         points.append((points[0][:, None] + share * (below[None, :] - points[0][:, None])).reshape(-1, 3))
     above = np.concatenate(points) - face.corner
     plane = np.stack((face.right / (face.right @ face.right), face.up / (face.up @ face.up)), axis=1)
-    lifts = above @ normal
-    fallen = [(above - np.outer(lifts / (light @ normal), light)) @ plane for light in rays]
-    everywhere = np.concatenate(fallen)
-    if (everywhere.max(axis=0) < 0).any() or (everywhere.min(axis=0) > 1).any():
+    fallen = (above @ plane)[None] - ((above @ normal) / slopes[:, None])[..., None] * (rays @ plane)[:, None]
+    if (fallen.max(axis=(0, 1)) < 0).any() or (fallen.min(axis=(0, 1)) > 1).any():
         return []
-    return [cv2.convexHull(polygon.astype(np.float32))[:, 0].astype(np.float64) for polygon in fallen]
+    return [cv2.convexHull(polygon)[:, 0].astype(np.float64) for polygon in fallen.astype(np.float32)]
 
 
-def _fill(mask: Array, polygon: Floats) -> None:
+def _fill(mask: Array, polygon: Sequence[tuple[float, float]]) -> None:
     """Raise a mask to how far a convex polygon covers each pixel, 0 to 1; OpenCV's own filling reaches too far."""
-    low = np.maximum(np.floor(polygon.min(axis=0)).astype(int) - 1, 0)
-    high = np.minimum(np.ceil(polygon.max(axis=0)).astype(int) + 2, (mask.shape[1], mask.shape[0]))
-    if (low >= high).any():
+    xs, ys = zip(*polygon, strict=True)
+    left, right = max(floor(min(xs)) - 1, 0), min(ceil(max(xs)) + 2, mask.shape[1])
+    top, bottom = max(floor(min(ys)) - 1, 0), min(ceil(max(ys)) + 2, mask.shape[0])
+    if left >= right or top >= bottom:
         return
-    u, v = (np.arange(low[axis], high[axis], dtype=np.float32) for axis in (0, 1))
-    sides = np.roll(polygon, -1, axis=0) - polygon
-    lengths = np.linalg.norm(sides, axis=1)
-    kept = lengths > 1e-6
-    corners, sides = polygon[kept], sides[kept] / lengths[kept, None]
-    following = np.roll(sides, -1, axis=0)
-    winding = np.sign((sides[:, 0] * following[:, 1] - sides[:, 1] * following[:, 0]).sum())
+    sides = [(x, y, p - x, q - y) for (x, y), (p, q) in zip(polygon, (*polygon[1:], polygon[0]), strict=True)]
+    winding = copysign(1.0, sum(x * dy - y * dx for x, y, dx, dy in sides))
+    u, v = (np.arange(low, high, dtype=np.float32) for low, high in ((left, right), (top, bottom)))
     inside = np.ones((len(v), len(u)), np.float32)
-    for (x, y), (dx, dy) in zip(corners, winding * sides, strict=True):
-        across = (x * dy - y * dx + 0.5) - np.float32(dy) * u
-        np.minimum(inside, across.astype(np.float32)[None, :] + (np.float32(dx) * v)[:, None], out=inside)
-    window = mask[low[1] : high[1], low[0] : high[0]]
+    across = np.empty_like(inside)
+    for x, y, dx, dy in sides:
+        length = winding * hypot(dx, dy)
+        if abs(length) > 1e-6:
+            dx, dy = dx / length, dy / length
+            np.add(((x * dy - y * dx + 0.5) - np.float32(dy) * u)[None, :], (np.float32(dx) * v)[:, None], out=across)
+            np.minimum(inside, across, out=inside)
+    window = mask[top:bottom, left:right]
     np.maximum(window, inside, out=window)
 
 

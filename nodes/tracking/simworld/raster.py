@@ -13,11 +13,10 @@ import numpy as np
 
 from hierax.nodes.sources.shots import lens_matrix
 from hierax.nodes.tracking.math.geometry import Array, Floats, Size, invert, project, transform, unit
+from hierax.nodes.tracking.simworld.light import Window
 from hierax.nodes.tracking.simworld.shapes import Face, Thing
 
 _NEAREST_SAMPLED_M = 1e-3  # a face with a corner nearer to the camera is not drawn
-
-Window = tuple[int, int, int, int]  # pixels of a picture: left, top, right, bottom, the ends excluded
 
 
 class Drawn(NamedTuple):
@@ -26,7 +25,9 @@ class Drawn(NamedTuple):
     face: Face | None  # None: a curved surface
     window: Window  # the pixels that it may touch
     nearness: Array  # float32 (h, w), the inverse of the depth in 1/m; 0 where it is not
-    at: Array  # float32: of a face (2, h, w) its coordinates, times the nearness; else (h, w, 3) the surface's normal
+    # of a face (3, 3), from (column, row, 1) of a sample to its coordinates (a, b, 1), times the nearness; of a curved
+    # surface float32 (h, w, 3), its normal
+    at: Array
 
 
 def homography(face: Face, camera: Floats, intrinsics: Array) -> Floats:
@@ -50,17 +51,21 @@ def drawn_face(face: Face, camera: Floats, intrinsics: Array, size: Size, sample
         return None
     step = 1.0 / samples
     first = step / 2 - 0.5
-    u = (left + first + step * np.arange((right - left) * samples)).astype(np.float32)
-    v = (top + first + step * np.arange((bottom - top) * samples)).astype(np.float32)
-    rows = np.linalg.inv(to_pixels).astype(np.float32)
-    a, b, nearness = ((row[0] * u)[None, :] + (row[1] * v + row[2])[:, None] for row in rows)
-    inside = np.zeros(a.shape, bool) if face.cells else (a >= 0) & (b >= 0) & (a <= nearness) & (b <= nearness)
+    at = np.linalg.inv(to_pixels) @ np.array([[step, 0.0, left + first], [0.0, step, top + first], [0.0, 0.0, 1.0]])
+    u, v = (np.arange(count * samples, dtype=np.float32) for count in (right - left, bottom - top))
+    a, b, nearness = ((row[0] * u)[None, :] + (row[1] * v + row[2])[:, None] for row in at.astype(np.float32))
+    if not face.cells:
+        least = np.minimum(a, b)
+        np.minimum(least, np.minimum(nearness - a, nearness - b), out=least)
+        nearness *= least >= 0
+        return Drawn(face, (left, top, right, bottom), nearness, at)
+    inside = np.zeros(a.shape, bool)
     for cell in face.cells:
         within = nearness > 0
         for (x, y), (dx, dy) in zip(cell, np.roll(cell, -1, axis=0) - cell, strict=True):
             within &= np.float32(dx) * (b - np.float32(y) * nearness) >= np.float32(dy) * (a - np.float32(x) * nearness)
         inside |= within
-    return Drawn(face, (left, top, right, bottom), np.where(inside, nearness, np.float32(0.0)), np.stack((a, b)))
+    return Drawn(face, (left, top, right, bottom), nearness * inside, at)
 
 
 def drawn_mesh(

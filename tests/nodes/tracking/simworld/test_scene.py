@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from hierax.nodes.tracking.math.geometry import Array, Floats, exp_so3, invert, make_pose, rays
+from hierax.nodes.tracking.simworld import light as sim_light
 from hierax.nodes.tracking.simworld import scene as sim_scene
 from hierax.nodes.tracking.simworld.light import LAMP, Lamp, light_on, shadows
 from hierax.nodes.tracking.simworld.scene import FACE_PX, GAMMA, develop, draw
@@ -137,3 +138,29 @@ def test_the_sensor_adds_noise_of_the_given_size() -> None:
 def test_the_sensor_stays_within_its_range() -> None:
     ends = np.array([[[-0.1, 0.0, 1.2]]], np.float32)
     np.testing.assert_array_equal(develop(ends, 0.0, 0.0, np.random.default_rng(1)), [[[0, 0, 255]]])
+
+
+def test_light_is_looked_for_where_something_may_be_in_its_way(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A face that looks away from the lamp, or that nothing rises over, asks for no shadow."""
+    asked: list[Face] = []
+
+    def counted(corners: Floats, face: Face, lamp: Lamp) -> list[Floats]:
+        asked.append(face)
+        return shadows(corners, face, lamp)
+
+    monkeypatch.setattr(sim_light, "shadows", counted)
+    draw(CUBES[:2], camera_at(0.3), INTRINSICS, SIZE)
+    assert asked
+    assert all(face.normal @ LAMP.direction > 0 for face in asked)
+    highest = CUBES[1].faces()[5]
+    assert not any((face.corner == highest.corner).all() for face in asked)
+
+
+def test_noise_is_normal_and_another_one_in_each_picture() -> None:
+    grey = np.full((200, 300, 3), (128.0 / 255.0) ** GAMMA, np.float32)
+    one, other = (develop(grey, 0.0, 20.0, np.random.default_rng(seed)).astype(float) - 128.0 for seed in (1, 2))
+    assert one.mean() == pytest.approx(0.0, abs=0.3)
+    for deviations, share in ((1.0, 0.6827), (2.0, 0.9545), (3.0, 0.9973)):
+        assert (abs(one) < 20.0 * deviations).mean() == pytest.approx(share, abs=0.02)
+    neighbours = (one[:, 1:] * one[:, :-1]).mean(), (one[1:] * one[:-1]).mean(), (one * other).mean()
+    assert np.allclose(np.array(neighbours) / 400.0, 0.0, atol=0.02)
