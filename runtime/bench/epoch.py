@@ -3,9 +3,12 @@
 import json
 import os
 import subprocess
+import tempfile
 from collections.abc import Callable, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass
+from importlib.util import find_spec
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,13 +17,16 @@ from hierax.runtime.core.errors import HieraxError
 from hierax.runtime.deployment.read import read_deployment
 from hierax.runtime.execution.report import Json
 from hierax.runtime.host.streams import python_module
+from hierax.runtime.launch.recorder_process import RecordingRequest
 from hierax.runtime.launch.supervisor import launch
+from hierax.runtime.recording.writing import claimed
 from hierax.runtime.transport.zenoh_session import free_endpoint
 
 Times = NDArray[np.float64]  # how long epochs took, in microseconds
 
 PICTURE_BYTES = 2_400_000
 LOW_LATENCY, ORDINARY = "low-latency", "ordinary"  # kinds of links of ours; the bare chain has ordinary ones
+RECORDED = "recorded"  # ordinary ones, and a recorder that hears them
 WARM_UP = 0.1  # share of the epochs, at the beginning of each run, that is not counted
 TIMEOUT_S = 120.0
 
@@ -42,12 +48,14 @@ class Row:
 
 
 def bench_epoch(epochs: int, rounds: int, progress: Callable[[str], None]) -> list[Row]:
-    """Time the chain with small messages and with a picture, and the bare chain against a bare round trip. So many
-    epochs are in each round; rounds of ours and the rival's take turns, so that a machine that changes its pace changes
-    it for both. `progress` is told what is going on. Raises `HieraxError` if a process failed."""
+    """Time the chain with small messages and with a picture, the former recorded against not recorded (where the
+    package ``mcap`` is there), and the bare chain against a bare round trip. So many epochs are in each round; rounds
+    of all take turns, so that a machine that changes its pace changes it for all. `progress` is told what is going on.
+    Raises `HieraxError` if a process failed, or a recording is not whole."""
     rows = []
+    small = (LOW_LATENCY, ORDINARY, *((RECORDED,) if find_spec("mcap") else ()))
     for name, picture, kinds in (
-        ("small messages", 0, (LOW_LATENCY, ORDINARY)),
+        ("small messages", 0, small),
         (f"{PICTURE_BYTES / 1e6:g} MB in the context", PICTURE_BYTES, (ORDINARY,)),
     ):
         bare: list[Times] = []
@@ -56,10 +64,11 @@ def bench_epoch(epochs: int, rounds: int, progress: Callable[[str], None]) -> li
             progress(f"{name}, round {number + 1} of {rounds}")
             bare.append(_counted(_bare(epochs, picture)))
             for links, times in ours.items():
-                given = [f"picture={picture}", f"low_latency={json.dumps(links == LOW_LATENCY)}"]
-                report = launch(read_deployment("chain", given), epochs=epochs, seed=0)
-                times.append(_counted(1e6 * np.array(report.epochs_s)))
+                times.append(_counted(1e6 * np.array(_ours(epochs, picture, links))))
+        recorded = ours.pop(RECORDED, None)
         rows += [Row(f"{name}, {links} links", times, bare) for links, times in ours.items()]
+        if recorded is not None:
+            rows.append(Row(f"{name}, recorded against not recorded (ours)", recorded, ours[ORDINARY]))
     trips = []
     for number in range(rounds):
         progress(f"bare round trip, round {number + 1} of {rounds}")
@@ -68,6 +77,20 @@ def bench_epoch(epochs: int, rounds: int, progress: Callable[[str], None]) -> li
         trips.append(_counted(_times(world, ["echo", "--connect", low])))
     rows.append(Row("bare chain (ours) against a bare round trip", rows[0].bare_us, trips))
     return rows
+
+
+def _ours(epochs: int, picture: int, links: str) -> Sequence[float]:
+    """How long epochs of our chain took, in seconds."""
+    given = [f"picture={picture}", f"low_latency={json.dumps(links == LOW_LATENCY)}"]
+    deployment = read_deployment("chain", given)
+    if links != RECORDED:
+        return launch(deployment, epochs=epochs, seed=0).epochs_s
+    with tempfile.TemporaryDirectory(prefix="hierax-bench-") as folder, claimed(Path(folder) / "run.mcap") as target:
+        recording = RecordingRequest(target, check=False)
+        report = launch(deployment, epochs=epochs, seed=0, recording=recording)
+    if recording.ending is None or recording.ending.lost:
+        raise HieraxError(f"the recording is not whole: {recording.failure or recording.ending}")
+    return report.epochs_s
 
 
 def _bare(epochs: int, picture: int) -> Sequence[float]:

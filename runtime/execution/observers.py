@@ -32,8 +32,7 @@ class Observers:
 
     def follow(self, engine: Engine) -> None:
         self.engine = engine
-        if self.watchers:  # one that comes at this moment, in another thread, finds the engine
-            engine.events = True
+        self._ask_for_calls()  # one that comes at this moment, in another thread, finds the engine
 
     def watch(self, watcher: Watcher) -> None:
         """Have a watcher see what the node does from now on; always called by the same thread."""
@@ -45,8 +44,11 @@ class Observers:
 
     def _set_watchers(self, watchers: tuple[Watcher, ...]) -> None:
         self.watchers = watchers  # replaced, never changed in place: the node's thread may be going through them
+        self._ask_for_calls()
+
+    def _ask_for_calls(self) -> None:
         if self.engine is not None:
-            self.engine.events = bool(watchers)
+            self.engine.events = any(type(each).called is not Watcher.called for each in self.watchers)
 
     def predicted(self, completed: Completed) -> None:
         """The node is done with an epoch, and nothing of it has gone out yet. Raises `ProbeError` if a probe raised."""
@@ -57,6 +59,8 @@ class Observers:
         for probe in self._probes:
             if probe.prompt:
                 self._show(probe, completed)
+        for watcher in self.watchers:
+            watcher.predicted(completed)
 
     def completed(self, completed: Iterable[Completed]) -> None:
         """The node is done with these epochs, and nobody waits for it. Raises `ProbeError` if a probe raised."""

@@ -156,7 +156,8 @@ class Ledger:
 
     def _bit(self, line: Line) -> int:
         """The bit that stands for a line in the numbers of what was heard, sent and is missing."""
-        return self._bits.setdefault(line, 1 << len(self._bits))
+        bit = self._bits.get(line)
+        return self._bits.setdefault(line, 1 << len(self._bits)) if bit is None else bit
 
     def _settle(self, when: Attempt, missing: int) -> None:
         if missing:

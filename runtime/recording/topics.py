@@ -7,6 +7,7 @@ import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from fnmatch import fnmatchcase
+from functools import lru_cache
 from typing import Any, NamedTuple, get_origin, get_type_hints
 
 import msgpack
@@ -42,6 +43,7 @@ class Topic(NamedTuple):
     names: tuple[str, ...]  # what stands behind: sender and receiver, a node, an address, a node and its process
 
 
+@lru_cache(maxsize=4096)
 def topic_of(key: str) -> Topic | None:
     """A key of a run, taken apart; None: nothing that is recorded."""
     segments = key.split("/")
@@ -60,7 +62,9 @@ def glance(data: bytes) -> tuple[Header, int]:
     unpacker.feed(data[:_GLANCED_BYTES])
     try:
         unpacker.read_array_header()
-        _, code, *fields = (unpacker.unpack() for _ in range(10))
+        unpack = unpacker.unpack
+        unpack()  # the format
+        code, *fields = unpack(), unpack(), unpack(), unpack(), unpack(), unpack(), unpack(), unpack(), unpack()
         unpacker.skip()  # the extensions
         if tuple(map(type, (code, *fields))) != _HEAD or min(code, *fields[2:6]) < 0:
             raise ValueError("another one is not so typed")

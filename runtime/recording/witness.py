@@ -5,7 +5,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from secrets import token_hex
 
-from hierax.runtime.engine.effects import Called, Completed
+from hierax.runtime.engine.effects import Completed
 from hierax.runtime.engine.engine import Engine
 from hierax.runtime.engine.stale import StaleEngine
 from hierax.runtime.watch.watcher import Watcher
@@ -59,10 +59,10 @@ class Witness(Watcher):
             self._publish_roster(self.roster())
         self._passages.append(Passage(True, header.kind, header.receiver, header.epoch, header.attempt))
 
-    def called(self, called: Called) -> None:
-        """At the prediction the engine is still in its epoch; when that is told as completed, no more."""
+    def predicted(self, completed: Completed) -> None:
+        """Here the engine is still in its epoch; when that is told as completed, no more."""
         engine = self.engine()
-        if called.operator != "predict" or engine is None:
+        if engine is None:
             return
         used: _Used = ()
         if isinstance(engine, StaleEngine):
@@ -70,7 +70,7 @@ class Witness(Watcher):
         wiring = engine.wiring
         start = engine.encoded_start if self._fresh else b""
         self._fresh = False
-        self._begun[called.epoch, called.attempt] = (wiring.roster, wiring.instance, start, used)
+        self._begun[completed.step.epoch, completed.step.attempt] = (wiring.roster, wiring.instance, start, used)
         while len(self._begun) > _KEPT:
             del self._begun[next(iter(self._begun))]
 

@@ -25,7 +25,10 @@ class Watcher:
         """A message has come, and the engine is about to take it in."""
 
     def called(self, called: Called) -> None:
-        """An operator or edge function has returned."""
+        """An operator or edge function has returned; who does without this costs the node less."""
+
+    def predicted(self, completed: Completed) -> None:
+        """The node is done with an epoch but for what follows: neither its checkpoint nor its context is out yet."""
 
     def sending(self, message: Message) -> Message:
         """A message is about to go, as it is returned, perhaps with more in its header's extensions."""
