@@ -118,8 +118,8 @@ def _draw_bodies(
             cv2.copyTo(_coloured(each, colour, parts, lamp), nearer, layer[rows, columns])
     size = (right - left, bottom - top)
     part = image[top:bottom, left:right]
-    covered = cv2.compare(nearest, 0.0, cv2.CMP_GT).astype(np.float32)
-    _dim(part, 1.0 - cv2.resize(covered, size, interpolation=cv2.INTER_AREA) / np.float32(255.0))
+    covered = (nearest > 0.0).astype(np.float32)
+    _dim(part, 1.0 - cv2.resize(covered, size, interpolation=cv2.INTER_AREA))
     part += cv2.resize(layer, size, interpolation=cv2.INTER_AREA)
 
 
