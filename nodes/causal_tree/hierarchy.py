@@ -2,7 +2,6 @@
 one evidence set after the other."""
 
 from collections.abc import Mapping, Sequence
-from graphlib import CycleError, TopologicalSorter
 from typing import Any
 
 import numpy as np
@@ -11,6 +10,8 @@ from hierax.nodes.causal_tree.errors import NetworkError
 from hierax.nodes.causal_tree.network import Description, Network, epochs_needed, parse
 from hierax.nodes.causal_tree.networks import Source, likelihoods, network_from, sampled
 from hierax.runtime import NO_TICK, Elements, Tick, Value, World
+from hierax.runtime.core.errors import HierarchyError
+from hierax.runtime.core.graph import topological_order
 
 MODULE = "hierax.nodes.causal_tree"
 WORLD = "world"
@@ -32,14 +33,10 @@ def as_deployment(
     needed = epochs_needed(network)
     arrows = ((held[name], held[parent]) for name, each in network.variables.items() for parent in each.parents)
     pairs = sorted({(lower, upper) for lower, upper in arrows if lower != upper})
-    sorter: TopologicalSorter[str] = TopologicalSorter()
-    for lower, upper in pairs:
-        sorter.add(upper, lower)
     try:
-        sorter.prepare()
-    except CycleError as error:
-        circle = ", ".join(sorted(set(error.args[1])))
-        raise NetworkError(f"arrows between the parts {circle} go round in a circle") from None
+        topological_order(parts, pairs)
+    except HierarchyError as error:
+        raise NetworkError(f"arrows between the parts go round in a circle: {error}") from None
     edges: dict[str, Any] = {f"{WORLD} -> {part}": {"sense": f"{MODULE}:evidence_seen"} for part in parts}
     for lower, upper in pairs:
         edges[f"{lower} -> {upper}"] = {"sense": f"{MODULE}:diagnostic_support", "context": f"{MODULE}:causal_support"}

@@ -26,7 +26,7 @@ from hierax.nodes.causal_tree.network import Network
 from hierax.nodes.causal_tree.networks import Source, network_from
 from hierax.runtime import NO_TICK, Elements, Node, Step, Tick, Value
 from hierax.runtime.core.graph import depths
-from hierax.runtime.core.showing import GREY, Colour, Graph, Things, colour_of
+from hierax.runtime.core.showing import GREY, Colour, Graph, Things, colour_of, in_rows
 
 SHOWN_NODES = 8  # of larger parts the metrics have no posteriors
 FEW_NODES = 4  # of a smaller part all posteriors are curves
@@ -240,17 +240,6 @@ def part_things(
     colours: dict[str, Colour] = {name: SEEN if name in seen else INFERRED for name in texts}
     colours.update(dict.fromkeys(guests, GREY))
     nodes = {**guests, **texts}
-    return {**things, "network": Graph(nodes, arrows, _places(tuple(nodes), arrows), colours)}
-
-
-def _places(names: Sequence[str], arrows: Sequence[tuple[str, str]]) -> dict[str, tuple[float, float]]:
-    """Causes above what they cause, in rows."""
-    below = depths(names, arrows)
-    rows: dict[int, list[str]] = {}
-    for name in names:
-        rows.setdefault(below[name], []).append(name)
-    return {
-        name: ((at - (len(row) - 1) / 2) * _ACROSS, depth * _DOWN)
-        for depth, row in rows.items()
-        for at, name in enumerate(row)
-    }
+    below = depths(nodes, arrows)  # causes stand above what they cause
+    places = in_rows({name: below[name] for name in nodes}, _ACROSS, _DOWN)
+    return {**things, "network": Graph(nodes, arrows, places, colours)}

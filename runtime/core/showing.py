@@ -262,6 +262,18 @@ class Graph(_Thing):
         self._set("colours", colours)
 
 
+def in_rows(depth_of: Mapping[str, int], across: float, down: float) -> dict[str, tuple[float, float]]:
+    """Places for a graph's nodes: those of one depth side by side, in their order, and so far apart."""
+    rows: dict[int, list[str]] = {}
+    for name, depth in depth_of.items():
+        rows.setdefault(depth, []).append(name)
+    return {
+        name: ((at - (len(row) - 1) / 2) * across, depth * down)
+        for depth, row in rows.items()
+        for at, name in enumerate(row)
+    }
+
+
 Picture = Image | Depth | Labels | Points2D | Lines2D
 Scene = Mesh | Box | Points3D | Lines3D | Axes | Camera
 Thing = Picture | Scene | Curve | Graph | float | str

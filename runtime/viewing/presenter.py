@@ -13,7 +13,7 @@ from hierax.runtime.core.elements import Value
 from hierax.runtime.core.graph import depths
 from hierax.runtime.core.node import Node
 from hierax.runtime.core.probe import Step
-from hierax.runtime.core.showing import Graph, Things, colour_of
+from hierax.runtime.core.showing import Graph, Things, colour_of, in_rows
 from hierax.runtime.loading.nearest import did_you_mean
 from hierax.runtime.viewing import views
 from hierax.runtime.viewing.views import BELIEF, EPOCHS, HIERARCHY, TOGETHER, Kind, Placed, ShowError, View
@@ -181,15 +181,8 @@ class ViewPresenter:
 
 def hierarchy_graph(roster: Roster, figures: Mapping[str, str]) -> Graph:
     """The hierarchy, the world at the bottom, each node with some figures of its belief, if there is a text of them."""
-    rows: dict[int, list[str]] = {}
-    for name, depth in depths(roster.nodes, roster.pairs).items():
-        rows.setdefault(depth, []).append(name)
     across, up = _APART
-    places = {
-        name: ((at - (len(row) - 1) / 2) * across, -depth * up)
-        for depth, row in rows.items()
-        for at, name in enumerate(row)
-    }
+    places = in_rows(depths(roster.nodes, roster.pairs), across, -up)
     texts = {name: "\n".join(filter(None, (name, figures.get(name, "")))) for name in places}
     return Graph(texts, roster.pairs, places, {roster.world: colour_of(7)})
 
