@@ -157,7 +157,7 @@ class Launch:
         patience = time.monotonic() + START_TIMEOUT_S
         while time.monotonic() < patience and launched.poll() is None:
             runs = json.loads(hierax("ps", "--format", "json"))["runs"]
-            if runs and runs[0]["epoch"] > 0:
+            if runs and runs[0]["epoch"] > AROUND + 2:  # else there is nothing before the first change to be timed
                 return
             time.sleep(0.05)
         raise SystemExit(f"{self._place}: the launch did not come up: {launched.communicate()[1]}")
