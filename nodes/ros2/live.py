@@ -141,6 +141,8 @@ class TopicFrames(LiveTopics):
         def came(message: Any, _: int) -> None:
             if not self._has_info:
                 self.lens = told_lens(f"{self.name}: {told}", message, straight)
+                if self.lens is None:
+                    raise DataError(f"{self.name}: {told}: K is zero, so nobody knows the camera; expected calibration")
                 self._has_info = True
 
         topics.hear(carrier, told, CAMERA_INFO, QOS["sensor_data"], came)

@@ -56,6 +56,8 @@ class Topics:
             with self._changed:
                 try:
                     came(decoded(data, kind), sent_ns)
+                except DataError as error:
+                    self._fault = error
                 except Exception as error:  # rosbags raises whatever it meets where a message is damaged
                     said = (str(error).splitlines() or [type(error).__name__])[0]
                     self._fault = DataError(f"{topic}: cannot be read: {said:.200}; expected a whole {kind}")

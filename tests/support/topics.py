@@ -93,7 +93,7 @@ class Talker:
         self.carrier.subscribe(topic, kind, qos, lambda data, _: heard.append(messages().deserialize_cdr(data, kind)))
         return heard
 
-    def keep_on(self, rate_hz: float, say: Callable[[int], None]) -> None:
+    def keep_on(self, rate_hz: float, say: Callable[[int], object]) -> None:
         """Say something over and over in a thread, with the next number."""
 
         def go_on() -> None:

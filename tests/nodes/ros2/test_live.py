@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Iterator
 
 import numpy as np
 import pytest
-from support.bags import camera_info, compressed, image
+from rosbags.serde import SerdeError
+from support.bags import STORE, camera_info, compressed, image
 from support.topics import Talker, joints, router, stamped, transforms
 
 from hierax.nodes.ros2.carrier import LATCHED, QOS
+from hierax.nodes.ros2.messages import decoded
 from hierax.nodes.ros2.world import TopicsWorld, topics_heard
 from hierax.nodes.sources.calibration import Lens
 from hierax.nodes.sources.camera import CameraWorld, picture_seen
@@ -43,16 +44,15 @@ def numbered(number: int) -> Array:
     return np.full((SIZE[1], SIZE[0]), number % 200, np.uint8)
 
 
-def shows(talker: Talker, encoding: str = "mono8", lens: Lens | None = PLAIN, rate_hz: float = 100.0) -> None:
+def shows(talker: Talker, encoding: str = "mono8") -> None:
     """Publish pictures that tell their number, as a camera does."""
 
     def say(number: int) -> None:
         stamp_ns = STEP_NS * (number + 1)
-        if lens is not None:
-            talker.say(INFO, stamped(camera_info(lens), stamp_ns), QOS["sensor_data"])
+        talker.say(INFO, stamped(camera_info(PLAIN), stamp_ns), QOS["sensor_data"])
         talker.say(RAW, stamped(image(0, numbered(number), encoding), stamp_ns), QOS["sensor_data"])
 
-    talker.keep_on(rate_hz, say)
+    talker.keep_on(100.0, say)
 
 
 def follow(world: CameraWorld, belief: CameraBelief, epochs: int) -> list[CameraBelief]:
@@ -114,6 +114,34 @@ def test_the_cameras_pose_is_that_of_tf_at_the_time_of_the_picture(where: str, t
         np.testing.assert_allclose(pose[:3, 3], [belief["time_s"] - STEP_NS / 1e9, 0.0, 1.0], atol=1e-9)
 
 
+def said_of(name: str, told: str) -> str:
+    """The error of a camera that does not come, once it tells what it waits for."""
+    for _ in range(100):
+        world = CameraWorld(name, source_timeout=0.5)
+        with pytest.raises(DataError) as raised:
+            follow(world, world.initial_belief(), 100)
+        if told in str(raised.value):
+            return str(raised.value)
+    raise AssertionError(f"{raised.value}\ndoes not say {told}")
+
+
+def test_a_camera_info_of_which_nobody_knows_anything_is_no_calibration(where: str, talker: Talker) -> None:
+    info = camera_info(PLAIN)
+    info.k = np.zeros(9)
+    talker.keep_on(50.0, lambda number: (talker.say(INFO, info), talker.say(RAW, image(number, numbered(0), "mono8"))))
+    said_of(f"ros+zenoh://{where}{RAW}", f"{INFO}: K is zero, so nobody knows the camera; expected calibration")
+
+
+def test_what_fast_dds_leaves_behind_a_message_is_cut_off() -> None:
+    message = joints(5, 1.5)
+    data = STORE.serialize_cdr(message, message.__msgtype__).tobytes()
+    for spare in (b"", b"junk", b"moreJunk"):
+        read = decoded(data + spare, message.__msgtype__)
+        assert (read.name, list(read.position), len(read.effort)) == (["joint_0"], [1.5], 0)
+    with pytest.raises(SerdeError):
+        decoded(data[:-1], message.__msgtype__)
+
+
 @pytest.mark.parametrize(
     ("encoding", "options", "told"),
     [
@@ -125,15 +153,11 @@ def test_the_cameras_pose_is_that_of_tf_at_the_time_of_the_picture(where: str, t
 def test_what_lacks_is_told(encoding: str, options: str, told: str, where: str, talker: Talker) -> None:
     shows(talker, encoding)
     name = f"ros+zenoh://{where}{RAW}{options}"
-    world = CameraWorld(name, source_timeout=1.0 if "source_timeout" in told else 60.0)
-    with pytest.raises(DataError, match=re.escape(name) + ".*" + re.escape(told)):
-        follow(world, world.initial_belief(), 100)
+    assert name in said_of(name, told)
 
 
 def test_a_topic_that_nobody_publishes_or_of_another_type_is_told(where: str, talker: Talker) -> None:
-    nobody = CameraWorld(f"ros+zenoh://{where}/nothing", source_timeout=0.3)
-    with pytest.raises(DataError, match="within source_timeout; nobody publishes /nothing"):
-        nobody.initial_belief()
+    said_of(f"ros+zenoh://{where}/nothing", "within source_timeout; nobody publishes /nothing")
     waiting = CameraWorld(f"ros+zenoh://{where}/nothing", source_timeout=0.1, reopen=True)
     belief = follow(waiting, waiting.initial_belief(), 1)[-1]
     assert (picture_seen(belief), belief["stalls"]) == ((), 2)
