@@ -105,7 +105,8 @@ def _voted(state: _State, stage: stages.Stage, search: stages.Search, intrinsics
     weight = stage.controls.visible[rows] * np.exp(-STRANGE_WEIGHT * stage.strange[rows, columns])
     np.add.at(votes, (stage.edges[rows], np.rint(2.0 * (away[rows, columns] + reach)).astype(np.intp)), weight)
     for _ in range(2):  # peaks are a pixel wide
-        votes = np.apply_along_axis(np.convolve, 1, votes, (0.5, 1.0, 0.5), "same")
+        beside = np.pad(votes, ((0, 0), (1, 1)))
+        votes = 0.5 * beside[:, :-2] + votes + 0.5 * beside[:, 2:]
     places = np.linspace(-reach, reach, votes.shape[1])
     best = places[(votes * (1.0 - (places / (1.5 * reach)) ** 2)).argmax(axis=1)]
     off = state.off.copy()
@@ -117,12 +118,10 @@ def _fine_scale(state: _State, stage: stages.Stage, intrinsics: Array, search: s
     """(n,) where Tukey's weight ends for each control point in the end, by how far its object's residuals spread."""
     seen = state.seen(stage, intrinsics)
     sizes = np.abs(stages.chosen_near(seen, stage, search.support_px).pixels)
-    scales = np.full(len(state.poses), search.fine_px[1])
-    for at, view in enumerate(stages.views_of(stage.controls.owners, len(scales))):
-        near = sizes[view][sizes[view] < search.support_px]
-        if len(near):
-            scales[at] = np.clip(_SPREADS * float(np.median(near)), *search.fine_px)
-    return np.asarray(scales[stage.controls.owners])
+    near, owners = sizes < search.support_px, stage.controls.owners
+    found = stages.ranked(owners[near], sizes[near], len(state.poses))
+    medians = 0.5 * (found.at((found.counts - 1) // 2, np.inf) + found.at(found.counts // 2, np.inf))
+    return np.asarray(np.clip(_SPREADS * medians, *search.fine_px)[owners])
 
 
 def offsets_at(aligned: Aligned, poses: Floats, intrinsics: Array) -> Floats:
@@ -139,7 +138,8 @@ def _step(
     seen = state.seen(stage, intrinsics)
     matches = stages.chosen_near(seen, stage, scale)
     weights = stages.weights_of(stage, matches, scale, search)
-    said = stages.normal_equations(state.poses, stage, seen, matches, weights, intrinsics).told(start.told)
+    still = start.camera is None
+    said = stages.normal_equations(state.poses, stage, seen, matches, weights, intrinsics, still).told(start.told)
     blocks, gradients = said.blocks, said.gradients
     twists = log_many(np.concatenate((state.shift[None], state.own)))
     shift, own = twists[0], twists[1:]
@@ -147,7 +147,7 @@ def _step(
     information = blocks[:, 6:, 6:] + start.information
     slope = gradients[:, 6:] + (start.information @ own[:, :, None])[..., 0]
     steps = np.zeros((count + 1, 6))
-    if start.camera is None:
+    if still:
         steps[1:] = -solved(information, slope[..., None])[..., 0]
     else:
         size = 6 * (count + 1)
@@ -179,7 +179,8 @@ def _judged(
     matches = stages.chosen_near(seen, stage, search.support_px)
     supported = (np.abs(matches.pixels) < search.support_px) & (matches.strange < _STRANGE)
     weights = stages.weights_of(stage, matches, scale, search)
-    said = stages.normal_equations(state.poses, stage, seen, matches, weights, intrinsics).told(start.told)
+    still = start.camera is None
+    said = stages.normal_equations(state.poses, stage, seen, matches, weights, intrinsics, still).told(start.told)
     owners, count = stage.controls.owners, len(start.poses)
     # Where edges crowd, they may claim the same one in the image; it counts for neither.
     limbs = stage.controls.limbs

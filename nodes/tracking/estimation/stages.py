@@ -17,6 +17,8 @@ from hierax.nodes.tracking.model.controls import CREASE, Controls, Indices
 
 _USUAL_SHARPNESS = 0.7  # quantile of the control points' sharpness that counts as an edge in focus
 
+_MANY = 16  # poses that are tried at once: then what they say is added up in one go
+
 _CREASE_PX = 0.1  # as `WHOLE_PX`, of a crease: no shadow falls beside it
 
 
@@ -41,12 +43,21 @@ class Search(NamedTuple):
     voted: bool = False
 
 
+class Peaks(NamedTuple):
+    """The peaks of each line alone, in their order."""
+
+    columns: Indices  # (n, p) of the profile; of a line with fewer peaks the others are 0
+    places: Singles  # (n, p) pixels along the normal; inf where there is none
+    strange: Singles  # (n, p)
+
+
 class Stage(NamedTuple):
     """One reading of the image, and what is known of the control points that it shows."""
 
     lines: Lines
     profiles: Profiles
     strange: Singles  # (n, k) how strange each peak looks
+    peaks: Peaks
     controls: Controls  # of the lines
     memory: Memory  # beside them
     edges: Indices  # (n,) on which of the edges that are seen each line is, from 0 on
@@ -114,7 +125,18 @@ def read_stage(
     edges = np.cumsum(np.diff(numbers, prepend=numbers[0]) != 0)
     spread = _spread(shown, poses, lines, memory, edges, intrinsics)
     loose = np.bincount(edges, weights=memory.slack[:, 0, 0]) > 0.0
-    return Stage(lines, profiles, strange, shown, memory, edges, spread, loose)
+    return Stage(lines, profiles, strange, _peaks(profiles.places, strange), shown, memory, edges, spread, loose)
+
+
+def _peaks(places: Singles, strange: Singles) -> Peaks:
+    rows, at = np.nonzero(np.isfinite(places))
+    counts = np.bincount(rows, minlength=len(places))
+    order = np.arange(len(rows)) - np.repeat(np.cumsum(counts) - counts, counts)
+    columns = np.zeros((len(places), max(1, int(counts.max(initial=0)))), dtype=np.intp)
+    columns[rows, order] = at
+    kept = np.full(columns.shape, np.inf, dtype=np.float32)
+    kept[rows, order] = places[rows, at]
+    return Peaks(columns, kept, np.take_along_axis(strange, columns, axis=1))
 
 
 def _spread(
@@ -144,12 +166,13 @@ def seen_from(poses: Floats, stage: Stage, off: Floats, intrinsics: Array) -> Se
 
 def chosen_near(seen: Seen, stage: Stage, scale: Floats | float) -> Matches:
     """Of each line the hypothesis that is near, as `scale` (pixels) has it, and not strange."""
-    off = stage.profiles.places - (seen.moved + seen.off).astype(np.float32)[:, None]
+    peaks = stage.peaks
+    off = peaks.places - (seen.moved + seen.off).astype(np.float32)[:, None]
     scales = np.broadcast_to(scale, seen.moved.shape)
     cost = off * off * (1.0 / (scales * scales)).astype(np.float32)[:, None]
-    columns = (cost + np.float32(STRANGE_WEIGHT) * stage.strange).argmin(axis=1)
-    rows = np.arange(len(columns))
-    return Matches(columns, -off[rows, columns].astype(np.float64), stage.strange[rows, columns].astype(np.float64))
+    nearest = (cost + np.float32(STRANGE_WEIGHT) * peaks.strange).argmin(axis=1)
+    at = (np.arange(len(nearest)), nearest)
+    return Matches(peaks.columns[at], -off[at].astype(np.float64), peaks.strange[at].astype(np.float64))
 
 
 def weights_of(stage: Stage, matches: Matches, scale: Floats | float, search: Search) -> Floats:
@@ -166,13 +189,31 @@ def weights_of(stage: Stage, matches: Matches, scale: Floats | float, search: Se
     count = np.bincount(stage.edges, weights=near)
     total = np.bincount(stage.edges, weights=np.where(near, sharp, 0.0))
     mean = (total / np.maximum(count, 1.0))[stage.edges]
-    usual = np.ones(int(owners[-1]) + 1)
-    for at, view in enumerate(views_of(owners, len(usual))):
-        values = np.sort(mean[view][near[view]])
-        if len(values):
-            usual[at] = values[int(_USUAL_SHARPNESS * (len(values) - 1))]
+    found = ranked(owners[near], mean[near], int(owners[-1]) + 1)
+    usual = found.at((_USUAL_SHARPNESS * (found.counts - 1)).astype(np.intp), 1.0)
     relative = np.minimum(mean / np.maximum(usual[owners], 1e-9), 1.0)
     return np.asarray(np.where(near, weights * relative**search.blur_power, 0.0))
+
+
+class Ranked(NamedTuple):
+    """Values of owners, each owner's ascending."""
+
+    values: Floats
+    starts: Indices  # (m,) where each owner's begin
+    counts: Indices  # (m,)
+
+    def at(self, places: Array, otherwise: float) -> Floats:
+        """Of each owner the value at a place of its own (m,), below its count; of one without any, `otherwise`."""
+        known = self.counts > 0
+        found = np.full(len(known), otherwise)
+        found[known] = self.values[(self.starts + places)[known]]
+        return found
+
+
+def ranked(owners: Indices, values: Floats, count: int) -> Ranked:
+    """Values (n,) of so many owners, by the owner's number."""
+    counts = np.bincount(owners, minlength=count)
+    return Ranked(values[np.lexsort((values, owners))], np.cumsum(counts) - counts, counts)
 
 
 def views_of(owners: Indices, count: int) -> list[slice]:
@@ -182,38 +223,73 @@ def views_of(owners: Indices, count: int) -> list[slice]:
 
 
 def normal_equations(
-    poses: Floats, stage: Stage, seen: Seen, matches: Matches, weights: Floats, intrinsics: Array
+    poses: Floats,
+    stage: Stage,
+    seen: Seen,
+    matches: Matches,
+    weights: Floats,
+    intrinsics: Array,
+    still: bool = False,
 ) -> Equations:
-    """What weighted control points say of poses."""
+    """What weighted control points say of poses; where the camera is known (`still`), of many poses without what they
+    say of its twist, which is zeros."""
     used, count = weights > 0, len(poses)
+    width = 6 if still and count > _MANY else 12
     points, owners = stage.controls.points[used], stage.controls.owners[used]
     residuals, weights = (matches.pixels - seen.off)[used], weights[used]
-    jacobian = _jacobian(poses, points, owners, stage.lines.normals[used], seen.points[used], intrinsics)
-    weighted = jacobian * weights[:, None]
-    blocks, gradients = np.zeros((count, 12, 12)), np.zeros((count, 12))
-    for at, view in enumerate(views_of(owners, count)):
-        blocks[at] = jacobian[view].T @ weighted[view]
-        gradients[at] = weighted[view].T @ residuals[view]
     if not len(owners):
         none = np.zeros(0, dtype=np.intp)
-        return Equations(blocks, gradients, none, none, np.zeros((0, 12)), np.zeros(0), np.zeros(0))
+        nothing = (np.zeros((count, 12, 12)), np.zeros((count, 12)))
+        return Equations(*nothing, none, none, np.zeros((0, 12)), np.zeros(0), np.zeros(0))
+    jacobian = _jacobian(poses, points, owners, stage.lines.normals[used], seen.points[used], intrinsics, width)
+    weighted = jacobian * weights[:, None]
+    blocks, gradients = _summed_products(jacobian, weighted, residuals, owners, count)
     edges = stage.edges[used]
     starts = np.nonzero(np.diff(edges, prepend=-1))[0]
     edges, owners = edges[starts], owners[starts]
     shared = np.add.reduceat(weighted, starts)
     pulls = np.add.reduceat(weights * residuals, starts)
     wholes = np.add.reduceat(weights, starts) + 1.0 / stage.spread[edges] ** 2
-    scaled = shared / wholes[:, None]
+    taken, pulled = _summed_products(shared, shared / wholes[:, None], pulls, owners, count)
+    own = slice(12 - width, 12)
+    told = Equations(
+        np.zeros((count, 12, 12)), np.zeros((count, 12)), edges, owners, np.zeros((len(edges), 12)), pulls, wholes
+    )
+    told.blocks[:, own, own] = blocks - taken
+    told.gradients[:, own], told.shared[:, own] = gradients - pulled, shared
+    return told
+
+
+def _summed_products(
+    left: Floats, right: Floats, numbers: Floats, owners: Indices, count: int
+) -> tuple[Floats, Floats]:
+    """(m, k, k) and (m, k): of each owner's rows left.T @ right, and right.T @ numbers."""
+    width = left.shape[1]
+    blocks, gradients = np.zeros((count, width, width)), np.zeros((count, width))
+    if count > _MANY:  # of few it is quicker one by one
+        starts = np.nonzero(np.diff(owners, prepend=-1))[0]
+        products = (left[:, :, None] * right[:, None, :]).reshape(-1, width * width)
+        blocks[owners[starts]] = np.add.reduceat(products, starts).reshape(-1, width, width)
+        gradients[owners[starts]] = np.add.reduceat(right * numbers[:, None], starts)
+        return blocks, gradients
     for at, view in enumerate(views_of(owners, count)):
-        blocks[at] -= shared[view].T @ scaled[view]
-        gradients[at] -= scaled[view].T @ pulls[view]
-    return Equations(blocks, gradients, edges, owners, shared, pulls, wholes)
+        blocks[at] = left[view].T @ right[view]
+        gradients[at] = right[view].T @ numbers[view]
+    return blocks, gradients
 
 
 def _jacobian(
-    poses: Floats, points: Floats, owners: Indices, normals: Floats, seen: Floats, intrinsics: Array
+    poses: Floats,
+    points: Floats,
+    owners: Indices,
+    normals: Floats,
+    seen: Floats,
+    intrinsics: Array,
+    width: int = 12,
 ) -> Floats:
-    """(n, 12): how a twist of the camera's frame, and one of the object's, move each point along its normal."""
+    """(n, 12): how a twist of the camera's frame, and one of the object's, move each point along its normal; or (n, 6),
+    the latter alone."""
     towards = pixels_along(normals, seen, intrinsics)
     turned = (towards[:, None, :] @ poses[owners, :3, :3])[:, 0]
-    return np.concatenate((towards, cross(seen, towards), turned, cross(points, turned)), axis=1)
+    own = (turned, cross(points, turned))
+    return np.concatenate(own if width == 6 else (towards, cross(seen, towards), *own), axis=1)

@@ -57,15 +57,16 @@ def with_models_judged(
         return found, {at: {**objects[at]["slots"], "tolerance": 0.0} for at in asked}
     tried: dict[int, list[_Tried]] = {at: [] for at in asked}
     start = Start(exp_many(best.fused.shift[None])[0] @ task.start.poses, inverse(task.prior.spread()))
-    for tolerance in tolerances:
-        rows = asked if tolerance else list(range(len(objects)))
-        aligned = _aligned(task, rows, start, tolerance) if tolerance else best.aligned
-        if aligned is None:
+    loose = [(at, tolerance) for tolerance in tolerances if tolerance for at in asked]
+    exact = [(at, 0.0) for at in range(len(objects))] if 0.0 in tolerances else []
+    for which, aligned in ((exact, best.aligned), (loose, _aligned(task, loose, start))):
+        if aligned is None or not which:
             continue
+        rows = [at for at, _ in which]
         away = log_many(invert_many(start.poses[rows]) @ aligned.poses)
         nats = explains(aligned)
         worth = nats - 0.5 * squared(away, start.information[rows])
-        for number, at in enumerate(rows):
+        for number, (at, tolerance) in enumerate(which):
             if at in tried:
                 tried[at].append(_Tried(float(worth[number]), float(nats[number]), tolerance, aligned, number))
     after, looks = found.copied(), {}
@@ -97,11 +98,13 @@ def _is_asked(item: TrackedObject, score: float, given: float | None) -> bool:
     return given is None and looks["tolerance"] == 0.0 and score < _DOING_WELL and looks["judged"] == 0
 
 
-def _aligned(task: Task, asked: Sequence[int], start: Start, tolerance: float) -> Aligned | None:
-    """Some objects, each alone, with models that are as imprecise as that."""
+def _aligned(task: Task, loose: Sequence[tuple[int, float]], start: Start) -> Aligned | None:
+    """Some objects, each alone, with models that are as imprecise as that: all of them at once."""
+    asked = [at for at, _ in loose]
     places = task.controls.rows_of(asked, POINTS_MAX)
     memory = only(task.memory, np.concatenate(places))
-    memory = memory._replace(slack=np.tile(tolerance**2 * np.eye(3), (len(memory.trust), 1, 1)))
+    variances = np.repeat([tolerance**2 for _, tolerance in loose], [len(rows) for rows in places])
+    memory = memory._replace(slack=variances[:, None, None] * np.eye(3))
     search = Search(voted=True)
     begin = Start(start.poses[asked], start.information[asked])
     return align(task.image, task.controls.of(places), begin, task.intrinsics, memory, search)

@@ -30,9 +30,12 @@ ROUGH = Search(
     reach_px=(20,), scale_px=((20.0, 6.0),), iterations=5, fine_px=(4.0, 4.0), fine_iterations=1, support_px=3.0
 )
 FINE = Search(reach_px=(10, 5), scale_px=((10.0, 4.0), (4.0, 1.0)), iterations=5)
+_FIRST = ROUGH._replace(iterations=3)
+_NEAR = Search(reach_px=(8,), scale_px=((8.0, 1.0),), iterations=7)  # the best of many starts are nearer
 # How many of an object's starts are aligned finely, and with how many of its control points all are roughly.
 _KEPT = 4
 ROUGH_POINTS = 40
+_FEW_POINTS = 16  # the same of an object's many starts about where it was expected: that takes longest of all
 
 _BETTER = 0.03  # by so much of its control points another explanation must be better than the expected one
 LEAST_FOUND = 18.0  # where fewer of its control points should be seen, an object is not found
@@ -142,13 +145,13 @@ def search_elsewhere(looking: Looking, found: Found, doubtful: Sequence[int]) ->
         starts += own
         tries += [at] * len(own)
     information = inverse(spread)
-    rough = aligned_each(looking.task, tries, Start(np.stack(starts), information[tries]), ROUGH, ROUGH_POINTS)
+    rough = aligned_each(looking.task, tries, Start(np.stack(starts), information[tries]), _FIRST, _FEW_POINTS)
     if rough is None:
         return found
     kept = best_of(rough.gains, np.array(tries), doubtful)
     tries = [tries[number] for number in kept]
     start = Start(rough.poses[kept], information[tries])
-    fine = aligned_each(looking.task, tries, start, FINE, POINTS_MAX)
+    fine = aligned_each(looking.task, tries, start, _NEAR, POINTS_MAX)
     if fine is None:
         return found
     fine = as_predicted(looking, tries, fine)
