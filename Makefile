@@ -84,9 +84,10 @@ ros2: $(ROS)
 changes: $(INSTALLED)
 	$(BIN)/python benchmarks/changes.py
 
-# docs/speed.md: what a node costs in hierarchies of 9 to 10 000; some minutes
+# docs/speed.md: what a node costs in hierarchies of 9 to 10 000, and processes beside plain Zenoh; some ten minutes
 growth: $(INSTALLED)
 	$(BIN)/python benchmarks/growth.py
+	$(BIN)/python benchmarks/growth_launch.py
 
 # docs/limits.md: 10⁶ things said on all keys of a launch; some minutes
 fuzz: $(INSTALLED)

@@ -71,9 +71,9 @@ class Turn(NamedTuple):
     epoch_us: float
 
 
-def hierarchy(shape: str, size: int) -> Hierarchy:
-    """A hierarchy of this shape; its world is n0."""
-    made = Hierarchy(shape).add("n0", Counter)
+def hierarchy(shape: str, size: int, **fields: Any) -> Hierarchy:
+    """A hierarchy of this shape; its world is n0, and the fields are those at the top of a deployment file."""
+    made = Hierarchy(shape, **fields).add("n0", Counter)
     for index in range(1, size):
         made.add(f"n{index}", Relay)
     for lower, upper in SHAPES[shape](size):

@@ -3,7 +3,6 @@
 import logging
 import os
 from collections.abc import Sequence
-from contextlib import suppress
 
 _log = logging.getLogger("hierax")
 
@@ -36,13 +35,6 @@ def ask_scheduler(name: str, policy: str, priority: int, cpus: Sequence[int] | N
             _user(),
             priority,
         )
-
-
-def give_way() -> None:
-    """Have the calling thread, and those that it starts later, take a processor from nobody who is at work when it
-    wakes up; once it has one, it has as much of it as others."""
-    with suppress(OSError):
-        os.sched_setscheduler(0, os.SCHED_BATCH, os.sched_param(0))
 
 
 def _user() -> str:

@@ -15,7 +15,6 @@ from pathlib import Path
 from typing import Any
 
 from hierax.runtime.core.errors import HieraxError
-from hierax.runtime.host.scheduling import give_way
 from hierax.runtime.host.streams import own_streams
 from hierax.runtime.recording.info import Ending, RunInfo
 from hierax.runtime.recording.recorder import Recorder
@@ -130,7 +129,6 @@ def main() -> int:
     """Read the order, record, say how it ended."""
     own_streams()
     log_console()
-    give_way()  # nobody waits for what is written, and each message would interrupt a node
     order = json.loads(sys.stdin.readline() or "{}")
     if not order:
         return 0
