@@ -5,10 +5,9 @@
     python benchmarks/sensitivities.py SCENES --write docs/reference/constants.md --log SCENES/found.jsonl
 
 Constants are numbers, and tuples and arrays of numbers, that stand at the top of a module of the tracker under a name
-in capitals; the defaults of `Search` and `Options` and what else is built of numbers there, keyword by keyword; and the
-arm's and the spatial node's defaults. Each is changed alone, in a process of its own, where its module is loaded, so
-that whatever is made of it changes too. A share between 0.5 and 1 is changed in what it leaves: half of 0.9 is 0.95,
-twice of it 0.8. Whole numbers stay whole, and at least 1.
+in capitals: in ``constants.py`` but for what draws and simulates. Each is changed alone, in a process of its own, where
+its module is loaded, so that whatever is made of it changes too. A share between 0.5 and 1 is changed in what it
+leaves: half of 0.9 is 0.95, twice of it 0.8. Whole numbers stay whole, and at least 1.
 
 Of each change the table has by how much the share of (object, frame) within 5 mm and 5° changes, and the one within
 2 mm and 2°, in points over all scenes that are tracked with it; the mean distance from the truth, in micrometres; and
@@ -47,8 +46,8 @@ FOUND = (("scattered", 0, 14, 2),)
 POINTS, OFF_MM = 0.5, 0.05
 """What changes figures by no more than this hardly does."""
 
-SEARCHING = ("search/missing.py", "search/sweep.py", "imagery/proposals.py")
-"""What is only used without first poses."""
+SEARCHING = "Tuned: without first poses"
+"""The kind of what is only used without first poses."""
 
 TECHNICAL = ("NO_", "_NO_", "NOTHING")
 """Names, or beginnings of them, of what is no constant to be chosen: empty values."""
@@ -64,6 +63,7 @@ class Constant(NamedTuple):
     line: int
     text: str  # as it is written
     about: str  # the comment beside it
+    kind: str = ""  # the heading it stands under
 
     @property
     def key(self) -> str:
@@ -95,14 +95,21 @@ def constants() -> list[Constant]:
         lines, file = text.splitlines(), path.relative_to(TRACKING).as_posix()
         for name, node in _numbers(ast.parse(text)):
             comment = lines[node.lineno - 1].partition("  # ")[2] or _above(lines, node.lineno - 2)
-            found.append(Constant(file, name, node.lineno, ast.unparse(node), comment))
+            found.append(Constant(file, name, node.lineno, ast.unparse(node), comment, _kind(lines[: node.lineno])))
     return found
 
 
+def _kind(lines: Sequence[str]) -> str:
+    """The heading that some lines end under."""
+    return next((line.strip("# -") for line in reversed(lines) if line.startswith("# ----")), "")
+
+
 def _above(lines: Sequence[str], at: int) -> str:
-    """The comment that ends just above a line."""
+    """The comment above a line and those that stand just before it."""
+    while at >= 0 and lines[at].strip() and not lines[at].startswith("#"):
+        at -= 1
     first = at
-    while first >= 0 and lines[first].lstrip().startswith("#"):
+    while first >= 0 and lines[first].lstrip().startswith("# ") and "----" not in lines[first]:
         first -= 1
     return " ".join(line.lstrip("# ") for line in lines[first + 1 : at + 1])
 
@@ -170,7 +177,7 @@ def figures(constant: Constant | None, factor: float, scenes: Path) -> Figures:
     from hierax.nodes.benchmarks.tracking import Scene, track
     from hierax.nodes.tracking.evaluation.scoring import score
 
-    searched = constant is not None and constant.file in SEARCHING
+    searched = constant is not None and constant.kind == SEARCHING
     searched |= constant is None and factor == 0.0
     errors: list[Any] = []
     digest = blake2b(digest_size=16)
@@ -266,22 +273,26 @@ def measure(tasks: Sequence[Task], log: Path | None, processes: int) -> dict[str
 def table(found: dict[str, Any], known: Sequence[Constant]) -> str:
     """The table as Markdown."""
     lines = []
-    file = ""
+    place = ""
     for each in known:
-        if each.file != file:
-            file = each.file
+        if place != (place := each.kind or f"`{each.file}`"):
             lines += [
                 "",
-                f"## `{file}`",
+                f"## {place}",
                 "",
                 "| constant | is | of it a half | twice | for |",
                 "| --- | --- | --- | --- | --- |",
             ]
-        base = found.get(f" {0.0 if file in SEARCHING else 1.0} ", {})
+        base = found.get(f" {_first_poses(each)} ", {})
         cells = [_cell(found.get(f"{each.key} {factor} {each.text}"), base) for factor in FACTORS]
         text = each.text if len(each.text) <= 40 else each.text[:39] + "…"
         lines.append(f"| `{each.name}` | `{text}` | {cells[0]} | {cells[1]} | {each.about.replace('|', '/')} |")
     return "\n".join(lines) + "\n"
+
+
+def _first_poses(constant: Constant) -> float:
+    """What stands for scenes with first poses, or without, those that a constant is changed on."""
+    return 0.0 if constant.kind == SEARCHING else 1.0
 
 
 def _cell(one: dict[str, Any] | None, base: dict[str, Any]) -> str:
@@ -301,7 +312,7 @@ def summary(found: dict[str, Any], known: Sequence[Constant], left: int = 0) -> 
     """What the table comes to, and how many constants are not measured yet."""
     counts = dict.fromkeys(("same", "little", "more"), 0)
     for each in known:
-        base = found[f" {0.0 if each.file in SEARCHING else 1.0} "]
+        base = found[f" {_first_poses(each)} "]
         counts[_noticed([found[f"{each.key} {factor} {each.text}"] for factor in FACTORS], base)] += 1
     bases = [found[f" {factor} "] for factor in (1.0, 0.0) if f" {factor} " in found]
     told = " and ".join(

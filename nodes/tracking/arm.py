@@ -10,8 +10,8 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
+from hierax.nodes.tracking import constants as const
 from hierax.nodes.tracking import schema
-from hierax.nodes.tracking.constants import LEAST_SHOWN, LESS
 from hierax.nodes.tracking.display import arm_things
 from hierax.nodes.tracking.errors import check_between, check_positive
 from hierax.nodes.tracking.estimation.certainty import right
@@ -27,25 +27,14 @@ from hierax.nodes.tracking.estimation.tracked import (
 from hierax.nodes.tracking.math.geometry import NO_POSES, Array, Floats, exp_se3, invert, log_se3
 from hierax.nodes.tracking.search.association import Estimate, Options, associate
 from hierax.nodes.tracking.search.missing import Sighting, look_for_missing
-from hierax.nodes.tracking.search.multistart import FALLING, LEAST_FOUND, held, in_turn
+from hierax.nodes.tracking.search.multistart import held, in_turn
 from hierax.runtime import Node, Step, Value
 from hierax.runtime.core.showing import Things
 
 _Objects = tuple[schema.TrackedObject, ...]
 
-_DRIFT_GAIN = 0.3
-_CONFIRMED = 3  # so many images in a row have to show a missing object in one place
-_PROBATION = 20  # for so many images an object that was found again is looked for elsewhere, too
-
-# An object whose place is less certain than this (standard deviation) has to be found, not kept.
-_VAGUE_M = 0.02
-_VAGUE_RAD = 0.3
-
-# Of what its motion may change in a frame, what stands on something rises, and tilts, by so much.
-_UPWARDS, _TILTING = 0.1, 0.15
 
 _NO_IMAGE = np.zeros((0, 0, 1), dtype=np.float32)  # where nothing is expected that it could show
-_UNKNOWN = np.diag([0.1**2] * 3 + [0.6**2] * 3)  # a covariance that says next to nothing of a pose (m², rad²)
 
 
 class ArmNode(Node):
@@ -74,16 +63,16 @@ class ArmNode(Node):
     def __init__(
         self,
         objects: Sequence[schema.FirstPose],
-        start_m: float = 0.005,
-        start_rad: float = 0.035,
-        motion_m: float = 0.010,
-        motion_rad: float = 0.06,
-        camera_m: float = 0.0015,
-        camera_rad: float = 0.0025,
-        sure_score: float = 0.75,
-        kept_score: float = 0.35,
-        found_score: float = 0.7,
-        patience: int = 10,
+        start_m: float = const.START_M,
+        start_rad: float = const.START_RAD,
+        motion_m: float = const.MOTION_M,
+        motion_rad: float = const.MOTION_RAD,
+        camera_m: float = const.CAMERA_M,
+        camera_rad: float = const.CAMERA_RAD,
+        sure_score: float = const.SURE_SCORE,
+        kept_score: float = const.KEPT_SCORE,
+        found_score: float = const.FOUND_SCORE,
+        patience: int = const.PATIENCE,
         prior: bool = True,
         model_tolerance_mm: float | None = None,
         camera: Floats | None = None,
@@ -153,7 +142,7 @@ class ArmNode(Node):
         if sweeps is not None:
             objects = self._searched(image, objects, sweeps, seen["intrinsics"], camera[2])
         camera = camera @ invert(shift)
-        drift = belief["drift"] @ exp_se3(_DRIFT_GAIN * log_se3(invert(reported @ belief["drift"]) @ camera))
+        drift = belief["drift"] @ exp_se3(const.DRIFT_GAIN * log_se3(invert(reported @ belief["drift"]) @ camera))
         height, width = seen["image"].shape[:2]
         return {
             "camera": camera,
@@ -199,9 +188,9 @@ class ArmNode(Node):
         camera = None if still else self._camera
         known = objects
         if not self._prior:
-            known = tuple({**item, "covariance": _UNKNOWN} for item in objects)
+            known = tuple({**item, "covariance": const.UNKNOWN} for item in objects)
         motion = np.stack([self._motion(item) for item in objects])
-        falling = np.stack([held(self._options.motion, item["support"], FALLING, 1.0) for item in known])
+        falling = np.stack([held(self._options.motion, item["support"], const.FALLING, 1.0) for item in known])
         options = self._options._replace(motion=motion, falling=falling)
         found = associate(image, known, camera, np.asarray(intrinsics), options)
         if found is None:
@@ -226,14 +215,14 @@ class ArmNode(Node):
 
     def _motion(self, item: schema.TrackedObject) -> Floats:
         """(6, 6) how far it may leave its prediction within a frame: what stands slides, and turns where it is."""
-        upwards, tilting = (_UPWARDS, _TILTING) if item["stands"] else (FALLING, 1.0)
+        upwards, tilting = (const.UPWARDS, const.TILTING) if item["stands"] else (const.FALLING, 1.0)
         return held(self._options.motion, item["support"], upwards, tilting)
 
     def _judged(self, item: schema.TrackedObject, expected: Floats, estimate: Estimate) -> schema.TrackedObject:
         """One object after the image: where it was found, or where it was expected."""
         gone = _is_vague(item) or item["status"] == schema.LOST
         needed = self._found_score if gone else self._kept_score
-        enough = LEAST_FOUND if gone else LEAST_SHOWN
+        enough = const.LEAST_FOUND if gone else const.LEAST_SHOWN
         if estimate.shown < enough or estimate.score < needed or (gone and not estimate.sure):
             # Not enough to say that it is there; but enough to look there, at what would be seen of it, next.
             searched = estimate.elsewhere and not item["others"]
@@ -248,7 +237,7 @@ class ArmNode(Node):
             "score": estimate.score,
             "nats": estimate.nats,
             "probability": estimate.probability,
-            "probation": _PROBATION if gone else max(0, item["probation"] - 1),
+            "probation": const.PROBATION if gone else max(0, item["probation"] - 1),
             "slots": estimate.slots,
             "failed_searches": _failed_searches(item, estimate),
             "guesses": estimate.guesses,
@@ -263,7 +252,7 @@ class ArmNode(Node):
     def _missed(self, item: schema.TrackedObject, expected: Floats, estimate: Estimate | None) -> schema.TrackedObject:
         """One object that the image does not support: its prediction stands, until patience ends. That something which
         nothing is to be seen of is not seen says nothing against it."""
-        hidden = estimate is None or float(item["controls"]["visible"].sum()) < LEAST_SHOWN
+        hidden = estimate is None or float(item["controls"]["visible"].sum()) < const.LEAST_SHOWN
         misses = item["misses"] + (not hidden)
         lost = item["status"] == schema.LOST or misses >= self._patience
         score = 0.0 if lost or estimate is None else estimate.score
@@ -290,7 +279,7 @@ def _sighted(item: schema.TrackedObject, sighting: Sighting, swept: bool) -> sch
         before = item["failed_searches"] if item["status"] == schema.LOST else 0
         return {**_unseen(item), "guesses": sighting.guesses, "failed_searches": before + swept, "probation": 0}
     said = 1 + item["probation"] * sighting.again
-    if said < _CONFIRMED:
+    if said < const.CONFIRMED:
         return {**_unseen(item), "guesses": np.concatenate((sighting.pose[None], sighting.guesses)), "probation": said}
     return {
         **item,
@@ -304,7 +293,7 @@ def _sighted(item: schema.TrackedObject, sighting: Sighting, swept: bool) -> sch
         "trend": np.zeros(6),
         "status": schema.TRACKED,
         "misses": 0,
-        "probation": _PROBATION,
+        "probation": const.PROBATION,
         "failed_searches": 0,
         "guesses": sighting.guesses,
     }
@@ -322,8 +311,8 @@ def _is_missing(item: schema.TrackedObject) -> bool:
 
 def _is_refuted(item: schema.TrackedObject) -> bool:
     """Whether images are explained better without an object that was found just now."""
-    doubted = item["status"] == schema.TRACKED or item["misses"] >= _CONFIRMED
-    seen = float(item["controls"]["visible"].sum()) >= LEAST_SHOWN
+    doubted = item["status"] == schema.TRACKED or item["misses"] >= const.CONFIRMED
+    seen = float(item["controls"]["visible"].sum()) >= const.LEAST_SHOWN
     return doubted and seen and item["probation"] > 0 and item["nats"] < 0.0
 
 
@@ -347,13 +336,13 @@ def _failed_searches(item: schema.TrackedObject, estimate: Estimate) -> int:
     """For how many images it was not found elsewhere; that counts anew when something happens to it."""
     startled = estimate.motion_scale == 1.0 and item["motion_scale"] < 1.0
     startled |= len(estimate.guesses) > 0
-    return 0 if startled or estimate.score < LESS * item["score"] else estimate.failed_searches
+    return 0 if startled or estimate.score < const.LESS * item["score"] else estimate.failed_searches
 
 
 def _is_vague(item: schema.TrackedObject) -> bool:
     covariance = item["covariance"]
-    turned = float(np.trace(covariance[3:, 3:])) > _VAGUE_RAD**2
-    return turned or float(np.trace(covariance[:3, :3])) > _VAGUE_M**2
+    turned = float(np.trace(covariance[3:, 3:])) > const.VAGUE_RAD**2
+    return turned or float(np.trace(covariance[:3, :3])) > const.VAGUE_M**2
 
 
 def poses_seen(belief: schema.ArmBelief) -> tuple[schema.Seen, ...]:

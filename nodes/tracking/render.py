@@ -11,6 +11,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from hierax.nodes.tracking import constants as const
 from hierax.nodes.tracking import schema
 from hierax.nodes.tracking.errors import check_between
 from hierax.nodes.tracking.estimation.tracked import NO_CONTROLS
@@ -23,13 +24,6 @@ from hierax.nodes.tracking.math.geometry import Array, Floats, Size, invert, tra
 from hierax.nodes.tracking.model.controls import Controls, gathered
 from hierax.nodes.tracking.model.shapes import shape_of
 from hierax.nodes.tracking.schema import LOST, TRACKED, Alternative, Body, ControlPoints, SpatialBelief
-
-LEAST_CHANCE = 0.02
-"""Control points that are less likely to be seen are left out."""
-
-_ROUGH = 0.3  # of the height that bodies reach: how far it may be off
-_LOWER = 0.25  # of the height that bodies reach: by so much it is tried lower in turns
-_NEAR = 0.1  # of a body's covariance, so much is left around each of its other poses
 
 
 class Item(NamedTuple):
@@ -162,7 +156,7 @@ class SegmentedDepth:
                 )
                 middle = places[:, :3, 3].mean(axis=0) * [1.0, 1.0, 0.0] if len(places) else None
                 templates = () if middle is None else proposer.templates(camera, middle, intrinsics)
-                rough_m = _ROUGH * heights[0] if heights else 0.0
+                rough_m = const.ROUGH_HEIGHT * heights[0] if heights else 0.0
                 found.append({"id": body["id"], "places": places, "templates": templates, "rough_m": rough_m})
         return tuple(found)
 
@@ -197,7 +191,7 @@ class SegmentedDepth:
         views = zip(poses, layers, strict=True)
         alone = [controls_of(renderer.shape, pose, intrinsics, size, layer, self._radius_m) for pose, layer in views]
         hiders = [_placed(scene, other) for other in range(len(scene.items)) if other != number]
-        near = _NEAR * np.asarray(body["covariance"], dtype=np.float64)
+        near = const.OTHERS_SHARE * np.asarray(body["covariance"], dtype=np.float64)
         placed = [*hiders, *(Placed(pose, near, None) for pose in poses)]
         points = [np.zeros((0, 3))] * len(hiders) + [controls.points for controls in alone]
         chances = self._chances(points, placed, intrinsics)[len(hiders) :]
@@ -228,12 +222,12 @@ def _tops(belief: SpatialBelief) -> list[Floats]:
 def _heights(belief: SpatialBelief, body: Body) -> list[float]:
     """About how high one or two of the others would carry a body, m."""
     others = [np.ptp(other["model"]["vertices"], axis=0).min() for other in belief["bodies"] if other is not body]
-    share = 1.0 - _LOWER * (body["turn"] // 2 % 2)
+    share = 1.0 - const.LOWER * (body["turn"] // 2 % 2)
     return [float(number * share * np.mean(others)) for number in range(1, 1 + min(2, len(others)))]
 
 
 def _likely(controls: Controls, seen: Array) -> ControlPoints:
-    kept = seen >= LEAST_CHANCE
+    kept = seen >= const.LEAST_CHANCE
     return only(controls, kept).sent(seen[kept])
 
 

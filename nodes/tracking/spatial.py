@@ -8,6 +8,7 @@ from math import sqrt
 
 import numpy as np
 
+from hierax.nodes.tracking import constants as const
 from hierax.nodes.tracking import schema
 from hierax.nodes.tracking.display import spatial_things
 from hierax.nodes.tracking.errors import check_between
@@ -17,29 +18,6 @@ from hierax.nodes.tracking.math.geometry import NO_POSES, Floats, exp_se3, exp_s
 from hierax.nodes.tracking.render import is_missing
 from hierax.runtime import NO_TICK, Node, Step, Tick, Value
 from hierax.runtime.core.showing import Things
-
-DENSITY_KG_M3 = 500.0
-DEFAULT_INTERVAL_S = 1.0 / 30.0
-_TURNING = 6.0
-"""Rad/s for a m/s: faster than this, relative to how it moves, a body about to turn over turns."""
-
-_ACCELERATION = np.array([10.0, 150.0])  # largest of a body that is believed: m/s², rad/s²
-
-# A mean displacement that makes a body at rest one that moves, and one that moves one at rest.
-_MOVES_SIGMAS, _STOPPED_SIGMAS = 4.0, 1.0
-
-# A body that was looked for everywhere so often is from then on in one image of every so many.
-_SWEPT_AT_ONCE, _SWEPT_EVERY = 6, 3
-_SWEPT_TOGETHER = 2  # that is done for so many in an image
-
-_FALLS = 0.6  # what sinks by this part of a free fall is not carried
-_UNSURE = 0.2  # standard deviation of how far one goes that is not seen, for every metre that it was on its way to go
-
-# How much farther a body may be that was found again just now (m², rad²).
-_ASTRAY = np.diag([0.02**2] * 3 + [0.5**2] * 3)
-
-UNSEEN = np.diag([0.01**2] * 3 + [0.1**2] * 3)
-"""The covariance of a body's pose before the first observation (m², rad²)."""
 
 
 class SpatialNode(Node):
@@ -67,10 +45,10 @@ class SpatialNode(Node):
         self,
         objects: Sequence[schema.FirstBody],
         table: bool = False,
-        velocity_gain: float = 0.4,
-        damping: float = 0.1,
-        max_sigmas: float = 3.0,
-        friction: float = 0.5,
+        velocity_gain: float = const.VELOCITY_GAIN,
+        damping: float = const.DAMPING,
+        max_sigmas: float = const.PHYSICS_SIGMAS,
+        friction: float = const.BODY_FRICTION,
         search: bool = False,
     ) -> None:
         check_between(0, 1, "a number", velocity_gain=velocity_gain)
@@ -97,7 +75,7 @@ class SpatialNode(Node):
             "size": None,
             "frame": None,
             "time_s": None,
-            "interval_s": DEFAULT_INTERVAL_S,
+            "interval_s": const.DEFAULT_INTERVAL_S,
             "sweeping": () if self._search else None,
             "bodies": self._bodies,
         }
@@ -182,8 +160,8 @@ class SpatialNode(Node):
             turned = log_so3(pose[:3, :3] @ before[:3, :3].T)
             observed = np.concatenate((pose[:3, 3] - before[:3, 3], turned)) / interval_s
             change = self._gain((observed - drift) * interval_s, seen) * (observed - drift)
-            drift = drift + _limited(change, _ACCELERATION * interval_s)
-        needed = _STOPPED_SIGMAS if body["velocity"].any() else _MOVES_SIGMAS
+            drift = drift + _limited(change, const.ACCELERATION * interval_s)
+        needed = const.STOPPED_SIGMAS if body["velocity"].any() else const.MOVES_SIGMAS
         moves = interval_s is not None and self._moves(drift * interval_s, seen, needed)
         velocity = drift if moves else np.zeros(6)
         return {**heard, "pose": pose, "velocity": velocity, "drift": drift, "seen": pose, "known": True}
@@ -191,7 +169,7 @@ class SpatialNode(Node):
     def _gain(self, change: Floats, seen: schema.SeenObject) -> float:
         """How far the velocity follows: all the way where it changes by more than errors of poses do."""
         square = _sigmas_squared(change, seen["pose"], 2.0 * seen["covariance"])
-        return self._velocity_gain + (1.0 - self._velocity_gain) * square / (square + _MOVES_SIGMAS**2)
+        return self._velocity_gain + (1.0 - self._velocity_gain) * square / (square + const.MOVES_SIGMAS**2)
 
     def _moves(self, step: Floats, seen: schema.SeenObject, needed: float) -> bool:
         """Whether a mean displacement from frame to frame is more than errors of the poses make: those of poses that
@@ -234,7 +212,7 @@ def _body(item: schema.FirstBody) -> schema.Body:
         "pose": np.eye(4) if item["pose"] is None else np.asarray(item["pose"], dtype=np.float64),
         "velocity": np.zeros(6),
         "drift": np.zeros(6),
-        "covariance": UNSEEN,
+        "covariance": const.UNSEEN,
         "status": schema.EXPECTED if item["pose"] is not None else schema.LOST,
         "seen": None,
         "unseen": 0,
@@ -247,7 +225,7 @@ def _body(item: schema.FirstBody) -> schema.Body:
         "others": NO_POSES,
         "kept": 0,
         "model": {**item["model"], "vertices": vertices, "faces": faces},
-        "mass": DENSITY_KG_M3 * float(np.prod(np.ptp(vertices, axis=0))),
+        "mass": const.DENSITY_KG_M3 * float(np.prod(np.ptp(vertices, axis=0))),
     }
 
 
@@ -255,8 +233,8 @@ def _swept_next(belief: schema.SpatialBelief) -> tuple[int, ...]:
     """Which missing bodies are looked for everywhere in the next image, those for which that was done least; those that
     were not found are looked for now and then."""
     missing = sorted((body["turn"], body["id"]) for body in belief["bodies"] if is_missing(body, belief))
-    now = (belief["frame"] or 0) % _SWEPT_EVERY == 0
-    return tuple(number for turn, number in missing[:_SWEPT_TOGETHER] if turn < _SWEPT_AT_ONCE or now)
+    now = (belief["frame"] or 0) % const.SWEPT_EVERY == 0
+    return tuple(number for turn, number in missing[: const.SWEPT_TOGETHER] if turn < const.SWEPT_AT_ONCE or now)
 
 
 def _sought(body: schema.Body, sweeping: tuple[int, ...]) -> schema.Body:
@@ -283,7 +261,7 @@ def _with_others(body: schema.Body, guesses: Floats) -> schema.Body:
     guesses: (n, 4, 4) where it may be by then by what the arm saw."""
     if not body["sought"] or not body["known"]:
         return {**body, "others": NO_POSES, "kept": 0}
-    covariance = body["covariance"] if body["status"] != schema.TRACKED else body["covariance"] + _ASTRAY
+    covariance = body["covariance"] if body["status"] != schema.TRACKED else body["covariance"] + const.BODY_ASTRAY
     imagined = elsewhere(body["pose"], covariance, body["support"] * body["stands"], body["turn"])
     others = np.concatenate((guesses, imagined[len(guesses) :]))
     return {**body, "others": others, "kept": len(guesses), "turn": body["turn"] + 1}
@@ -291,7 +269,7 @@ def _with_others(body: schema.Body, guesses: Floats) -> schema.Body:
 
 def _is_carried(free: Motion, physical: Motion, interval_s: float) -> bool:
     """Whether something below keeps a body from falling, by what physics has it do."""
-    return bool(free.pose[2, 3] - physical.pose[2, 3] < _FALLS * 0.5 * GRAVITY_M_S2 * interval_s**2)
+    return bool(free.pose[2, 3] - physical.pose[2, 3] < const.SINKS * 0.5 * GRAVITY_M_S2 * interval_s**2)
 
 
 def _is_driven(body: schema.Body) -> bool:
@@ -299,7 +277,7 @@ def _is_driven(body: schema.Body) -> bool:
     over does not: its foot needs the friction."""
     velocity = body["velocity"]
     speed, turning = float(np.linalg.norm(velocity[:2])), float(np.linalg.norm(velocity[3:5]))
-    return bool(speed > 0.0 and abs(velocity[2]) < 0.3 * speed and turning < _TURNING * speed)
+    return bool(speed > 0.0 and abs(velocity[2]) < 0.3 * speed and turning < const.TURNING * speed)
 
 
 def _adrift(heard: schema.Body, body: schema.Body, interval_s: float | None) -> schema.Body:
@@ -309,7 +287,7 @@ def _adrift(heard: schema.Body, body: schema.Body, interval_s: float | None) -> 
     along = body["pose"][:3, :3].T @ step[:3]
     up = body["pose"][2, :3]
     turn = up * float(np.linalg.norm(step[:3])) / float(np.ptp(body["model"]["vertices"], axis=0).min())
-    growth = _UNSURE**2 * (2 * body["unseen"] + 1)
+    growth = const.UNSURE**2 * (2 * body["unseen"] + 1)
     grown = heard["covariance"].copy()
     grown[:3, :3] += growth * np.outer(along, along)
     grown[3:, 3:] += growth * np.outer(turn, turn)

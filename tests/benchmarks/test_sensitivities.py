@@ -26,17 +26,34 @@ def script() -> ModuleType:
 
 
 SENSITIVITIES = script()
+MOST_TUNED = 162
 
 
 def test_constants_are_found_wherever_they_stand() -> None:
-    found = {each.key: each for each in SENSITIVITIES.constants()}
-    assert found["estimation/profiles.py:_GAMMA"].text == "2.2"
-    assert found["estimation/profiles.py:_GAMMA"].about.startswith("A lens adds up light")
-    assert found["estimation/stages.py:Search.noise_px"].text == "0.7"
-    assert found["search/multistart.py:ROUGH.reach_px"].text == "(20,)"
-    assert found["arm.py:ArmNode(patience)"].text == "10"
-    assert {"search/missing.py:_LEAST_NATS", "search/missing.py:_SURE_NATS"} <= found.keys()
-    assert not [key for key in found if key.endswith((":NO_CONTROLS", ":NOTHING", ":ROUGH", ":TRACKED"))]
+    found = {each.name: each for each in SENSITIVITIES.constants()}
+    assert found["GAMMA"].text == "2.2"
+    assert found["GAMMA"].about.startswith("A lens adds up light")
+    assert (found["NOISE_PX"].text, found["NOISE_PX"].kind) == ("0.7", "Tuned")
+    assert (found["SURE_NATS"].text, found["SURE_NATS"].kind) == ("19.0", SENSITIVITIES.SEARCHING)
+    assert found["MOTION_RAD"].about.startswith("Nodes' parameters: standard deviations")
+    assert found["STEP_S"].file == "imagery/physics.py"
+
+
+DRAWN_AND_SIMULATED = {"imagery/layers.py", "imagery/physics.py", "math/batched.py", "math/geometry.py"}
+
+
+def test_the_trackers_constants_stand_in_one_file_each_with_its_reason() -> None:
+    found = SENSITIVITIES.constants()
+    assert {each.file for each in found} == {"constants.py"} | DRAWN_AND_SIMULATED
+    chosen = [each for each in found if each.file == "constants.py"]
+    assert not [each.name for each in chosen if not each.about]
+    assert {each.kind for each in chosen} == {"Tuned", SENSITIVITIES.SEARCHING, "Effort", "Numerics", "Facts"}
+
+
+def test_no_more_constants_are_tuned_than_were() -> None:
+    """What comes in has to have something go out."""
+    tuned = [each for each in SENSITIVITIES.constants() if each.kind.startswith("Tuned")]
+    assert len(tuned) <= MOST_TUNED
 
 
 @pytest.mark.parametrize(
@@ -65,9 +82,9 @@ def test_a_change_reaches_what_is_made_of_the_constant() -> None:
     code = """
 import sensitivities as s
 known = {each.key: each for each in s.constants()}
-s._change(known["estimation/profiles.py:_GAMMA"], 2.0)
-from hierax.nodes.tracking.estimation import profiles
-print(profiles._GAMMA, round(float(profiles._LIGHT[128]), 3), profiles._FLANK_PX)
+s._change(known["constants.py:GAMMA"], 2.0)
+from hierax.nodes.tracking.estimation.profiles import const
+print(const.GAMMA, round(float(const.LIGHT[128]), 3), const.BESIDE_PX[-1])
 """
     done = subprocess.run(
         [sys.executable, "-c", code], cwd=SCRIPT.parent, capture_output=True, text=True, check=True, timeout=120

@@ -13,22 +13,13 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from hierax.nodes.tracking.constants import STRANGE_WEIGHT
+from hierax.nodes.tracking import constants as const
 from hierax.nodes.tracking.estimation import stages
 from hierax.nodes.tracking.estimation.appearance import Memory
 from hierax.nodes.tracking.estimation.profiles import Image
 from hierax.nodes.tracking.math.batched import exp_many, log_many, solved, summed, tukey
 from hierax.nodes.tracking.math.geometry import Array, Floats
 from hierax.nodes.tracking.model.controls import Controls
-
-# Where edges are so dense that more than the rest of the places are near one, to be near one proves little.
-_LEAST_RARITY = 0.4
-
-# Of a smooth surface that turns away from the light, too, so much of the outline is seen beside its own shadow.
-_LIMB_SEEN = 0.8
-
-_SPREADS = 3.5  # where Tukey's weight ends in the end, in medians of the residuals' sizes
-_STRANGE = 4.5  # a peak that looks stranger than this supports no control point
 
 
 class Start(NamedTuple):
@@ -102,7 +93,7 @@ def _voted(state: _State, stage: stages.Stage, search: stages.Search, intrinsics
     votes = np.zeros((len(stage.spread), 4 * reach + 1))
     away = stage.profiles.places - seen.moved[:, None]
     rows, columns = np.nonzero(np.abs(away) < reach)
-    weight = stage.controls.visible[rows] * np.exp(-STRANGE_WEIGHT * stage.strange[rows, columns])
+    weight = stage.controls.visible[rows] * np.exp(-const.STRANGE_WEIGHT * stage.strange[rows, columns])
     np.add.at(votes, (stage.edges[rows], np.rint(2.0 * (away[rows, columns] + reach)).astype(np.intp)), weight)
     for _ in range(2):  # peaks are a pixel wide
         beside = np.pad(votes, ((0, 0), (1, 1)))
@@ -121,7 +112,7 @@ def _fine_scale(state: _State, stage: stages.Stage, intrinsics: Array, search: s
     near, owners = sizes < search.support_px, stage.controls.owners
     found = stages.ranked(owners[near], sizes[near], len(state.poses))
     medians = 0.5 * (found.at((found.counts - 1) // 2, np.inf) + found.at(found.counts // 2, np.inf))
-    return np.asarray(np.clip(_SPREADS * medians, *search.fine_px)[owners])
+    return np.asarray(np.clip(const.SPREADS * medians, *search.fine_px)[owners])
 
 
 def offsets_at(aligned: Aligned, poses: Floats, intrinsics: Array) -> Floats:
@@ -177,7 +168,7 @@ def _judged(
     """The poses with their information and scores."""
     seen = state.seen(stage, intrinsics)
     matches = stages.chosen_near(seen, stage, search.support_px)
-    supported = (np.abs(matches.pixels) < search.support_px) & (matches.strange < _STRANGE)
+    supported = (np.abs(matches.pixels) < search.support_px) & (matches.strange < const.STRANGE)
     weights = stages.weights_of(stage, matches, scale, search)
     still = start.camera is None
     said = stages.normal_equations(state.poses, stage, seen, matches, weights, intrinsics, still).told(start.told)
@@ -185,17 +176,17 @@ def _judged(
     # Where edges crowd, they may claim the same one in the image; it counts for neither.
     limbs = stage.controls.limbs
     counted = stage.controls.visible * stage.memory.apart * np.where(limbs, stage.memory.trust, 1.0)
-    shown = summed(owners, counted * np.where(limbs, _LIMB_SEEN, 1.0), count)
+    shown = summed(owners, counted * np.where(limbs, const.LIMB_SEEN, 1.0), count)
     share = np.minimum(summed(owners, np.where(supported, counted, 0.0), count) / np.maximum(shown, 1e-6), 1.0)
     chance = summed(owners, counted * _chance(stage, search), count) / np.maximum(summed(owners, counted, count), 1e-6)
-    familiar = np.exp(-STRANGE_WEIGHT * matches.strange)
+    familiar = np.exp(-const.STRANGE_WEIGHT * matches.strange)
     return Aligned(
         state.poses,
         state.shift,
         log_many(state.own),
         said.blocks,
         said.gradients,
-        np.maximum(0.0, (share - chance) / np.maximum(1.0 - chance, _LEAST_RARITY)),
+        np.maximum(0.0, (share - chance) / np.maximum(1.0 - chance, const.LEAST_RARITY)),
         shown,
         summed(owners, counted * tukey(matches.pixels, 2.0 * search.support_px) * familiar, count),
         stage,
@@ -207,7 +198,7 @@ def _judged(
 
 def _chance(stage: stages.Stage, search: stages.Search) -> Floats:
     """Of each line the share of places that are as near to a peak as one that supports a pose."""
-    peaks = np.isfinite(stage.profiles.places) & (stage.strange < _STRANGE)
+    peaks = np.isfinite(stage.profiles.places) & (stage.strange < const.STRANGE)
     near = peaks.copy()
     for step in range(1, int(search.support_px) + 1):
         near[:, step:] |= peaks[:, :-step]

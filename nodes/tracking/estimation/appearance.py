@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from hierax.nodes.tracking.constants import WHOLE_PX
+from hierax.nodes.tracking import constants as const
 from hierax.nodes.tracking.estimation.profiles import Profiles, Singles
 from hierax.nodes.tracking.math.batched import found_among
 from hierax.nodes.tracking.math.geometry import Floats
@@ -33,16 +33,6 @@ NOTHING: Looks = {
     "bends": np.zeros((0, 3)),
     "slack": np.zeros((0, 3, 3)),
 }
-
-_LEAST_SPREAD = 64.0  # variance of a colour that never changed: noise and the softness of the reading, grey levels²
-_MOST_STRANGE = 4.0
-_FORGIVEN = 2.0
-_FRAMES = 12.0  # over so many frames a colour is remembered, once there have been so many
-_FIRST_WEIGHT = 2.0
-
-_OFFSET_FRAMES = 40.0
-_FADING = 0.7
-_DOUBT = 2  # a part of an edge is trusted by the share of images that it was found in to this power
 
 
 class Memory(NamedTuple):
@@ -71,10 +61,10 @@ def recalled(objects: list[Looks], controls: Controls, channels: int) -> Memory:
         if not len(keys) or slots["colours"].shape[1] != channels:
             continue
         known, place = found_among(keys, wanted)
-        known &= slots["weights"][place] >= _FIRST_WEIGHT
+        known &= slots["weights"][place] >= const.FIRST_WEIGHT
         known[:, 1] &= creases[view]
         colours[view] = slots["colours"][place]
-        precision[view] = np.where(known, 1.0 / (_LEAST_SPREAD + slots["spread"][place]), 0.0)
+        precision[view] = np.where(known, 1.0 / (const.LEAST_SPREAD + slots["spread"][place]), 0.0)
     return Memory(colours, precision, trust, np.ones(count, dtype=np.float32), np.zeros((count, 3, 3)))
 
 
@@ -82,9 +72,9 @@ def _trust(slots: Looks, parts: NDArray[np.int64]) -> Singles:
     """(n,) of parts of edges, by how far their edges are off, and in what share of images, as if in one more, they were
     found: where an object has no contrast of its own, what is found in the end belongs to something else."""
     offset, frames = _kept(slots["edges"], slots["offsets"], parts // EDGE_SLOTS)
-    part = offset * np.minimum(frames / np.float32(_FRAMES), np.float32(1.0)) / np.float32(WHOLE_PX)
+    part = offset * np.minimum(frames / np.float32(const.LOOKS_FRAMES), np.float32(1.0)) / np.float32(const.WHOLE_PX)
     found, sought = _kept(slots["parts"], slots["hits"], parts)
-    return np.asarray(1.0 / (1.0 + part * part) * ((found + 1.0) / (sought + 1.0)) ** _DOUBT)
+    return np.asarray(1.0 / (1.0 + part * part) * ((found + 1.0) / (sought + 1.0)) ** const.DOUBT)
 
 
 def _kept(known: NDArray[np.int64], values: Singles, wanted: NDArray[np.int64]) -> Singles:
@@ -115,7 +105,7 @@ def sought(slots: Looks, parts: NDArray[np.int64], found: NDArray[np.bool_]) -> 
     now, place = np.unique(parts, return_inverse=True)
     share = np.bincount(place, weights=found) / np.bincount(place)
     every, at, (hits,) = _laid_out(slots["parts"], now, slots["hits"])
-    hits[at] = (1.0 - 1.0 / _FRAMES) * hits[at] + np.stack((share, np.ones(len(now))), axis=1)
+    hits[at] = (1.0 - 1.0 / const.LOOKS_FRAMES) * hits[at] + np.stack((share, np.ones(len(now))), axis=1)
     return {**slots, "parts": every, "hits": hits.astype(np.float32)}
 
 
@@ -133,7 +123,7 @@ def measured(slots: Looks, edges: NDArray[np.int64], offsets: Floats) -> Looks:
     found, place = np.unique(edges, return_inverse=True)
     mean = np.bincount(place, weights=offsets) / np.bincount(place)
     every, now, (kept,) = _laid_out(slots["edges"], found, slots["offsets"])
-    kept[now, 1] = np.minimum(kept[now, 1] + 1.0, _OFFSET_FRAMES)
+    kept[now, 1] = np.minimum(kept[now, 1] + 1.0, const.OFFSET_FRAMES)
     kept[now, 0] += (mean - kept[now, 0]) / kept[now, 1]
     return {**slots, "edges": every, "offsets": kept.astype(np.float32)}
 
@@ -147,16 +137,16 @@ def strangeness(memory: Memory, profiles: Profiles) -> Singles:
         if len(known):
             off = colours[known] - memory.colours[known, side][:, None, :]
             square = np.einsum("pkc,pkc->pk", off, off) / np.float32(off.shape[2])
-            total[known] += np.minimum(square * precision[known, side][:, None], np.float32(_MOST_STRANGE))
+            total[known] += np.minimum(square * precision[known, side][:, None], np.float32(const.MOST_STRANGE))
     # Where all look strange, the light has changed: then that says little.
     usual = np.where(np.isfinite(profiles.places), total, np.float32(np.inf)).min(axis=1)
-    return np.asarray(np.maximum(total - np.minimum(usual, np.float32(_FORGIVEN))[:, None], np.float32(0.0)))
+    return np.asarray(np.maximum(total - np.minimum(usual, np.float32(const.FORGIVEN))[:, None], np.float32(0.0)))
 
 
 def moved(slots: Looks) -> Looks:
     """What is remembered of an object that moved: its shadows move, too, and the light on its sides changes."""
-    offsets = slots["offsets"] * np.array([1.0, _FADING], dtype=np.float32)
-    return {**slots, "offsets": offsets, "weights": slots["weights"] * np.float32(_FADING)}
+    offsets = slots["offsets"] * np.array([1.0, const.FADING], dtype=np.float32)
+    return {**slots, "offsets": offsets, "weights": slots["weights"] * np.float32(const.FADING)}
 
 
 def remembered(slots: Looks, controls: Controls, rows: Indices, colours: Singles) -> Looks:
@@ -176,7 +166,7 @@ def remembered(slots: Looks, controls: Controls, rows: Indices, colours: Singles
     if slots["colours"].shape[1] != channels:
         old = {**NOTHING, "colours": np.zeros((0, channels), dtype=np.float32)}
     every, now, (weights, kept, spread) = _laid_out(old["keys"], found, old["weights"], old["colours"], old["spread"])
-    gain = 1.0 / np.minimum(weights[now] + 1.0, _FRAMES)
+    gain = 1.0 / np.minimum(weights[now] + 1.0, const.LOOKS_FRAMES)
     off: Floats = mean - kept[now]
     off[weights[now] == 0] = 0.0
     change = (off * off).mean(axis=1)
@@ -188,5 +178,5 @@ def remembered(slots: Looks, controls: Controls, rows: Indices, colours: Singles
         "keys": every,
         "colours": kept.astype(np.float32),
         "spread": spread.astype(np.float32),
-        "weights": np.minimum(weights, _FRAMES).astype(np.float32),
+        "weights": np.minimum(weights, const.LOOKS_FRAMES).astype(np.float32),
     }

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from hierax.nodes.tracking.constants import WHOLE_PX
+from hierax.nodes.tracking import constants as const
 from hierax.nodes.tracking.estimation.alignment import Aligned, offsets_at
 from hierax.nodes.tracking.estimation.appearance import Memory, recalled
 from hierax.nodes.tracking.estimation.stages import moves_of
@@ -17,10 +17,6 @@ from hierax.nodes.tracking.math.batched import found_among
 from hierax.nodes.tracking.math.geometry import Array, Floats
 from hierax.nodes.tracking.model.controls import Controls, Indices
 from hierax.nodes.tracking.schema import ControlPoints, Looks
-
-_POINT_PX = 0.7  # standard deviation of where a control point is found in one image, beside its edge as a whole
-_LEAST_POINTS = 3  # an edge that fewer of its control points were found of tells nothing
-_WANDERS_M = 0.000004  # how far a bevel's edge may move in the object's frame from image to image as the view changes
 
 
 def bent(controls: ControlPoints, looks: Looks) -> ControlPoints:
@@ -62,7 +58,7 @@ def bent_after(looks: Looks, aligned: Aligned, at: int, pose: Floats, intrinsics
     stage = aligned.stage
     rows = np.nonzero(aligned.supported & (stage.controls.visible > 0.5) & (stage.controls.owners == at))[0]
     edges, starts, count = np.unique(stage.controls.edges[rows], return_index=True, return_counts=True)
-    enough = count >= _LEAST_POINTS
+    enough = count >= const.LEAST_POINTS
     if not enough.any():
         return looks
     moves = moves_of(poses, stage.controls, stage.lines, rows, intrinsics)
@@ -74,9 +70,9 @@ def bent_after(looks: Looks, aligned: Aligned, at: int, pose: Floats, intrinsics
     bends = np.zeros((len(every), 3))
     slack = np.tile(tolerance**2 * np.eye(3), (len(every), 1, 1))
     bends[before], slack[before] = looks["bends"], looks["slack"]
-    spread = slack[now] + _WANDERS_M**2 * np.eye(3)
+    spread = slack[now] + const.WANDERS_M**2 * np.eye(3)
     carried = np.einsum("eij,ej->ei", spread, mean)
-    variance = np.einsum("ei,ei->e", mean, carried) + WHOLE_PX**2 + _POINT_PX**2 / count
+    variance = np.einsum("ei,ei->e", mean, carried) + const.WHOLE_PX**2 + const.NOISE_PX**2 / count
     gain = carried / variance[:, None]
     bends[now] += gain * off[:, None]
     slack[now] = spread - gain[:, :, None] * carried[:, None, :]

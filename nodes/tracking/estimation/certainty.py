@@ -4,10 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from hierax.nodes.tracking import constants as const
 from hierax.nodes.tracking.math.geometry import Floats
-
-RIGHT_M, RIGHT_RAD = 0.005, float(np.radians(5.0))  # a pose within both of the truth is right
-_SAMPLES = np.random.default_rng(0).normal(size=(512, 6))
 
 
 def present(nats: Floats, given: Floats | float = 1.0) -> Floats:
@@ -20,7 +18,7 @@ def right(covariances: Floats, nats: Floats) -> Floats:
     """(m,) the probability that poses are within 5 mm and 5° of the truth: that the image is explained by the object
     and not by clutter, both as likely before, and that an object which is there is no farther from its pose than its
     covariance (m, 6, 6), m² and rad², allows; nats: (m,) of `likelihood.explains`."""
-    twists = np.einsum("mij,sj->msi", np.linalg.cholesky(covariances), _SAMPLES)
-    near = np.linalg.norm(twists[..., :3], axis=2) < RIGHT_M
-    near &= np.linalg.norm(twists[..., 3:], axis=2) < RIGHT_RAD
+    twists = np.einsum("mij,sj->msi", np.linalg.cholesky(covariances), const.SAMPLES)
+    near = np.linalg.norm(twists[..., :3], axis=2) < const.RIGHT_M
+    near &= np.linalg.norm(twists[..., 3:], axis=2) < const.RIGHT_RAD
     return present(nats, near.mean(axis=1))

@@ -11,15 +11,10 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from hierax.nodes.tracking import constants as const
 from hierax.nodes.tracking.estimation.alignment import Aligned
 from hierax.nodes.tracking.math.batched import adjoints, inverse, invert_many, log_many, solved
 from hierax.nodes.tracking.math.geometry import Floats
-
-LEAST_MOTION_SCALE = 0.02
-SURPRISED = 1.5
-_CALMING = 0.85
-_TREND_GAIN = 0.3
-_EASE = 1e-3  # share of the prior that is counted as seen, so that what no edge shows stays finite
 
 
 class Prior(NamedTuple):
@@ -53,18 +48,18 @@ def fuse(aligned: Aligned, prior: Prior, resting: NDArray[np.bool_] | None = Non
     surprises; None: none."""
     shift, own, vague = _solved(aligned, prior)
     off = _off(aligned, prior, shift, vague)
-    trend = prior.trend + _TREND_GAIN * (off - prior.trend)
+    trend = prior.trend + const.TREND_GAIN * (off - prior.trend)
     # Many small deviations the same way are as surprising as one large one.
-    squares = np.maximum((off * off).sum(axis=1), (trend * trend).sum(axis=1) * (2.0 / _TREND_GAIN - 1.0))
+    squares = np.maximum((off * off).sum(axis=1), (trend * trend).sum(axis=1) * (2.0 / const.TREND_GAIN - 1.0))
     surprise = np.sqrt(squares / 6.0)
-    surprised = surprise > SURPRISED
+    surprised = surprise > const.SURPRISED
     if resting is not None:
         surprised &= ~resting
     if surprised.any():
         prior = prior._replace(motion_scale=np.where(surprised, 1.0, prior.motion_scale))
         shift, own, _ = _solved(aligned, prior)
     covariance = inverse(inverse(prior.spread()) + aligned.blocks[:, 6:, 6:])
-    calmer = np.clip(prior.motion_scale * np.maximum(_CALMING, surprise), LEAST_MOTION_SCALE, 1.0)
+    calmer = np.clip(prior.motion_scale * np.maximum(const.CALMING, surprise), const.LEAST_MOTION_SCALE, 1.0)
     motion_scale = np.where(surprised, 1.0, calmer)
     trend = np.where(surprised[:, None], 0.0, trend)
     return Fused(shift, own, covariance, motion_scale, trend)
@@ -100,7 +95,7 @@ def _off(aligned: Aligned, prior: Prior, shift: Floats, vague: Floats) -> Floats
     what the camera's error, as far as it is known, makes of it."""
     spread = prior.spread()
     known = inverse(spread)
-    information = aligned.blocks[:, 6:, 6:] + _EASE * known
+    information = aligned.blocks[:, 6:, 6:] + const.EASE * known
     moved = shift - log_many(aligned.shift[None])[0]
     right = (information @ aligned.own[..., None])[..., 0] - aligned.slopes[:, 6:]
     right -= aligned.blocks[:, 6:, :6] @ moved

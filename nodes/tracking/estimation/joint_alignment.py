@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from hierax.nodes.tracking.constants import AT_REST, PARALLEL
+from hierax.nodes.tracking import constants as const
 from hierax.nodes.tracking.estimation.alignment import Aligned, Start, align
 from hierax.nodes.tracking.estimation.appearance import Memory, only_found
 from hierax.nodes.tracking.estimation.bending import memory_of
@@ -26,28 +26,8 @@ from hierax.nodes.tracking.model.controls import Controls, gathered
 from hierax.nodes.tracking.model.symmetry import NONE, is_plain, open_to
 from hierax.nodes.tracking.schema import TrackedObject
 
-FAMILIAR_MOTION_SCALE = 0.3  # an object with a smaller motion scale is lit as it was
 _NEAR = Search()
-_CALM = Search(reach_px=(8,), scale_px=((8.0, 1.0),), iterations=7)
-_SETTLED_M = 0.004  # where no object moves, and all are known better than this, the image is searched near by
-_LEAST_FREEDOM = 0.3  # share of a push's motion that the search leaves open for an object at rest
-
-# An object with a smaller motion scale rests; by so much of its control points another explanation is clearly better.
-_CLEARLY = 0.1
-
-_JUMP_PX = 2.0  # a camera's error that moves an object's origin by more is large
-_CHANGE_PER_M = 50.0
-_CHANGE_PER_RAD = 4.0
-_MOST_CHANGE = 0.5
-
-# Parallel edges that far apart have peaks of their own: three standard deviations of the lens's blur and ours.
-_APART_PX = 3.0
-
-_BEYOND_PX = 4.0  # how far beyond its last control points an edge goes on
-
-# Edges that are as near as this, and in depth by this share of it, are one that is listed twice.
-_SAME_PX = 0.7
-_SAME_DEPTH = 0.005
+_CALM = Search(const.CALM_REACH_PX, const.CALM_SCALE_PX, const.CALM_ITERATIONS)
 
 
 class Task(NamedTuple):
@@ -74,14 +54,15 @@ def task_of(image: Image, objects: Sequence[TrackedObject], prior: Prior, intrin
     `prior_of`."""
     controls = gathered([item["controls"] for item in objects])
     # The light on what moves changes.
-    known = [
-        item["slots"] if item["motion_scale"] < FAMILIAR_MOTION_SCALE else only_found(item["slots"]) for item in objects
-    ]
+    known = [item["slots"] if item["motion_scale"] < const.FREEDOM else only_found(item["slots"]) for item in objects]
     predicted = np.stack([item["pose"] for item in objects])
     memory = memory_of(known, controls, image.shape[2])
     memory = memory._replace(apart=apartness(controls, predicted, intrinsics).astype(np.float32))
-    free = prior._replace(motion_scale=np.maximum(prior.motion_scale, _LEAST_FREEDOM))
-    calm = float(free.motion_scale.max()) <= _LEAST_FREEDOM and float(prior.covariance[:, :3, :3].max()) < _SETTLED_M**2
+    free = prior._replace(motion_scale=np.maximum(prior.motion_scale, const.FREEDOM))
+    calm = (
+        float(free.motion_scale.max()) <= const.FREEDOM
+        and float(prior.covariance[:, :3, :3].max()) < const.SETTLED_M**2
+    )
     near = _CALM if calm else _NEAR
     symmetries = [item.get("symmetry", NONE) for item in objects]
     told = None if all(map(is_plain, symmetries)) else np.stack([open_to(each) for each in symmetries])
@@ -111,7 +92,7 @@ def explained_again(task: Task, before: Explained, doubtful: Sequence[int]) -> E
         return None
     shift = exp_many(before.fused.shift[None])[0]
     jumps = _flat((shift @ task.start.poses)[doubtful]) - _flat(task.start.poses[doubtful])
-    if np.abs(jumps * task.intrinsics[:2]).max() < _JUMP_PX:
+    if np.abs(jumps * task.intrinsics[:2]).max() < const.JUMP_PX:
         return None
     again = _from(task, shift)
     if again is None or (again.aligned.gains - before.aligned.gains)[doubtful].sum() <= 0.0:
@@ -126,14 +107,14 @@ def _from(task: Task, shift: Floats) -> Explained | None:
     if free is None:
         return None
     fused = fuse(free, prior)
-    held = (fused.motion_scale == 1.0) & (prior.motion_scale < AT_REST)
+    held = (fused.motion_scale == 1.0) & (prior.motion_scale < const.AT_REST)
     calm = inverse(prior.spread())
     for _ in range(2):  # all of them, then those alone of which resting explains enough
         information = np.where(held[:, None, None], calm, task.start.information)
         tried = _aligned(task, information, shift) if held.any() else None
         if tried is None:
             break
-        enough = held & (tried.gains >= free.gains - _CLEARLY * free.shown)
+        enough = held & (tried.gains >= free.gains - const.RESTING_MARGIN * free.shown)
         if (enough == held).all():
             return Explained(tried, fuse(tried, prior, held))
         held = enough
@@ -155,8 +136,10 @@ def _flat(poses: Floats) -> Floats:
 def _with_motion(item: TrackedObject) -> float:
     """How much an object that moves may change its motion: the faster it is, the more."""
     motion = motion_of(item)
-    least = _CHANGE_PER_M * float(np.linalg.norm(motion[:3])) + _CHANGE_PER_RAD * float(np.linalg.norm(motion[3:]))
-    return max(float(item["motion_scale"]), min(least, _MOST_CHANGE))
+    least = const.CHANGE_PER_M * float(np.linalg.norm(motion[:3])) + const.CHANGE_PER_RAD * float(
+        np.linalg.norm(motion[3:])
+    )
+    return max(float(item["motion_scale"]), min(least, const.MOST_CHANGE))
 
 
 def apartness(controls: Controls, poses: Floats, intrinsics: Array) -> Floats:
@@ -175,14 +158,14 @@ def apartness(controls: Controls, poses: Floats, intrinsics: Array) -> Floats:
     away = pixels[:, None] - pixels[first]
     place = away[..., 0] * along[:, 0] + away[..., 1] * along[:, 1]
     distance = np.abs(away[..., 0] * along[:, 1] - away[..., 1] * along[:, 0])
-    beside = (place > -_BEYOND_PX) & (place < length + _BEYOND_PX) & (distance < _APART_PX)
-    beside &= (np.abs(along @ along.T) > PARALLEL)[own]
+    beside = (place > -const.BEYOND_PX) & (place < length + const.BEYOND_PX) & (distance < const.CROWD_PX)
+    beside &= (np.abs(along @ along.T) > const.PARALLEL)[own]
     beside[np.arange(len(own)), own] = False
     rows, edges = np.nonzero(beside)
     there = depth[first] + (depth[last] - depth[first]) * np.clip(place / np.maximum(length, 1e-9), 0.0, 1.0)
-    same = (distance[rows, edges] < _SAME_PX) & (np.abs(there[rows, edges] / depth[rows] - 1.0) < _SAME_DEPTH)
+    same = (distance[rows, edges] < const.SAME_PX) & (np.abs(there[rows, edges] / depth[rows] - 1.0) < const.SAME_DEPTH)
     seen_there = np.add.reduceat(controls.visible, first) / (last - first + 1)
-    pull = seen_there[edges] * (1.0 - (distance[rows, edges] / _APART_PX) ** 2)
+    pull = seen_there[edges] * (1.0 - (distance[rows, edges] / const.CROWD_PX) ** 2)
     pulled = np.zeros(len(own))
     np.maximum.at(pulled, rows, np.where(same, 0.0, pull))
     return np.asarray(1.0 - np.clip(pulled, 0.0, 1.0))

@@ -11,19 +11,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from hierax.nodes.tracking.constants import STRANGE_WEIGHT
+from hierax.nodes.tracking import constants as const
 from hierax.nodes.tracking.estimation.alignment import Aligned
 from hierax.nodes.tracking.math.batched import summed
 from hierax.nodes.tracking.math.geometry import Floats
-
-FOUND = 0.9  # chance that an edge that nothing hides has a peak at all
-_PEAK_PX = 0.6  # standard deviation of a peak
-LEAST_CLUTTER = 0.02  # peaks a pixel: so many there may be where a profile shows none
-# Points of one face look alike: standard deviation of their colours in grey levels, the share of them that do, and what
-# they say together, by this exponent.
-_PAINT, _PAINTED, _SAME = 10.0, 0.8, 0.05
-_LEAST_VARIED = 30.0  # standard deviation of the colours of places anywhere, at least
-ALIKE = 0.15  # control points of one edge err alike: what they say together counts by this exponent
 
 
 class Shares(NamedTuple):
@@ -39,27 +30,27 @@ def explains(aligned: Aligned) -> Floats:
     counts against it by how unlikely that was, and how exactly it had to be fitted."""
     stage, count = aligned.stage, len(aligned.poses)
     owners = stage.controls.owners
-    said = _said(aligned, np.exp(-STRANGE_WEIGHT * aligned.matches.strange))
-    return np.asarray(ALIKE * summed(owners, said, count) - summed(owners[stage.firsts], _off(aligned), count))
+    said = _said(aligned, np.exp(-const.STRANGE_WEIGHT * aligned.matches.strange))
+    return np.asarray(const.ALIKE * summed(owners, said, count) - summed(owners[stage.firsts], _off(aligned), count))
 
 
 def shares(aligned: Aligned) -> Shares:
     """The same by line and by edge."""
-    peaks = ALIKE * _said(aligned, 1.0)
-    said = ALIKE * _said(aligned, np.exp(-STRANGE_WEIGHT * aligned.matches.strange))
+    peaks = const.ALIKE * _said(aligned, 1.0)
+    said = const.ALIKE * _said(aligned, np.exp(-const.STRANGE_WEIGHT * aligned.matches.strange))
     return Shares(peaks, said - peaks, -_off(aligned))
 
 
 def expected(aligned: Aligned) -> Floats:
     """(n,) of each line the chance that its edge is seen, if the pose is right."""
-    return np.asarray(FOUND * aligned.stage.controls.visible * aligned.stage.memory.apart)
+    return np.asarray(const.FOUND * aligned.stage.controls.visible * aligned.stage.memory.apart)
 
 
 def _said(aligned: Aligned, familiar: Floats | float) -> Floats:
     """(n,) of each line the logarithm of the ratio."""
-    clutter = np.maximum(np.isfinite(aligned.stage.profiles.places).mean(axis=1), LEAST_CLUTTER)
-    seen, away = expected(aligned), np.abs(aligned.matches.pixels) / _PEAK_PX
-    near = np.exp(-0.5 * np.minimum(away, 9.0) ** 2) / (_PEAK_PX * np.sqrt(2.0 * np.pi))
+    clutter = np.maximum(np.isfinite(aligned.stage.profiles.places).mean(axis=1), const.LEAST_CLUTTER)
+    seen, away = expected(aligned), np.abs(aligned.matches.pixels) / const.PEAK_PX
+    near = np.exp(-0.5 * np.minimum(away, 9.0) ** 2) / (const.PEAK_PX * np.sqrt(2.0 * np.pi))
     return np.asarray(np.log(1.0 - seen + seen / clutter * near * familiar))
 
 
@@ -67,8 +58,8 @@ def _off(aligned: Aligned) -> Floats:
     """(e,) nats that it costs that each edge is off as a whole."""
     stage = aligned.stage
     off = aligned.off[stage.firsts] / stage.spread
-    held = np.bincount(stage.edges, weights=np.where(aligned.supported, expected(aligned), 0.0)) / _PEAK_PX**2
-    return np.asarray(0.5 * off * off + 0.5 * np.log1p(stage.spread**2 * ALIKE * held))
+    held = np.bincount(stage.edges, weights=np.where(aligned.supported, expected(aligned), 0.0)) / const.PEAK_PX**2
+    return np.asarray(0.5 * off * off + 0.5 * np.log1p(stage.spread**2 * const.ALIKE * held))
 
 
 def painted(aligned: Aligned) -> Floats:
@@ -85,12 +76,12 @@ def painted(aligned: Aligned) -> Floats:
     colours = np.concatenate((profiles.inside[rows, columns], profiles.outside[twice, columns[twice]]))
     patches = np.concatenate((controls.faces[:, 0], controls.faces[twice, 1])) + 1
     faces = np.unique(controls.owners[which] * (int(patches.max(initial=0)) + 1) + patches, return_inverse=True)[1]
-    varied = max(_LEAST_VARIED, float(profiles.outside.std(axis=(0, 1)).mean()))
+    varied = max(const.LEAST_VARIED, float(profiles.outside.std(axis=(0, 1)).mean()))
     nats = np.zeros(len(which))
     for face in range(int(faces.max(initial=-1)) + 1):
         own = np.nonzero(faces == face)[0]
         off = ((colours[own] - np.median(colours[own], axis=0)) ** 2).mean(axis=1)
-        ratio = varied / _PAINT * np.exp(0.5 * np.minimum(off / varied**2, 9.0) - 0.5 * off / _PAINT**2)
-        own_nats = np.log(_PAINTED * ratio + 1.0 - _PAINTED)
+        ratio = varied / const.PAINT * np.exp(0.5 * np.minimum(off / varied**2, 9.0) - 0.5 * off / const.PAINT**2)
+        own_nats = np.log(const.PAINTED * ratio + 1.0 - const.PAINTED)
         nats[own] = own_nats * max(0.0, 1.0 - 4.0 / len(own))  # the face's own colour is not known before
-    return _SAME * summed(controls.owners[which], controls.visible[which] * nats, count)
+    return const.PAINT_ALIKE * summed(controls.owners[which], controls.visible[which] * nats, count)

@@ -8,23 +8,13 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from hierax.nodes.tracking import constants as const
 from hierax.nodes.tracking.math.batched import placed
 from hierax.nodes.tracking.math.geometry import NEAREST_M, Array, Floats
 from hierax.nodes.tracking.model.controls import Controls, Indices
 
 Image = NDArray[np.float32]
 Singles = NDArray[np.float32]
-
-# A lens adds up light, and cameras encode the sum, about by its square root (IEC 61966-2-1): there a blurred step from
-# dark to bright is steepest too far in the dark, and bright objects seem larger, and nearer, all around.
-_GAMMA = 2.2
-_LIGHT = (255.0 * (np.arange(256) / 255.0) ** _GAMMA).astype(np.float32)
-
-_MOST_ROWS = 30_000
-_MARGIN_PX = 3.0
-_ALONG_M = 1e-3
-_FLANK_PX = 4  # how far beyond the searched places a profile is read: what lies beside a peak tells whose edge it is
-_BESIDE_PX = (2, 3, 4)  # where beside a peak the colour of a side is read
 
 
 class Lines(NamedTuple):
@@ -53,7 +43,7 @@ def smoothed(image: Array) -> Image:
 
 def light_of(image: Array) -> Image:
     """The light of a picture, 0 to 255, which is encoded as cameras do: uint8 of any shape."""
-    return np.asarray(cv2.LUT(image, _LIGHT), dtype=np.float32)
+    return np.asarray(cv2.LUT(image, const.LIGHT), dtype=np.float32)
 
 
 def grey_levels(light: Array) -> Singles:
@@ -78,9 +68,11 @@ def lines_of(controls: Controls, poses: Floats, intrinsics: Array, shape: tuple[
     side = np.einsum("nk,nk->n", normals, focal * (inward[:, :2] - flat * inward[:, 2:]))
     normals = np.where(side[:, None] < 0, -normals, normals)
     high, wide = shape[:2]
-    inside = (pixels > _MARGIN_PX).all(axis=1) & (pixels < (wide - _MARGIN_PX, high - _MARGIN_PX)).all(axis=1)
+    inside = (pixels > const.IMAGE_MARGIN_PX).all(axis=1) & (
+        pixels < (wide - const.IMAGE_MARGIN_PX, high - const.IMAGE_MARGIN_PX)
+    ).all(axis=1)
     # Seen along their length, edges have no direction across.
-    inside &= (middle[:, 2] > NEAREST_M) & (length * _ALONG_M > 0.02)
+    inside &= (middle[:, 2] > NEAREST_M) & (length * const.ALONG_M > 0.02)
     rows = np.nonzero(inside)[0]
     return Lines(rows, pixels[rows], normals[rows])
 
@@ -92,7 +84,7 @@ def read_profiles(image: Image, lines: Lines, edges: Indices, reach: int, contra
     their places in light. Of the lines the rows are ascending, so that neighbours on an edge (n,) stand together;
     contrast: smallest slope that counts as an edge, grey levels per pixel.
     """
-    half = reach + 1 + _FLANK_PX
+    half = reach + 1 + const.BESIDE_PX[-1]
     offsets = np.arange(-half, half + 1, dtype=np.float32)
     pixels, normals = lines.pixels.astype(np.float32), lines.normals.astype(np.float32)
     across = pixels[:, None, 0] + offsets * normals[:, None, 0]
@@ -101,7 +93,7 @@ def read_profiles(image: Image, lines: Lines, edges: Indices, reach: int, contra
     light = _along_edges(values.reshape(*across.shape, -1), edges)
     values = grey_levels(light)
     slope = 0.5 * (values[:, 2:] - values[:, :-2])
-    begin = _FLANK_PX - 1
+    begin = const.BESIDE_PX[-1] - 1
     slope = slope[:, begin : begin + 2 * reach + 3]
     size = np.sqrt(np.einsum("pkc,pkc->pk", slope, slope))
     # Neighbours on the other flank of a thin line slope the other way: they do not shape this peak.
@@ -139,15 +131,15 @@ def _shift(light: Singles, top: NDArray[np.bool_]) -> Singles:
 
 def _sampled(image: Image, across: Singles, down: Singles) -> Singles:
     """The image at places, row by row; OpenCV takes less than 32768 rows at a time."""
-    starts = range(0, max(1, len(across)), _MOST_ROWS)
-    places = [(across[start : start + _MOST_ROWS], down[start : start + _MOST_ROWS]) for start in starts]
+    starts = range(0, max(1, len(across)), const.MOST_ROWS)
+    places = [(across[start : start + const.MOST_ROWS], down[start : start + const.MOST_ROWS]) for start in starts]
     parts = [cv2.remap(image, *each, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE) for each in places]
     return np.asarray(np.concatenate(parts), dtype=np.float32)
 
 
 def _beside(values: Singles, half: int, reach: int, side: int) -> Singles:
     """(n, k, channels): the mean of the profiles a little to one side of each place."""
-    starts = [half - reach + side * step for step in _BESIDE_PX]
+    starts = [half - reach + side * step for step in const.BESIDE_PX]
     total: Singles = values[:, starts[0] : starts[0] + 2 * reach + 1].copy()
     for start in starts[1:]:
         total += values[:, start : start + 2 * reach + 1]

@@ -8,36 +8,28 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from hierax.nodes.tracking.constants import STRANGE_WEIGHT, WHOLE_PX
+from hierax.nodes.tracking import constants as const
 from hierax.nodes.tracking.estimation.appearance import Memory, strangeness
 from hierax.nodes.tracking.estimation.profiles import Image, Lines, Profiles, Singles, lines_of, read_profiles
 from hierax.nodes.tracking.math.batched import only, pixels_along, pixels_of, placed, tukey
 from hierax.nodes.tracking.math.geometry import Array, Floats, cross
 from hierax.nodes.tracking.model.controls import CREASE, Controls, Indices
 
-_USUAL_SHARPNESS = 0.7  # quantile of the control points' sharpness that counts as an edge in focus
-
-_MANY = 16  # poses that are tried at once: then what they say is added up in one go
-
-_CREASE_PX = 0.1  # as `WHOLE_PX`, of a crease: no shadow falls beside it
-
 
 class Search(NamedTuple):
     """How the image is searched."""
 
-    reach_px: tuple[int, ...] = (14, 6)  # how far along the normal, one entry a stage
+    reach_px: tuple[int, ...] = const.REACH_PX  # how far along the normal, one entry a stage
     # where Tukey's weight ends in the first and the last iteration of each stage
-    scale_px: tuple[tuple[float, float], ...] = ((14.0, 4.0), (5.0, 1.0))
-    iterations: int = 6  # Gauss-Newton steps in a stage
+    scale_px: tuple[tuple[float, float], ...] = const.SCALE_PX
+    iterations: int = const.ITERATIONS  # Gauss-Newton steps in a stage
     # least and largest end of Tukey's weight in the steps that follow the last stage
-    fine_px: tuple[float, float] = (0.3, 1.0)
-    fine_iterations: int = 4  # how many those are
-    contrast: float = 1.5  # smallest slope that counts as an edge, grey levels per pixel
-    # standard deviation of a match, as if control points erred by this independently; they err together, along an edge
-    # and from image to image, so it is larger than one of them errs
-    noise_px: float = 0.7
-    blur_power: float = 4.0  # how strongly blurred peaks lose weight
-    support_px: float = 1.5  # how near a hypothesis must be in the end to support a control point
+    fine_px: tuple[float, float] = const.LAST_PX
+    fine_iterations: int = const.LAST_ITERATIONS  # how many those are
+    contrast: float = const.CONTRAST  # smallest slope that counts as an edge, grey levels per pixel
+    noise_px: float = const.NOISE_PX  # standard deviation of a match
+    blur_power: float = const.BLUR_POWER  # how strongly blurred peaks lose weight
+    support_px: float = const.SUPPORT_PX  # how near a hypothesis must be in the end to support a control point
     # whether each edge as a whole is looked for first: so far beside the model's it may be that none of its control
     # points is near
     voted: bool = False
@@ -144,7 +136,7 @@ def _spread(
 ) -> Floats:
     """Of each edge the standard deviation of how far it is off as a whole, by its kind and by what is not known of the
     object's model, pixels."""
-    variance = np.where(controls.kinds == CREASE, _CREASE_PX, WHOLE_PX) ** 2
+    variance = np.where(controls.kinds == CREASE, const.CREASE_PX, const.WHOLE_PX) ** 2
     loose = np.nonzero(memory.slack.any(axis=(1, 2)))[0]
     if len(loose):
         moves = moves_of(poses, controls, lines, loose, intrinsics)
@@ -170,7 +162,7 @@ def chosen_near(seen: Seen, stage: Stage, scale: Floats | float) -> Matches:
     off = peaks.places - (seen.moved + seen.off).astype(np.float32)[:, None]
     scales = np.broadcast_to(scale, seen.moved.shape)
     cost = off * off * (1.0 / (scales * scales)).astype(np.float32)[:, None]
-    nearest = (cost + np.float32(STRANGE_WEIGHT) * peaks.strange).argmin(axis=1)
+    nearest = (cost + np.float32(const.STRANGE_WEIGHT) * peaks.strange).argmin(axis=1)
     at = (np.arange(len(nearest)), nearest)
     return Matches(peaks.columns[at], -off[at].astype(np.float64), peaks.strange[at].astype(np.float64))
 
@@ -179,7 +171,7 @@ def weights_of(stage: Stage, matches: Matches, scale: Floats | float, search: Se
     """1/px² of each control point: Tukey's function of the distance, less where it may be hidden, where its hypothesis
     looks strange, and on edges blurred beside the others of its object: the blur of a shadow beside the foot of an
     object draws the peak away from the edge, all along it."""
-    weights = tukey(matches.pixels, scale) * stage.controls.visible * np.exp(-STRANGE_WEIGHT * matches.strange)
+    weights = tukey(matches.pixels, scale) * stage.controls.visible * np.exp(-const.STRANGE_WEIGHT * matches.strange)
     weights *= stage.memory.trust * stage.memory.apart / search.noise_px**2
     near = weights > 1e-6
     if not near.any():
@@ -190,7 +182,7 @@ def weights_of(stage: Stage, matches: Matches, scale: Floats | float, search: Se
     total = np.bincount(stage.edges, weights=np.where(near, sharp, 0.0))
     mean = (total / np.maximum(count, 1.0))[stage.edges]
     found = ranked(owners[near], mean[near], int(owners[-1]) + 1)
-    usual = found.at((_USUAL_SHARPNESS * (found.counts - 1)).astype(np.intp), 1.0)
+    usual = found.at((const.USUAL_SHARPNESS * (found.counts - 1)).astype(np.intp), 1.0)
     relative = np.minimum(mean / np.maximum(usual[owners], 1e-9), 1.0)
     return np.asarray(np.where(near, weights * relative**search.blur_power, 0.0))
 
@@ -234,7 +226,7 @@ def normal_equations(
     """What weighted control points say of poses; where the camera is known (`still`), of many poses without what they
     say of its twist, which is zeros."""
     used, count = weights > 0, len(poses)
-    width = 6 if still and count > _MANY else 12
+    width = 6 if still and count > const.MANY else 12
     points, owners = stage.controls.points[used], stage.controls.owners[used]
     residuals, weights = (matches.pixels - seen.off)[used], weights[used]
     if not len(owners):
@@ -266,7 +258,7 @@ def _summed_products(
     """(m, k, k) and (m, k): of each owner's rows left.T @ right, and right.T @ numbers."""
     width = left.shape[1]
     blocks, gradients = np.zeros((count, width, width)), np.zeros((count, width))
-    if count > _MANY:  # of few it is quicker one by one
+    if count > const.MANY:  # of few it is quicker one by one
         starts = np.nonzero(np.diff(owners, prepend=-1))[0]
         products = (left[:, :, None] * right[:, None, :]).reshape(-1, width * width)
         blocks[owners[starts]] = np.add.reduceat(products, starts).reshape(-1, width, width)

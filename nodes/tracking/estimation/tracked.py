@@ -6,14 +6,12 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
+from hierax.nodes.tracking import constants as const
 from hierax.nodes.tracking import schema
 from hierax.nodes.tracking.estimation.appearance import NOTHING
 from hierax.nodes.tracking.estimation.bending import bent
 from hierax.nodes.tracking.math.batched import invert_many, log_many
 from hierax.nodes.tracking.math.geometry import NO_POSES, Floats, invert
-
-_FIRST_MOTION_SCALE = 0.2
-_DASH_M = 0.002
 
 NO_CONTROLS: schema.ControlPoints = {
     "points": np.zeros((0, 3)),
@@ -42,7 +40,7 @@ def first_belief(item: schema.FirstPose, covariance: Floats) -> schema.TrackedOb
         "probation": 0,
         "status": schema.EXPECTED if item["pose"] is not None else schema.LOST,
         "misses": 0,
-        "motion_scale": _FIRST_MOTION_SCALE,
+        "motion_scale": const.FIRST_MOTION_SCALE,
         "trend": np.zeros(6),
         "failed_searches": 0,
         "support": np.zeros(3),
@@ -116,5 +114,5 @@ def imagined(item: schema.TrackedObject, expected: schema.ExpectedObject, camera
 
 def dashes(controls: schema.ControlPoints) -> Floats:
     """(n, 2, 3) a dash along the edge at each control point, m, object's frame."""
-    half = _DASH_M / 2.0 * controls["tangents"]
+    half = const.DASH_M / 2.0 * controls["tangents"]
     return np.stack((controls["points"] - half, controls["points"] + half), axis=1)

@@ -12,29 +12,16 @@ from statistics import NormalDist
 
 import numpy as np
 
+from hierax.nodes.tracking import constants as const
 from hierax.nodes.tracking.math.geometry import Floats, exp_se3
 from hierax.nodes.tracking.schema import Body
-
-AT_ONCE = 8  # so many poses are imagined of a body for one image
-_BASES = (2, 3, 5, 7, 11, 13)
-_TABLE = 512
-
-# How certain the height and the tilt of a body at rest are, and how fast one moves that is not.
-_RESTING_M = 0.0005
-_RESTING_RAD = 0.004
-_RESTING_M_S = 0.1
-_RESTING_RAD_S = 0.3
-
-# What lies on a face has corners no higher than this above the lowest, and spread as far (standard deviation).
-_FLAT_M = 0.004
-_BASE_M = 0.003
 
 
 def _normal_table() -> Floats:
     """(n, 6) evenly spread draws of standard normal variables, any few rows that follow one another, too."""
-    table = np.zeros((_TABLE, len(_BASES)))
-    for column, base in enumerate(_BASES):
-        for row in range(_TABLE):
+    table = np.zeros((const.DRAWS, len(const.BASES)))
+    for column, base in enumerate(const.BASES):
+        for row in range(const.DRAWS):
             number, share, value = row + 20, 1.0 / base, 0.0
             while number:
                 number, digit = divmod(number, base)
@@ -56,7 +43,7 @@ def elsewhere(pose: Floats, covariance: Floats, support: Floats, turn: int) -> F
     within = directions.T @ covariance @ directions
     values, vectors = np.linalg.eigh(within)
     spread = vectors * np.sqrt(np.maximum(values, 0.0))
-    rows = (np.arange(AT_ONCE) + AT_ONCE * turn) % _TABLE
+    rows = (np.arange(const.AT_ONCE) + const.AT_ONCE * turn) % const.DRAWS
     # The widest direction gets the evenest draws.
     draws = _DRAWS[rows][:, : len(values)][:, ::-1]
     twists = draws @ spread.T @ directions.T
@@ -78,7 +65,7 @@ def resting(body: Body, carried: bool) -> Body:
     """What rests on something is as high, and as upright, as that leaves it: no longer less certain than that. Whether
     something below keeps it from falling is told; of the body "support", "stands" and "covariance" follow."""
     velocity, pose = body["velocity"], body["pose"]
-    moves = np.abs(velocity[3:5]).max() > _RESTING_RAD_S or abs(velocity[2]) > _RESTING_M_S
+    moves = np.abs(velocity[3:5]).max() > const.RESTING_RAD_S or abs(velocity[2]) > const.RESTING_M_S
     up = pose[:3, :3].T @ np.array([0.0, 0.0, 1.0])
     if moves or not carried or not _stands(body["model"]["vertices"] @ pose[:3, :3].T):
         return {**body, "support": up if carried else np.zeros(3), "stands": False}
@@ -87,7 +74,7 @@ def resting(body: Body, carried: bool) -> Body:
     directions[0, :3] = up
     directions[1:, 3:] = level
     covariance = body["covariance"]
-    for direction, spread in zip(directions, (_RESTING_M, _RESTING_RAD, _RESTING_RAD), strict=True):
+    for direction, spread in zip(directions, (const.RESTING_M, const.RESTING_RAD, const.RESTING_RAD), strict=True):
         along = covariance @ direction
         variance = float(direction @ along)
         if variance > spread**2:
@@ -98,6 +85,6 @@ def resting(body: Body, carried: bool) -> Body:
 def _stands(vertices: Floats) -> bool:
     """Whether a body, its vertices (n, 3) turned as it is, lies on a face, not on an edge or a corner."""
     heights = vertices[:, 2]
-    lowest = vertices[heights < heights.min() + _FLAT_M, :2]
+    lowest = vertices[heights < heights.min() + const.FLAT_M, :2]
     spread = lowest - lowest.mean(axis=0)
-    return len(lowest) > 2 and float(np.linalg.eigvalsh(spread.T @ spread / len(lowest))[0]) > _BASE_M**2
+    return len(lowest) > 2 and float(np.linalg.eigvalsh(spread.T @ spread / len(lowest))[0]) > const.BASE_M**2

@@ -13,22 +13,12 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from hierax.nodes.tracking import constants as const
 from hierax.nodes.tracking.imagery.layers import NEAREST_DRAWN_M, Layer
 from hierax.nodes.tracking.math.batched import joined, only
 from hierax.nodes.tracking.math.geometry import Array, Floats, Size, cross, invert, project, transform, unit
 from hierax.nodes.tracking.model.controls import CREASE, LIMB, OUTLINE, Controls
 from hierax.nodes.tracking.model.shapes import Ints, Shape, chained
-
-SPACING_PX = 4.0
-POINTS_MAX = 300
-
-_MARGIN_PX = 3.0  # from the ends of a chain: near a corner, another edge may be the nearest
-_OUTSIDE_PX = 8.0  # how far outside the image points are still listed: the camera may turn a little
-_SECTORS = 12  # directions that parts of smooth outlines are told apart by
-_BESIDE_PX = 1.0  # how far beside an edge an object's own depth is looked up
-
-# Of the object's size: a point that is deeper by more than this under its own surface is hidden by it.
-_OWN_SHARE = 0.01
 
 
 class _Lines(NamedTuple):
@@ -68,10 +58,10 @@ def controls_of(
     tangents = step / np.linalg.norm(step, axis=1, keepdims=True)
     controls = Controls(np.zeros(len(points), dtype=np.intp), points, tangents, *lines[1:], np.ones(len(points)))
     spots = project(transform(pose, points), intrinsics)
-    inside = (spots > -_OUTSIDE_PX) & (spots < np.array(size) - 1.0 + _OUTSIDE_PX)
+    inside = (spots > -const.OUTSIDE_PX) & (spots < np.array(size) - 1.0 + const.OUTSIDE_PX)
     kept = np.asarray(inside.all(axis=1))
     if layer is not None and not shape.convex:
-        kept &= ~_hidden_by_itself(controls, pose, intrinsics, layer, _OWN_SHARE * float(np.ptp(shape.vertices)))
+        kept &= ~_hidden_by_itself(controls, pose, intrinsics, layer, const.OWN_SHARE * float(np.ptp(shape.vertices)))
     return _numbered(shape, pose, only(controls, kept))
 
 
@@ -135,10 +125,10 @@ def _numbered(shape: Shape, pose: Floats, controls: Controls) -> Controls:
         return controls
     outwards = -controls.inwards @ pose[:2, :3].T
     turn = np.arctan2(outwards[:, 1], outwards[:, 0]) / (2.0 * np.pi)
-    sector = np.floor(turn * _SECTORS + 0.5).astype(np.int32) % _SECTORS
+    sector = np.floor(turn * const.SECTORS + 0.5).astype(np.int32) % const.SECTORS
     patches = np.zeros(int(shape.patches.max()) + 1, dtype=np.int32)
     patches[shape.patches[shape.smooth]] = shape.smooth_patches
-    numbers = _sharp_count(shape) + _SECTORS * patches[controls.faces[:, 0]] + sector
+    numbers = _sharp_count(shape) + const.SECTORS * patches[controls.faces[:, 0]] + sector
     numbers = np.where(smooth, numbers, controls.edges).astype(np.int32)
     places = np.arange(len(numbers))
     for chain in np.unique(controls.edges[smooth]):
@@ -158,12 +148,14 @@ def _spread(lengths: Floats, edges: Ints) -> tuple[NDArray[np.intp], Floats]:
     if not len(starts):
         return np.zeros(0, dtype=np.intp), np.zeros(0)
     total = np.add.reduceat(lengths, starts)
-    spacing = max(SPACING_PX, float(total.sum()) / POINTS_MAX)
-    counts = np.where(total < 2.0 * _MARGIN_PX, 0, ((total - 2.0 * _MARGIN_PX) / spacing).astype(int) + 1)
+    spacing = max(const.SPACING_PX, float(total.sum()) / const.POINTS_MAX)
+    counts = np.where(
+        total < 2.0 * const.CHAIN_END_PX, 0, ((total - 2.0 * const.CHAIN_END_PX) / spacing).astype(int) + 1
+    )
     run = np.repeat(np.arange(len(starts)), counts)
     order = np.arange(len(run)) - np.repeat(np.cumsum(counts) - counts, counts)
     before = np.concatenate(([0.0], np.cumsum(lengths)))
-    within = _MARGIN_PX + (total - 2.0 * _MARGIN_PX)[run] * (order + 0.5) / counts[run]
+    within = const.CHAIN_END_PX + (total - 2.0 * const.CHAIN_END_PX)[run] * (order + 0.5) / counts[run]
     places = before[starts][run] + within
     owners = np.clip(np.searchsorted(before, places, side="right") - 1, 0, len(lengths) - 1)
     shares = (places - before[owners]) / np.maximum(lengths[owners], 1e-9)
@@ -184,7 +176,7 @@ def _hidden_by_itself(
     middle = project(seen, intrinsics) - layer.window.corner
     width, height = layer.window.size
     hidden = np.ones(len(seen), dtype=bool)
-    for side in (-_BESIDE_PX, _BESIDE_PX):
+    for side in (-const.OWN_BESIDE_PX, const.OWN_BESIDE_PX):
         at = np.rint(middle + side * inwards).astype(np.intp)
         inside = ((at >= 0) & (at < (width, height))).all(axis=1)
         columns, rows = np.clip(at, 0, (width - 1, height - 1)).T

@@ -15,18 +15,10 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from hierax.nodes.tracking import constants as const
 from hierax.nodes.tracking.imagery.layers import Layer
 from hierax.nodes.tracking.math.batched import hat_many, only, pixels_along
 from hierax.nodes.tracking.math.geometry import Array, Floats, invert, project, rays, transform
-
-_REACH_PX = 24  # how far outside an outline its uncertainty is still looked at
-
-# Standard deviations of what is left when both poses are certain: pixels are whole, models are not exact.
-_LEAST_PX = 0.7
-_LEAST_M = 0.001
-
-_INSIDE_PX = 1.5  # how far inside the outline the depth of what may hide is read
-_SURE = 3.0  # standard deviations in depth at which a point is before something for sure
 
 
 class Placed(NamedTuple):
@@ -78,29 +70,29 @@ def _errors(points: Floats, item: Placed) -> Floats:
 def _may_be_hidden(points: _Points, item: Placed, layer: Layer) -> NDArray[np.bool_]:
     """Which of the points are near enough to the object in the image, and not before all of it."""
     window = layer.window
-    low = np.array([window.left, window.top]) - (_REACH_PX - 3.0)
-    high = np.array([window.right, window.bottom]) + (_REACH_PX - 4.0)
+    low = np.array([window.left, window.top]) - (const.REACH_OUTSIDE_PX - 3.0)
+    high = np.array([window.right, window.bottom]) + (const.REACH_OUTSIDE_PX - 4.0)
     near = ((points.pixels > low) & (points.pixels < high)).all(axis=1)
     nearest = 1.0 / float(layer.inverse.max())
     centre = float(np.trace(item.covariance[:3, :3]))
-    spread = np.sqrt(points.errors[:, 2, 2] + centre + _LEAST_M**2)
-    behind: NDArray[np.bool_] = points.seen[:, 2] + _SURE * spread > nearest
+    spread = np.sqrt(points.errors[:, 2, 2] + centre + const.OUTLINE_M**2)
+    behind: NDArray[np.bool_] = points.seen[:, 2] + const.HIDDEN_SIGMAS * spread > nearest
     return near & behind
 
 
 def _hidden(points: _Points, item: Placed, layer: Layer, intrinsics: Array) -> Floats:
     """The chance (n,) that the object hides each of the points."""
     corner = layer.window.corner
-    inside, normals = _to_outline(layer, points.pixels - corner + _REACH_PX)
+    inside, normals = _to_outline(layer, points.pixels - corner + const.REACH_OUTSIDE_PX)
     outline = points.pixels - inside[:, None] * normals
-    deep = np.where(inside[:, None] > _INSIDE_PX, points.pixels, outline + _INSIDE_PX * normals)
+    deep = np.where(inside[:, None] > const.INSIDE_PX, points.pixels, outline + const.INSIDE_PX * normals)
     front, back = _depths(layer, deep, float(item.pose[2, 3]))
     # What the outline's uncertainty is that of: the point on it, at about the depth beside it.
     touched = rays(outline, intrinsics) * front[:, None]
     errors = points.errors + _errors(transform(invert(item.pose), touched), item)
     towards = pixels_along(normals, points.seen, intrinsics)
-    across = np.einsum("ni,nij,nj->n", towards, errors, towards) + _LEAST_PX**2
-    along = errors[:, 2, 2] + _LEAST_M**2
+    across = np.einsum("ni,nij,nj->n", towards, errors, towards) + const.OUTLINE_PX**2
+    along = errors[:, 2, 2] + const.OUTLINE_M**2
     behind = (points.seen[:, 2] - 0.5 * (front + back)) / np.sqrt(along)
     return _normal_cdf(inside / np.sqrt(across)) * _normal_cdf(behind)
 
@@ -110,16 +102,25 @@ def _to_outline(layer: Layer, at: Floats) -> tuple[Floats, Floats]:
     inside, and unit normals (n, 2) that point inwards."""
     mask = (layer.inverse > 0.0).view(np.uint8)
     # Around the object its window is empty, but where the image ends: there the object goes on.
-    padded = cv2.copyMakeBorder(mask, _REACH_PX, _REACH_PX, _REACH_PX, _REACH_PX, cv2.BORDER_REPLICATE)
+    padded = cv2.copyMakeBorder(
+        mask,
+        const.REACH_OUTSIDE_PX,
+        const.REACH_OUTSIDE_PX,
+        const.REACH_OUTSIDE_PX,
+        const.REACH_OUTSIDE_PX,
+        cv2.BORDER_REPLICATE,
+    )
     whole = np.rint(at).astype(np.intp)
     (left, top), (right, bottom) = whole.min(axis=0) - 2, whole.max(axis=0) + 3
     # The nearest outline may lie outside of what the points span, but then by no more than the reach.
-    left, top = max(int(left) - _REACH_PX, 0), max(int(top) - _REACH_PX, 0)
-    padded = np.ascontiguousarray(padded[top : int(bottom) + _REACH_PX, left : int(right) + _REACH_PX])
+    left, top = max(int(left) - const.REACH_OUTSIDE_PX, 0), max(int(top) - const.REACH_OUTSIDE_PX, 0)
+    padded = np.ascontiguousarray(
+        padded[top : int(bottom) + const.REACH_OUTSIDE_PX, left : int(right) + const.REACH_OUTSIDE_PX]
+    )
     inner = cv2.distanceTransform(padded, cv2.DIST_L2, cv2.DIST_MASK_3)
     outer = cv2.distanceTransform(1 - padded, cv2.DIST_L2, cv2.DIST_MASK_3)
     distance = np.where(padded > 0, inner - 0.5, 0.5 - outer).astype(np.float64)
-    np.clip(distance, -2.0 * _REACH_PX, 2.0 * _REACH_PX, out=distance)
+    np.clip(distance, -2.0 * const.REACH_OUTSIDE_PX, 2.0 * const.REACH_OUTSIDE_PX, out=distance)
     column, row = whole[:, 0] - left, whole[:, 1] - top
     slope = np.stack(
         (distance[row, column + 2] - distance[row, column - 2], distance[row + 2, column] - distance[row - 2, column]),

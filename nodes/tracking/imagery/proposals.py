@@ -13,6 +13,7 @@ from itertools import combinations
 import cv2
 import numpy as np
 
+from hierax.nodes.tracking import constants as const
 from hierax.nodes.tracking.imagery.edges import controls_of
 from hierax.nodes.tracking.imagery.layers import LayerRenderer
 from hierax.nodes.tracking.imagery.physics import support_points
@@ -20,21 +21,6 @@ from hierax.nodes.tracking.math.batched import only
 from hierax.nodes.tracking.math.geometry import Array, Floats, exp_so3, invert, looking_down, make_pose, rays, transform
 from hierax.nodes.tracking.model.shapes import Shape
 from hierax.nodes.tracking.schema import Alternative, Size
-
-STEP_PX = 11  # from place to place in the image
-YAWS = 24  # turns about the vertical
-POINTS = 40  # control points of a template
-_BUDGET = 150_000  # places times templates of a sweep at most; places are thinned out to that
-_MOST_FACES = 12  # on which a body may rest: the lowest ones
-_FARTHEST = 2.0  # places are no farther away than so many times what the camera looks at
-_CORNERS = 40  # of a convex hull; of larger ones those that are outermost in so many directions
-_FLAT = 0.004  # of a body's diameter: what is that near to a plane lies on it
-_LEVEL_M = 0.005  # corners no farther below the highest are those of the upper face
-_STEADY = 0.02  # and so far inside its foot a body's centre has to be
-_ALIKE = 0.01  # poses that differ by less than this share of the diameter at every corner look alike
-_SHRUNK = 2.0  # templates are drawn in an image that is smaller by this
-_PHASES = (0.7549, 0.5698)  # of a step, by which the places of one sweep are beside those of the one before
-_ELEVATION_RAD, _DISTANCE = np.radians(7.5), 1.15  # steps between the views that templates are made for
 
 
 class Proposer:
@@ -50,29 +36,36 @@ class Proposer:
         sees them there; middle: (3,) of the places."""
         away = camera[:3, 3] - middle
         distance = float(np.linalg.norm(away))
-        elevation = round(float(np.arcsin(away[2] / distance)) / _ELEVATION_RAD)
-        key = (elevation, round(float(np.log(distance) / np.log(_DISTANCE))), *intrinsics.tolist())
+        elevation = round(float(np.arcsin(away[2] / distance)) / const.ELEVATION_RAD)
+        key = (elevation, round(float(np.log(distance) / np.log(const.DISTANCE))), *intrinsics.tolist())
         if key not in self._templates:
-            view = looking_down(np.pi, key[0] * _ELEVATION_RAD, _DISTANCE ** key[1], np.zeros(3))
+            view = looking_down(np.pi, key[0] * const.ELEVATION_RAD, const.DISTANCE ** key[1], np.zeros(3))
             self._templates = dict(list(self._templates.items())[-3:])
             self._templates[key] = tuple(self._template(pose, view, intrinsics) for pose in self.resting)
         return self._templates[key]
 
     def _template(self, pose: Floats, view: Floats, intrinsics: Array) -> Alternative:
-        size = (int(2.0 * intrinsics[2] / _SHRUNK) + 1, int(2.0 * intrinsics[3] / _SHRUNK) + 1)
-        seen, lens = invert(view) @ pose, intrinsics / _SHRUNK
+        size = (
+            int(2.0 * intrinsics[2] / const.TEMPLATE_SHRUNK) + 1,
+            int(2.0 * intrinsics[3] / const.TEMPLATE_SHRUNK) + 1,
+        )
+        seen, lens = invert(view) @ pose, intrinsics / const.TEMPLATE_SHRUNK
         renderer = self.renderer
         layer = None if renderer.shape.convex else renderer.layer(seen, lens, size)
         controls = controls_of(renderer.shape, seen, lens, size, layer)
         count = len(controls.points)
-        few = only(controls, np.arange(0, count, max(1, -(-count // POINTS))))
+        few = only(controls, np.arange(0, count, max(1, -(-count // const.TEMPLATE_POINTS))))
         return {"pose": pose, "controls": few.sent(few.visible.astype(np.float32)), "kept": False}
 
 
 def resting_poses(shape: Shape) -> list[Floats]:
     """Poses (place_from_object) of a body that stands at a place, turned about the vertical; those that look alike
     once."""
-    corners = shape.vertices if len(shape.vertices) <= _CORNERS else support_points(shape.vertices, _CORNERS)
+    corners = (
+        shape.vertices
+        if len(shape.vertices) <= const.HULL_CORNERS
+        else support_points(shape.vertices, const.HULL_CORNERS)
+    )
     diameter = float(np.linalg.norm(np.ptp(corners, axis=0)))
     kept: list[Floats] = []
     seen = np.zeros((0, *corners.shape))
@@ -80,11 +73,11 @@ def resting_poses(shape: Shape) -> list[Floats]:
         upright = _turned_down(down)
         low, high = (corners @ upright.T).min(axis=0), (corners @ upright.T).max(axis=0)
         standing = make_pose(upright, -np.array([*(low + high)[:2] / 2.0, low[2]]))
-        for turn in np.arange(YAWS) * 2.0 * np.pi / YAWS:
+        for turn in np.arange(const.YAWS) * 2.0 * np.pi / const.YAWS:
             pose = make_pose(exp_so3(np.array([0.0, 0.0, turn])), np.zeros(3)) @ standing
             placed = transform(pose, corners)
             apart = np.linalg.norm(seen[:, :, None] - placed[None, None], axis=-1).min(axis=1).max(axis=1)
-            if (apart > _ALIKE * diameter).all():
+            if (apart > const.SAME_POSE * diameter).all():
                 kept.append(pose)
                 seen = np.concatenate((seen, placed[None]))
     return kept
@@ -100,13 +93,13 @@ def stable_faces(corners: Floats, centre: Floats) -> list[Floats]:
     flat = areas > 1e-4 * diameter**2
     normals = normals[flat] / areas[flat, None]
     heights = np.einsum("tk,nk->tn", normals, corners) - np.einsum("tk,tk->t", normals, trios[flat, 0])[:, None]
-    below, above = heights.max(axis=1) < 0.5 * _FLAT * diameter, heights.min(axis=1) > -0.5 * _FLAT * diameter
+    below, above = heights.max(axis=1) < 0.5 * const.FLAT * diameter, heights.min(axis=1) > -0.5 * const.FLAT * diameter
     outward = np.concatenate((normals[below], -normals[above]))
     faces: list[Floats] = []
     for down in outward[np.argsort((outward @ corners.T).max(axis=1) - outward @ centre, kind="stable")]:
-        if any(float(down @ other) > 0.999 for other in faces) or len(faces) == _MOST_FACES:
+        if any(float(down @ other) > 0.999 for other in faces) or len(faces) == const.MOST_FACES:
             continue
-        if _steadiness(corners, centre, down, _FLAT * diameter) > _STEADY * diameter:
+        if _steadiness(corners, centre, down, const.FLAT * diameter) > const.STEADY * diameter:
             faces.append(down)
     return faces
 
@@ -118,15 +111,17 @@ def places_on(
     (world_from_camera; fx, fy, cx, cy in pixels; (w, h) of the image) sees of it. outline: (k, 2) the corners of the
     part of it that is meant, m; None for all of it. most: places, about; turn: others give other places, between
     those."""
-    step = max(STEP_PX, int(np.sqrt(size[0] * size[1] / max(most, 1))))
-    across, down = (np.arange(step * (turn * part % 1.0), end, step) for part, end in zip(_PHASES, size, strict=True))
+    step = max(const.STEP_PX, int(np.sqrt(size[0] * size[1] / max(most, 1))))
+    across, down = (
+        np.arange(step * (turn * part % 1.0), end, step) for part, end in zip(const.PHASES, size, strict=True)
+    )
     pixels = np.stack(np.meshgrid(across, down), axis=-1).reshape(-1, 2)
     directions = rays(pixels, intrinsics) @ camera[:3, :3].T
     drop = camera[2, 3] - height
     middle = camera[2, 2]
     below = directions[:, 2] < -1e-3
     reach = np.where(below, drop / np.maximum(-directions[:, 2], 1e-3), np.inf)
-    farthest = _FARTHEST * drop / -middle if middle < -1e-3 else np.inf
+    farthest = const.FARTHEST * drop / -middle if middle < -1e-3 else np.inf
     points = (camera[:3, 3] + reach[:, None] * directions)[below & (reach > 0.0) & (reach < farthest)]
     if outline is not None and len(points):
         hull = cv2.convexHull(outline.astype(np.float32))
@@ -154,16 +149,18 @@ def places_seen(
     """Places (n, 4, 4) on planes of those heights all over the image, and on what stands there, as for `places_on`;
     tops: of each body that carries things, (k, 3) the corners of its upper face, world's frame; templates: how many
     poses are tried at each place."""
-    most = _BUDGET // max(templates * len(heights), 1)
+    most = const.BUDGET // max(templates * len(heights), 1)
     planes = [places_on(camera, intrinsics, size, height, None, most, turn) for height in heights]
-    above = [places_on(camera, intrinsics, size, float(top[:, 2].max()), top[:, :2], _BUDGET, turn) for top in tops]
+    above = [
+        places_on(camera, intrinsics, size, float(top[:, 2].max()), top[:, :2], const.BUDGET, turn) for top in tops
+    ]
     return np.concatenate((*planes, *above))
 
 
 def top_of(corners: Floats) -> Floats:
     """Those (k, 3) of a body's corners (n, 3), world's frame, that lie as high as the highest; none where they are no
     face."""
-    top = corners[corners[:, 2] > corners[:, 2].max() - _LEVEL_M]
+    top = corners[corners[:, 2] > corners[:, 2].max() - const.LEVEL_M]
     spread = np.ptp(top[:, :2], axis=0) if len(top) > 2 else np.zeros(2)
     found: Floats = top if spread.min() > 0.01 else top[:0]
     return found

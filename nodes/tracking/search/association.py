@@ -12,14 +12,13 @@ from typing import NamedTuple
 
 import numpy as np
 
-from hierax.nodes.tracking.constants import AT_REST, LEAST_SHOWN
+from hierax.nodes.tracking import constants as const
 from hierax.nodes.tracking.estimation.alignment import Aligned, offsets_at
 from hierax.nodes.tracking.estimation.appearance import measured, moved, remembered, sought
 from hierax.nodes.tracking.estimation.bending import bent_after
 from hierax.nodes.tracking.estimation.certainty import right
-from hierax.nodes.tracking.estimation.fusion import SURPRISED, Prior
+from hierax.nodes.tracking.estimation.fusion import Prior
 from hierax.nodes.tracking.estimation.joint_alignment import (
-    FAMILIAR_MOTION_SCALE,
     Explained,
     Task,
     explained,
@@ -39,15 +38,6 @@ from hierax.nodes.tracking.search.imprecision import with_models_judged
 from hierax.nodes.tracking.search.multistart import Found, Looking, in_turn
 from hierax.nodes.tracking.search.reacquisition import look_elsewhere
 
-_SEARCHED_AT_ONCE = 3
-_SURE_SEEN = 0.9
-_LEARNED_SCORE = 0.6  # with a lower score an object tells nothing of its looks
-# What is predicted to move less than this from one image to the next, and is as calm, tells where its edges are off: by
-# its shadows. Of what moves, the prediction is, and an edge that comes into view would soon not be trusted.
-_STILL_M, _STILL_RAD = 0.0005, 0.002
-
-_FOUND_PX = 1.0
-
 
 class Options(NamedTuple):
     """How far things go."""
@@ -56,7 +46,7 @@ class Options(NamedTuple):
     # each
     motion: Floats
     sure_score: float  # an object that scores less is also looked for farther away
-    certain_score: float = 0.95  # so is one that was found again just now and scores less than this
+    certain_score: float = const.CERTAIN_SCORE  # so is one that was found again just now and scores less than this
     falling: Floats | None = None  # as `motion`, falling over included; None: the same
     # standard deviation of where edges are beside their models', m; None: each model's is learned
     tolerance: float | None = None
@@ -111,7 +101,7 @@ def associate(
     found, judged = with_models_judged(task, best, objects, found, options.tolerance)
     doubtful = _doubtful(found, objects, options) if judged else doubtful
     searched = sorted((at for at in doubtful if in_turn(objects[at])), key=lambda at: objects[at]["failed_searches"])
-    searched = sorted(searched[:_SEARCHED_AT_ONCE])
+    searched = sorted(searched[: const.SEARCHED_AT_ONCE])
     if searched:
         falling = np.broadcast_to(options.motion if options.falling is None else options.falling, (len(objects), 6, 6))
         elsewhere = look_elsewhere(Looking(task, objects, shift, falling), found, searched)
@@ -148,7 +138,7 @@ def _if_expected(after: Found, before: Found, prior: Prior, expected: Floats) ->
     away = log_many(invert_many(expected) @ after.poses)
     both = spread + after.covariance
     squares = np.einsum("mi,mi->m", away, solved(both, away[..., None])[..., 0])
-    same = after.elsewhere & (squares < 6.0 * SURPRISED**2) & (prior.motion_scale < FAMILIAR_MOTION_SCALE)
+    same = after.elsewhere & (squares < 6.0 * const.SURPRISED**2) & (prior.motion_scale < const.FREEDOM)
     if not same.any():
         return after
     known, seen = inverse(spread), inverse(after.covariance)
@@ -184,7 +174,7 @@ def _doubtful(found: Found, objects: Sequence[TrackedObject], options: Options) 
 def _is_doubtful(found: Found, at: int, item: TrackedObject, options: Options) -> bool:
     if item["others"]:
         return True
-    if found.shown[at] < LEAST_SHOWN:
+    if found.shown[at] < const.LEAST_SHOWN:
         return False
     enough = options.certain_score if item["probation"] else options.sure_score
     return bool(found.scores[at] < enough or (found.motion_scale[at] == 1.0 and item["motion_scale"] < 1.0))
@@ -192,8 +182,8 @@ def _is_doubtful(found: Found, at: int, item: TrackedObject, options: Options) -
 
 def _is_still(item: TrackedObject, motion_scale: float) -> bool:
     motion = motion_of(item)
-    slow = np.linalg.norm(motion[:3]) < _STILL_M and np.linalg.norm(motion[3:]) < _STILL_RAD
-    return bool(slow and motion_scale < AT_REST)
+    slow = np.linalg.norm(motion[:3]) < const.STILL_M and np.linalg.norm(motion[3:]) < const.STILL_RAD
+    return bool(slow and motion_scale < const.AT_REST)
 
 
 def _learned(
@@ -206,20 +196,20 @@ def _learned(
 ) -> list[Looks]:
     """What is remembered of the looks of those objects that are surely where they were expected."""
     controls, profiles = aligned.stage.controls, aligned.stage.profiles
-    seen = controls.visible > _SURE_SEEN
+    seen = controls.visible > const.SURE_SEEN
     sure = aligned.supported & seen
     offsets = offsets_at(aligned, found.poses, task.intrinsics)
     places = controls.slots[:, 0]
     learned = []
     for at, item in enumerate(objects):
         known = judged.get(at, {**item["slots"], "judged": max(0, item["slots"]["judged"] - 1)})
-        if at in doubtful or found.scores[at] < _LEARNED_SCORE or (at in judged and known["tolerance"]):
+        if at in doubtful or found.scores[at] < const.LEARNED_SCORE or (at in judged and known["tolerance"]):
             learned.append(known)
             continue
         known = bent_after(known, aligned, at, found.poses[at], task.intrinsics)
         chosen = np.nonzero(sure & (controls.owners == at))[0]
         every = np.nonzero(seen & (controls.owners == at))[0]
-        near = sure[every] & (np.abs(offsets[every] - aligned.off[every]) < _FOUND_PX)
+        near = sure[every] & (np.abs(offsets[every] - aligned.off[every]) < const.FOUND_PX)
         known = sought(known, places[every], near)
         columns = aligned.matches.columns[chosen]
         colours = np.stack((profiles.inside[chosen, columns], profiles.outside[chosen, columns]), axis=1)

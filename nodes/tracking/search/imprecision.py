@@ -11,21 +11,15 @@ from typing import NamedTuple
 
 import numpy as np
 
+from hierax.nodes.tracking import constants as const
 from hierax.nodes.tracking.estimation.alignment import Aligned, Start, align
 from hierax.nodes.tracking.estimation.bending import bent_after
 from hierax.nodes.tracking.estimation.joint_alignment import Explained, Task
 from hierax.nodes.tracking.estimation.likelihood import explains
 from hierax.nodes.tracking.estimation.stages import Search
-from hierax.nodes.tracking.imagery.edges import POINTS_MAX
 from hierax.nodes.tracking.math.batched import exp_many, inverse, invert_many, log_many, only
 from hierax.nodes.tracking.schema import LOST, Looks, TrackedObject
 from hierax.nodes.tracking.search.multistart import Found, squared
-
-TOLERANCES_M = (0.0, 0.0007, 0.002)  # standard deviations of where edges may be beside a model's
-_LEAST_SHOWN = 30.0  # control points that should be seen of an object whose model is judged
-_DOING_WELL = 0.85  # score of an exact model that is not judged again
-_IMAGES = 15  # how often one that does not do so well is
-_RATHER = 2.5  # nats by which a model is rather imprecise than exact, before any image of it
 
 
 class _Tried(NamedTuple):
@@ -50,9 +44,9 @@ def with_models_judged(
     asked = [
         at
         for at, item in enumerate(objects)
-        if found.shown[at] >= _LEAST_SHOWN and _is_asked(item, found.scores[at], given)
+        if found.shown[at] >= const.LEAST_JUDGED and _is_asked(item, found.scores[at], given)
     ]
-    tolerances = TOLERANCES_M if given is None else (given,)
+    tolerances = const.TOLERANCES_M if given is None else (given,)
     if not asked or tolerances == (0.0,):
         return found, {at: {**objects[at]["slots"], "tolerance": 0.0} for at in asked}
     tried: dict[int, list[_Tried]] = {at: [] for at in asked}
@@ -71,10 +65,10 @@ def with_models_judged(
                 tried[at].append(_Tried(float(worth[number]), float(nats[number]), tolerance, aligned, number))
     after, looks = found.copied(), {}
     for at, alternatives in tried.items():
-        first = max(alternatives, key=lambda each: each.worth + _RATHER * (each.tolerance > 0.0), default=None)
+        first = max(alternatives, key=lambda each: each.worth + const.RATHER * (each.tolerance > 0.0), default=None)
         if first is None or (first.worth < 0.0 and given is None):
             continue
-        known: Looks = {**objects[at]["slots"], "tolerance": first.tolerance, "judged": _IMAGES}
+        known: Looks = {**objects[at]["slots"], "tolerance": first.tolerance, "judged": const.JUDGED_EVERY}
         if first.tolerance > 0.0:
             pose, blocks = first.aligned.poses[first.at], first.aligned.blocks[first.at, 6:, 6:]
             after.poses[at], after.covariance[at] = pose, inverse(start.information[at] + blocks)
@@ -95,13 +89,13 @@ def _is_asked(item: TrackedObject, score: float, given: float | None) -> bool:
         return False
     if looks["tolerance"] is None:
         return True
-    return given is None and looks["tolerance"] == 0.0 and score < _DOING_WELL and looks["judged"] == 0
+    return given is None and looks["tolerance"] == 0.0 and score < const.DOING_WELL and looks["judged"] == 0
 
 
 def _aligned(task: Task, loose: Sequence[tuple[int, float]], start: Start) -> Aligned | None:
     """Some objects, each alone, with models that are as imprecise as that: all of them at once."""
     asked = [at for at, _ in loose]
-    places = task.controls.rows_of(asked, POINTS_MAX)
+    places = task.controls.rows_of(asked, const.POINTS_MAX)
     memory = only(task.memory, np.concatenate(places))
     variances = np.repeat([tolerance**2 for _, tolerance in loose], [len(rows) for rows in places])
     memory = memory._replace(slack=variances[:, None, None] * np.eye(3))

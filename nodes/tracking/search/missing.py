@@ -13,38 +13,21 @@ from typing import NamedTuple
 
 import numpy as np
 
+from hierax.nodes.tracking import constants as const
 from hierax.nodes.tracking.estimation.alignment import Aligned, Start, align
 from hierax.nodes.tracking.estimation.bending import memory_of
 from hierax.nodes.tracking.estimation.likelihood import explains, painted
 from hierax.nodes.tracking.estimation.profiles import Image
 from hierax.nodes.tracking.estimation.stages import Search
-from hierax.nodes.tracking.imagery.edges import POINTS_MAX
 from hierax.nodes.tracking.math.batched import inverse, invert_many, log_many, only, pixels_of
 from hierax.nodes.tracking.math.geometry import NO_POSES, Array, Floats, transform
 from hierax.nodes.tracking.model.controls import gathered
 from hierax.nodes.tracking.model.symmetry import alike
 from hierax.nodes.tracking.schema import TRACKED, Alternative, ControlPoints, Looks, Sweep, TrackedObject
-from hierax.nodes.tracking.search.multistart import FINE, LEAST_FOUND, ROUGH, ROUGH_POINTS, held, squared
+from hierax.nodes.tracking.search.multistart import FINE, ROUGH, held, squared
 from hierax.nodes.tracking.search.reacquisition import different
 from hierax.nodes.tracking.search.sweep import Maps, maps_of, stands_out, swept
 from hierax.nodes.tracking.search.together import Judged, Together, carriers_of, conflicts_of, is_in, look_alike
-
-_FRESH, _OLD = 4, 3  # guesses of a sweep, and of those that were judged, that go up
-# By so much a pose has to explain the image better than clutter does: of the tens of thousands that were tried (e to
-# the 11th) it is then right with odds of 20 to 1 at least, of 3000 to 1 where fewer of its control points are found.
-_LEAST_NATS, _SURE_NATS = 14.0, 19.0
-_SURE_SCORE = 0.75
-# And by so much better than any other choice, nats, of which so many have to be its edges', and with so many control
-# points in sight: on generator A (tower, hidden 0, low contrast 0) right ones have at least 7.5, 8.2 and 52.
-_CLEARLY, _LEAST_EDGES, _LEAST_IN_SIGHT = 6.0, 8.0, 40.0
-_SWEEPS = 3  # so often all that are missing have to be looked for before one is believed
-_LEAST_SCORE = 0.6
-_RIVALS = 8  # so many missing objects are chosen for together at most
-
-# How far a pose in which a body rests may be off (standard deviations), and of that upwards, and about level axes: by
-# the camera's error.
-_OFF = np.diag([0.012**2] * 3 + [0.12**2] * 3)
-_UPWARDS, _TILTING = 0.25, 0.15
 
 
 class Sighting(NamedTuple):
@@ -118,7 +101,7 @@ class _Search(NamedTuple):
         chosen = every.of(places)
         memory = memory_of(looks, every, self.image.shape[2])
         supports = poses[:, :3, :3].transpose(0, 2, 1) @ self.level[:3]
-        off = np.stack([held(_OFF, support, _UPWARDS, _TILTING) for support in supports])
+        off = np.stack([held(const.RESTING_OFF, support, const.OFF_UPWARDS, const.OFF_TILTING) for support in supports])
         off[:, :3, :3] += rough_m**2 * np.einsum("ni,nj->nij", supports, supports)
         information = inverse(off)
         rows = only(memory, np.concatenate(places))
@@ -138,7 +121,7 @@ def _judged(
         return None
     controls = [other["controls"] for _, other in rows]
     looks = [objects[at]["slots"] for at, _ in rows]
-    found = search.aligned(controls, looks, np.stack([other["pose"] for _, other in rows]), FINE, POINTS_MAX)
+    found = search.aligned(controls, looks, np.stack([other["pose"] for _, other in rows]), FINE, const.POINTS_MAX)
     if found is None:
         return None
     fine, unlikely, covariance = found
@@ -159,13 +142,13 @@ def _decided(
     placed = [_placed(item) for at, item in enumerate(objects) if item["status"] == TRACKED and at not in recent]
     staying = [each for each in placed if each is not None]
     free = [not any(is_in(fine.poses[row], judged.boxes[row], *each) for each in staying) for row in range(len(worth))]
-    possible = np.array(free) & (fine.scores >= _LEAST_SCORE) & (fine.shown >= LEAST_FOUND)
+    possible = np.array(free) & (fine.scores >= const.LEARNED_SCORE) & (fine.shown >= const.LEAST_FOUND)
     ranked: dict[int, list[int]] = {}
     for at in missing:
         own = np.nonzero((judged.owners == at) & possible)[0]
-        ranked[at] = different(fine.poses, own[np.argsort(-worth[own], kind="stable")])[: _OLD + 1]
-    first = sorted(missing, key=lambda at: -max(worth[ranked[at]], default=-np.inf))[:_RIVALS]
-    least = np.where(fine.scores > _SURE_SCORE, _LEAST_NATS, _SURE_NATS)
+        ranked[at] = different(fine.poses, own[np.argsort(-worth[own], kind="stable")])[: const.OLD + 1]
+    first = sorted(missing, key=lambda at: -max(worth[ranked[at]], default=-np.inf))[: const.RIVALS]
+    least = np.where(fine.scores > const.SURE_SCORE, const.LEAST_NATS, const.SURE_NATS)
     options = {at: np.nonzero(judged.owners == at)[0].tolist() for at in recent}
     options |= {at: [row for row in ranked[at] if worth[row] > least[row]] for at in first}
     rows = [row for own in options.values() for row in own]
@@ -174,14 +157,19 @@ def _decided(
         options, np.maximum(worth, 1.0), conflicts_of(judged, rows), carriers, len(missing) + len(recent)
     )
     best, chosen = together.best(())
-    ready = all(objects[at]["failed_searches"] >= _SWEEPS for at in missing)
+    ready = all(objects[at]["failed_searches"] >= const.SWEEPS_FIRST for at in missing)
     found = {at: Sighting(NO_POSES) for at in recent if options[at] and at not in chosen and ready}
     for at in missing:
         row = chosen.get(at)
-        sure = row is not None and ready and judged.nats[row] > _LEAST_EDGES and fine.shown[row] > _LEAST_IN_SIGHT
+        sure = (
+            row is not None
+            and ready
+            and judged.nats[row] > const.LEAST_EDGES
+            and fine.shown[row] > const.LEAST_IN_SIGHT
+        )
         if row is not None and sure:
-            sure = best - together.best(look_alike(judged, row, options[at]))[0] > _CLEARLY
-        kept = [other for other in ranked[at] if other != row or not sure][:_OLD]
+            sure = best - together.best(look_alike(judged, row, options[at]))[0] > const.CLEAR_NATS
+        kept = [other for other in ranked[at] if other != row or not sure][: const.OLD]
         guesses = fine.poses[kept] if kept else NO_POSES
         found[at] = Sighting(guesses)
         if row is not None and sure:
@@ -218,10 +206,12 @@ def _fresh(search: _Search, maps: Maps, looks: Looks, sweep: Sweep) -> Floats:
         return NO_POSES
     proposed = swept(maps, sweep, search.intrinsics)
     controls = [sweep["templates"][number]["controls"] for number in proposed.templates]
-    found = search.aligned(controls, [looks] * len(controls), proposed.poses, ROUGH, ROUGH_POINTS, sweep["rough_m"])
+    found = search.aligned(
+        controls, [looks] * len(controls), proposed.poses, ROUGH, const.ROUGH_POINTS, sweep["rough_m"]
+    )
     if found is None:
         return NO_POSES
     rough, unlikely, _ = found
     worth = explains(rough) - unlikely
-    best = different(rough.poses, np.argsort(-worth, kind="stable"))[:_FRESH]
+    best = different(rough.poses, np.argsort(-worth, kind="stable"))[: const.FRESH]
     return np.asarray(rough.poses[best])

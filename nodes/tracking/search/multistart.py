@@ -13,13 +13,12 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from hierax.nodes.tracking.constants import LESS
+from hierax.nodes.tracking import constants as const
 from hierax.nodes.tracking.estimation.alignment import Aligned, Start, align
 from hierax.nodes.tracking.estimation.joint_alignment import Task
 from hierax.nodes.tracking.estimation.likelihood import explains
 from hierax.nodes.tracking.estimation.stages import Search
 from hierax.nodes.tracking.estimation.tracked import motion_of
-from hierax.nodes.tracking.imagery.edges import POINTS_MAX
 from hierax.nodes.tracking.math.batched import exp_many, inverse, invert_many, log_many, only
 from hierax.nodes.tracking.math.geometry import Array, Floats
 from hierax.nodes.tracking.model.controls import Indices
@@ -27,50 +26,16 @@ from hierax.nodes.tracking.model.symmetry import LEVER_M, alike
 from hierax.nodes.tracking.schema import TRACKED, TrackedObject
 
 ROUGH = Search(
-    reach_px=(20,), scale_px=((20.0, 6.0),), iterations=5, fine_px=(4.0, 4.0), fine_iterations=1, support_px=3.0
+    const.ROUGH_REACH_PX,
+    const.ROUGH_SCALE_PX,
+    const.TRY_ITERATIONS,
+    const.ROUGH_LAST_PX,
+    const.ROUGH_LAST_ITERATIONS,
+    support_px=const.ROUGH_SUPPORT_PX,
 )
-FINE = Search(reach_px=(10, 5), scale_px=((10.0, 4.0), (4.0, 1.0)), iterations=5)
-_FIRST = ROUGH._replace(iterations=3)
-_NEAR = Search(reach_px=(8,), scale_px=((8.0, 1.0),), iterations=7)  # the best of many starts are nearer
-# How many of an object's starts are aligned finely, and with how many of its control points all are roughly.
-_KEPT = 4
-ROUGH_POINTS = 40
-_FEW_POINTS = 16  # the same of an object's many starts about where it was expected: that takes longest of all
-
-_BETTER = 0.03  # by so much of its control points another explanation must be better than the expected one
-LEAST_FOUND = 18.0  # where fewer of its control points should be seen, an object is not found
-
-# So large a share of the control points (that support the expected explanation, or that should be seen) must speak for
-# another one beyond that, however unlikely it was before.
-UNLIKELIEST = 0.25
-
-# Such a share speaks against one that lies within a push, or a fall, of the expected one, besides its distance; the
-# second where an image of a still camera supports the expected one suddenly less.
-_EVENT, _EVENT_SEEN = 0.18, 0.08
-
-# An object that the image supports by that score where it was expected is not farther away than a push can have moved
-# it (one of which no image has told yet: than its first pose can be off): the square of the distance, in standard
-# deviations.
-_SUPPORTED = 0.35
-_REACH = 36.0
-
-_MUCH = 0.12  # unless the image supports it there by so large a share of its control points more
-_FARTHER = (1.0, 0.0, 0.5, 1.5, 2.0)
-_AROUND = np.random.default_rng(1).normal(size=(4, 24, 6))
-# Of an object whose place is that uncertain, so many standard deviations are tried in two directions.
-_VAGUE_M = 0.015
-_GRID = np.stack(np.meshgrid(np.linspace(-1.5, 1.5, 7), np.linspace(-1.5, 1.5, 7)), axis=-1).reshape(-1, 2)
-
-# An object that was not found elsewhere in `_FAILED_AT_ONCE` images in a row is from then on looked for in one image of
-# every `_FAILED_EVERY`.
-_FAILED_AT_ONCE = 5
-_FAILED_EVERY = 8
-
-# How much farther an object may be that was looked for without success, or that was found again just now (m², rad²).
-_ASTRAY = np.diag([0.01**2] * 3 + [0.3**2] * 3)
-
-# Of what its motion may change in a frame, what falls over rises or sinks by so much: by less than it slides.
-FALLING = 0.3
+FINE = Search(const.FINE_REACH_PX, const.FINE_SCALE_PX, const.TRY_ITERATIONS)
+_FIRST = ROUGH._replace(iterations=const.FIRST_ITERATIONS)
+_NEAR = Search(const.CALM_REACH_PX, const.CALM_SCALE_PX, const.CALM_ITERATIONS)  # the best of many starts are nearer
 
 
 def held(motion: Floats, support: Floats, upwards: float, tilting: float) -> Floats:
@@ -137,7 +102,7 @@ def search_elsewhere(looking: Looking, found: Found, doubtful: Sequence[int]) ->
     pushed = inverse(free._replace(motion_scale=np.where(seen, 1.0, prior.motion_scale)).spread())
     for at in doubtful:
         if _is_astray(objects[at]):
-            spread[at] += held(_ASTRAY, objects[at]["support"], FALLING, 1.0)
+            spread[at] += held(const.ASTRAY, objects[at]["support"], const.FALLING, 1.0)
     tries: list[int] = []
     starts: list[Floats] = []
     for at in doubtful:
@@ -145,13 +110,13 @@ def search_elsewhere(looking: Looking, found: Found, doubtful: Sequence[int]) ->
         starts += own
         tries += [at] * len(own)
     information = inverse(spread)
-    rough = aligned_each(looking.task, tries, Start(np.stack(starts), information[tries]), _FIRST, _FEW_POINTS)
+    rough = aligned_each(looking.task, tries, Start(np.stack(starts), information[tries]), _FIRST, const.FEW_POINTS)
     if rough is None:
         return found
     kept = best_of(rough.gains, np.array(tries), doubtful)
     tries = [tries[number] for number in kept]
     start = Start(rough.poses[kept], information[tries])
-    fine = aligned_each(looking.task, tries, start, _NEAR, POINTS_MAX)
+    fine = aligned_each(looking.task, tries, start, _NEAR, const.POINTS_MAX)
     if fine is None:
         return found
     fine = as_predicted(looking, tries, fine)
@@ -163,12 +128,12 @@ def search_elsewhere(looking: Looking, found: Found, doubtful: Sequence[int]) ->
     # Where something happens to an object the light on it changes, too: then its looks say little.
     found = found._replace(gains=np.where(worse, found.scores * found.shown, found.gains))
     support = (found.scores * found.shown)[tries]
-    event = np.where(worse[tries], _EVENT_SEEN, _EVENT) * support
-    unlikely = np.minimum(0.5 * squares, np.minimum(0.5 * loose + event, UNLIKELIEST * support))
+    event = np.where(worse[tries], const.EVENT_SEEN, const.EVENT) * support
+    unlikely = np.minimum(0.5 * squares, np.minimum(0.5 * loose + event, const.UNLIKELIEST * support))
     worth = np.where(worse[tries], fine.scores * found.shown[tries], fine.gains) - unlikely
-    within_reach = squared(away, pushed[tries]) <= _REACH
-    much_better = seen[tries] & (fine.gains > found.gains[tries] + _MUCH * found.shown[tries])
-    worth[(found.scores[tries] >= _SUPPORTED) & ~within_reach & ~much_better] = -np.inf
+    within_reach = squared(away, pushed[tries]) <= const.PUSH_SQUARED
+    much_better = seen[tries] & (fine.gains > found.gains[tries] + const.MUCH * found.shown[tries])
+    worth[(found.scores[tries] >= const.KEPT_SCORE) & ~within_reach & ~much_better] = -np.inf
     return _chosen(found, tries, start, fine, worth)
 
 
@@ -199,7 +164,7 @@ def best_of(worth: Floats, owners: Array, wanted: Sequence[int]) -> Indices:
     best = []
     for at in wanted:
         own = np.nonzero(owners == at)[0]
-        best.append(own[np.argsort(-worth[own], kind="stable")[:_KEPT]])
+        best.append(own[np.argsort(-worth[own], kind="stable")[: const.TRIES_KEPT]])
     return np.sort(np.concatenate(best))
 
 
@@ -217,7 +182,7 @@ def squared(away: Floats, information: Floats) -> Floats:
 def _chosen(found: Found, tries: Sequence[int], start: Start, fine: Aligned, worth: Floats) -> Found:
     after, nats = found.copied(), explains(fine)
     for number, at in enumerate(tries):
-        if fine.shown[number] < LEAST_FOUND or worth[number] <= after.gains[at] + _BETTER * found.shown[at]:
+        if fine.shown[number] < const.LEAST_FOUND or worth[number] <= after.gains[at] + const.BETTER * found.shown[at]:
             continue
         after.put(at, fine.poses[number], inverse(start.information[number] + fine.blocks[number, 6:, 6:]))
         after.scores[at], after.gains[at], after.nats[at] = fine.scores[number], worth[number], nats[number]
@@ -227,25 +192,25 @@ def _chosen(found: Found, tries: Sequence[int], start: Start, fine: Aligned, wor
 def in_turn(item: TrackedObject) -> bool:
     """Whether an object is looked for in this image: at once, but when that was without success, only now and then."""
     failed_searches = int(item["failed_searches"])
-    return failed_searches < _FAILED_AT_ONCE or (failed_searches + int(item["id"])) % _FAILED_EVERY == 0
+    return failed_searches < const.FAILED_AT_ONCE or (failed_searches + int(item["id"])) % const.FAILED_EVERY == 0
 
 
 def _is_worse(score: float, item: TrackedObject) -> bool:
-    return bool(item["status"] == TRACKED and score < LESS * item["score"])
+    return bool(item["status"] == TRACKED and score < const.LESS * item["score"])
 
 
 def _is_astray(item: TrackedObject) -> bool:
-    return bool(item["failed_searches"] >= _FAILED_AT_ONCE or item["probation"] > 0)
+    return bool(item["failed_searches"] >= const.FAILED_AT_ONCE or item["probation"] > 0)
 
 
 def _starts(item: TrackedObject, shift: Floats, spread: Floats) -> list[Floats]:
     """Where an object may be: on its way from where it was, and around where it was expected."""
     motion = motion_of(item)
-    moves = np.array([1.0] if np.linalg.norm(motion) < 1e-4 else _FARTHER)
+    moves = np.array([1.0] if np.linalg.norm(motion) < 1e-4 else const.FARTHER)
     ways = [shift @ item["before"] @ way for way in exp_many(moves[:, None] * motion)]
-    turn = (int(item["failed_searches"]) + int(item["id"])) // _FAILED_EVERY
-    around = _AROUND[turn % len(_AROUND)] @ np.linalg.cholesky(spread).T
-    if float(np.trace(spread[:3, :3])) > _VAGUE_M**2:
+    turn = (int(item["failed_searches"]) + int(item["id"])) // const.FAILED_EVERY
+    around = const.AROUND[turn % len(const.AROUND)] @ np.linalg.cholesky(spread).T
+    if float(np.trace(spread[:3, :3])) > const.GRID_M**2:
         around = np.concatenate((around, _across(spread)))
     return ways + [shift @ item["pose"] @ near for near in exp_many(around)]
 
@@ -256,5 +221,5 @@ def _across(spread: Floats) -> Floats:
     scaled = spread * np.outer(scale, scale)
     _, vectors = np.linalg.eigh(scaled)
     variances = np.einsum("ik,ij,jk->k", vectors, scaled, vectors)
-    grid: Floats = _GRID @ (vectors * np.sqrt(np.maximum(variances, 0.0)))[:, -2:].T / scale
+    grid: Floats = const.GRID @ (vectors * np.sqrt(np.maximum(variances, 0.0)))[:, -2:].T / scale
     return grid

@@ -12,24 +12,20 @@ from typing import NamedTuple
 
 import numpy as np
 
-from hierax.nodes.tracking.constants import PARALLEL, STRANGE_WEIGHT
+from hierax.nodes.tracking import constants as const
 from hierax.nodes.tracking.estimation.alignment import Aligned, Start
 from hierax.nodes.tracking.estimation.bending import memory_of
 from hierax.nodes.tracking.estimation.joint_alignment import Task
 from hierax.nodes.tracking.estimation.likelihood import explains
 from hierax.nodes.tracking.estimation.profiles import lines_of
 from hierax.nodes.tracking.estimation.stages import Search
-from hierax.nodes.tracking.imagery.edges import POINTS_MAX
 from hierax.nodes.tracking.math.batched import inverse, invert_many, joined, log_many, only, summed, tukey
 from hierax.nodes.tracking.math.geometry import NO_POSES, Array, Floats
 from hierax.nodes.tracking.model.controls import Indices, gathered
 from hierax.nodes.tracking.schema import TRACKED, ControlPoints
 from hierax.nodes.tracking.search.multistart import (
     FINE,
-    LEAST_FOUND,
     ROUGH,
-    ROUGH_POINTS,
-    UNLIKELIEST,
     Found,
     Looking,
     aligned_each,
@@ -39,29 +35,6 @@ from hierax.nodes.tracking.search.multistart import (
     search_elsewhere,
     squared,
 )
-
-GUESSES = 3  # so many candidates of an object are kept from one image to the next
-# What a control point speaks for a pose by chance: what is seen where it should be speaks for a pose, what is not,
-# against it.
-_CHANCE = 0.5
-
-_FAMILIAR = 0.3  # what one that looks as it is remembered speaks for it besides
-
-_CLEARLY = 1.5  # by so many control points a candidate must be better than any that differs from it
-
-# A candidate with this score, and `LEAST_FOUND` control points that are no other object's edges, may be the object.
-_FOUND_SCORE = 0.7
-
-# What is surely seen of an object with this score claims what the image shows so near to it, in that direction.
-_SEEN = 0.5
-_SUPPORTED = 0.5
-_CLAIM_PX = 2.5
-_CLAIM_ALONG_PX = 4.0
-
-_NEAR_PX = 3.0
-
-_APART_M = 0.008
-_APART_RAD = 0.14
 
 
 class _Candidates(NamedTuple):
@@ -99,19 +72,19 @@ def find_again(looking: Looking, found: Found, sought: Sequence[int]) -> Found:
         return aligned_each(imagined, which.views.tolist(), start, search, most)
 
     fresh = only(candidates, ~candidates.settled)
-    rough = aligned(fresh, ROUGH, ROUGH_POINTS) if len(fresh.owners) else None
+    rough = aligned(fresh, ROUGH, const.ROUGH_POINTS) if len(fresh.owners) else None
     if rough is not None:
-        best = best_of(rough.gains - _CHANCE * rough.shown, fresh.owners, sought)
+        best = best_of(rough.gains - const.CHANCE * rough.shown, fresh.owners, sought)
         fresh = only(fresh._replace(starts=rough.poses), best)
     candidates = joined((only(candidates, candidates.settled), fresh))
-    fine = aligned(candidates, FINE, POINTS_MAX)
+    fine = aligned(candidates, FINE, const.POINTS_MAX)
     if fine is None:
         return found
     fine = as_predicted(looking, candidates.owners.tolist(), fine)
     away = away_by(looking, candidates.owners.tolist(), fine.poses)
     evidence, shown = _evidence(looking, found, fine, candidates)
-    worth = evidence - np.minimum(0.5 * squared(away, information[candidates.owners]), UNLIKELIEST * shown)
-    eligible = (fine.scores >= _FOUND_SCORE) & (shown >= LEAST_FOUND)
+    worth = evidence - np.minimum(0.5 * squared(away, information[candidates.owners]), const.UNLIKELIEST * shown)
+    eligible = (fine.scores >= const.FOUND_SCORE) & (shown >= const.LEAST_FOUND)
     tracked = np.array([item["status"] == TRACKED for item in objects])
     return _chosen(found, candidates, fine, worth, eligible, information, sought, tracked)
 
@@ -142,25 +115,27 @@ def _evidence(looking: Looking, found: Found, fine: Aligned, candidates: _Candid
     """(n,) how much the image speaks for each candidate, in control points, and how many of those are its own."""
     stage, matches, count = fine.stage, fine.matches, len(candidates.owners)
     numbers = stage.controls.owners
-    gain = tukey(matches.pixels, _NEAR_PX) * np.exp(-STRANGE_WEIGHT * matches.strange) - _CHANCE
+    gain = (
+        tukey(matches.pixels, 2.0 * const.SUPPORT_PX) * np.exp(-const.STRANGE_WEIGHT * matches.strange) - const.CHANCE
+    )
     known = (stage.memory.precision > 0).any(axis=1) & fine.supported & (matches.strange < 1.0)
     own = stage.controls.visible * ~_claimed(looking, found, fine, candidates.owners[numbers])
-    return summed(numbers, own * (gain + _FAMILIAR * known), count), summed(numbers, own, count)
+    return summed(numbers, own * (gain + const.FAMILIAR * known), count), summed(numbers, own, count)
 
 
 def _claimed(looking: Looking, found: Found, fine: Aligned, owners: Indices) -> Array:
     """(n,) of each line whether what it found in the image is rather an edge of another object that is seen there."""
     task, mine = looking.task, fine.stage.lines
-    chosen = (task.controls.visible > _SEEN) & (found.scores >= _SUPPORTED)[task.controls.owners]
+    chosen = (task.controls.visible > 0.5) & (found.scores >= 0.5)[task.controls.owners]
     lines = lines_of(task.controls, found.poses, task.intrinsics, task.image.shape)
     kept = chosen[lines.rows]
     claims, normals, whose = lines.pixels[kept], lines.normals[kept], task.controls.owners[lines.rows[kept]]
     places = fine.stage.profiles.places[np.arange(len(owners)), fine.matches.columns]
     middle = mine.pixels + np.where(np.isfinite(places), places, 0.0)[:, None] * mine.normals
     away = middle[:, None, :] - claims[None]
-    across = np.abs(np.einsum("nmk,mk->nm", away, normals)) < _CLAIM_PX
-    along = np.abs(away[..., 0] * normals[None, :, 1] - away[..., 1] * normals[None, :, 0]) < _CLAIM_ALONG_PX
-    parallel = np.abs(mine.normals @ normals.T) > PARALLEL
+    across = np.abs(np.einsum("nmk,mk->nm", away, normals)) < const.CLAIM_PX
+    along = np.abs(away[..., 0] * normals[None, :, 1] - away[..., 1] * normals[None, :, 0]) < const.SPACING_PX
+    parallel = np.abs(mine.normals @ normals.T) > const.PARALLEL
     claimed: Array = (across & along & parallel & (owners[:, None] != whose[None])).any(axis=1)
     return claimed
 
@@ -182,15 +157,15 @@ def _chosen(
         ranked = different(fine.poses, own[np.argsort(-worth[own], kind="stable")])
         first = ranked[0]
         second = worth[ranked[1]] if len(ranked) > 1 else -np.inf
-        after.sure[at] = worth[first] > max(second + _CLEARLY, 0.0)
-        rivals = [number for number in ranked[: GUESSES + 1] if worth[number] > 0.0]
+        after.sure[at] = worth[first] > max(second + const.CLEARLY, 0.0)
+        rivals = [number for number in ranked[: const.GUESSES + 1] if worth[number] > 0.0]
         kept = own[candidates.expected[own]][0]
-        known = tracked[at] and worth[first] > worth[kept] + _CLEARLY
+        known = tracked[at] and worth[first] > worth[kept] + const.CLEARLY
         if not candidates.expected[first] and eligible[first] and (known or (not tracked[at] and after.sure[at])):
             after.put(at, fine.poses[first], inverse(information[at] + fine.blocks[first, 6:, 6:]))
             after.scores[at], after.gains[at] = fine.scores[first], fine.gains[first]
             after.shown[at], after.nats[at] = fine.shown[first], nats[first]
-        guesses = [fine.poses[number] for number in rivals[int(after.sure[at]) :][:GUESSES]]
+        guesses = [fine.poses[number] for number in rivals[int(after.sure[at]) :][: const.GUESSES]]
         after.guesses[at] = np.stack(guesses) if guesses else NO_POSES
     return after
 
@@ -201,8 +176,8 @@ def different(poses: Floats, ranked: Indices) -> list[int]:
     for number in ranked:
         if chosen:
             apart = log_many(invert_many(poses[chosen]) @ poses[number])
-            near = np.linalg.norm(apart[:, :3], axis=1) < _APART_M
-            if (near & (np.linalg.norm(apart[:, 3:], axis=1) < _APART_RAD)).any():
+            near = np.linalg.norm(apart[:, :3], axis=1) < const.APART_M
+            if (near & (np.linalg.norm(apart[:, 3:], axis=1) < const.APART_RAD)).any():
                 continue
         chosen.append(int(number))
     return chosen

@@ -15,7 +15,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from hierax.nodes.tracking.estimation.likelihood import ALIKE, FOUND, LEAST_CLUTTER
+from hierax.nodes.tracking import constants as const
 from hierax.nodes.tracking.estimation.profiles import Image, Singles, grey_levels
 from hierax.nodes.tracking.math.batched import only
 from hierax.nodes.tracking.math.geometry import Array, Floats, exp_so3, invert
@@ -23,25 +23,6 @@ from hierax.nodes.tracking.model.controls import CREASE
 from hierax.nodes.tracking.schema import ControlPoints, Sweep
 
 cv2.setNumThreads(1)
-
-_DIRECTIONS = 8
-_SHRUNK = 2  # maps are smaller than the image by this
-_CONTRAST, _SLOPES = 2.0, 2.0  # smallest slope of an edge: grey levels per pixel of a map, medians of the slopes
-_FINE = 16  # parts of a grey level that slopes are compared by
-_NEAR_PX = 1.1  # standard deviation of where an edge is, pixels of a map
-_AROUND_PX = 31  # clutter is counted in windows of that width
-_SOFT_PX = 3  # width of what colours are averaged over, pixels of a map
-_BESIDE_PX = 5.0  # so far beside an edge colours are read
-_SAME = 4.0  # standard deviation of the colours of one face at least, grey levels
-_MOST = 2.0  # nats that a control point says at most
-_CHANCE = 0.5  # and so many it says of clutter
-_CREASE = 0.3  # what faces of one body differ by counts so much
-_EVERY, _SECOND = 3, 8000  # control points that poses are judged by at first, and how many by all of them
-_KEPT, _BEST = 600, 80  # poses that are looked at more closely, and that are given
-_APART_PX, _APART_RAD = 14.0, 0.2  # poses nearer than that, from one to the next, are one
-_TRY_PX, _TRY_RAD = 5.0, 0.09  # steps of the closer look
-_LEAST_LOOKS = 3  # places on a face that tell what it looks like
-_CHUNK = 2048  # poses that are judged at once
 
 
 class Maps(NamedTuple):
@@ -54,7 +35,7 @@ class Maps(NamedTuple):
         """The same where what lies within pixels (n, 2) on the edges of each object that is seen says nothing."""
         seen = np.zeros(self.near.shape[1:], dtype=np.uint8)
         for pixels in outlines:
-            cv2.fillConvexPoly(seen, cv2.convexHull(np.rint((pixels - 0.5) / _SHRUNK).astype(np.int32)), 1)
+            cv2.fillConvexPoly(seen, cv2.convexHull(np.rint((pixels - 0.5) / const.SHRUNK).astype(np.int32)), 1)
         free = (cv2.dilate(seen, np.ones((3, 3), dtype=np.uint8)) == 0).astype(np.float32)
         return Maps(self.near * free, self.colours * free)
 
@@ -69,20 +50,26 @@ class Proposed(NamedTuple):
 
 def maps_of(image: Image) -> Maps:
     """The maps of an image, as `hierax.nodes.tracking.estimation.profiles.smoothed` gives it."""
-    height, width = image.shape[0] // _SHRUNK, image.shape[1] // _SHRUNK
+    height, width = image.shape[0] // const.SHRUNK, image.shape[1] // const.SHRUNK
     light = cv2.resize(image, (width, height), interpolation=cv2.INTER_AREA).reshape(height, width, -1)
     small = grey_levels(light)
-    soft = cv2.blur(small, (_SOFT_PX, _SOFT_PX)).reshape(small.shape)
+    soft = cv2.blur(small, (const.MAP_SOFT_PX, const.MAP_SOFT_PX)).reshape(small.shape)
     colours = np.concatenate((soft, np.ones_like(soft[..., :1])), axis=2)
     edges, turn = _edges(small)
-    near = np.zeros((_DIRECTIONS, height, width), dtype=np.float32)
-    for at in range(_DIRECTIONS):
-        off = np.abs((turn * (_DIRECTIONS / np.pi) - at + _DIRECTIONS / 2) % _DIRECTIONS - _DIRECTIONS / 2)
+    near = np.zeros((const.DIRECTIONS, height, width), dtype=np.float32)
+    for at in range(const.DIRECTIONS):
+        off = np.abs(
+            (turn * (const.DIRECTIONS / np.pi) - at + const.DIRECTIONS / 2) % const.DIRECTIONS - const.DIRECTIONS / 2
+        )
         chosen = edges & (off < 1.0)
-        clutter = cv2.boxFilter(chosen.astype(np.float32), -1, (_AROUND_PX, _AROUND_PX))
+        clutter = cv2.boxFilter(chosen.astype(np.float32), -1, (const.MAP_AROUND_PX, const.MAP_AROUND_PX))
         away = cv2.distanceTransform((~chosen).astype(np.uint8), cv2.DIST_L2, cv2.DIST_MASK_3)
-        density = np.exp(-0.5 * np.minimum(away / _NEAR_PX, 6.0) ** 2) / (_NEAR_PX * np.sqrt(2.0 * np.pi))
-        near[at] = ALIKE * np.log(1.0 - FOUND + FOUND * density / np.maximum(clutter, LEAST_CLUTTER))
+        density = np.exp(-0.5 * np.minimum(away / const.MAP_NEAR_PX, 6.0) ** 2) / (
+            const.MAP_NEAR_PX * np.sqrt(2.0 * np.pi)
+        )
+        near[at] = const.ALIKE * np.log(
+            1.0 - const.FOUND + const.FOUND * density / np.maximum(clutter, const.LEAST_CLUTTER)
+        )
     beyond = ((0, 0), (0, 1), (0, 1))
     return Maps(np.pad(near, beyond), np.pad(colours.transpose(2, 0, 1), beyond))
 
@@ -92,14 +79,14 @@ def swept(maps: Maps, sweep: Sweep, intrinsics: Array) -> Proposed:
     places, templates = sweep["places"], sweep["templates"]
     middle = places[len(places) // 2]
     each = [(other["controls"], other["pose"], middle, intrinsics) for other in templates]
-    sides, few = ([_sides(*other, every) for other in each] for every in (1, _EVERY))
+    sides, few = ([_sides(*other, every) for other in each] for every in (1, const.EVERY))
     rough = np.stack([_stands_out(maps.colours, places, side, intrinsics) for side in few])
-    most = min(_SECOND, rough.size)
+    most = min(const.SECOND, rough.size)
     rows = np.sort(np.argpartition(-rough, most - 1, axis=None)[:most])  # so those of one template follow one another
     numbers, where = np.unravel_index(rows, rough.shape)
     some = [(places[where[numbers == number]], side) for number, side in enumerate(sides)]
     nats = np.concatenate([_stands_out(maps.colours, *own, intrinsics) for own in some])
-    order = np.argsort(-nats, kind="stable")[:_KEPT]
+    order = np.argsort(-nats, kind="stable")[: const.CLOSER]
     numbers, where = numbers[order], where[order]
     first = Proposed(places[where] @ np.stack([templates[number]["pose"] for number in numbers]), numbers, nats[order])
     return _closer(maps, sweep, sides, first, intrinsics)
@@ -109,7 +96,7 @@ def stands_out(maps: Maps, poses: Floats, controls: Sequence[ControlPoints], int
     """(n,) nats by which faces stand out where poses (n, 4, 4) put them, each with what would be seen there."""
     here = np.eye(4)[None]
     sides = [_sides(each, pose, here[0], intrinsics) for each, pose in zip(controls, poses, strict=True)]
-    return ALIKE * np.array([_stands_out(maps.colours, here, side, intrinsics)[0] for side in sides])
+    return const.ALIKE * np.array([_stands_out(maps.colours, here, side, intrinsics)[0] for side in sides])
 
 
 class _Sides(NamedTuple):
@@ -133,7 +120,7 @@ def _sides(controls: ControlPoints, pose: Floats, place: Floats, intrinsics: Arr
     across = np.stack((-along[:, 1], along[:, 0]), axis=1)
     across /= np.maximum(np.linalg.norm(across, axis=1, keepdims=True), 1e-9)
     side = np.einsum("nk,nk->n", across, inwards[:, :2] - flat * inwards[:, 2:])
-    across *= np.where(side < 0, -_BESIDE_PX, _BESIDE_PX)[:, None] * points[:, 2:] / intrinsics[:2]
+    across *= np.where(side < 0, -const.FACE_BESIDE_PX, const.FACE_BESIDE_PX)[:, None] * points[:, 2:] / intrinsics[:2]
     moved = np.pad(across, ((0, 0), (0, 1)))
     both = np.concatenate((points + moved, points - moved)) - place[:3, 3]
     crease = kinds == CREASE
@@ -142,7 +129,7 @@ def _sides(controls: ControlPoints, pose: Floats, place: Floats, intrinsics: Arr
     faces = (numbers[:, None] == known).astype(np.float32)
     own = faces[: len(crease)]
     used = np.nonzero(own.any(axis=1))[0]
-    worth = np.where(crease[used], _CREASE, 1.0).astype(np.float32)
+    worth = np.where(crease[used], const.FACE_CREASE, 1.0).astype(np.float32)
     local = (both @ place[:3, :3]).T.astype(np.float32)
     return _Sides(local, faces, used + len(crease), own[used].argmax(axis=1), worth)
 
@@ -152,13 +139,15 @@ def _stands_out(colours: Singles, places: Floats, sides: _Sides, intrinsics: Arr
     if not sides.worth.size:
         return np.full(len(places), -np.inf)
     fx, fy, cx, cy = intrinsics
-    lens = np.array([[fx, 0.0, cx - 0.5 + 0.5 * _SHRUNK], [0.0, fy, cy - 0.5 + 0.5 * _SHRUNK], [0.0, 0.0, _SHRUNK]])
+    lens = np.array(
+        [[fx, 0.0, cx - 0.5 + 0.5 * const.SHRUNK], [0.0, fy, cy - 0.5 + 0.5 * const.SHRUNK], [0.0, 0.0, const.SHRUNK]]
+    )
     views = (lens @ places[:, :3]).astype(np.float32)
     _, height, width = colours.shape
     planes = colours.reshape(len(colours), -1)
     found = np.empty(len(places))
-    for start in range(0, len(places), _CHUNK):
-        chunk = np.s_[start : start + _CHUNK]
+    for start in range(0, len(places), const.CHUNK):
+        chunk = np.s_[start : start + const.CHUNK]
         x, y, z = (views[chunk, axis, :3] @ sides.points + views[chunk, axis, 3:] for axis in range(3))
         inverse = np.float32(1.0) / np.maximum(z, np.float32(0.02))
         x *= inverse
@@ -178,13 +167,13 @@ def _differing(looks: Singles, sides: _Sides) -> Singles:
     means = np.stack([plane @ sides.faces / least for plane in looks[:-1]])
     square = np.einsum("cnk,cnk->nk", looks[:-1], looks[:-1]) @ sides.faces
     within = np.maximum(square - least * (means * means).sum(axis=0), 0.0) / np.maximum(least - 1.0, 1.0)
-    variance = within / channels + np.float32(_SAME**2)
+    variance = within / channels + np.float32(const.FACE_SAME**2)
     away = np.zeros((len(free), len(sides.of)), dtype=np.float32)
     for plane, mean in zip(looks, means, strict=False):
         away += (plane[:, sides.beside] - mean[:, sides.of]) ** 2
     said = np.float32(0.5) * np.log1p(away / (channels * variance[:, sides.of]))
-    said = np.minimum(said, np.float32(_MOST)) - np.float32(_CHANCE)
-    said *= free[:, sides.beside] * (count[:, sides.of] >= _LEAST_LOOKS)
+    said = np.minimum(said, np.float32(const.FACE_MOST)) - np.float32(const.FACE_CHANCE)
+    said *= free[:, sides.beside] * (count[:, sides.of] >= const.LEAST_LOOKS)
     total: Singles = said @ sides.worth
     return total
 
@@ -196,8 +185,10 @@ def _closer(maps: Maps, sweep: Sweep, sides: Sequence[_Sides], first: Proposed, 
     level /= np.linalg.norm(level)
     ahead = np.cross(upright, level)
     ahead /= max(float(np.hypot(*ahead[:2])), 0.3)  # seen at a slant, what lies ahead is shortened
-    turns = np.stack([exp_so3(turn * upright) for turn in (0.0, -_TRY_RAD, _TRY_RAD)])
-    steps = np.stack([x * level + y * ahead for x in (0.0, -_TRY_PX, _TRY_PX) for y in (0.0, -_TRY_PX, _TRY_PX)])
+    turns = np.stack([exp_so3(turn * upright) for turn in (0.0, -const.TRY_RAD, const.TRY_RAD)])
+    steps = np.stack(
+        [x * level + y * ahead for x in (0.0, -const.TRY_PX, const.TRY_PX) for y in (0.0, -const.TRY_PX, const.TRY_PX)]
+    )
     poses, nats = first.poses.copy(), np.full(len(first.nats), -np.inf)
     for number in np.unique(first.templates):
         rows = np.nonzero(first.templates == number)[0]
@@ -231,10 +222,10 @@ def _nats(maps: Singles, poses: Floats, controls: ControlPoints, intrinsics: Arr
     fx, fy, cx, cy = (np.float32(part) for part in intrinsics)
     # Across the edge, not along it: the direction of the gradient.
     turn = np.arctan2(fx * (tx - x * tz), -fy * (ty - y * tz))
-    direction = np.rint(turn * np.float32(_DIRECTIONS / np.pi)).astype(np.int32) % _DIRECTIONS
+    direction = np.rint(turn * np.float32(const.DIRECTIONS / np.pi)).astype(np.int32) % const.DIRECTIONS
     _, height, width = maps.shape
-    columns = np.rint((x * fx + cx - 0.5) / _SHRUNK).astype(np.int32)
-    rows = np.rint((y * fy + cy - 0.5) / _SHRUNK).astype(np.int32)
+    columns = np.rint((x * fx + cx - 0.5) / const.SHRUNK).astype(np.int32)
+    rows = np.rint((y * fy + cy - 0.5) / const.SHRUNK).astype(np.int32)
     outside = (columns < 0) | (columns >= width - 1) | (rows < 0) | (rows >= height - 1)
     columns[outside], rows[outside] = width - 1, height - 1
     total: Floats = maps[direction, rows, columns].sum(axis=1).astype(np.float64)
@@ -248,8 +239,8 @@ def _edges(small: Singles) -> tuple[NDArray[np.bool_], Singles]:
     across, down = (part.reshape(small.shape) for part in sobels)
     strongest = (across * across + down * down).argmax(axis=2)[..., None]
     gx, gy = (np.take_along_axis(part, strongest, axis=2)[..., 0] for part in (across, down))
-    least = _FINE * max(_CONTRAST, _SLOPES * float(np.median(np.hypot(gx, gy))))
-    dx, dy = (np.rint(_FINE * part).astype(np.int16) for part in (gx, gy))
+    least = const.SLOPE_PARTS * max(const.MAP_CONTRAST, const.MAP_SLOPES * float(np.median(np.hypot(gx, gy))))
+    dx, dy = (np.rint(const.SLOPE_PARTS * part).astype(np.int16) for part in (gx, gy))
     edges: NDArray[np.bool_] = cv2.Canny(dx, dy, least, least, L2gradient=True) > 0
     return edges, (np.arctan2(gy, gx) % np.pi).astype(np.float32)
 
@@ -259,12 +250,12 @@ def _apart(found: Proposed, intrinsics: Array) -> list[int]:
     flat = found.poses[:, :3, 3] * (intrinsics[0] / found.poses[:, 2, 3])[:, None]
     kept: list[int] = []
     for number in range(len(flat)):
-        near = np.linalg.norm(flat[kept] - flat[number], axis=1) < _APART_PX
+        near = np.linalg.norm(flat[kept] - flat[number], axis=1) < const.SWEPT_APART_PX
         if near.any():
             turned = np.einsum("nij,ij->n", found.poses[kept, :3, :3], found.poses[number, :3, :3])
-            if (near & (turned > 1.0 + 2.0 * np.cos(_APART_RAD))).any():
+            if (near & (turned > 1.0 + 2.0 * np.cos(const.SWEPT_APART_RAD))).any():
                 continue
         kept.append(number)
-        if len(kept) == _BEST:
+        if len(kept) == const.GIVEN:
             break
     return kept

@@ -8,19 +8,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from hierax.nodes.tracking.constants import PARALLEL
+from hierax.nodes.tracking import constants as const
 from hierax.nodes.tracking.estimation.alignment import Aligned
 from hierax.nodes.tracking.math.geometry import Array, Floats, invert, transform
-
-_ALIKE_M = 0.004  # poses whose outlines are no farther apart than that in the mean look alike
-_INSIDE = 0.2  # of a body's box: more of it in another's cannot be
-# Poses of which so many edges are those of another are of the same thing: so near, and about parallel.
-_CLAIMED, _CLAIM_PX = 0.35, 4.0
-_NEAR_M = 0.008  # what is that near to something lies on it
-# Nats that it costs that nothing is found which carries a body, and that nothing is left either that may.
-_FLOATS, _FALLS = 3.0, 30.0
-_CORNERS = np.stack(np.meshgrid(*[[-0.5, 0.5]] * 3), axis=-1).reshape(-1, 3)
-_SAMPLES = np.stack(np.meshgrid(*[np.linspace(-0.45, 0.45, 6)] * 3), axis=-1).reshape(-1, 3)
 
 
 class Judged(NamedTuple):
@@ -61,7 +51,7 @@ class Together(NamedTuple):
         """Nats: of what floats, one that is not placed may carry each."""
         rows = chosen.values()
         floating = sum(row in self.carriers and self.carriers[row].isdisjoint(rows) for row in rows)
-        return _FLOATS * floating + _FALLS * max(0, floating - (self.bodies - len(rows)))
+        return const.FLOATS * floating + const.FALLS * max(0, floating - (self.bodies - len(rows)))
 
 
 def look_alike(judged: Judged, row: int, rows: Sequence[int]) -> list[int]:
@@ -73,7 +63,9 @@ def look_alike(judged: Judged, row: int, rows: Sequence[int]) -> list[int]:
 
     own = outlines(row)
     apart = {other: np.linalg.norm(own[:, None] - outlines(other)[None], axis=-1) for other in rows}
-    return [other for other, away in apart.items() if max(away.min(axis=0).mean(), away.min(axis=1).mean()) < _ALIKE_M]
+    return [
+        other for other, away in apart.items() if max(away.min(axis=0).mean(), away.min(axis=1).mean()) < const.TWIN_M
+    ]
 
 
 def conflicts_of(judged: Judged, rows: Sequence[int]) -> set[tuple[int, int]]:
@@ -95,10 +87,10 @@ def carriers_of(
     carriers = {}
     for row in rows:
         box = judged.boxes[row]
-        corners = transform(judged.fine.poses[row], box.mean(axis=0) + _CORNERS * np.ptp(box, axis=0))
+        corners = transform(judged.fine.poses[row], box.mean(axis=0) + const.BOX_CORNERS * np.ptp(box, axis=0))
         heights = corners @ level[:3] + level[3]
-        below = corners.mean(axis=0) - (0.5 * np.ptp(heights) + _NEAR_M) * level[:3]
-        if heights.min() > _NEAR_M and not any(_holds(below, *each) for each in staying):
+        below = corners.mean(axis=0) - (0.5 * np.ptp(heights) + const.LIES_M) * level[:3]
+        if heights.min() > const.LIES_M and not any(_holds(below, *each) for each in staying):
             carriers[row] = {other for other in rows if _holds(below, judged.fine.poses[other], judged.boxes[other])}
     return carriers
 
@@ -106,20 +98,20 @@ def carriers_of(
 def _holds(point: Floats, pose: Floats, box: Floats) -> bool:
     """Whether a point (3,) is in a body's box, about."""
     local = transform(invert(pose), point[None])[0]
-    return bool(((local > box[0] - _NEAR_M) & (local < box[1] + _NEAR_M)).all())
+    return bool(((local > box[0] - const.LIES_M) & (local < box[1] + const.LIES_M)).all())
 
 
 def _is_claimed(edges: Floats, others: Floats) -> bool:
     """Whether too many of a pose's edges in the image, (n, 4) pixels and normals, are another's, too."""
     if not len(edges) or not len(others):
         return False
-    near = np.linalg.norm(edges[:, None, :2] - others[None, :, :2], axis=-1) < _CLAIM_PX
-    parallel = np.abs(edges[:, 2:] @ others[:, 2:].T) > PARALLEL
-    return bool((near & parallel).any(axis=1).mean() > _CLAIMED)
+    near = np.linalg.norm(edges[:, None, :2] - others[None, :, :2], axis=-1) < const.SPACING_PX
+    parallel = np.abs(edges[:, 2:] @ others[:, 2:].T) > const.PARALLEL
+    return bool((near & parallel).any(axis=1).mean() > const.CLAIMED)
 
 
 def is_in(pose: Floats, box: Floats, other: Floats, around: Floats) -> bool:
     """Whether more of a box than bodies can share is inside of another one."""
-    points = box.mean(axis=0) + _SAMPLES * np.ptp(box, axis=0)
+    points = box.mean(axis=0) + const.BOX_SAMPLES * np.ptp(box, axis=0)
     inside = transform(invert(other) @ pose, points)
-    return bool(((inside > around[0]) & (inside < around[1])).all(axis=1).mean() > _INSIDE)
+    return bool(((inside > around[0]) & (inside < around[1])).all(axis=1).mean() > const.SHARED)

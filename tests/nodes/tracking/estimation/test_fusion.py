@@ -6,9 +6,10 @@ import numpy as np
 from support.boxes import INTRINSICS, photograph
 from support.drawn import BOXES, FIRST, all_expected, expected
 
+from hierax.nodes.tracking.constants import LEAST_MOTION_SCALE
 from hierax.nodes.tracking.estimation.alignment import Aligned, Start, align
 from hierax.nodes.tracking.estimation.appearance import NOTHING, recalled
-from hierax.nodes.tracking.estimation.fusion import LEAST_MOTION_SCALE, Prior, fuse
+from hierax.nodes.tracking.estimation.fusion import Prior, fuse
 from hierax.nodes.tracking.estimation.profiles import smoothed
 from hierax.nodes.tracking.estimation.stages import Search
 from hierax.nodes.tracking.math.batched import inverse

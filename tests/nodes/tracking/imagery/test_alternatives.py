@@ -1,6 +1,7 @@
 import numpy as np
 
-from hierax.nodes.tracking.imagery.alternatives import AT_ONCE, elsewhere
+from hierax.nodes.tracking.constants import AT_ONCE
+from hierax.nodes.tracking.imagery.alternatives import elsewhere
 from hierax.nodes.tracking.math.geometry import exp_so3, invert, log_se3, make_pose
 
 TILTED = make_pose(exp_so3(np.array([0.4, -0.2, 0.3])), [0.1, -0.2, 0.05])

@@ -7,7 +7,8 @@ import pytest
 from support.boxes import INTRINSICS, SIZE, Box, cast
 from support.meshes import ELL_BOXES, cylinder, divided, ell, sphere
 
-from hierax.nodes.tracking.imagery.edges import POINTS_MAX, SPACING_PX, controls_of
+from hierax.nodes.tracking.constants import POINTS_MAX, SPACING_PX
+from hierax.nodes.tracking.imagery.edges import controls_of
 from hierax.nodes.tracking.imagery.layers import LayerRenderer
 from hierax.nodes.tracking.math.geometry import exp_so3, invert, make_pose, project, transform
 from hierax.nodes.tracking.model.controls import CREASE, LIMB, OUTLINE, Controls

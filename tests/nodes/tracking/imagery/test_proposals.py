@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from hierax.nodes.tracking.constants import YAWS
 from hierax.nodes.tracking.imagery.layers import LayerRenderer
 from hierax.nodes.tracking.imagery.proposals import (
-    YAWS,
     Proposer,
     places_on,
     places_seen,
