@@ -72,9 +72,8 @@ def address_of(name: str, known: tuple[str, ...]) -> Address:
         raise DataError(f"{name}: {wrong[0]!r:.40}: expected one of the options {', '.join(known)}")
     if options.get("qos", "sensor_data") not in QOS:
         raise DataError(f"{name}: qos is {options['qos']!r:.40}; expected one of {', '.join(QOS)}")
-    for option in ("info",):
-        if option in options and not _TOPIC.fullmatch(options[option]):
-            raise DataError(f"{name}: {option} is {options[option]!r:.40}; expected a topic with a slash in front")
+    if not _TOPIC.fullmatch(options.get("info", topic)):
+        raise DataError(f"{name}: info is {options['info']!r:.40}; expected a topic with a slash in front")
     return Address(name, carrier, parts.netloc or None, topic, options)
 
 

@@ -129,6 +129,8 @@ def test_what_cannot_be_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
     ):
         with pytest.raises(DataError, match=told):
             address_of(name, ("qos",))
+    with pytest.raises(DataError, match="info is 'mine'; expected a topic with a slash in front"):
+        address_of("ros:/image?info=mine", ("info",))
     monkeypatch.setenv("ROS_DOMAIN_ID", "many")
     with pytest.raises(DataError, match="ROS_DOMAIN_ID is 'many'; expected a number from 0 to 232"):
         open_carrier(address_of("ros+zenoh:/image", ()), "test")
