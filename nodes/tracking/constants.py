@@ -177,10 +177,10 @@ SPACING_PX, POINTS_MAX = 4.0, 300  # from control point to control point, and ho
 TRIES_KEPT, ROUGH_POINTS = 4, 40  # starts that are aligned finely, and control points with which all are roughly
 SEARCHED_AT_ONCE = 3  # objects that are looked for in an image
 FARTHER = (1.0, 0.0, 0.5, 1.5, 2.0)  # shares of its motion at which one is looked for
-GRID = np.stack(np.meshgrid(np.linspace(-1.5, 1.5, 7), np.linspace(-1.5, 1.5, 7)), axis=-1).reshape(-1, 2)
+GRID = np.stack(np.meshgrid(np.linspace(-1.5, 1.5, 5), np.linspace(-1.5, 1.5, 5)), axis=-1).reshape(-1, 2)
 # Gauss-Newton steps and control points of the first look at an object's starts; poses that are added up in one go.
-FIRST_ITERATIONS, FEW_POINTS, MANY = 3, 16, 16
-AROUND = np.random.default_rng(1).normal(size=(4, 24, 6))  # where tries begin, in turns, standard deviations
+FIRST_ITERATIONS, FEW_POINTS, MANY = 3, 30, 16
+AROUND = np.random.default_rng(1).normal(size=(4, 12, 6))  # where tries begin, in turns, standard deviations
 FAILED_AT_ONCE, FAILED_EVERY = 5, 8  # what was not found in so many images is looked for in one of every so many
 AT_ONCE, GUESSES = 8, 3  # poses that are imagined of a body for one image, and that are kept of it
 JUDGED_EVERY = 15  # images until a model that does not do so well is judged again

@@ -100,7 +100,9 @@ def associate(
     shift = exp_many(best.fused.shift[None])[0]
     found, judged = with_models_judged(task, best, objects, found, options.tolerance)
     doubtful = _doubtful(found, objects, options) if judged else doubtful
-    searched = sorted((at for at in doubtful if in_turn(objects[at])), key=lambda at: objects[at]["failed_searches"])
+    # After an image with many starts about where an object was, which takes long, comes one without.
+    turns = [at for at in doubtful if in_turn(objects[at], 1 if objects[at]["others"] else 2)]
+    searched = sorted(turns, key=lambda at: objects[at]["failed_searches"])
     searched = sorted(searched[: const.SEARCHED_AT_ONCE])
     if searched:
         falling = np.broadcast_to(options.motion if options.falling is None else options.falling, (len(objects), 6, 6))

@@ -35,7 +35,7 @@ ROUGH = Search(
 )
 FINE = Search(const.FINE_REACH_PX, const.FINE_SCALE_PX, const.TRY_ITERATIONS)
 _FIRST = ROUGH._replace(iterations=const.FIRST_ITERATIONS)
-_NEAR = Search(const.CALM_REACH_PX, const.CALM_SCALE_PX, const.CALM_ITERATIONS)  # the best of many starts are nearer
+_NEAR = Search(const.CALM_REACH_PX, const.CALM_SCALE_PX, const.TRY_ITERATIONS)  # the best of many starts are nearer
 
 
 def held(motion: Floats, support: Floats, upwards: float, tilting: float) -> Floats:
@@ -189,10 +189,13 @@ def _chosen(found: Found, tries: Sequence[int], start: Start, fine: Aligned, wor
     return after
 
 
-def in_turn(item: TrackedObject) -> bool:
-    """Whether an object is looked for in this image: at once, but when that was without success, only now and then."""
+def in_turn(item: TrackedObject, every: int = 1) -> bool:
+    """Whether an object is looked for in this image: at once, in one of so many, but when that was without success,
+    only now and then."""
     failed_searches = int(item["failed_searches"])
-    return failed_searches < const.FAILED_AT_ONCE or (failed_searches + int(item["id"])) % const.FAILED_EVERY == 0
+    if failed_searches < const.FAILED_AT_ONCE:
+        return failed_searches % every == 0
+    return (failed_searches + int(item["id"])) % const.FAILED_EVERY == 0
 
 
 def _is_worse(score: float, item: TrackedObject) -> bool:
