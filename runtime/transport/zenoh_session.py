@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import atexit
 import fcntl
 import json
 import os
@@ -10,6 +11,7 @@ import resource
 import shutil
 import socket
 import threading
+import time
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path
@@ -52,6 +54,9 @@ LONGEST_SHORT_BYTES = MAX_QUESTION_BYTES + 64 * 1024
 """Likewise, where links are low-latency ones: questions are the longest that such a process hears."""
 
 CLOSE_TIMEOUT_S = 1.0
+EXIT_TIMEOUT_S = 3.0  # how long the interpreter's end waits for sessions that were not closed by then
+CALLBACKS_END_S = 0.5
+_CLOSING = "zenoh-close"  # the name of threads that close a session
 
 POOL_BYTES = 16 << 20
 """What each session that sends large messages has in shared memory, and locks, as do those that receive from it."""
@@ -155,8 +160,19 @@ def close_session(session: zenoh.Session) -> bool:
             session.close()  # type: ignore[no-untyped-call]
             closed.set()
 
-    threading.Thread(target=close, name="zenoh-close", daemon=True).start()
+    threading.Thread(target=close, name=_CLOSING, daemon=True).start()
     return closed.wait(CLOSE_TIMEOUT_S)
+
+
+@atexit.register
+def _await_threads() -> None:
+    """Wait until sessions are closed, and their callbacks have ended: a thread of Zenoh's that comes back into an
+    interpreter which ends aborts the process. Callbacks of sessions that stay open sleep, and do no harm."""
+    for name, patience_s in ((_CLOSING, EXIT_TIMEOUT_S), ("(pyo3-closure)", CALLBACKS_END_S)):
+        until_s = time.monotonic() + patience_s
+        for thread in threading.enumerate():
+            if thread.name.endswith(name):
+                thread.join(max(until_s - time.monotonic(), 0.0))
 
 
 def free_endpoint(host: str | None = None) -> str:

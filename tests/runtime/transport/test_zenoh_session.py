@@ -153,3 +153,18 @@ def test_a_session_that_zenoh_gives_up_to_close_is_not_closed() -> None:
             raise zenoh.ZError("close operation timed out!")
 
     assert not close_session(cast(zenoh.Session, Unclosed()))  # that its thread ends by an error would be an error here
+
+
+ENDING = """
+from hierax.runtime.transport import zenoh_session
+zenoh_session.CLOSE_TIMEOUT_S = 0.0
+session = zenoh_session.open_session()
+subscribers = [session.declare_subscriber("a/b", lambda sample: None) for _ in range(8)]
+zenoh_session.close_session(session)
+"""
+"""Closes a session as late as one closes beside a stopped peer."""
+
+
+def test_an_interpreter_that_ends_while_a_session_closes_is_not_aborted_by_its_threads() -> None:
+    ended = [subprocess.Popen([sys.executable, "-c", ENDING], stderr=subprocess.PIPE, text=True) for _ in range(4)]
+    assert [(each.communicate()[1], each.returncode) for each in ended] == [("", 0)] * len(ended)
