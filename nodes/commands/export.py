@@ -1,5 +1,6 @@
 """``hierax export``: a recording as other programs read it."""
 
+import sys
 from pathlib import Path
 from typing import Annotated
 
@@ -15,7 +16,10 @@ def export(
     """Write a recording of tracking as a rosbag2 for ROS 2 and Foxglove: pictures, camera, poses, tf, scores."""
     from hierax.nodes.ros2.export import export_rosbag
 
-    counts = export_rosbag(recording, rosbag, poses, overwrite)
-    for topic, count in sorted(counts.items()):
+    done = export_rosbag(recording, rosbag, poses, overwrite)
+    for topic, count in sorted(done.counts.items()):
         print(f"{rosbag}: {count} messages on {topic}")
+    if done.lacking:
+        why = f"it lacks what {poses} believed in {done.lacking} epochs, as where a process has died"
+        print(f"warning: {recording}: {why}: their pictures are without poses", file=sys.stderr)
     return 0

@@ -8,7 +8,7 @@ from collections import Counter
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
@@ -31,12 +31,18 @@ if TYPE_CHECKING:
 _METADATA, _STORAGE = "metadata.yaml", ".mcap"
 
 
-def export_rosbag(path: Path, folder: Path, poses: str = "arm", overwrite: bool = False) -> Mapping[str, int]:
+class Exported(NamedTuple):
+    """What a bag holds."""
+
+    counts: Mapping[str, int]  # of messages, by topic
+    lacking: int  # epochs of which nobody knows what was believed: their pictures stand without poses
+
+
+def export_rosbag(path: Path, folder: Path, poses: str = "arm", overwrite: bool = False) -> Exported:
     """Write a rosbag2 (MCAP) of a recording whose world shows pictures.
 
     Args: path: the recording; folder: the bag's; poses: the node that believes the poses, `ArmNode` or like it;
         overwrite: replace a bag that is there.
-    Returns: how many messages there are on each topic.
     Raises DataError: the recording lacks what a bag is made of, or the folder is there already, is no bag's, or cannot
         be written.
     """
@@ -45,11 +51,12 @@ def export_rosbag(path: Path, folder: Path, poses: str = "arm", overwrite: bool 
         recording = Recording.open(path)
         with _replacing(folder, overwrite) as bag:
             topics = _Topics(bag)
-            for epoch in recording.epochs():
-                _write_epoch(topics, str(path), epoch, poses)
-            if not topics.counts:
+            told = [_write_epoch(topics, str(path), epoch, poses) for epoch in recording.epochs()]
+            if not told:
                 raise DataError(f"{path}: has no epochs; expected some to export")
-            return topics.counts
+            if not any(told):
+                raise DataError(f"{path}: lacks what {poses} believed; expected its belief after the picture")
+            return Exported(topics.counts, told.count(False))
     except DataError:
         raise
     except (HieraxError, SchemaError) as error:
@@ -73,18 +80,24 @@ class _Topics:
         self.counts[name] += 1
 
 
-def _write_epoch(topics: _Topics, name: str, epoch: EpochTrace, poses: str) -> None:
+def _write_epoch(topics: _Topics, name: str, epoch: EpochTrace, poses: str) -> bool:
+    """Write what there is of an epoch; whether it is known what was believed: a process that dies may leave a gap."""
     where = f"{name}: epoch {epoch.epoch}"
-    shot, (camera, objects) = shot_of(name, epoch), _believed(where, epoch, poses)
+    shot, believed = shot_of(name, epoch), _believed(where, epoch, poses)
     if not 0.0 <= shot.time_s < MAX_STAMP_NS / NS:
         raise DataError(f"{where}: its time is {shot.time_s} s; expected one from 0 to 2³¹, as ROS has them")
     header: Header = shot.header or {"stamp_ns": round(shot.time_s * NS), "frame_id": CAMERA}
     stamp_ns, frame = header["stamp_ns"], header["frame_id"]
     if shot.image is not None:
         _write_picture(topics, where, header, shot, shot.image)
+    if believed is None:
+        return False
+    camera, objects = believed
+    if shot.image is not None:
         for message in messages_of(header, objects, {(WORLD, frame): shot.camera if camera is None else camera}):
             topics.write(stamp_ns, *message)
     topics.write(stamp_ns, *diagnosed(stamp_ns, poses, objects))
+    return True
 
 
 def _write_picture(topics: _Topics, where: str, header: Header, shot: Shot, image: Array) -> None:
@@ -119,14 +132,14 @@ def _write_picture(topics: _Topics, where: str, header: Header, shot: Shot, imag
     topics.write(header["stamp_ns"], "/camera/camera_info", CAMERA_INFO, info)
 
 
-def _believed(where: str, epoch: EpochTrace, node: str) -> tuple[Floats | None, list[Tracked]]:
-    """Where a node believes the camera and the objects to be, after it has seen the picture."""
+def _believed(where: str, epoch: EpochTrace, node: str) -> tuple[Floats | None, list[Tracked]] | None:
+    """Where a node believes the camera and the objects to be, after it has seen the picture; None: that lacks."""
     if node not in epoch.roster.nodes:
         known = ", ".join(sorted(epoch.roster.nodes.keys() - {epoch.roster.world}))
         raise DataError(f"{where}: there is no node {node}; expected --poses NODE, one of {known}")
     sensed = epoch.sensed_of(node)
     if sensed is None:
-        raise DataError(f"{where}: lacks what {node} believed; expected its belief after the picture")
+        return None
     try:
         return tracked(sensed[0])
     except (LookupError, TypeError, ValueError, OverflowError) as error:

@@ -218,6 +218,22 @@ def test_a_message_that_is_none_is_told(made: Path, tmp_path: Path) -> None:
         CameraWorld(str(spoilt)).initial_belief()
 
 
+def test_pictures_stand_without_poses_where_a_process_died_before_it_told_what_it_believed(
+    made: Path, tmp_path: Path
+) -> None:
+    contents = Contents.read(made / "folder.mcap")
+    steps = [each for each in contents.said if each.topic.endswith("steps/arm")]
+    said = tuple(each for each in contents.said if each is not steps[1])
+    gap, whole = tmp_path / "gap.mcap", export_rosbag(made / "folder.mcap", tmp_path / "whole")
+    replace(contents, said=said).write(gap)
+    done = said_here("export", str(gap), "--rosbag", str(tmp_path / "bag"))
+    assert (done.returncode, "it lacks what arm believed in 1 epochs" in done.stderr) == (0, True), done.stderr
+    exported = export_rosbag(gap, tmp_path / "bag", overwrite=True)
+    assert (whole.lacking, exported.lacking) == (0, 1)
+    assert exported.counts["/camera/image_rect"] == whole.counts["/camera/image_rect"]
+    assert exported.counts["/diagnostics"] == whole.counts["/diagnostics"] - 1
+
+
 def test_what_a_recording_lacks_is_told(made: Path, tmp_path: Path) -> None:
     servo = recorded(tmp_path / "servo.mcap", "servo", more=("--epochs", "2"))
     told = settings(made, made / "frames")
@@ -226,7 +242,7 @@ def test_what_a_recording_lacks_is_told(made: Path, tmp_path: Path) -> None:
     for recording, poses, expected in (
         (servo, "arm", "epoch 1: world showed no picture; expected image, camera, intrinsics and frame"),
         (blind, "arm", "epoch 1: lacks what world showed; expected its observations"),
-        (mute, "arm", "epoch 1: lacks what arm believed; expected its belief after the picture"),
+        (mute, "arm", "lacks what arm believed; expected its belief after the picture"),
         (made / "folder.mcap", "hand", "epoch 1: there is no node hand; expected --poses NODE, one of arm, spatial"),
         (made / "folder.mcap", "spatial", "epoch 1: spatial believes no poses; expected camera, and objects with id"),
         (tmp_path / "none.mcap", "arm", "none.mcap: cannot be read: No such file or directory"),
