@@ -63,19 +63,25 @@ def test_a_port_waits_for_its_neighbours_until_all_are_linked_and_hears_nobody_b
         now = TRIES_S[FIRST_TRY]
         assert ports["low"].absent.due() == ["process of low"]
         ports["up"].link(["low"], [], 0, {}, lambda _: None)
-        greeting = threading.Event()
+        linked = threading.Event()
 
-        def greet() -> None:
-            while not greeting.wait(0.01):
-                for port in ports.values():
-                    port.greet()
+        def answer(port: ZenohPort) -> None:  # also when it is done itself: its neighbour may not be
+            port.connect()
+            while not linked.is_set():
+                port.receive()
 
-        threads = [threading.Thread(target=port.connect, daemon=True) for port in ports.values()]
-        for thread in (*threads, greeter := threading.Thread(target=greet, daemon=True)):
+        def greet() -> bool:
+            for port in ports.values():
+                port.greet()
+            return all(port.ready for port in ports.values())
+
+        threads = [threading.Thread(target=answer, args=[port], daemon=True) for port in ports.values()]
+        for thread in threads:
             thread.start()
-        until(lambda: not any(thread.is_alive() for thread in threads), "the handshakes")
-        greeting.set()
-        greeter.join()
+        until(greet, "the handshakes")
+        linked.set()
+        for thread, port in zip(threads, ports.values(), strict=True):
+            until(lambda port=port, thread=thread: port.interrupt() or not thread.is_alive(), "the thread's end")  # type: ignore[misc]
         now += 100.0
         assert not any(port.absent.due() for port in ports.values())
     finally:
