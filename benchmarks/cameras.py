@@ -68,13 +68,13 @@ def video(options: argparse.Namespace, out: Path) -> list[str]:
     film(scene, out / "cube.avi", grey=read_image(scene.frames[0].image).ndim == 2)
     write_calibration(Lens("", scene.size, scene.frames[0].intrinsics, np.zeros(5), False), out / "camera.yaml")
     (out / "objects.yaml").write_text(yaml.safe_dump({"objects": entries_of(scene)}))
-    states = []
+    seen = []
     for name, told in (("folder", [f"scene={scene.folder}"]), ("video", settings(out, out / "cube.avi"))):
         path = out / f"{name}.mcap"
         words = [word for each in told for word in ("--set", each)]
         plain = hierax("launch", "tracking", *words)
         hierax("run", "tracking", *words, "--record", str(path))
-        states.append(list(states(path)))
+        seen.append(states(path))
         rate = plain["epochs"] / plain["wall_s"]
         print(f"{name}: {plain['epochs']} epochs, {rate:.1f} epochs/s over Zenoh, {plain['nodes']['arm']['metrics']}")
     paced = hierax("launch", "tracking", *words, "--set", f"nodes.world.rate_hz={RATE_HZ:g}")
@@ -84,7 +84,7 @@ def video(options: argparse.Namespace, out: Path) -> list[str]:
     print(f"video at {RATE_HZ:g} Hz: {paced['epochs']} epochs, {kept['late']} begun late, {lateness}")
     if passed_over or paced["epochs"] != plain["epochs"] or kept["p99_ms"] >= LATENESS_MS:
         return [f"{passed_over:g} frames passed over, {paced['epochs']} epochs, {lateness}"]
-    return [] if states[0] == states[1] else ["the video's states are not those of the folder"]
+    return [] if seen[0] == seen[1] else ["the video's states are not those of the folder"]
 
 
 def states(path: Path) -> list[tuple[bytes, ...]]:
