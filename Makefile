@@ -6,9 +6,10 @@ INSTALLED := $(VENV)/.installed
 RUNS := $(VENV)/.runs
 CHECKED := .build/checked
 ROS := $(VENV)/ros/.installed
+RIVALS := $(VENV)/rivals/.installed
 WHEELS := 'ros-rclpy[fastrtps]>=9.1,<9.2' 'empy<4' $(foreach name,sensor geometry visualization diagnostic,ros-kilted-$(name)-msgs)
 
-.PHONY: demo test check docs sweep model sim sensitivities mutations kills cameras ros2 changes growth fuzz rival generator_b tutorial interrupts clean test-quick format junk
+.PHONY: demo test check docs sweep model sim sensitivities mutations kills cameras ros2 changes growth fuzz attacks line2d rival generator_b peers tutorial interrupts clean test-quick format junk
 
 # what runs, recordings included, and what tests need besides: the viewer alone is some hundreds of megabytes
 $(RUNS): pyproject.toml
@@ -30,6 +31,18 @@ $(ROS): $(INSTALLED) tests/support/ros_types.py
 	{ $(VENV)/ros/bin/python -m pip install --quiet --disable-pip-version-check $(WHEELS) && \
 		$(VENV)/ros/bin/python tests/support/ros_types.py && touch $@; } || \
 		echo "ROS 2 could not be installed: tests that talk to it are skipped" >&2
+
+# ezmsg and dora, likewise in a place of their own that sees all of .venv
+$(RIVALS): $(INSTALLED)
+	$(PYTHON) -m venv $(VENV)/rivals
+	echo "import site; site.addsitedir('$$($(BIN)/python -c "import sysconfig; print(sysconfig.get_path('purelib'))")')" \
+		> "$$($(VENV)/rivals/bin/python -c "import sysconfig; print(sysconfig.get_path('purelib'))")/beside.pth"
+	$(VENV)/rivals/bin/python -m pip install --quiet --disable-pip-version-check \
+		'ezmsg>=3.9,<4' 'dora-rs==1.1.*' 'dora-rs-cli==1.1.*' 'pyarrow>=20' && touch $@
+
+# docs/speed.md: an epoch beside plain Zenoh, ezmsg, dora and ROS 2; some five minutes
+peers: $(RIVALS) $(ROS)
+	$(BIN)/hierax bench peers
 
 demo: $(RUNS)
 	$(BIN)/hierax launch deploy/tracking.yaml --epochs 60 --output demo-output --overwrite
@@ -84,6 +97,11 @@ ros2: $(ROS)
 changes: $(INSTALLED)
 	$(BIN)/python benchmarks/changes.py
 
+# docs/speed.md: 2.4 MB up and down through 100 000 epochs, a process killed every 2 s; some ten minutes
+.PHONY: arrays
+arrays: $(INSTALLED)
+	$(BIN)/python benchmarks/arrays.py
+
 # docs/speed.md: what a node costs in hierarchies of 9 to 10 000, and processes beside plain Zenoh; some ten minutes
 growth: $(INSTALLED)
 	$(BIN)/python benchmarks/growth.py
@@ -92,6 +110,9 @@ growth: $(INSTALLED)
 # docs/limits.md: 10⁶ things said on all keys of a launch; some minutes
 fuzz: $(INSTALLED)
 	$(BIN)/python benchmarks/fuzz_keys.py
+
+attacks: $(INSTALLED)
+	$(BIN)/python benchmarks/attacks.py
 
 # docs/recording.md: recordings with junk in every field, and all commands that read them; some twenty minutes
 junk: $(INSTALLED)
@@ -110,6 +131,11 @@ tutorial: $(INSTALLED)
 # docs/tools.md: Ctrl-C at random instants of commands; some minutes
 interrupts: $(INSTALLED)
 	$(BIN)/python benchmarks/interrupts.py
+
+# LINE-2D, for benchmarks/line2d_rival/compare.py: OpenCV with its contributed modules, in an environment of its own
+line2d: $(INSTALLED)
+	python3 -m venv .venv/line2d
+	.venv/line2d/bin/python -m pip install --quiet --disable-pip-version-check "opencv-contrib-python-headless>=4.10" numpy
 
 # ViSP's model-based tracker, for benchmarks/visp_rival/compare.py; installed where it is missing, if root may
 rival: $(INSTALLED)

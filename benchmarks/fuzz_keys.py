@@ -238,7 +238,7 @@ def _harmless(live: Live, rng: random.Random, messages: int, say: Callable[[str]
     undisturbed = memory(live)
     counts: Counter[str] = Counter()
     begun = time.monotonic()
-    with Stranger(live.endpoint, Keys("live", str(before["run"])), kept=512) as stranger:
+    with Stranger(live.endpoint, Keys("live", str(before["run"])), kept=512, secret=live.secret) as stranger:
         until(lambda: len(stranger.heard) > 50, "what is said")
         grammar = Grammar(rng, stranger, tokens)
         makers = (grammar.message, grammar.word, grammar.mutated, grammar.garbage)
@@ -276,7 +276,7 @@ def forge(seed: int, say: Callable[[str], None] = print) -> bool:
     with tempfile.TemporaryDirectory() as folder:
         live = Live(Path(folder))
         try:
-            with Stranger(live.endpoint, Keys("live", str(live.run["run"]))) as stranger:
+            with Stranger(live.endpoint, Keys("live", str(live.run["run"])), secret=live.secret) as stranger:
                 patience = time.monotonic() + 5.0
                 with suppress(AssertionError):  # nothing is said any more: it has ended, or does not go on
                     while live.launch.process.poll() is None and time.monotonic() < patience:

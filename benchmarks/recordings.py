@@ -32,6 +32,7 @@ from typing import Any
 from hierax.runtime.core.errors import HieraxError
 from hierax.runtime.deployment.deployment import shipped
 from hierax.runtime.deployment.read import read_deployment
+from hierax.runtime.host.run_secret import read_key
 from hierax.runtime.recording.reading import Recording
 from hierax.runtime.recording.writing import CHUNK_S
 from hierax.runtime.transport.launch_client import LaunchClient
@@ -68,7 +69,8 @@ class Launch:
     def run(self) -> dict[str, Any]:
         """What is known of it."""
         (file,) = (self.folder / "hierax").glob("*.json")
-        with LaunchClient(json.loads(file.read_text(encoding="utf-8"))["endpoint"]) as client:
+        endpoint = json.loads(file.read_text(encoding="utf-8"))["endpoint"]
+        with LaunchClient(endpoint, secret=read_key(file.with_suffix(".key"))) as client:
             return client.ask({"ask": "ps"})
 
     def wait_for(self, condition: Callable[[], bool], what: str) -> None:

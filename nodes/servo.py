@@ -2,8 +2,7 @@
 
 An object slides from rest down a frictionless plane of 60°: x(t) = ½kt². A camera node filters what it sees of it and
 moves the camera there; a node above knows how things slide and predicts where the object will be. That prediction is
-the context. All positions are in metres along the plane, from where the object starts.
-"""
+the context. All positions are in metres along the plane, from where the object starts."""
 
 import math
 from collections.abc import Iterator, Mapping

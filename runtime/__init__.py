@@ -1,7 +1,5 @@
 """The runtime: what turns nodes and a deployment file into a running hierarchy."""
 
-from __future__ import annotations
-
 TYPE_CHECKING = False
 """As `typing` has it, which takes its time: nothing is to stand before the console script."""
 
@@ -21,12 +19,12 @@ _HOMES = {
 }
 
 
-def __getattr__(name: str) -> Any:
+def __getattr__(name: str) -> "Any":
     """Imported when first asked for: numpy takes a tenth of a second, and every pytest loads the plugin below."""
     return brought_home(globals(), _HOMES, name)
 
 
-def brought_home(package: dict[str, Any], homes: dict[str, str], name: str) -> Any:
+def brought_home(package: "dict[str, Any]", homes: dict[str, str], name: str) -> "Any":
     """What a package offers under a name, imported from its home and kept among the package's globals."""
     if name not in homes:
         raise AttributeError(f"module {package['__name__']!r} has no attribute {name!r}")

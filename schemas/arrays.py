@@ -12,8 +12,7 @@ The data of extension `ARRAY` (code 1) is a head and the raw elements::
     ...           elements, C order
 
 The padding (0 to 15) puts the elements on a multiple of 16, counted from the start of the data or, for an array behind
-the payload, of the message: numpy then reads them in place and aligned.
-"""
+the payload, of the message: numpy then reads them in place and aligned."""
 
 import struct
 from functools import lru_cache

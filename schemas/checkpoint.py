@@ -7,8 +7,7 @@ Both records are one msgpack array that any msgpack library reads, a format numb
      intended, acted, processes, last_attempt, trial, alone]
 
 Roster and states are in them as bytes, each one encoded value: as they are at hand
-encoded, a record takes about a microsecond.
-"""
+encoded, a record takes about a microsecond."""
 
 from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple, get_type_hints

@@ -1,8 +1,7 @@
 """What a roster's owner, the nodes' processes and their supervisors say to one another.
 
 Each is a msgpack array of its name and its fields. A *process* is a token that no two
-processes share; a node's name stays the same when its process is another one.
-"""
+processes share; a node's name stays the same when its process is another one."""
 
 from collections.abc import Callable
 from typing import NamedTuple, cast, get_args, get_type_hints

@@ -1,8 +1,7 @@
 """Zenoh keys: one key for each kind and direction of an edge, control keys beside them.
 
 ``hierax/{deployment}/{run}/{obs|task|ctx}/{from}/{to}``. One key has one writer, so
-that access-control lists follow from the roster.
-"""
+that access-control lists follow from the roster."""
 
 import re
 from dataclasses import dataclass

@@ -1,7 +1,6 @@
 """Bounds on everything that arrives from outside.
 
-A message that breaks one of them is refused with a `SchemaError` before memory in proportion to its claims is taken.
-"""
+A message that breaks one of them is refused with a `SchemaError` before memory in proportion to its claims is taken."""
 
 MAX_MESSAGE_BYTES = 256 * 1024 * 1024
 MAX_ARRAY_BYTES = 256 * 1024 * 1024

@@ -9,10 +9,13 @@ Arrays inside the payload are extension `ARRAY` (see `hierax.schemas.arrays`). A
 is extension `TAIL_ARRAY` in the payload, whose data is its number (unsigned 16 bits, big-endian); the array itself,
 extension `ARRAY`, follows the payload as a further element of the message, and after the last one stands the number of
 bytes of all that follows the payload (unsigned 32 bits). So large arrays are read in place, without a copy.
-"""
+
+Between processes of one machine that have agreed on it, an array behind the payload may be extension `SHARED_ARRAY`
+instead: where it lies in shared memory of the sender's (see `hierax.runtime.transport.shared_arrays`), in whatever form
+the two agree on. Only the two of them can read such a message, and it counts as what it stands for."""
 
 import struct
-from collections.abc import Mapping
+from collections.abc import Callable, Iterator, Mapping
 from typing import Any, NamedTuple
 
 import msgpack
@@ -25,6 +28,13 @@ from hierax.schemas.values import Packers, Value, array_in_place, fault, is_soun
 
 FORMAT = 1
 TAIL_ARRAY = 2
+SHARED_ARRAY = 3
+
+Lend = Callable[[np.ndarray[Any, Any]], bytes | None]
+"""Puts an array where its receiver can read it, and gives what the receiver needs to find it; None: it cannot."""
+
+Borrow = Callable[[bytes], np.ndarray[Any, Any]]
+"""Gives the array that `Lend` gave these bytes for, read-only. Raises `SchemaError` if there is none."""
 
 OBSERVATIONS = "obs"
 TASKS = "task"
@@ -103,8 +113,9 @@ class Message(NamedTuple):
     payload: tuple[Value, ...]
 
 
-def encode_message(message: Message) -> bytes:
-    """The bytes of a message. Raises `SchemaError` if the payload holds something that cannot travel."""
+def encode_message(message: Message, lend: Lend | None = None) -> bytes:
+    """The bytes of a message, with large arrays lent where `lend` can. Raises `SchemaError` if the payload holds
+    something that cannot travel."""
     (kind, sender, receiver, epoch, attempt, roster, instance, time_s, digest, extensions), payload = message
     code = _KIND_CODES[kind]
     fields = (FORMAT, code, sender, receiver, epoch, attempt, roster, instance, time_s, digest, extensions, payload)
@@ -113,7 +124,7 @@ def encode_message(message: Message) -> bytes:
     try:
         packed = pack(fields, _PACKERS, "message", _NAMES)
     except _LargeArray:
-        return _encode_large(fields)
+        return _encode_large(fields, lend)
     if len(packed) > MAX_PLAIN_BYTES:
         raise _too_plain(len(packed))
     return packed
@@ -132,25 +143,26 @@ def _in_place(value: Any) -> Any:
 _PACKERS = Packers(_in_place)
 
 
-def _encode_large(fields: tuple[Value, ...]) -> bytes:
+def _encode_large(fields: tuple[Value, ...], lend: Lend | None) -> bytes:
     tail = _Tail()
     packed = pack(fields, Packers(tail.default), "message", _NAMES)
     if len(packed) > MAX_PLAIN_BYTES:
         raise _too_plain(len(packed))
-    data = _with_tail(packed, tail.arrays)
+    data = _with_tail(packed, tail.arrays, lend)
     if len(data) > MAX_MESSAGE_BYTES:
         raise SchemaError(f"has {len(data)} bytes; at most {MAX_MESSAGE_BYTES} are allowed", "message")
     return data
 
 
-def decode_message(data: bytes) -> Message:
-    """Read a message, whose large arrays are read-only views of `data`. Raises `SchemaError` if it is none."""
+def decode_message(data: bytes, borrow: Borrow | None = None) -> Message:
+    """Read a message, whose large arrays are read-only views of `data`, or of what `borrow` finds. Raises `SchemaError`
+    if it is none."""
     if data[:1] == _FIXARRAY:
         if len(data) > MAX_PLAIN_BYTES:
             raise _too_plain(len(data))
         fields = unpack(data, read_extension, "message", _NAMES)
     elif data[:1] == b"\xdc":
-        fields = _split_tail(data)
+        fields = _split_tail(data, borrow)
     else:
         raise SchemaError(f"does not begin like a message: {data[:4].hex() or 'empty'}", "message")
     return _message(fields)
@@ -174,19 +186,25 @@ class _Tail:
         return msgpack.ExtType(TAIL_ARRAY, _INDEX.pack(len(self.arrays) - 1))
 
 
-def _with_tail(packed: bytes, large: list[np.ndarray[Any, Any]]) -> bytes:
+def _with_tail(packed: bytes, large: list[np.ndarray[Any, Any]], lend: Lend | None) -> bytes:
     parts: list[bytes | memoryview] = [_ARRAY16.pack(0xDC, _FIELD_COUNT + len(large) + 1), packed[1:]]
     start = offset = _ARRAY16.size + len(packed) - 1
     for array in large:
-        head = array_head(array, offset + _EXT32.size)
-        length = len(head) + array.nbytes
-        parts += (_EXT32.pack(0xC9, length, ARRAY), head, array_elements(array))
+        place = None if lend is None else lend(array)
+        if place is None:
+            head = array_head(array, offset + _EXT32.size)
+            length = len(head) + array.nbytes
+            parts += (_EXT32.pack(0xC9, length, ARRAY), head, array_elements(array))
+        else:
+            length = len(place)
+            parts += (_EXT32.pack(0xC9, length, SHARED_ARRAY), place)
         offset += _EXT32.size + length
     parts.append(_TAIL_BYTES.pack(0xCE, offset + _TAIL_BYTES.size - start))
     return b"".join(parts)
 
 
-def _split_tail(data: bytes) -> tuple[Value, ...]:
+def _tail_of(data: bytes) -> tuple[int, int]:
+    """Where the arrays behind the payload begin, and how many they are."""
     if len(data) < _ARRAY16.size + _TAIL_BYTES.size:
         raise SchemaError(f"{len(data)} bytes are too short", "message")
     count = _ARRAY16.unpack_from(data)[1] - _FIELD_COUNT - 1
@@ -194,9 +212,22 @@ def _split_tail(data: bytes) -> tuple[Value, ...]:
     start = len(data) - tail_bytes
     if marker != 0xCE or count < 1 or start < _ARRAY16.size or tail_bytes < _TAIL_BYTES.size:
         raise SchemaError("the arrays behind the payload are not laid out as expected", "message")
+    return start, count
+
+
+def _split_tail(data: bytes, borrow: Borrow | None) -> tuple[Value, ...]:
+    start, count = _tail_of(data)
     if start > MAX_PLAIN_BYTES:
         raise _too_plain(start)
-    arrays = _tail_arrays(memoryview(data).toreadonly(), start, count)
+    arrays = []
+    for index, (code, content) in enumerate(_behind(memoryview(data).toreadonly(), start, count)):
+        where = f"message: array {index} behind the payload"
+        if code == ARRAY:
+            arrays.append(decode_array(content, where))
+        elif borrow is None:
+            raise SchemaError("it lies in shared memory of its sender's, which is not read here", where)
+        else:
+            arrays.append(borrow(bytes(content)))
     unused = set(range(count))
 
     def resolve(code: int, content: bytes) -> Value:
@@ -214,22 +245,28 @@ def _split_tail(data: bytes) -> tuple[Value, ...]:
     return fields
 
 
-def _tail_arrays(view: memoryview, offset: int, count: int) -> list[np.ndarray[Any, Any]]:
+def is_lent(data: bytes) -> bool:
+    """Whether arrays of a message lie elsewhere. Raises `SchemaError` if it is none."""
+    if data[:1] != b"\xdc":
+        return False
+    return any(code == SHARED_ARRAY for code, _ in _behind(memoryview(data), *_tail_of(data)))
+
+
+def _behind(view: memoryview, offset: int, count: int) -> Iterator[tuple[int, memoryview]]:
+    """Codes and contents of the extensions behind the payload."""
     end = len(view) - _TAIL_BYTES.size
-    arrays = []
     for index in range(count):
         where = f"message: array {index} behind the payload"
         if offset + _EXT32.size > end:
             raise SchemaError("cut off", where)
         marker, length, code = _EXT32.unpack_from(view, offset)
         offset += _EXT32.size
-        if marker != 0xC9 or code != ARRAY or offset + length > end:
+        if marker != 0xC9 or code not in (ARRAY, SHARED_ARRAY) or offset + length > end:
             raise SchemaError("not an array extension, or cut off", where)
-        arrays.append(decode_array(view[offset : offset + length], where))
+        yield code, view[offset : offset + length]
         offset += length
     if offset != end:
         raise SchemaError(f"{end - offset} bytes too many behind the payload", "message")
-    return arrays
 
 
 def _message(fields: Any) -> Message:

@@ -2,10 +2,7 @@
 
 Its content (names, classes, parameters, edges) is what the epoch's digest covers;
 version and instance numbers are not, so that a run with restarts is still the same run. A change says what is wanted,
-not what the roster is after it: its owner decides that (`hierax.runtime.owner.roster_changes`).
-"""
-
-from __future__ import annotations
+not what the roster is after it: its owner decides that (`hierax.runtime.owner.roster_changes`)."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -34,7 +31,7 @@ class Reference:
         return {"target": self.target, "parameters": dict(self.parameters)}
 
     @staticmethod
-    def read(value: Value, where: str) -> Reference:
+    def read(value: Value, where: str) -> "Reference":
         """Read it from a value. Raises `SchemaError` if it is no reference."""
         fields = read_mapping(value, {"target", "parameters"}, where)
         target, parameters = fields["target"], fields["parameters"]
@@ -144,7 +141,7 @@ class Roster:
         return {**self.content(), "version": self.version, "instances": dict(self.instances)}
 
     @staticmethod
-    def read(value: Value) -> Roster:
+    def read(value: Value) -> "Roster":
         """Read it from a value. Raises `SchemaError` if it is no roster; says which field and what was expected."""
         fields = read_mapping(value, {"world", "nodes", "edges", "version", "instances"}, "roster")
         instances = fields["instances"]

@@ -5,8 +5,7 @@ A step is one msgpack array that any msgpack library reads, a format number in f
     [format, name, stream, number, epoch, attempt, roster, instance, time_s, digest, state,
      sensed, start, used, passages, chain]
 
-State, sensed belief and start are in it as bytes, each one encoded value.
-"""
+State, sensed belief and start are in it as bytes, each one encoded value."""
 
 from typing import Any, NamedTuple, get_origin, get_type_hints
 

@@ -2,8 +2,7 @@
 
 A value is None, a bool, an int of 64 bits, a float, a str, bytes, a tuple or list of values, a dict from str to values,
 or a numpy array of numbers or bools. One value has one encoding (a dict keeps its order); a list or named tuple comes
-back as a tuple, a numpy scalar as a Python number.
-"""
+back as a tuple, a numpy scalar as a Python number."""
 
 from collections.abc import Callable, Collection, Iterator
 from types import NoneType

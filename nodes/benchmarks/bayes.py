@@ -1,8 +1,7 @@
 """`hierax bench bayes`: exact inference in causal trees beside other libraries, on the same networks and evidence.
 
 Times are of one update: an evidence set in, the posteriors of all nodes out; in CPU milliseconds of one thread, as
-other processes share the processors. Errors are against node-by-node propagation in extended precision.
-"""
+other processes share the processors. Errors are against node-by-node propagation in extended precision."""
 
 import math
 import statistics

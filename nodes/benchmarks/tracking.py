@@ -1,7 +1,5 @@
 """`hierax bench tracking`: what context, physics and prior do for tracking, and how fast it is."""
 
-from __future__ import annotations
-
 import subprocess
 import sys
 import time

@@ -1,7 +1,6 @@
 """Causal trees and polytrees: exact belief propagation, in one process or as a live hierarchy.
 
-See ``docs/causal-trees.md``.
-"""
+See ``docs/causal-trees.md``."""
 
 from hierax.nodes.causal_tree.errors import EvidenceError, ImpossibleEvidence, NetworkError
 from hierax.nodes.causal_tree.hierarchy import EvidenceWorld, as_deployment, evidence_seen

@@ -2,10 +2,7 @@
 
 An array of them is a pair (fraction, exponent): fraction · 2^exponent, the fraction 0 or from 0.5 to below 1, the
 exponent a whole number of 64 bits. Products and sums have the relative error of float64, and 0 means 0 exactly: what
-would underflow does not. So impossible and improbable are told apart.
-"""
-
-from __future__ import annotations
+would underflow does not. So impossible and improbable are told apart."""
 
 from collections.abc import Sequence
 from typing import NamedTuple, TypeVar
@@ -31,26 +28,26 @@ class ExtendedFloats(NamedTuple):
     fraction: Floats
     exponent: Exponents
 
-    def at(self, columns: int | slice | Places | None) -> ExtendedFloats:
+    def at(self, columns: int | slice | Places | None) -> "ExtendedFloats":
         """Some columns; None: the one that there is, as a column."""
         return ExtendedFloats(self.fraction[:, columns], self.exponent[:, columns])
 
-    def put(self, columns: int | slice | Places, values: ExtendedFloats) -> None:
+    def put(self, columns: int | slice | Places, values: "ExtendedFloats") -> None:
         """Set some columns, in place."""
         self.fraction[:, columns], self.exponent[:, columns] = values
 
-    def along(self, axis: int, ndim: int) -> ExtendedFloats:
+    def along(self, axis: int, ndim: int) -> "ExtendedFloats":
         return ExtendedFloats(along(self.fraction, axis, ndim), along(self.exponent, axis, ndim))
 
-    def times(self, other: ExtendedFloats) -> ExtendedFloats:
+    def times(self, other: "ExtendedFloats") -> "ExtendedFloats":
         """The element-wise product."""
         return _settled(self.fraction * other.fraction, self.exponent + other.exponent)
 
-    def over(self, other: ExtendedFloats) -> ExtendedFloats:
+    def over(self, other: "ExtendedFloats") -> "ExtendedFloats":
         """The element-wise quotient; the divisor has no 0."""
         return _settled(self.fraction / other.fraction, self.exponent - other.exponent)
 
-    def total(self, axis: int) -> ExtendedFloats:
+    def total(self, axis: int) -> "ExtendedFloats":
         """The sum along an axis."""
         top = self.greatest(axis)
         shift = np.maximum(self.exponent - np.expand_dims(top, axis), VANISHING)
@@ -67,12 +64,12 @@ class ExtendedFloats(NamedTuple):
         shift = np.maximum(self.exponent - np.expand_dims(self.greatest(axis), axis), VANISHING)
         return np.ldexp(self.fraction, shift)
 
-    def shifted(self, axis: int) -> ExtendedFloats:
+    def shifted(self, axis: int) -> "ExtendedFloats":
         """The same up to a factor: the greatest along the axis from 0.5 to below 1."""
         exponent = self.exponent - np.expand_dims(self.greatest(axis), axis)
         return ExtendedFloats(self.fraction, np.where(self.fraction > 0, exponent, 0))
 
-    def products(self, starts: Places) -> ExtendedFloats:
+    def products(self, starts: Places) -> "ExtendedFloats":
         """The products of neighbours along the last axis (…, n), each from one of `starts` to the next; none is
         empty."""
         values, size = self, self.fraction.shape[-1]

@@ -34,8 +34,7 @@ class Float64Sweep:
     By number of states, up to a factor, shape (size, columns), `likelihoods` are L of each variable, from what lies
     further from the root (the prior and the evidence included), `supports` what comes from the root's side, ones at a
     root, and `beliefs` their products; `messages` are of each group what its families told their tops, up to a factor,
-    shape (tops' states, families); by `exponents` powers of 2 likelihoods were scaled.
-    """
+    shape (tops' states, families); by `exponents` powers of 2 likelihoods were scaled."""
 
     def __init__(self, plan: Plan) -> None:
         self._plan = plan

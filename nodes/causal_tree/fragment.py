@@ -2,8 +2,7 @@
 
 An arrow from another part's node to one of this part's ends at a *guest*: a variable that stands for the parent, has no
 prior but the causal support that came down along the arrow, and belongs to this arrow alone. With its guests a part is
-a network by itself, and is swept as one.
-"""
+a network by itself, and is swept as one."""
 
 import operator
 from collections.abc import Iterable, Mapping, Sequence

@@ -85,8 +85,7 @@ class EvidenceWorld(World):
             states that they have in a draw from the network.
         hold: for how many epochs each set is shown.
 
-    Raises ValueError: the parameters are wrong.
-    """
+    Raises ValueError: the parameters are wrong."""
 
     def __init__(
         self,

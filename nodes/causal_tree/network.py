@@ -215,11 +215,9 @@ def check_shape(parents: Parents) -> None:
 def epochs_needed(network: Description | Network) -> int:
     """How many Updates with the same evidence make all beliefs exact, whatever they were before.
 
-    In one Update news goes up any number of arrows, then down any number. It needs another one for each node on
-    its way that it comes down to from one parent, and leaves up to another. So this is 1 for trees, and for a
-    polytree 1 more than the most such nodes on any undirected path, if each node has a process; with larger parts it
-    may take fewer.
-    """
+    In one Update news goes up any number of arrows, then down any number. It needs another one for each node on its way
+    that it comes down to from one parent, and leaves up to another. So this is 1 for trees, and for a polytree 1 more
+    than the most such nodes on any undirected path, if each node has a process; with larger parts it may take fewer."""
     parents = {name: each.parents for name, each in parse(network).variables.items()}
     order, come_from = _outward(parents)
     longest: dict[Name, int] = {}

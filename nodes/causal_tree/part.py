@@ -11,8 +11,7 @@ A belief is ``{"age", "evidence", "below", "above", "diagnostic", "causal", "pos
 - ``below``: the slots, by sending part: ``{child: {parent: message}}``; ``above``: causal support, likewise;
 - ``diagnostic``: what goes up, ``{child: {parent: message}}``; ``causal``: what goes down, likewise, by receiving part;
 - ``posterior``: one row for each of the part's nodes, filled up with zeros to the most states; float64;
-- ``age``: for how many epochs the evidence has been the same; ``impossible``: where it contradicts itself, or empty.
-"""
+- ``age``: for how many epochs the evidence has been the same; ``impossible``: where it contradicts itself, or empty."""
 
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from typing import Any
@@ -50,8 +49,7 @@ class Part(Node):
             from messages that are under way: in a polytree, and with a staleness. Such messages are replaced by ones,
             and the posteriors are all 0. null: it never is one.
 
-    Raises ValueError: the parameters are wrong.
-    """
+    Raises ValueError: the parameters are wrong."""
 
     def __init__(
         self,

@@ -6,8 +6,7 @@ variables are its *others*. In a causal tree with its own root, the top is the p
 polytree a family's top may be the child, and its others all parents.
 
 Families of one depth, with tables of one shape, are a `Group`. Variables with the same number of states are the columns
-of one array, in such an order that the others of a group stand side by side.
-"""
+of one array, in such an order that the others of a group stand side by side."""
 
 import itertools
 from collections.abc import Mapping, Sequence

@@ -1,9 +1,6 @@
 """A network's sweeps: in float64 where that suffices, else with exponents kept apart; which is found out each time.
 
-The latter are for tables with zeros, and for evidence of any probability.
-"""
-
-from __future__ import annotations
+The latter are for tables with zeros, and for evidence of any probability."""
 
 import math
 from collections.abc import Mapping
@@ -34,7 +31,7 @@ class Product(NamedTuple):
     zeros: NDArray[np.int64]  # how many are
 
     @staticmethod
-    def of(values: ExtendedFloats) -> Product:
+    def of(values: ExtendedFloats) -> "Product":
         """Products of one factor each."""
         zero = values.fraction == 0
         rest = ExtendedFloats(np.where(zero, 0.5, values.fraction), np.where(zero, 1, values.exponent))
@@ -45,19 +42,19 @@ class Product(NamedTuple):
         gone = self.zeros > 0
         return ExtendedFloats(np.where(gone, 0.0, self.rest.fraction), np.where(gone, 0, self.rest.exponent))
 
-    def at(self, columns: Columns) -> Product:
+    def at(self, columns: Columns) -> "Product":
         return Product(self.rest.at(columns), self.zeros[:, columns])
 
-    def take_in(self, columns: Columns, factors: Product) -> None:
+    def take_in(self, columns: Columns, factors: "Product") -> None:
         """Multiply some columns, in place."""
         self.rest.put(columns, self.rest.at(columns).times(factors.rest))
         self.zeros[:, columns] += factors.zeros
 
-    def without(self, factors: Product) -> ExtendedFloats:
+    def without(self, factors: "Product") -> ExtendedFloats:
         """What the products are without one of their factors each."""
         return Product(self.rest.over(factors.rest), self.zeros - factors.zeros).value
 
-    def copied(self) -> Product:
+    def copied(self) -> "Product":
         """The same, to be changed."""
         return Product(ExtendedFloats(self.rest.fraction.copy(), self.rest.exponent.copy()), self.zeros.copy())
 

@@ -1,7 +1,5 @@
 """``hierax bench bayes``: exact inference beside other libraries, in one run."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import asdict
 from typing import TYPE_CHECKING, Annotated
@@ -36,7 +34,6 @@ def bayes(
 
 
 def _sizes(text: str) -> list[int]:
-
     sizes = [int(part) for part in text.split(",") if part.strip().isdecimal() and int(part) > 0]
     if len(sizes) != text.count(",") + 1:
         raise CommandError(
@@ -45,8 +42,7 @@ def _sizes(text: str) -> list[int]:
     return sizes
 
 
-def _print(cells: Sequence[Cell]) -> None:
-
+def _print(cells: "Sequence[Cell]") -> None:
     rows: dict[str, list[str]] = {}
     for cell in cells:
         rows.setdefault(cell.way, [cell.way]).append(_shown(cell))
@@ -58,7 +54,7 @@ def _print(cells: Sequence[Cell]) -> None:
         print("\n" + "\n".join(notes))
 
 
-def _shown(cell: Cell) -> str:
+def _shown(cell: "Cell") -> str:
     if cell.update_ms is None or cell.error is None:
         return "–"
     return f"{cell.update_ms:.3g} ({cell.error:.0e})"

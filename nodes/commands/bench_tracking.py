@@ -1,7 +1,5 @@
 """``hierax bench tracking``: tracking with and without context, physics and prior."""
 
-from __future__ import annotations
-
 import tempfile
 from collections.abc import Sequence
 from contextlib import ExitStack
@@ -12,13 +10,11 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from hierax.runtime.commands.options import Format, OutputFormat, Overrides
-from hierax.runtime.commands.show import print_json, print_table, show_progress
+from hierax.runtime.commands.show import RIGHT, print_json, print_table, show_progress
 from hierax.runtime.core.errors import HieraxError
 
 if TYPE_CHECKING:
     from hierax.nodes.benchmarks.tracking import Gain, Row, Scene, Speed
-
-_RIGHT = {"justify": "right"}
 
 
 def tracking(
@@ -97,7 +93,7 @@ def tracking(
     return 0
 
 
-def _bench_starts(scenes: Sequence[Scene], settings: Sequence[str], folder: Path, as_json: bool) -> int:
+def _bench_starts(scenes: "Sequence[Scene]", settings: Sequence[str], folder: Path, as_json: bool) -> int:
     from hierax.nodes.benchmarks.first_poses import bench_starts
 
     found = bench_starts(scenes, settings, folder, show_progress)
@@ -109,7 +105,7 @@ def _bench_starts(scenes: Sequence[Scene], settings: Sequence[str], folder: Path
     for each in found:
         counts = (each.seen, each.right, each.given, each.wrong, round(each.object_ms))
         rows.append((each.name, *map(str, counts), _after(each.gone), _after(each.found)))
-    print_table({"scene": {}, **dict.fromkeys(heads, _RIGHT)}, rows)
+    print_table({"scene": {}, **dict.fromkeys(heads, RIGHT)}, rows)
     print(
         "Objects in frame 30: seen by 0.6 of them or more, and right within 5 mm and 5°; poses given, and wrong by\n"
         "more than 20 mm or 10°. After how many frames, in the mean, what was taken out is gone, what was put in right."
@@ -128,7 +124,7 @@ def _names(text: str, separator: str) -> list[str]:
     return [name.strip() for name in text.split(separator) if name.strip()]
 
 
-def _given(scene: Path, truth: Path | None, table: bool) -> Scene:
+def _given(scene: Path, truth: Path | None, table: bool) -> "Scene":
     from hierax.nodes.benchmarks.tracking import Scene
 
     if not scene.is_dir():
@@ -137,11 +133,10 @@ def _given(scene: Path, truth: Path | None, table: bool) -> Scene:
     return Scene(scene.name, 0, scene, truth or (apart if apart.is_dir() else scene), table)
 
 
-def _print_rows(rows: Sequence[Row]) -> None:
-
+def _print_rows(rows: "Sequence[Row]") -> None:
     heads = ["2/2", "5/5", "10/5", "5/5: 0.1–0.5", "0.5–0.9", "0.9–1", "mm (worst)", "° (worst)"]
     heads += ["no pose", "astray", "lost", "back", "ms world", "arm", "spatial"]
-    columns = {"scene": {}, "way": {}, **dict.fromkeys(heads, _RIGHT)}
+    columns = {"scene": {}, "way": {}, **dict.fromkeys(heads, RIGHT)}
     print_table(columns, [_cells(row) for row in rows])
     print(
         "Shares in % of frames within mm/°; 5/5 also by the visible share of an object (below 0.1 it is not counted).\n"
@@ -149,7 +144,7 @@ def _print_rows(rows: Sequence[Row]) -> None:
     )
 
 
-def _cells(row: Row) -> tuple[str, ...]:
+def _cells(row: "Row") -> tuple[str, ...]:
     from hierax.nodes.tracking.evaluation.scoring import percent
 
     score = row.score
@@ -161,8 +156,7 @@ def _cells(row: Row) -> tuple[str, ...]:
     return (row.name, row.way, *map(percent, right), *errors, *wrong, *times)
 
 
-def _print_gains(gains: Sequence[Gain]) -> None:
-
+def _print_gains(gains: "Sequence[Gain]") -> None:
     if not gains:
         return
     print("\nContext against own models: difference of the share within 5 mm/5° where more than half is hidden")
@@ -173,10 +167,10 @@ def _print_gains(gains: Sequence[Gain]) -> None:
         spread = "–" if plain["spread"] is None else f"{100.0 * plain['spread']:.1f}"
         rows.append((gain.name, str(plain["seeds"]), mean, spread, least, most))
     heads = ("seeds", "mean, points", "spread", "least", "most")
-    print_table({"scene": {}, **dict.fromkeys(heads, _RIGHT)}, rows)
+    print_table({"scene": {}, **dict.fromkeys(heads, RIGHT)}, rows)
 
 
-def _print_speeds(speeds: Sequence[Speed]) -> None:
+def _print_speeds(speeds: "Sequence[Speed]") -> None:
     from hierax.nodes.benchmarks.tracking import STAGES
 
     rows = []
@@ -184,5 +178,5 @@ def _print_speeds(speeds: Sequence[Speed]) -> None:
         stages = [f"{each.stage_ms[stage]:.1f}" for stage in STAGES]
         rounds = ", ".join(f"{rate:.1f}" for rate in each.rounds)
         rows.append((str(each.objects), f"{each.epochs_hz:.1f}", rounds, *stages))
-    heads = {"objects": _RIGHT, "epochs/s": _RIGHT, "rounds": {}}
-    print_table({**heads, **{f"ms {stage}": _RIGHT for stage in STAGES}}, rows)
+    heads = {"objects": RIGHT, "epochs/s": RIGHT, "rounds": {}}
+    print_table({**heads, **{f"ms {stage}": RIGHT for stage in STAGES}}, rows)

@@ -1,7 +1,5 @@
 """``hierax calibrate``: a camera's calibration from pictures of a board."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Iterator
 from enum import Enum
@@ -77,7 +75,7 @@ def calibrate(
     return 0
 
 
-def _pictures(source: str) -> Iterator[Array]:
+def _pictures(source: str) -> "Iterator[Array]":
     """All frames of a source, until it ends."""
     from hierax.nodes.sources.camera import CameraWorld
 
@@ -89,7 +87,7 @@ def _pictures(source: str) -> Iterator[Array]:
         belief = world.predict((), (), belief)
 
 
-def _board(board: str, square: str, marker: str | None, markers: str | None) -> Board:
+def _board(board: str, square: str, marker: str | None, markers: str | None) -> "Board":
     """The board that options tell. Raises UsageError: one is none."""
     import cv2
 

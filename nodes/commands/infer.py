@@ -1,7 +1,5 @@
 """``hierax infer``: the exact posteriors of a causal tree or polytree in a file."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from contextlib import suppress
 from pathlib import Path
@@ -56,7 +54,7 @@ def infer(
     return 0
 
 
-def _evidence(network: Network, given: Sequence[str]) -> dict[Any, Any]:
+def _evidence(network: "Network", given: Sequence[str]) -> dict[Any, Any]:
     """Evidence by node, as likelihoods. Raises HieraxError: an option is no evidence; says which one."""
     from hierax.nodes.causal_tree import likelihoods
 

@@ -6,8 +6,7 @@ H as it should be) and 1 (an A), with density 2(1 - a); of an A, with density 2a
     p(pixels | H) = ∫ N(pixels; drawn(a), σ²) 2(1 - a) da
 
 and likewise of A. With the two ideal templates alone, the noise in the pixels would decide how a sign halfway between
-them is read, and with full confidence.
-"""
+them is read, and with full confidence."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -124,8 +123,7 @@ class PixelLetterNode(LetterNode):
         slip: probability that any letter at all was drawn in place of the one that was meant; it keeps the pixels from
             ever ruling a letter out.
 
-    Raises ValueError: a letter of the words cannot be drawn, or a number is out of range.
-    """
+    Raises ValueError: a letter of the words cannot be drawn, or a number is out of range."""
 
     def __init__(self, words: Sequence[str], letter: int, sigma: float, slip: float = 1e-6) -> None:
         super().__init__(words, letter)

@@ -7,8 +7,7 @@ out what that letter said itself.
 
 A belief is ``{"diagnostic": …, "causal": …, "posterior": …}``, each part by hypothesis and of sum 1; the posterior
 follows from the other two and is kept to be read. 0 means impossible, exactly: products keep their exponents apart,
-and what would underflow stays at `TINY`, so that later evidence can still choose it.
-"""
+and what would underflow stays at `TINY`, so that later evidence can still choose it."""
 
 import math
 import sys
@@ -54,8 +53,7 @@ class SymbolWorld(World):
         likelihoods: for each place, one number per letter.
         letters: signs by name instead, such as ``C?T``: a letter is seen without doubt, ``?`` tells nothing.
 
-    Raises ValueError: they do not fit the words.
-    """
+    Raises ValueError: they do not fit the words."""
 
     def __init__(
         self, words: Sequence[str], likelihoods: Sequence[Sequence[float]], letters: str | None = None

@@ -38,8 +38,7 @@ class GraspNode(Node):
     (world_from_gripper at the grasp; None while watching) and ``attempts``, how many have begun.
 
     Args: target: id of the cube to pick up; None for whichever is the easiest. lift_m: how far the cube is lifted.
-    Raises ValueError: a number is out of its range.
-    """
+    Raises ValueError: a number is out of its range."""
 
     initial_policy = "pick"
 

@@ -2,8 +2,7 @@
 
 The plan gives each cube a place. Where it really stands is the world's alone: it moves every cube off its place
 (`hierax.nodes.picking.world`). What the trackers begin with is the plan with an error of its own, as a first look at
-the scene would have.
-"""
+the scene would have."""
 
 from typing import NamedTuple
 

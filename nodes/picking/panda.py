@@ -2,8 +2,7 @@
 
 The gripper's frame has its origin between the finger pads; z points along the fingers (the direction of approach), y is
 the direction in which they close. Lengths are those of the maker's table of Denavit-Hartenberg parameters (Craig's
-convention), as in pybullet_data's model. The arm stands in the origin of the world, on the table z = 0.
-"""
+convention), as in pybullet_data's model. The arm stands in the origin of the world, on the table z = 0."""
 
 import numpy as np
 

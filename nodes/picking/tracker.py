@@ -1,8 +1,7 @@
 """The tracking nodes as they stand between the world and the grasp node.
 
 Both do what they do in `hierax.nodes.tracking`, and two things more: what the arm feels of its hand goes up through
-them, and the grasp node's commands go down.
-"""
+them, and the grasp node's commands go down."""
 
 from typing import Any
 
@@ -29,8 +28,7 @@ class PickArm(CommandedNode, ArmNode):
 
     The belief is that of `ArmNode`, with ``hand``, as the world gave it (None before the first image),
     ``joints_from_camera`` ((4, 4): from where the camera has things to where the joints have them) and ``grips``,
-    whether the last command was to close the fingers.
-    """
+    whether the last command was to close the fingers."""
 
     def initial_belief(self) -> Value:
         """The belief of `ArmNode`; nothing is known of the hand yet, and nothing corrected."""

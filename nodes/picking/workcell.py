@@ -7,8 +7,7 @@ a step: a cube that the gripper holds slips by a fraction of a millimetre a seco
 
 Of pybullet_data's Panda what is only to be seen is left out, which makes building it five times as fast, and the
 fingers are boxes: the model's finger is a mesh with a rounded inside, which in its first step against a box has one
-point of contact, against which the box turns; a box in its place has four.
-"""
+point of contact, against which the box turns; a box in its place has four."""
 
 import os
 import weakref

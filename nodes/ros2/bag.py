@@ -1,9 +1,6 @@
 """Frames of a rosbag2: all pictures of one of its topics, and what its CameraInfo says of the lens."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -16,6 +13,7 @@ from hierax.nodes.ros2.messages import (
     decoded,
     header_of,
     image_of,
+    reading,
     require,
     told_lens,
 )
@@ -28,6 +26,7 @@ if TYPE_CHECKING:
 
 _KINDS = (IMAGE, COMPRESSED)
 _EXPECTED = f"{IMAGE} or {COMPRESSED}"
+_WHOLE = "rosbag2, MCAP or SQLite"
 
 
 class BagFrames(Source):
@@ -36,22 +35,21 @@ class BagFrames(Source):
     Args:
         path: the bag's folder, or a single file of it, .mcap or .db3.
         topic: which, where there are several with pictures.
-    Raises DataError: it is damaged, has no such topic, or no picture there.
-    """
+    Raises DataError: it is damaged, has no such topic, or no picture there."""
 
     def __init__(self, path: Path, topic: str | None = None) -> None:
         require("rosbags.rosbag2", path)
         from rosbags.rosbag2 import Reader
 
         self._path = path
-        with _reading(str(path)):
+        with reading(str(path), _WHOLE):
             self._reader = Reader(path)
             self._reader.open()
         try:
             self._topic = _choose(path, self._reader.connections, topic)
             self.name = f"{path}: {self._topic}"
             self._images = [each for each in self._reader.connections if each.topic == self._topic]
-            with _reading(self.name):
+            with reading(self.name, _WHOLE):
                 self._count = sum(each.msgcount for each in self._images)
             if not self._count:
                 raise DataError(f"{self.name}: has no messages; expected pictures")
@@ -82,9 +80,9 @@ class BagFrames(Source):
     def close(self) -> None:
         self._reader.close()
 
-    def _read(self, connections: Sequence[Connection]) -> Iterator[tuple[str, bytes]]:
+    def _read(self, connections: "Sequence[Connection]") -> Iterator[tuple[str, bytes]]:
         """Types and contents of the messages."""
-        with _reading(self.name):
+        with reading(self.name, _WHOLE):
             for connection, _, data in self._reader.messages(connections):
                 yield connection.msgtype, data
 
@@ -101,7 +99,7 @@ class BagFrames(Source):
         return told_lens(where, _decoded(where, *found), straight)
 
 
-def _choose(path: Path, connections: Sequence[Connection], topic: str | None) -> str:
+def _choose(path: Path, connections: "Sequence[Connection]", topic: str | None) -> str:
     """The topic with pictures: the given one, or the only one. Raises DataError: it is another's, or there are others,
     which are told."""
     kinds: dict[str, str] = {each.topic: each.msgtype for each in connections}
@@ -122,16 +120,5 @@ def _choose(path: Path, connections: Sequence[Connection], topic: str | None) ->
 
 
 def _decoded(where: str, kind: str, data: bytes) -> Any:
-    with _reading(where):
+    with reading(where, _WHOLE):
         return decoded(data, kind)
-
-
-@contextmanager
-def _reading(where: str) -> Iterator[None]:
-    try:
-        yield
-    except DataError:
-        raise
-    except Exception as error:  # rosbags raises whatever it meets where a file is damaged
-        said = (str(error).splitlines() or [type(error).__name__])[0]
-        raise DataError(f"{where}: cannot be read: {said:.200}; expected a whole rosbag2, MCAP or SQLite") from error

@@ -1,7 +1,5 @@
 """Messages by `rclpy`: of whatever middleware the user's ROS has. Imported only where it is asked for."""
 
-from __future__ import annotations
-
 import threading
 import time
 from collections.abc import Callable
@@ -19,8 +17,7 @@ class RclpyCarrier(Carrier):
     """A node of `rclpy`, in a context of its own, which a thread spins. Messages stay CDR, both ways: rclpy makes and
     reads none.
 
-    Args: where: what asks for it, for errors; node: its name. Raises DataError: there is no rclpy.
-    """
+    Args: where: what asks for it, for errors; node: its name. Raises DataError: there is no rclpy."""
 
     def __init__(self, where: str, node: str) -> None:
         self._where = where

@@ -3,10 +3,7 @@
 A message is put to ``<domain>/<topic>/<DDS type>/<type hash>`` as CDR, with an attachment: its number and time of
 sending (int64, ns since 1970), and the publisher's gid of 16 bytes with its length in front, 33 bytes, little-endian.
 Who publishes or subscribes is told by tokens under ``@ros2_lv``. After ros2/rmw_zenoh: `liveliness_utils.cpp`,
-`attachment_helpers.cpp`, `rmw_publisher_data.cpp`. Read leniently: versions differ, and add parts.
-"""
-
-from __future__ import annotations
+`attachment_helpers.cpp`, `rmw_publisher_data.cpp`. Read leniently: versions differ, and add parts."""
 
 import itertools
 import os
@@ -90,8 +87,7 @@ class ZenohCarrier(Carrier):
 
     Args: where: what asks for it, for errors; node: its name; router: host and port of Zenoh's router, which may come
         later, `ROUTER` if it is not told. ZENOH_SESSION_CONFIG_URI names a file with Zenoh's settings, as in ROS.
-    Raises DataError: there is something wrong with these.
-    """
+    Raises DataError: there is something wrong with these."""
 
     def __init__(self, where: str, node: str, router: str | None) -> None:
         import xxhash

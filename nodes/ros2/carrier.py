@@ -2,10 +2,7 @@
 
 ``ros:/camera/image_raw`` is a topic as `rclpy` has it, for users inside ROS. ``ros+zenoh:/camera/image_raw`` is one of
 `rmw_zenoh`, with none of ROS installed; ``ros+zenoh://HOST:PORT/…`` tells where its router is. Behind a ``?`` options
-follow, with ``&`` between them.
-"""
-
-from __future__ import annotations
+follow, with ``&`` between them."""
 
 import os
 import re

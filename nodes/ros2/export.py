@@ -1,7 +1,5 @@
 """A recording of tracking as a rosbag2: pictures, the camera, poses, frames and what is known of each object."""
 
-from __future__ import annotations
-
 import shutil
 import tempfile
 from collections import Counter
@@ -66,7 +64,7 @@ def export_rosbag(path: Path, folder: Path, poses: str = "arm", overwrite: bool 
 class _Topics:
     """The topics of a bag that is being written; a topic begins with its first message."""
 
-    def __init__(self, bag: Writer) -> None:
+    def __init__(self, bag: "Writer") -> None:
         self._bag = bag
         self._known: dict[str, Connection] = {}
         self.counts: Counter[str] = Counter()
@@ -148,7 +146,7 @@ def _believed(where: str, epoch: EpochTrace, node: str) -> tuple[Floats | None, 
 
 
 @contextmanager
-def _replacing(folder: Path, overwrite: bool) -> Iterator[Writer]:
+def _replacing(folder: Path, overwrite: bool) -> "Iterator[Writer]":
     """A bag that stands in the folder when it is whole, and not before."""
     from rosbags.rosbag2 import StoragePlugin, Writer
     from rosbags.rosbag2.enums import CompressionFormat, CompressionMode

@@ -1,7 +1,5 @@
 """Topics of ROS 2 as live sources: the newest picture of a camera, or the newest of several topics."""
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Mapping
 from contextlib import closing
@@ -112,8 +110,7 @@ class TopicFrames(LiveTopics):
     Args: name: ``ros:/TOPIC?…``, with ``qos``; ``info``, the topic of the CameraInfo; ``world``, the frame in which the
         camera's pose is looked up; and ``camera``, its own, where the pictures' headers do not name it. calibrated:
         whether the lens is known already, and no CameraInfo waited for.
-    Raises DataError: the name says nothing of the kind.
-    """
+    Raises DataError: the name says nothing of the kind."""
 
     def __init__(self, name: str, timeout_s: float, reopen: bool, calibrated: bool) -> None:
         address = address_of_camera(name)

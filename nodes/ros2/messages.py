@@ -1,8 +1,7 @@
 """ROS's messages, by the package `rosbags`, which has their definitions, their type hashes and CDR."""
 
-from __future__ import annotations
-
-from contextlib import suppress
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
 from functools import cache
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
@@ -55,8 +54,20 @@ def require(module: str, where: object) -> None:
         raise DataError(f"{where}: this needs the package {package}: pip install 'hierax[ros2]'") from error
 
 
+@contextmanager
+def reading(where: str, expected: str) -> Iterator[None]:
+    """`DataError` for whatever rosbags raises meanwhile, as a file or message is damaged, with what was to be whole."""
+    try:
+        yield
+    except DataError:
+        raise
+    except Exception as error:
+        said = (str(error).splitlines() or [type(error).__name__])[0]
+        raise DataError(f"{where}: cannot be read: {said:.200}; expected a whole {expected}") from error
+
+
 @cache
-def messages() -> Typestore:
+def messages() -> "Typestore":
     """The definitions of ROS's messages; those used here are alike in all distributions from Humble on."""
     from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 

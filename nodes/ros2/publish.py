@@ -1,7 +1,5 @@
 """What a run of tracking publishes to ROS 2 while it goes on."""
 
-from __future__ import annotations
-
 import logging
 import time
 from collections.abc import Callable, Mapping

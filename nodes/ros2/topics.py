@@ -1,14 +1,12 @@
 """Messages of several topics that belong together, by their times."""
 
-from __future__ import annotations
-
 import threading
 from collections import deque
 from collections.abc import Callable, Mapping
 from typing import Any, NamedTuple
 
 from hierax.nodes.ros2.carrier import Carrier, Qos
-from hierax.nodes.ros2.messages import decoded
+from hierax.nodes.ros2.messages import decoded, reading
 from hierax.nodes.sources.files import DataError
 
 _KEPT = 30  # messages of a topic that wait for others
@@ -27,8 +25,7 @@ class Topics:
     """What is heard of several topics. Newest sets of one message each are made as by `message_filters`: all within so
     many nanoseconds of the first topic's, each the nearest, and none twice.
 
-    Args: names: what the topics are called here, the first of them the one by which the others go.
-    """
+    Args: names: what the topics are called here, the first of them the one by which the others go."""
 
     def __init__(self, names: tuple[str, ...], within_ns: int = 0) -> None:
         self._within_ns = within_ns
@@ -55,12 +52,10 @@ class Topics:
         def heard(data: bytes, sent_ns: int) -> None:
             with self._changed:
                 try:
-                    came(decoded(data, kind), sent_ns)
+                    with reading(topic, kind):
+                        came(decoded(data, kind), sent_ns)
                 except DataError as error:
                     self._fault = error
-                except Exception as error:  # rosbags raises whatever it meets where a message is damaged
-                    said = (str(error).splitlines() or [type(error).__name__])[0]
-                    self._fault = DataError(f"{topic}: cannot be read: {said:.200}; expected a whole {kind}")
                 self._news = True
                 self._changed.notify_all()
 

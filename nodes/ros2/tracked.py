@@ -1,7 +1,5 @@
 """What a tracking node believes as messages of ROS: for bags and for live topics alike."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any, NamedTuple
 
@@ -62,8 +60,7 @@ def messages_of(
 ) -> Iterator[Message]:
     """Poses, detections and transforms of the objects that are not lost, in the camera's frame, which the header names.
 
-    Args: placed: further transforms, by the frame and its child's, frame_from_child.
-    """
+    Args: placed: further transforms, by the frame and its child's, frame_from_child."""
     stamp_ns, frame = header["stamp_ns"], header["frame_id"]
     known = [item for item in objects if item.status != LOST]
     for item in known:

@@ -1,7 +1,5 @@
 """Where frames are beside one another, by `/tf` and `/tf_static`, in time."""
 
-from __future__ import annotations
-
 from bisect import bisect_left
 from collections import deque
 from typing import Any

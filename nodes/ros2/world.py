@@ -1,7 +1,5 @@
 """N₀ over topics of ROS 2: what joints, cameras and whatever else publish, near in time."""
 
-from __future__ import annotations
-
 import math
 import weakref
 from collections.abc import Mapping
@@ -27,10 +25,8 @@ class TopicsWorld(World):
         topics: what they are called here, and their names: ``{joints: "ros:/joint_states?qos=reliable"}``, all of one
             carrier. By the first the others go, within `within_s` seconds, and of it messages are counted that were
             passed over.
-        source_timeout: seconds without any until it stalls; reopen: as for
-            `hierax.nodes.sources.camera.CameraWorld`.
-    Raises DataError: a name is no topic's. ValueError: an option is out of range.
-    """
+        source_timeout: seconds without any until it stalls; reopen: as for `hierax.nodes.sources.camera.CameraWorld`.
+    Raises DataError: a name is no topic's. ValueError: an option is out of range."""
 
     def __init__(
         self, topics: dict[str, str], within_s: float = 0.02, source_timeout: float = 5.0, reopen: bool = False

@@ -1,7 +1,5 @@
 """A camera's calibration from pictures of a board: a chessboard, or a ChArUco board."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple
@@ -127,8 +125,7 @@ def find_views(
         name: what the pictures are called; most: of the views, enough of them.
         found: hears after each picture how many there were, and how many views.
 
-    Raises DataError: there is no picture, or one has another size.
-    """
+    Raises DataError: there is no picture, or one has another size."""
     detect, size = board.detector(), None
     views: list[View] = []
     for count, picture in enumerate(pictures, start=1):
@@ -149,8 +146,7 @@ def calibrate(name: str, views: Sequence[View], size: Size, model: str = PINHOLE
     """A camera's calibration from views of a board, without those that do not fit the others.
 
     Args: name: what the pictures are called; model: one of `MODELS`.
-    Raises DataError: there are too few views, or they tell no camera.
-    """
+    Raises DataError: there are too few views, or they tell no camera."""
     if len(views) < LEAST_VIEWS:
         what = f"the board is seen in {len(views)} different ways; expected at least {LEAST_VIEWS}"
         raise DataError(f"{name}: {what}, tilted, near and far, and a look at --board")

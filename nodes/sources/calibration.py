@@ -1,10 +1,7 @@
 """Calibrations of cameras, in the files that people have: ROS's camera_info in YAML, and OpenCV's YAML and XML.
 
 The pinhole camera's coefficients are OpenCV's k1, k2, p1, p2[, k3[, k4, k5, k6[, s1 … s4[, τx, τy]]]] (ROS: plumb_bob,
-rational_polynomial), the fisheye camera's k1 … k4 (ROS: equidistant). Straightened frames keep the camera matrix.
-"""
-
-from __future__ import annotations
+rational_polynomial), the fisheye camera's k1 … k4 (ROS: equidistant). Straightened frames keep the camera matrix."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """N₀ over a camera, a video, a folder of images, a bag, a topic or a recording: a frame an epoch, straightened."""
 
-from __future__ import annotations
-
 import logging
 import math
 import re
@@ -48,8 +46,7 @@ def open_source(
 
     Args: fps: of what is played; timeout_s, reopen: of what is live, see `Live`; topic: of a bag, see `BagFrames`;
         calibrated: whether the lens is known, so that none is waited for.
-    Raises DataError: there is no such file, or it cannot be opened.
-    """
+    Raises DataError: there is no such file, or it cannot be opened."""
     from hierax.nodes.sources.live import Captured
     from hierax.nodes.sources.played import Folder, Video
 
@@ -145,8 +142,7 @@ class CameraWorld(World):
         topic: of a bag that has pictures on several.
         straighten: false leaves frames as they were taken.
 
-    Raises DataError: the calibration is missing or damaged. ValueError: an option is out of range.
-    """
+    Raises DataError: the calibration is missing or damaged. ValueError: an option is out of range."""
 
     def __init__(
         self,

@@ -1,7 +1,5 @@
 """Files that nodes read: what is wrong with one is told in a line, with what was expected."""
 
-from __future__ import annotations
-
 import os
 import re
 from collections.abc import Iterator

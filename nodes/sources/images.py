@@ -1,7 +1,5 @@
 """Images of files, checked before they are decoded, and read ahead."""
 
-from __future__ import annotations
-
 import struct
 from collections.abc import Callable, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor

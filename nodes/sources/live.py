@@ -1,7 +1,5 @@
 """Sources that go on whether anybody looks or not: devices and streams. The newest frame counts."""
 
-from __future__ import annotations
-
 import threading
 import time
 from abc import abstractmethod

@@ -1,7 +1,5 @@
 """Sources that are played from their beginning to their end, and leave no frame out: folders and videos."""
 
-from __future__ import annotations
-
 import os
 import re
 from pathlib import Path
@@ -21,9 +19,7 @@ _GREY = (b"Y800", b"GREY", b"Y8  ")  # pixel formats of one channel
 class Folder(Source):
     """The images of a folder, in the order of their names, numbers in these by their value.
 
-    Args: path: the folder; fps: frames per second.
-    Raises DataError: there is no image in it.
-    """
+    Args: path: the folder; fps: frames per second. Raises DataError: there is no image in it."""
 
     def __init__(self, path: Path, fps: float) -> None:
         self.name = str(path)
@@ -45,9 +41,7 @@ class Folder(Source):
 class Video(Source):
     """The frames of a video file. It is decoded from its beginning on, as decoders seek to frames beside the right one.
 
-    Args: path: the file; fps: frames per second, whatever the file says.
-    Raises DataError: it cannot be opened.
-    """
+    Args: path: the file; fps: frames per second, whatever the file says. Raises DataError: it cannot be opened."""
 
     def __init__(self, path: Path, fps: float) -> None:
         self.name = str(path)

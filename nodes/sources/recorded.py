@@ -1,7 +1,5 @@
 """The frames of a recording: what its world showed, epoch by epoch."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -20,9 +18,7 @@ class RecordedFrames(Source):
     """What the world of a recording showed of a camera: any world whose observations hold ``image``, ``camera``,
     ``intrinsics`` and ``frame``. An epoch in which it showed nothing is one here, too.
 
-    Args: path: the recording.
-    Raises DataError: it cannot be read, or lacks an observation, or shows no pictures.
-    """
+    Args: path: the recording. Raises DataError: it cannot be read, or lacks an observation, or shows no pictures."""
 
     straight = True
 

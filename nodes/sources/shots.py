@@ -1,7 +1,5 @@
 """What a source of frames gives: one interface for folders, videos, recordings, devices and streams."""
 
-from __future__ import annotations
-
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any, NamedTuple, TypedDict
@@ -84,7 +82,7 @@ class Source(ABC):
 
     name: str  # for errors
     straight = False  # whether frames are straightened, and cameras told, already
-    lens: Lens | None = None  # what it says itself of the lens that took its frames
+    lens: "Lens | None" = None  # what it says itself of the lens that took its frames
 
     @abstractmethod
     def shot(self, belief: Seen) -> Shot:

@@ -4,8 +4,6 @@ The node has no models. What it knows of the objects' shapes are the control poi
 edges that it takes from the context; without context its objects are lost.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 
 import numpy as np
@@ -138,9 +136,10 @@ class ArmNode(Node):
         image = smoothed(seen["image"]) if shown else _NO_IMAGE
         shift, corrected = self._corrected(present, image, seen["intrinsics"], still)
         after = {item["id"]: item for item in corrected}
+        guessed = {item["id"]: tuple(other for other in item["others"] if other["kept"]) for item in objects}
         objects = tuple(after.get(item["id"], item) for item in objects)
         if sweeps is not None:
-            objects = self._searched(image, objects, sweeps, seen["intrinsics"], camera[2])
+            objects = self._searched(image, objects, guessed, sweeps, seen["intrinsics"], camera[2])
         camera = camera @ invert(shift)
         drift = belief["drift"] @ exp_se3(const.DRIFT_GAIN * log_se3(invert(reported @ belief["drift"]) @ camera))
         height, width = seen["image"].shape[:2]
@@ -200,17 +199,27 @@ class ArmNode(Node):
         return shift, tuple(_sought(self._judged(item, shift @ item["pose"], each)) for item, each in seen)
 
     def _searched(
-        self, image: Image, objects: _Objects, sweeps: tuple[schema.Sweep, ...], intrinsics: Array, level: Floats
+        self,
+        image: Image,
+        objects: _Objects,
+        guessed: Mapping[int, tuple[schema.Alternative, ...]],
+        sweeps: tuple[schema.Sweep, ...],
+        intrinsics: Array,
+        level: Floats,
     ) -> _Objects:
-        """The objects after those that are missing were looked for."""
-        missing = {at: item["others"] for at, item in enumerate(objects) if _is_missing(item)}
+        """The objects after those that are missing, or looked for everywhere as well, were looked for."""
+        swept = {sweep["id"] for sweep in sweeps}
+        missing = {
+            at: guessed[item["id"]]
+            for at, item in enumerate(objects)
+            if _is_missing(item) or (item["status"] == schema.EXPECTED and (item["id"] in swept or guessed[item["id"]]))
+        }
         objects = tuple({**_unseen(item), "probation": 0} if _is_refuted(item) else item for item in objects)
         if not missing:
             return objects
         found = look_for_missing(image, objects, missing, sweeps, np.asarray(intrinsics), level)
         return tuple(
-            _sighted(item, found[at], any(sweep["id"] == item["id"] for sweep in sweeps)) if at in found else item
-            for at, item in enumerate(objects)
+            _sighted(item, found[at], item["id"] in swept) if at in found else item for at, item in enumerate(objects)
         )
 
     def _motion(self, item: schema.TrackedObject) -> Floats:
@@ -276,11 +285,15 @@ def _sighted(item: schema.TrackedObject, sighting: Sighting, swept: bool) -> sch
     """An object after it was looked for; one that was found just now gives way to what explains its place better. It is
     not found before so many images in a row have said so of one pose."""
     if sighting.pose is None or sighting.covariance is None:
+        if item["status"] == schema.EXPECTED:
+            return {**item, "guesses": np.concatenate((sighting.guesses, item["guesses"]))}
         before = item["failed_searches"] if item["status"] == schema.LOST else 0
         return {**_unseen(item), "guesses": sighting.guesses, "failed_searches": before + swept, "probation": 0}
-    said = 1 + item["probation"] * sighting.again
+    said = 1 + item["probation"] * (sighting.again and item["status"] == schema.LOST)
     if said < const.CONFIRMED:
-        return {**_unseen(item), "guesses": np.concatenate((sighting.pose[None], sighting.guesses)), "probation": said}
+        guesses = np.concatenate((sighting.pose[None], sighting.guesses))
+        looked = max(item["failed_searches"], const.SWEEPS_FIRST)
+        return {**_unseen(item), "guesses": guesses, "probation": said, "failed_searches": looked}
     return {
         **item,
         "pose": sighting.pose,

@@ -3,10 +3,7 @@
 Tuned ones come first: generator A's figures are what sets them, unless it says otherwise. What each does to the figures
 is measured by ``benchmarks/sensitivities.py``; which mechanisms were switched off, and what noticed, stands in
 docs/decisions/0053. Those of effort make the tracker slower or quicker and are as large as a frame's time allows;
-numerics are as fine, or as small, as to change no figure; facts are what they are.
-"""
-
-from __future__ import annotations
+numerics are as fine, or as small, as to change no figure; facts are what they are."""
 
 import numpy as np
 

@@ -3,10 +3,7 @@
 The views: ``camera``, the image with edges as they were expected (red) and as the correction puts them (green);
 ``imagined``, the depth image with labels that the spatial node expects; ``scene``, the camera and the bodies at their
 poses; ``error_mm`` and ``turn_deg`` against the truth, where the world knows it; ``scores``, ``probability`` and
-``nats`` of the arm's objects; ``evidence``, the image with edges coloured by what they say, and ``why`` in words.
-"""
-
-from __future__ import annotations
+``nats`` of the arm's objects; ``evidence``, the image with edges coloured by what they say, and ``why`` in words."""
 
 from collections.abc import Mapping, Sequence
 

@@ -1,7 +1,5 @@
 """Options out of their range."""
 
-from __future__ import annotations
-
 import math
 import sys
 from collections.abc import Callable

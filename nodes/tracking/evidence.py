@@ -1,9 +1,6 @@
 """Why the arm believes what it does of its objects: what speaks for their poses, and for others, in nats.
 
-All of it follows from a belief and its image. It is computed again for who looks, and costs the arm nothing.
-"""
-
-from __future__ import annotations
+All of it follows from a belief and its image. It is computed again for who looks, and costs the arm nothing."""
 
 from collections.abc import Sequence
 from typing import NamedTuple

@@ -1,9 +1,6 @@
 """What the spatial node expects its camera to see: each object as if nothing hid it, and all of them together.
 
-An image depends on the arguments alone, to the bit; what a renderer keeps from one to the next is a cache.
-"""
-
-from __future__ import annotations
+An image depends on the arguments alone, to the bit; what a renderer keeps from one to the next is a cache."""
 
 from collections.abc import Collection, Mapping, Sequence
 from typing import NamedTuple

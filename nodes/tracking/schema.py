@@ -2,10 +2,7 @@
 
 Every part is a map that travels as it stands. Array fields carry an `Is`, which `fault` checks; all frames are as in
 `hierax.nodes.tracking.math.geometry`: ``a_from_b`` takes coordinates in frame b to coordinates in frame a, and a pose's
-covariance stands in the object's frame.
-"""
-
-from __future__ import annotations
+covariance stands in the object's frame."""
 
 from collections.abc import Iterator, Mapping
 from types import NoneType, UnionType

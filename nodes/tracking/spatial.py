@@ -1,7 +1,5 @@
 """The spatial node: a physics simulator as mental imagery (example 3 of the paper)."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping, Sequence
 from math import sqrt
@@ -32,13 +30,13 @@ class SpatialNode(Node):
 
     Args:
         objects: the bodies to begin with: each with ``id``, ``obj_id``, ``pose`` and ``model``.
-        table: whether the plane z = 0 of the world carries them, z pointing up.
+        table: whether the plane z = 0 of the world carries them, z pointing up: one that is lost is then missing, and
+            looked for everywhere on it.
         velocity_gain: how far the velocity follows the last observed one, 0 to 1.
         damping: how fast a body without a table slows down, 1/s.
         max_sigmas: how far physics may move a tracked body from where it goes by itself,
             in standard deviations of the arm's pose.
         friction: of the bodies.
-        search: whether a body that is lost is missing, and looked for everywhere on the table.
     """
 
     def __init__(
@@ -49,7 +47,6 @@ class SpatialNode(Node):
         damping: float = const.DAMPING,
         max_sigmas: float = const.PHYSICS_SIGMAS,
         friction: float = const.BODY_FRICTION,
-        search: bool = False,
     ) -> None:
         check_between(0, 1, "a number", velocity_gain=velocity_gain)
         for name, number in (("damping", damping), ("max_sigmas", max_sigmas), ("friction", friction)):
@@ -57,7 +54,6 @@ class SpatialNode(Node):
                 raise ValueError(f"{name} is {number}; expected a finite number not below 0")
         self._bodies = tuple(_body(item) for item in objects)
         self._table = table
-        self._search = search
         self._velocity_gain = velocity_gain
         self._damping = damping
         self._max_sigmas = max_sigmas
@@ -76,7 +72,7 @@ class SpatialNode(Node):
             "frame": None,
             "time_s": None,
             "interval_s": const.DEFAULT_INTERVAL_S,
-            "sweeping": () if self._search else None,
+            "sweeping": () if self._table else None,
             "bodies": self._bodies,
         }
 
@@ -119,7 +115,7 @@ class SpatialNode(Node):
                 for body, free, physical in zip(bodies, coasting, settled, strict=True)
             ]
         present = {body["id"]: self._looked_for(body, interval_s) for body in after}
-        sweeping = _swept_next(belief) if self._search else None
+        sweeping = _swept_next(belief) if self._table else None
         every = tuple(present.get(body["id"]) or _sought(body, sweeping or ()) for body in belief["bodies"])
         return {**belief, "bodies": every, "sweeping": sweeping}
 
@@ -148,7 +144,7 @@ class SpatialNode(Node):
             "seen": None,
             "unseen": 0,
         }
-        if self._search and seen["status"] == schema.LOST:
+        if self._table and seen["status"] == schema.LOST:
             first = body["turn"] if body["status"] == schema.LOST else 0
             return {**heard, "velocity": np.zeros(6), "drift": np.zeros(6), "turn": first}
         if seen["status"] != schema.TRACKED:
@@ -230,11 +226,21 @@ def _body(item: schema.FirstBody) -> schema.Body:
 
 
 def _swept_next(belief: schema.SpatialBelief) -> tuple[int, ...]:
-    """Which missing bodies are looked for everywhere in the next image, those for which that was done least; those that
-    were not found are looked for now and then."""
-    missing = sorted((body["turn"], body["id"]) for body in belief["bodies"] if is_missing(body, belief))
+    """Which bodies that are missing, or that the image does not support where they are expected, are looked for
+    everywhere in the next image, those for which that was done least; those that were not found are looked for now and
+    then."""
+    missing = sorted(
+        (body["turn"] if is_missing(body, belief) else body["unseen"] - 2, body["id"])
+        for body in belief["bodies"]
+        if _is_swept(body, belief)
+    )
     now = (belief["frame"] or 0) % const.SWEPT_EVERY == 0
     return tuple(number for turn, number in missing[: const.SWEPT_TOGETHER] if turn < const.SWEPT_AT_ONCE or now)
+
+
+def _is_swept(body: schema.Body, belief: schema.SpatialBelief) -> bool:
+    """Whether a body may be anywhere: it is missing, or the second image in a row does not support it."""
+    return is_missing(body, belief) or (body["sought"] and body["known"] and body["unseen"] > 1)
 
 
 def _sought(body: schema.Body, sweeping: tuple[int, ...]) -> schema.Body:

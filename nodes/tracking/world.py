@@ -5,8 +5,6 @@ camera, see `hierax.nodes.tracking.datasets.objects`; with neither the world is 
 know at the start is settled here: both get the objects' first poses, the spatial node their models too, the arm none.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from functools import partial
 from pathlib import Path
@@ -107,8 +105,7 @@ def arm(
             are looked for.
         options: further ones of `ArmNode` or `PaperArmNode`.
 
-    Raises ValueError: there is no such method.
-    """
+    Raises ValueError: there is no such method."""
     if method not in _ARMS:
         raise ValueError(f"method is {method!r}; expected one of {', '.join(_ARMS)}")
     if method != "robust" and start == SEARCH:
@@ -143,22 +140,20 @@ def spatial(
         start: as for `arm`; tag_mm, tag: as for `world`.
         options: further ones of `SpatialNode`.
 
-    Raises ValueError: objects are to be looked for without a table on which they could rest.
-    """
+    Raises ValueError: objects are to be looked for without a table on which they could rest."""
     simulated = scene is None and objects is None
     carried = (simulated if table is None else table) and physics
     first, camera = _first_objects(scene, cubes, start, objects)
     found = tag_of(tag_mm, tag)
     if scene is not None and found is not None:
         camera = tag_camera(scene, found).first()
-    search = any(item["pose"] is None for item in first)
-    if search and not carried:
+    if not carried and any(item["pose"] is None for item in first):
         raise ValueError("a first pose is not told; expected table=true with it: bodies are looked for as they rest")
     placed: list[FirstBody] = [
         {**item, "pose": None if item["pose"] is None else camera @ item["pose"], "model": model_of(mesh, symmetry)}
         for item, (mesh, symmetry) in zip(first, _models(scene, first, objects, found is not None), strict=True)
     ]
-    return SpatialNode(placed, table=carried, search=search, **options)
+    return SpatialNode(placed, table=carried, **options)
 
 
 def _check_world(

@@ -1,7 +1,8 @@
-"""The rival of `hierax bench epoch`: the same chain in bare Zenoh callbacks and msgpack.
+"""The rival of `hierax bench`: the same chain in bare Zenoh callbacks and msgpack, as quick as Zenoh knows.
 
 Run as a process for each role: world, arm, spatial, or echo (which answers the world at once, for the time of a bare
-round trip). The world prints how long each epoch took, in microseconds, as JSON."""
+round trip). The world prints how long each epoch took, in microseconds, as JSON. A picture is the payload itself, or a
+buffer of shared memory, and what is small goes as its attachment."""
 
 import argparse
 import json
@@ -14,22 +15,33 @@ from typing import Any
 import msgpack
 import numpy as np
 import zenoh
+import zenoh.shm
 
+from hierax.runtime.bench.rivals.stopwatch import look
 from hierax.runtime.host.streams import own_streams
 from hierax.runtime.transport.zenoh_session import LOOPBACK, close_session, open_session
 
 RETRY_S = 0.05
+ORDINARY, LOW_LATENCY, SHARED = "ordinary", "low-latency", "shared-memory"  # kinds of links
+BUFFERS = 4  # of shared memory
+
+Put = Callable[..., None]
 
 
 class Chain:
     """One process of the chain: its session, and puts and callbacks on it."""
 
-    def __init__(self, listen: str, connect: str) -> None:
-        self.session = open_session([listen or LOOPBACK], [connect] if connect else [])
+    def __init__(self, listen: str, connect: str, links: str = ORDINARY) -> None:
+        self.session = open_session(
+            [listen or LOOPBACK],
+            [connect] if connect else [],
+            shared_memory=links == SHARED,
+            low_latency=links == LOW_LATENCY,
+        )
         self._kept: list[Any] = []
 
-    def publisher(self, key: str) -> Callable[[bytes], None]:
-        """What puts bytes on a key, as our own ports do."""
+    def publisher(self, key: str) -> Put:
+        """What puts a payload on a key, and an attachment, as our own ports do."""
         publisher = self.session.declare_publisher(
             key,
             congestion_control=zenoh.CongestionControl.BLOCK,
@@ -38,12 +50,16 @@ class Chain:
             express=True,
         )
         self._kept.append(publisher)
-        put: Callable[[bytes], None] = publisher.put
+        put: Put = publisher.put
         return put
 
     def on(self, key: str, callback: Callable[[bytes], None]) -> None:
         """Call back with the bytes put on a key."""
-        self._kept.append(self.session.declare_subscriber(key, lambda sample: callback(sample.payload.to_bytes())))
+        self.on_sample(key, lambda sample: callback(sample.payload.to_bytes()))
+
+    def on_sample(self, key: str, callback: Callable[[zenoh.Sample], None]) -> None:
+        """Call back with what was put on a key."""
+        self._kept.append(self.session.declare_subscriber(key, callback))
 
 
 def run_world(chain: Chain, epochs: int) -> list[float]:
@@ -87,27 +103,37 @@ def run_arm(chain: Chain) -> None:
         message = msgpack.unpackb(data)
         up(msgpack.packb({"count": message["count"], "level": message["level"]}))
 
-    def on_down(data: bytes) -> None:
-        message = msgpack.unpackb(data)
-        if "picture" in message:
-            np.frombuffer(message["picture"], np.uint8)
+    def on_down(sample: zenoh.Sample) -> None:
+        payload = sample.payload.to_bytes()
+        if sample.attachment is None:
+            message = msgpack.unpackb(payload)
+        else:
+            message = msgpack.unpackb(sample.attachment.to_bytes())
+            look(np.frombuffer(payload, np.uint8))
         down(msgpack.packb({"count": message["count"], "level": message["level"]}))
 
     chain.on("bare/up/1", on_up)
-    chain.on("bare/down/2", on_down)
+    chain.on_sample("bare/down/2", on_down)
 
 
-def run_spatial(chain: Chain, picture: int, key: str = "2") -> None:
+def run_spatial(chain: Chain, picture: int, key: str = "2", links: str = ORDINARY) -> None:
     """Answer an observation, with a picture where one is wanted."""
     down = chain.publisher(f"bare/down/{key}")
-    pixels = np.zeros(picture, np.uint8)
+    pixels = bytearray(picture)
+    provider = zenoh.shm.ShmProvider.default_backend(BUFFERS * picture) if picture and links == SHARED else None
+    policy = zenoh.shm.BlockOn(zenoh.shm.GarbageCollect())
 
     def on_up(data: bytes) -> None:
         message = msgpack.unpackb(data)
-        answer = {"count": message["count"], "level": message["level"]}
-        if picture:
-            answer["picture"] = pixels.data
-        down(msgpack.packb(answer))
+        answer = msgpack.packb({"count": message["count"], "level": message["level"]})
+        if provider is not None:
+            buffer = provider.alloc(picture, policy)
+            buffer[:] = pixels
+            down(buffer, attachment=answer)
+        elif picture:
+            down(pixels, attachment=answer)
+        else:
+            down(answer)
 
     chain.on(f"bare/up/{key}", on_up)
 
@@ -126,16 +152,17 @@ def main() -> None:
     parser.add_argument("role", choices=("world", "arm", "spatial", "echo"))
     for name, default in (("--listen", ""), ("--connect", ""), ("--epochs", 1000), ("--picture", 0)):
         parser.add_argument(name, type=type(default), default=default)
+    parser.add_argument("--links", choices=(ORDINARY, LOW_LATENCY, SHARED), default=ORDINARY)
     options = parser.parse_args()
     own_streams()
-    chain = Chain(options.listen, options.connect)
+    chain = Chain(options.listen, options.connect, options.links)
     if options.role == "world":
         threading.Thread(target=leave, args=[chain], daemon=True).start()
         print(json.dumps(run_world(chain, options.epochs)), flush=True)
     elif options.role == "arm":
         run_arm(chain)
     else:
-        run_spatial(chain, options.picture, "1" if options.role == "echo" else "2")
+        run_spatial(chain, options.picture, "1" if options.role == "echo" else "2", options.links)
     if options.role != "world":
         leave(chain)
     close_session(chain.session)

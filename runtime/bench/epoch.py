@@ -13,6 +13,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from hierax.runtime.bench.bare_chain import LOW_LATENCY, ORDINARY
 from hierax.runtime.core.errors import HieraxError
 from hierax.runtime.deployment.read import read_deployment
 from hierax.runtime.execution.report import Json
@@ -25,7 +26,6 @@ from hierax.runtime.transport.zenoh_session import free_endpoint
 Times = NDArray[np.float64]  # how long epochs took, in microseconds
 
 PICTURE_BYTES = 2_400_000
-LOW_LATENCY, ORDINARY = "low-latency", "ordinary"  # kinds of links of ours; the bare chain has ordinary ones
 RECORDED = "recorded"  # ordinary ones, and a recorder that hears them
 WARM_UP = 0.1  # share of the epochs, at the beginning of each run, that is not counted
 TIMEOUT_S = 120.0
@@ -58,28 +58,28 @@ def bench_epoch(epochs: int, rounds: int, progress: Callable[[str], None]) -> li
         ("small messages", 0, small),
         (f"{PICTURE_BYTES / 1e6:g} MB in the context", PICTURE_BYTES, (ORDINARY,)),
     ):
-        bare: list[Times] = []
-        ours: dict[str, list[Times]] = {links: [] for links in kinds}
+        bare_us: list[Times] = []
+        ours_us: dict[str, list[Times]] = {links: [] for links in kinds}
         for number in range(rounds):
             progress(f"{name}, round {number + 1} of {rounds}")
-            bare.append(_counted(_bare(epochs, picture)))
-            for links, times in ours.items():
-                times.append(_counted(1e6 * np.array(_ours(epochs, picture, links))))
-        recorded = ours.pop(RECORDED, None)
-        rows += [Row(f"{name}, {links} links", times, bare) for links, times in ours.items()]
+            bare_us.append(counted(bare(epochs, picture)))
+            for links, times in ours_us.items():
+                times.append(counted(1e6 * np.array(ours(epochs, picture, links))))
+        recorded = ours_us.pop(RECORDED, None)
+        rows += [Row(f"{name}, {links} links", times, bare_us) for links, times in ours_us.items()]
         if recorded is not None:
-            rows.append(Row(f"{name}, recorded against not recorded (ours)", recorded, ours[ORDINARY]))
+            rows.append(Row(f"{name}, recorded against not recorded (ours)", recorded, ours_us[ORDINARY]))
     trips = []
     for number in range(rounds):
         progress(f"bare round trip, round {number + 1} of {rounds}")
         low = free_endpoint()
         world = ["world", "--listen", low, "--epochs", str(epochs)]
-        trips.append(_counted(_times(world, ["echo", "--connect", low])))
+        trips.append(counted(_times(world, ["echo", "--connect", low])))
     rows.append(Row("bare chain (ours) against a bare round trip", rows[0].bare_us, trips))
     return rows
 
 
-def _ours(epochs: int, picture: int, links: str) -> Sequence[float]:
+def ours(epochs: int, picture: int, links: str) -> Sequence[float]:
     """How long epochs of our chain took, in seconds."""
     given = [f"picture={picture}", f"low_latency={json.dumps(links == LOW_LATENCY)}"]
     deployment = read_deployment("chain", given)
@@ -93,12 +93,13 @@ def _ours(epochs: int, picture: int, links: str) -> Sequence[float]:
     return report.epochs_s
 
 
-def _bare(epochs: int, picture: int) -> Sequence[float]:
-    low, high = free_endpoint(), free_endpoint()
+def bare(epochs: int, picture: int, links: str = ORDINARY) -> Sequence[float]:
+    """How long epochs of the bare chain took, in microseconds."""
+    low, high, kind = free_endpoint(), free_endpoint(), ["--links", links]
     return _times(
-        ["world", "--listen", low, "--epochs", str(epochs)],
-        ["arm", "--connect", low, "--listen", high],
-        ["spatial", "--connect", high, "--picture", str(picture)],
+        ["world", "--listen", low, "--epochs", str(epochs), *kind],
+        ["arm", "--connect", low, "--listen", high, *kind],
+        ["spatial", "--connect", high, "--picture", str(picture), *kind],
     )
 
 
@@ -120,7 +121,8 @@ def _times(world: list[str], *others: list[str]) -> Sequence[float]:
     return times
 
 
-def _counted(epochs_us: Sequence[float] | Times) -> Times:
+def counted(epochs_us: Sequence[float] | Times) -> Times:
+    """Those after the warm-up."""
     return np.array(epochs_us[int(WARM_UP * len(epochs_us)) :])
 
 

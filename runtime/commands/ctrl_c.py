@@ -1,7 +1,5 @@
 """Ctrl-C, from the first import of a command to the process's end."""
 
-from __future__ import annotations
-
 import os
 import signal
 import sys
@@ -30,7 +28,7 @@ class _CtrlC:
         """What was being done has ended."""
         signal.setitimer(signal.ITIMER_REAL, 0.0)
 
-    def swallowed(self, what: sys.UnraisableHookArgs) -> None:
+    def swallowed(self, what: "sys.UnraisableHookArgs") -> None:
         """As `sys.unraisablehook`: where nothing can be raised, as in the calls that an import's end makes."""
         if what.exc_type is not KeyboardInterrupt:
             sys.__unraisablehook__(what)

@@ -1,15 +1,13 @@
 """``hierax echo``: the messages of a launch as they go."""
 
-from __future__ import annotations
-
 import json
 import queue
 import time
 from collections.abc import Iterator
 from typing import TYPE_CHECKING, Annotated
 
-from hierax.runtime.commands.options import Connect, Format, Full, Key, OutputFormat, Run, option
-from hierax.runtime.commands.which_launch import client_of
+from hierax.runtime.commands.options import Connect, Format, Full, Key, KeyFile, OutputFormat, Run, option
+from hierax.runtime.commands.which_launch import client_at, launch_meant
 
 if TYPE_CHECKING:
     from hierax.runtime.execution.report import Json
@@ -24,12 +22,13 @@ def echo(
     key: Key,
     run: Run = None,
     connect: Connect = None,
+    key_file: KeyFile = None,
     count: Annotated[int | None, option("--count", "-n", min=1)] = None,
     full: Full = False,
     output_format: OutputFormat = Format.text,
 ) -> int:
     """Show messages as they go, with size and rate, until Ctrl-C. The run never waits for this."""
-    with client_of(run, connect) as client:
+    with client_at(launch_meant(run, connect, key_file)) as client:
         for number, each in enumerate(echoes(client, key), start=1):
             is_json = output_format is Format.json
             print(json.dumps(as_json(each, full), allow_nan=False) if is_json else line(each), flush=True)
@@ -39,7 +38,7 @@ def echo(
     return 0
 
 
-def echoes(client: LaunchClient, pattern: str) -> Iterator[Echo]:
+def echoes(client: "LaunchClient", pattern: str) -> "Iterator[Echo]":
     """Messages as they come; ends when the launch does."""
     from hierax.runtime.tools.echoes import Counter
     from hierax.runtime.transport.port import TransportError
@@ -73,7 +72,7 @@ def echoes(client: LaunchClient, pattern: str) -> Iterator[Echo]:
                 yield counter.take(message, len(data))
 
 
-def _ask(client: LaunchClient, pattern: str) -> set[Edge]:
+def _ask(client: "LaunchClient", pattern: str) -> "set[Edge]":
     """Have the nodes show what is wanted for some seconds more."""
     from hierax.runtime.tools.echoes import chosen, edges_of
 
@@ -84,7 +83,7 @@ def _ask(client: LaunchClient, pattern: str) -> set[Edge]:
     return set(wanted)
 
 
-def as_json(echo: Echo, full: bool = False) -> Json:
+def as_json(echo: "Echo", full: bool = False) -> "Json":
     """A message as plain JSON."""
     from hierax.runtime.execution.report import plain
 
@@ -93,7 +92,7 @@ def as_json(echo: Echo, full: bool = False) -> Json:
     return {**fields, "size": echo.size, "rate_hz": echo.rate_hz, "missed": echo.missed}
 
 
-def line(echo: Echo) -> str:
+def line(echo: "Echo") -> str:
     """A message as a line of text, and what it carries below, where that is long."""
     from hierax.runtime.tools.summary import tree
 

@@ -1,7 +1,6 @@
 """The console script, and `python -m hierax.runtime.commands.entry`.
 
-Until there is somebody to answer Ctrl-C in a line, it ends the process without a word.
-"""
+Until there is somebody to answer Ctrl-C in a line, it ends the process without a word."""
 
 import _signal  # type: ignore[import-not-found]  # `signal` imports others, into which Ctrl-C may come
 

@@ -1,7 +1,5 @@
 """``hierax graph`` and ``hierax validate``: what a deployment file says, and whether it can be run."""
 
-from __future__ import annotations
-
 import sys
 from contextlib import redirect_stdout
 from enum import Enum
@@ -46,7 +44,7 @@ def graph(
     return 0
 
 
-def graph_json(deployment: Deployment) -> Json:
+def graph_json(deployment: "Deployment") -> "Json":
     """Nodes and edges as plain JSON."""
     from hierax.runtime.core.graph import depths
 
@@ -71,7 +69,7 @@ def graph_json(deployment: Deployment) -> Json:
     }
 
 
-def mermaid(roster: Roster) -> str:
+def mermaid(roster: "Roster") -> str:
     """A Mermaid flowchart: what is sensed goes up in solid lines, tasks and context come down in dotted ones."""
     from hierax.runtime.core.graph import topological_order
 
@@ -90,7 +88,7 @@ def mermaid(roster: Roster) -> str:
     return "\n".join(lines)
 
 
-def _print_tables(deployment: Deployment) -> None:
+def _print_tables(deployment: "Deployment") -> None:
     content = graph_json(deployment)
     print(f"{deployment.name}: {deployment.description}".rstrip(": "), end="\n\n")
     nodes = [
@@ -106,7 +104,7 @@ def _print_tables(deployment: Deployment) -> None:
         print_table({"edge": {}, **{kind: {} for kind in _FUNCTIONS}}, edges)
 
 
-def _name(reference: Reference) -> str:
+def _name(reference: "Reference") -> str:
     return reference.target.partition(":")[2]
 
 
@@ -137,7 +135,7 @@ def validate(
     return 0
 
 
-def _check(deployment: Deployment) -> None:
+def _check(deployment: "Deployment") -> None:
     """All that can be told without calling more than the initial beliefs."""
     from hierax.runtime.core.binding import OperatorSetting
     from hierax.runtime.loading.loader import LoadError, build_hierarchy, build_probe, check_initial_belief

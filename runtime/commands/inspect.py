@@ -1,7 +1,5 @@
 """``hierax inspect``: what a node of a launch, or of a recording, believes, and why."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -9,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 from hierax.runtime.commands.errors import CommandError, notify
 from hierax.runtime.commands.options import Format, Full, Node, RunOptions, argument, offers, option
 from hierax.runtime.commands.show import print_json
-from hierax.runtime.commands.which_launch import client_at, endpoint_of, own_deployment
+from hierax.runtime.commands.which_launch import Meant, client_at, launch_meant, own_deployment
 from hierax.runtime.core.errors import HieraxError
 
 if TYPE_CHECKING:
@@ -21,7 +19,7 @@ if TYPE_CHECKING:
 _UNSAID = ("process", "before")  # of what a node answers
 
 
-@offers("run", "connect", "trust", "output_format")
+@offers("run", "connect", "key", "trust", "output_format")
 def inspect(
     node: Node,
     options: RunOptions,
@@ -43,16 +41,16 @@ def inspect(
     return 0
 
 
-def _of_launch(node: str, options: RunOptions) -> tuple[tuple[str, str], Answer, Told]:
+def _of_launch(node: str, options: RunOptions) -> "tuple[tuple[str, str], Answer, Told]":
     """The hierarchy and the run; what a node of a launch answers; and what it shows."""
-    endpoint = endpoint_of(options.run, options.connect)
-    with client_at(endpoint) as client:
+    launch = launch_meant(options.run, options.connect, options.key)
+    with client_at(launch) as client:
         status = client.status()
         answer = client.node_state(status, node)
-    return (status.hierarchy, status.run), answer, _told(endpoint, node, answer) if "sensed" in answer else {}
+    return (status.hierarchy, status.run), answer, _told(launch, node, answer) if "sensed" in answer else {}
 
 
-def _told(endpoint: str, node: str, answer: Answer) -> Told:
+def _told(launch: Meant, node: str, answer: "Answer") -> "Told":
     """What a node of a launch on this machine shows; nothing where it is another one than its deployment file has."""
     from hierax.runtime.core.node import class_name
     from hierax.runtime.core.probe import Step
@@ -60,7 +58,7 @@ def _told(endpoint: str, node: str, answer: Answer) -> Told:
     from hierax.runtime.viewing.recorded_run import Look
 
     try:
-        deployment = own_deployment(endpoint, None)
+        deployment = own_deployment(launch, None)
         if deployment is None or node not in deployment.roster.nodes:
             return {}
         roster = deployment.roster
@@ -75,7 +73,7 @@ def _told(endpoint: str, node: str, answer: Answer) -> Told:
         return {}
 
 
-def _of_recording(node: str, file: Path, epoch: int | None, trust: bool) -> tuple[tuple[str, str], Answer, Told]:
+def _of_recording(node: str, file: Path, epoch: int | None, trust: bool) -> "tuple[tuple[str, str], Answer, Told]":
     """The same of a recording."""
     from hierax.runtime.core.node import class_name
     from hierax.runtime.loading.loader import extend_import_path
@@ -92,14 +90,14 @@ def _of_recording(node: str, file: Path, epoch: int | None, trust: bool) -> tupl
     return (recording.info.hierarchy, recording.info.run), answer, look.told()
 
 
-def as_json(hierarchy: str, run: str, node: str, answer: Answer, full: bool = False) -> dict[str, Json]:
+def as_json(hierarchy: str, run: str, node: str, answer: "Answer", full: bool = False) -> "dict[str, Json]":
     from hierax.runtime.execution.report import plain
 
     told = {key: plain(value, full) for key, value in answer.items() if key not in _UNSAID}
     return {"hierarchy": hierarchy, "run": run, "node": node, **told}
 
 
-def _print(hierarchy: str, run: str, node: str, answer: Mapping[str, Any], told: Told) -> None:
+def _print(hierarchy: str, run: str, node: str, answer: Mapping[str, Any], told: "Told") -> None:
     from hierax.runtime.tools.summary import tree
 
     counts = {True: "committed", False: "not committed yet", None: "epochs overlap"}[answer["committed"]]

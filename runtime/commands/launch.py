@@ -15,7 +15,8 @@ def launch(options: RunOptions, file: LaunchedFile = None) -> int:
     from hierax.runtime.commands.run_deployment import run_deployment
     from hierax.runtime.launch import supervisor
     from hierax.runtime.launch.recorder_process import RecordingRequest
-    from hierax.runtime.watch import telemetry
+    from hierax.runtime.transport.zenoh_session import log_who_comes
+    from hierax.runtime.watch import doors, telemetry
 
     telemetry.wanted()  # what is wrong there is told once, not by every process
     run = _resumed(file, options)
@@ -36,7 +37,9 @@ def launch(options: RunOptions, file: LaunchedFile = None) -> int:
             recording=recording,
         )
         goes_on = run is not None and output is not None and output.absolute() == Path(run.output).absolute()
-        code = run_deployment(runner, file, options, goes_on)
+        log_who_comes()
+        with doors.watched(notify):
+            code = run_deployment(runner, file, options, goes_on)
     if recording is None:
         return code
     if recording.failure:

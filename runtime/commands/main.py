@@ -58,6 +58,33 @@ def epoch(
     return 0
 
 
+def peers(
+    epochs: Annotated[int, typer.Option(min=100, help="Epochs in each round.")] = 1000,
+    rounds: Annotated[int, option("--rounds", min=1)] = 5,
+    output_format: OutputFormat = Format.text,
+) -> int:
+    """Time an epoch of three processes beside the same chain in plain Zenoh, ezmsg, dora and ROS 2 (`make peers`)."""
+    from hierax.runtime.bench.peers import bench_peers
+
+    tables = bench_peers(epochs, rounds, show_progress)
+    if output_format is Format.json:
+        print_json({"tables": tables})
+        return 0
+    for table in tables:
+        print(f"\n{table['work']}, {'beside busy loops' if table['busy_loops'] else 'no other load'}")
+        ours = [each for each in table["peers"] if "ratios" in each and each["name"].startswith("hierax")]
+        cells = []
+        for each in table["peers"]:
+            if "missing" in each:
+                cells.append((f"{each['name']}: {each['missing']}", "", "", *("" for _ in ours)))
+                continue
+            ratios = (f"{own['ratios'][each['name']]:.2f}" if each is not own else "" for own in ours)
+            cells.append((each["name"], f"{each['p50_us']:.0f}", f"{each['p99_us']:.0f}", *ratios))
+        columns = ("p50 µs", "p99", *(f"{own['name']}, times" for own in ours))
+        print_table({"peer": {}, **dict.fromkeys(columns, RIGHT)}, cells)
+    return 0
+
+
 def main(arguments: Sequence[str]) -> int:
     """Do what the command line says. Returns the exit code."""
     code = exit_code(lambda: _dispatch(arguments))
@@ -143,6 +170,7 @@ def app_of(arguments: Sequence[str]) -> typer.Typer:
         )
         app.add_typer(bench)
         _register(epoch, bench)
+        _register(peers, bench)
         _register_all("hierax.benchmarks", bench)
     return app
 

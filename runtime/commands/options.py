@@ -38,6 +38,8 @@ _WORDS = """
 --host ADDRESS: An address of this machine at which processes on others may join; by default none may.
 --interval SECONDS: How long each look takes.
 --jobs N: Processes; by default one for each core.
+--key FILE: With --connect: a copy of the key of that launch's run, for you alone; where it is, `hierax launch --host`
+    says.
 --level: From this level on.
 --max-duration TIME: End the recording after this time, such as 90s, 15m or 2h; the run goes on.
 --max-size SIZE: End the recording with the last whole epoch before it is larger, such as 500MB; the run goes on.
@@ -132,6 +134,7 @@ _KEY = "KIND/FROM/TO, where KIND is obs, task or ctx; * stands for any name, ** 
 Key = Annotated[str, argument("KEY", _KEY, autocompletion=keys_here)]
 Run = Annotated[str | None, option("--run", autocompletion=runs_here)]
 Connect = Annotated[str | None, option("--connect")]
+KeyFile = Annotated[Path | None, option("--key", dir_okay=False)]
 Overrides = Annotated[list[str] | None, option("--set")]
 OutputFormat = Annotated[Format, option("--format")]
 Full = Annotated[bool, option("--full")]
@@ -161,6 +164,7 @@ class RunOptions:
     host: Annotated[str | None, option("--host")] = None
     run: Run = None
     connect: Connect = None
+    key: KeyFile = None
     native: Annotated[bool, option("--native")] = False
     save: Annotated[Path | None, option("--save")] = None
     port: Annotated[int | None, option("--port", min=1, max=65535)] = None

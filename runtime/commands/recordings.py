@@ -1,7 +1,5 @@
 """``hierax record``, ``check`` and ``diff``, and what all commands about recordings have in common."""
 
-from __future__ import annotations
-
 import os
 import signal
 import sys
@@ -25,7 +23,7 @@ from hierax.runtime.commands.options import (
     option,
 )
 from hierax.runtime.commands.show import print_json
-from hierax.runtime.commands.which_launch import client_of
+from hierax.runtime.commands.which_launch import client_at, launch_meant
 
 if TYPE_CHECKING:
     from hierax.runtime.recording.diff import Comparison, EpochView
@@ -39,7 +37,7 @@ SHOWN = 10  # how many gaps or violations are listed
 SHOWN_CHARS = 400
 
 
-def claimed_file(path: Path | None, overwrite: bool) -> AbstractContextManager[Target | None]:
+def claimed_file(path: Path | None, overwrite: bool) -> "AbstractContextManager[Target | None]":
     """Have the file of a recording, where one is wanted, before anything starts. Raises as `writing.claimed` does."""
     if path is None:
         return nullcontext()
@@ -49,7 +47,7 @@ def claimed_file(path: Path | None, overwrite: bool) -> AbstractContextManager[T
     return claimed(path, overwrite)
 
 
-def selection_of(options: RunOptions, is_recorded: bool = True) -> Selection:
+def selection_of(options: RunOptions, is_recorded: bool = True) -> "Selection":
     """What is recorded, by the options. Raises `HieraxError` if one is wrong, or nothing is recorded at all."""
     from hierax.runtime.recording.topics import Selection, check_pattern, read_duration, read_size
 
@@ -63,7 +61,7 @@ def selection_of(options: RunOptions, is_recorded: bool = True) -> Selection:
     return Selection(tuple(map(check_pattern, options.exclude or ())), max_bytes, max_duration_s)
 
 
-def recording_of(path: Path) -> Recording:
+def recording_of(path: Path) -> "Recording":
     """Open a recording, and say what is known to lack in it."""
     from hierax.runtime.recording.reading import Recording
 
@@ -73,7 +71,7 @@ def recording_of(path: Path) -> Recording:
     return recording
 
 
-def report_ending(file: Path, ending: Ending) -> int:
+def report_ending(file: Path, ending: "Ending") -> int:
     """Say what a recording lacks. Returns the exit code: 1 where it lacks something."""
     for pattern, count in ending.left_out.items():
         if not count:
@@ -90,7 +88,7 @@ def report_ending(file: Path, ending: Ending) -> int:
     return FAILED
 
 
-def report_outcome(file: Path | None, ending: Ending | None, violations: Sequence[Any]) -> int:
+def report_outcome(file: Path | None, ending: "Ending | None", violations: Sequence[Any]) -> int:
     """Say what is wrong with a recording, if there is to be one, and a check; the exit code."""
     code = OK if file is None or ending is None else report_ending(file, ending)
     return max(code, report_violations(violations))
@@ -107,7 +105,7 @@ def report_violations(violations: Sequence[Any]) -> int:
     return FAILED
 
 
-def comparison_json(comparison: Comparison) -> dict[str, Any]:
+def comparison_json(comparison: "Comparison") -> dict[str, Any]:
     from hierax.runtime.execution.report import plain
 
     difference = comparison.difference
@@ -119,7 +117,7 @@ def comparison_json(comparison: Comparison) -> dict[str, Any]:
     }
 
 
-def print_comparison(comparison: Comparison, a: str, b: str) -> None:
+def print_comparison(comparison: "Comparison", a: str, b: str) -> None:
     """A comparison as text. `a`, `b`: what the two sides are called."""
     for roster in comparison.rosters:
         print(f"rosters differ from epoch {roster.epoch}: {roster.path}")
@@ -159,7 +157,7 @@ def check(file: RecordingFile, output_format: OutputFormat = Format.text) -> int
     return report_violations(violations)
 
 
-@offers("run", "connect", "exclude", "max_size", "max_duration", "overwrite", "output_format")
+@offers("run", "connect", "key", "exclude", "max_size", "max_duration", "overwrite", "output_format")
 def record(
     options: RunOptions,
     output: Annotated[Path, typer.Option("-o", "--output", metavar="FILE", help="The MCAP file.", dir_okay=False)],
@@ -178,10 +176,11 @@ def record(
         raise CommandError("give the launch or --run, not both")
     selection = selection_of(options)
     with claimed_file(output, options.overwrite) as target:
-        with client_of(options.run if hierarchy is None else hierarchy, options.connect) as client:
+        launch = launch_meant(options.run if hierarchy is None else hierarchy, options.connect, options.key)
+        with client_at(launch) as client:
             info = RunInfo.read(client.ask({"ask": "record", "pid": 0 if options.connect else os.getpid()}))
         recorder = Recorder(info, target, selection=selection, epochs=epochs)
-        recording = LiveRecording(recorder, client.endpoint, host=host, watches=True)
+        recording = LiveRecording(recorder, launch.endpoint, host=host, watches=True, secret=launch.secret)
         for number in (signal.SIGINT, signal.SIGTERM):
             signal.signal(number, lambda *_: recording.stop())
         notify(f"recording {info.hierarchy}, run {info.run}; Ctrl-C ends it")
@@ -231,7 +230,7 @@ def diff(
     return OK if comparison.alike else FAILED
 
 
-def _replay(recording: Recording, other: str, world: WorldMode | None, options: RunOptions) -> Replay:
+def _replay(recording: "Recording", other: str, world: WorldMode | None, options: RunOptions) -> "Replay":
     """What does a recording's epochs with a deployment in the place of its own."""
     from hierax.runtime.deployment.read import read_deployment
     from hierax.runtime.loading.loader import extend_import_path

@@ -1,7 +1,5 @@
 """``hierax replay``: a recording done again, whole or one node, as it was or with other parameters or classes."""
 
-from __future__ import annotations
-
 import sys
 import time
 from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -74,14 +72,14 @@ def replay(file: RecordingFile, options: RunOptions) -> int:
 class _Paced:
     """Epochs of a replay, each when it is due."""
 
-    def __init__(self, replay: Replay, speed: float) -> None:
+    def __init__(self, replay: "Replay", speed: float) -> None:
         self._replay = replay
         self._speed = speed
         self._epochs: Iterable[ReplayedEpoch] = replay.epochs()
         self._last: ReplayedEpoch | None = None
         self.times_s: list[float] = []
 
-    def __iter__(self) -> Iterator[ReplayedEpoch]:
+    def __iter__(self) -> "Iterator[ReplayedEpoch]":
         begun_s, begun_ns = time.monotonic(), 0
         done_s = time.perf_counter()
         for epoch in self._epochs:
@@ -95,7 +93,7 @@ class _Paced:
             yield epoch
             done_s = time.perf_counter()
 
-    def report(self) -> Report:
+    def report(self) -> "Report":
         """What the replay has come to: the live nodes after its last epoch."""
         from hierax.runtime.core.binding import metrics_of
         from hierax.runtime.execution.report import NodeReport, Report

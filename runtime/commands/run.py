@@ -1,7 +1,5 @@
 """``hierax run``: a deployment, all nodes in this process."""
 
-from __future__ import annotations
-
 from secrets import token_hex
 from typing import TYPE_CHECKING, Any
 
@@ -29,7 +27,7 @@ def run(file: File, options: RunOptions) -> int:
     selection = selection_of(options, recorded)
     taking: list[InProcess] = []
 
-    def run_scheduled(deployment: Deployment, **given: Any) -> Report:
+    def run_scheduled(deployment: "Deployment", **given: Any) -> "Report":
         schedule = read_schedule(options.at or (), deployment)
         if recorded or options.check:
             from hierax.runtime.recording.info import RunInfo
@@ -55,7 +53,7 @@ def run(file: File, options: RunOptions) -> int:
     return code
 
 
-def _spans(deployment: Deployment) -> Watch | None:
+def _spans(deployment: "Deployment") -> "Watch | None":
     """What has every node's epochs told to OpenTelemetry, where the environment says so."""
     from hierax.runtime.watch import telemetry
 

@@ -5,10 +5,10 @@ from typing import Annotated, Any
 from hierax.runtime.commands.errors import UsageError
 from hierax.runtime.commands.membership import ask_for, deployment_at, print_epoch
 from hierax.runtime.commands.options import RunOptions, argument, offers
-from hierax.runtime.commands.which_launch import client_at, endpoint_of
+from hierax.runtime.commands.which_launch import client_at, launch_meant
 
 
-@offers("run", "connect", "deployment_file", "output_format")
+@offers("run", "connect", "key", "deployment_file", "output_format")
 def set(
     texts: Annotated[list[str], argument("NODE.PARAMETER=VALUE…", "Parameters of one node, values as YAML has them.")],
     options: RunOptions,
@@ -23,16 +23,16 @@ def set(
     names = [name for _, name, _ in given]
     if len({*names}) < len(names):
         raise UsageError(f"expected each parameter once, got {', '.join(names)}")
-    endpoint = endpoint_of(options.run, options.connect)
-    with client_at(endpoint) as client:
+    launch = launch_meant(options.run, options.connect, options.key)
+    with client_at(launch) as client:
         status = client.status()
         status.check_node(node)
         was = client.roster(status).nodes[node]
     changed = Reference(was.target, {**was.parameters, **{name: value for _, name, value in given}})
-    file = deployment_at(endpoint, options.deployment_file)
-    restarts = {node: file.restarts.get(node, file.restart)}
+    file = deployment_at(launch, options.deployment_file)
+    terms = {node: file.terms.get(node, file.restart)}
     what = ", ".join(f"{name} = {value!r}" for _, name, value in given)
-    return print_epoch(ask_for(endpoint, Replace(node, changed), restarts), f"{node}: {what}", options.output_format)
+    return print_epoch(ask_for(launch, Replace(node, changed), terms), f"{node}: {what}", options.output_format)
 
 
 def _parameter(text: str) -> tuple[str, str, Any]:

@@ -1,7 +1,5 @@
 """Results on the terminal or as JSON."""
 
-from __future__ import annotations
-
 import json
 import sys
 from collections.abc import Mapping, Sequence
@@ -20,7 +18,7 @@ SHOWN_CHARS = 60
 SHOWN_ITEMS = 8
 
 
-def print_json(value: Json) -> None:
+def print_json(value: "Json") -> None:
     """A result as JSON on standard output."""
     sys.stdout.write(json.dumps(value, indent=2, allow_nan=False) + "\n")
     sys.stdout.flush()
@@ -32,7 +30,7 @@ def show_progress(what: str, end: str = "\n") -> None:
         print(what, file=sys.stderr, end=end)
 
 
-def console() -> Console:
+def console() -> "Console":
     """Standard output, for tables."""
     from rich.console import Console
 
@@ -44,7 +42,7 @@ def print_table(columns: Mapping[str, Mapping[str, Any]], rows: Sequence[tuple[s
     console().print(table_of(columns, rows))
 
 
-def table_of(columns: Mapping[str, Mapping[str, Any]], rows: Sequence[tuple[str, ...]], **options: Any) -> Table:
+def table_of(columns: Mapping[str, Mapping[str, Any]], rows: Sequence[tuple[str, ...]], **options: Any) -> "Table":
     """A table, of columns' headings with rich's options, and rows of texts; with further options of the table's."""
     from rich.box import SIMPLE_HEAD
     from rich.table import Table
@@ -58,7 +56,7 @@ def table_of(columns: Mapping[str, Mapping[str, Any]], rows: Sequence[tuple[str,
     return table
 
 
-def print_report(report: Report) -> None:
+def print_report(report: "Report") -> None:
     """A run's report as text."""
     from hierax.runtime.execution.timing import lines_of
 
@@ -84,7 +82,7 @@ def print_report(report: Report) -> None:
     print_table({"node": {}, "policy": {}, "metrics": {}, "belief": {}}, rows)
 
 
-def brief(value: Value) -> str:
+def brief(value: "Value") -> str:
     """A value in one short line."""
     from hierax.runtime.tools.summary import in_line
 

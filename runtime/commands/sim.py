@@ -1,7 +1,5 @@
 """``hierax sim``: runs under simulated faults, and whether all that must hold does."""
 
-from __future__ import annotations
-
 import time
 from typing import TYPE_CHECKING, Annotated
 
@@ -41,7 +39,7 @@ def sim(
         return _trace(wanted, kinds, epochs)
     began = time.monotonic()
 
-    def show(summary: Summary) -> None:
+    def show(summary: "Summary") -> None:
         show_progress(f"\r{summary.seeds} of {len(wanted)} seeds, {len(summary.violations)} violations", end="")
 
     summary = simulate_many(wanted, kinds, epochs, jobs or cores(), show)
@@ -97,7 +95,7 @@ def _trace(seeds: range, kinds: tuple[str, ...], epochs: int | None) -> int:
     return FAILED if result.violation else OK
 
 
-def _print(summary: Summary, wall_s: float) -> None:
+def _print(summary: "Summary", wall_s: float) -> None:
     print(f"{summary.seeds} seeds in {wall_s:.1f} s, {summary.epochs} epochs")
     width = max(len(kind) for kinds in summary.kinds.values() for kind in kinds)
     for group, kinds in summary.kinds.items():

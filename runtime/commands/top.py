@@ -1,7 +1,5 @@
 """``hierax top``: what the nodes of a launch spend their time on."""
 
-from __future__ import annotations
-
 import json
 import sys
 import time
@@ -9,9 +7,9 @@ from collections.abc import Callable, Iterator, Mapping
 from itertools import islice
 from typing import TYPE_CHECKING, Annotated, Any
 
-from hierax.runtime.commands.options import Connect, Format, OutputFormat, Run, option
+from hierax.runtime.commands.options import Connect, Format, KeyFile, OutputFormat, Run, option
 from hierax.runtime.commands.show import console, print_json, table_of
-from hierax.runtime.commands.which_launch import client_of
+from hierax.runtime.commands.which_launch import client_at, launch_meant
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -32,12 +30,13 @@ _WAITED_FOR = 3  # how many of those that a node waits for are named in its row
 def top(
     run: Run = None,
     connect: Connect = None,
+    key: KeyFile = None,
     once: Annotated[bool, option("--once")] = False,
     interval: Annotated[float, option("--interval", min=0.1, max=3600)] = 1.0,
     output_format: OutputFormat = Format.text,
 ) -> int:
     """Show where the time of a launch's nodes goes, until Ctrl-C: per epoch, in which operator, waiting for whom."""
-    with client_of(run, connect) as client:
+    with client_at(launch_meant(run, connect, key)) as client:
         looks = overviews(client, interval, time.sleep)
         if once and output_format is Format.json:
             print_json(next(looks))
@@ -49,7 +48,7 @@ def top(
     return 0
 
 
-def overviews(client: LaunchClient, interval_s: float, sleep: Callable[[float], None]) -> Iterator[Mapping[str, Any]]:
+def overviews(client: "LaunchClient", interval_s: float, sleep: Callable[[float], None]) -> Iterator[Mapping[str, Any]]:
     """One overview after the other, each of an interval; ends when the launch does."""
     from hierax.runtime.tools.rates import overview
     from hierax.runtime.transport.port import TransportError
@@ -109,7 +108,7 @@ def headline(look: Mapping[str, Any]) -> str:
     return "\n".join([line, *lines_of(look.get("timing"))])
 
 
-def table(look: Mapping[str, Any], width: int = WIDE) -> Table:
+def table(look: Mapping[str, Any], width: int = WIDE) -> "Table":
     """The nodes of a launch as rows: times are per epoch. On a narrow terminal, some columns are left out."""
     acts = any((node.get("per_epoch_us") or {}).get("act") for node in look["nodes"].values())
     shown = [column for column in _COLUMNS if column != "act" or acts]

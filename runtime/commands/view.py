@@ -1,7 +1,5 @@
 """``hierax view``: what the nodes of a launch, a recording or a run in this process believe, in Rerun."""
 
-from __future__ import annotations
-
 import importlib.util
 import sys
 from collections.abc import Callable
@@ -13,7 +11,7 @@ import typer
 
 from hierax.runtime.commands.errors import CommandError, notify
 from hierax.runtime.commands.options import RunOptions, offers
-from hierax.runtime.commands.which_launch import client_at, endpoint_of, known_run, own_deployment
+from hierax.runtime.commands.which_launch import client_at, launch_meant, own_deployment
 from hierax.runtime.core.errors import HieraxError
 
 if TYPE_CHECKING:
@@ -36,7 +34,7 @@ Shown = Annotated[
 
 
 @offers(
-    *("epochs", "seed", "overrides", "overwrite", "run", "connect", "native", "save"),
+    *("epochs", "seed", "overrides", "overwrite", "run", "connect", "key", "native", "save"),
     *("port", "deployment_file", "opens", "memory", "first", "last", "trust"),
 )
 def view(options: RunOptions, source: Shown = None) -> int:
@@ -83,7 +81,7 @@ def _of_deployment(source: str, options: RunOptions) -> Source:
 
     deployment = read_deployment(source, options.overrides or ())
 
-    def show(presenter: ViewPresenter) -> None:
+    def show(presenter: "ViewPresenter") -> None:
         with redirect_stdout(sys.stderr):
             run_seen(deployment, presenter, epochs=options.epochs, seed=options.seed)
 
@@ -100,7 +98,7 @@ def _of_recording(file: Path, options: RunOptions) -> Source:
 
     first, last = options.first, options.last
 
-    def show(presenter: ViewPresenter) -> None:
+    def show(presenter: "ViewPresenter") -> None:
         if not show_recording(recording, presenter, allowance, first, last):
             why = f": {recording.loss}" if recording.loss else ""
             raise CommandError(f"{file}: there is no committed epoch in it from {first} to {last or 'its end'}{why}")
@@ -114,11 +112,10 @@ def _of_launch(options: RunOptions) -> Source:
     from hierax.runtime.loading.allowance import ANYTHING
     from hierax.runtime.viewing.live import show_launch
 
-    endpoint = endpoint_of(options.run, options.connect)
-    running = known_run(endpoint)
+    launch = launch_meant(options.run, options.connect, options.key)
     deployment: Deployment | None = None
     try:
-        deployment = own_deployment(endpoint, options.deployment_file)
+        deployment = own_deployment(launch, options.deployment_file)
     except HieraxError as error:
         notify(f"the layout is not that of the deployment, whose file cannot be read any more: {error}")
 
@@ -129,14 +126,14 @@ def _of_launch(options: RunOptions) -> Source:
         )
     allowance = ANYTHING if deployment is None or options.trust else deployment.allowance
 
-    def show(presenter: ViewPresenter) -> None:
-        with client_at(endpoint, running) as client, redirect_stdout(sys.stderr):
+    def show(presenter: "ViewPresenter") -> None:
+        with client_at(launch) as client, redirect_stdout(sys.stderr):
             show_launch(client, presenter, allowance)
 
-    return deployment, "launch" if running is None else running.hierarchy, show
+    return deployment, "launch" if launch.running is None else launch.running.hierarchy, show
 
 
-def _viewer(stream: Stream, options: RunOptions) -> AbstractContextManager[Place]:
+def _viewer(stream: "Stream", options: RunOptions) -> "AbstractContextManager[Place]":
     from hierax.runtime.viewing.viewer import file, web_viewer, window
 
     if options.save is not None:
@@ -146,7 +143,7 @@ def _viewer(stream: Stream, options: RunOptions) -> AbstractContextManager[Place
     return web_viewer(stream, options.port, options.memory, options.opens)
 
 
-def _presenter(deployment: Deployment | None, stream: Stream) -> ViewPresenter:
+def _presenter(deployment: "Deployment | None", stream: "Stream") -> "ViewPresenter":
     from hierax.runtime.loading.loader import extend_import_path, load_function
     from hierax.runtime.viewing.presenter import ViewPresenter
     from hierax.runtime.viewing.rerun_canvas import RerunCanvas

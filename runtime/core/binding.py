@@ -1,8 +1,7 @@
 """Operators as the core calls them: one calling convention, results checked.
 
 A user's operator may or may not take a ``tick``, and may be an ``async def``. Here
-both are settled once, when a node is built, so that nothing has to look again.
-"""
+both are settled once, when a node is built, so that nothing has to look again."""
 
 import inspect
 from collections.abc import Awaitable, Callable, Mapping
@@ -11,9 +10,11 @@ from functools import partial
 from math import isfinite
 from typing import Any
 
+import numpy as np
+
 from hierax.runtime.core.elements import Elements, Value
 from hierax.runtime.core.errors import HierarchyError, OperatorError
-from hierax.runtime.core.node import Node, Tick, World
+from hierax.runtime.core.node import Allocate, Node, Tick, World
 
 Operator = Callable[..., Any]
 Waiter = Callable[[Awaitable[Any]], Any]  # drives an awaitable to its result; the core itself has no event loop
@@ -25,6 +26,7 @@ class OperatorSetting:
 
     seed: int = 0  # of all random numbers
     wait: Waiter | None = None  # drives operators that are ``async def``; None refuses them
+    allocate: Allocate = np.empty  # gives the memory of `Tick.empty`
 
 
 TAKES = {
@@ -44,7 +46,7 @@ TAKES = {
 class Call:
     """One operator of one node or edge: call it with the epoch, its time and its arguments."""
 
-    __slots__ = ("_above", "_below", "_function", "_seed", "_wants_tick", "operator", "subject")
+    __slots__ = ("_above", "_below", "_function", "_setting", "_wants_tick", "operator", "subject")
 
     def __init__(
         self,
@@ -59,7 +61,7 @@ class Call:
     ) -> None:
         self.subject = subject
         self.operator = operator
-        self._seed = setting.seed
+        self._setting = setting
         self._below = below
         self._above = above
         self._wants_tick = check_signature(function, operator, takes, subject)
@@ -70,7 +72,10 @@ class Call:
         try:
             if not self._wants_tick:
                 return self._function(*arguments)
-            return self._function(*arguments, tick=self._tick(epoch, time_s))
+            tick = self._tick(epoch, time_s)
+            given = self._function(*arguments, tick=tick)
+            tick.freeze()
+            return given
         except (Exception, SystemExit) as error:  # an operator that exits fails: it would end all nodes in silence
             raise self._failed(epoch, error) from error
 
@@ -80,7 +85,9 @@ class Call:
             if not self._wants_tick:
                 result = self._function(argument)
             else:
-                result = self._function(argument, tick=self._tick(epoch, time_s))
+                tick = self._tick(epoch, time_s)
+                result = self._function(argument, tick=tick)
+                tick.freeze()
         except (Exception, SystemExit) as error:
             raise self._failed(epoch, error) from error
         if type(result) is tuple:
@@ -91,7 +98,9 @@ class Call:
         raise OperatorError(self.subject, self.operator, epoch, what)
 
     def _tick(self, epoch: int, time_s: float) -> Tick:
-        return Tick(self._seed, self.subject, self.operator, epoch, time_s, self._below, self._above)
+        setting = self._setting
+        where = (self.subject, self.operator, epoch, time_s, self._below, self._above)
+        return Tick(setting.seed, *where, setting.allocate)
 
     def _failed(self, epoch: int, error: BaseException) -> OperatorError:
         what = f"{type(error).__name__}: {error}{_raised_at(error)}"
@@ -119,8 +128,7 @@ class Policies(dict[str, Call]):
     """Π as calls, by name.
 
     Π may be infinite, one policy for each task: those that the node's mapping knows but
-    does not list are bound when they are asked for, and not kept.
-    """
+    does not list are bound when they are asked for, and not kept."""
 
     def __init__(self, policies: Mapping[str, Operator], bind: Callable[[Operator, str], Call]) -> None:
         super().__init__({name: bind(function, f"policy {name}") for name, function in policies.items()})
@@ -141,8 +149,7 @@ class BoundNode:
     """A node with a name, its neighbours and the run's seed: all that its operators need.
 
     Raises `HierarchyError` if it is no node, an operator has a signature that cannot be called, a policy's name is no
-    string, π⁰ is none of the policies, or λ(∅) ≠ π⁰.
-    """
+    string, π⁰ is none of the policies, or λ(∅) ≠ π⁰."""
 
     __slots__ = (
         "_may_be_none",

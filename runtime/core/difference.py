@@ -30,8 +30,7 @@ def first_unlike(a: Value, b: Value, path: str, tolerance: float = 0.0) -> Unlik
     """The first place where two values differ; None: nowhere.
 
     Numbers are alike that differ by no more than the tolerance, or by no more than this share of the greater one; 0: to
-    the bit. `path` is what the values are called.
-    """
+    the bit. `path` is what the values are called."""
     if tolerance == 0.0 and _encoded(a) == _encoded(b):
         return None
     return next(_walk(a, b, path, tolerance), None)
@@ -40,8 +39,7 @@ def first_unlike(a: Value, b: Value, path: str, tolerance: float = 0.0) -> Unlik
 def difference(expected: Value, got: Value, names: Sequence[str] = (), where: str = "") -> str:
     """The first place where two values differ, and both values there, for an error; empty where they are equal.
 
-    `names`: what the entries of both, which are tuples then, are called.
-    """
+    `names`: what the entries of both, which are tuples then, are called."""
     pairs = zip(names, expected, got, strict=True) if names else ((where, expected, got),)
     found = next(filter(None, (first_unlike(one, other, path) for path, one, other in pairs)), None)
     return "" if found is None else f"{found.path.lstrip('. ') or 'value'}: {found.a!r:.60}, then {found.b!r:.60}"
@@ -113,8 +111,7 @@ class Vigilance:
     """What the operators of one node are given in one attempt of an epoch, and must not change.
 
     Looked at in some epochs, as it takes encoding everything again. Arrays are frozen in every epoch: this is about
-    lists and dicts, and about belief that was not encoded yet.
-    """
+    lists and dicts, and about belief that was not encoded yet."""
 
     def __init__(self) -> None:
         self._kept: list[tuple[str, Value, bytes]] = []

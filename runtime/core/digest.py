@@ -2,8 +2,7 @@
 
 A node's digest of an epoch is BLAKE2b-256 over the encoding of [belief, policy, actions] and the digests of its
 parents, in name order. The epoch's digest chains the last one, the epoch's number, the roster's content and N₀'s
-digest, which, as the digests flow down every edge, covers all nodes.
-"""
+digest, which, as the digests flow down every edge, covers all nodes."""
 
 import struct
 from collections.abc import Iterable

@@ -1,7 +1,5 @@
 """When nodes and edges form a hierarchy (definition 2): pure checks on names."""
 
-from __future__ import annotations
-
 from collections import defaultdict
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from graphlib import CycleError, TopologicalSorter
@@ -18,8 +16,7 @@ def check_graph(world: str, names: Iterable[str], pairs: Sequence[Pair]) -> None
 
     Raises `HierarchyError` with the reason and the names: a name that cannot stand in a key or file name, an unknown
     node, an edge from a node to itself, a doubled edge, something below the world, a cycle, a second source, a node
-    that cannot be reached from the world.
-    """
+    that cannot be reached from the world."""
     try:
         known = sorted(check_name(name, "node's name") for name in names)
     except SchemaError as error:

@@ -1,7 +1,5 @@
 """The hierarchy H = (nodes, N₀, F) of definition 2."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 
@@ -45,7 +43,7 @@ class BoundEdge:
     context: Call | None
 
     @staticmethod
-    def of(edge: Edge, setting: OperatorSetting) -> BoundEdge:
+    def of(edge: Edge, setting: OperatorSetting) -> "BoundEdge":
         """Bind the functions that an edge has."""
         functions = {"sense": edge.sense, "task": edge.task, "context": edge.context}
         calls = {kind: bind_edge(each, *edge.pair, kind, setting) for kind, each in functions.items()}

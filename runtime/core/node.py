@@ -1,16 +1,15 @@
 """The node that a user writes: at most five operators on values (definition 1); and what they may know besides."""
 
-from __future__ import annotations
-
 import hashlib
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
-from typing import TYPE_CHECKING, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 from numpy.random import Generator, Philox  # by name: `np.random` would be imported in the first epoch that draws
+from numpy.typing import DTypeLike, NDArray
 
 from hierax.runtime.core.elements import Elements, Value
 
@@ -19,6 +18,7 @@ if TYPE_CHECKING:
     from hierax.runtime.core.showing import Things
 
 Policy = Callable[..., Elements]
+Allocate = Callable[..., NDArray[Any]]
 
 
 @dataclass(frozen=True)
@@ -32,6 +32,7 @@ class Tick:
         epoch: counts from 1; 0 outside of a run.
         time_s: the epoch's time in seconds, as the world set it.
         below, above: names of the neighbours of the node (of an edge function: of the edge's lower and upper node).
+        allocate: where the memory of `empty` comes from, as `numpy.empty`.
     """
 
     seed: int = 0
@@ -41,6 +42,30 @@ class Tick:
     time_s: float = 0.0
     below: tuple[str, ...] = ()
     above: tuple[str, ...] = ()
+    allocate: Allocate = field(default=np.empty, repr=False, compare=False)
+
+    def empty(self, shape: int | tuple[int, ...], dtype: DTypeLike = float) -> NDArray[Any]:
+        """An array to be filled and returned, all of it, as `numpy.empty`: where it can, the runtime gives memory that
+        receivers on this machine read in place, so that it is not copied. Nobody can write into it any more once the
+        operator has returned.
+
+        Args:
+            shape, dtype: as of `numpy.empty`.
+        """
+        array = self.allocate(shape, dtype)
+        self._given.append(array)
+        return array
+
+    def freeze(self) -> None:
+        """The operator has returned: what it was given is written to no more."""
+        for array in self.__dict__.get("_given", ()):
+            array.flags.writeable = False
+            if isinstance(array.base, np.ndarray):
+                array.base.flags.writeable = False
+
+    @cached_property
+    def _given(self) -> list[NDArray[Any]]:
+        return []
 
     @cached_property
     def rng(self) -> Generator:
@@ -57,8 +82,7 @@ NO_TICK = Tick()
 def structural_difference(expected: Value, given: Value, where: str = "belief") -> str:
     """The first place where two values are built differently; empty where they are not.
 
-    What is expected to be None in a map is not known yet, and may be given as anything.
-    """
+    What is expected to be None in a map is not known yet, and may be given as anything."""
     if isinstance(expected, np.ndarray) and isinstance(given, np.ndarray):
         if (expected.dtype, expected.ndim) != (given.dtype, given.ndim):
             wanted, got = f"{expected.dtype}, {expected.ndim}-d", f"{given.dtype}, {given.ndim}-d"
@@ -165,7 +189,7 @@ class Node(ABC):
         """Figures about the belief, by name, for the report of a run. None by default."""
         return {}
 
-    def show(self, step: Step, before: Value) -> Things:
+    def show(self, step: "Step", before: Value) -> "Things":
         """What a viewer is to show of an epoch; never called while nobody looks, nor in the node's process.
 
         `hierax inspect` prints its texts and figures.
@@ -193,8 +217,7 @@ class World(Node):
 
         Not for a world whose act is a function of its belief: that is done by `predict`. Where a process dies in the
         middle of an act, ``on_uncertain_act`` in the deployment file says whether it is repeated; ``tick.epoch`` is the
-        key by which a device can tell a repeated act.
-        """
+        key by which a device can tell a repeated act."""
         return
 
     def finished(self, belief: Value) -> bool:

@@ -57,8 +57,7 @@ class Probe(ABC):
         """Called in place of `open` where a process of the node comes in the place of one that died.
 
         What is in the folder was written in this run, and the last epochs may be told again (with a later attempt). By
-        default what `open` does, which suits what writes one file for each epoch.
-        """
+        default what `open` does, which suits what writes one file for each epoch."""
         self.open(output)
 
     @abstractmethod
@@ -66,8 +65,7 @@ class Probe(ABC):
         """Called after each epoch, when the node's messages are sent, or before if it is prompt.
 
         Nothing in `step` may be changed. Epochs may be told again, with a later attempt; a prompt probe may be
-        told of one that is never committed.
-        """
+        told of one that is never committed."""
 
     def close(self) -> None:
         """Called once after the last epoch."""

@@ -1,10 +1,7 @@
 """The process model: sense up, then predict down (definitions 3 to 6), as pure functions.
 
 This is the reference. What runs is the engine (`hierax.runtime.engine`); that both
-agree is tested on random hierarchies.
-"""
-
-from __future__ import annotations
+agree is tested on random hierarchies."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -39,7 +36,7 @@ class ActiveHierarchy:
     epoch: int = 0
 
     @staticmethod
-    def initial(hierarchy: Hierarchy) -> ActiveHierarchy:
+    def initial(hierarchy: Hierarchy) -> "ActiveHierarchy":
         """Every node with s⁰, π⁰ and no actions.
 
         Raises:
@@ -51,7 +48,7 @@ class ActiveHierarchy:
         }
         return ActiveHierarchy(hierarchy, MappingProxyType(states))
 
-    def with_state(self, name: str, state: ActiveNode) -> ActiveHierarchy:
+    def with_state(self, name: str, state: ActiveNode) -> "ActiveHierarchy":
         """The same with one node's state replaced."""
         return replace(self, states=MappingProxyType({**self.states, name: state}))
 

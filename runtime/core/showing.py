@@ -12,8 +12,7 @@ kind:
 - a text: `str`, as Markdown.
 - a graph: `Graph`.
 
-Arrays may be lists, too. What is built wrongly is refused with a ValueError that says what was expected.
-"""
+Arrays may be lists, too. What is built wrongly is refused with a ValueError that says what was expected."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """A deployment file: where it is looked for, its values by path as errors and ``--set`` name them, and what it says."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Container, Iterator, Mapping
 from contextlib import contextmanager
@@ -90,7 +88,7 @@ class Document:
     lines: dict[Keys, int]  # by path, of every value in the file
     changed: dict[Keys, str] = field(default_factory=dict)  # the ``--set`` that a value comes from
     origins: dict[Keys, str] = field(default_factory=dict)  # the parameter that it was taken from
-    outer: Document | None = None  # the document whose parameters are meant, where it is another one
+    outer: "Document | None" = None  # the document whose parameters are meant, where it is another one
 
     @property
     def parameters(self) -> Any:
@@ -196,10 +194,12 @@ def import_paths(path: Path) -> tuple[str, ...]:
 
 
 @dataclass(frozen=True)
-class RestartPolicy:
-    """What is done when a node's process ends or cannot be reached. The supervisor of a process restarts it by the
-    first five; the roster's owner waits for it by the last two. The defaults start a process that was killed again at
-    once, as far as anybody can see, and give up on one that falls over again and again within some seconds."""
+class ProcessTerms:
+    """How a node's process is kept, which changes nothing of what the node computes from its inputs.
+
+    When it ends or cannot be reached, its supervisor restarts it by the first five; the roster's owner waits for it by
+    the next two. The defaults start a process that was killed again at once, as far as anybody can see, and give up on
+    one that falls over again and again within some seconds."""
 
     restart_policy: Literal["never", "on-failure", "always"] = "on-failure"  # after which end of a process
     max_restarts: int = 5  # how many within the window; the next end of the process is its last. 0: no limit.
@@ -210,6 +210,9 @@ class RestartPolicy:
     # What follows then. ``restart``: it is waited for as long as its supervisor may restart it, then the run is
     # stopped; ``detach``: it is detached, and what only it joins to the world; ``stop``: the run is stopped.
     on_loss: Literal["restart", "detach", "stop"] = "restart"
+    rate_hz: float | None = None  # how often at most it takes part in an epoch; None: as it can
+    budget_ms: float | None = None  # how long it may be at work in an epoch; None: the world's period, if it has one
+    scheduling: Mapping[str, Value] | None = None  # how the system is asked to run its thread
 
     @property
     def fails_alone(self) -> bool:
@@ -237,19 +240,17 @@ class Deployment:
     roster: Roster  # nodes and edges
     probes: tuple[ProbeSpec, ...]  # in the file's order; where errors name one, it is ``probes[i]``
     modules: tuple[str, ...]  # from which code may be loaded, now and later; those that the file names are among them
-    restarts: Mapping[str, RestartPolicy]  # by node, of all nodes
-    restart: RestartPolicy  # of nodes that are attached later and say nothing else
+    terms: Mapping[str, ProcessTerms]  # by node, of all nodes
+    restart: ProcessTerms  # of nodes that are attached later and say nothing else
     durability: Literal["process", "host"]  # whose death checkpoints outlive
     epoch_deadline_s: float | None  # how long until who holds an epoch up counts as lost, in seconds; None: for ever
     on_uncertain_act: Literal["repeat", "skip"]  # of a world of which nobody knows if it acted: at least, at most once
     staleness: Staleness  # how old inputs from above may be
-    rates_hz: Mapping[str, float]  # by node that says so: how often at most it takes part in an epoch of a free run
     late: Late  # what follows an epoch of a world with a rate that took too long
-    budgets_ms: Mapping[str, float]  # by node that says so, how long it may be at work in an epoch
-    scheduling: Mapping[str, Mapping[str, Value]]  # by node that says so, how the system is asked to run its thread
     start_timeout_s: float  # how long all nodes may take to come up, in seconds
     zenoh: Mapping[str, Value] | str | None  # its own settings: a map, JSON5 text in braces, or the path of a file
     low_latency: bool  # whether processes have links that carry short messages more quickly, and no long ones
+    open: bool  # whether anybody who reaches a launch may speak to it
     import_paths: tuple[str, ...]  # folders in which the deployment's own modules are looked for
     document: Document = field(repr=False, compare=False)  # where everything stands in the file
     view: ViewSpec = ViewSpec()  # how a viewer shows it

@@ -13,7 +13,7 @@ from hierax.runtime.deployment.deployment import (
     DeploymentError,
     Document,
     Keys,
-    RestartPolicy,
+    ProcessTerms,
     inside,
 )
 from hierax.runtime.loading.allowance import TARGET_PATTERN, is_target
@@ -117,31 +117,31 @@ class RestartModel(_Model):
 
     restart_policy: Literal["never", "on-failure", "always"] = _field(
         "after which end of a process another one is started: none, one by a failure or signal, any",
-        RestartPolicy.restart_policy,
+        ProcessTerms.restart_policy,
     )
-    max_restarts: int = _field("how often within restart_window; 0: no limit", RestartPolicy.max_restarts, ge=0)
+    max_restarts: int = _field("how often within restart_window; 0: no limit", ProcessTerms.max_restarts, ge=0)
     restart_delay_s: NotNegative = _field(
         "before a restart, doubled for each one within restart_window; a node's very first one is at once",
-        RestartPolicy.restart_delay_s,
+        ProcessTerms.restart_delay_s,
         alias="restart_delay",
     )
     max_restart_delay_s: NotNegative = _field(
-        "the longest that restart_delay grows to", RestartPolicy.max_restart_delay_s, alias="max_restart_delay"
+        "the longest that restart_delay grows to", ProcessTerms.max_restart_delay_s, alias="max_restart_delay"
     )
     restart_window_s: Positive | None = _field(
         "restarts longer ago than this are forgotten; null: none ever is",
-        RestartPolicy.restart_window_s,
+        ProcessTerms.restart_window_s,
         alias="restart_window",
     )
     rejoin_timeout_s: Positive = _field(
         "how long the epoch waits for a lost node to come back, before on_loss",
-        RestartPolicy.rejoin_timeout_s,
+        ProcessTerms.rejoin_timeout_s,
         alias="rejoin_timeout",
     )
     on_loss: Literal["restart", "detach", "stop"] = _field(
         "a node that does not come back: wait on while it is being restarted, else stop; "
         "or detach it, and what only it joins to the world; or stop the run",
-        RestartPolicy.on_loss,
+        ProcessTerms.on_loss,
     )
 
 
@@ -268,6 +268,9 @@ class DeploymentModel(_Model):
     start_timeout_s: Positive = _field("how long launch waits for all nodes to come up", 30.0)
     low_latency: bool = _field(
         "quicker links between processes, for messages of at most 32 KiB; a longer one ends the run", False
+    )
+    open: bool = _field(
+        "whether anybody who reaches a launch may read and change it; by default only who has the key of the run", False
     )
     view: Views = _field("how `hierax view` shows it; no part of the run", ViewModel())
     zenoh: ZenohSettings = _field("Zenoh's own settings: a file (relative to this one), JSON5 text, or a map", None)

@@ -1,7 +1,7 @@
 """Reading a deployment file: text to tree, ``--set``, ``${NAME}``, models, roster."""
 
-from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import replace
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import fields, replace
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +16,7 @@ from hierax.runtime.deployment.deployment import (
     DeploymentError,
     Document,
     Keys,
-    RestartPolicy,
+    ProcessTerms,
     ViewSpec,
     find_file,
     import_paths,
@@ -39,6 +39,7 @@ _AS_SAID = (
     "on_uncertain_act",
     "start_timeout_s",
     "low_latency",
+    "open",
     "late",
 )
 """Fields of the deployment that are those of the file."""
@@ -63,19 +64,17 @@ def deployment_of(document: Document, path: Path) -> Deployment:
     except ValidationError as error:
         raise first_error(error, document, root) from error
     roster = _roster(model, document)
-    restart = restart_policy(model.restart, RestartPolicy(), document, ("restart",))
+    restart = process_terms(model.restart, ProcessTerms(), document, ("restart",))
+    staleness = _staleness(model, document)
     return Deployment(
         path=path,
         name=model.hierarchy,
         roster=roster,
         probes=_probes(model, document),
         modules=_modules(model),
-        restarts={name: restart_policy(node, restart, document, ("nodes", name)) for name, node in model.nodes.items()},
+        terms=node_terms(model.nodes, lambda name: restart, document, staleness, model.world),
         restart=restart,
-        staleness=_staleness(model, document),
-        rates_hz={name: node.rate_hz for name, node in model.nodes.items() if node.rate_hz is not None},
-        budgets_ms={name: node.budget_ms for name, node in model.nodes.items() if node.budget_ms is not None},
-        scheduling=_scheduling(model, document),
+        staleness=staleness,
         zenoh=_zenoh(model.zenoh, path, document),
         import_paths=import_paths(path),
         document=document,
@@ -140,10 +139,6 @@ def _staleness(model: models.DeploymentModel, document: Document) -> Staleness:
     staleness = Staleness(model.staleness, model.exact)
     if model.exact and (staleness.barrier or staleness.free):
         raise document.error(("exact",), "means something only with a staleness of 1 or more")
-    for name, node in model.nodes.items():
-        if node.rate_hz is not None and not staleness.free and not (staleness.barrier and name == model.world):
-            what = "nodes have rates only in free running (staleness: null), the world also with the barrier"
-            raise document.error(("nodes", name, "rate_hz"), what)
     if "late" in model.model_fields_set and not (staleness.barrier and model.nodes[model.world].rate_hz):
         what = f"means something only where the world has a rate, with the barrier: nodes.{model.world}.rate_hz"
         raise document.error(("late",), what)
@@ -151,18 +146,6 @@ def _staleness(model: models.DeploymentModel, document: Document) -> Staleness:
         what = "goes with a staleness of 0 only: nodes that do not wait for one another may fill its links"
         raise document.error(("low_latency",), what)
     return staleness
-
-
-def _scheduling(model: models.DeploymentModel, document: Document) -> dict[str, dict[str, Any]]:
-    found = {}
-    for name, node in model.nodes.items():
-        given = node.scheduling
-        if given is not None:
-            if given.policy == "other" and "priority" in given.model_fields_set:
-                what = "means something only with a real-time policy: fifo or rr"
-                raise document.error(("nodes", name, "scheduling", "priority"), what)
-            found[name] = {**given.model_dump(), "cpus": None if given.cpus is None else tuple(given.cpus)}
-    return found
 
 
 def _zenoh(value: str | dict[str, Any] | None, path: Path, document: Document) -> dict[str, Any] | str | None:
@@ -209,14 +192,33 @@ def check_known(name: str, nodes: Iterable[str], document: Document, keys: Keys)
         raise document.error(keys, f"there is no node {name!r}{did_you_mean(name, nodes, 'the nodes are')}")
 
 
-def restart_policy(said: models.RestartModel, otherwise: RestartPolicy, place: Document, keys: Keys) -> RestartPolicy:
-    """What the model of a node, or of all, says about restarts, with the rest as another policy has it. The longest
-    delay is then at least the first one; if it is given, and shorter, `DeploymentError` names its place in the
-    document."""
-    given = {name: getattr(said, name) for name in models.RestartModel.model_fields if name in said.model_fields_set}
+def node_terms(
+    nodes: Mapping[str, models.NodeModel],
+    otherwise: Callable[[str], ProcessTerms],  # what holds of what a node does not say, by its name
+    document: Document,
+    staleness: Staleness,  # of the deployment
+    world: str,  # its name
+) -> dict[str, ProcessTerms]:
+    """How the processes of nodes are kept. Raises `DeploymentError` if something means nothing where it stands."""
+    for name, node in nodes.items():
+        if node.rate_hz is not None and not staleness.free and not (staleness.barrier and name == world):
+            what = "nodes have rates only in free running (staleness: null), the world also with the barrier"
+            raise document.error(("nodes", name, "rate_hz"), what)
+        if (asked := node.scheduling) and asked.policy == "other" and "priority" in asked.model_fields_set:
+            what = "means something only with a real-time policy: fifo or rr"
+            raise document.error(("nodes", name, "scheduling", "priority"), what)
+    return {name: process_terms(node, otherwise(name), document, ("nodes", name)) for name, node in nodes.items()}
+
+
+def process_terms(said: models.RestartModel, otherwise: ProcessTerms, place: Document, keys: Keys) -> ProcessTerms:
+    """What the model of a node, or of all, says of processes, with the rest as other terms have it. The longest delay
+    is then at least the first one; if it is given, and shorter, `DeploymentError` names its place in the document."""
+    given = {name: getattr(said, name) for name in said.model_fields_set & {each.name for each in fields(ProcessTerms)}}
     first_s = given.get("restart_delay_s", otherwise.restart_delay_s)
     longest_s = given.setdefault("max_restart_delay_s", max(first_s, otherwise.max_restart_delay_s))
     if longest_s < first_s:
         what = f"expected at least restart_delay, {first_s:g}, got {longest_s:g}"
         raise place.error((*keys, "max_restart_delay"), what)
+    if given.get("scheduling") is not None:
+        given["scheduling"] = given["scheduling"].model_dump()
     return replace(otherwise, **given)

@@ -3,8 +3,6 @@
 It is in no file that hierax writes, in no recording, and in no answer. Of a ``--set`` that
 gives something secret the path alone is kept, without ``=``."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
@@ -81,7 +79,7 @@ def public_text(text: str, zenoh: Any) -> str:
     return text
 
 
-def _secret_scalars(text: str, secrets: frozenset[str]) -> Iterator[yaml.ScalarNode]:
+def _secret_scalars(text: str, secrets: frozenset[str]) -> "Iterator[yaml.ScalarNode]":
     """What is secret in the settings of Zenoh, and in the parameters that they may come from."""
     import yaml  # nodes' processes, which read no deployment file, do without it
 
@@ -99,7 +97,7 @@ def _has_secret(text: str, secrets: frozenset[str], sure_chars: int = _SURE_CHAR
     return any(secret == text or (len(secret) >= sure_chars and secret in text) for secret in secrets)
 
 
-def _scalars(node: yaml.Node, seen: set[int]) -> Iterator[yaml.ScalarNode]:
+def _scalars(node: "yaml.Node", seen: set[int]) -> "Iterator[yaml.ScalarNode]":
     import yaml
 
     if id(node) in seen:

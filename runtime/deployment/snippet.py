@@ -12,10 +12,10 @@ from typing import NamedTuple
 
 from pydantic import ValidationError
 
-from hierax.runtime.deployment.deployment import Deployment, DeploymentError, Document, RestartPolicy, inside
+from hierax.runtime.deployment.deployment import Deployment, DeploymentError, Document, ProcessTerms, inside
 from hierax.runtime.deployment.models import SnippetModel, first_error, split_edge
 from hierax.runtime.deployment.parameters import substitute
-from hierax.runtime.deployment.read import read_document, restart_policy, roster_edges, roster_nodes
+from hierax.runtime.deployment.read import node_terms, read_document, roster_edges, roster_nodes
 from hierax.runtime.loading.allowance import NotAllowedError
 from hierax.runtime.loading.nearest import did_you_mean
 from hierax.runtime.owner.roster_changes import ChangeError, next_roster
@@ -25,6 +25,7 @@ FORMS = {"attach": "EPOCH:attach:FILE", "detach": "EPOCH:detach:NAME[:cascade]",
 """How each change is written."""
 
 _DIGITS = 19
+_OF_THE_PLACE = ("rate_hz", "budget_ms", "scheduling")  # what a node keeps when another takes its place
 
 
 def read_attach(source: str | Path, deployment: Deployment) -> Attach:
@@ -44,15 +45,16 @@ def read_replace(source: str | Path, name: str, deployment: Deployment) -> Repla
     return replace_of(_document(source, deployment), name)
 
 
-def read_restarts(source: str | Path, deployment: Deployment, *, attached: bool = False) -> Mapping[str, RestartPolicy]:
-    """What a source of `read_attach` or `read_replace` says about the restarts of its nodes. What it leaves out is as
-    ``restart`` at the top of the deployment file has it; but what is attached fails alone (``on_loss: detach``) where
-    neither file says what is to follow. Raises `DeploymentError` as `read_attach` does."""
+def read_terms(source: str | Path, deployment: Deployment, *, attached: bool = False) -> Mapping[str, ProcessTerms]:
+    """What a source of `read_attach` or `read_replace` says of the processes of its nodes. What it leaves out about
+    restarts is as ``restart`` at the top of the deployment file has it; but what is attached fails alone (``on_loss:
+    detach``) where neither file says what is to follow. What replaces a node keeps the rate, budget and scheduling that
+    the file gives that. Raises `DeploymentError` as `read_attach` does."""
     if _is_node(source, deployment):
-        own = deployment.restarts[str(source)]
+        own = deployment.terms[str(source)]
         said = _says(deployment, "nodes", str(source))
         return {str(source): own if said else replace(own, on_loss=_otherwise(deployment, attached).on_loss)}
-    return restarts_of(_document(source, deployment), deployment, attached=attached)
+    return terms_of(_document(source, deployment), deployment, attached=attached)
 
 
 def attach_of(document: Document) -> Attach:
@@ -71,14 +73,19 @@ def replace_of(document: Document, name: str) -> Replace:
     return Replace(name, roster_nodes(model.nodes, document)[name], edges)
 
 
-def restarts_of(document: Document, deployment: Deployment, *, attached: bool = False) -> Mapping[str, RestartPolicy]:
-    """What a snippet's document says about the restarts of its nodes, as `read_restarts` has it."""
-    otherwise = _otherwise(deployment, attached)
-    nodes = _checked(document).nodes.items()
-    return {name: restart_policy(node, otherwise, document, ("nodes", name)) for name, node in nodes}
+def terms_of(document: Document, deployment: Deployment, *, attached: bool = False) -> Mapping[str, ProcessTerms]:
+    """What a snippet's document says of the processes of its nodes, as `read_terms` has it."""
+    unsaid = _otherwise(deployment, attached)
+
+    def otherwise(name: str) -> ProcessTerms:
+        own = None if attached else deployment.terms.get(name)
+        return unsaid if own is None else replace(unsaid, **{field: getattr(own, field) for field in _OF_THE_PLACE})
+
+    world = deployment.roster.world
+    return node_terms(_checked(document).nodes, otherwise, document, deployment.staleness, world)
 
 
-def _otherwise(deployment: Deployment, attached: bool) -> RestartPolicy:
+def _otherwise(deployment: Deployment, attached: bool) -> ProcessTerms:
     """What holds of a node of which a snippet says nothing."""
     if attached and not _says(deployment, "restart"):
         return replace(deployment.restart, on_loss="detach")
@@ -132,7 +139,7 @@ class Scheduled(NamedTuple):
 
     epoch: int
     change: Change
-    alone: frozenset[str] = frozenset()  # its new nodes that are detached when a function of theirs raises
+    terms: Mapping[str, ProcessTerms] = {}  # of the processes of its new nodes
 
 
 def read_schedule(texts: Sequence[str], deployment: Deployment) -> tuple[Scheduled, ...]:
@@ -170,15 +177,10 @@ def _scheduled(text: str, deployment: Deployment) -> Scheduled:
         raise DeploymentError(f"expected the number of an epoch, from 1, got {number!r:.40}", place)
     epoch = int(number)
     if kind == "attach" and rest:
-        alone = _alone(read_restarts(rest, deployment, attached=True))
-        return Scheduled(epoch, read_attach(rest, deployment), alone)
+        return Scheduled(epoch, read_attach(rest, deployment), read_terms(rest, deployment, attached=True))
     name, colon, rest = rest.partition(":")
     if kind == "replace" and name and rest:
-        return Scheduled(epoch, read_replace(rest, name, deployment), _alone(read_restarts(rest, deployment)))
+        return Scheduled(epoch, read_replace(rest, name, deployment), read_terms(rest, deployment))
     if kind == "detach" and name and (not colon or rest == "cascade"):
         return Scheduled(epoch, Detach(name, bool(colon)))
     raise DeploymentError(f"expected {FORMS[kind]}", place)
-
-
-def _alone(policies: Mapping[str, RestartPolicy]) -> frozenset[str]:
-    return frozenset(name for name, policy in policies.items() if policy.fails_alone)

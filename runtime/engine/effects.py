@@ -48,8 +48,7 @@ class Saved(NamedTuple):
 class EngineEffects(ABC):
     """The other side of an engine: it is called as soon as something is known, in this order.
 
-    What an implementation raises comes out of `Engine.receive`; the engine is of no use after that.
-    """
+    What an implementation raises comes out of `Engine.receive`; the engine is of no use after that."""
 
     @abstractmethod
     def send(self, message: Message) -> None:
@@ -66,8 +65,7 @@ class EngineEffects(ABC):
     def save(self, epoch: int, attempt: int, start: bytes, now: bytes) -> None:
         """Keep the states (encoded) at an epoch's start and after it, before anything else goes out.
 
-        Called in every epoch that a node but the world finishes, and before its first one.
-        """
+        Called in every epoch that a node but the world finishes, and before its first one."""
         return
 
     def act(self, epoch: int, actions: Elements) -> None:

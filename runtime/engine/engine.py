@@ -144,8 +144,7 @@ class Engine:
     def say_again(self, neighbour: str) -> None:
         """Send once more whatever a neighbour may still need: the link to it broke, and what was under way is lost.
 
-        In epochs that end all at once that is what it was sent of the epoch's attempt: nobody goes on without it.
-        """
+        In epochs that end all at once that is what it was sent of the epoch's attempt: nobody goes on without it."""
         self.resend((neighbour,))
 
     def resend(self, receivers: Sequence[str]) -> None:

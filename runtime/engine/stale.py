@@ -6,10 +6,7 @@ the newest of everything, and leaves out epochs that were overtaken.
 
 A *drained* epoch is done with a staleness of 0: at its end every node is done with it. The world says so with its
 observations, and who gets them passes it on. The roster changes after a drained epoch, and the first epoch under a
-roster is one: so in free running, too, there is something in hand of everybody above.
-"""
-
-from __future__ import annotations
+roster is one: so in free running, too, there is something in hand of everybody above."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass

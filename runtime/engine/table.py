@@ -1,7 +1,6 @@
 """The protocol of one node as a table.
 
-An epoch of node i has two halves. With *children* the nodes below it and *parents*
-those above:
+An epoch of node i has two halves. With *children* the nodes below it and *parents* those above:
 
 1. SENSE    waits for one observation message of this epoch from every child; then
             s ← τ(O, s), and one observation message φ(s) goes to every parent.
@@ -11,19 +10,16 @@ those above:
             whose edge has a task function, s ← γ(C, a, s), and one context message ϱ(s)
             goes to every child. Then the node is DONE.
 
-An observation or context message always goes, with the empty set if need be: it is the
-barrier's token. Where the roster says that an edge has no task function, both its ends
-know that it gives the empty set, and no message says so.
+An observation or context message always goes, with the empty set if need be: it is the barrier's token. Where the
+roster says that an edge has no task function, both its ends know that it gives the empty set, and no message says so.
 
-The world begins an epoch when it is told to: it has no children, so it sends φ(s) at
-once and goes to PREDICT; when it has predicted, the epoch is committed. Every other node
-goes on when an observation message says so: from DONE to the next epoch, from anywhere
-to a later attempt of the epoch that it has begun. As the world is the only source of the
-observations and the only sink of what comes down, an epoch ends when every node is done
-with it: the world is the barrier.
+The world begins an epoch when it is told to: it has no children, so it sends φ(s) at once and goes to PREDICT; when it
+has predicted, the epoch is committed. Every other node goes on when an observation message says so: from DONE to the
+next epoch, from anywhere to a later attempt of the epoch that it has begun. As the world is the only source of the
+observations and the only sink of what comes down, an epoch ends when every node is done with it: the world is the
+barrier.
 
-A message is judged by its header before its content is looked at. The first row that
-fits decides:
+A message is judged by its header before its content is looked at. The first row that fits decides:
 
     verdict          when                                               action
     ---------------  -------------------------------------------------  ------
@@ -52,8 +48,7 @@ REFUSE is reported. NEXT makes the state of now that of the epoch's start, AGAIN
 A message with the sender, kind, epoch, attempt, roster and instance of one that was taken in this
 epoch or the one before (DOUBLE, LATE or OLD_ROSTER, as it may be) has to say the same as that one.
 Where it does not, somebody else has spoken in the sender's name, and nobody knows which of the two
-was the sender's: the engine raises a `ContradictionError`, which ends the run.
-"""
+was the sender's: the engine raises a `ContradictionError`, which ends the run."""
 
 from collections.abc import Callable, Iterator, Mapping
 from enum import Enum

@@ -1,7 +1,5 @@
 """How a node is joined to its neighbours under one version of the roster."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from copy import copy
 from dataclasses import dataclass, field, replace
@@ -26,7 +24,7 @@ class Place:
     tasking: frozenset[Pair] = frozenset()  # the edges (lower, upper) that have a task function ψ
 
     @staticmethod
-    def of(roster: Roster, hashed: bool = True) -> Place:
+    def of(roster: Roster, hashed: bool = True) -> "Place":
         content = roster.content_hash() if hashed else NO_DIGEST
         return Place(roster.version, content, roster.instances, roster.tasking)
 
@@ -37,8 +35,7 @@ class Place:
 class Wiring:
     """A node and all that joins it to its neighbours, laid out for the engine.
 
-    `below` and `above` have, for each slot that is filled from there in an epoch, the instance of its sender.
-    """
+    `below` and `above` have, for each slot that is filled from there in an epoch, the instance of its sender."""
 
     __slots__ = ("above", "below", "context", "instance", "node", "place", "roster", "sense", "task", "tasking")
 
@@ -64,7 +61,7 @@ class Wiring:
         # ϱ by the lower neighbour, None where there is none.
         self.context: Sequence[tuple[str, Call | None]] = [(lower, edge.context) for lower, edge in downward.items()]
 
-    def under(self, version: int) -> Wiring:
+    def under(self, version: int) -> "Wiring":
         """The same under a version that changes nothing of the node and near it; of others it stays as it was."""
         again = copy(self)
         again.place = replace(self.place, roster=version)

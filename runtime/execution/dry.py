@@ -18,8 +18,7 @@ def run_dry(deployment: Deployment) -> int:
     No actuator is moved, no probe is told, and nothing is written. Policies that were not chosen are called, too, as
     are the metrics. Gives the number of calls of operators and edge functions; without an epoch, as the world has
     finished, only those of initial beliefs. Raises `HieraxError` if something cannot be loaded, or called, or gives
-    what it must not.
-    """
+    what it must not."""
     counter = _Counter()
     runners: dict[str, NodeRunner] = {}
 

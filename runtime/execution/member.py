@@ -51,8 +51,7 @@ class Member(Host):
     come.
 
     What it is told to do raises `OperatorError` if an operator failed, and `ContradictionError` if it was told
-    something else before.
-    """
+    something else before."""
 
     def __init__(
         self, seat: Seat, report: Callable[[Control], None], checkpoints: Checkpoints, world: World | None = None
@@ -105,8 +104,7 @@ class Member(Host):
     def join(self, request: str = "") -> None:
         """Offer this process to the owner, or ask whether it is still wanted; to be called again while nothing comes.
 
-        `request`: the change that it was started for; empty: it comes in the place of a process that had a place.
-        """
+        `request`: the change that it was started for; empty: it comes in the place of a process that had a place."""
         if self._failure is not None:
             self._report(self._failure)
         engine = self.engine
@@ -333,8 +331,7 @@ class Member(Host):
     def _go_on_as(self, order: control.Unchanged) -> None:
         """A version that changes nothing here: there is nothing to load, and nobody waits for an answer.
 
-        Where the earlier one lacks, the version is fetched when its first message comes.
-        """
+        Where the earlier one lacks, the version is fetched when its first message comes."""
         version = order.version
         self._fetched.discard(version)
         engine = self.engine

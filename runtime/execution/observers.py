@@ -16,8 +16,7 @@ class Observers:
     """What a node's process has from its first instant on, before the node has an engine.
 
     What must lack no epoch, wherever the process dies, is written before the checkpoint and what is sent: the state
-    log, and what prompt probes see. Other probes and watchers are served when nobody waits for this node.
-    """
+    log, and what prompt probes see. Other probes and watchers are served when nobody waits for this node."""
 
     def __init__(self, name: str, probes: Sequence[Probe] = (), states: Log | None = None) -> None:
         self.watchers: tuple[Watcher, ...] = ()  # who sees what the node does

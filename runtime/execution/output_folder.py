@@ -5,8 +5,7 @@
     states/NAME.msgpack   stream of [epoch, attempt, state, digest]; each node's process
     summary.json          the report; the command
 
-and whatever the deployment's probes write.
-"""
+and whatever the deployment's probes write."""
 
 import json
 import os
@@ -97,8 +96,7 @@ def claimed_output(output: Path, overwrite: bool = False, goes_on: bool = False)
     """Have an output folder for this run alone; made where it lacks.
 
     `overwrite` removes what another run has left there: what this module writes, and nothing else; `goes_on` resumes
-    it. Raises `OutputError` if it cannot be written, another process writes there, or there is a run in it.
-    """
+    it. Raises `OutputError` if it cannot be written, another process writes there, or there is a run in it."""
     roster = output / ROSTER
     try:
         output.mkdir(parents=True, exist_ok=True)

@@ -1,7 +1,5 @@
 """A world with a rate: when its epochs are due, and how late they begin."""
 
-from __future__ import annotations
-
 import math
 import time
 from collections.abc import Callable, Sequence

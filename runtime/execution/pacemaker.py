@@ -1,7 +1,5 @@
 """When the world's epochs begin, how long they take, and their digests; and signals that end them in good order."""
 
-from __future__ import annotations
-
 import os
 import signal
 import sys
@@ -142,8 +140,7 @@ class SteadyClock:
     """Gives seconds; it has to be asked again and again, within `GAP_S`.
 
     Where a process was stopped, or its machine was asleep, it must not blame others for the time that has passed
-    meanwhile: they may have said all they had to.
-    """
+    meanwhile: they may have said all they had to."""
 
     def __init__(self, now: Callable[[], float] = time.monotonic) -> None:
         self._now = now  # seconds, never going back

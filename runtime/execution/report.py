@@ -29,8 +29,7 @@ def plain(value: Value, full: bool = False) -> Json:
     Of an array of more than `SMALL_ARRAY` elements it is told what it is like, and by which digest it is known:
     ``{"array": {"dtype", "shape", "blake2b", "min", "max", "mean"}}``. The digest is BLAKE2b-256 of its elements as
     messages carry them: in C order, little-endian. The last three lack where it has no finite elements. Bytes of more
-    than `SMALL_BYTES` become ``{"bytes": {"size", "head", "blake2b"}}``.
-    """
+    than `SMALL_BYTES` become ``{"bytes": {"size", "head", "blake2b"}}``."""
     if value is None or isinstance(value, (bool, int, str)):
         return value
     if isinstance(value, float):

@@ -8,8 +8,6 @@ process. What differs is what a runner has: its `Host`, and at the world's node 
     an error      of an operator -> `Host.failed`, which raises it or sees to it that the epoch is done again
 """
 
-from __future__ import annotations
-
 import logging
 
 from hierax.runtime.core.binding import metrics_of
@@ -63,22 +61,22 @@ class World:
     def __init__(self, pacemaker: Pacemaker) -> None:
         self.pacemaker = pacemaker  # of the run
 
-    def may_begin(self, runner: NodeRunner) -> bool:
+    def may_begin(self, runner: "NodeRunner") -> bool:
         """Whether an epoch is to be begun, though none was committed."""
         return not runner.staleness.free and self.pacemaker.may_begin(runner.engine)
 
-    def go_on(self, runner: NodeRunner, committed: Committed | None) -> None:
+    def go_on(self, runner: "NodeRunner", committed: Committed | None) -> None:
         """Begin the next epoch, where there is one; before anything else is done."""
         if self.may_begin(runner):
             self.begin_next(runner)
 
-    def begin_next(self, runner: NodeRunner) -> None:
+    def begin_next(self, runner: "NodeRunner") -> None:
         """Begin the next epoch, as there is one; in free running at the world's turn."""
         runner.drain(self.pacemaker.limit == runner.engine.epoch + 1)
         self.pacemaker.start()
         runner.engine.begin()
 
-    def act(self, runner: NodeRunner, epoch: int, actions: Elements) -> None:
+    def act(self, runner: "NodeRunner", epoch: int, actions: Elements) -> None:
         """Move the actuators, by `NodeRunner.move`."""
         runner.move(epoch, actions)
 
@@ -94,8 +92,7 @@ class World:
 class NodeRunner(EngineEffects):
     """Moves messages between a node's engine and its port.
 
-    Raises `OperatorError` if an operator failed, or gave what cannot travel, and `ProbeError` if a probe raised.
-    """
+    Raises `OperatorError` if an operator failed, or gave what cannot travel, and `ProbeError` if a probe raised."""
 
     def __init__(
         self,

@@ -1,11 +1,9 @@
 """All nodes in one process: the deterministic mode, in virtual time, without event loop or threads."""
 
-from __future__ import annotations
-
 import gc
 import logging
 from collections import deque
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import closing, contextmanager, nullcontext
 from dataclasses import dataclass
 from pathlib import Path
@@ -17,6 +15,7 @@ from hierax.runtime.core.elements import Elements
 from hierax.runtime.core.errors import HieraxError, OperatorError
 from hierax.runtime.core.process import ActiveNode
 from hierax.runtime.deployment import Deployment
+from hierax.runtime.deployment.deployment import ProcessTerms
 from hierax.runtime.deployment.snippet import Scheduled
 from hierax.runtime.engine.effects import Saved
 from hierax.runtime.engine.table import Phase, Verdict
@@ -68,8 +67,7 @@ def run(
     """Run a deployment in this process.
 
     Raises `HieraxError` if a node cannot be loaded or failed, or a change is refused, and `Interrupted` if the breaker
-    has ended it.
-    """
+    has ended it."""
     single = SingleRun(deployment, **given)
     with closing(single), nullcontext() if breaker is None else breaker.guarding(single.pacemaker):
         deque(single.epochs(), maxlen=0)
@@ -79,8 +77,7 @@ def run(
 class SingleRun:
     """A run of a deployment in this process, which goes on as its epochs are asked for.
 
-    Raises `HieraxError` if a node cannot be loaded.
-    """
+    Raises `HieraxError` if a node cannot be loaded."""
 
     def __init__(
         self,
@@ -114,17 +111,17 @@ class SingleRun:
     def epochs(self) -> Iterator[tuple[int, bytes]]:
         """Go on; gives each epoch's number and digest once it is committed, when the next one may have begun.
 
-        Raises `HieraxError` if a node failed, or a change is refused.
-        """
+        Raises `HieraxError` if a node failed, or a change is refused."""
         with _rarely_collecting(len(self._nodes.runners)):
             for _ in self._nodes.turns():
                 while self._told:
                     yield self._told.popleft()
 
-    def change(self, change: Change, alone: frozenset[str]) -> int:
-        """Have the roster change as soon as may be, and give the first epoch under it; `alone`: its new nodes that fail
-        alone. Raises `HieraxError` if it is refused, or the run has no such epoch any more."""
-        return self._nodes.ask(change, alone)
+    def change(self, change: Change, terms: Mapping[str, ProcessTerms]) -> int:
+        """Have the roster change as soon as may be, and give the first epoch under it; `terms`: of its new nodes.
+
+        Raises `HieraxError` if it is refused, or the run has no such epoch any more."""
+        return self._nodes.ask(change, terms)
 
     def node_report(self, name: str) -> NodeReport:
         """A node as it is after the last epoch that it has done. Raises `HieraxError` if there is none of this name."""
@@ -167,8 +164,7 @@ def _rarely_collecting(nodes: int) -> Iterator[None]:
     """Have the search for cycles in memory wait longer where there are many nodes.
 
     It goes through all objects that there are whenever a quarter as many were made, and an epoch makes some dozens a
-    node, which the next one gives back: each of ten thousand nodes would pay for it as much as for the epoch.
-    """
+    node, which the next one gives back: each of ten thousand nodes would pay for it as much as for the epoch."""
     before = gc.get_threshold()
     gc.set_threshold(max(before[0], MADE_A_NODE * nodes) if before[0] else 0, *before[1:])
     try:
@@ -180,7 +176,7 @@ def _rarely_collecting(nodes: int) -> Iterator[None]:
 class _World(World):
     """Begins epochs, and before some of them has the roster changed."""
 
-    def __init__(self, nodes: _Nodes) -> None:
+    def __init__(self, nodes: "_Nodes") -> None:
         super().__init__(nodes.pacemaker)
         self._nodes = nodes  # of the run
         self.due = {scheduled.epoch for scheduled in nodes.schedule}  # the epochs before which the roster changes
@@ -210,7 +206,7 @@ class _Trial:
     loader: NodeLoader  # of what was replaced
     start: ActiveNode  # the state that it had
     attempt: int  # of the last epoch that it has done
-    alone: bool  # whether it fails alone
+    terms: ProcessTerms  # of its process
 
 
 @dataclass(eq=False)
@@ -232,7 +228,7 @@ class _Nodes(Host):
         self._setting = OperatorSetting(self.seed, wait_for)
         self._schedule = list(self.schedule)
         self._begins = _World(self)
-        self._alone = {name for name, policy in deployment.restarts.items() if policy.fails_alone}
+        self._terms = dict(deployment.terms)
         self._failed: set[str] = set()
         self._trials: dict[str, _Trial] = {}
         self._roster = deployment.roster
@@ -253,10 +249,10 @@ class _Nodes(Host):
     def turns(self) -> Iterator[None]:
         """Run; gives control back after every turn of a node."""
         if self.deployment.staleness.free:
-            return run_freely(self.runners, self.deployment, self.seed, self.pacemaker, self.turn)
+            return run_freely(self.runners, self._world, self._terms, self.seed, self.pacemaker, self.turn)
         return self._deliver_all()
 
-    def ask(self, change: Change, alone: frozenset[str]) -> int:
+    def ask(self, change: Change, terms: Mapping[str, ProcessTerms]) -> int:
         """Have the roster change with the next epoch; where epochs overlap, the one under way has to be drained."""
         world = self.runners[self._world].engine
         overlaps = world.phase is not Phase.DONE and not self.deployment.staleness.barrier
@@ -268,7 +264,7 @@ class _Nodes(Host):
         roster = self._roster
         for each in [*(scheduled.change for scheduled in self._schedule if scheduled.epoch <= epoch), change]:
             roster = next_roster(roster, each)
-        self._schedule.append(Scheduled(epoch, change, alone))
+        self._schedule.append(Scheduled(epoch, change, terms))
         self._schedule.sort(key=lambda scheduled: scheduled.epoch)
         self._begins.due.add(epoch)
         return epoch
@@ -333,14 +329,14 @@ class _Nodes(Host):
     def change(self, epoch: int) -> None:
         """Make the changes that are due before an epoch; every node is done with the last one."""
         while self._schedule and self._schedule[0].epoch <= epoch:
-            _, change, alone = self._schedule.pop(0)
+            _, change, terms = self._schedule.pop(0)
             if isinstance(change, Detach) and change.name in self._failed and change.name not in self._roster.nodes:
                 continue
             if isinstance(change, Replace) and change.name in self.runners:
                 name, engine = change.name, self.runners[change.name].engine
                 was = (self._loaders[name], engine.state, engine.attempt)
-                self._trials[name] = _Trial(epoch, self._roster, *was, name in self._alone)
-            self._alone = (self._alone - new_nodes(change).keys()) | alone
+                self._trials[name] = _Trial(epoch, self._roster, *was, self._terms[name])
+            self._terms.update({name: terms.get(name, ProcessTerms()) for name in new_nodes(change)})
             self._apply(epoch, change)
 
     def failed(self, error: OperatorError) -> None:
@@ -367,7 +363,7 @@ class _Nodes(Host):
     def _culprit(self, error: OperatorError) -> str:
         """The node that an error is blamed on. Raises the error, if that node does not fail alone."""
         nodes = [name for name in error.subject.split("->") if name in self._roster.nodes]
-        ends = [name for name in nodes if name in self._alone or self._is_tried(name)]
+        ends = [name for name in nodes if self._terms[name].fails_alone or self._is_tried(name)]
         if not ends:
             raise error
         return max(ends, key=self._roster.instance)  # of two, what came last has brought the edge
@@ -408,7 +404,7 @@ class _Nodes(Host):
     def _come_back(self, name: str) -> None:
         """What was replaced goes on, as if it never had been."""
         trial = self._trials.pop(name)
-        self._alone = self._alone - {name} | ({name} if trial.alone else set())
+        self._terms[name] = trial.terms
         self._close(name)
         self._loaders[name] = trial.loader
         saved = Saved(trial.epoch - 1, trial.attempt, trial.start, trial.start)

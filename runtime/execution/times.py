@@ -1,7 +1,5 @@
 """How long a run's epochs took, and how late they began: what belongs to the run, and not to a process of it."""
 
-from __future__ import annotations
-
 from mmap import mmap
 from typing import TypeAlias
 

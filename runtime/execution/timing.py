@@ -15,8 +15,7 @@ def timing_of(told: Told) -> Json:
 
     ``rate`` has how late epochs began, in milliseconds, and after whom: an epoch begins late as the one before was not
     done, so those are named that were over their budget in it, or in the first of several that began late in a row.
-    ``budgets`` has by node how many epochs took it longer, and the longest of them.
-    """
+    ``budgets`` has by node how many epochs took it longer, and the longest of them."""
     paces = [each["pace"] for each in told.values() if "pace" in each]
     budgets = {name: each["budget"] for name, each in told.items() if "budget" in each}
     kept = {name: {what: each[what] for what in ("budget_ms", "over", "max_ms")} for name, each in budgets.items()}

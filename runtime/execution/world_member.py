@@ -59,8 +59,7 @@ class WorldMember(World, OwnerEffects):
     """The world's process in a run that may change: its member, its record, and the roster's owner.
 
     Nothing is sent and nothing is written before `start`. Raises `HieraxError` if there is no whole record, or the
-    world cannot be loaded, and `OperatorError` if an operator failed.
-    """
+    world cannot be loaded, and `OperatorError` if an operator failed."""
 
     def __init__(
         self,
@@ -346,7 +345,6 @@ def read_record(slots: Slots) -> tuple[checkpoint.WorldRecord, Saved]:
 def _safest(record: checkpoint.WorldRecord) -> checkpoint.WorldRecord:
     """A record after which another one was written, which is damaged.
 
-    That one may have taken the next attempt and version, and intended the act: none is used again.
-    """
+    That one may have taken the next attempt and version, and intended the act: none is used again."""
     intended = max(record.intended, record.epoch)
     return record._replace(attempt=record.attempt + 1, highest_version=record.highest_version + 1, intended=intended)

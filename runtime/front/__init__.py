@@ -1,10 +1,7 @@
 """hierax from Python: hierarchies of classes and functions, run in this process or launched, epoch by epoch.
 
 ``hierax.Hierarchy`` describes one, ``hierax.run`` and ``hierax.launch`` run it, or a deployment file. Nodes are written
-with what `hierax.runtime` has.
-"""
-
-from __future__ import annotations
+with what `hierax.runtime` has."""
 
 TYPE_CHECKING = False
 
@@ -22,7 +19,7 @@ _HOMES = {
 }
 
 
-def __getattr__(name: str) -> Any:
+def __getattr__(name: str) -> "Any":
     """Imported when first asked for, as `hierax.runtime` does: every command comes through here."""
     from hierax.runtime import brought_home
 

@@ -2,8 +2,7 @@
 this user's seals, by which what own runs have written can be told from what somebody else has, or has changed.
 
 A key is 32 random bytes, for each user on each machine. What runs say of themselves is sealed with it (keyed BLAKE2b)
-when it is written; only who has the key could have made a seal that fits.
-"""
+when it is written; only who has the key could have made a seal that fits."""
 
 import functools
 import hmac

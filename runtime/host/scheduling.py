@@ -12,8 +12,7 @@ _POLICIES = {"fifo": os.SCHED_FIFO, "rr": os.SCHED_RR, "other": os.SCHED_OTHER}
 def ask_scheduler(name: str, policy: str, priority: int, cpus: Sequence[int] | None) -> None:
     """Have the calling thread scheduled so; where the system does not allow it, a warning says how it would.
 
-    Threads and processes that it starts later are scheduled as all else.
-    """
+    Threads and processes that it starts later are scheduled as all else."""
     if cpus is not None:
         try:
             os.sched_setaffinity(0, cpus)

@@ -4,12 +4,10 @@ Whoever answers at an endpoint says what is to be started. So of an order no mor
 how its epochs go; what runs, and all that touches this machine, comes from what its user has named.
 """
 
-from __future__ import annotations
-
 import signal
 import tempfile
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from secrets import token_hex
 from typing import Any
@@ -19,7 +17,7 @@ import anyio.abc
 import anyio.to_thread
 
 from hierax.runtime.core.errors import HieraxError
-from hierax.runtime.deployment.deployment import RestartPolicy
+from hierax.runtime.deployment.deployment import ProcessTerms
 from hierax.runtime.launch.child import Child, Overhearing
 from hierax.runtime.launch.frames import COME_BACK, NEWCOMER, NodeOrder
 from hierax.runtime.launch.process_supervisor import Fail, Notify, ProcessSupervisor
@@ -38,8 +36,8 @@ SETTLE_S = 0.5  # after what time the launch has heard of a dismissal; and how l
 def run_attached(
     orders: Value,  # what they are started with, as the launch has answered
     request: str,  # the change that was asked for, as the launch calls it
-    here: AttachedHere,  # what is decided on this machine
-    policies: Mapping[str, RestartPolicy],  # by node, what is done when its process ends
+    here: "AttachedHere",  # what is decided on this machine
+    policies: Mapping[str, ProcessTerms],  # by node, what is done when its process ends
     await_change: Callable[[], None],  # waits until the launch has answered, and prints that; in a thread of its own
     notify: Notify,  # tells people what happens
 ) -> int:
@@ -50,13 +48,16 @@ def run_attached(
     try:
         # nobody else knows the folder's name before it is there
         with tempfile.TemporaryDirectory(prefix="hierax-", ignore_cleanup_errors=True) as folder:
-            return anyio.run(_run, read_orders(orders, request, here, Path(folder)), policies, await_change, notify)
+            read = read_orders(orders, request, here, Path(folder))
+            # of this machine's scheduler is asked what its user says, not what a launch does
+            read = [replace(order, scheduling=policies[order.name].scheduling) for order in read]
+            return anyio.run(_run, read, policies, await_change, notify)
     finally:
         remove_orphaned_segments()
 
 
 async def _run(
-    orders: Sequence[NodeOrder], policies: Mapping[str, RestartPolicy], await_change: Callable[[], None], notify: Notify
+    orders: Sequence[NodeOrder], policies: Mapping[str, ProcessTerms], await_change: Callable[[], None], notify: Notify
 ) -> int:
     why: list[Exception] = []
     async with anyio.create_task_group() as tasks:
@@ -88,7 +89,7 @@ class AttachedProcesses(ProcessSupervisor):
         self,
         tasks: anyio.abc.TaskGroup,  # in which everything runs
         orders: Sequence[NodeOrder],  # what they are started with
-        policies: Mapping[str, RestartPolicy],  # by node, what is done when its process ends
+        policies: Mapping[str, ProcessTerms],  # by node, what is done when its process ends
         notify: Notify,  # tells people what happens
         fail: Fail,  # called with why they cannot go on
     ) -> None:
@@ -162,7 +163,7 @@ def _is_counted_on(order: NodeOrder) -> bool:
     if is_gone(order.hub):
         return False
     try:
-        with LaunchClient(order.hub, order.settings, Keys(order.deployment, order.run)) as client:
+        with LaunchClient(order.hub, order.settings, Keys(order.deployment, order.run), order.secret) as client:
             node = client.status(SETTLE_S).nodes.get(order.name, {})
     except HieraxError:
         return False
@@ -180,6 +181,7 @@ class AttachedHere:
     endpoint: str  # of the launch
     host: str  # this machine's address for the others; empty: the launch is on this machine
     settings: Value  # Zenoh's own
+    secret: str = field(default="", repr=False)  # of the run; empty: it is open
 
 
 def read_orders(orders: Value, request: str, here: AttachedHere, folder: Path) -> list[NodeOrder]:
@@ -218,9 +220,11 @@ def _local(order: Mapping[str, Any], request: str, here: AttachedHere, folder: P
         staleness=_field(order, "staleness", int, type(None)),
         exact=_field(order, "exact", bool),
         rate_hz=_field(order, "rate_hz", float, int, type(None)),
+        budget_ms=_field(order, "budget_ms", float, int, type(None)),
         hub=here.endpoint,
         host=here.host,
         settings=here.settings,
+        secret=here.secret,
         low_latency=_field(order, "low_latency", bool),
         import_paths=tuple(here.import_paths),
         checkpoint=str(folder / name),

@@ -3,8 +3,6 @@
 The process has a pipe at its descriptors 1 and 2, which its supervisor reads: that is named, and in a log.
 """
 
-from __future__ import annotations
-
 import fcntl
 import os
 import signal
@@ -21,7 +19,7 @@ import anyio
 import anyio.abc
 
 from hierax.runtime.core.errors import HieraxError
-from hierax.runtime.deployment.deployment import RestartPolicy
+from hierax.runtime.deployment.deployment import ProcessTerms
 from hierax.runtime.host.streams import python_module, started_deaf
 from hierax.runtime.launch.frames import CUT_OFF, DISMISSED, FAILED, REPORT, UP, NodeOrder, frame
 from hierax.runtime.watch.logs import OUTPUT, LaunchLog, log_of_run
@@ -47,7 +45,7 @@ class Overhearing:
         self.console = os.dup(2)  # a descriptor for what the processes say themselves; they inherit it
         self._out = Console(self.console)
 
-    def of(self, name: str) -> Overheard:
+    def of(self, name: str) -> "Overheard":
         """A pipe for a node's process."""
         return Overheard(Lines(name, self._out, lambda line: self._write(name, line)))
 
@@ -263,7 +261,7 @@ def how_ended(code: int | None) -> str:
 class Restarts:
     """Whether and when another process takes the place of one that has ended."""
 
-    def __init__(self, policy: RestartPolicy) -> None:
+    def __init__(self, policy: ProcessTerms) -> None:
         self._policy = policy  # of the node
         self._times: deque[float] = deque()
         self.count = 0

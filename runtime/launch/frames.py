@@ -5,8 +5,6 @@ frame in is its order (`NodeOrder`), the next ones are commands; end of file mea
 supervisor is gone. What a child says is a map with ``"status"``.
 """
 
-from __future__ import annotations
-
 import os
 import struct
 import threading
@@ -74,6 +72,7 @@ class NodeOrder:
     scheduling: Mapping[str, Value] | None = None  # how the system is asked to run the node's thread
     hub: str  # endpoint of the supervisor, through which the processes find one another
     host: str  # address of the process's machine at which others may link; empty: this machine's processes only
+    secret: str = field(default="", repr=False)  # of the run; empty: it is open
     settings: Value  # Zenoh's own
     low_latency: bool  # whether the processes' links are low-latency ones
     output: str = ""  # folder for states and probes; empty: none
@@ -106,7 +105,7 @@ class NodeOrder:
         }
 
     @staticmethod
-    def read(value: Value) -> NodeOrder:
+    def read(value: Value) -> "NodeOrder":
         """Read an order from a value; it comes from our own supervisor, so only the roster is checked in full."""
         probes = tuple(
             ProbeSpec(node, Reference.read(ref, f"probes.{node}"), may) for node, ref, may in value["probes"]

@@ -1,7 +1,5 @@
 """What a node's process has from its first instant on: what it names is open, and what it needs imported."""
 
-from __future__ import annotations
-
 import importlib
 import logging
 import os

@@ -1,7 +1,5 @@
 """The work of a node in a process of its own: load, connect, run, report."""
 
-from __future__ import annotations
-
 import gc
 import logging
 import os
@@ -11,7 +9,10 @@ import threading
 import time
 from collections.abc import Mapping
 from math import inf
-from typing import get_args
+from typing import Any, get_args
+
+import numpy as np
+from numpy.typing import DTypeLike, NDArray
 
 from hierax.runtime.core.binding import OperatorSetting, Waiter
 from hierax.runtime.core.errors import ContradictionError, HieraxError
@@ -35,8 +36,9 @@ from hierax.runtime.recovery.slots import Slots
 from hierax.runtime.transport.bus_tap import StepPublisher
 from hierax.runtime.transport.control import OWNER, ControlLine, InspectionEndpoint
 from hierax.runtime.transport.port import TransportError
+from hierax.runtime.transport.shared_arrays import SharedArrays
 from hierax.runtime.transport.zenoh_port import ZenohPort, epoch_publisher
-from hierax.runtime.transport.zenoh_session import LOOPBACK, LOW_LATENCY_BYTES, open_session
+from hierax.runtime.transport.zenoh_session import LOOPBACK, LOW_LATENCY_BYTES, allows_shared_memory, open_session
 from hierax.runtime.watch import telemetry
 from hierax.runtime.watch.budget import Budget
 from hierax.runtime.watch.logs import QUIET
@@ -67,6 +69,7 @@ class NodeWorker:
         self._stopping = threading.Event()
         self._pipe = frames.SupervisorPipe(status, self._stopping.set)
         self._port: ZenohPort | None = None
+        self._shared: SharedArrays | None = None
         self._member: Member | None = None
         self._world: WorldMember | None = None
         self._inspection: InspectionServer | None = None
@@ -189,21 +192,25 @@ class NodeWorker:
         order = self._order
         extend_import_path(order.import_paths)
         preload(order.preload, order.allowance)
-        loader = NodeLoader(order.name, OperatorSetting(order.seed, self._wait), order.allowance)
+        setting = OperatorSetting(order.seed, self._wait, self._empty)
+        loader = NodeLoader(order.name, setting, order.allowance)
         if order.roster is not None:
             loader.wiring(order.roster)  # what cannot be loaded is told before anybody is waited for
         listen = [f"tcp/{order.host}:0"] if order.host else [LOOPBACK]
         self._opens_s = time.monotonic()
-        session = open_session(listen, [order.hub], order.settings, low_latency=order.low_latency)
+        session = open_session(listen, [order.hub], order.settings, low_latency=order.low_latency, secret=order.secret)
         most_bytes = LOW_LATENCY_BYTES if order.low_latency else None
         keys = Keys(order.deployment, order.run)
-        port = self._port = ZenohPort(session, keys, order.name, order.process, most_bytes)
+        if most_bytes is None and allows_shared_memory(order.settings):
+            self._shared = SharedArrays()
+        port = self._port = ZenohPort(session, keys, order.name, order.process, most_bytes, self._shared)
         is_world = order.owner is not None
         offered = () if is_world else (*get_args(Offered), *((Dismiss,) if order.elsewhere else ()))
         self._line = ControlLine(session, keys, order.process, offered, self.hear, most_bytes)
         if is_world:
             self._owners_line = ControlLine(session, keys, OWNER, get_args(Word), self.hear, most_bytes)
         self._publisher = StepPublisher(session, keys, order.name)
+        port.heard = lambda: self._publisher.heard
         endpoint = InspectionEndpoint(session, keys, order.name)
         self._opens_s = inf
         observers, slots = open_observers(order), open_slots(order)
@@ -233,6 +240,9 @@ class NodeWorker:
         finally:
             observers.close()
         return self._part(member)
+
+    def _empty(self, shape: int | tuple[int, ...], dtype: DTypeLike = float) -> NDArray[Any]:
+        return np.empty(shape, dtype) if self._shared is None else self._shared.lender.empty(shape, dtype)
 
     def _be_recorded(self, observers: Observers, wanted: bool) -> None:
         """Tell steps from now on, or no more."""

@@ -7,7 +7,7 @@ from typing import Any
 
 from hierax.runtime.core.errors import HieraxError
 from hierax.runtime.deployment import Deployment
-from hierax.runtime.deployment.deployment import RestartPolicy
+from hierax.runtime.deployment.deployment import ProcessTerms
 from hierax.runtime.deployment.secrets import public_settings
 from hierax.runtime.execution.world_member import has_record, read_record
 from hierax.runtime.launch.frames import COME_BACK, NodeOrder
@@ -40,17 +40,24 @@ class Orders:
     """Makes the orders of one run: of a new one, or of one that is resumed from the checkpoints in its folder."""
 
     def __init__(
-        self, deployment: Deployment, run_id: str, hub: str, options: LaunchOptions, resumed: Run | None = None
+        self,
+        deployment: Deployment,
+        run_id: str,
+        hub: str,
+        options: LaunchOptions,
+        resumed: Run | None = None,
+        secret: str = "",
     ) -> None:
         self.deployment = deployment  # what is run
         self.run_id = run_id  # the identification of the run
         self.hub = hub  # endpoint of the supervisor
+        self.secret = secret  # of the run; empty: it is open
         self.options = options  # of the launch
         self.overrides = public_settings(options.overrides, deployment.zenoh)  # of secret ones the paths alone
         self.resumed_after = 0  # the last epoch that was committed before the run was resumed
         self.recorders: set[int] = set()  # the processes that record the run, or have; 0: one on another machine
         self.resumes = resumed is not None  # whether the run goes on with one that was written down
-        self._policies = dict(deployment.restarts)
+        self._terms = dict(deployment.terms)
         self._lineages: dict[str, str] = {}
         if resumed is not None:
             self._take_up(resumed)
@@ -63,11 +70,13 @@ class Orders:
         *,
         request: str = "",  # of a newcomer, the change that it is for
         reference: Reference | None = None,  # of a newcomer, its class
+        terms: ProcessTerms | None = None,  # of a newcomer, how its process is kept
         processes: Mapping[str, str] | None = None,  # of the world's process, those of all nodes
     ) -> NodeOrder:
         deployment = self.deployment
         reference = reference or deployment.roster.nodes.get(name)
         is_world = name == deployment.roster.world
+        terms = terms or self.policy(name)
         lineage = f"{name}@{request}" if request else self._lineages.get(name, name)
         return NodeOrder(
             name=name,
@@ -83,12 +92,13 @@ class Orders:
             epochs=self.options.epochs,
             staleness=deployment.staleness.epochs,
             exact=deployment.staleness.exact,
-            rate_hz=deployment.rates_hz.get(name),
+            rate_hz=terms.rate_hz,
             late=deployment.late,
-            budget_ms=self._budget_ms(name),
-            scheduling=deployment.scheduling.get(name),
+            budget_ms=terms.budget_ms or self._period_ms(),
+            scheduling=terms.scheduling,
             hub=self.hub,
             host=self.options.host or "",
+            secret=self.secret,
             settings=deployment.zenoh,
             low_latency=deployment.low_latency,
             output="" if self.options.output is None else str(self.options.output),
@@ -99,16 +109,14 @@ class Orders:
             owner=self._owner_policy() if is_world else None,
             on_uncertain_act=deployment.on_uncertain_act,
             processes=dict(processes or {}) if is_world else {},
-            alone=tuple(sorted(name for name, policy in deployment.restarts.items() if policy.fails_alone)),
+            alone=tuple(sorted(name for name, policy in deployment.terms.items() if policy.fails_alone)),
             recorded=self._is_recorded(),
         )
 
-    def _budget_ms(self, name: str) -> float | None:
-        """Its own; where the world has a rate with the barrier, else the time from an epoch to the next."""
-        deployment = self.deployment
-        rate_hz = deployment.rates_hz.get(deployment.roster.world)
-        period_ms = 1e3 / rate_hz if rate_hz is not None and deployment.staleness.barrier else None
-        return deployment.budgets_ms.get(name, period_ms)
+    def _period_ms(self) -> float | None:
+        """The time from an epoch to the next, where the world has a rate with the barrier."""
+        rate_hz = self.policy(self.deployment.roster.world).rate_hz
+        return 1e3 / rate_hz if rate_hz is not None and self.deployment.staleness.barrier else None
 
     def has_begun(self, world: str) -> bool:
         """Whether a process of the world's that is dead has begun the run: only with a record is anything sent."""
@@ -152,16 +160,15 @@ class Orders:
 
     def elsewhere(self, order: NodeOrder, host: str) -> NodeOrder:
         """The order for a process on another machine, with its address for this one; empty: it is this machine."""
-        return replace(
-            order, host=host, output="", checkpoint="", import_paths=(), settings=None, probes=(), elsewhere=True
-        )
+        own = replace(order, output="", checkpoint="", import_paths=(), settings=None, probes=(), secret="")
+        return replace(own, host=host, elsewhere=True)
 
-    def policy(self, name: str) -> RestartPolicy:
-        return self._policies.get(name, self.deployment.restart)
+    def policy(self, name: str) -> ProcessTerms:
+        return self._terms.get(name, self.deployment.restart)
 
-    def adopt(self, request: str, policies: Mapping[str, RestartPolicy]) -> None:
+    def adopt(self, request: str, policies: Mapping[str, ProcessTerms]) -> None:
         """A change is in force: its new nodes, whose policies these are, have checkpoints of their own from then on."""
-        self._policies.update(policies)
+        self._terms.update(policies)
         for name in policies:
             self._lineages[name] = f"{name}@{request}"
         self.save()
@@ -175,14 +182,14 @@ class Orders:
             epochs=self.options.epochs,
             output="" if self.options.output is None else str(self.options.output.absolute()),
             lineages=self._lineages,
-            restarts={name: vars(policy) for name, policy in self._policies.items()},
+            terms={name: vars(policy) for name, policy in self._terms.items()},
         )
         write_run(self.options.state, run)
 
     def _take_up(self, run: Run) -> None:
         self._lineages = dict(run.lineages)
         try:
-            self._policies = {name: RestartPolicy(**fields) for name, fields in run.restarts.items()}
+            self._terms = {name: ProcessTerms(**fields) for name, fields in run.terms.items()}
         except TypeError as error:
             raise HieraxError(f"{self.options.state}: its restarts are not of this version: {error}") from error
 
@@ -218,9 +225,9 @@ class Orders:
         deployment = self.deployment
         return OwnerPolicy(
             modules=deployment.modules,
-            on_loss={name: policy.on_loss for name, policy in self._policies.items()},
-            rejoin_timeout_s={name: policy.rejoin_timeout_s for name, policy in self._policies.items()},
-            alone=tuple(sorted(name for name, policy in self._policies.items() if policy.fails_alone)),
+            on_loss={name: policy.on_loss for name, policy in self._terms.items()},
+            rejoin_timeout_s={name: policy.rejoin_timeout_s for name, policy in self._terms.items()},
+            alone=tuple(sorted(name for name, policy in self._terms.items() if policy.fails_alone)),
             epoch_deadline_s=deployment.epoch_deadline_s,
             start_timeout_s=deployment.start_timeout_s,
             answer_timeout_s=ANSWER_TIMEOUT_S,

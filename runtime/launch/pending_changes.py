@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 import anyio
 
 from hierax.runtime.core.errors import HieraxError
-from hierax.runtime.deployment.deployment import RestartPolicy
+from hierax.runtime.deployment.deployment import ProcessTerms
 from hierax.schemas.control import Propose, encode_control
 from hierax.schemas.values import Value
 
@@ -17,7 +17,7 @@ REMEMBERED = 1024  # of how many changes it is remembered what became of them
 class PendingChange:
     """A change that was asked for."""
 
-    policies: Mapping[str, RestartPolicy]  # what is done when the processes of its new nodes end
+    policies: Mapping[str, ProcessTerms]  # what is done when the processes of its new nodes end
     proposal: bytes  # what the owner is told
     done: anyio.Event = field(default_factory=anyio.Event)  # set when the owner has answered
     answer: dict[str, Value] = field(default_factory=dict)  # what became of it, as a reply
@@ -37,13 +37,13 @@ class PendingChanges:
     def proposals(self) -> Sequence[bytes]:
         return [change.proposal for change in self.unanswered]
 
-    def add(self, proposal: Propose, policies: Mapping[str, RestartPolicy]) -> None:
+    def add(self, proposal: Propose, policies: Mapping[str, ProcessTerms]) -> None:
         answered = [request for request, change in self._changes.items() if change.done.is_set()]
         for request in answered[: max(len(answered) - REMEMBERED, 0)]:
             del self._changes[request]
         self._changes[proposal.request] = PendingChange(policies, encode_control(proposal))
 
-    def policies(self, request: str) -> Mapping[str, RestartPolicy]:
+    def policies(self, request: str) -> Mapping[str, ProcessTerms]:
         change = self._changes.get(request)
         return {} if change is None else change.policies
 
@@ -52,7 +52,7 @@ class PendingChanges:
         change = self._changes.get(request)
         return change is None or "epoch" in change.answer
 
-    def answer(self, request: str, epoch: int, refusal: str) -> Mapping[str, RestartPolicy] | None:
+    def answer(self, request: str, epoch: int, refusal: str) -> Mapping[str, ProcessTerms] | None:
         """Take in the first epoch under a change, or a refusal; its new nodes' policies, or None: nobody waits."""
         change = self._changes.get(request)
         if change is None or change.done.is_set():

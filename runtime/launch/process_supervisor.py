@@ -9,7 +9,7 @@ from typing import Any
 import anyio
 import anyio.abc
 
-from hierax.runtime.deployment.deployment import RestartPolicy
+from hierax.runtime.deployment.deployment import ProcessTerms
 from hierax.runtime.launch.child import END_TIMEOUT_S, Child, Overhearing, ProcessState, Restarts, start_child
 from hierax.runtime.launch.frames import Frames, NodeOrder
 
@@ -23,7 +23,7 @@ class ProcessSupervisor(ABC):
 
     tasks: anyio.abc.TaskGroup  # in which it listens
     overhearing: Overhearing  # takes in what the processes print; to be closed when nobody listens any more
-    policy: Callable[[str], RestartPolicy]  # by a node's name, what is done when its process ends
+    policy: Callable[[str], ProcessTerms]  # by a node's name, what is done when its process ends
     notify: Notify  # tells people what happens
     fail: Fail  # called with why the processes cannot go on
 

@@ -10,7 +10,7 @@ import anyio
 import anyio.from_thread
 
 from hierax.runtime.core.errors import HieraxError
-from hierax.runtime.deployment.deployment import RestartPolicy
+from hierax.runtime.deployment.deployment import ProcessTerms
 from hierax.runtime.launch.child import ProcessState
 from hierax.runtime.launch.frames import NEWCOMER
 from hierax.runtime.launch.roster_supervisor import RosterSupervisor
@@ -51,12 +51,11 @@ MAX_PID = 1 << 22
 class Requests:
     """Answers queries; each is a map, as is the reply.
 
-    ``{"ask": "ps"}`` is answered with what runs. ``{"ask": "change", "change", "restarts", "here"}`` is answered with
+    ``{"ask": "ps"}`` is answered with what runs. ``{"ask": "change", "change", "terms", "here"}`` is answered with
     ``{"epoch"}``, the first one under the changed roster when it is committed, or ``{"refusal"}``. With ``here`` the
     processes of new nodes are kept by who asks: the answer is ``{"request", "orders"}``, what they are to be started
     with, and ``{"ask": "await", "request"}`` is answered in the end. ``{"ask": "record", "pid"}`` says that a process,
-    0 for one on another machine, is about to record; the answer is the fields of a `RunInfo`.
-    """
+    0 for one on another machine, is about to record; the answer is the fields of a `RunInfo`."""
 
     def __init__(self, processes: RosterSupervisor) -> None:
         self._processes = processes
@@ -145,7 +144,7 @@ class Requests:
             raise SchemaError("expected true or false, and an address", "question.here, question.host")
         processes.orders.deployment.allowance.check_all(change)
         await self._check(change)
-        policies = {name: _policy_of(query, name) for name in new_nodes(change)}
+        policies = {name: _terms_of(query, name) for name in new_nodes(change)}
         request = token_hex(4)
         proposal = Propose(
             request,
@@ -156,7 +155,9 @@ class Requests:
         )
         self._changes.add(proposal, policies)
         orders = [
-            processes.orders.order(name, token_hex(8), NEWCOMER, request=request, reference=reference)
+            processes.orders.order(
+                name, token_hex(8), NEWCOMER, request=request, reference=reference, terms=policies[name]
+            )
             for name, reference in new_nodes(change).items()
         ]
         await processes.send_to_owner(proposal)  # first: who comes for what nobody has asked for is turned away
@@ -211,29 +212,48 @@ class Requests:
         }
 
 
-def _policy_of(query: Mapping[str, Any], name: str) -> RestartPolicy:
-    """What is done when a new node's process ends. Raises `SchemaError` if that is not said as it should be."""
-    restarts = query.get("restarts")
-    fields = restarts.get(name) if isinstance(restarts, dict) else None
-    where = f"question.restarts.{name}"
-    if not isinstance(fields, dict) or not fields.keys() <= _POLICY.keys():
-        raise SchemaError(f"expected a map with some of the keys {', '.join(_POLICY)}", where)
+def _terms_of(query: Mapping[str, Any], name: str) -> ProcessTerms:
+    """How a new node's process is kept. Raises `SchemaError` if that is not said as it should be."""
+    terms = query.get("terms")
+    fields = terms.get(name) if isinstance(terms, dict) else None
+    where = f"question.terms.{name}"
+    if not isinstance(fields, dict) or not fields.keys() <= _TERMS.keys():
+        raise SchemaError(f"expected a map with some of the keys {', '.join(_TERMS)}", where)
     for field_name, value in fields.items():
-        if not _POLICY[field_name](value):
+        if not _TERMS[field_name](value):
             raise SchemaError(f"got {shown(value)}", f"{where}.{field_name}")
-    return RestartPolicy(**fields)
+    return ProcessTerms(**fields)
 
 
 def _is_time(value: Value) -> bool:
     return type(value) in (int, float) and 0 <= value < LONGEST_S
 
 
+def _is_rate(value: Value) -> bool:
+    return value is None or (_is_time(value) and value != 0)
+
+
+def _is_scheduling(value: Value) -> bool:
+    if not isinstance(value, dict) or value.keys() != {"policy", "priority", "cpus"}:
+        return False
+    priority, cpus = value["priority"], value["cpus"]
+    return (
+        value["policy"] in ("fifo", "rr", "other")
+        and type(priority) is int
+        and 1 <= priority <= 99
+        and (
+            cpus is None
+            or (isinstance(cpus, (list, tuple)) and all(type(cpu) is int and 0 <= cpu < 4096 for cpu in cpus))
+        )
+    )
+
+
 def _one_of(field_name: str) -> Callable[[Value], bool]:
-    known = get_args(get_type_hints(RestartPolicy)[field_name])
+    known = get_args(get_type_hints(ProcessTerms)[field_name])
     return lambda value: isinstance(value, str) and value in known
 
 
-_POLICY: Mapping[str, Callable[[Value], bool]] = {
+_TERMS: Mapping[str, Callable[[Value], bool]] = {
     "restart_policy": _one_of("restart_policy"),
     "max_restarts": lambda value: type(value) is int and value >= 0,
     "restart_delay_s": _is_time,
@@ -241,4 +261,7 @@ _POLICY: Mapping[str, Callable[[Value], bool]] = {
     "restart_window_s": lambda value: value is None or _is_time(value),
     "rejoin_timeout_s": _is_time,
     "on_loss": _one_of("on_loss"),
+    "rate_hz": _is_rate,
+    "budget_ms": _is_rate,
+    "scheduling": lambda value: value is None or _is_scheduling(value),
 }

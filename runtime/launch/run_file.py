@@ -3,6 +3,7 @@
 import json
 import os
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -10,9 +11,11 @@ from typing import Any
 from hierax.runtime.core.errors import HieraxError
 from hierax.runtime.host.private_files import UnsafeFileError, errors_named, private_folder, read_private, write_private
 from hierax.runtime.host.run_folder import NOT_OURS, STATE, is_process, is_sealed, runs_folder, seal_or_warn
+from hierax.runtime.host.run_secret import key_line, read_key
 
 _RUN = "run.json"
-_KINDS = {"deployment": str, "output": str, "settings": list, "seed": int, "lineages": dict, "restarts": dict}
+_KEY = ".key"
+_KINDS = {"deployment": str, "output": str, "settings": list, "seed": int, "lineages": dict, "terms": dict}
 _TEMPORARY = Path("/tmp")
 _PROBE = ".probe"  # written to see that it can be
 
@@ -27,7 +30,7 @@ class Run:
     epochs: int | None  # how many; None: until the world has finished
     output: str  # folder; empty: none
     lineages: Mapping[str, str]  # by node that was attached or replaced, the name of its checkpoint
-    restarts: Mapping[str, Mapping[str, Any]]  # by node, the fields of its `RestartPolicy`
+    terms: Mapping[str, Mapping[str, Any]]  # by node, the fields of its `ProcessTerms`
 
 
 @dataclass(frozen=True)
@@ -40,6 +43,12 @@ class Running:
     pid: int  # of the supervisor
     deployment: str  # path of the file
     settings: Sequence[str]  # with which it was read; of secret ones the paths alone
+    open: bool = False  # whether anybody who reaches it may speak to it; else there is a key beside this
+
+    @property
+    def secret(self) -> str:
+        """What it takes to speak to it; empty: nothing. Raises `HieraxError` if its key cannot be read."""
+        return "" if self.open else read_key(key_path(self.run))
 
     @property
     def alive(self) -> bool:
@@ -82,11 +91,34 @@ def make_state(state: Path) -> None:
         raise HieraxError(f"--state {error}") from error
 
 
-def register(running: Running) -> Path:
-    """Make a run known here, by a file to be removed when it is over. Raises `HieraxError` if it cannot be written."""
-    path = _fit_folder() / f"{running.run}.json"
+def register(running: Running, secret: str = "") -> Path:
+    """Make a run known here until it is forgotten, by a file beside its key. Raises `HieraxError` if that fails."""
+    folder = _fit_folder()
+    if secret:
+        with errors_named(folder):
+            write_private(folder / f"{running.run}{_KEY}", key_line(secret))
+    path = folder / f"{running.run}.json"
     _write(path, asdict(running))
     return path
+
+
+def forget(running: Running) -> None:
+    """Have a run not be known here any more; its key is good for nothing."""
+    for folder in _folders():
+        for suffix in (".json", _KEY):
+            with suppress(OSError):
+                (folder / f"{running.run}{suffix}").unlink()
+
+
+def key_path(run: str) -> Path:
+    """Where the key of a run is, if that is closed, and known here."""
+    paths = [folder / f"{run}{_KEY}" for folder in _folders()]
+    return next((path for path in paths if path.exists()), paths[0])
+
+
+def opened_by(endpoint: str) -> str:
+    """What everybody is told who has to do with a launch that is open."""
+    return f"open: true: anybody who reaches {endpoint} may read and change this run"
 
 
 def known_runs() -> list[Running]:
@@ -103,7 +135,7 @@ def known_runs() -> list[Running]:
             if is_alive:
                 found[running.run] = running
             else:
-                path.unlink(missing_ok=True)
+                forget(running)
     return [found[run] for run in sorted(found)]
 
 

@@ -18,6 +18,7 @@ from hierax.runtime.execution.output_folder import write_roster
 from hierax.runtime.execution.pacemaker import ending_signals, leave_at_once
 from hierax.runtime.execution.report import Interrupted, NodeReport, Report
 from hierax.runtime.execution.timing import timing_of
+from hierax.runtime.host.run_secret import new_secret
 from hierax.runtime.launch.child import END_TIMEOUT_S, Child, NodeFailedError
 from hierax.runtime.launch.frames import BEGIN, COME_BACK, STOP
 from hierax.runtime.launch.graceful_end import CLOSE_S, GracefulEnd
@@ -26,7 +27,7 @@ from hierax.runtime.launch.process_supervisor import Notify
 from hierax.runtime.launch.recorder_process import RecorderChild, RecordingRequest
 from hierax.runtime.launch.requests import Requests
 from hierax.runtime.launch.roster_supervisor import RosterSupervisor
-from hierax.runtime.launch.run_file import Run, Running, make_state, register
+from hierax.runtime.launch.run_file import Run, Running, forget, key_path, make_state, opened_by, register
 from hierax.runtime.transport.hub import Hub
 from hierax.runtime.transport.zenoh_session import remove_orphaned_segments, shared_memory_fault
 from hierax.runtime.watch.logs import begin_log
@@ -57,7 +58,7 @@ def launch(
     host: str | None = None,  # as `LaunchOptions` has it
     overrides: Sequence[str] = (),  # likewise
     recording: RecordingRequest | None = None,  # whether and where it is recorded; told how that ended
-    opened: Callable[[str], None] = lambda endpoint: None,  # told where it is reached, before anything runs
+    opened: Callable[[str, str], None] = lambda endpoint, secret: None,  # told where it is reached, and its secret
     broken: threading.Event | None = None,  # set by who wants it to end, as a signal does; needed outside main threads
 ) -> Report:
     """Run a deployment with each node in a process of its own, over Zenoh.
@@ -76,13 +77,14 @@ def launch(
         limit = deployment.epochs if epochs is None else epochs
         options = LaunchOptions(seed, limit, state, output, host, overrides)
         run_id = token_hex(4)
-        hub = Hub(Keys(deployment.name, run_id), deployment.zenoh, progress, host)
+        secret = "" if deployment.open else new_secret()
+        hub = Hub(Keys(deployment.name, run_id), deployment.zenoh, progress, host, secret)
         stack.callback(hub.close)
-        orders = Orders(deployment, run_id, hub.endpoint, options, resumed)
+        orders = Orders(deployment, run_id, hub.endpoint, options, resumed, secret)
         roster = orders.roster()
         orders.save()
         try:
-            opened(hub.endpoint)
+            opened(hub.endpoint, secret)
             return anyio.run(_run, orders, roster, hub, notify, recording, begun_s, broken)
         except _Interruption as error:
             raise KeyboardInterrupt from error
@@ -100,12 +102,14 @@ async def _run(
 ) -> Report:
     deployment = orders.deployment
     path = str(deployment.path.resolve())
-    registered = register(Running(orders.run_id, deployment.name, hub.endpoint, os.getpid(), path, orders.overrides))
+    pid, is_open = os.getpid(), deployment.open
+    running = Running(orders.run_id, deployment.name, hub.endpoint, pid, path, orders.overrides, is_open)
+    register(running, orders.secret)
     supervisor = Supervisor(orders, roster, hub, notify, recording, broken)
     try:
         await supervisor.run(begun_s)
     finally:
-        registered.unlink(missing_ok=True)
+        forget(running)
         supervisor.close()
     return supervisor.report()
 
@@ -146,8 +150,12 @@ class Supervisor:
         fault = shared_memory_fault()
         if fault:
             self._notify(f"no shared memory, large messages are copied: {fault}")
+        endpoint = self._hub.endpoint
+        if not self._hub.secret:
+            self._notify(opened_by(endpoint))
         if self._orders.options.host:
-            self._notify(f"others join with --connect {self._hub.endpoint}")
+            key = f" --key {key_path(self._orders.run_id)}" if self._hub.secret else ""
+            self._notify(f"others join with --connect {endpoint}{key}")
         async with self._tasks:
             self._tasks.start_soon(self._watch_signals)
             try:
@@ -198,7 +206,7 @@ class Supervisor:
             return
         orders = self._orders
         info = orders.info(from_start=not orders.resumes)
-        await self._recorder.start(info, orders.hub, self._deployment.zenoh, orders.options.host)
+        await self._recorder.start(info, orders.hub, self._deployment.zenoh, orders.options.host, orders.secret)
         orders.recorders.add(self._recorder.pid)
         self._tasks.start_soon(self._recorder.listen)
 

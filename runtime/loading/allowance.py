@@ -1,10 +1,7 @@
 """Which code may be loaded: asked before anything is imported that a file, a message or a recording names.
 
-A deployment file allows the modules that it names itself and those that it lists as
-``modules``. What comes later, from whomever, is held against that: rosters, changes,
-orders, records, recordings."""
-
-from __future__ import annotations
+A deployment file allows the modules that it names itself and those that it lists as ``modules``. What comes later, from
+whomever, is held against that: rosters, changes, orders, records, recordings."""
 
 import re
 from collections.abc import Iterable, Mapping
@@ -42,7 +39,7 @@ class Allowance:
 
     modules: tuple[str, ...]  # ``package.module``, that alone, or ``package.*``, the package and all inside it
 
-    def with_modules(self, modules: Iterable[str]) -> Allowance:
+    def with_modules(self, modules: Iterable[str]) -> "Allowance":
         """This one, and further modules."""
         return Allowance(tuple(sorted({*self.modules, *modules})))
 

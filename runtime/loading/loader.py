@@ -2,8 +2,6 @@
 
 Node processes use this; it imports nothing heavy."""
 
-from __future__ import annotations
-
 import functools
 import importlib
 import inspect

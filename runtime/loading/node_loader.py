@@ -1,7 +1,5 @@
 """From a version of the roster to one node's wiring, as its process needs it."""
 
-from __future__ import annotations
-
 import inspect
 import logging
 from collections.abc import Awaitable, Iterator, Sequence

@@ -1,8 +1,7 @@
 """Processes that offer to run a node, or ask whether they still do; and nodes that are further than the world.
 
 Only the world begins epochs and attempts, so no node can be ahead of it. One that says that it is, is asked whether
-that is so: anybody may have said it in its name, or have sent it observations in the name of a node below.
-"""
+that is so: anybody may have said it in its name, or have sent it observations in the name of a node below."""
 
 from dataclasses import replace
 
@@ -38,8 +37,7 @@ class Suspicions(OwnerPart):
     def is_astray(self, said: Join | Status) -> bool:
         """Whether a node that has a place says that it is in an attempt of the last epoch after the committed one.
 
-        Nobody else will ever be in that attempt.
-        """
+        Nobody else will ever be in that attempt."""
         return said.epoch == self.progress.epoch and said.attempt > self.progress.last_attempt
 
     def hear(self, word: Join) -> None:

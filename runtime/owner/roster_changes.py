@@ -1,10 +1,7 @@
 """What a change makes of a roster, and whom that touches: pure functions.
 
 Every roster that comes out of here is valid as a deployment file's is, if the one that
-went in was; a change that would break it is refused in one line.
-"""
-
-from __future__ import annotations
+went in was; a change that would break it is refused in one line."""
 
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, replace
@@ -34,8 +31,7 @@ def apply(roster: Roster, change: Change | Undo, version: int, instances: Callab
 
     `instances` gives a new instance number for the process of a node of that name; it is asked once for each node that
     is attached or replaced, in name order. Numbers that any process of that name has had must not come again, also
-    after a detach. Raises `ChangeError` if it cannot be done; says why, and the nearest valid name.
-    """
+    after a detach. Raises `ChangeError` if it cannot be done; says why, and the nearest valid name."""
     if isinstance(change, Attach):
         return _attach(roster, change, version, instances)
     if isinstance(change, Detach):
@@ -56,8 +52,7 @@ def touched(old: Roster, new: Roster) -> frozenset[str]:
     """The nodes that must be ready for a roster before it takes effect.
 
     A node of `new` is touched if it is new itself, or if of what its engine is made of anything is another: its class
-    and parameters, its instance, its neighbours, their instances, or one of its edges.
-    """
+    and parameters, its instance, its neighbours, their instances, or one of its edges."""
     before, after = _joints(old), _joints(new)
     return frozenset(name for name, joint in after.items() if before.get(name) != joint)
 

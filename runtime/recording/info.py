@@ -1,7 +1,5 @@
 """What a recording says of itself: the run, where it was recorded, and how it ended."""
 
-from __future__ import annotations
-
 import json
 import os
 import platform
@@ -57,7 +55,7 @@ class RunInfo:
     @staticmethod
     def of(
         deployment: Deployment, run: str, mode: str, seed: int, settings: Sequence[str], from_start: bool
-    ) -> RunInfo:
+    ) -> "RunInfo":
         """What is recorded of a run of a deployment."""
         with errors_named(deployment.path, "read", RecordingError):
             text = public_text(deployment.path.read_text(encoding="utf-8-sig"), deployment.zenoh)
@@ -88,7 +86,7 @@ class RunInfo:
         return asdict(self)
 
     @staticmethod
-    def read(plain: Mapping[str, Any]) -> RunInfo:
+    def read(plain: Mapping[str, Any]) -> "RunInfo":
         """Read it from a value, but for later fields. Raises `RecordingError` if its format or a field is wrong."""
         if plain.get("format") not in READ:
             read = " and ".join(map(str, READ))
@@ -129,7 +127,7 @@ class Ending:
         return asdict(self)
 
     @staticmethod
-    def read(plain: Mapping[str, Any]) -> Ending:
+    def read(plain: Mapping[str, Any]) -> "Ending":
         """Read it from a value. Raises `RecordingError` if a field lacks or is something else."""
         try:
             kinds = {name: plain.get(name, ()) for name in ("gaps", "cut_short")}
@@ -153,7 +151,7 @@ def from_metadata(metadata: Mapping[str, str], texts: Sequence[str] = ()) -> dic
 
 
 _LARGEST = 2**63 - 1
-INFO_TEXTS = tuple(each.name for each in fields(RunInfo) if each.type == "str")
+INFO_TEXTS = tuple(each.name for each in fields(RunInfo) if each.type is str)
 ENDING_TEXTS = ("cut",)
 
 
@@ -168,21 +166,21 @@ def _is_text(value: object) -> bool:
 
 Expected = tuple[str, Callable[[object], bool]]
 _BY_TYPE: dict[object, Expected] = {
-    "str": ("text", _is_text),
-    "int": ("a whole number from 0", _is_whole),
-    "int | None": ("a whole number from 0, or null", lambda value: value is None or _is_whole(value)),
-    "bool": ("true or false", lambda value: isinstance(value, bool)),
-    "Sequence[str]": ("a list of texts", lambda value: isinstance(value, (list, tuple)) and all(map(_is_text, value))),
-    "Mapping[str, str]": (
+    str: ("text", _is_text),
+    int: ("a whole number from 0", _is_whole),
+    int | None: ("a whole number from 0, or null", lambda value: value is None or _is_whole(value)),
+    bool: ("true or false", lambda value: isinstance(value, bool)),
+    Sequence[str]: ("a list of texts", lambda value: isinstance(value, (list, tuple)) and all(map(_is_text, value))),
+    Mapping[str, str]: (
         "a map of texts",
         lambda value: isinstance(value, Mapping) and all(map(_is_text, [*value, *value.values()])),
     ),
-    "Mapping[str, int]": (
+    Mapping[str, int]: (
         "whole numbers from 0 by texts",
         lambda value: isinstance(value, Mapping) and all(map(_is_text, value)) and all(map(_is_whole, value.values())),
     ),
-    "Mapping[str, Any]": ("a map", lambda value: isinstance(value, Mapping)),
-    "tuple[Gap, ...]": ("a list of gaps", lambda value: isinstance(value, (list, tuple))),
+    Mapping[str, Any]: ("a map", lambda value: isinstance(value, Mapping)),
+    tuple[Gap, ...]: ("a list of gaps", lambda value: isinstance(value, (list, tuple))),
 }
 _NAME: Expected = ("a name", is_name)
 _NEW = ("modules", "seal", "left_out")  # fields that the first format lacks

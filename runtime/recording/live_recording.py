@@ -38,16 +38,22 @@ LISTENING, DONE, FAILED = "listening", "done", "failed"
 
 class LiveRecording:
     """A recorder at work: hears a run of an endpoint's hub, until it is told to stop. The settings are Zenoh's own, the
-    host is this machine's for processes on others, and it `watches` where nobody else tells when the launch is over,
-    and how far it came. Raises `HieraxError` if the run cannot be reached."""
+    host is this machine's for processes on others, the secret is the run's, and it `watches` where nobody
+    else tells when the launch is over, and how far it came. Raises `HieraxError` if the run cannot be reached."""
 
     def __init__(
-        self, recorder: Recorder, endpoint: str, settings: Any = None, host: str | None = None, watches: bool = False
+        self,
+        recorder: Recorder,
+        endpoint: str,
+        settings: Any = None,
+        host: str | None = None,
+        watches: bool = False,
+        secret: str = "",
     ) -> None:
         self._recorder = recorder
         self._keys = Keys(recorder.info.hierarchy, recorder.info.run)
-        self._ear = BusTap(endpoint, self._keys, settings, host)
-        self._endpoint, self._settings = endpoint, settings
+        self._ear = BusTap(endpoint, self._keys, settings, host, secret)
+        self._reach = (endpoint, settings, self._keys, secret)
         self._stopping = False
         self._last: int | None = None
         self._watches = watches
@@ -85,7 +91,7 @@ class LiveRecording:
         if said is None:
             self._stopping = True
             # it is over; else this session is cut off, and another one is told
-            with suppress(HieraxError), LaunchClient(self._endpoint, self._settings, self._keys) as client:
+            with suppress(HieraxError), LaunchClient(*self._reach) as client:
                 self._last = _epoch_of(client.ask({"ask": "ps"}))
             return
         heard = self._recorder.ledger.last
@@ -136,7 +142,7 @@ def main() -> int:
         info, selection = RunInfo.read(order["info"]), Selection(**order["selection"])
         file = Target(Path(order["file"]), order["descriptor"]) if order["file"] else None
         recorder = Recorder(info, file, order["check"], selection)
-        recording = LiveRecording(recorder, order["endpoint"], order["settings"], order["host"])
+        recording = LiveRecording(recorder, order["endpoint"], order["settings"], order["host"], secret=order["secret"])
         _say({"status": LISTENING})
         threading.Thread(target=_obey, args=(recording,), daemon=True).start()
         ending = recording.record()

@@ -1,7 +1,5 @@
 """Reading a recording, also one whose recorder was killed."""
 
-from __future__ import annotations
-
 import struct
 from collections.abc import Iterator, Mapping
 from contextlib import suppress
@@ -31,7 +29,7 @@ class Recording:
     ending: Ending | None  # how it ended; None: it was cut off, its recorder was killed
 
     @staticmethod
-    def open(path: Path | str) -> Recording:
+    def open(path: Path | str) -> "Recording":
         """Open a recording. Raises `RecordingError` if it cannot be read, or is none."""
         require_mcap()
         path = Path(path)

@@ -1,7 +1,5 @@
 """A recorder: takes in what is said in a run, writes it down, keeps account of it, and has it checked."""
 
-from __future__ import annotations
-
 import logging
 import time
 from collections.abc import Callable
@@ -237,7 +235,7 @@ class InProcess:
         self._take(self._keys.epochs, encode_value((epoch, digest)))
         self._recorder.flush()
 
-    def watch(self, name: str, runner: NodeRunner, roster: Callable[[], Roster] | None) -> None:
+    def watch(self, name: str, runner: "NodeRunner", roster: Callable[[], Roster] | None) -> None:
         """Have a node tell its steps; `roster` is given for the world alone, and gives the roster in force."""
         from hierax.runtime.recording.witness import Witness  # a launch's recorder does without engines
 

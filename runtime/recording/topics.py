@@ -1,7 +1,5 @@
 """What is on which key, how it is read, and how it is described in the file; and what of a run is recorded."""
 
-from __future__ import annotations
-
 import json
 import re
 from collections.abc import Sequence
@@ -101,7 +99,7 @@ class Entry(NamedTuple):
             raise SchemaError(f"expected an epoch's number and digest, got {shown(value)}", "epoch")
         return value
 
-    def fault(self) -> Fault:
+    def fault(self) -> "Fault":
         """What happened to a process. Raises `SchemaError` if it tells nothing of the kind."""
         value = decode_value(self.data, self.topic.what)
         if self.topic.what == NOTE:

@@ -1,7 +1,5 @@
 """Where slots are kept: memory-mapped files, or what a simulation puts in their place."""
 
-from __future__ import annotations
-
 import mmap
 import os
 from abc import ABC, abstractmethod
@@ -46,8 +44,7 @@ class MappedFile(Storage):
     What is written is the kernel's at once, so it outlives the process without a call to the kernel; with a durability
     of ``host``, `flush` waits for the disk. A file appears under its name when it is complete, and only grows, in
     place: the other one is not touched, and a slot that grows is the one to be written. Raises `CheckpointError` if
-    another process has it, a file is no checkpoint's, or the machine refuses.
-    """
+    another process has it, a file is no checkpoint's, or the machine refuses."""
 
     def __init__(self, path: Path, durability: Durability = "process") -> None:
         if durability not in get_args(Durability):
@@ -94,7 +91,7 @@ class MappedFile(Storage):
             os.close(self._lock)
             self._lock = -1
 
-    def __enter__(self) -> MappedFile:
+    def __enter__(self) -> "MappedFile":
         return self
 
     def __exit__(self, *raised: object) -> None:

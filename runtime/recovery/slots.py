@@ -3,8 +3,7 @@
 A slot holds, little-endian: checksum (CRC-32, 4 bytes), sequence number and length (8 bytes each), then the data. The
 checksum is over all that follows it, so that it does not matter which parts of a torn write reached the slot. Record n
 (from 1) goes to slot n modulo 2: a slot that holds another one's, or not the one before the newest, was tampered with
-or lost a write, and is damaged too.
-"""
+or lost a write, and is damaged too."""
 
 import struct
 from typing import NamedTuple
@@ -49,8 +48,7 @@ class Slots:
     def read(self) -> tuple[Read, ...]:
         """What both slots hold, newest first.
 
-        A damaged slot stands before a whole one, as its record may have been the newer; an empty one comes last.
-        """
+        A damaged slot stands before a whole one, as its record may have been the newer; an empty one comes last."""
         reads = [_read(slot, self._storage.read(slot)) for slot in range(SLOTS)]
         newest = max(read.sequence for read in reads)
         reads = [_compared(read, newest) for read in reads]

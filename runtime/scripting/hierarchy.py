@@ -1,7 +1,5 @@
 """A hierarchy described in Python, in the place of a deployment file."""
 
-from __future__ import annotations
-
 import inspect
 from dataclasses import replace
 from functools import partial
@@ -40,7 +38,7 @@ class Hierarchy:
         self._edges: dict[str, dict[str, Any]] = {}
         self._probes: list[dict[str, Any]] = []
 
-    def add(self, name: str, of: Code, **fields: Any) -> Hierarchy:
+    def add(self, name: str, of: Code, **fields: Any) -> "Hierarchy":
         """A node. Raises `HierarchyError` if there is one of that name, or `of` cannot be found by its name.
 
         Args:
@@ -66,7 +64,7 @@ class Hierarchy:
         sense: Code | None = None,
         task: Code | None = None,
         context: Code | None = None,
-    ) -> Hierarchy:
+    ) -> "Hierarchy":
         """An edge, with φ, ψ and ϱ; one that is None gives the empty set. Raises `HierarchyError` as `add` does."""
         edge = f"{lower} -> {upper}"
         if edge in self._edges:
@@ -78,7 +76,7 @@ class Hierarchy:
         }
         return self
 
-    def probe(self, node: str, of: Code) -> Hierarchy:
+    def probe(self, node: str, of: Code) -> "Hierarchy":
         """A probe of a node. Raises `HierarchyError` if `of` cannot be found by its name."""
         target, parameters = named(of, f"probe of {node!r}")
         self._probes.append({"node": node, "class": target, **({"parameters": parameters} if parameters else {})})
@@ -123,8 +121,7 @@ class Hierarchy:
     def to_yaml(self, file: str | Path | None = None) -> str:
         """The deployment file that says the same, checked; written to `file` where that is given.
 
-        Raises `HieraxError` if something is wrong, or the file exists.
-        """
+        Raises `HieraxError` if something is wrong, or the file exists."""
         self.deployment()
         text = self.text()
         if file is not None:

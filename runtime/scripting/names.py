@@ -20,8 +20,7 @@ def named(code: Code, what: str) -> tuple[str, dict[str, Any]]:
     """The target of a class or function, and its parameters as a deployment file would have them.
 
     Raises `HierarchyError`, which begins with `what`, if it is none, has no name at the top of a module, or a parameter
-    cannot stand in a file.
-    """
+    cannot stand in a file."""
     parameters: dict[str, Any] = {}
     while isinstance(code, partial):
         if code.args:

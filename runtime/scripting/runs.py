@@ -1,7 +1,5 @@
 """Runs that a script goes through epoch by epoch: in this process, or with each node in a process of its own."""
 
-from __future__ import annotations
-
 import atexit
 import logging
 import queue
@@ -20,9 +18,9 @@ from typing import Any, NamedTuple, cast
 from hierax.runtime.core.elements import Value
 from hierax.runtime.core.errors import HierarchyError, HieraxError
 from hierax.runtime.deployment import Deployment
-from hierax.runtime.deployment.deployment import Document, RestartPolicy
+from hierax.runtime.deployment.deployment import Document, ProcessTerms
 from hierax.runtime.deployment.read import read_deployment
-from hierax.runtime.deployment.snippet import attach_of, replace_of, restarts_of
+from hierax.runtime.deployment.snippet import attach_of, replace_of, terms_of
 from hierax.runtime.execution.output_folder import claimed_output, write_summary
 from hierax.runtime.execution.report import Interrupted, Report
 from hierax.runtime.execution.single import SingleRun
@@ -57,8 +55,7 @@ class Run(ABC):
     """A run; iterating over it gives its epochs. As a context manager it is ended when the block is left.
 
     A run in this process goes on only while it is iterated over; a launch goes on by itself, and epochs are told as
-    they come, of which one may be missing where this machine has no time to tell it.
-    """
+    they come, of which one may be missing where this machine has no time to tell it."""
 
     def __init__(self, deployment: Deployment, stack: ExitStack) -> None:
         self.deployment = deployment  # what is run
@@ -67,7 +64,7 @@ class Run(ABC):
     def __iter__(self) -> Iterator[Epoch]:
         return self
 
-    def __enter__(self) -> Run:
+    def __enter__(self) -> "Run":
         return self
 
     def __exit__(
@@ -88,7 +85,7 @@ class Run(ABC):
         """End the run where it is; nothing is left of it but what it has written."""
 
     @abstractmethod
-    def _change(self, change: Change, policies: Mapping[str, RestartPolicy]) -> int:
+    def _change(self, change: Change, terms: Mapping[str, ProcessTerms]) -> int:
         """Have the roster change; gives the first epoch under it."""
 
     @abstractmethod
@@ -119,7 +116,7 @@ class Run(ABC):
             HieraxError: it is refused; nothing has changed then.
         """
         document = _snippet(part, self.deployment)
-        return self._change(attach_of(document), restarts_of(document, self.deployment, attached=True))
+        return self._change(attach_of(document), terms_of(document, self.deployment, attached=True))
 
     def detach(self, name: str, *, cascade: bool = False) -> int:
         """Detach a node while it runs, `cascade`: also what only it joins to the world; gives the first epoch without
@@ -137,7 +134,7 @@ class Run(ABC):
             HieraxError: it is refused.
         """
         document = _snippet(part, self.deployment)
-        return self._change(replace_of(document, name), restarts_of(document, self.deployment))
+        return self._change(replace_of(document, name), terms_of(document, self.deployment))
 
 
 class _Local(Run):
@@ -161,8 +158,8 @@ class _Local(Run):
         self._epochs = iter(())
         self._stack.close()
 
-    def _change(self, change: Change, policies: Mapping[str, RestartPolicy]) -> int:
-        return self._single.change(change, frozenset(name for name, each in policies.items() if each.fails_alone))
+    def _change(self, change: Change, terms: Mapping[str, ProcessTerms]) -> int:
+        return self._single.change(change, terms)
 
     def _report(self) -> Report:
         return self._single.report()
@@ -174,7 +171,7 @@ class _Launched(Run):
     def __init__(self, deployment: Deployment, stack: ExitStack, options: Mapping[str, Any]) -> None:
         super().__init__(deployment, stack)
         self._told: queue.SimpleQueue[Epoch | None] = queue.SimpleQueue()
-        self._endpoint: queue.SimpleQueue[str] = queue.SimpleQueue()
+        self._endpoint: queue.SimpleQueue[tuple[str, str]] = queue.SimpleQueue()
         self._end = threading.Event()
         self._failure: BaseException | None = None
         self._result: Report | None = None
@@ -193,7 +190,7 @@ class _Launched(Run):
                     self.deployment,
                     progress=tell,
                     notify=_log.warning,
-                    opened=self._endpoint.put,
+                    opened=lambda endpoint, secret: self._endpoint.put((endpoint, secret)),
                     broken=self._end,
                     **options,
                 )
@@ -241,15 +238,16 @@ class _Launched(Run):
             self._client = None
         self._stack.close()
 
-    def _change(self, change: Change, policies: Mapping[str, RestartPolicy]) -> int:
-        return int(self._asked().change(change, policies)["epoch"])
+    def _change(self, change: Change, terms: Mapping[str, ProcessTerms]) -> int:
+        return int(self._asked().change(change, terms)["epoch"])
 
     def _asked(self) -> LaunchClient:
         if self._client is None:
             if not self._thread.is_alive():
                 raise TransportError("the run is over")
             try:
-                self._client = LaunchClient(self._endpoint.get(timeout=_OPENS_S))
+                endpoint, secret = self._endpoint.get(timeout=_OPENS_S)
+                self._client = LaunchClient(endpoint, secret=secret)
             except queue.Empty as error:
                 raise HieraxError(f"the launch cannot be reached after {_OPENS_S:g} s") from error
         return self._client
@@ -310,8 +308,7 @@ def launch(
     """Run a hierarchy over Zenoh, each node in a process of its own; it begins at once.
 
     Arguments and errors are those of `run`; what goes wrong later is raised where epochs are waited for. A script that
-    launches its own classes guards what it does by ``if __name__ == "__main__":``, as processes import it.
-    """
+    launches its own classes guards what it does by ``if __name__ == "__main__":``, as processes import it."""
     with ExitStack() as stack:
         deployment, target, folder = _prepared(stack, what, epochs, seed, settings, output, record, overwrite)
         if isinstance(what, Hierarchy):

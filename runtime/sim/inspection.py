@@ -3,8 +3,7 @@
 The tags are put on and taken off around a node's own operators and edge functions, so what is computed does not depend
 on them, and the engine sees only elements. A tag says which process made the elements, under which version of the
 roster, in which epoch and attempt: of the world's, what it was told to begin; of any other node, what the inputs said
-that it observed last. So nothing of the engine's own bookkeeping is relied upon.
-"""
+that it observed last. So nothing of the engine's own bookkeeping is relied upon."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
@@ -180,8 +179,7 @@ def inspected_edges(edges: Mapping[tuple[str, str], BoundEdge], name: str, inspe
 def forged(kind: str, message: Message) -> list[Message]:
     """All messages of a kind that can be made of one; what is foretold is what will be said, and something else.
 
-    They come after it, as nobody can tell which of two was the sender's.
-    """
+    They come after it, as nobody can tell which of two was the sender's."""
     header = message.header
     if kind == FORETELL:
         attempt = header.attempt + 1

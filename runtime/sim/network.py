@@ -1,7 +1,5 @@
 """Virtual time; a disk whose writes a crash can tear; and a network: bytes, late, lost, doubled and out of order."""
 
-from __future__ import annotations
-
 from abc import ABC, abstractmethod
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
@@ -125,7 +123,7 @@ class Host(ABC):
 class SimPort(Port):
     """A process's end of its edges."""
 
-    def __init__(self, network: Network, process: Host) -> None:
+    def __init__(self, network: "Network", process: Host) -> None:
         self._network = network
         self._process = process
 

@@ -1,8 +1,7 @@
 """Nodes and edge functions for simulations: every result depends on everything it should.
 
 They hash all their arguments, in order, so that a lost, doubled, stale or reordered
-input, a wrong belief or another random number shows in every state above and below.
-"""
+input, a wrong belief or another random number shows in every state above and below."""
 
 from collections.abc import Callable, Mapping
 from functools import partial

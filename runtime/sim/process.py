@@ -1,7 +1,5 @@
 """A simulated process: production code, and an end at any of its calls."""
 
-from __future__ import annotations
-
 from collections import deque
 from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass, field
@@ -39,10 +37,10 @@ class Surroundings:
     journal: Journal
     checker: Checker
     network: Network
-    processes: dict[str, SimProcess] = field(default_factory=dict)  # those that live, by token
+    processes: "dict[str, SimProcess]" = field(default_factory=dict)  # those that live, by token
 
     @property
-    def world(self) -> SimProcess | None:
+    def world(self) -> "SimProcess | None":
         return next((process for process in self.processes.values() if process.is_world), None)
 
     def states(self, turn: Turn) -> Mapping[str, bytes]:
@@ -62,10 +60,10 @@ class Surroundings:
 class Attendant(Protocol):
     """Who notices how a process ends."""
 
-    def died(self, process: SimProcess) -> None:
+    def died(self, process: "SimProcess") -> None:
         """It is dead, and another one may come in its place."""
 
-    def exited(self, process: SimProcess) -> None:
+    def exited(self, process: "SimProcess") -> None:
         """It was dismissed: it is not started again."""
 
     def stop(self, why: str) -> None:

@@ -1,7 +1,5 @@
 """The supervisor of simulated processes: starts them, notices their deaths, and reports these to the owner."""
 
-from __future__ import annotations
-
 from collections import Counter
 from collections.abc import Mapping
 from random import Random

@@ -2,8 +2,6 @@
 
 Every pytest in an environment with hierax loads this module, so it imports nothing heavy."""
 
-from __future__ import annotations
-
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -18,7 +16,7 @@ if TYPE_CHECKING:
 
 
 @pytest.fixture
-def hierax_run(request: pytest.FixtureRequest) -> Iterator[Callable[..., Ran]]:
+def hierax_run(request: pytest.FixtureRequest) -> "Iterator[Callable[..., Ran]]":
     """Runs hierarchies, as `run_given` does: ``hierax_run("robot.yaml", epochs=10, seed=1, set={"noise": 0})``."""
     from hierax.runtime.testing.runs import run_given
 
@@ -27,7 +25,7 @@ def hierax_run(request: pytest.FixtureRequest) -> Iterator[Callable[..., Ran]]:
 
 
 @pytest.fixture
-def hierax_recorded(request: pytest.FixtureRequest) -> Iterator[Callable[..., Recorded]]:
+def hierax_recorded(request: pytest.FixtureRequest) -> "Iterator[Callable[..., Recorded]]":
     """A node in a recording, as `read_recorded` reads it: ``hierax_recorded("robot.mcap", "arm").check()``."""
     from hierax.runtime.testing.runs import found, read_recorded
 
@@ -36,7 +34,7 @@ def hierax_recorded(request: pytest.FixtureRequest) -> Iterator[Callable[..., Re
 
 
 @pytest.fixture
-def hierax_node() -> Callable[..., list[Step]]:
+def hierax_node() -> "Callable[..., list[Step]]":
     """Runs one node: ``hierax_node(Arm(), observations=[({"x": 1.0},), ()])``, as `runs.run_node` has it."""
     from hierax.runtime.testing.runs import run_node
 

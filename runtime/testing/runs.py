@@ -1,7 +1,5 @@
 """Hierarchies and single nodes run by a test, with all that they did."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field

@@ -190,6 +190,7 @@ def check_shared_memory(folder: Path = Path("/dev/shm"), locked_bytes: int | Non
 
 def check_loopback() -> Iterator[Finding]:
     """Whether two processes of a launch would find each other; multicast is not needed."""
+    from hierax.runtime.host.run_secret import new_secret
     from hierax.runtime.transport.hub import Hub
     from hierax.runtime.transport.launch_client import LaunchClient
     from hierax.schemas.keys import Keys
@@ -197,11 +198,11 @@ def check_loopback() -> Iterator[Finding]:
     settings = os.environ.get("ZENOH_CONFIG")
     begun = time.monotonic()
     try:
-        keys = Keys("doctor", f"p{os.getpid()}")
-        hub = Hub(keys, None, None)
+        keys, secret = Keys("doctor", f"p{os.getpid()}"), new_secret()
+        hub = Hub(keys, None, None, secret=secret)
         try:
             hub.serve(lambda question, reply: reply(question))
-            with LaunchClient(hub.endpoint, keys=keys) as client:
+            with LaunchClient(hub.endpoint, keys=keys, secret=secret) as client:
                 client.ask({"doctor": True}, LOOP_TIMEOUT_S)
         finally:
             hub.close()

@@ -18,8 +18,7 @@ def rates_between(before: Answer | None, after: Answer) -> dict[str, Json]:
 
     ``share`` is which part of the time it spent at what, ``waiting`` among it; ``per_epoch_us`` how long an epoch took
     it by that, in microseconds, None where it has completed none; ``waits_for`` whom it waited for, longest first, as
-    parts of its waiting, by the empty name where nobody can be named.
-    """
+    parts of its waiting, by the empty name where nobody can be named."""
     new = after["meter"]
     if before is not None and (before["process"] != after["process"] or before["meter"]["ns"] > new["ns"]):
         before = None

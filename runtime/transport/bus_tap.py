@@ -13,6 +13,7 @@ from hierax.runtime.transport.port import Sample, TransportError
 from hierax.runtime.transport.zenoh_session import ZenohConfig, close_session, open_session
 from hierax.schemas.errors import SchemaError
 from hierax.schemas.keys import Keys
+from hierax.schemas.messages import is_lent
 from hierax.schemas.values import Value
 
 CHANNEL_SIZE = 4096  # how many samples wait for the thread that takes them in; when it is full, their senders wait
@@ -63,6 +64,15 @@ class StepPublisher:
             _log.info("a step is not told: %s", error)  # closing: the recorder finds that it lacks
 
 
+def _is_lent(data: bytes) -> bool:
+    """Whether only its receiver can read a message: it was sent before its sender knew that somebody listens here, and
+    belongs to an epoch before those that are heard as a whole."""
+    try:
+        return is_lent(data)
+    except SchemaError:
+        return False  # no message: who takes it in finds out
+
+
 class BusTap:
     """A recorder's end: takes in all that is said in a run as it comes, and keeps it until it is asked for.
 
@@ -76,9 +86,10 @@ class BusTap:
         keys: Keys,  # of the run
         zenoh_config: ZenohConfig = None,  # Zenoh's own configuration
         host: str | None = None,  # address of this machine at which others may link; None: this machine's only
+        secret: str = "",  # of the run; empty: it is open
     ) -> None:
         listen = (f"tcp/{host}:0",) if host else ("tcp/127.0.0.1:0",)
-        self._session = open_session(listen, (endpoint,), zenoh_config)
+        self._session = open_session(listen, (endpoint,), zenoh_config, secret=secret)
         self._keys = keys
         self._queue: deque[Sample] = deque()
         self._waiting = 0
@@ -128,8 +139,9 @@ class BusTap:
                 sample = self._channel.recv()
             except zenoh.ZError:
                 break  # the session is closed
-            if sample is not None:
-                self._add(Sample(time.time_ns(), str(sample.key_expr), sample.payload.to_bytes()))
+            data = b"" if sample is None else sample.payload.to_bytes()
+            if sample is not None and not _is_lent(data):
+                self._add(Sample(time.time_ns(), str(sample.key_expr), data))
         with self._changed:
             self._closed = True
             self._changed.notify()

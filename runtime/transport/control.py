@@ -1,7 +1,6 @@
 """The line between a roster's owner and the processes, and questions and answers, each a value.
 
-What goes along the line may be lost, and is said again.
-"""
+What goes along the line may be lost, and is said again."""
 
 import logging
 from collections import deque
@@ -28,8 +27,7 @@ Reply = Callable[[Value], None]  # sends the answer to a question; any thread ma
 def answer_questions(session: zenoh.Session, key: str, on_question: Callable[[Value, Reply], None]) -> Any:
     """Have the questions on a key answered; what is no question is refused. Its `undeclare` stops that.
 
-    `on_question` is called with each and what sends the answer, in a thread of Zenoh's: it must not take long.
-    """
+    `on_question` is called with each and what sends the answer, in a thread of Zenoh's: it must not take long."""
 
     def on_query(query: zenoh.Query) -> None:
         def reply(value: Value) -> None:

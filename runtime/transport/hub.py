@@ -41,8 +41,10 @@ class Hub:
         zenoh_config: ZenohConfig,
         progress: Callable[[int, bytes], None] | None,
         host: str | None = None,
+        secret: str = "",
     ) -> None:
-        self.endpoint, self._session = _listen(zenoh_config, host)
+        self.secret = secret  # of the run; empty: it is open to whoever reaches it
+        self.endpoint, self._session = _listen(zenoh_config, host, secret)
         self._keys = keys  # of the run
         self._zenoh_config, self._host = zenoh_config, host
         self._living: set[str] = set()
@@ -94,7 +96,7 @@ class Hub:
             return  # it is dead; or all are just being told
         try:
             listen = f"tcp/{self._host}:0" if self._host else LOOPBACK
-            session = open_session([listen], [self.endpoint], self._zenoh_config, shared_memory=False)
+            session = open_session([listen], [self.endpoint], self._zenoh_config, False, secret=self.secret)
             time.sleep(INTRODUCE_S)
             close_session(session)
         except TransportError as error:
@@ -135,14 +137,14 @@ class Hub:
         close_session(self._session)
 
 
-def _listen(zenoh_config: ZenohConfig, host: str | None) -> tuple[str, zenoh.Session]:
+def _listen(zenoh_config: ZenohConfig, host: str | None, secret: str) -> tuple[str, zenoh.Session]:
     """Somebody else may take the free endpoint before we do; then another one is tried."""
     for _ in range(_TRIES - 1):
         endpoint = free_endpoint(host)
         with suppress(TransportError):
-            return endpoint, open_session(listen=[endpoint], zenoh_config=zenoh_config, shared_memory=False)
+            return endpoint, open_session([endpoint], zenoh_config=zenoh_config, shared_memory=False, secret=secret)
     endpoint = free_endpoint(host)
-    return endpoint, open_session(listen=[endpoint], zenoh_config=zenoh_config, shared_memory=False)
+    return endpoint, open_session([endpoint], zenoh_config=zenoh_config, shared_memory=False, secret=secret)
 
 
 def _epoch_listener(progress: Callable[[int, bytes], None]) -> Callable[[zenoh.Sample], None]:

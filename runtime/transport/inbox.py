@@ -13,6 +13,7 @@ import os
 import threading
 from collections import deque
 from collections.abc import Callable, Container
+from time import perf_counter
 from typing import Any
 
 import zenoh
@@ -21,6 +22,8 @@ from hierax.schemas.limits import MAX_MESSAGE_BYTES
 
 QUEUE_SIZE = 256  # how many messages wait in Zenoh; when it is full, the senders wait
 LOOKS = 60  # how often the node's thread looks for a message before it sleeps: some fifty microseconds' worth
+AWAY_S = 10e-6  # how long a look takes that gave the processor to somebody else
+LEAST_BLIND, MOST_BLIND = 16, 1024  # after which so many waits begin without looking
 WAITING_BYTES = MAX_MESSAGE_BYTES  # how much waits beside Zenoh's queue: any message does, if nothing else does
 LARGE_BYTES = 1 << 20  # from this on a message is a large one
 SMALL_AT_ONCE = 8  # how many small messages are looked through at once, to see what is behind them
@@ -43,6 +46,8 @@ class Inbox:
         self._kept_bytes = 0
         self._taken = 0  # how many the node's thread has asked for
         self._taken_before = 0  # likewise, when the other one looked in last
+        self._blind = 0  # in how many of the next waits nothing is looked for
+        self._blinded = LEAST_BLIND  # in how many it was last
 
     def interrupt(self) -> None:
         """Have the node's thread look at something else than messages; any thread may, and none waits for long."""
@@ -67,12 +72,39 @@ class Inbox:
                 sample = self._kept.popleft()
                 self._kept_bytes -= _bytes(sample)
                 return sample
-            for _ in range(LOOKS if waits else 1):
-                found = self._subscriber.try_recv()
-                if found is not None or not waits:
-                    return found
-                os.sched_yield()
-            return self._sleep()
+            if not waits:
+                return self._subscriber.try_recv()
+            found = self._look()
+            return self._sleep() if found is None else found
+
+    def _look(self) -> zenoh.Sample | None:
+        """The next message, if it comes while one looks for it.
+
+        Where others want the processor, who looks holds up the very threads that bring the message, and has to wait
+        for its own turn afterwards, while who sleeps is woken at once, as no processor is asleep. So where one look has
+        given the processor to somebody who did not bring anything, the next waits begin without looking: twice as many
+        as after the last time.
+        """
+        try_recv = self._subscriber.try_recv
+        found = try_recv()
+        if found is not None:
+            return found
+        if self._blind:
+            self._blind -= 1
+            return None
+        before_s = perf_counter()
+        for _ in range(LOOKS):
+            os.sched_yield()
+            found = try_recv()
+            if found is not None:
+                self._blinded = max(self._blinded - self._blinded // 8, LEAST_BLIND)
+                return found
+            now_s = perf_counter()
+            if now_s - before_s > AWAY_S:
+                self._blind = self._blinded = min(2 * self._blinded, MOST_BLIND)
+                return None
+            before_s = now_s
+        return None
 
     def relieve(self, wanted: Container[str]) -> set[str]:
         """Look after what waits while the node's thread does not; to be called from time to time, by another one.

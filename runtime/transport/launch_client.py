@@ -5,11 +5,10 @@ there waits for slow receivers, and a tool that its user has stopped would hold 
 are dropped where they cannot go at once (`hierax.runtime.transport.control`).
 """
 
-from __future__ import annotations
-
 import socket
 import time
 from collections.abc import Callable, Collection, Iterator, Mapping
+from contextlib import suppress
 from dataclasses import dataclass
 from typing import Any
 
@@ -53,7 +52,7 @@ class LaunchStatus:
     nodes: Mapping[str, Mapping[str, Any]]  # by name: ``process``, ``pid``, ``state``, ``restarts``, ``instance``
 
     @staticmethod
-    def read(answer: Answer) -> LaunchStatus:
+    def read(answer: Answer) -> "LaunchStatus":
         """Read it from the answer to ``{"ask": "ps"}``. Raises `AnswerError` if it is none."""
         fields = {"hierarchy": str, "run": str, "epoch": int, "roster": int, "nodes": dict}
         sound = all(isinstance(answer.get(field), kind) for field, kind in fields.items())
@@ -73,13 +72,16 @@ class LaunchStatus:
 class LaunchClient:
     """Asks one launch, in a session of its own, on that run's keys alone. Raises `TransportError`."""
 
-    def __init__(self, endpoint: str, zenoh_config: ZenohConfig = None, keys: Keys | None = None) -> None:
+    def __init__(
+        self, endpoint: str, zenoh_config: ZenohConfig = None, keys: Keys | None = None, secret: str = ""
+    ) -> None:
         self.endpoint = endpoint  # of the hub
         self._keys = keys  # of the run; None: they are found out, which fails where several answer
         try:  # a client, as the processes of the run would link to a peer
-            self._session = open_session((), [endpoint], zenoh_config, shared_memory=False, mode="client")
+            self._session = open_session((), [endpoint], zenoh_config, False, "client", secret=secret)
         except TransportError as error:
-            raise TransportError(f"the launch at {endpoint} cannot be reached: {error}") from error
+            what = f"{error}{_hint(endpoint, secret)}"
+            raise TransportError(f"the launch at {endpoint} cannot be reached: {what}") from error
 
     def keys(self) -> Keys:
         """The keys of the run, found out where nobody has said them; that fails where several launches answer."""
@@ -116,11 +118,11 @@ class LaunchClient:
             if isinstance(answer, dict) and answer.get("process") == status.nodes[name]["process"]
         }
 
-    def change(self, change: Change, policies: Mapping[str, object], here: bool = False, host: str = "") -> Answer:
-        """Have the roster change, with restart policies by new node; what the launch answers when the change counts, or
-        at once, where its processes are kept `here`. Raises `AnswerError` if it is refused."""
-        restarts = {name: vars(policy) for name, policy in policies.items()}
-        question = {"ask": "change", "change": change.plain(), "restarts": restarts, "here": here, "host": host}
+    def change(self, change: Change, terms: Mapping[str, object], here: bool = False, host: str = "") -> Answer:
+        """Have the roster change, with terms of new nodes' processes; what the launch answers when the change counts,
+        or at once, where its processes are kept `here`. Raises `AnswerError` if it is refused."""
+        told = {name: vars(each) for name, each in terms.items()}
+        question = {"ask": "change", "change": change.plain(), "terms": told, "here": here, "host": host}
         return self.ask(question, CHANGE_TIMEOUT_S)
 
     def edges(self, status: LaunchStatus) -> list[tuple[str, str]]:
@@ -192,7 +194,7 @@ class LaunchClient:
     def close(self) -> None:
         close_session(self._session)
 
-    def __enter__(self) -> LaunchClient:
+    def __enter__(self) -> "LaunchClient":
         return self
 
     def __exit__(self, *raised: object) -> None:
@@ -222,13 +224,33 @@ class LaunchClient:
         raise TransportError(f"the launch at {self.endpoint} does not answer")
 
 
+def _hint(endpoint: str, secret: str) -> str:
+    """What may be wrong where no link came to be; Zenoh tells nobody why it refuses one."""
+    if not _answers(endpoint):
+        return ""
+    if secret:
+        return "; something listens there, and does not take this key: it is that of another run, or the launch is open"
+    return "; something listens there: a launch that is closed takes only who has its key (--key FILE)"
+
+
 def is_gone(endpoint: str) -> bool:
     """Whether there is no launch at an endpoint any more; not so where its machine cannot be reached."""
-    address, _, port = endpoint.partition("/")[2].rpartition(":")
     try:
-        socket.create_connection((address.strip("[]"), int(port)), timeout=KNOCK_TIMEOUT_S).close()
+        _knock(endpoint)
     except ConnectionRefusedError:
         return True
     except OSError:
         return False
     return False
+
+
+def _answers(endpoint: str) -> bool:
+    with suppress(OSError):
+        _knock(endpoint)
+        return True
+    return False
+
+
+def _knock(endpoint: str) -> None:
+    address, _, port = endpoint.partition("/")[2].rpartition(":")
+    socket.create_connection((address.strip("[]"), int(port)), timeout=KNOCK_TIMEOUT_S).close()

@@ -1,7 +1,5 @@
 """What a transport gives a node: a port to its neighbours. And all ports in one process, in an order from a seed."""
 
-from __future__ import annotations
-
 from abc import ABC, abstractmethod
 from collections import deque
 from collections.abc import Callable, Mapping, Sequence
@@ -33,8 +31,7 @@ class Port(ABC):
     """A node's end of its edges.
 
     Of messages with one sender, receiver and kind none is lost, doubled or overtaken
-    while both ends are open and the link between them holds. Nothing is promised on the order of others.
-    """
+    while both ends are open and the link between them holds. Nothing is promised on the order of others."""
 
     mended: Callable[[str], None] = staticmethod(lambda neighbour: None)
 
@@ -42,8 +39,7 @@ class Port(ABC):
         """Have something called with a neighbour's name when the link to its process broke and is there again.
 
         It is there in both directions then. The thread that receives calls, out of `receive`. What was sent since the
-        break, or shortly before it, may be lost; both ends are told.
-        """
+        break, or shortly before it, may be lost; both ends are told."""
         self.mended = call
 
     @abstractmethod
@@ -51,16 +47,14 @@ class Port(ABC):
         """Send a message to the receiver that its header names; waits while the receiver's queue is full.
 
         Raises `SchemaError` if the payload holds something that cannot travel, and `TransportError` if the receiver is
-        no neighbour, or cannot take it.
-        """
+        no neighbour, or cannot take it."""
 
     @abstractmethod
     def receive(self) -> Message | None:
         """The next message; None when the port was interrupted or closed.
 
         A port in a process of its own waits for it; one in a network in memory gives None where nothing is on its way.
-        Raises `SchemaError` if bytes came that are no message; they are dropped, and one may go on.
-        """
+        Raises `SchemaError` if bytes came that are no message; they are dropped, and one may go on."""
 
     def poll(self) -> Message | None:
         """The next message, if it is there already; as `receive`, but it never waits."""
@@ -95,8 +89,7 @@ class Port(ABC):
 class DrawnSet(Generic[Drawn]):
     """Of which one may be drawn, put in or taken out in the same time, however many there are.
 
-    What is drawn follows from the draws, and from what was put in and taken out before, in this order.
-    """
+    What is drawn follows from the draws, and from what was put in and taken out before, in this order."""
 
     def __init__(self, random: Random) -> None:
         self._random = random
@@ -136,7 +129,7 @@ class MemoryNetwork:
         self._queue_size = queue_size  # how many messages of one sender, receiver and kind may be under way
         self._ports: dict[str, MemoryPort] = {}
 
-    def open_port(self, name: str) -> MemoryPort:
+    def open_port(self, name: str) -> "MemoryPort":
         """A port for the node of this name. Raises `TransportError` if there is one already."""
         if name in self._ports:
             raise TransportError(f"{name}: its port is open already")

@@ -8,10 +8,7 @@ is put on them, until the link breaks. Then it is done anew.
 Each end has a mark: its process's token, and how often its link broke. A greeting holds the mark of who sends it, and
 that of who it was heard from. What is said to another mark counts for nothing: it may be older than the break, or for a
 process that was killed. A mark that is another than before is itself a break, which the one end has noticed and the
-other may not have.
-"""
-
-from __future__ import annotations
+other may not have."""
 
 import time
 from collections.abc import Callable, Iterable, Mapping
@@ -59,8 +56,7 @@ class Handshake:
     def hello(self, version: int, asks: bool = True) -> list[tuple[str, Message]]:
         """The greeting: by kind of key, what to put there.
 
-        An answer does not ask for one, or two that miss the same key would answer each other for ever.
-        """
+        An answer does not ask for one, or two that miss the same key would answer each other for ever."""
         body = {
             "heard": tuple(sorted(self._heard)),
             "asks": asks and not self.done,
@@ -127,7 +123,7 @@ class Rendezvous:
     def lanes_in(self) -> list[tuple[str, str]]:
         return [(peer, kind) for peer, handshake in self.handshakes.items() for kind in handshake.hears]
 
-    def take_over(self, earlier: Rendezvous) -> None:
+    def take_over(self, earlier: "Rendezvous") -> None:
         """Share the handshakes of another version with neighbours whose processes, and ours, are the same."""
         for peer, handshake in self.handshakes.items():
             known = earlier.handshakes.get(peer)
@@ -159,8 +155,7 @@ class AbsentProcesses:
 
     Zenoh dials the hub again by itself, and peers when the hub tells of them anew. Where the link between two peers
     breaks and both keep theirs to the hub, nobody does, nor where it could not be opened in the first place. Whoever
-    misses a process, or waits for an answer itself, then says so, and the hub tells of all anew (`Hub.introduce`).
-    """
+    misses a process, or waits for an answer itself, then says so, and the hub tells of all anew (`Hub.introduce`)."""
 
     def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
         self._clock = clock  # seconds

@@ -6,18 +6,21 @@ from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import zenoh
+from numpy.typing import NDArray
 
 from hierax.runtime.transport.inbox import QUEUE_SIZE, Inbox
 from hierax.runtime.transport.port import Port, TransportError
 from hierax.runtime.transport.rendezvous import AbsentProcesses, Handshake, Rendezvous
+from hierax.runtime.transport.shared_arrays import ForeignArrayError, Lender, LostArrayError, SharedArrays
 from hierax.runtime.transport.zenoh_session import close_session
 from hierax.schemas.errors import SchemaError
 from hierax.schemas.keys import Keys
 from hierax.schemas.limits import MAX_MESSAGE_BYTES
-from hierax.schemas.messages import HELLO, TASKS, Message, decode_message, encode_message
+from hierax.schemas.messages import HELLO, NO_EXTENSIONS, TASKS, Lend, Message, decode_message, encode_message
 from hierax.schemas.values import encode_value
 
 _log = logging.getLogger("hierax")
@@ -42,11 +45,20 @@ class ZenohPort(Port):
     """A node's end of its edges in a process of its own. It owns its session.
 
     One thread receives; others may call `greet` and `interrupt`. Messages may have `most_bytes`; None: any number.
-    Raises `TransportError` if Zenoh refuses a declaration.
-    """
+    Large arrays go through memory that is `shared` with neighbours on this machine, while nobody else `hears`; None:
+    through the network. Raises `TransportError` if Zenoh refuses a declaration."""
+
+    heard: Callable[[], bool] = staticmethod(lambda: False)
+    """Whether somebody else listens to the run's messages, and could not read what is lent to their receivers."""
 
     def __init__(
-        self, session: zenoh.Session, keys: Keys, name: str, process: str = "", most_bytes: int | None = None
+        self,
+        session: zenoh.Session,
+        keys: Keys,
+        name: str,
+        process: str = "",
+        most_bytes: int | None = None,
+        shared: SharedArrays | None = None,
     ) -> None:
         self._session = session  # an open session
         self._most_bytes = MAX_MESSAGE_BYTES if most_bytes is None else most_bytes
@@ -54,6 +66,10 @@ class ZenohPort(Port):
         self._name = name  # of the node
         self._process = process or "0"
         self._closed = False
+        self._shared = shared
+        self._lends: dict[Lane, Lend] = {}
+        self._readers: dict[tuple[str, int], bytes | None] = {}  # by neighbour and instance: to whom arrays are lent
+        self._peer = ""  # whose message is being read
         self._early: deque[Message] = deque()
         # replaced, never changed in place: other threads read them
         self._links: Mapping[int, Link] = {}
@@ -102,6 +118,8 @@ class ZenohPort(Port):
         needed = {(kind, peer) for link in self._links.values() for peer, kind in link.rendezvous.lanes_out}
         for lane in self._publishers.keys() - needed:
             self._publishers.pop(lane).undeclare()
+            self._lends.pop(lane, None)
+            self._forget(lane)
         self._lanes = {
             key: lane for link in self._links.values() for key, lane in self._lanes_of(link.rendezvous).items()
         }
@@ -158,6 +176,8 @@ class ZenohPort(Port):
         if not self._closed:
             self._closed = True
             close_session(self._session)
+            if self._shared is not None:
+                self._shared.close()
 
     def _declare(self, rendezvous: Rendezvous) -> None:
         for peer, kind in rendezvous.lanes_out:
@@ -171,6 +191,8 @@ class ZenohPort(Port):
                 # a task message is followed by context, and leaves in the same batch
                 express=kind != TASKS,
             )
+            if self._shared is not None:
+                self._lends[kind, peer] = partial(self._lend, self._shared.lender, (kind, peer))
         self._lanes = {**self._lanes, **self._lanes_of(rendezvous)}
 
     def _lanes_of(self, rendezvous: Rendezvous) -> Mapping[str, Lane]:
@@ -180,8 +202,7 @@ class ZenohPort(Port):
     def _on_alive(self, sample: zenoh.Sample) -> None:
         """Greet a neighbour as soon as its process is there; what is lost is said again by `greet`.
 
-        One that is gone may be back: its link broke, and what was under way is lost.
-        """
+        One that is gone may be back: its link broke, and what was under way is lost."""
         peer, process = str(sample.key_expr).split("/")[-2:]
         if sample.kind != zenoh.SampleKind.PUT:
             self.absent.gone(process)
@@ -217,8 +238,7 @@ class ZenohPort(Port):
         """The next message.
 
         None: there is none, where nobody waits for one; or it was interrupted or closed, or, while connecting, a
-        greeting came that was the last.
-        """
+        greeting came that was the last."""
         while not (waits and self._inbox.interrupted):
             try:
                 sample = self._inbox.take(waits)
@@ -234,7 +254,11 @@ class ZenohPort(Port):
                 if self._inbox.interrupted and not waits:
                     return None  # there may be any number of them
                 continue
-            message = decode_message(sample.payload.to_bytes())
+            self._peer = lane[0]
+            try:
+                message = decode_message(sample.payload.to_bytes(), self._borrow)
+            except ForeignArrayError:
+                continue
             header = message.header
             if lane == (header.sender, header.kind):
                 return message
@@ -246,11 +270,37 @@ class ZenohPort(Port):
         self._inbox.interrupted = False
         return None
 
+    def _borrow(self, told: bytes) -> Any:
+        """The array that lies in memory of a neighbour's, by a message of its that is being read."""
+        if self._shared is None:
+            raise SchemaError(f"an array of {self._peer}'s lies in shared memory, which is not read here", "message")
+        try:
+            return self._shared.borrow(self._peer, told)
+        except LostArrayError:
+            self._lost(self._peer)  # it says again what is lost
+            raise
+
+    def _lend(self, lender: Lender, lane: Lane, array: NDArray[Any]) -> bytes | None:
+        """Lend an array to a neighbour; None: it reads none, others listen, or another process takes over from it."""
+        if self.heard():
+            return None
+        readers = [self._readers.get((lane[1], each.ends[1])) for _, each in self._handshakes(lane[1])]
+        reader = readers[0] if len(readers) == 1 else None
+        return None if reader is None else lender.lend(lane, reader, array)
+
+    def _forget(self, lane: Lane) -> None:
+        """What is under way on a lane is lost with its link, and its memory free."""
+        if self._shared is not None:
+            self._shared.lender.forget(lane)
+
     def _hear(self, lane: Lane, key: str, message: Message) -> None:
         """A neighbour's greeting; of whichever version, as the keys are the same, and the instance is looked at."""
         peer = lane[0]
         if peer != message.header.sender:
             raise SchemaError(f"a greeting from {message.header.sender!r} on key {key}", "message.sender")
+        if self._shared is not None:
+            reader = self._shared.heard(peer, message.header.extensions)
+            self._readers[peer, message.header.instance] = reader
         mended = False
         for version, handshake in self._handshakes(peer):
             with self._shaking:
@@ -261,6 +311,8 @@ class ZenohPort(Port):
         for link in list(self._links.values()):
             self._tell_if_open(link)
         if mended:
+            for sent in (sent for sent in self._lends if sent[1] == peer):
+                self._forget(sent)
             self.mended(peer)
 
     def _tell_if_open(self, link: Link) -> None:
@@ -271,13 +323,16 @@ class ZenohPort(Port):
 
     def _put_all(self, greetings: Iterable[tuple[str, Message]]) -> None:
         for kind, message in greetings:
-            self._put(kind, message)
+            header = message.header
+            told = NO_EXTENSIONS if self._shared is None else self._shared.greeting(header.receiver)
+            self._put(kind, message._replace(header=header._replace(extensions=told)))
 
     def _put(self, kind: str, message: Message) -> None:
-        publisher = self._publishers.get((kind, message.header.receiver))
+        lane = (kind, message.header.receiver)
+        publisher = self._publishers.get(lane)
         if publisher is None:
             raise TransportError(f"{self._name}: {message.header.receiver!r} takes no {kind} messages from it")
-        data = encode_message(message)
+        data = encode_message(message, self._lends.get(lane))
         if len(data) > self._most_bytes:
             what = f"a {kind} message of {len(data)} bytes for {message.header.receiver}"
             raise TransportError(f"{self._name}: {what}; low-latency links carry at most {self._most_bytes}")

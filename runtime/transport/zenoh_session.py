@@ -1,7 +1,5 @@
 """Opening and closing Zenoh sessions, and what they leave behind."""
 
-from __future__ import annotations
-
 import atexit
 import fcntl
 import json
@@ -19,6 +17,7 @@ from typing import Any, Literal, TypeAlias
 
 import zenoh
 
+from hierax.runtime.host.run_secret import USER, dictionary
 from hierax.runtime.transport.port import TransportError
 from hierax.schemas.limits import MAX_MESSAGE_BYTES, MAX_QUESTION_BYTES
 
@@ -27,15 +26,27 @@ LOOPBACK = "tcp/127.0.0.1:0"  # where a session listens unless told otherwise: a
 ZenohConfig: TypeAlias = "str | Mapping[str, Any] | None"
 """Zenoh's own configuration: the path of a JSON5 file, JSON5 text in braces, or a map."""
 
-LOGGED = "error,zenoh::api::session=off,zenoh::net::protocol::gossip=off,zenoh_transport::unicast::establishment=off"
+LOGGED = (
+    "error,zenoh::api::session=off,zenoh::net::protocol::gossip=off,zenoh_transport::unicast::establishment=off,"
+    "zenoh_codec=off"
+)
 """What Zenoh prints, where RUST_LOG says nothing.
 
 While a session's first links come up, its threads may be overtaken by messages for keys that they are about to
 declare to it, and gossip may come over a link that has just gone: Zenoh drops that and calls it an error. It is no
 more than greetings, which are said again until they are answered, and news that come again by another link. A link
 that could not be opened is tried again, as when the other side has not yet noticed that the last one was cut; what
-cannot be reached for good is an error of ours.
+cannot be reached for good is an error of ours. Bytes that are none of Zenoh's are refused with a line for each
+connection, with which anybody who reaches a port could fill a log.
 """
+
+_OF_DOORS = "zenoh_link_tcp::unicast=debug,zenoh_transport::unicast::establishment::accept=debug"
+
+
+def log_who_comes() -> None:
+    """Have Zenoh print who comes in too, for `hierax.runtime.watch.doors`; to be called before a session is opened."""
+    zenoh.init_log_from_env_or(f"{LOGGED},{_OF_DOORS}")
+
 
 RUNTIME = "(net: (worker_threads: 8))"
 """Zenoh's threads, where ZENOH_RUNTIME says nothing. With one thread for its network's life, as is its default, a
@@ -66,6 +77,8 @@ LOCKED_BYTES = 4 * POOL_BYTES  # what a process may have to lock: its own pool a
 _QUOTED_LINE = re.compile(r"\s*\d*\s*\|")
 _QUOTED_TEXT = re.compile(r"(invalid (?:type|value): \w+) (?:`[^`]*`|\"(?:\\.|[^\"\\])*\")")
 
+_ADMISSION = "transport/auth/usrpwd"
+
 _SHARED_MEMORY = Path("/dev/shm")
 _IPC_LOCK = 14  # the capability with which limits on locked memory do not count
 
@@ -83,6 +96,7 @@ def open_session(
     # carry messages of up to `LOW_LATENCY_BYTES`, and whoever sends to a peer that reads no more waits as soon as the
     # buffers between them are full. Links to others are as ever.
     low_latency: bool = False,
+    secret: str = "",  # links are to sessions alone that have the same; empty: to any that have none
 ) -> zenoh.Session:
     """Open a session. Raises `TransportError` if Zenoh refuses the settings, or cannot listen."""
     zenoh.init_log_from_env_or(LOGGED)
@@ -105,9 +119,12 @@ def open_session(
     if low_latency:
         ours["transport/unicast/qos/enabled"] = False  # Zenoh has one or the other
     try:
-        config = _configured(ours, zenoh_config)
-        _set_low_latency(config, low_latency)
-        return _opened(config)
+        with dictionary(secret) as file:
+            if secret:
+                ours[_ADMISSION] = {"user": USER, "password": secret, "dictionary_file": file}
+            config = _configured(ours, zenoh_config)
+            _set_low_latency(config, low_latency)
+            return _opened(config)
     except zenoh.ZError as error:  # whose own words may quote a password
         lines = [line for line in str(error).splitlines() if not _QUOTED_LINE.match(line)]
         raise TransportError("Zenoh: " + _QUOTED_TEXT.sub(r"\1 …", " ".join(lines))) from None
@@ -136,6 +153,11 @@ def shared_memory_fault(folder: Path | None = None, locked_bytes: int | None = N
     if limit is not None and limit < LOCKED_BYTES:
         return f"a process may lock {limit >> 10} KiB of memory (ulimit -l), {LOCKED_BYTES >> 10} KiB may be needed"
     return ""
+
+
+def allows_shared_memory(zenoh_config: ZenohConfig) -> bool:
+    """Whether Zenoh's own configuration, which `open_session` has taken, leaves shared memory on."""
+    return bool(_given(zenoh_config).get_json("transport/shared_memory/enabled") == "true")
 
 
 def _lockable() -> int | None:

@@ -7,8 +7,6 @@ extensions, as W3C Trace Context has it. The span of `predict` links to those of
 It is on where the environment says so, as OpenTelemetry specifies: ``OTEL_TRACES_EXPORTER``
 is ``otlp`` or ``console``. Needs the extra ``[telemetry]``."""
 
-from __future__ import annotations
-
 import os
 import sys
 import threading
@@ -46,7 +44,7 @@ def wanted() -> bool:
     return True
 
 
-def open_spans(hierarchy: str, run: str, node: str, exporter: SpanExporter | None = None) -> Spans:
+def open_spans(hierarchy: str, run: str, node: str, exporter: "SpanExporter | None" = None) -> "Spans":
     """A node's spans; the exporter, by default what the environment says, takes them."""
     from opentelemetry.sdk.resources import Resource
     from opentelemetry.sdk.trace import TracerProvider
@@ -59,7 +57,7 @@ def open_spans(hierarchy: str, run: str, node: str, exporter: SpanExporter | Non
     return Spans(provider.get_tracer(_INSTRUMENTATION), node, provider.force_flush)
 
 
-def _exporter() -> SpanExporter:
+def _exporter() -> "SpanExporter":
     if os.environ.get(EXPORTER_VARIABLE, "").strip().lower() == CONSOLE:
         from opentelemetry.sdk.trace.export import ConsoleSpanExporter
 
@@ -74,7 +72,7 @@ def _exporter() -> SpanExporter:
 class Spans(Watcher):
     """Makes a node's spans; `flush` sends what is not sent yet."""
 
-    def __init__(self, tracer: Tracer, node: str, flush: Callable[[], object] | None = None) -> None:
+    def __init__(self, tracer: "Tracer", node: str, flush: Callable[[], object] | None = None) -> None:
         from opentelemetry.trace.propagation.tracecontext import TraceContextTextMapPropagator
 
         self._tracer = tracer
@@ -152,7 +150,7 @@ class Spans(Watcher):
             flusher.start()
             flusher.join(FLUSH_S)
 
-    def _begin(self, epoch: int, attempt: int, begun: int) -> Span:
+    def _begin(self, epoch: int, attempt: int, begun: int) -> "Span":
         """The span of an epoch, which may be a new one."""
         from opentelemetry.trace import set_span_in_context
 
@@ -186,7 +184,7 @@ def _carried(header: Header) -> dict[str, str]:
     return {key: str(extensions[key]) for key in (TRACEPARENT, TRACESTATE) if key in extensions}
 
 
-def _undo(span: Span) -> None:
+def _undo(span: "Span") -> None:
     """The epoch is done again, or the node's life is over in the midst of it."""
     span.set_attribute("hierax.undone", True)
     span.end()

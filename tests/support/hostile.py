@@ -13,6 +13,7 @@ from hierax.schemas.control import Control, encode_control
 from hierax.schemas.keys import Keys
 from hierax.schemas.messages import Message, decode_message, encode_message
 from hierax.schemas.values import Value, decode_value, encode_value
+from support.live import until
 
 KEPT = 4096
 
@@ -22,19 +23,26 @@ class Stranger:
 
     Args:
         endpoint: of the launch's hub.
-        keys: of the run, which everybody can listen to.
+        keys: of the run.
         kept: how many of the last messages are remembered.
+        secret: of the run; without it nothing is heard of a run that is closed.
 
     Attributes:
         heard: keys and bytes, the last ones.
     """
 
-    def __init__(self, endpoint: str, keys: Keys, kept: int = KEPT) -> None:
+    def __init__(self, endpoint: str, keys: Keys, kept: int = KEPT, secret: str = "") -> None:
         self.keys = keys
-        self.session = open_session(connect=[endpoint], shared_memory=False)
+        self.session = open_session(connect=[endpoint], shared_memory=False, secret=secret)
         self.heard: deque[tuple[str, bytes]] = deque(maxlen=kept)
         self._changed = threading.Event()
         self._ear = self.session.declare_subscriber(keys.everything, self._on_sample)
+
+    def reaches(self, key: str) -> None:
+        """Wait until somebody else hears a key: what is put there before is lost."""
+        publisher = self.session.declare_publisher(key, allowed_destination=zenoh.Locality.REMOTE)
+        until(lambda: publisher.matching_status.matching, f"somebody who hears {key}")
+        publisher.undeclare()
 
     def put(self, key: str, data: bytes) -> None:
         """Say some bytes on a key."""

@@ -242,5 +242,5 @@ class Launched(Command):
     def report(self, timeout_s: float = TIMEOUT_S) -> dict[str, Any]:
         """What it prints at its end."""
         out = self.end(timeout_s)
-        assert self.process.returncode == 0, self.err
+        assert self.process.returncode == 0, (self.process.returncode, self.err)
         return dict(json.loads(out))

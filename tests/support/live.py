@@ -13,6 +13,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
+from hierax.runtime.host.run_secret import read_key
 from hierax.runtime.transport.launch_client import LaunchClient
 from support.launched import run_here, said_here
 from support.live_nodes import PACE_S
@@ -174,7 +175,7 @@ class Live:
     def run(self) -> dict[str, Any]:
         """What ``hierax ps`` tells of it."""
         if not self.namespace:
-            self._client = self._client or LaunchClient(self.endpoint)
+            self._client = self._client or LaunchClient(self.endpoint, secret=self.secret)
             return self._client.ask({"ask": "ps"})
         return self._asked_from_within()
 
@@ -183,6 +184,17 @@ class Live:
         """Where it is reached."""
         (file,) = (self.folder / "hierax").glob("*.json")
         return str(json.loads(file.read_text(encoding="utf-8"))["endpoint"])
+
+    @property
+    def key(self) -> Path:
+        """The file that lets others in."""
+        (file,) = (self.folder / "hierax").glob("*.key")
+        return file
+
+    @property
+    def secret(self) -> str:
+        """What is in there; empty: the launch is open."""
+        return read_key(self.key) if list((self.folder / "hierax").glob("*.key")) else ""
 
     def goes_on(self) -> None:
         """Wait until some more epochs are committed."""
@@ -224,7 +236,17 @@ class Live:
         """What the launch answers to somebody in its namespace."""
         if self._asking is None:
             self._asking = subprocess.Popen(
-                ["ip", "netns", "exec", self.namespace, sys.executable, "-m", "support.asking", self.endpoint],
+                [
+                    "ip",
+                    "netns",
+                    "exec",
+                    self.namespace,
+                    sys.executable,
+                    "-m",
+                    "support.asking",
+                    self.endpoint,
+                    self.key,
+                ],
                 stdin=subprocess.PIPE,
                 stdout=subprocess.PIPE,
                 text=True,

@@ -1,7 +1,7 @@
-"""Another user's process: it says to a launch whatever names code that is not the launch's.
+"""Another user's process that has got hold of the run's secret: it names code that is not the launch's wherever it can.
 
-Run as root with the file of its order, JSON with ``user``, ``group``, ``endpoint``, ``roster`` (as `Roster.plain`
-gives it) and ``references`` (as `Reference.plain` does); it becomes that user before it opens a session.
+Run as root with the file of its order, JSON with ``user``, ``group``, ``endpoint``, ``secret``, ``roster`` (as
+`Roster.plain` gives it) and ``references`` (as `Reference.plain` does); it becomes that user before it opens a session.
 """
 
 from __future__ import annotations
@@ -33,10 +33,10 @@ def main() -> None:
     os.setgid(order["group"])
     os.setuid(order["user"])
     endpoint = order["endpoint"]
-    with LaunchClient(endpoint) as client:
+    with LaunchClient(endpoint, secret=order["secret"]) as client:
         run = client.ask({"ask": "ps"})
     keys = Keys(run["hierarchy"], run["run"])
-    session = open_session(connect=[endpoint], shared_memory=False)
+    session = open_session(connect=[endpoint], shared_memory=False, secret=order["secret"])
     processes = {name: node["process"] for name, node in run["nodes"].items()}
     refusals: list[str] = []
     try:
@@ -96,7 +96,7 @@ def put(session: zenoh.Session, key: str, messages: Iterator[bytes]) -> None:
 def supervisor_says(session: zenoh.Session, keys: Keys, change: Value, here: bool) -> str:
     """What the supervisor answers to who asks for a change; empty: it would make it."""
     names = list(change["nodes"]) if "nodes" in change else [change["name"]]
-    question = {"ask": "change", "change": change, "restarts": {name: {} for name in names}, "here": here, "host": ""}
+    question = {"ask": "change", "change": change, "terms": {name: {} for name in names}, "here": here, "host": ""}
     replies = session.get(keys.control(SUPERVISOR), payload=encode_value(question), timeout=PATIENCE_S)
     answers = [decode_value(reply.ok.payload.to_bytes(), "answer") for reply in replies if reply.ok is not None]
     return str(answers[0].get("refusal", "")) if answers else "no answer"

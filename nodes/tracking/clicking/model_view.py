@@ -1,9 +1,6 @@
 """What a model looks like: its edges as a camera sees them, and a small picture of it with corners marked.
 
-And which of its corners a user can tell in a picture, and the pose by where they are in it.
-"""
-
-from __future__ import annotations
+And which of its corners a user can tell in a picture, and the pose by where they are in it."""
 
 from collections.abc import Sequence
 from functools import cached_property

@@ -1,10 +1,7 @@
 """The page on which a session is clicked: served on this machine's loopback alone, to whoever knows its address.
 
 The address has a token, without which nothing is answered: other users of the machine can neither look nor click. Of
-what is asked under another host's name nothing is answered either, so that no page of another site gets at it.
-"""
-
-from __future__ import annotations
+what is asked under another host's name nothing is answered either, so that no page of another site gets at it."""
 
 import json
 import secrets

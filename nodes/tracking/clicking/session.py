@@ -1,7 +1,5 @@
 """What a user has clicked so far: one object after the other, corner by corner, until each is accepted or left out."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from typing import Any
 

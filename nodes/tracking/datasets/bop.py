@@ -2,10 +2,7 @@
 
 A scene is ``DATASET/SPLIT/000001`` with ``scene_camera.json``, ``scene_gt.json`` and ``rgb/`` or ``gray/``; its models
 are ``DATASET/models/obj_000001.ply`` (or ``.obj``, ``.stl``, ``.glb``, ``.gltf``) and ``models_info.json``. Lengths in
-the files are millimetres, here metres. Of ``scene_gt.json`` nothing but the first frame is ever read.
-"""
-
-from __future__ import annotations
+the files are millimetres, here metres. Of ``scene_gt.json`` nothing but the first frame is ever read."""
 
 from collections import deque
 from collections.abc import Sequence
@@ -167,8 +164,7 @@ class ResultsFile:
 
     Args: path: the file; its folder is created. scene_id: the scene's number. again: go on behind what another process
         has left there; a line that it did not finish is cut off. Else, or where there is no such file, one is begun.
-    Raises DataError: the file cannot be written, now or later, or what is there is no results file.
-    """
+    Raises DataError: the file cannot be written, now or later, or what is there is no results file."""
 
     def __init__(self, path: str | Path, scene_id: int, again: bool = False) -> None:
         self.path = Path(path)
@@ -198,7 +194,7 @@ class ResultsFile:
         """End the file."""
         self._file.close()
 
-    def __enter__(self) -> ResultsFile:
+    def __enter__(self) -> "ResultsFile":
         return self
 
     def __exit__(self, *raised: object) -> None:

@@ -1,7 +1,5 @@
 """JSON files of the BOP format: each part is checked, and what is wrong is said with its place."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 from typing import Any

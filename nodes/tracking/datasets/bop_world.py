@@ -1,7 +1,5 @@
 """N₀ over a BOP scene folder: recorded images, one an epoch."""
 
-from __future__ import annotations
-
 import math
 from functools import lru_cache
 from pathlib import Path
@@ -20,8 +18,7 @@ class BopWorld(World):
 
     Args: scene: ``DATASET/SPLIT/000001``. fps: frames per second; an epoch's time is its frame's place divided by it.
         tag: on the table, that tells where the camera is; None: the scene does.
-    Raises DataError: a file of the scene is missing or damaged. ValueError: `fps` is not positive.
-    """
+    Raises DataError: a file of the scene is missing or damaged. ValueError: `fps` is not positive."""
 
     def __init__(self, scene: str, fps: float = 30.0, tag: Tag | None = None) -> None:
         if not 0 < fps < math.inf:

@@ -1,7 +1,5 @@
 """First poses that a user gives, in a file of their own beside a scene's, of which none is written over."""
 
-from __future__ import annotations
-
 import json
 import os
 from collections.abc import Sequence

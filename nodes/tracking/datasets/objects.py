@@ -5,10 +5,7 @@
       - {id: 1, model: cube.ply, unit: mm, pose: [[…], …], frame: camera}
 
 Poses are metres, in the frame of the first picture's camera, or of the world; ``pose: null`` is looked for. The unit is
-of the model's vertices, mm by default.
-"""
-
-from __future__ import annotations
+of the model's vertices, mm by default."""
 
 import logging
 from pathlib import Path
@@ -54,8 +51,7 @@ class ObjectsFile(NamedTuple):
     def read_models(self, tagged: bool = False) -> list[tuple[Mesh, Symmetry]]:
         """Each object's mesh and symmetry; `tagged`: the world's frame is that of a tag in the pictures.
 
-        Raises DataError: a model is missing or damaged, or no camera sees an object that is so large, there.
-        """
+        Raises DataError: a model is missing or damaged, or no camera sees an object that is so large, there."""
         found = []
         for at, (model, unit_m, entry) in enumerate(self.models):
             mesh, where = read_mesh(model, unit_m), f"{self.path}: objects[{at}]"

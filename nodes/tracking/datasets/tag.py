@@ -1,10 +1,7 @@
 """Where a camera is, told by a tag that lies on the table: an AprilTag or an ArUco marker.
 
 The world's frame is then the tag's: its origin the tag's centre, x to the right and y to the top of the tag as it is
-read, z out of it, so that the table is the plane z = 0.
-"""
-
-from __future__ import annotations
+read, z out of it, so that the table is the plane z = 0."""
 
 from functools import lru_cache
 from itertools import islice
@@ -65,8 +62,7 @@ class TagCamera:
 
     The first picture that shows the tag tells where the world is that the scene's camera poses are told in. Where none
     is told, each picture tells the camera's pose; one that does not show the tag leaves the camera where it was. Raises
-    DataError: no picture shows it, or one shows several that it may be.
-    """
+    DataError: no picture shows it, or one shows several that it may be."""
 
     def __init__(self, scene: BopScene, tag: Tag) -> None:
         self._scene = scene
@@ -104,8 +100,7 @@ def tag_camera(folder: str, tag: Tag) -> TagCamera:
 def locate(tag: Tag, image: Array, intrinsics: Array, before: Floats | None, where: str) -> Floats | None:
     """world_from_camera by the tag in a picture; where it is not seen, or the camera stands still, as it was before.
 
-    Args: as for `find`; before: world_from_camera of the picture before, or None.
-    """
+    Args: as for `find`; before: world_from_camera of the picture before, or None."""
     found = find(tag, image, intrinsics, where)
     if found is None or before is None:
         return before if found is None else found.camera

@@ -1,7 +1,5 @@
 """The true poses of a scene's frames, for judging a run after it: no node reads them."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any, NamedTuple
 

@@ -3,10 +3,7 @@
 At each control point every peak of the image's gradient along the edge's normal is a hypothesis. Gauss-Newton on SE(3)
 moves the poses: in each iteration every control point takes the hypothesis that is nearest to where its pose now puts
 it and looks like its edge, weighted by Tukey's function. What all objects seem to do together is the camera's error: it
-is one further unknown, a twist in the camera's frame, with a prior of its own.
-"""
-
-from __future__ import annotations
+is one further unknown, a twist in the camera's frame, with a prior of its own."""
 
 from typing import NamedTuple
 

@@ -4,8 +4,6 @@ For each side of each edge where the object is (a face, always lit alike while t
 the matched place is remembered. A peak with another colour on that side is strange: probably an edge of something else.
 """
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import numpy as np

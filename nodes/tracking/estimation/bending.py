@@ -2,10 +2,7 @@
 
 Where each edge is beside the model's is part of the belief: a Gaussian in the object's frame, at first as wide as the
 model's tolerance. It is learned from image to image, given the poses that all edges together have there; so what of an
-object's pose cannot be told from a displacement of its model stays as it was when the object was seen first.
-"""
-
-from __future__ import annotations
+object's pose cannot be told from a displacement of its model stays as it was when the object was seen first."""
 
 import numpy as np
 

@@ -1,7 +1,5 @@
 """How certain a pose is: the probability that it is right, which is what an object that is tracked says of itself."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from hierax.nodes.tracking import constants as const

@@ -1,10 +1,7 @@
 """What a prediction and an image say together: the correction of all objects and the camera, and how far it surprises.
 
 How far an object may leave its prediction is learned from how far it did: something at rest is
-averaged over many images, something that is pushed is believed at once.
-"""
-
-from __future__ import annotations
+averaged over many images, something that is pushed is believed at once."""
 
 from typing import NamedTuple
 

@@ -2,10 +2,7 @@
 
 Edges that are near one another move one another's peaks: blurred, two parallel edges a few pixels apart are one peak,
 or two that are pulled together, as beside a face that is seen nearly edge-on, or where two objects meet. What is
-matched there says little, and both edges would claim the same one in the image.
-"""
-
-from __future__ import annotations
+matched there says little, and both edges would claim the same one in the image."""
 
 from collections.abc import Sequence
 from typing import NamedTuple

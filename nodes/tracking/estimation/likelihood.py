@@ -5,8 +5,6 @@ seen with the chance that nothing hides it, and then found but for a few; so the
 ``1 - v m + v m / λ · N(d; 0, σ²) · g`` (Isard & Blake, IJCV 1998): d is how far its peak is, g how familiar it looks.
 """
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import numpy as np

@@ -1,7 +1,5 @@
 """What the image shows across the expected edges of all objects: grey profiles along the normals, and their peaks."""
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import cv2
@@ -82,8 +80,7 @@ def read_profiles(image: Image, lines: Lines, edges: Indices, reach: int, contra
 
     A profile is averaged with its neighbours on the edge: noise falls, the edge stays. Peaks are told in grey levels,
     their places in light. Of the lines the rows are ascending, so that neighbours on an edge (n,) stand together;
-    contrast: smallest slope that counts as an edge, grey levels per pixel.
-    """
+    contrast: smallest slope that counts as an edge, grey levels per pixel."""
     half = reach + 1 + const.BESIDE_PX[-1]
     offsets = np.arange(-half, half + 1, dtype=np.float32)
     pixels, normals = lines.pixels.astype(np.float32), lines.normals.astype(np.float32)

@@ -1,7 +1,5 @@
 """One reading of the image around some poses: each control point's hypotheses, and what they say of the poses."""
 
-from __future__ import annotations
-
 from itertools import pairwise
 from typing import NamedTuple
 
@@ -81,7 +79,7 @@ class Equations(NamedTuple):
     pulls: Floats  # (e,)
     wholes: Floats  # (e,)
 
-    def told(self, projections: Floats | None) -> Equations:
+    def told(self, projections: Floats | None) -> "Equations":
         """The same without what no image tells of the objects, by projections (m, 6, 6) of their twists."""
         if projections is None:
             return self

@@ -1,7 +1,5 @@
 """What the arm believes of one object, see `hierax.nodes.tracking.arm.ArmNode`: at first, and for the next image."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 
 import numpy as np

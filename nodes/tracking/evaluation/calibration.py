@@ -6,10 +6,7 @@ large as the covariances say.
     python -m hierax.nodes.tracking.evaluation.calibration BELIEFS.npz... [--diagram FILE.svg]
 
 What it reads, what the arm believed of each object in each frame, beside the truth, `hierax bench tracking --keep DIR`
-leaves there.
-"""
-
-from __future__ import annotations
+leaves there."""
 
 import argparse
 import sys
@@ -42,8 +39,7 @@ class Beliefs(Probe):
     (camera_from_object, metres) and ``covariance`` (6 × 6, of a twist in the object's frame, m² and rad²). Objects
     that are lost are there, too. A frame that is told again replaces what was told of it.
 
-    Args: file: path, relative to the folder that the run was started in.
-    """
+    Args: file: path, relative to the folder that the run was started in."""
 
     def __init__(self, file: str) -> None:
         self._file = Path(file)

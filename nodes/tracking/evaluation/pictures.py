@@ -1,7 +1,5 @@
 """Pictures of a tracking run: expected and corrected edges over the camera's images, and a video of them."""
 
-from __future__ import annotations
-
 import os
 import re
 from collections.abc import Sequence
@@ -58,8 +56,7 @@ class Pictures(Probe):
 
     Args: every: from one picture to the next, in frames; video: whether a video is made. fps: of the video, frames per
         second.
-    Raises ValueError: `every` is below 1, or `fps` is not positive.
-    """
+    Raises ValueError: `every` is below 1, or `fps` is not positive."""
 
     def __init__(self, every: int = 8, video: bool = False, fps: float = 30.0) -> None:
         if every < 1:

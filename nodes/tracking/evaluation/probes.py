@@ -1,7 +1,5 @@
 """What a tracking run leaves behind: poses as BOP results files; its pictures are in `evaluation.pictures`."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 from hierax.nodes.tracking.datasets.bop import ResultsFile, check_no_results, scene_number

@@ -1,12 +1,8 @@
 """How well a run was tracked: ``python -m hierax.nodes.tracking.evaluation.report OUTPUT [--truth DIR]``.
 
-Reads ``poses.csv`` and ``truth.csv`` of a run's output folder (see `probes`), which are
-written by different nodes: the one that tracks never sees the truth. Of a scene folder the
-truth is another folder's ``scene_gt.json`` of all frames. Prints each object's errors and
-draws them over the frames, into ``errors.png``.
-"""
-
-from __future__ import annotations
+Reads ``poses.csv`` and ``truth.csv`` of a run's output folder (see `probes`), which are written by different nodes: the
+one that tracks never sees the truth. Of a scene folder the truth is another folder's ``scene_gt.json`` of all frames.
+Prints each object's errors and draws them over the frames, into ``errors.png``."""
 
 import argparse
 import sys

@@ -4,10 +4,7 @@ Errors are those of camera_from_object: the distance of the origins, and the ang
 look like the true one the nearest's. Which do, the dataset's ``models_info.json`` says, or else the models show it.
 Beside them stands the maximum symmetry-aware surface distance (MSSD) of the BOP benchmark.
 
-An object that is hidden to more than 90 % is not counted until it is back.
-"""
-
-from __future__ import annotations
+An object that is hidden to more than 90 % is not counted until it is back."""
 
 import argparse
 import json

@@ -1,7 +1,5 @@
 """Cameras of generated scenes: how a hand moves one, and how wrong what is said of it may be."""
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Kinds of generated scenes: what stands where, and from where it is seen."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 
@@ -46,7 +44,7 @@ class Film:
     stranger_poses: Floats = field(default_factory=lambda: np.zeros((0, 0, 4, 4)))  # (frames, strangers, 4, 4)
     still: bool = False  # whether start and camera are exact by the kind's nature
 
-    def first(self, objects: int | None) -> Film:
+    def first(self, objects: int | None) -> "Film":
         """The film with so many of its objects at most. Raises ValueError: `objects` is not positive."""
         if objects is None:
             return self

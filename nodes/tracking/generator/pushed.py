@@ -1,9 +1,6 @@
 """Scenes in which a rod pushes things about: one slides behind a screen and out again, another topples.
 
-The motion is pybullet's, done beforehand. The rod belongs to nobody's model.
-"""
-
-from __future__ import annotations
+The motion is pybullet's, done beforehand. The rod belongs to nobody's model."""
 
 from collections.abc import Sequence
 from typing import NamedTuple

@@ -10,10 +10,7 @@ Writes a dataset in the BOP format and, in a folder of its own that no node read
 
 Pictures are drawn by the renderer of the simulated world, of which the mental image shares
 nothing. Unless `exact`, what is said of start and camera is wrong: each object's first pose by
-up to 7 mm and 3°, the camera's by a drift of up to 8 mm and 1° and a jitter of 1 mm and 0.1°.
-"""
-
-from __future__ import annotations
+up to 7 mm and 3°, the camera's by a drift of up to 8 mm and 1° and a jitter of 1 mm and 0.1°."""
 
 import argparse
 import json

@@ -1,9 +1,6 @@
 """Things for generated scenes: shapes of random sizes, how they can lie, and how several find room on a table.
 
-Boxes and prisms, and curved ones: turned ones, a torus, a mug, and what pybullet's data set has.
-"""
-
-from __future__ import annotations
+Boxes and prisms, and curved ones: turned ones, a torus, a mug, and what pybullet's data set has."""
 
 from collections.abc import Sequence
 from pathlib import Path

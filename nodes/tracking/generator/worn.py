@@ -1,8 +1,6 @@
 """Bodies that are not as they were drawn: edges that are worn round, and convex ones of which sides lie elsewhere,
 edges are bevelled, or the size is another."""
 
-from __future__ import annotations
-
 from itertools import combinations, pairwise
 
 import numpy as np

@@ -3,10 +3,7 @@
 Mental imagery proposes, the image decides: each of these poses is drawn as the expected one is, with what would be
 seen of it there.
 
-And what it says of a body that it lies on something.
-"""
-
-from __future__ import annotations
+And what it says of a body that it lies on something."""
 
 from statistics import NormalDist
 

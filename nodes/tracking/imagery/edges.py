@@ -3,10 +3,7 @@
 An edge is an outline where all that the object shows beside it lies on one side of it in the image, a crease where
 faces on both sides are seen. A smooth surface has its outline where it turns away. What an object hides of itself is
 left out. What another may hide is kept with the chance that it does not, given how uncertain both poses are: a mask
-that is believed too firmly hides true edges.
-"""
-
-from __future__ import annotations
+that is believed too firmly hides true edges."""
 
 from typing import NamedTuple
 
@@ -169,8 +166,7 @@ def _hidden_by_itself(
 
     Just outside an outline that is seen there is nothing of the object, or something farther away; beside a crease,
     on one side at least, nothing that is nearer. What is hidden by the width of a pixel is hidden: an edge that is
-    taken for seen there would claim the outline of what hides it.
-    """
+    taken for seen there would claim the outline of what hides it."""
     seen = transform(pose, controls.points)
     inwards = _across(controls, seen, pose, intrinsics)
     middle = project(seen, intrinsics) - layer.window.corner

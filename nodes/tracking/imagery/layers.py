@@ -3,10 +3,7 @@
 A mesh of few triangles is drawn by exact ray casting. A ray r (z = 1) meets the triangle of corners a, b, c where r =
 a·α + b·β + c·γ with α, β, γ not below 0, at the inverse depth 1/z = α + β + γ; all four are affine in the pixel. A
 large mesh is drawn by pybullet's TinyRenderer, each by a client of its own with nothing else in it: no table, no light,
-no physics. The client is a cache; a layer depends on the arguments alone, to the bit.
-"""
-
-from __future__ import annotations
+no physics. The client is a cache; a layer depends on the arguments alone, to the bit."""
 
 from collections.abc import Sequence
 from typing import NamedTuple

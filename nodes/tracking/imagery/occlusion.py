@@ -3,10 +3,7 @@
 A point is hidden where it lies inside the other's outline in the image, and behind it. Both are uncertain: the outline
 by what both poses' errors move it and the point against each other, across the outline; the order in depth likewise,
 along the ray. Solid bodies do not run into each other: whatever is nearer than the middle of the other body, along the
-ray, lies before it, and touches it at most.
-"""
-
-from __future__ import annotations
+ray, lies before it, and touches it at most."""
 
 from collections.abc import Sequence
 from typing import NamedTuple
@@ -102,25 +99,17 @@ def _to_outline(layer: Layer, at: Floats) -> tuple[Floats, Floats]:
     inside, and unit normals (n, 2) that point inwards."""
     mask = (layer.inverse > 0.0).view(np.uint8)
     # Around the object its window is empty, but where the image ends: there the object goes on.
-    padded = cv2.copyMakeBorder(
-        mask,
-        const.REACH_OUTSIDE_PX,
-        const.REACH_OUTSIDE_PX,
-        const.REACH_OUTSIDE_PX,
-        const.REACH_OUTSIDE_PX,
-        cv2.BORDER_REPLICATE,
-    )
+    reach = const.REACH_OUTSIDE_PX
+    padded = cv2.copyMakeBorder(mask, reach, reach, reach, reach, cv2.BORDER_REPLICATE)
     whole = np.rint(at).astype(np.intp)
     (left, top), (right, bottom) = whole.min(axis=0) - 2, whole.max(axis=0) + 3
     # The nearest outline may lie outside of what the points span, but then by no more than the reach.
-    left, top = max(int(left) - const.REACH_OUTSIDE_PX, 0), max(int(top) - const.REACH_OUTSIDE_PX, 0)
-    padded = np.ascontiguousarray(
-        padded[top : int(bottom) + const.REACH_OUTSIDE_PX, left : int(right) + const.REACH_OUTSIDE_PX]
-    )
+    left, top = max(int(left) - reach, 0), max(int(top) - reach, 0)
+    padded = np.ascontiguousarray(padded[top : int(bottom) + reach, left : int(right) + reach])
     inner = cv2.distanceTransform(padded, cv2.DIST_L2, cv2.DIST_MASK_3)
     outer = cv2.distanceTransform(1 - padded, cv2.DIST_L2, cv2.DIST_MASK_3)
     distance = np.where(padded > 0, inner - 0.5, 0.5 - outer).astype(np.float64)
-    np.clip(distance, -2.0 * const.REACH_OUTSIDE_PX, 2.0 * const.REACH_OUTSIDE_PX, out=distance)
+    np.clip(distance, -2.0 * reach, 2.0 * reach, out=distance)
     column, row = whole[:, 0] - left, whole[:, 1] - top
     slope = np.stack(
         (distance[row, column + 2] - distance[row, column - 2], distance[row + 2, column] - distance[row - 2, column]),

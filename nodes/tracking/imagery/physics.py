@@ -2,10 +2,7 @@
 
 A pybullet client that is only given poses and velocities goes on differently from the one that they came from (it keeps
 contacts and solver state), so it is emptied and built again from the values at every call: about a millisecond for six
-cubes, and equal to the bit however often and in whichever process it is done.
-"""
-
-from __future__ import annotations
+cubes, and equal to the bit however often and in whichever process it is done."""
 
 import os
 import weakref

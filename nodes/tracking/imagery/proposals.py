@@ -2,10 +2,7 @@
 
 Mental imagery proposes, the image decides. A place is a frame in the world, its z upwards and its x away from the
 camera; a template is a pose of the body there, with the control points that would be seen of it. What is seen of a body
-hardly depends on the place then, so that one template serves all places.
-"""
-
-from __future__ import annotations
+hardly depends on the place then, so that one template serves all places."""
 
 from collections.abc import Sequence
 from itertools import combinations

@@ -1,7 +1,5 @@
 """Rigid poses by the dozen: the same as in `geometry`, for stacks (m, 4, 4) and (m, 6) at once."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import NamedTuple, TypeVar
 

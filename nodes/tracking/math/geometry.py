@@ -3,10 +3,7 @@
 A pose ``a_from_b`` is a 4 × 4 float64 matrix that takes homogeneous coordinates in frame b to coordinates in frame a. A
 twist is (translation, rotation): metres, then radians. An uncertainty of a pose is the 6 × 6 covariance of the twist ξ
 in ``pose @ exp_se3(ξ)``: it stands in the *object's* frame, so it is the same for a pose in the camera's frame and in
-the world's. Cameras are OpenCV's: x right, y down, z forward, pixel centres at integers.
-"""
-
-from __future__ import annotations
+the world's. Cameras are OpenCV's: x right, y down, z forward, pixel centres at integers."""
 
 from typing import Any
 

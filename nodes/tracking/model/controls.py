@@ -1,7 +1,5 @@
 """Control points: points on edges of objects that a camera is expected to see, of one object or of several."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from typing import NamedTuple, cast
 
@@ -67,7 +65,7 @@ class Controls(NamedTuple):
         rows = {number: np.nonzero(self.owners == number)[0] for number in set(chosen)}
         return [rows[number][:: max(1, -(-len(rows[number]) // most))] for number in chosen]
 
-    def of(self, places: Sequence[Indices]) -> Controls:
+    def of(self, places: Sequence[Indices]) -> "Controls":
         """The controls in some rows, as if each group of rows were an object of its own."""
         owners = np.repeat(np.arange(len(places)), [len(rows) for rows in places])
         rows = np.concatenate(places) if places else np.zeros(0, dtype=np.intp)

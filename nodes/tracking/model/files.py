@@ -1,7 +1,5 @@
 """Files of triangle meshes: PLY, as BOP datasets hold them, OBJ, STL and glTF."""
 
-from __future__ import annotations
-
 import json
 import re
 from collections.abc import Callable

@@ -1,7 +1,5 @@
 """Triangle meshes."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 

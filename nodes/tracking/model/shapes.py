@@ -1,7 +1,5 @@
 """What of a mesh can be seen as an edge: sharp edges, in chains, and smooth surfaces that may turn away."""
 
-from __future__ import annotations
-
 from collections import deque
 from typing import NamedTuple
 

@@ -1,7 +1,5 @@
 """After which motions a body looks the same, as its model says or its surface shows, and what that does to poses."""
 
-from __future__ import annotations
-
 from itertools import combinations
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The arm node with the paper's update: each object's pose by line segments and solvePnP, nothing else remembered."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 
 import numpy as np
@@ -31,8 +29,7 @@ class PaperArmNode(Node):
         patience: images in a row without support until an object is lost.
         camera: as for `ArmNode`.
 
-    Raises ValueError: ids are doubled or out of range, a pose is no 4 × 4 matrix, or an option is out of range.
-    """
+    Raises ValueError: ids are doubled or out of range, a pose is no 4 × 4 matrix, or an option is out of range."""
 
     def __init__(
         self,

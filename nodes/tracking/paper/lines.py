@@ -3,10 +3,7 @@
 Expected edges: the object's part of the depth image, its Laplacian, a Hough transform for the end points, and the depth
 image for their depths. The Laplacian is that of the *inverse* depth: what a plane looks like in it is affine in the
 pixel, so that it vanishes on the faces. Each expected edge is matched to the nearest line segment of the image that
-runs alike, and its end points to where they fall on that; solvePnP gives the pose.
-"""
-
-from __future__ import annotations
+runs alike, and its end points to where they fall on that; solvePnP gives the pose."""
 
 from typing import NamedTuple
 

@@ -2,10 +2,7 @@
 
 First all objects are aligned together, each within what its prediction leaves open, with the
 camera's error as a common unknown. An object that this leaves without support, or that was
-pulled farther than its prediction allows, is then looked for alone.
-"""
-
-from __future__ import annotations
+pulled farther than its prediction allows, is then looked for alone."""
 
 from collections.abc import Mapping, Sequence
 from typing import NamedTuple

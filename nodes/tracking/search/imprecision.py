@@ -1,10 +1,7 @@
 """How far an object's model may be wrong, judged by the first image that shows enough of it.
 
 That image is explained with an exact model and with imprecise ones, whose edges are looked for one by one before the
-pose is refitted; the likelihoods say which it is.
-"""
-
-from __future__ import annotations
+pose is refitted; the likelihoods say which it is."""
 
 from collections.abc import Sequence
 from typing import NamedTuple
@@ -82,8 +79,7 @@ def with_models_judged(
 def _is_asked(item: TrackedObject, score: float, given: float | None) -> bool:
     """Whether an object's model is judged in this image: at once; one that does not do well as exact, now and then.
 
-    Where nobody knows where the object is, its pose is to be found first.
-    """
+    Where nobody knows where the object is, its pose is to be found first."""
     looks = item["slots"]
     if item["others"] or item["status"] == LOST:
         return False

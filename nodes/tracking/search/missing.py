@@ -6,8 +6,6 @@ nats. Of all missing objects those poses are chosen together that explain the im
 one is believed when any other choice for its object explains the image clearly less well.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
@@ -23,7 +21,7 @@ from hierax.nodes.tracking.math.batched import inverse, invert_many, log_many, o
 from hierax.nodes.tracking.math.geometry import NO_POSES, Array, Floats, transform
 from hierax.nodes.tracking.model.controls import gathered
 from hierax.nodes.tracking.model.symmetry import alike
-from hierax.nodes.tracking.schema import TRACKED, Alternative, ControlPoints, Looks, Sweep, TrackedObject
+from hierax.nodes.tracking.schema import LOST, TRACKED, Alternative, ControlPoints, Looks, Sweep, TrackedObject
 from hierax.nodes.tracking.search.multistart import FINE, ROUGH, held, squared
 from hierax.nodes.tracking.search.reacquisition import different
 from hierax.nodes.tracking.search.sweep import Maps, maps_of, stands_out, swept
@@ -73,6 +71,8 @@ def look_for_missing(
     places = {objects[at]["id"]: at for at in missing}
     maps = maps.without(_outlines(objects, intrinsics))
     for sweep in sweeps:
+        if sweep["id"] not in places:  # it is seen again
+            continue
         at = places[sweep["id"]]
         known = found.get(at, Sighting(NO_POSES))
         if known.pose is None:
@@ -157,7 +157,7 @@ def _decided(
         options, np.maximum(worth, 1.0), conflicts_of(judged, rows), carriers, len(missing) + len(recent)
     )
     best, chosen = together.best(())
-    ready = all(objects[at]["failed_searches"] >= const.SWEEPS_FIRST for at in missing)
+    ready = all(_times_swept(objects[at]) >= const.SWEEPS_FIRST for at in missing)
     found = {at: Sighting(NO_POSES) for at in recent if options[at] and at not in chosen and ready}
     for at in missing:
         row = chosen.get(at)
@@ -176,6 +176,11 @@ def _decided(
             said = float(fine.scores[row]), float(judged.nats[row]), _is_again(fine.poses[row], objects[at])
             found[at] = Sighting(guesses, fine.poses[row], judged.covariance[row], *said)
     return found
+
+
+def _times_swept(item: TrackedObject) -> int:
+    """How often an object was looked for everywhere: what is expected is from the second image on without support."""
+    return item["failed_searches"] if item["status"] == LOST else item["misses"] - 2
 
 
 def _is_again(pose: Floats, item: TrackedObject) -> bool:

@@ -2,10 +2,7 @@
 
 An object may be on its way from where it was, faster or slower than thought, or anywhere that its uncertainty allows.
 All starts are aligned roughly at once, the best few of each object finely. One that more control points speak for takes
-the place of the expected explanation; the more unlikely it was before the image, the more.
-"""
-
-from __future__ import annotations
+the place of the expected explanation; the more unlikely it was before the image, the more."""
 
 from collections.abc import Sequence
 from typing import NamedTuple
@@ -68,7 +65,7 @@ class Found(NamedTuple):
     sure: NDArray[np.bool_]  # (m,) false where another pose explains the image nearly as well
     guesses: list[Floats]  # of each object the (n, 4, 4) poses that explain the image best besides
 
-    def copied(self) -> Found:
+    def copied(self) -> "Found":
         """The same, to be changed."""
         return Found._make(part.copy() for part in self)
 

@@ -5,8 +5,6 @@ speaks for it clearly more than for the expected pose and for any other; until t
 imagined again for the next image, where they have moved to by then.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import NamedTuple
 
@@ -83,7 +81,10 @@ def find_again(looking: Looking, found: Found, sought: Sequence[int]) -> Found:
     fine = as_predicted(looking, candidates.owners.tolist(), fine)
     away = away_by(looking, candidates.owners.tolist(), fine.poses)
     evidence, shown = _evidence(looking, found, fine, candidates)
-    worth = evidence - np.minimum(0.5 * squared(away, information[candidates.owners]), const.UNLIKELIEST * shown)
+    unlikely = 0.5 * squared(away, information[candidates.owners])
+    worth = evidence - np.minimum(unlikely, const.UNLIKELIEST * shown)
+    # What is farther away than that is as one of which nothing is known: `missing` decides.
+    worth[candidates.settled & (unlikely > const.LEAST_NATS)] = -np.inf
     eligible = (fine.scores >= const.FOUND_SCORE) & (shown >= const.LEAST_FOUND)
     tracked = np.array([item["status"] == TRACKED for item in objects])
     return _chosen(found, candidates, fine, worth, eligible, information, sought, tracked)

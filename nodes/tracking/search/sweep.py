@@ -3,10 +3,7 @@
 At each control point the image is looked at a little inside of the edge and a little outside. A pose is worth much
 where what is inside looks alike, face by face, and what is outside does not: a log-likelihood ratio of Gaussians, for
 which no edge has to be found, and neither contrast nor noise to be known. At first that goes by every third control
-point; the best poses are looked at more closely, with a map of the image's edges besides, then aligned.
-"""
-
-from __future__ import annotations
+point; the best poses are looked at more closely, with a map of the image's edges besides, then aligned."""
 
 from collections.abc import Sequence
 from typing import NamedTuple
@@ -31,7 +28,7 @@ class Maps(NamedTuple):
     near: Singles  # (d, h, w) nats of an edge by its direction
     colours: Singles  # (c + 1, h, w) grey levels, the last one 1 where they say something of missing objects, or 0
 
-    def without(self, outlines: Sequence[Floats]) -> Maps:
+    def without(self, outlines: Sequence[Floats]) -> "Maps":
         """The same where what lies within pixels (n, 2) on the edges of each object that is seen says nothing."""
         seen = np.zeros(self.near.shape[1:], dtype=np.uint8)
         for pixels in outlines:
@@ -131,7 +128,9 @@ def _sides(controls: ControlPoints, pose: Floats, place: Floats, intrinsics: Arr
     used = np.nonzero(own.any(axis=1))[0]
     worth = np.where(crease[used], const.FACE_CREASE, 1.0).astype(np.float32)
     local = (both @ place[:3, :3]).T.astype(np.float32)
-    return _Sides(local, faces, used + len(crease), own[used].argmax(axis=1), worth)
+    # of a template whose edges lie on no face that is known, nothing is looked at
+    of = own[used].argmax(axis=1) if used.size else used
+    return _Sides(local, faces, used + len(crease), of, worth)
 
 
 def _stands_out(colours: Singles, places: Floats, sides: _Sides, intrinsics: Array) -> Floats:

@@ -1,7 +1,5 @@
 """Which poses several objects have together: no two in one place or of the same edges, each carried by something."""
 
-from __future__ import annotations
-
 from collections.abc import Collection, Mapping, Sequence
 from itertools import permutations
 from typing import NamedTuple

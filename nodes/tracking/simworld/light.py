@@ -3,10 +3,7 @@
 A lamp shaped like a disc stands far away. Its light is the mean of that of points on the disc; from each of them a
 convex part of a body throws a convex polygon of shadow on a plane. So shadows are sharp where things touch and get
 softer with distance, as they should: a shadow that is merely blurred darkens the table on the lit side of a body too,
-and every edge there would seem to be half a millimetre farther out than it is.
-"""
-
-from __future__ import annotations
+and every edge there would seem to be half a millimetre farther out than it is."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -41,14 +38,6 @@ class Lamp:
 
 
 LAMP = Lamp()
-
-
-def light_on(face: Face, parts: Sequence[Floats], size: Size, homography: Floats, lamp: Lamp = LAMP) -> Array:
-    """How bright a white face is, shadows included, float32 (h, w); as `shaded` has it."""
-    bright, (left, top, right, bottom), shade = shaded(face, parts, size, homography, lamp)
-    light = np.full((size[1], size[0]), bright, np.float32)
-    light[top:bottom, left:right] = shade
-    return light
 
 
 def shaded(

@@ -1,10 +1,7 @@
 """Bodies in a picture: plane faces, and curved surfaces as meshes.
 
 Of a plane the inverse of the depth and the face's own coordinates times that are affine in the pixel: a face is drawn
-by three affine functions and a depth test.
-"""
-
-from __future__ import annotations
+by three affine functions and a depth test."""
 
 from collections.abc import Sequence
 from typing import NamedTuple

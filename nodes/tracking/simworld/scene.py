@@ -1,10 +1,7 @@
 """Pictures of bodies on a table, by exact projection: no part of it is shared with the mental image of the nodes.
 
 The faces of the bodies are planes, and drawn as such at four samples a pixel. Curved ones are drawn as meshes, with the
-light that their smoothed normals have of it: shadows do not fall on them, but they throw some.
-"""
-
-from __future__ import annotations
+light that their smoothed normals have of it: shadows do not fall on them, but they throw some."""
 
 from collections.abc import Sequence
 from functools import lru_cache

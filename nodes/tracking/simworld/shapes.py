@@ -1,7 +1,5 @@
 """Shapes of the simulated pictures: plane faces, which are drawn, and convex parts, which throw shadows."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from functools import lru_cache
 from itertools import product
@@ -29,7 +27,7 @@ class Face(NamedTuple):
         normal = np.array((b * z - c * y, c * x - a * z, a * y - b * x))  # to the bit np.cross, which takes far longer
         return np.asarray(normal / np.linalg.norm(normal))
 
-    def moved(self, pose: Floats) -> Face:
+    def moved(self, pose: Floats) -> "Face":
         """The same face in the frame that the pose leads to."""
         rotation = pose[:3, :3]
         return self._replace(corner=transform(pose, self.corner), right=rotation @ self.right, up=rotation @ self.up)

@@ -1,7 +1,5 @@
 """The simulated world: cubes on a table, and a camera that swings around them."""
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import numpy as np

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from support.boxes import SIZE
+from support.boxes import INTRINSICS, SIZE
 from support.cube_arm import FIRST_CAMERA, NEXT_CAMERA, WORLD_FROM_OBJECT, after_first_epoch, imagined, node, picture
 
 from hierax.nodes.tracking import arm as tracking_arm
@@ -88,6 +88,37 @@ def test_a_missing_object_is_tracked_when_three_images_in_a_row_have_it_in_one_p
     assert statuses == ["lost", "lost", "tracked" if again else "lost"]
     empty = Sighting(NO_POSES)
     assert tracking_arm._sighted({**item, "status": "lost"}, empty, False)["probation"] == 0
+
+
+def test_what_is_expected_is_missing_as_soon_as_one_image_has_it_elsewhere() -> None:
+    (item,) = node().initial_belief()["objects"]
+    item = {**item, "status": "expected", "misses": 5, "guesses": FIRST_CAMERA[None]}
+    suspected = tracking_arm._sighted(item, Sighting(WORLD_FROM_OBJECT[None]), True)
+    assert suspected["status"] == "expected"
+    np.testing.assert_array_equal(suspected["guesses"], [WORLD_FROM_OBJECT, FIRST_CAMERA])
+    covariance = np.diag([1e-6] * 3 + [1e-4] * 3)
+    found = Sighting(NO_POSES, WORLD_FROM_OBJECT, covariance, 0.9, 20.0, True)
+    statuses = []
+    for _ in range(3):
+        item = tracking_arm._sighted(item, found, False)
+        statuses.append(item["status"])
+    assert statuses == ["lost", "lost", "tracked"]
+
+
+def test_what_is_seen_again_is_not_looked_for_everywhere_though_a_sweep_of_it_came_down() -> None:
+    arm = node()
+    belief = after_first_epoch(arm)
+    (known,) = belief["objects"]
+    sweep = {"id": known["id"], "places": WORLD_FROM_OBJECT[None], "templates": (), "rough_m": 0.001}
+    image = tracking_arm.smoothed(picture(NEXT_CAMERA, WORLD_FROM_OBJECT, 2)["image"])
+    nowhere = {name: each[:0] for name, each in known["controls"].items()}
+    gone = {**known, "id": 99, "status": "lost", "controls": nowhere}
+    other = {"pose": WORLD_FROM_OBJECT, "controls": known["controls"], "kept": True}
+    seen, level = {**known, "status": "tracked"}, np.array([0.0, 0.0, 1.0, 0.5])
+    guessed = {known["id"]: (), 99: (other,)}
+    after = arm._searched(image, (seen, gone), guessed, (sweep,), INTRINSICS, level)
+    assert [item["id"] for item in after] == [known["id"], 99]
+    assert after[0] is seen
 
 
 @pytest.mark.parametrize("probation", [20, 0])

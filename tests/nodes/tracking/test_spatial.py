@@ -120,9 +120,23 @@ def test_over_a_table_things_settle_where_the_arm_is_not_sure() -> None:
     belief = spatial.initial_belief()
     for epoch in range(30):
         tick = Tick(epoch=epoch + 1, time_s=epoch / 30)
-        belief = spatial.observe((sighting(at(z=0.10), status="lost", covariance=VAGUE), CAMERA), belief, tick)
+        pose = belief["bodies"][0]["pose"]
+        belief = spatial.observe((sighting(pose, status="expected", covariance=VAGUE), CAMERA), belief, tick)
         belief = spatial.predict((), (), belief)
     assert belief["bodies"][0]["pose"][2, 3] == pytest.approx(SIDE_M / 2, abs=0.001)
+
+
+@pytest.mark.parametrize("table", [True, False])
+def test_over_a_table_what_loses_its_support_is_looked_for_everywhere_from_the_second_image_on(table: bool) -> None:
+    spatial = node(at(), table=table)
+    belief = follow(spatial, [at()] * 3, 1 / 30)
+    sweeping = []
+    for epoch, status in enumerate(["expected", "expected", "expected", "lost", "tracked"], start=4):
+        tick = Tick(epoch=epoch, time_s=epoch / 30)
+        belief = spatial.observe((sighting(at(), status=status, sought=status != "tracked"), CAMERA), belief, tick)
+        belief = spatial.predict((), (), belief)
+        sweeping.append(belief["sweeping"])
+    assert sweeping == ([(), (1,), (1,), (1,), ()] if table else [None] * 5)
 
 
 def test_what_the_arm_is_sure_of_physics_moves_no_farther_than_its_uncertainty() -> None:

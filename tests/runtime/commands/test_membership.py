@@ -13,7 +13,7 @@ from support.deployments import write
 
 from hierax.runtime.commands import membership as changes
 from hierax.runtime.commands.main import main
-from hierax.runtime.launch.run_file import Running, register
+from hierax.runtime.launch.run_file import Running, forget, known_runs, register
 from hierax.runtime.transport import launch_client
 from hierax.runtime.transport.launch_client import LaunchClient
 from hierax.runtime.transport.port import TransportError
@@ -41,7 +41,7 @@ class FakeLaunches:
 
     def runs(self, run: str, endpoint: str, hierarchy: str = "toys") -> None:
         """A launch that this machine knows of."""
-        register(Running(run, hierarchy, endpoint, os.getpid(), str(self.file), ()))
+        register(Running(run, hierarchy, endpoint, os.getpid(), str(self.file), ()), "ab12")
         self.answers[endpoint] = {
             "hierarchy": hierarchy,
             "run": run,
@@ -52,8 +52,12 @@ class FakeLaunches:
             "nodes": {"world": NODE, "left": {**NODE, "pid": None, "state": "elsewhere"}},
         }
 
-    def client(self, endpoint: str, zenoh_config: None = None, keys: Keys | None = None) -> FakeClient:
+    def client(
+        self, endpoint: str, zenoh_config: None = None, keys: Keys | None = None, secret: str = ""
+    ) -> FakeClient:
         """In the place of `LaunchClient`."""
+        if endpoint in self.silent and not secret:
+            raise TransportError(f"the launch at {endpoint} cannot be reached")
         return FakeClient(self, endpoint)
 
 
@@ -120,6 +124,17 @@ def test_waiting_for_a_launch_has_an_end(
     assert launches.asked == []
 
 
+def test_a_launch_that_is_over_since_it_was_listed_is_left_out(
+    launches: FakeLaunches, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    launches.runs("aaaa1111", "tcp/127.0.0.1:1")
+    listed = [known_runs(), []]
+    forget(listed[0][0])  # and with it its key
+    monkeypatch.setattr(changes, "known_runs", lambda: listed.pop(0))
+    assert main(["ps"]) == 0
+    assert capsys.readouterr().out == "no launch runs on this machine\n"
+
+
 @pytest.mark.parametrize("which", [(), ("--run", "toys"), ("--connect", "tcp/127.0.0.1:1")])
 @pytest.mark.parametrize(("wanted", "lacks"), [("99", "committed epoch 99"), ("top", "a node 'top'")])
 def test_nobody_waits_for_a_launch_that_is_over(
@@ -181,8 +196,8 @@ def test_an_attach_sends_the_snippet_and_what_it_says_about_losses(
     _, question = launches.asked[-1]
     assert question["change"]["change"] == "attach"
     assert list(question["change"]["nodes"]) == ["extra"]
-    assert question["restarts"]["extra"]["on_loss"] == "detach"
-    assert question["restarts"]["extra"]["rejoin_timeout_s"] == 3
+    assert question["terms"]["extra"]["on_loss"] == "detach"
+    assert question["terms"]["extra"]["rejoin_timeout_s"] == 3
     assert not question["here"]
 
 

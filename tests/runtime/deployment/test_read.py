@@ -12,7 +12,7 @@ from support.deployments import TOYS, line_of, replaced, write
 
 from hierax.runtime.core.errors import HieraxError
 from hierax.runtime.deployment import DeploymentError
-from hierax.runtime.deployment.deployment import RestartPolicy
+from hierax.runtime.deployment.deployment import ProcessTerms
 from hierax.runtime.deployment.read import read_deployment
 from hierax.schemas.roster import ProbeSpec, Reference, Roster, RosterEdge
 
@@ -80,8 +80,8 @@ def test_probes_and_order_are_no_part_of_the_content(tmp_path: Path) -> None:
 
 def test_what_is_not_said_about_recovery(tmp_path: Path) -> None:
     deployment = read_deployment(write(tmp_path))
-    assert deployment.restart == RestartPolicy()
-    assert deployment.restarts == dict.fromkeys(("world", "left", "top.most"), RestartPolicy())
+    assert deployment.restart == ProcessTerms()
+    assert deployment.terms == dict.fromkeys(("world", "left", "top.most"), ProcessTerms())
     assert (deployment.durability, deployment.on_uncertain_act) == ("process", "repeat")
     assert deployment.epoch_deadline_s == 60.0
 
@@ -101,10 +101,10 @@ RECOVERY = [
 
 def test_what_is_said_about_recovery(tmp_path: Path) -> None:
     deployment = read_deployment(write(tmp_path), RECOVERY)
-    said = RestartPolicy(max_restarts=0, on_loss="stop", restart_window_s=None, rejoin_timeout_s=2)
-    assert deployment.restart == deployment.restarts["top.most"] == said
-    assert deployment.restarts["world"] == replace(said, max_restart_delay_s=0.5)
-    assert deployment.restarts["left"] == replace(
+    said = ProcessTerms(max_restarts=0, on_loss="stop", restart_window_s=None, rejoin_timeout_s=2)
+    assert deployment.restart == deployment.terms["top.most"] == said
+    assert deployment.terms["world"] == replace(said, max_restart_delay_s=0.5)
+    assert deployment.terms["left"] == replace(
         said, restart_policy="always", on_loss="detach", restart_delay_s=8, max_restart_delay_s=8
     )
     assert (deployment.durability, deployment.on_uncertain_act) == ("host", "skip")
@@ -113,7 +113,7 @@ def test_what_is_said_about_recovery(tmp_path: Path) -> None:
 
 def test_the_longest_delay_is_no_shorter_than_the_first(tmp_path: Path) -> None:
     settings = ["restart.max_restart_delay=2", "nodes.left.restart_delay=3"]
-    restarts = read_deployment(write(tmp_path), settings).restarts
+    restarts = read_deployment(write(tmp_path), settings).terms
     assert [restarts[name].max_restart_delay_s for name in ("left", "world")] == [3, 2]
     assert read_deployment(write(tmp_path), ["restart.restart_delay=9"]).restart.max_restart_delay_s == 9
 

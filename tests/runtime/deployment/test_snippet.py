@@ -7,9 +7,9 @@ import pytest
 from support.deployments import line_of, replaced, write
 
 from hierax.runtime.deployment import DeploymentError
-from hierax.runtime.deployment.deployment import Deployment, RestartPolicy
+from hierax.runtime.deployment.deployment import Deployment, ProcessTerms
 from hierax.runtime.deployment.read import read_deployment
-from hierax.runtime.deployment.snippet import read_attach, read_replace, read_restarts
+from hierax.runtime.deployment.snippet import read_attach, read_replace, read_terms
 from hierax.schemas.roster import Attach, Reference, Replace, RosterEdge
 
 SNIPPET = """\
@@ -89,24 +89,37 @@ def test_a_node_to_replace(tmp_path: Path) -> None:
 
 def test_what_is_said_about_restarts(tmp_path: Path) -> None:
     read = deployment(tmp_path, "restart.max_restarts=1", "nodes.left.max_restarts=2")
-    other = RestartPolicy(max_restarts=1)
-    assert read_restarts(snippet(tmp_path), read) == {"second": replace(other, on_loss="detach"), "third": other}
-    assert read_restarts("left", read) == {"left": RestartPolicy(max_restarts=2)}
+    other = ProcessTerms(max_restarts=1)
+    assert read_terms(snippet(tmp_path), read) == {"second": replace(other, on_loss="detach"), "third": other}
+    assert read_terms("left", read) == {"left": ProcessTerms(max_restarts=2)}
+
+
+def test_what_is_said_about_rates_budgets_and_scheduling(tmp_path: Path) -> None:
+    read = deployment(tmp_path, "staleness=null", "nodes.left.budget_ms=7", "nodes.left.rate_hz=3")
+    text = ONE.replace("{class", "{budget_ms: 9, scheduling: {cpus: [0]}, class")
+    asked = {"policy": "other", "priority": 1, "cpus": [0]}
+    path = snippet(tmp_path, text)
+    assert read_terms(path, read) == {"left": ProcessTerms(rate_hz=3, budget_ms=9, scheduling=asked)}
+    of_its_own = read_terms(path, read, attached=True)["left"]
+    assert (of_its_own.rate_hz, of_its_own.budget_ms) == (None, 9), "what is attached takes nobody's place"
+    barrier = read_deployment(read.path)
+    with pytest.raises(DeploymentError, match=r"nodes\.left\.rate_hz: nodes have rates only in free running"):
+        read_terms(snippet(tmp_path, text.replace("budget_ms", "rate_hz")), barrier)
 
 
 def test_what_is_attached_fails_alone_unless_a_file_says_otherwise(tmp_path: Path) -> None:
     path = snippet(tmp_path)
     read = deployment(tmp_path)
-    assert {name: each.on_loss for name, each in read_restarts(path, read, attached=True).items()} == {
+    assert {name: each.on_loss for name, each in read_terms(path, read, attached=True).items()} == {
         "second": "detach",
         "third": "detach",
     }
-    assert read_restarts("left", read, attached=True)["left"].fails_alone
+    assert read_terms("left", read, attached=True)["left"].fails_alone
     other = read_deployment(read.path, ["restart.on_loss=stop"])
-    assert [each.on_loss for each in read_restarts(path, other, attached=True).values()] == ["detach", "stop"]
+    assert [each.on_loss for each in read_terms(path, other, attached=True).values()] == ["detach", "stop"]
     own = read_deployment(read.path, ["nodes.left.on_loss=restart"])
-    assert read_restarts("left", own, attached=True)["left"].on_loss == "restart"
-    assert not RestartPolicy(restart_policy="always", on_loss="detach").fails_alone
+    assert read_terms("left", own, attached=True)["left"].on_loss == "restart"
+    assert not ProcessTerms(restart_policy="always", on_loss="detach").fails_alone
 
 
 MISTAKES = [

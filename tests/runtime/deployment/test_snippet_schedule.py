@@ -27,7 +27,15 @@ def test_changes_in_the_order_of_their_epochs(tmp_path: Path) -> None:
         "21:detach:top.most",
     ]
     schedule = read_schedule(texts, deployment)
-    assert [sorted(each.alone) for each in schedule] == [[], ["third"], [], ["third"], [], ["left"], []]
+    assert [sorted(name for name, of in each.terms.items() if of.fails_alone) for each in schedule] == [
+        [],
+        ["third"],
+        [],
+        ["third"],
+        [],
+        ["left"],
+        [],
+    ]
     assert tuple(each[:2] for each in schedule) == (
         (4, read_replace(left, "left", deployment)),
         (4, read_attach(third, deployment)),

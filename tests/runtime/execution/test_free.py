@@ -71,6 +71,13 @@ def epochs_of(output: Path, node: str) -> list[int]:
         return [entry[0] for entry in msgpack.Unpacker(file)]
 
 
+def test_what_is_attached_has_the_rate_that_its_snippet_says(tmp_path: Path) -> None:
+    extra = write(tmp_path, EXTRA.replace("{class", "{rate_hz: 5, class", 1), "extra.yaml")
+    make(tmp_path, (*FREE, "nodes.world.rate_hz=50"), at=[f"2:attach:{extra}"], output=tmp_path / "out")
+    often, rarely = (len(epochs_of(tmp_path / "out", name)) for name in ("low", "extra"))
+    assert 0 < rarely <= often / 4
+
+
 @pytest.mark.parametrize("overrides", WAYS)
 def test_a_seed_fixes_the_run(overrides: Sequence[str], tmp_path: Path) -> None:
     first, again = (make(tmp_path, overrides, seed=3) for _ in range(2))
@@ -175,7 +182,7 @@ def test_fields_of_the_deployment(tmp_path: Path) -> None:
     assert read_deployment(path, ("staleness=3", "exact=true")).staleness == Staleness(3, exact=True)
     free = read_deployment(path, ("staleness=null", "nodes.left.rate_hz=2.5"))
     assert free.staleness == Staleness(None)
-    assert free.rates_hz == {"left": 2.5}
+    assert {name: each.rate_hz for name, each in free.terms.items() if each.rate_hz} == {"left": 2.5}
 
 
 @pytest.mark.parametrize(

@@ -15,7 +15,7 @@ from support.hostile import Stranger
 from support.launched import processes_of
 from support.live import Live, until
 
-from hierax.runtime.deployment.deployment import RestartPolicy
+from hierax.runtime.deployment.deployment import ProcessTerms
 from hierax.runtime.launch.requests import MAX_CHANGES
 from hierax.runtime.transport.inbox import WAITING_BYTES
 from hierax.schemas.control import Census, Dismiss, Fetch, Join, Lost, Prepare, Ready, Resend, Status, Taken
@@ -34,7 +34,7 @@ def live(tmp_path: Path) -> Iterator[Live]:
 
 @pytest.fixture
 def stranger(live: Live) -> Iterator[Stranger]:
-    with Stranger(live.endpoint, Keys("live", str(live.run["run"]))) as stranger:
+    with Stranger(live.endpoint, Keys("live", str(live.run["run"])), secret=live.secret) as stranger:
         yield stranger
 
 
@@ -157,7 +157,9 @@ def test_where_messages_are_short_long_ones_are_not_put_together(setting: str, t
     try:
         pid = live.run["nodes"]["world"]["pid"]
         before = memory_at_most(pid)
-        strangers = [Stranger(live.endpoint, Keys("live", str(live.run["run"]))) for _ in range(sessions)]
+        strangers = [
+            Stranger(live.endpoint, Keys("live", str(live.run["run"])), secret=live.secret) for _ in range(sessions)
+        ]
         with ThreadPoolExecutor(sessions) as pool:
             for stranger in strangers:
                 pool.submit(stranger.put, stranger.keys.edge(CONTEXT, "low", "world"), bytes(size))
@@ -205,7 +207,7 @@ def test_what_is_said_in_a_nodes_name_ends_the_run_with_both_named(
 
 def test_of_many_changes_at_once_some_are_begun_and_the_others_refused(live: Live, stranger: Stranger) -> None:
     keeper = stranger.keys.control("keeper")
-    policy = asdict(RestartPolicy())
+    policy = asdict(ProcessTerms())
     pid = live.launch.process.pid
     most = 0
     until(lambda: stranger.ask(keeper, {"ask": "ps"}), "the keeper")
@@ -214,7 +216,7 @@ def test_of_many_changes_at_once_some_are_begun_and_the_others_refused(live: Liv
         name = f"n{number}"
         node = Reference("hierax.runtime.sim.nodes:Mixer", {"name": name})
         change = Attach({name: node}, (RosterEdge("high", name),))
-        question = {"ask": "change", "change": change.plain(), "restarts": {name: policy}, "here": False, "host": ""}
+        question = {"ask": "change", "change": change.plain(), "terms": {name: policy}, "here": False, "host": ""}
         return stranger.ask(keeper, question, 120.0)
 
     with ThreadPoolExecutor(40) as pool:
@@ -231,8 +233,10 @@ def test_of_many_changes_at_once_some_are_begun_and_the_others_refused(live: Liv
 
 
 def test_many_refusals_are_few_lines(live: Live, stranger: Stranger) -> None:
+    edge = stranger.keys.edge(OBSERVATIONS, "world", "low")
+    stranger.reaches(edge)
     for number in range(20_000):
-        stranger.put(stranger.keys.edge(OBSERVATIONS, "world", "low"), b"\x9c" + bytes([number % 256]))
+        stranger.put(edge, b"\x9c" + bytes([number % 256]))
     live.goes_on()
     live.ends()
     assert len(live.launch.err) < 100

@@ -76,9 +76,12 @@ class Far:
     def __init__(self, hosts: Hosts, folder: Path, policy: str) -> None:
         self.hosts = hosts
         self.live = Live(folder, "--host", ADDRESSES[0], namespace=hosts.names[0], pace_s=0.01)
-        endpoint = self.live.launch.says("others join with --connect").split()[-1]
+        said = self.live.launch.says("others join with --connect")
+        endpoint = said.split("--connect ")[1].split()[0]
+        key = Path(shutil.copy(said.split()[-1], folder / "brought.key"))
         self.path = self.live.snippet("top", "high", policy=policy)
-        options = ("--connect", endpoint, "--here", "--host", ADDRESSES[1], "--deployment", str(self.live.file))
+        where = ("--connect", endpoint, "--key", str(key))
+        options = (*where, "--here", "--host", ADDRESSES[1], "--deployment", str(self.live.file))
         self.keeper: Program = self.live.start("attach", self.path, *options, namespace=hosts.names[1])
         self.attached = int(self.keeper.says("attached top at epoch").split()[-1])
         self.live.goes_on()

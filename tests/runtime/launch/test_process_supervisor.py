@@ -10,7 +10,7 @@ import anyio
 import anyio.abc
 from support.deployments import write
 
-from hierax.runtime.deployment.deployment import RestartPolicy
+from hierax.runtime.deployment.deployment import ProcessTerms
 from hierax.runtime.deployment.read import read_deployment
 from hierax.runtime.launch.child import Child, Overhearing, ProcessState
 from hierax.runtime.launch.frames import BEGIN, NodeOrder
@@ -22,7 +22,7 @@ class Noting(ProcessSupervisor):
     """Notes what happens."""
 
     def __init__(self, tasks: anyio.abc.TaskGroup) -> None:
-        super().__init__(tasks, Overhearing("0", lambda: 0), lambda name: RestartPolicy(), print, print)
+        super().__init__(tasks, Overhearing("0", lambda: 0), lambda name: ProcessTerms(), print, print)
         self.ends: list[tuple[str, ProcessState, str]] = []
         self.ended = anyio.Event()
 

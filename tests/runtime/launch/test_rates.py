@@ -84,6 +84,27 @@ def test_parameters_of_a_node_are_set_while_it_runs(file: str, tmp_path: Path) -
         assert timing["budgets"]["slow"]["budget_ms"] == 20.0
 
 
+def test_what_is_attached_has_the_budget_and_processors_that_its_snippet_says(file: str, tmp_path: Path) -> None:
+    cpu = min(os.sched_getaffinity(0))
+    (tmp_path / "more.yaml").write_text(
+        "nodes:\n"
+        f'  more: {{class: "support.rate_nodes:Counts", budget_ms: 17, scheduling: {{cpus: [{cpu}]}}}}\n'
+        'edges:\n  world -> more: {sense: "support.rate_nodes:seen"}\n',
+        encoding="utf-8",
+    )
+    with Launched(tmp_path, file, "--epochs", "1000000") as launch:
+        until(lambda: launch.epoch >= 5, "five epochs")
+        done = said_here("attach", str(tmp_path / "more.yaml"), folder=tmp_path)
+        assert done.returncode == 0, done.stderr
+        told = said_here("top", "--once", "--interval", "0.2", "--format", "json", folder=tmp_path)
+        budgets = json.loads(told.stdout)["timing"]["budgets"]
+        (run,) = json.loads(said_here("ps", "--format", "json", folder=tmp_path).stdout)["runs"]
+        pid = run["nodes"]["more"]["pid"]
+        kept_to = [os.sched_getaffinity(int(task)) for task in os.listdir(f"/proc/{pid}/task")]
+    assert (budgets["more"]["budget_ms"], budgets["quick"]["budget_ms"]) == (17.0, 10.0)
+    assert {cpu} in kept_to
+
+
 def test_who_waits_for_a_process_that_was_killed_was_not_at_work(file: str, tmp_path: Path) -> None:
     budgets = [("world", 200), ("quick", 200), ("slow", 200)]
     settings = [f"nodes.{name}.budget_ms={budget}" for name, budget in budgets]

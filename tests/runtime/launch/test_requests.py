@@ -27,13 +27,13 @@ def test_the_owner_hears_of_a_change_before_any_process_comes_for_it() -> None:
 
     orders = SimpleNamespace(
         deployment=SimpleNamespace(allowance=SimpleNamespace(check_all=lambda change: None)),
-        order=lambda name, token, life, request, reference: f"{life} {name} for {request}",
+        order=lambda name, token, life, request, reference, terms: f"{life} {name} for {request}",
     )
     fake = SimpleNamespace(
         orders=orders, changes=PendingChanges(), members={"big": "1"}, start=start, send_to_owner=send_to_owner
     )
     requests = Requests(cast(RosterSupervisor, fake))
     change = Replace("big", Reference("hierax.runtime.sim.nodes:Mixer", {}))
-    query = {"ask": "change", "change": change.plain(), "restarts": {"big": {}}}
+    query = {"ask": "change", "change": change.plain(), "terms": {"big": {}}}
     assert anyio.run(requests._answer, query) == {"epoch": 7}
     assert done[1:] == [f"newcomer big for {done[0]}"]

@@ -7,7 +7,7 @@ from typing import Any, cast
 
 import anyio
 
-from hierax.runtime.deployment.deployment import RestartPolicy
+from hierax.runtime.deployment.deployment import ProcessTerms
 from hierax.runtime.launch.child import Child, ProcessState
 from hierax.runtime.launch.frames import BEAT, FAILED, REPORT, UP, NodeOrder
 from hierax.runtime.launch.orders import Orders
@@ -31,8 +31,8 @@ class FewOrders:
     run_id = "0"
     deployment = Deployment
 
-    def policy(self, name: str) -> RestartPolicy:
-        return RestartPolicy()
+    def policy(self, name: str) -> ProcessTerms:
+        return ProcessTerms()
 
 
 class DeafHub:

@@ -105,6 +105,7 @@ def stranger_says(live: Live, user: pwd.struct_passwd, named: Iterable[Reference
         "user": user.pw_uid,
         "group": user.pw_gid,
         "endpoint": live.endpoint,
+        "secret": live.secret,
         "roster": read_deployment(live.file).roster.plain(),
         "references": [reference.plain() for reference in named],
     }

@@ -12,13 +12,13 @@ import pytest
 import zenoh
 from support.live import until
 from support.sockets import break_link
+from support.zenoh_ports import open_zenoh
 
-from hierax.runtime.core.graph import neighbours
 from hierax.runtime.testing.transport import check_transport, receive
 from hierax.runtime.transport import inbox
 from hierax.runtime.transport.port import MemoryNetwork, MemoryPort, Port, TransportError
-from hierax.runtime.transport.zenoh_port import INTERRUPT, ZenohPort
-from hierax.runtime.transport.zenoh_session import LOOPBACK, LOW_LATENCY_BYTES, free_endpoint, open_session
+from hierax.runtime.transport.zenoh_port import ZenohPort
+from hierax.runtime.transport.zenoh_session import LOW_LATENCY_BYTES
 from hierax.schemas.errors import SchemaError
 from hierax.schemas.keys import Keys
 from hierax.schemas.messages import CONTEXT, HELLO, OBSERVATIONS, Header, Message, encode_message
@@ -53,62 +53,16 @@ def greet_for_a_while(ports: Sequence[ZenohPort]) -> None:
             return  # closed
 
 
-def open_zenoh(
-    edges: Sequence[tuple[str, str]],
-    keys: Keys | None = None,
-    early: Sequence[bytes] = (),
-    low_latency: bool = False,
-) -> dict[str, ZenohPort]:
-    """A session for each node; the first one is what the others find one another through.
-
-    Args:
-        edges: (lower, upper).
-        keys: of the run.
-        early: what somebody puts on keys of each port before it connects.
-        low_latency: of the links.
-    """
-    keys = keys or Keys("conformance", token_hex(4))
-    hub = free_endpoint()
-    ports = {}
-    for number, name in enumerate(sorted({name for edge in edges for name in edge})):
-        session = open_session([LOOPBACK if number else hub], [hub] if number else [], low_latency=low_latency)
-        ports[name] = ZenohPort(session, keys, name, most_bytes=LOW_LATENCY_BYTES if low_latency else None)
-        below, above = (each.get(name, ()) for each in neighbours(edges))
-        ports[name].link(below, above, 0, {}, lambda _: None)
-        for data in early:
-            for kind in (OBSERVATIONS, CONTEXT, INTERRUPT):
-                session.put(keys.edge(kind, name, name), data)
-    connect(ports)
-    return ports
-
-
-def connect(ports: Mapping[str, ZenohPort]) -> None:
-    """As processes do it: each port answers its neighbours' greetings, also when it is done itself."""
-
-    def answer(port: ZenohPort) -> None:
-        port.connect()
-        while port.receive() is not None:
-            pytest.fail("a message before anybody sent one")
-
-    threads = [threading.Thread(target=answer, args=[port], daemon=True) for port in ports.values()]
-    for thread in threads:
-        thread.start()
-    while not all(port.ready for port in ports.values()):
-        for port in ports.values():
-            port.greet()
-        threads[0].join(0.02)
-    for port in ports.values():
-        port.interrupt()
-    for thread in threads:
-        thread.join()
-
-
 def test_memory() -> None:
     check_transport(open_memory, break_link=break_in_memory)
 
 
 def test_zenoh() -> None:
     check_transport(open_zenoh, break_link=break_over_zenoh)
+
+
+def test_zenoh_with_shared_memory() -> None:
+    check_transport(lambda edges: open_zenoh(edges, shared=True), break_link=break_over_zenoh)
 
 
 def test_low_latency_zenoh() -> None:

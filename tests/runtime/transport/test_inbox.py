@@ -8,9 +8,20 @@ from collections import deque
 from collections.abc import Callable
 from typing import Any, NamedTuple, cast
 
+import pytest
 import zenoh
 
-from hierax.runtime.transport.inbox import LARGE_BYTES, QUEUE_SIZE, SMALL_AT_ONCE, WAITING_BYTES, Inbox
+from hierax.runtime.transport import inbox as inboxes
+from hierax.runtime.transport.inbox import (
+    LARGE_BYTES,
+    LEAST_BLIND,
+    LOOKS,
+    MOST_BLIND,
+    QUEUE_SIZE,
+    SMALL_AT_ONCE,
+    WAITING_BYTES,
+    Inbox,
+)
 
 KEY = "to/me"
 
@@ -119,3 +130,38 @@ def test_who_interrupts_a_node_is_not_held_up_by_a_queue_that_filled_up_meanwhil
     assert came == [*others, woken]
     assert inbox.take(waits=True) is None
     assert inbox.interrupted
+
+
+class Late(Queue):
+    """Zenoh's, in which something comes only when nobody looks for it any more."""
+
+    def recv(self) -> Sample:
+        return Sample(Payload(1))
+
+
+@pytest.mark.parametrize("others", [False, True])
+def test_nothing_is_looked_for_where_others_want_the_processor(others: bool, monkeypatch: pytest.MonkeyPatch) -> None:
+    now_s, looks = 0.0, 0
+
+    def give_away() -> None:
+        nonlocal now_s, looks
+        now_s, looks = now_s + (3e-3 if others else 5e-7), looks + 1
+
+    monkeypatch.setattr(inboxes, "perf_counter", lambda: now_s)
+    monkeypatch.setattr("os.sched_yield", give_away)
+    inbox, waits = inbox_of(Late()), 20 * MOST_BLIND
+    for _ in range(waits):
+        assert inbox.take(waits=True) is not None
+    assert looks < 30 if others else looks == waits * LOOKS
+    others, looks = False, 0  # who wanted it is gone
+    inbox._blind = 0
+    arriving = [None, Sample(Payload(1))]
+
+    def arrives() -> Sample | None:
+        return arriving[looks % 2]
+
+    monkeypatch.setattr(inbox, "_subscriber", type("Prompt", (), {"try_recv": staticmethod(arrives)}))
+    for _ in range(60):
+        looks = 0
+        assert inbox.take(waits=True) is not None
+    assert inbox._blinded < 2 * LEAST_BLIND

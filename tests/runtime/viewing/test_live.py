@@ -53,7 +53,7 @@ def test_a_launch_is_seen_until_it_ends(tmp_path: Path, monkeypatch: pytest.Monk
 
     with Command(tmp_path, "launch", paced(tmp_path, "servo"), "--epochs", "10000000") as launch:
         until(lambda: bool(known_runs()), "the launch runs")
-        with LaunchClient(known_runs()[0].endpoint) as client:
+        with LaunchClient(known_runs()[0].endpoint, secret=known_runs()[0].secret) as client:
             assert show_launch(client, ViewPresenter(canvas), Allowance(("hierax.nodes.servo",)), over) > 15
         assert attached[0].process.returncode == 0, attached[0].err
         last = max(epoch for epoch, things in canvas.drawn.items() if "velocity_m_s/second/believed" in things)

@@ -66,3 +66,14 @@ def test_a_box_is_proposed_whose_edges_are_weaker_than_those_around(seed: int) -
     controls = [sweep["templates"][number]["controls"] for number in found.templates[:1]]
     here, gone = (stands_out(each, found.poses[:1], controls, INTRINSICS)[0] for each in (maps, hidden))
     assert here > 2.0 > abs(gone)
+
+
+def test_what_has_no_control_points_is_proposed_nowhere_and_stands_out_nowhere() -> None:
+    mesh = box_mesh(list(SIDES_M))
+    maps, sweep = maps_of(smoothed(picture(mesh, 0))), sweep_of(mesh)
+    nothing = {name: each[:0] for name, each in sweep["templates"][0]["controls"].items()}
+    assert stands_out(maps, sweep["places"][:1], [nothing], INTRINSICS) == [-np.inf]  # type: ignore[list-item]
+    empty = {**sweep["templates"][0], "controls": nothing}
+    beside: Sweep = {**sweep, "templates": (*sweep["templates"], empty)}  # type: ignore[typeddict-item]
+    found, without = (swept(maps, each, INTRINSICS) for each in (beside, sweep))
+    assert np.array_equal(found.poses, without.poses)

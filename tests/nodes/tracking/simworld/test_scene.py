@@ -10,7 +10,7 @@ import pytest
 from hierax.nodes.tracking.math.geometry import Array, Floats, exp_so3, invert, make_pose, rays
 from hierax.nodes.tracking.simworld import light as sim_light
 from hierax.nodes.tracking.simworld import scene as sim_scene
-from hierax.nodes.tracking.simworld.light import LAMP, Lamp, light_on, shadows
+from hierax.nodes.tracking.simworld.light import LAMP, Lamp, shaded, shadows
 from hierax.nodes.tracking.simworld.scene import FACE_PX, GAMMA, develop, draw
 from hierax.nodes.tracking.simworld.shapes import Face, Thing, cube
 from hierax.nodes.tracking.simworld.world import camera_at
@@ -92,7 +92,9 @@ def test_a_shadow_lies_where_rays_to_the_lamp_are_blocked() -> None:
     table = Face(np.array([-0.5, -0.5, 0.0]), np.array([1.0, 0.0, 0.0]), np.array([0.0, 1.0, 0.0]))
     pixels = 200
     homography = np.array([[pixels, 0.0, -0.5], [0.0, pixels, -0.5], [0.0, 0.0, 1.0]])
-    light = light_on(table, each.parts(), (pixels, pixels), homography)
+    bright, (left, top, right, bottom), shade = shaded(table, each.parts(), (pixels, pixels), homography)
+    light = np.full((pixels, pixels), bright, np.float32)
+    light[top:bottom, left:right] = shade
     place = (np.arange(pixels) + 0.5) / pixels - 0.5
     points = np.stack((*np.meshgrid(place, place), np.zeros((pixels, pixels))), axis=-1)
     to_object = invert(each.pose)

@@ -1,0 +1,45 @@
+"""What it costs that a launch is closed: the same hierarchy, closed and open in turn.
+
+    python benchmarks/closed.py                  # 15 launches each
+    python benchmarks/closed.py --rounds 3 --epochs 500
+
+Prints medians over the rounds: of the epochs' p50 and of the time until the first epoch, and the ratios closed / open.
+"""
+
+import argparse
+import statistics
+import sys
+
+from hierax.runtime.deployment.read import read_deployment
+from hierax.runtime.launch.supervisor import launch
+
+WAYS = ("closed", "open")
+
+
+def main() -> int:
+    """Measure in turn, and print."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--rounds", type=int, default=15)
+    parser.add_argument("--epochs", type=int, default=2000)
+    parser.add_argument("--deployment", default="chain")
+    options = parser.parse_args()
+    epochs_us: dict[str, list[float]] = {way: [] for way in WAYS}
+    starts_s: dict[str, list[float]] = {way: [] for way in WAYS}
+    for number in range(options.rounds):
+        for way in WAYS if number % 2 else reversed(WAYS):
+            deployment = read_deployment(options.deployment, [f"open={str(way == 'open').lower()}"])
+            report = launch(deployment, epochs=options.epochs, seed=0)
+            epochs_us[way].append(1e6 * statistics.median(report.epochs_s))
+            starts_s[way].append(report.start_s)
+    for what, found, unit in (("epoch p50", epochs_us, "µs"), ("start", starts_s, "s")):
+        closed, opened = (statistics.median(found[way]) for way in WAYS)
+        ratios = sorted(one / other for one, other in zip(*(found[way] for way in WAYS), strict=True))
+        print(
+            f"{what}: closed {closed:.4g} {unit}, open {opened:.4g} {unit}, ratio {closed / opened:.3f} "
+            f"(by rounds {ratios[0]:.3f} to {ratios[-1]:.3f}, median {statistics.median(ratios):.3f})"
+        )
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

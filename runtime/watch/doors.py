@@ -1,0 +1,76 @@
+"""Who was refused at the supervisor's door: Zenoh tells it in its log alone, so that is read.
+
+Zenoh prints to descriptor 1. While doors are watched, what it prints there of links that come in is taken out, and who
+had no key of the run is told, with the address; everything else goes on to where it went before.
+"""
+
+import os
+import re
+import threading
+from collections import Counter
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
+
+MAX_HOSTS = 64  # how many addresses are counted apart
+
+_COLOURS = re.compile(r"\x1b\[[0-9;]*m")
+_OF_DOORS = re.compile(r"(?:DEBUG|ERROR) .*(?:zenoh_link_tcp::unicast|establishment::accept): (.*)")
+_CAME = re.compile(r"Accepted TCP connection on \S+: (\S+)")
+
+
+class Doors:
+    """Takes lines of Zenoh's log, and tells who was refused: the first time and whenever that has doubled."""
+
+    def __init__(self, tell: Callable[[str], None]) -> None:
+        self._tell = tell
+        self._came = "somebody"
+        self._refused: Counter[str] = Counter()
+
+    def take(self, line: str) -> bool:
+        """Whether a line is of who comes in."""
+        found = _OF_DOORS.search(_COLOURS.sub("", line))
+        if found is None:
+            return False
+        came = _CAME.match(found[1])
+        if came is not None:
+            self._came = came[1]
+        elif found[1].startswith("UsrPwd extension"):
+            self._count()
+        return True
+
+    def _count(self) -> None:
+        host = self._came.rpartition(":")[0]
+        if host not in self._refused and len(self._refused) >= MAX_HOSTS:
+            host = "others"
+        self._refused[host] += 1
+        count = self._refused[host]
+        if not count & (count - 1):
+            often = f" ({count} times by now)" if count > 1 else ""
+            self._tell(f"refused {self._came}: it has no key of this run{often}")
+
+
+@contextmanager
+def watched(tell: Callable[[str], None]) -> Iterator[None]:
+    """Have who is refused told while this lasts, in a thread of its own."""
+    before = os.dup(1)
+    reading, writing = os.pipe()
+    os.dup2(writing, 1)
+    os.close(writing)
+    doors = Doors(tell)
+
+    def read() -> None:
+        with open(reading, "rb") as lines:
+            for line in lines:
+                if not doors.take(line.decode(errors="replace")):
+                    with suppress(OSError):
+                        os.write(before, line)
+
+    reader = threading.Thread(target=read, name="hierax-doors", daemon=True)
+    reader.start()
+    try:
+        yield
+    finally:
+        os.dup2(before, 1)
+        reader.join(1.0)  # a process that has got the pipe from this one may hold it open
+        if not reader.is_alive():
+            os.close(before)

@@ -1,0 +1,41 @@
+"""Who was refused is taken out of what Zenoh prints, and told in few lines."""
+
+import os
+
+import pytest
+
+from hierax.runtime.watch.doors import MAX_HOSTS, Doors, watched
+
+_LINK, _ACCEPT = "zenoh_link_tcp::unicast", "zenoh_transport::unicast::establishment::accept"
+CAME = f"2030 \x1b[34mDEBUG\x1b[0m acc-0 \x1b[2m{_LINK}\x1b[0m: Accepted TCP connection on 127.0.0.1:1: {{}}\n"
+REFUSED = f"2030 DEBUG acc-0 {_ACCEPT}: UsrPwd extension - Recv InitSyn. Expected extension.\n"
+ENDED = f"2030 DEBUG acc-0 {_ACCEPT}: Read error on TCP link\n"
+
+
+def test_a_flood_of_refusals_is_few_lines() -> None:
+    told: list[str] = []
+    doors = Doors(told.append)
+    for number in range(1000):
+        assert doors.take(CAME.format(f"10.0.0.7:{number}"))
+        assert doors.take(REFUSED)
+        assert doors.take(ENDED)
+    assert told[:2] == [
+        "refused 10.0.0.7:0: it has no key of this run",
+        "refused 10.0.0.7:1: it has no key of this run (2 times by now)",
+    ]
+    assert len(told) == 10
+    for number in range(10 * MAX_HOSTS):
+        doors.take(CAME.format(f"10.1.{number}.7:1"))
+        doors.take(REFUSED)
+    assert len(told) < 10 + MAX_HOSTS + 12
+
+
+def test_what_else_is_printed_goes_where_it_went(capfd: pytest.CaptureFixture[str]) -> None:
+    told: list[str] = []
+    with watched(told.append):
+        os.write(1, b"a library says this\n")
+        os.write(1, CAME.format("10.0.0.7:5").encode() + REFUSED.encode())
+        os.write(1, b"2030 ERROR net-0 zenoh::net: something else\n")
+    os.write(1, b"and this\n")
+    assert capfd.readouterr().out == "a library says this\n2030 ERROR net-0 zenoh::net: something else\nand this\n"
+    assert told == ["refused 10.0.0.7:5: it has no key of this run"]

@@ -1,0 +1,205 @@
+"""Somebody who has no key of a run, or a wrong one, and tries all the same: another user where root starts it.
+
+Run as ``python attacks.py ORDER.json`` with ``user``, ``endpoints``, ``hierarchy``, ``run``, ``tokens`` (of the
+processes, by node), ``secrets`` (by what they are; null: none), ``messages`` and ``bytes`` (of the floods). It prints
+JSON: by secret and mode, by attack, how much came of it.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import socket
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from contextlib import suppress
+from pathlib import Path
+from typing import Any
+
+import zenoh
+
+NOBODY = 65534
+TIMEOUT_S = 300.0
+LINKED_S = 0.5  # how long a session may take to have what it can have
+IDLE = 150  # connections that say nothing
+
+Outcome = dict[str, dict[str, int]]
+
+
+def order_for(live: Any, secrets: dict[str, str | None], messages: int, size: int) -> dict[str, Any]:
+    """What is attacked: a `support.live.Live`, with floods of so many messages and bytes."""
+    run = live.run
+    pids = [live.launch.process.pid, *(node["pid"] for node in run["nodes"].values())]
+    endpoints = ports_of(pids)
+    assert live.endpoint in endpoints
+    assert len(endpoints) > len(run["nodes"]), endpoints
+    return {
+        "pids": pids,
+        "endpoints": endpoints,
+        "hierarchy": run["hierarchy"],
+        "run": run["run"],
+        "tokens": {name: node["process"] for name, node in run["nodes"].items()},
+        "secrets": secrets,
+        "messages": messages,
+        "bytes": size,
+    }
+
+
+def attacked(order: dict[str, Any], folder: Path) -> Outcome:
+    """What comes of all attacks, made by another user where that can be."""
+    path = folder / "attacks.json"
+    path.write_text(json.dumps({"user": NOBODY if os.getuid() == 0 else os.getuid(), **order}), encoding="utf-8")
+    done = subprocess.run(
+        [sys.executable, __file__, str(path)], capture_output=True, text=True, timeout=TIMEOUT_S, check=False
+    )
+    assert done.returncode == 0, done.stderr
+    outcome: Outcome = json.loads(done.stdout)
+    return outcome
+
+
+def ports_of(pids: list[int]) -> list[str]:
+    """Where processes listen, as anybody may look up."""
+    inodes = set()
+    for pid in pids:
+        for file in Path(f"/proc/{pid}/fd").iterdir():
+            with suppress(OSError):
+                inodes.add(os.readlink(file))
+    rows = [line.split() for line in Path("/proc/net/tcp").read_text().splitlines()[1:]]
+    listening = [row[1] for row in rows if row[3] == "0A" and f"socket:[{row[9]}]" in inodes]
+    return [f"tcp/127.0.0.1:{int(address.partition(':')[2], 16)}" for address in listening]
+
+
+def main() -> None:
+    """Make all attacks, and print what came of them."""
+    order = json.loads(Path(sys.argv[1]).read_text(encoding="utf-8"))
+    "".encode("idna")  # which sockets look up, where the other user may not read Python's library
+    if order["user"] != os.getuid():
+        os.setgroups([])
+        os.setgid(order["user"])
+        os.setuid(order["user"])
+    os.environ["RUST_LOG"] = "off"
+    outcome = {
+        f"{name}, {mode}": each
+        for name, secret in order["secrets"].items()
+        for mode in ("client", "peer")
+        for each in [_by_zenoh(order, secret, mode)]
+    }
+    outcome["bytes"] = {"connections that were answered": _by_bytes(order)}
+    json.dump(outcome, sys.stdout)
+    sys.stdout.flush()
+    os._exit(0)
+
+
+def _by_zenoh(order: dict[str, Any], secret: str | None, mode: str) -> dict[str, int]:
+    """By attack, how much came of it in a session of its own."""
+    config = {
+        "mode": mode,
+        "listen": {"endpoints": ["tcp/127.0.0.1:0"] if mode == "peer" else []},
+        "connect": {"endpoints": order["endpoints"], "timeout_ms": 500, "exit_on_failure": False},
+        "scouting": {"multicast": {"enabled": mode == "peer"}},
+    }
+    if secret is not None:
+        config["transport"] = {"auth": {"usrpwd": {"user": "hierax", "password": secret}}}
+    try:
+        session = zenoh.open(zenoh.Config.from_json5(json.dumps(config)))
+    except zenoh.ZError:
+        return {"no session": 0}
+    try:
+        return dict(_attacks(session, order))
+    finally:
+        session.close()  # type: ignore[no-untyped-call]
+
+
+def _attacks(session: zenoh.Session, order: dict[str, Any]) -> Iterator[tuple[str, int]]:
+    root = f"hierax/{order['hierarchy']}/{order['run']}"
+    heard: list[str] = []
+    asked: list[str] = []
+    tokens: list[str] = []
+
+    def on_query(query: zenoh.Query) -> None:
+        asked.append(str(query.key_expr))
+        with query:
+            query.reply(str(query.key_expr), b"\x80")
+
+    liveliness = session.liveliness()
+    session.declare_subscriber("hierax/**", lambda sample: heard.append(str(sample.key_expr)))
+    session.declare_queryable(f"{root}/control/keeper", on_query)
+    session.declare_queryable(f"{root}/look/low", on_query)
+    liveliness.declare_subscriber(f"{root}/**", lambda sample: tokens.append(str(sample.key_expr)), history=True)
+    own = {f"{root}/alive/{name}/{token}x" for name, token in order["tokens"].items()}
+    forged = [liveliness.declare_token(key) for key in sorted(own)]
+    time.sleep(LINKED_S)
+    yield "links", len(list(session.info.peers_zid())) + len(list(session.info.routers_zid()))
+    for key in _keys(root, order["tokens"]):
+        publisher = session.declare_publisher(key, allowed_destination=zenoh.Locality.REMOTE)
+        publisher.put(b"\x9c\x01")
+        publisher.delete()
+        yield f"somebody hears put and delete on {key.removeprefix(root)}", int(publisher.matching_status.matching)
+        publisher.undeclare()
+    for what, question in _questions():
+        yield f"answers to {what}", _answers(session, f"{root}/control/keeper", question)
+    yield "answers of nodes", _answers(session, f"{root}/look/*", b"\x81\xa4look\xa5state")
+    yield "answers to anything", _answers(session, "**", b"\x80")
+    alive = [str(reply.ok.key_expr) for reply in liveliness.get(f"{root}/**", timeout=1.0) if reply.ok]
+    yield "liveliness seen", len({*alive} - own)
+    edge = session.declare_publisher(f"{root}/obs/world/low", allowed_destination=zenoh.Locality.REMOTE)
+    for _ in range(order["messages"]):
+        edge.put(b"\x9c\x01")
+    for _ in range(order["bytes"] >> 20):
+        edge.put(bytes(1 << 20))
+    yield "somebody hears the floods", int(edge.matching_status.matching)
+    for token in forged:
+        token.undeclare()
+    yield "samples heard", len(heard)
+    yield "questions heard", len(asked)
+    yield "tokens heard", len([key for key in tokens if key not in own])
+
+
+def _keys(root: str, tokens: dict[str, str]) -> list[str]:
+    edges = [f"{kind}/{pair}" for kind, pair in (("obs", "world/low"), ("task", "low/world"), ("ctx", "high/low"))]
+    control = [f"control/{address}" for address in ("owner", "keeper", *tokens.values())]
+    return [f"{root}/{key}" for key in (*edges, *control, "epochs", "roster", "notes", "steps/low", "look/low")]
+
+
+def _questions() -> list[tuple[str, bytes]]:
+    detach = b"\x82\xa3ask\xa6change\xa6change\x93\xa6Detach\xa4high\xc2"
+    return [("ps", b"\x81\xa3ask\xa2ps"), ("detach", detach), ("record", b"\x82\xa3ask\xa6record\xa3pid\x00")]
+
+
+def _answers(session: zenoh.Session, key: str, question: bytes) -> int:
+    """How many others answer."""
+    replies = session.get(key, payload=question, timeout=1.0, allowed_destination=zenoh.Locality.REMOTE)
+    return len([reply for reply in replies if reply.ok is not None])
+
+
+def _by_bytes(order: dict[str, Any]) -> int:
+    """Connections without a word of Zenoh's, with others' words, and with too many of them; how many were answered."""
+    answered = 0
+    tries: list[Callable[[socket.socket], object]] = [
+        lambda link: link.sendall(b"GET / HTTP/1.0\r\n\r\n"),
+        lambda link: link.sendall(b"\xff\xff" + b"x" * 65535),
+        lambda link: [link.sendall(os.urandom(1 << 20)) for _ in range(order["bytes"] >> 20)],
+    ]
+    idle = []
+    for endpoint in order["endpoints"]:
+        address = ("127.0.0.1", int(endpoint.rpartition(":")[2]))
+        for attack in tries:
+            with suppress(OSError), socket.create_connection(address, 5.0) as link:
+                link.settimeout(1.0)
+                with suppress(OSError):
+                    attack(link)
+                answered += len(link.recv(64)) > 64
+    for number in range(IDLE):
+        with suppress(OSError):
+            endpoint = order["endpoints"][number % len(order["endpoints"])]
+            idle.append(socket.create_connection(("127.0.0.1", int(endpoint.rpartition(":")[2])), 1.0))
+    time.sleep(LINKED_S)
+    for link in idle:
+        link.close()
+    return answered
+
+
+if __name__ == "__main__":
+    main()
