@@ -20,5 +20,9 @@ class Staleness:
         """Whether nodes run freely."""
         return self.epochs is None
 
+    def has_rate(self, *, is_world: bool) -> bool:
+        """Whether a node can have a rate of its own: each in free running, the world also with the barrier."""
+        return self.free or (self.barrier and is_world)
+
 
 BARRIER = Staleness()

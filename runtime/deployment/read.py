@@ -192,6 +192,9 @@ def check_known(name: str, nodes: Iterable[str], document: Document, keys: Keys)
         raise document.error(keys, f"there is no node {name!r}{did_you_mean(name, nodes, 'the nodes are')}")
 
 
+RATELESS = "nodes have rates only in free running (staleness: null), the world also with the barrier"
+
+
 def node_terms(
     nodes: Mapping[str, models.NodeModel],
     otherwise: Callable[[str], ProcessTerms],  # what holds of what a node does not say, by its name
@@ -201,9 +204,8 @@ def node_terms(
 ) -> dict[str, ProcessTerms]:
     """How the processes of nodes are kept. Raises `DeploymentError` if something means nothing where it stands."""
     for name, node in nodes.items():
-        if node.rate_hz is not None and not staleness.free and not (staleness.barrier and name == world):
-            what = "nodes have rates only in free running (staleness: null), the world also with the barrier"
-            raise document.error(("nodes", name, "rate_hz"), what)
+        if node.rate_hz is not None and not staleness.has_rate(is_world=name == world):
+            raise document.error(("nodes", name, "rate_hz"), RATELESS)
         if (asked := node.scheduling) and asked.policy == "other" and "priority" in asked.model_fields_set:
             what = "means something only with a real-time policy: fifo or rr"
             raise document.error(("nodes", name, "scheduling", "priority"), what)

@@ -11,6 +11,7 @@ import anyio.from_thread
 
 from hierax.runtime.core.errors import HieraxError
 from hierax.runtime.deployment.deployment import ProcessTerms
+from hierax.runtime.deployment.read import RATELESS
 from hierax.runtime.launch.child import ProcessState
 from hierax.runtime.launch.frames import NEWCOMER
 from hierax.runtime.launch.roster_supervisor import RosterSupervisor
@@ -145,6 +146,7 @@ class Requests:
         processes.orders.deployment.allowance.check_all(change)
         await self._check(change)
         policies = {name: _terms_of(query, name) for name in new_nodes(change)}
+        self._check_rates(policies)
         request = token_hex(4)
         proposal = Propose(
             request,
@@ -175,6 +177,14 @@ class Requests:
         except HieraxError:
             await self._processes.hear_members()  # what is known here may be older than the last change
             self._check_names(change)
+
+    def _check_rates(self, terms: Mapping[str, ProcessTerms]) -> None:
+        """Who asks may not have read the deployment file, as who reads a snippet for it has."""
+        deployment = self._processes.orders.deployment
+        for name, each in terms.items():
+            is_world = name == deployment.roster.world
+            if each.rate_hz is not None and not deployment.staleness.has_rate(is_world=is_world):
+                raise HieraxError(f"node {name!r} cannot have a rate of {each.rate_hz:g} Hz: {RATELESS}")
 
     def _check_names(self, change: Change) -> None:
         members = self._processes.members

@@ -1,21 +1,24 @@
 """What a launch does about a change that is asked for."""
 
-from __future__ import annotations
-
 from types import SimpleNamespace
 from typing import Any, cast
 
 import anyio
+import pytest
 
+from hierax.runtime.core.errors import HieraxError
+from hierax.runtime.core.staleness import BARRIER, Staleness
 from hierax.runtime.launch.pending_changes import PendingChanges
 from hierax.runtime.launch.requests import Requests
 from hierax.runtime.launch.roster_supervisor import RosterSupervisor
 from hierax.schemas.control import Propose
 from hierax.schemas.roster import Reference, Replace
 
+FREE = Staleness(None)
 
-def test_the_owner_hears_of_a_change_before_any_process_comes_for_it() -> None:
-    """One that came first would be turned away, and the change would wait for another until it is given up."""
+
+def asked(terms: dict[str, Any], name: str = "big", staleness: Staleness = BARRIER) -> tuple[Any, list[Any]]:
+    """What a launch of a ``world`` and a node ``big`` answers who wants to replace one, and what it did, in order."""
     done: list[Any] = []
 
     async def start(order: str) -> None:
@@ -25,15 +28,36 @@ def test_the_owner_hears_of_a_change_before_any_process_comes_for_it() -> None:
         done.append(word.request)
         fake.changes.answer(word.request, 7, "")
 
+    deployment = SimpleNamespace(
+        allowance=SimpleNamespace(check_all=lambda change: None),
+        staleness=staleness,
+        roster=SimpleNamespace(world="world"),
+    )
     orders = SimpleNamespace(
-        deployment=SimpleNamespace(allowance=SimpleNamespace(check_all=lambda change: None)),
+        deployment=deployment,
         order=lambda name, token, life, request, reference, terms: f"{life} {name} for {request}",
     )
+    members = {"world": "0", "big": "1"}
     fake = SimpleNamespace(
-        orders=orders, changes=PendingChanges(), members={"big": "1"}, start=start, send_to_owner=send_to_owner
+        orders=orders, changes=PendingChanges(), members=members, start=start, send_to_owner=send_to_owner
     )
-    requests = Requests(cast(RosterSupervisor, fake))
-    change = Replace("big", Reference("hierax.runtime.sim.nodes:Mixer", {}))
-    query = {"ask": "change", "change": change.plain(), "terms": {"big": {}}}
-    assert anyio.run(requests._answer, query) == {"epoch": 7}
+    change = Replace(name, Reference("hierax.runtime.sim.nodes:Mixer", {}))
+    query = {"ask": "change", "change": change.plain(), "terms": {name: terms}}
+    return anyio.run(Requests(cast(RosterSupervisor, fake))._answer, query), done
+
+
+def test_the_owner_hears_of_a_change_before_any_process_comes_for_it() -> None:
+    """One that came first would be turned away, and the change would wait for another until it is given up."""
+    answer, done = asked({})
+    assert answer == {"epoch": 7}
     assert done[1:] == [f"newcomer big for {done[0]}"]
+
+
+def test_a_rate_that_would_mean_nothing_is_refused() -> None:
+    """With the barrier only the world begins epochs, and with a bound on staleness nobody waits for a clock."""
+    for name, staleness in (("big", BARRIER), ("big", Staleness(2)), ("world", Staleness(2))):
+        with pytest.raises(HieraxError, match=f"node '{name}' cannot have a rate of 5 Hz: nodes have rates"):
+            asked({"rate_hz": 5}, name, staleness)
+    for name, staleness in (("big", FREE), ("world", FREE), ("world", BARRIER)):
+        answer, _ = asked({"rate_hz": 5}, name, staleness)
+        assert answer == {"epoch": 7}
