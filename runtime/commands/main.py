@@ -14,6 +14,7 @@ from hierax.runtime.commands.doctor import doctor
 from hierax.runtime.commands.echo import echo
 from hierax.runtime.commands.errors import OK, CommandError, exit_code
 from hierax.runtime.commands.graph import graph, validate
+from hierax.runtime.commands.health import health
 from hierax.runtime.commands.inspect import inspect
 from hierax.runtime.commands.launch import launch
 from hierax.runtime.commands.logs import logs
@@ -30,7 +31,7 @@ from hierax.runtime.commands.view import view
 
 COMMANDS: tuple[Callable[..., int], ...] = (
     *(run, launch, attach, detach, replace, set_parameters.set),
-    *(ps, top, inspect, echo, logs, view),
+    *(ps, health, top, inspect, echo, logs, view),
     *(record, replay, diff, check),
     *(new, validate, graph, sim, doctor),
 )

@@ -72,6 +72,7 @@ _WORDS = """
 --version: Print the version.
 --wait EPOCH|NODE: First wait until a launch has committed this epoch, or has this node: a minute at most, and not for
     one that is over.
+--within SECONDS: How long the launch has for its next epoch; 0: it only has to answer.
 --with NODE=MODULE:CLASS: Another class in a node's place. May be given several times.
 --world: The world gives what it gave, or, one without actuators, is done again like the others.
 """
