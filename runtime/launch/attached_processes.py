@@ -37,7 +37,7 @@ def run_attached(
     orders: Value,  # what they are started with, as the launch has answered
     request: str,  # the change that was asked for, as the launch calls it
     here: "AttachedHere",  # what is decided on this machine
-    policies: Mapping[str, ProcessTerms],  # by node, what is done when its process ends
+    terms: Mapping[str, ProcessTerms],  # by node, what is done when its process ends
     await_change: Callable[[], None],  # waits until the launch has answered, and prints that; in a thread of its own
     notify: Notify,  # tells people what happens
 ) -> int:
@@ -50,14 +50,14 @@ def run_attached(
         with tempfile.TemporaryDirectory(prefix="hierax-", ignore_cleanup_errors=True) as folder:
             read = read_orders(orders, request, here, Path(folder))
             # of this machine's scheduler is asked what its user says, not what a launch does
-            read = [replace(order, scheduling=policies[order.name].scheduling) for order in read]
-            return anyio.run(_run, read, policies, await_change, notify)
+            read = [replace(order, scheduling=terms[order.name].scheduling) for order in read]
+            return anyio.run(_run, read, terms, await_change, notify)
     finally:
         remove_orphaned_segments()
 
 
 async def _run(
-    orders: Sequence[NodeOrder], policies: Mapping[str, ProcessTerms], await_change: Callable[[], None], notify: Notify
+    orders: Sequence[NodeOrder], terms: Mapping[str, ProcessTerms], await_change: Callable[[], None], notify: Notify
 ) -> int:
     why: list[Exception] = []
     async with anyio.create_task_group() as tasks:
@@ -66,7 +66,7 @@ async def _run(
             why.append(error)
             tasks.cancel_scope.cancel()
 
-        attached = AttachedProcesses(tasks, orders, policies, notify, fail)
+        attached = AttachedProcesses(tasks, orders, terms, notify, fail)
         tasks.start_soon(_end_on_signal, tasks.cancel_scope)
         tasks.start_soon(_await, await_change, fail)
         try:
@@ -89,12 +89,12 @@ class AttachedProcesses(ProcessSupervisor):
         self,
         tasks: anyio.abc.TaskGroup,  # in which everything runs
         orders: Sequence[NodeOrder],  # what they are started with
-        policies: Mapping[str, ProcessTerms],  # by node, what is done when its process ends
+        terms: Mapping[str, ProcessTerms],  # by node, what is done when its process ends
         notify: Notify,  # tells people what happens
         fail: Fail,  # called with why they cannot go on
     ) -> None:
         overhearing = Overhearing(orders[0].run, lambda: 0)  # how far the run is, is not known here
-        super().__init__(tasks, overhearing, policies.__getitem__, notify, fail)
+        super().__init__(tasks, overhearing, terms.__getitem__, notify, fail)
         self._orders = orders
         self._attached = len(orders)
         self._leaving = 0

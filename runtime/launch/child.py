@@ -261,8 +261,8 @@ def how_ended(code: int | None) -> str:
 class Restarts:
     """Whether and when another process takes the place of one that has ended."""
 
-    def __init__(self, policy: ProcessTerms) -> None:
-        self._policy = policy  # of the node
+    def __init__(self, terms: ProcessTerms) -> None:
+        self._terms = terms  # of the node
         self._times: deque[float] = deque()
         self.count = 0
 
@@ -272,18 +272,18 @@ class Restarts:
         A process that says itself why it cannot go on (an operator has raised) is started
         again only by ``always``: the epoch would be done again with the same inputs.
         """
-        policy = self._policy
+        terms = self._terms
         failed = child.process.returncode != 0 or bool(child.culprit)
-        if policy.restart_policy == "never":
+        if terms.restart_policy == "never":
             return None
-        if policy.restart_policy == "on-failure" and (not failed or child.failure is not None):
+        if terms.restart_policy == "on-failure" and (not failed or child.failure is not None):
             return None
         now = time.monotonic()
-        while self._times and policy.restart_window_s is not None and now - self._times[0] > policy.restart_window_s:
+        while self._times and terms.restart_window_s is not None and now - self._times[0] > terms.restart_window_s:
             self._times.popleft()
-        if policy.max_restarts and len(self._times) >= policy.max_restarts:
+        if terms.max_restarts and len(self._times) >= terms.max_restarts:
             return None
-        delay = min(policy.restart_delay_s * 2 ** min(len(self._times), 60), policy.max_restart_delay_s)
+        delay = min(terms.restart_delay_s * 2 ** min(len(self._times), 60), terms.max_restart_delay_s)
         self._times.append(now)
         self.count += 1
         return 0.0 if self.count == 1 else delay

@@ -76,7 +76,7 @@ class Orders:
         deployment = self.deployment
         reference = reference or deployment.roster.nodes.get(name)
         is_world = name == deployment.roster.world
-        terms = terms or self.policy(name)
+        terms = terms or self.terms(name)
         lineage = f"{name}@{request}" if request else self._lineages.get(name, name)
         return NodeOrder(
             name=name,
@@ -109,13 +109,13 @@ class Orders:
             owner=self._owner_policy() if is_world else None,
             on_uncertain_act=deployment.on_uncertain_act,
             processes=dict(processes or {}) if is_world else {},
-            alone=tuple(sorted(name for name, policy in deployment.terms.items() if policy.fails_alone)),
+            alone=tuple(sorted(name for name, each in deployment.terms.items() if each.fails_alone)),
             recorded=self._is_recorded(),
         )
 
     def _period_ms(self) -> float | None:
         """The time from an epoch to the next, where the world has a rate with the barrier."""
-        rate_hz = self.policy(self.deployment.roster.world).rate_hz
+        rate_hz = self.terms(self.deployment.roster.world).rate_hz
         return 1e3 / rate_hz if rate_hz is not None and self.deployment.staleness.barrier else None
 
     def has_begun(self, world: str) -> bool:
@@ -163,13 +163,13 @@ class Orders:
         own = replace(order, output="", checkpoint="", import_paths=(), settings=None, probes=(), secret="")
         return replace(own, host=host, elsewhere=True)
 
-    def policy(self, name: str) -> ProcessTerms:
+    def terms(self, name: str) -> ProcessTerms:
         return self._terms.get(name, self.deployment.restart)
 
-    def adopt(self, request: str, policies: Mapping[str, ProcessTerms]) -> None:
-        """A change is in force: its new nodes, whose policies these are, have checkpoints of their own from then on."""
-        self._terms.update(policies)
-        for name in policies:
+    def adopt(self, request: str, terms: Mapping[str, ProcessTerms]) -> None:
+        """A change is in force: its new nodes, whose terms these are, have checkpoints of their own from then on."""
+        self._terms.update(terms)
+        for name in terms:
             self._lineages[name] = f"{name}@{request}"
         self.save()
 
@@ -182,7 +182,7 @@ class Orders:
             epochs=self.options.epochs,
             output="" if self.options.output is None else str(self.options.output.absolute()),
             lineages=self._lineages,
-            terms={name: vars(policy) for name, policy in self._terms.items()},
+            terms={name: vars(each) for name, each in self._terms.items()},
         )
         write_run(self.options.state, run)
 
@@ -225,9 +225,9 @@ class Orders:
         deployment = self.deployment
         return OwnerPolicy(
             modules=deployment.modules,
-            on_loss={name: policy.on_loss for name, policy in self._terms.items()},
-            rejoin_timeout_s={name: policy.rejoin_timeout_s for name, policy in self._terms.items()},
-            alone=tuple(sorted(name for name, policy in self._terms.items() if policy.fails_alone)),
+            on_loss={name: each.on_loss for name, each in self._terms.items()},
+            rejoin_timeout_s={name: each.rejoin_timeout_s for name, each in self._terms.items()},
+            alone=tuple(sorted(name for name, each in self._terms.items() if each.fails_alone)),
             epoch_deadline_s=deployment.epoch_deadline_s,
             start_timeout_s=deployment.start_timeout_s,
             answer_timeout_s=ANSWER_TIMEOUT_S,

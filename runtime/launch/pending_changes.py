@@ -17,7 +17,7 @@ REMEMBERED = 1024  # of how many changes it is remembered what became of them
 class PendingChange:
     """A change that was asked for."""
 
-    policies: Mapping[str, ProcessTerms]  # what is done when the processes of its new nodes end
+    terms: Mapping[str, ProcessTerms]  # what is done when the processes of its new nodes end
     proposal: bytes  # what the owner is told
     done: anyio.Event = field(default_factory=anyio.Event)  # set when the owner has answered
     answer: dict[str, Value] = field(default_factory=dict)  # what became of it, as a reply
@@ -37,15 +37,15 @@ class PendingChanges:
     def proposals(self) -> Sequence[bytes]:
         return [change.proposal for change in self.unanswered]
 
-    def add(self, proposal: Propose, policies: Mapping[str, ProcessTerms]) -> None:
+    def add(self, proposal: Propose, terms: Mapping[str, ProcessTerms]) -> None:
         answered = [request for request, change in self._changes.items() if change.done.is_set()]
         for request in answered[: max(len(answered) - REMEMBERED, 0)]:
             del self._changes[request]
-        self._changes[proposal.request] = PendingChange(policies, encode_control(proposal))
+        self._changes[proposal.request] = PendingChange(terms, encode_control(proposal))
 
-    def policies(self, request: str) -> Mapping[str, ProcessTerms]:
+    def terms(self, request: str) -> Mapping[str, ProcessTerms]:
         change = self._changes.get(request)
-        return {} if change is None else change.policies
+        return {} if change is None else change.terms
 
     def in_force(self, request: str) -> bool:
         """Whether a change was made, or was answered so long ago that nobody knows."""
@@ -53,13 +53,13 @@ class PendingChanges:
         return change is None or "epoch" in change.answer
 
     def answer(self, request: str, epoch: int, refusal: str) -> Mapping[str, ProcessTerms] | None:
-        """Take in the first epoch under a change, or a refusal; its new nodes' policies, or None: nobody waits."""
+        """Take in the first epoch under a change, or a refusal; its new nodes' terms, or None: nobody waits."""
         change = self._changes.get(request)
         if change is None or change.done.is_set():
             return None
         change.answer = {"refusal": refusal} if refusal else {"epoch": epoch}
         change.done.set()
-        return change.policies
+        return change.terms
 
     async def wait(self, request: str) -> Value:
         """The answer to a change, once there is one. Raises `HieraxError` if there is no such change."""

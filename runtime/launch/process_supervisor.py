@@ -23,7 +23,7 @@ class ProcessSupervisor(ABC):
 
     tasks: anyio.abc.TaskGroup  # in which it listens
     overhearing: Overhearing  # takes in what the processes print; to be closed when nobody listens any more
-    policy: Callable[[str], ProcessTerms]  # by a node's name, what is done when its process ends
+    terms: Callable[[str], ProcessTerms]  # by a node's name, what is done when its process ends
     notify: Notify  # tells people what happens
     fail: Fail  # called with why the processes cannot go on
 
@@ -47,7 +47,7 @@ class ProcessSupervisor(ABC):
         """Start a node's process, and listen to it from now on."""
         child = await start_child(order, self.overhearing)
         self._children[child.token] = child
-        self._restarts.setdefault(child.name, Restarts(self.policy(child.name)))
+        self._restarts.setdefault(child.name, Restarts(self.terms(child.name)))
         self.tasks.start_soon(self._listen, child)
         return child
 

@@ -123,7 +123,7 @@ class Requests:
         if new > MAX_NEW_NODES:
             raise HieraxError(f"a change of {new} new nodes: at most {MAX_NEW_NODES} come at once")
         under_way = len(self._changes.unanswered) + self._beginning
-        coming = sum(len(change.policies) for change in self._changes.unanswered) + self._newcomers
+        coming = sum(len(change.terms) for change in self._changes.unanswered) + self._newcomers
         if under_way >= MAX_CHANGES:
             raise HieraxError(f"{under_way} changes are under way, and no more may be at once; try again")
         if coming and coming + new > MAX_NEWCOMERS:
@@ -145,20 +145,20 @@ class Requests:
             raise SchemaError("expected true or false, and an address", "question.here, question.host")
         processes.orders.deployment.allowance.check_all(change)
         await self._check(change)
-        policies = {name: _terms_of(query, name) for name in new_nodes(change)}
-        self._check_rates(policies)
+        terms = {name: _terms_of(query, name) for name in new_nodes(change)}
+        self._check_rates(terms)
         request = token_hex(4)
         proposal = Propose(
             request,
             change.plain(),
-            {name: policy.on_loss for name, policy in policies.items()},
-            {name: float(policy.rejoin_timeout_s) for name, policy in policies.items()},
-            tuple(sorted(name for name, policy in policies.items() if policy.fails_alone)),
+            {name: each.on_loss for name, each in terms.items()},
+            {name: float(each.rejoin_timeout_s) for name, each in terms.items()},
+            tuple(sorted(name for name, each in terms.items() if each.fails_alone)),
         )
-        self._changes.add(proposal, policies)
+        self._changes.add(proposal, terms)
         orders = [
             processes.orders.order(
-                name, token_hex(8), NEWCOMER, request=request, reference=reference, terms=policies[name]
+                name, token_hex(8), NEWCOMER, request=request, reference=reference, terms=terms[name]
             )
             for name, reference in new_nodes(change).items()
         ]

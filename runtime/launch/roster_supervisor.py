@@ -36,7 +36,7 @@ class RosterSupervisor(ProcessSupervisor):
     """Has a process run for every node of a launch's roster: starts them, and others in their place."""
 
     def __init__(self, tasks: anyio.abc.TaskGroup, orders: Orders, hub: Hub, notify: Notify, fail: Fail) -> None:
-        super().__init__(tasks, Overhearing(orders.run_id, lambda: self.epoch), orders.policy, notify, fail)
+        super().__init__(tasks, Overhearing(orders.run_id, lambda: self.epoch), orders.terms, notify, fail)
         self.orders = orders  # what the processes are started with
         self.changes = PendingChanges()  # those that others have asked for
         self.begun = anyio.Event()  # set when the run has begun: the world has recorded that, or goes on with a record
@@ -154,10 +154,10 @@ class RosterSupervisor(ProcessSupervisor):
 
     def _on_answer(self, request: str, epoch: int, refusal: str) -> None:
         """The owner says what has become of a change; where it is in force, its new nodes are kept as it says."""
-        policies = self.changes.answer(request, epoch, refusal)
-        if policies is not None and not refusal:
-            self.orders.adopt(request, policies)
-            self._restarts.update({name: Restarts(policy) for name, policy in policies.items()})
+        terms = self.changes.answer(request, epoch, refusal)
+        if terms is not None and not refusal:
+            self.orders.adopt(request, terms)
+            self._restarts.update({name: Restarts(each) for name, each in terms.items()})
 
     # --- processes that end
 
@@ -225,8 +225,8 @@ class RosterSupervisor(ProcessSupervisor):
         begun = await self._has_begun()
         delay_s = self._restarts[name].delay_s(child)
         # of a process whose change is not committed yet, as that has it
-        policy = self.changes.policies(child.order.request).get(name, self.policy(name))
-        may_lack = begun and name != self._world and policy.on_loss == DETACH
+        terms = self.changes.terms(child.order.request).get(name, self.terms(name))
+        may_lack = begun and name != self._world and terms.on_loss == DETACH
         if delay_s is None and not may_lack:
             self.fail(failure)
             return
