@@ -160,6 +160,7 @@ class AbsentProcesses:
     def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
         self._clock = clock  # seconds
         self._since: dict[str, tuple[float, int]] = {}
+        self._waiting: set[str] = set()
 
     def gone(self, process: str) -> None:
         """Note that its liveliness token is not there any more; any thread may say so."""
@@ -167,10 +168,14 @@ class AbsentProcesses:
 
     def came(self, process: str) -> None:
         """Note that its liveliness token is there."""
+        self._waiting.discard(process)
         self._since.pop(process, None)
 
     def waits(self, process: str) -> None:
-        """Note that this process waits for others that it may have no link to yet; until it `came` to have them."""
+        """Note that this process waits for others that it may have no link to yet; until it `came` to have them.
+
+        It asks as long as it waits: on a busy machine the links that it was told of may not open in time either."""
+        self._waiting.add(process)
         self._since.setdefault(process, (self._clock(), FIRST_TRY))
 
     def due(self) -> list[str]:
@@ -180,7 +185,9 @@ class AbsentProcesses:
             if now - since_s < TRIES_S[tries]:
                 continue
             missed.append(process)
-            if tries + 1 == len(TRIES_S):
+            if process in self._waiting and tries + 1 == len(TRIES_S):
+                self._since[process] = (now, tries)
+            elif tries + 1 == len(TRIES_S):
                 self._since.pop(process, None)
             elif process in self._since:
                 self._since[process] = (since_s, tries + 1)

@@ -208,7 +208,8 @@ class ZenohPort(Port):
             self.absent.gone(process)
             self._lost(peer, process)
             return
-        self.absent.came(process)
+        if process != self._process:  # its own sign of life, which may come late, says nothing of links to others
+            self.absent.came(process)
         with suppress(TransportError):  # closing: nobody is to be greeted any more
             self._greet(peer)
 

@@ -4,8 +4,11 @@ from __future__ import annotations
 
 import threading
 from secrets import token_hex
+from types import SimpleNamespace
+from typing import cast
 
 import pytest
+import zenoh
 from support.launched import until
 from support.sockets import break_link
 
@@ -38,14 +41,29 @@ def test_who_waits_for_its_first_links_asks_for_itself_until_it_is_answered() ->
     now = 1.0
     absent.waits("newcomer")  # still
     asked = []
-    for tenth in range(10, 200):
+    for tenth in range(10, 600):
         now = tenth / 10
         asked += [(process, now) for process in absent.due()]
-    assert [when for _, when in asked] == pytest.approx(TRIES_S[FIRST_TRY:], abs=0.11)
-    absent.waits("newcomer")
+    assert [when for _, when in asked] == pytest.approx([3, 10, 20, 30, 40, 50], abs=0.11)
     absent.came("newcomer")
     now += 100.0
     assert not absent.due()
+
+
+def test_a_port_that_sees_its_own_sign_of_life_late_waits_on() -> None:
+    keys, now = Keys("absent", token_hex(4)), 0.0
+    hub = Hub(keys, None, None)
+    port = ZenohPort(open_session(connect=[hub.endpoint]), keys, "low", "process of low")
+    try:
+        port.absent = AbsentProcesses(lambda: now)
+        port.absent.waits("process of low")
+        own = SimpleNamespace(key_expr=keys.alive("low", "process of low"), kind=zenoh.SampleKind.PUT)
+        port._on_alive(cast(zenoh.Sample, own))
+        now = TRIES_S[FIRST_TRY]
+        assert port.absent.due() == ["process of low"]
+    finally:
+        port.close()
+        hub.close()
 
 
 def test_a_port_waits_for_its_neighbours_until_all_are_linked_and_hears_nobody_before() -> None:
