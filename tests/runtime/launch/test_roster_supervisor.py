@@ -31,7 +31,7 @@ class FewOrders:
     run_id = "0"
     deployment = Deployment
 
-    def policy(self, name: str) -> ProcessTerms:
+    def terms(self, name: str) -> ProcessTerms:
         return ProcessTerms()
 
 
