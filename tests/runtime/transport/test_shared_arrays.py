@@ -321,7 +321,7 @@ def test_forged_places_are_refused() -> None:
         with suppress(SchemaError):
             assert receiver.borrow("sender", data).nbytes <= SIZE
     (sender_s,) = receiver._neighbours["sender"].values()
-    opened = len(sender_s._segments)  # forged numbers open the sender's other descriptors, as many as it happens to have
+    opened = len(sender_s._segments)  # by forged numbers, too: whatever descriptors of its own the sender has
     assert open_files() <= files + 2 * opened  # a segment's own, and its mapping's
     with pytest.raises(LostArrayError, match="has told of none"):
         receiver.borrow("another", told)
