@@ -1,6 +1,5 @@
 """``hierax attach``, ``detach``, ``replace`` and ``ps``: against a launch that runs."""
 
-import re
 import time
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -11,7 +10,7 @@ from hierax.runtime.commands.options import SNIPPET, Format, Node, RunOptions, S
 from hierax.runtime.commands.show import RIGHT, print_json, print_table
 from hierax.runtime.commands.which_launch import Meant, client_at, launch_meant, own_deployment
 from hierax.runtime.core.errors import HieraxError
-from hierax.runtime.launch.run_file import known_runs
+from hierax.runtime.launch.run_file import is_loopback, known_runs
 
 if TYPE_CHECKING:
     from hierax.runtime.deployment import Deployment
@@ -19,7 +18,6 @@ if TYPE_CHECKING:
     from hierax.runtime.launch.attached_processes import AttachedHere
     from hierax.schemas.roster import Attach, Change
 
-_LOOPBACK = re.compile(r"[a-z]+/(127\.|localhost|\[::1\])")
 WAIT_S = 60.0  # how long `ps --wait` waits
 LOOK_S = 0.1
 
@@ -36,7 +34,7 @@ def attach(
 
     if host is not None and not here:
         raise CommandError("--host: only with --here; the new processes come up where the launch runs")
-    if here and host is None and options.connect is not None and not _LOOPBACK.match(options.connect):
+    if here and host is None and options.connect is not None and not is_loopback(options.connect):
         raise CommandError("--here: the others have to reach the new processes: give this machine's address by --host")
     if options.trust and not here:
         raise CommandError("--trust: only with --here; without it nothing is loaded on this machine")

@@ -12,7 +12,7 @@ from hierax.runtime.commands.errors import CommandError, notify
 from hierax.runtime.core.errors import HieraxError
 from hierax.runtime.host.run_folder import meant
 from hierax.runtime.host.run_secret import read_key
-from hierax.runtime.launch.run_file import Running, known_runs, opened_by
+from hierax.runtime.launch.run_file import Running, known_runs, warning_of
 from hierax.runtime.loading.nearest import did_you_mean
 from hierax.schemas.keys import Keys
 
@@ -47,7 +47,7 @@ def launch_meant(run: str | None, connect: str | None, key: Path | None = None) 
     its key cannot be read."""
     if connect is not None:
         if not _ENDPOINT.fullmatch(connect):
-            raise CommandError(f"--connect: expected an endpoint such as tcp/192.168.1.2:40123, got {connect!r}")
+            raise CommandError(f"--connect: expected an endpoint such as tls/192.168.1.2:40123, got {connect!r}")
         running = next((each for each in known_runs() if each.endpoint == connect), None)
         if key is None:
             return Meant(connect) if running is None else Meant.here(running)
@@ -81,8 +81,9 @@ def own_deployment(launch: Meant, file: str | None) -> "Deployment | None":
 def client_at(launch: Meant) -> "LaunchClient":
     """A client of a launch, of one known here on its keys alone; `TransportError` if none answers."""
     client = _client(launch)
-    if not launch.secret:  # else it would not have let us in
-        _warn(opened_by(launch.endpoint))
+    warning = warning_of(launch.endpoint, launch.secret)  # that was needed, as it has let us in
+    if warning:
+        _warn(warning)
     return client
 
 

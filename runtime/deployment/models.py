@@ -272,6 +272,9 @@ class DeploymentModel(_Model):
     open: bool = _field(
         "whether anybody who reaches a launch may read and change it; by default only who has the key of the run", False
     )
+    insecure: bool = _field(
+        "whether what passes between machines (`--host`) may be read on the way; by default it is encrypted", False
+    )
     view: Views = _field("how `hierax view` shows it; no part of the run", ViewModel())
     zenoh: ZenohSettings = _field("Zenoh's own settings: a file (relative to this one), JSON5 text, or a map", None)
 

@@ -40,6 +40,7 @@ _AS_SAID = (
     "start_timeout_s",
     "low_latency",
     "open",
+    "insecure",
     "late",
 )
 """Fields of the deployment that are those of the file."""

@@ -38,7 +38,7 @@ from hierax.runtime.transport.control import OWNER, ControlLine, InspectionEndpo
 from hierax.runtime.transport.port import TransportError
 from hierax.runtime.transport.shared_arrays import SharedArrays
 from hierax.runtime.transport.zenoh_port import ZenohPort, epoch_publisher
-from hierax.runtime.transport.zenoh_session import LOOPBACK, LOW_LATENCY_BYTES, allows_shared_memory, open_session
+from hierax.runtime.transport.zenoh_session import LOW_LATENCY_BYTES, allows_shared_memory, endpoint_at, open_session
 from hierax.runtime.watch import telemetry
 from hierax.runtime.watch.budget import Budget
 from hierax.runtime.watch.logs import QUIET
@@ -196,7 +196,7 @@ class NodeWorker:
         loader = NodeLoader(order.name, setting, order.allowance)
         if order.roster is not None:
             loader.wiring(order.roster)  # what cannot be loaded is told before anybody is waited for
-        listen = [f"tcp/{order.host}:0"] if order.host else [LOOPBACK]
+        listen = [endpoint_at(order.host, order.secret)]
         self._opens_s = time.monotonic()
         session = open_session(listen, [order.hub], order.settings, low_latency=order.low_latency, secret=order.secret)
         most_bytes = LOW_LATENCY_BYTES if order.low_latency else None

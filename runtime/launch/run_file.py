@@ -2,6 +2,7 @@
 
 import json
 import os
+import re
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import asdict, dataclass
@@ -11,13 +12,14 @@ from typing import Any
 from hierax.runtime.core.errors import HieraxError
 from hierax.runtime.host.private_files import UnsafeFileError, errors_named, private_folder, read_private, write_private
 from hierax.runtime.host.run_folder import NOT_OURS, STATE, is_process, is_sealed, runs_folder, seal_or_warn
-from hierax.runtime.host.run_secret import key_line, read_key
+from hierax.runtime.host.run_secret import key_text, read_key
 
 _RUN = "run.json"
 _KEY = ".key"
 _KINDS = {"deployment": str, "output": str, "settings": list, "seed": int, "lineages": dict, "terms": dict}
 _TEMPORARY = Path("/tmp")
 _PROBE = ".probe"  # written to see that it can be
+_LOOPBACK = re.compile(r"[a-z]+/(127\.|localhost|\[::1\])")
 
 
 @dataclass(frozen=True)
@@ -96,7 +98,7 @@ def register(running: Running, secret: str = "") -> Path:
     folder = _fit_folder()
     if secret:
         with errors_named(folder):
-            write_private(folder / f"{running.run}{_KEY}", key_line(secret))
+            write_private(folder / f"{running.run}{_KEY}", key_text(secret))
     path = folder / f"{running.run}.json"
     _write(path, asdict(running))
     return path
@@ -116,9 +118,18 @@ def key_path(run: str) -> Path:
     return next((path for path in paths if path.exists()), paths[0])
 
 
-def opened_by(endpoint: str) -> str:
-    """What everybody is told who has to do with a launch that is open."""
-    return f"open: true: anybody who reaches {endpoint} may read and change this run"
+def is_loopback(endpoint: str) -> bool:
+    """Whether an endpoint is reached from its own machine alone."""
+    return _LOOPBACK.match(endpoint) is not None
+
+
+def warning_of(endpoint: str, secret: str) -> str:
+    """What everybody is told who has to do with a launch that is not protected as others are; empty: it is."""
+    if not secret:
+        return f"open: true: anybody who reaches {endpoint} may read and change this run"
+    if endpoint.startswith("tcp/") and not is_loopback(endpoint):
+        return f"insecure: true: what is said to and from {endpoint} passes between machines unencrypted"
+    return ""
 
 
 def known_runs() -> list[Running]:

@@ -27,7 +27,7 @@ from hierax.runtime.launch.process_supervisor import Notify
 from hierax.runtime.launch.recorder_process import RecorderChild, RecordingRequest
 from hierax.runtime.launch.requests import Requests
 from hierax.runtime.launch.roster_supervisor import RosterSupervisor
-from hierax.runtime.launch.run_file import Run, Running, forget, key_path, make_state, opened_by, register
+from hierax.runtime.launch.run_file import Run, Running, forget, key_path, make_state, register, warning_of
 from hierax.runtime.transport.hub import Hub
 from hierax.runtime.transport.zenoh_session import remove_orphaned_segments, shared_memory_fault
 from hierax.runtime.watch.logs import begin_log
@@ -77,7 +77,7 @@ def launch(
         limit = deployment.epochs if epochs is None else epochs
         options = LaunchOptions(seed, limit, state, output, host, overrides)
         run_id = token_hex(4)
-        secret = "" if deployment.open else new_secret()
+        secret = "" if deployment.open else new_secret(authority=host is not None and not deployment.insecure)
         hub = Hub(Keys(deployment.name, run_id), deployment.zenoh, progress, host, secret)
         stack.callback(hub.close)
         orders = Orders(deployment, run_id, hub.endpoint, options, resumed, secret)
@@ -151,8 +151,9 @@ class Supervisor:
         if fault:
             self._notify(f"no shared memory, large messages are copied: {fault}")
         endpoint = self._hub.endpoint
-        if not self._hub.secret:
-            self._notify(opened_by(endpoint))
+        warning = warning_of(endpoint, self._hub.secret)
+        if warning:
+            self._notify(warning)
         if self._orders.options.host:
             key = f" --key {key_path(self._orders.run_id)}" if self._hub.secret else ""
             self._notify(f"others join with --connect {endpoint}{key}")

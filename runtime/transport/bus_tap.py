@@ -10,7 +10,7 @@ import zenoh
 
 from hierax.runtime.transport.control import SUPERVISOR, answers_on
 from hierax.runtime.transport.port import Sample, TransportError
-from hierax.runtime.transport.zenoh_session import ZenohConfig, close_session, open_session
+from hierax.runtime.transport.zenoh_session import ZenohConfig, close_session, endpoint_at, open_session
 from hierax.schemas.errors import SchemaError
 from hierax.schemas.keys import Keys
 from hierax.schemas.messages import is_lent
@@ -88,8 +88,7 @@ class BusTap:
         host: str | None = None,  # address of this machine at which others may link; None: this machine's only
         secret: str = "",  # of the run; empty: it is open
     ) -> None:
-        listen = (f"tcp/{host}:0",) if host else ("tcp/127.0.0.1:0",)
-        self._session = open_session(listen, (endpoint,), zenoh_config, secret=secret)
+        self._session = open_session((endpoint_at(host, secret),), (endpoint,), zenoh_config, secret=secret)
         self._keys = keys
         self._queue: deque[Sample] = deque()
         self._waiting = 0

@@ -11,7 +11,7 @@ import zenoh
 
 from hierax.runtime.transport.control import SUPERVISOR, Reply, answer_questions
 from hierax.runtime.transport.port import TransportError
-from hierax.runtime.transport.zenoh_session import LOOPBACK, ZenohConfig, close_session, free_endpoint, open_session
+from hierax.runtime.transport.zenoh_session import ZenohConfig, close_session, endpoint_at, free_endpoint, open_session
 from hierax.schemas.control import Dismiss, encode_control
 from hierax.schemas.errors import SchemaError
 from hierax.schemas.keys import Keys
@@ -95,7 +95,7 @@ class Hub:
         if process not in self._living or not self._introduces.acquire(blocking=False):
             return  # it is dead; or all are just being told
         try:
-            listen = f"tcp/{self._host}:0" if self._host else LOOPBACK
+            listen = endpoint_at(self._host, self.secret)
             session = open_session([listen], [self.endpoint], self._zenoh_config, False, secret=self.secret)
             time.sleep(INTRODUCE_S)
             close_session(session)
@@ -140,10 +140,10 @@ class Hub:
 def _listen(zenoh_config: ZenohConfig, host: str | None, secret: str) -> tuple[str, zenoh.Session]:
     """Somebody else may take the free endpoint before we do; then another one is tried."""
     for _ in range(_TRIES - 1):
-        endpoint = free_endpoint(host)
+        endpoint = free_endpoint(host, secret)
         with suppress(TransportError):
             return endpoint, open_session([endpoint], zenoh_config=zenoh_config, shared_memory=False, secret=secret)
-    endpoint = free_endpoint(host)
+    endpoint = free_endpoint(host, secret)
     return endpoint, open_session([endpoint], zenoh_config=zenoh_config, shared_memory=False, secret=secret)
 
 

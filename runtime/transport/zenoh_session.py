@@ -1,7 +1,9 @@
 """Opening and closing Zenoh sessions, and what they leave behind."""
 
 import atexit
+import base64
 import fcntl
+import ipaddress
 import json
 import os
 import re
@@ -17,7 +19,8 @@ from typing import Any, Literal, TypeAlias
 
 import zenoh
 
-from hierax.runtime.host.run_secret import USER, dictionary
+from hierax.runtime.core.errors import HieraxError
+from hierax.runtime.host.run_secret import USER, authority_of, dictionary, token_of
 from hierax.runtime.transport.port import TransportError
 from hierax.schemas.limits import MAX_MESSAGE_BYTES, MAX_QUESTION_BYTES
 
@@ -40,7 +43,9 @@ cannot be reached for good is an error of ours. Bytes that are none of Zenoh's a
 connection, with which anybody who reaches a port could fill a log.
 """
 
-_OF_DOORS = "zenoh_link_tcp::unicast=debug,zenoh_transport::unicast::establishment::accept=debug"
+_OF_DOORS = (
+    "zenoh_link_tcp::unicast=debug,zenoh_link_tls::unicast=debug,zenoh_transport::unicast::establishment::accept=debug"
+)
 
 
 def log_who_comes() -> None:
@@ -78,6 +83,7 @@ _QUOTED_LINE = re.compile(r"\s*\d*\s*\|")
 _QUOTED_TEXT = re.compile(r"(invalid (?:type|value): \w+) (?:`[^`]*`|\"(?:\\.|[^\"\\])*\")")
 
 _ADMISSION = "transport/auth/usrpwd"
+_ENCRYPTION = "transport/link/tls"
 
 _SHARED_MEMORY = Path("/dev/shm")
 _IPC_LOCK = 14  # the capability with which limits on locked memory do not count
@@ -121,13 +127,37 @@ def open_session(
     try:
         with dictionary(secret) as file:
             if secret:
-                ours[_ADMISSION] = {"user": USER, "password": secret, "dictionary_file": file}
+                ours[_ADMISSION] = {"user": USER, "password": token_of(secret), "dictionary_file": file}
+            if authority_of(secret):
+                ours |= _encrypted(authority_of(secret), listen)
             config = _configured(ours, zenoh_config)
             _set_low_latency(config, low_latency)
             return _opened(config)
     except zenoh.ZError as error:  # whose own words may quote a password
         lines = [line for line in str(error).splitlines() if not _QUOTED_LINE.match(line)]
         raise TransportError("Zenoh: " + _QUOTED_TEXT.sub(r"\1 …", " ".join(lines))) from None
+
+
+def _encrypted(authority: str, listen: Sequence[str]) -> dict[str, Any]:
+    """Settings with which links are encrypted, and both ends show certificates; no others are taken. Raises
+    `TransportError` if the authority is none."""
+    from hierax.runtime.host.run_certificates import certificate  # few runs need it, and it takes a while
+
+    try:
+        made = certificate(authority, [_address_of(endpoint) for endpoint in listen])
+    except HieraxError as error:
+        raise TransportError(str(error)) from None
+    root, shown, private = (base64.b64encode(each).decode() for each in made)
+    ends = {
+        f"{end}_{what}_base64": value
+        for end in ("listen", "connect")
+        for what, value in (("certificate", shown), ("private_key", private))
+    }
+    return {
+        "transport/link/protocols": ["tls"],
+        # a client of Zenoh's also trusts the web's authorities: the name says that this is the run's
+        _ENCRYPTION: {"root_ca_certificate_base64": root, "enable_mtls": True, "verify_name_on_connect": True, **ends},
+    }
 
 
 def _opened(config: zenoh.Config) -> zenoh.Session:
@@ -197,13 +227,29 @@ def _await_threads() -> None:
                 thread.join(max(until_s - time.monotonic(), 0.0))
 
 
-def free_endpoint(host: str | None = None) -> str:
-    """An endpoint that is free now. Raises `TransportError` if the machine has no such address."""
+def endpoint_at(host: str | None = None, secret: str = "", port: int = 0) -> str:
+    """Where a session of a run listens, at an address of this machine, or else on its loopback; 0: at a free port.
+    Raises `TransportError` if others could not tell by the address which machine it is."""
     address = host or "127.0.0.1"
+    with suppress(ValueError):
+        if ipaddress.ip_address(address).is_unspecified:
+            raise TransportError(f"{address} is no address that others could link to; expected one of this machine's")
+        address = f"[{address}]" if ":" in address else address
+    return f"{'tls' if authority_of(secret) else 'tcp'}/{address}:{port}"
+
+
+def _address_of(endpoint: str) -> str:
+    return endpoint.partition("/")[2].rpartition(":")[0].strip("[]")
+
+
+def free_endpoint(host: str | None = None, secret: str = "") -> str:
+    """One that is free now, as `endpoint_at` has them. Raises `TransportError` if the machine has no such address."""
+    endpoint = endpoint_at(host, secret)
+    address = _address_of(endpoint)
     try:
-        with socket.socket() as probe:
+        with socket.socket(socket.AF_INET6 if ":" in address else socket.AF_INET) as probe:
             probe.bind((address, 0))
-            return f"tcp/{address}:{probe.getsockname()[1]}"
+            return endpoint_at(host, secret, probe.getsockname()[1])
     except OSError as error:
         raise TransportError(f"cannot listen at {address!r}: {error.strerror or error}") from error
 

@@ -14,8 +14,10 @@ from contextlib import contextmanager, suppress
 MAX_HOSTS = 64  # how many addresses are counted apart
 
 _COLOURS = re.compile(r"\x1b\[[0-9;]*m")
-_OF_DOORS = re.compile(r"(?:DEBUG|ERROR) .*(?:zenoh_link_tcp::unicast|establishment::accept): (.*)")
-_CAME = re.compile(r"Accepted TCP connection on \S+: (\S+)")
+_OF_DOORS = re.compile(r"(?:DEBUG|WARN|ERROR) .*(zenoh_link_t(?:cp|ls)::unicast|establishment::accept): (.*)")
+_CAME = re.compile(r"Accepted T(?:CP|LS) connection on \S+: ([^\s,]+?)\.?(?: |$)")
+_FAILED = "Hint: increase"  # what Zenoh guesses whenever a link could not be encrypted
+_KNOCKED = "handshake eof"  # somebody looked whether anybody listens
 
 
 class Doors:
@@ -31,22 +33,24 @@ class Doors:
         found = _OF_DOORS.search(_COLOURS.sub("", line))
         if found is None:
             return False
-        came = _CAME.match(found[1])
+        where, what = found.groups()
+        came = _CAME.match(what)
         if came is not None:
             self._came = came[1]
-        elif found[1].startswith("UsrPwd extension"):
-            self._count()
+        elif what.startswith("UsrPwd extension"):
+            self._count(self._came, self._came.rpartition(":")[0], "key")
+        elif where.startswith("zenoh_link_tls") and _FAILED in what and _KNOCKED not in what:
+            self._count("somebody", "", "certificate")  # Zenoh does not tell whom
         return True
 
-    def _count(self) -> None:
-        host = self._came.rpartition(":")[0]
+    def _count(self, who: str, host: str, lacks: str) -> None:
         if host not in self._refused and len(self._refused) >= MAX_HOSTS:
             host = "others"
         self._refused[host] += 1
         count = self._refused[host]
         if not count & (count - 1):
             often = f" ({count} times by now)" if count > 1 else ""
-            self._tell(f"refused {self._came}: it has no key of this run{often}")
+            self._tell(f"refused {who}: it has no {lacks} of this run{often}")
 
 
 @contextmanager

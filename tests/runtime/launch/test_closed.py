@@ -12,7 +12,7 @@ from support.live import Live, environment, hierax, until
 
 from hierax.runtime.core.errors import HieraxError
 from hierax.runtime.host.run_folder import run_folder
-from hierax.runtime.host.run_secret import key_line, new_secret, read_key
+from hierax.runtime.host.run_secret import key_text, new_secret, read_key
 from hierax.runtime.transport.launch_client import LaunchClient
 from hierax.runtime.transport.port import TransportError
 
@@ -114,13 +114,16 @@ def test_what_is_no_key_is_refused_in_one_line(tmp_path: Path) -> None:
     path = tmp_path / "some.key"
     with pytest.raises(HieraxError, match="cannot be read: No such file"):
         read_key(path)
-    for content in (b"", b"hierax:", b"otto:abc\n", b"hierax:a b\n", b"\xff\x00" * 9):
+    whole = key_text(new_secret(authority=True))
+    half = whole[: len(whole) // 2]
+    for content in (b"", b"hierax:", b"otto:abc\n", b"hierax:a b\n", b"\xff\x00" * 9, b"hierax:ab12\nmore\n", half):
         path.write_bytes(content)
         path.chmod(0o600)
-        with pytest.raises(HieraxError, match="expected the key of a run, one line 'hierax:"):
+        with pytest.raises(HieraxError, match="expected the key of a run, a line 'hierax:"):
             read_key(path)
-    path.write_bytes(key_line("ab12"))
-    assert read_key(path) == "ab12"
+    for secret in ("ab12", new_secret(authority=True)):
+        path.write_bytes(key_text(secret))
+        assert read_key(path) == secret
 
 
 def test_a_run_that_is_resumed_has_another_key(live: Live, tmp_path: Path) -> None:

@@ -2,20 +2,26 @@
 
 from __future__ import annotations
 
+import base64
 import os
 import subprocess
 import sys
+from contextlib import suppress
 from pathlib import Path
 from typing import Any, cast
 
 import pytest
 import zenoh
+from cryptography import x509
 from support.live import until
 
+from hierax.runtime.host.run_certificates import Certificate, certificate, new_authority
+from hierax.runtime.host.run_secret import authority_of, new_secret
 from hierax.runtime.transport.port import TransportError
 from hierax.runtime.transport.zenoh_session import (
     LOW_LATENCY_BYTES,
     close_session,
+    endpoint_at,
     free_endpoint,
     open_session,
     remove_orphaned_segments,
@@ -143,7 +149,10 @@ def test_orphaned_segments_are_removed_and_those_in_use_are_not() -> None:
 
 def held_by(pid: int) -> set[Path]:
     """A process's own segments: others on the machine have theirs."""
-    held = {Path(os.readlink(file)) for file in Path(f"/proc/{pid}/fd").iterdir()}
+    held = set()
+    for file in Path(f"/proc/{pid}/fd").iterdir():
+        with suppress(FileNotFoundError):  # it was closed meanwhile
+            held.add(Path(os.readlink(file)))
     return {path for path in held if path.parent == Path("/dev/shm") and path.suffix == ".zenoh"}
 
 
@@ -168,3 +177,51 @@ zenoh_session.close_session(session)
 def test_an_interpreter_that_ends_while_a_session_closes_is_not_aborted_by_its_threads() -> None:
     ended = [subprocess.Popen([sys.executable, "-c", ENDING], stderr=subprocess.PIPE, text=True) for _ in range(4)]
     assert [(each.communicate()[1], each.returncode) for each in ended] == [("", 0)] * len(ended)
+
+
+def with_certificate(made: Certificate) -> dict[str, Any]:
+    """Zenoh's settings of who shows that one."""
+    root, shown, private = (base64.b64encode(each).decode() for each in made)
+    ends = {f"{end}_certificate_base64": shown for end in ("listen", "connect")}
+    ends |= {f"{end}_private_key_base64": private for end in ("listen", "connect")}
+    return {"transport": {"link": {"tls": {"root_ca_certificate_base64": root, "enable_mtls": True, **ends}}}}
+
+
+@pytest.mark.parametrize(("address", "links"), [("127.0.0.1", True), ("10.9.8.7", False)])
+def test_a_certificate_is_good_for_the_address_at_which_its_session_listens(address: str, links: bool) -> None:
+    secret = new_secret(authority=True)
+    endpoint = free_endpoint(None, secret)
+    made = certificate(authority_of(secret), [address])
+    listener = open_session([endpoint], zenoh_config=with_certificate(made), secret=secret)
+    settings = {"connect": {"timeout_ms": 1000}}
+    try:
+        if links:
+            close_session(open_session((), [endpoint], settings, mode="client", secret=secret))
+        else:
+            with pytest.raises(TransportError, match="Unable to connect"):
+                open_session((), [endpoint], settings, mode="client", secret=secret)
+    finally:
+        close_session(listener)
+
+
+def test_certificates_hold_whatever_a_clock_says() -> None:
+    made = certificate(new_authority(), ["::1", "localhost"])
+    for each in (made.authority, made.shown):
+        read = x509.load_pem_x509_certificate(each)
+        assert (read.not_valid_before_utc.year, read.not_valid_after_utc.year) == (1970, 9999)
+
+
+def test_an_authority_that_is_none_is_refused_in_one_line() -> None:
+    whole = new_authority()
+    for authority in ("some\n", whole[: len(whole) // 2], whole.replace("PRIVATE KEY", "CERTIFICATE")):
+        with pytest.raises(TransportError, match="holds no certificate and private key that can be read"):
+            open_session(secret=f"ab12\n{authority}")
+
+
+def test_endpoints_say_how_links_are_and_where() -> None:
+    assert endpoint_at() == "tcp/127.0.0.1:0"
+    assert endpoint_at("10.0.0.1", "ab12", 7) == "tcp/10.0.0.1:7"
+    assert endpoint_at("fe80::1", "ab12\nauthority", 7) == "tls/[fe80::1]:7"
+    for address in ("0.0.0.0", "::"):
+        with pytest.raises(TransportError, match="is no address that others could link to"):
+            endpoint_at(address)
