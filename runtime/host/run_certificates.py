@@ -22,10 +22,8 @@ from cryptography.x509.oid import ExtendedKeyUsageOID, NameOID
 from hierax.runtime.core.errors import HieraxError
 
 _RUN, _SESSION = "a run of hierax", "hierax"
-_EVER = (
-    datetime(1970, 1, 2, tzinfo=timezone.utc),
-    datetime(9999, 12, 31, 23, 59, 59, tzinfo=timezone.utc),
-)  # RFC 5280, 4.1.2.5
+# RFC 5280, 4.1.2.5, has the latter where there is no good date
+_FROM, _TO = datetime(1970, 1, 2, tzinfo=timezone.utc), datetime(9999, 12, 31, 23, 59, 59, tzinfo=timezone.utc)
 
 
 class Certificate(NamedTuple):
@@ -65,7 +63,7 @@ def _builder(subject: str, issuer: str, key: EllipticCurvePrivateKey) -> x509.Ce
         x509.Name([x509.NameAttribute(NameOID.COMMON_NAME, name)]) for name in (subject, issuer)
     )
     builder = x509.CertificateBuilder(issuer_name, subject_name, key.public_key(), x509.random_serial_number())
-    return builder.not_valid_before(_EVER[0]).not_valid_after(_EVER[1])
+    return builder.not_valid_before(_FROM).not_valid_after(_TO)
 
 
 def _private(key: EllipticCurvePrivateKey) -> bytes:
