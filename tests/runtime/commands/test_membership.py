@@ -232,7 +232,7 @@ def test_a_replacement_with_another_name_is_refused_before_the_launch_is_asked(
 @pytest.mark.parametrize(
     ("options", "what"),
     [
-        (["--connect", "10.0.0.1:7000"], "--connect: expected an endpoint such as tcp/192.168.1.2:40123"),
+        (["--connect", "10.0.0.1:7000"], "--connect: expected an endpoint such as tls/192.168.1.2:40123"),
         (["--host", "10.0.0.2"], "--host: only with --here"),
         (["--here", "--connect", "tcp/10.0.0.1:7000"], "give this machine's address by --host"),
     ],
