@@ -115,10 +115,6 @@ ALIKE = 0.15  # control points of one edge err alike: what they say together cou
 # Imprecise models: standard deviations of where edges may be beside a model's, m; control points that should be seen of
 # one that is judged; the score of an exact one that is not judged again; nats by which one is rather imprecise, before.
 TOLERANCES_M, LEAST_JUDGED, DOING_WELL, RATHER = (0.0, 0.0007, 0.002), 30.0, 0.85, 2.5
-# m, root mean square. Whose edges are off by less has an exact model after all: of objects of generator A that were
-# taken for imprecise (three seeds of 60 frames) 0.15 and 0.16 mm in the median of exact ones (hidden, tower; nine in
-# ten up to 0.27 and 0.38), 0.32 of worn ones, 0.7 and 1.15 of imprecise ones, and never below 0.39 of those.
-EXACT_M = 0.0003
 # Of an edge, fewer control points that are found tell nothing; how far a bevel's edge may move in the object's frame
 # from image to image as the view changes, m.
 LEAST_POINTS, WANDERS_M = 3, 0.000004

@@ -15,8 +15,6 @@ from hierax.nodes.tracking.math.geometry import Array, Floats
 from hierax.nodes.tracking.model.controls import Controls, Indices
 from hierax.nodes.tracking.schema import ControlPoints, Looks
 
-_FREEDOMS = 6  # of a pose, which explains where so many edges are
-
 
 def bent(controls: ControlPoints, looks: Looks) -> ControlPoints:
     """One object's control points where its edges were found to be."""
@@ -76,19 +74,6 @@ def bent_after(looks: Looks, aligned: Aligned, at: int, pose: Floats, intrinsics
     bends[now] += gain * off[:, None]
     slack[now] = spread - gain[:, :, None] * carried[:, None, :]
     return {**looks, "bent": every, "bends": bends, "slack": slack}
-
-
-def after_all(looks: Looks) -> Looks:
-    """The same of one object, whose model counts as exact where its edges turned out to be no farther off than those of
-    exact ones are found."""
-    if not looks["tolerance"] or len(looks["bent"]) <= _FREEDOMS:
-        return looks
-    axes = np.linalg.eigh(looks["slack"])[1][:, :, 0]  # along which each edge is known best
-    off = np.einsum("ei,ei->e", looks["bends"], axes)
-    if (off @ off) / len(off) > const.EXACT_M**2:
-        return looks
-    exact: Looks = {**looks, "tolerance": 0.0, "judged": const.JUDGED_EVERY}
-    return {**exact, "bent": looks["bent"][:0], "bends": looks["bends"][:0], "slack": looks["slack"][:0]}
 
 
 def _known(looks: Looks, edges: Array) -> tuple[Indices, Indices]:

@@ -12,7 +12,7 @@ import numpy as np
 from hierax.nodes.tracking import constants as const
 from hierax.nodes.tracking.estimation.alignment import Aligned, offsets_at
 from hierax.nodes.tracking.estimation.appearance import measured, moved, remembered, sought
-from hierax.nodes.tracking.estimation.bending import after_all, bent_after
+from hierax.nodes.tracking.estimation.bending import bent_after
 from hierax.nodes.tracking.estimation.certainty import right
 from hierax.nodes.tracking.estimation.fusion import Prior
 from hierax.nodes.tracking.estimation.joint_alignment import (
@@ -107,7 +107,6 @@ def associate(
         found = _if_expected(elsewhere, found, prior, shift @ task.start.poses)
     found = _as_predicted(found, objects, shift)
     learned = _learned(best.aligned, found, task, objects, doubtful, judged)
-    learned = [after_all(each) for each in learned] if options.tolerance is None else learned
     counts = [max(0, item["failed_searches"] + (1 if at in doubtful else -1)) for at, item in enumerate(objects)]
     failed_searches = [0 if found.elsewhere[at] else count for at, count in enumerate(counts)]
     return shift, _estimates(found, learned, failed_searches)

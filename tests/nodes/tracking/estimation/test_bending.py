@@ -8,7 +8,7 @@ from support.boxes import INTRINSICS, photograph
 from support.drawn import FIRST, expected
 
 from hierax.nodes.tracking.estimation.appearance import NOTHING
-from hierax.nodes.tracking.estimation.bending import after_all, bent, slack_of
+from hierax.nodes.tracking.estimation.bending import bent, slack_of
 from hierax.nodes.tracking.estimation.profiles import smoothed
 from hierax.nodes.tracking.math.geometry import exp_se3, pose_error
 from hierax.nodes.tracking.model.controls import gathered
@@ -46,7 +46,7 @@ def seen(tolerance: float | None, images: int, seed: int = 3) -> list[Estimate]:
 @pytest.mark.parametrize("seed", range(2))
 def test_an_imprecise_model_is_known_for_one_and_supported_from_the_first_image_on(seed: int) -> None:
     first, *later = seen(None, 4, seed)
-    assert min(each.slots["tolerance"] or 0.0 for each in (first, *later)) > 0.0, f"seed {seed}"
+    assert (first.slots["tolerance"] or 0.0) > 0.0, f"seed {seed}"
     assert min(each.score for each in (first, *later)) > 0.8, f"seed {seed}"
     assert max(pose_error(each.pose, first.pose)[0] for each in later) < 0.001, f"seed {seed}"
     told = seen(0.0, 1, seed)[0]
@@ -63,24 +63,6 @@ def test_a_tolerance_that_is_given_is_kept_and_edges_become_sure() -> None:
     assert least.max() < 0.0004**2
     assert most == pytest.approx(0.0015**2, rel=1e-3)
     assert np.linalg.norm(often["bends"], axis=1).max() < 0.006
-
-
-@pytest.mark.parametrize(("edges", "off_m", "tolerance"), [(7, 0.0002, 0.0), (7, 0.0004, 0.0007), (6, 0.0002, 0.0007)])
-def test_a_model_whose_edges_are_where_they_should_be_is_exact_after_all(
-    edges: int, off_m: float, tolerance: float
-) -> None:
-    slack = np.diag([0.0005**2, 0.0001**2, 0.0007**2])
-    looks: Looks = {
-        **NOTHING,
-        "tolerance": 0.0007,
-        "bent": np.arange(edges),
-        "bends": np.tile([0.003, off_m, -0.002], (edges, 1)) * (-1.0) ** np.arange(edges)[:, None],
-        "slack": np.tile(slack, (edges, 1, 1)),
-    }
-    known = after_all(looks)
-    assert known["tolerance"] == tolerance
-    assert len(known["bent"]) == len(known["bends"]) == len(known["slack"]) == (edges if tolerance else 0)
-    assert after_all(known) is known
 
 
 def test_exact_models_stay_as_they_are() -> None:
