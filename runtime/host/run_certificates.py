@@ -51,7 +51,8 @@ def certificate(authority: str, addresses: Sequence[str]) -> Certificate:
             f"the key of the run holds no certificate and private key that can be read: {error}"
         ) from None
     key = generate_private_key(SECP256R1())
-    names = x509.SubjectAlternativeName([x509.DNSName(_SESSION), *_named(addresses)])
+    named = [name for address in addresses for name in _named(address).values()]
+    names = x509.SubjectAlternativeName([x509.DNSName(_SESSION), *named])
     usage = x509.ExtendedKeyUsage([ExtendedKeyUsageOID.SERVER_AUTH, ExtendedKeyUsageOID.CLIENT_AUTH])
     made = _builder(_SESSION, _RUN, key).add_extension(names, critical=False).add_extension(usage, critical=False)
     shown = made.sign(issuer_key, hashes.SHA256()).public_bytes(Encoding.PEM)
@@ -77,15 +78,13 @@ def _key_in(authority: str) -> EllipticCurvePrivateKey:
     return key
 
 
-def _named(addresses: Sequence[str]) -> list[x509.GeneralName]:
-    """Addresses as a certificate has them: gossip tells the number of one that was given by name."""
-    names: dict[str, x509.GeneralName] = {}
-    for address in addresses:
-        with suppress(ValueError):
-            names[address] = x509.IPAddress(ipaddress.ip_address(address))
-            continue
-        names[address] = x509.DNSName(address)
-        with suppress(OSError):
-            for *_, (number, *_) in socket.getaddrinfo(address, None):
-                names[str(number)] = x509.IPAddress(ipaddress.ip_address(number))
-    return list(names.values())
+def _named(address: str) -> dict[str, x509.GeneralName]:
+    """An address as a certificate has it; of one that is given by name its numbers, too, since gossip tells those."""
+    try:
+        return {address: x509.IPAddress(ipaddress.ip_address(address))}
+    except ValueError:
+        names: dict[str, x509.GeneralName] = {address: x509.DNSName(address)}
+    with suppress(OSError):
+        for *_, (number, *_) in socket.getaddrinfo(address, None):
+            names[str(number)] = x509.IPAddress(ipaddress.ip_address(number))
+    return names

@@ -77,7 +77,7 @@ def launch(
         limit = deployment.epochs if epochs is None else epochs
         options = LaunchOptions(seed, limit, state, output, host, overrides)
         run_id = token_hex(4)
-        secret = "" if deployment.open else new_secret(authority=host is not None and not deployment.insecure)
+        secret = "" if deployment.open else new_secret(authority=bool(host) and not deployment.insecure)
         hub = Hub(Keys(deployment.name, run_id), deployment.zenoh, progress, host, secret)
         stack.callback(hub.close)
         orders = Orders(deployment, run_id, hub.endpoint, options, resumed, secret)

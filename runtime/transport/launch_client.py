@@ -18,7 +18,7 @@ from hierax.runtime.core.errors import HieraxError
 from hierax.runtime.loading.nearest import did_you_mean
 from hierax.runtime.transport.control import SUPERVISOR, answers_on
 from hierax.runtime.transport.port import TransportError
-from hierax.runtime.transport.zenoh_session import ZenohConfig, close_session, open_session
+from hierax.runtime.transport.zenoh_session import ZenohConfig, address_of, close_session, open_session
 from hierax.schemas.errors import SchemaError, shown
 from hierax.schemas.keys import Keys
 from hierax.schemas.roster import Change, Roster
@@ -252,5 +252,4 @@ def _answers(endpoint: str) -> bool:
 
 
 def _knock(endpoint: str) -> None:
-    address, _, port = endpoint.partition("/")[2].rpartition(":")
-    socket.create_connection((address.strip("[]"), int(port)), timeout=KNOCK_TIMEOUT_S).close()
+    socket.create_connection(address_of(endpoint), timeout=KNOCK_TIMEOUT_S).close()

@@ -83,7 +83,7 @@ _QUOTED_LINE = re.compile(r"\s*\d*\s*\|")
 _QUOTED_TEXT = re.compile(r"(invalid (?:type|value): \w+) (?:`[^`]*`|\"(?:\\.|[^\"\\])*\")")
 
 _ADMISSION = "transport/auth/usrpwd"
-_ENCRYPTION = "transport/link/tls"
+ENCRYPTION = "transport/link/tls"
 
 _SHARED_MEMORY = Path("/dev/shm")
 _IPC_LOCK = 14  # the capability with which limits on locked memory do not count
@@ -129,7 +129,7 @@ def open_session(
             if secret:
                 ours[_ADMISSION] = {"user": USER, "password": token_of(secret), "dictionary_file": file}
             if authority_of(secret):
-                ours |= _encrypted(authority_of(secret), listen)
+                ours |= encrypted(authority_of(secret), listen)
             config = _configured(ours, zenoh_config)
             _set_low_latency(config, low_latency)
             return _opened(config)
@@ -138,13 +138,13 @@ def open_session(
         raise TransportError("Zenoh: " + _QUOTED_TEXT.sub(r"\1 …", " ".join(lines))) from None
 
 
-def _encrypted(authority: str, listen: Sequence[str]) -> dict[str, Any]:
+def encrypted(authority: str, listen: Sequence[str]) -> dict[str, Any]:
     """Settings with which links are encrypted, and both ends show certificates; no others are taken. Raises
     `TransportError` if the authority is none."""
     from hierax.runtime.host.run_certificates import certificate  # few runs need it, and it takes a while
 
     try:
-        made = certificate(authority, [_address_of(endpoint) for endpoint in listen])
+        made = certificate(authority, [address_of(endpoint)[0] for endpoint in listen])
     except HieraxError as error:
         raise TransportError(str(error)) from None
     root, shown, private = (base64.b64encode(each).decode() for each in made)
@@ -156,7 +156,7 @@ def _encrypted(authority: str, listen: Sequence[str]) -> dict[str, Any]:
     return {
         "transport/link/protocols": ["tls"],
         # a client of Zenoh's also trusts the web's authorities: the name says that this is the run's
-        _ENCRYPTION: {"root_ca_certificate_base64": root, "enable_mtls": True, "verify_name_on_connect": True, **ends},
+        ENCRYPTION: {"root_ca_certificate_base64": root, "enable_mtls": True, "verify_name_on_connect": True, **ends},
     }
 
 
@@ -238,14 +238,15 @@ def endpoint_at(host: str | None = None, secret: str = "", port: int = 0) -> str
     return f"{'tls' if authority_of(secret) else 'tcp'}/{address}:{port}"
 
 
-def _address_of(endpoint: str) -> str:
-    return endpoint.partition("/")[2].rpartition(":")[0].strip("[]")
+def address_of(endpoint: str) -> tuple[str, int]:
+    """The address, or name, of an endpoint's machine, and its port."""
+    address, _, port = endpoint.partition("/")[2].rpartition(":")
+    return address.strip("[]"), int(port)
 
 
 def free_endpoint(host: str | None = None, secret: str = "") -> str:
     """One that is free now, as `endpoint_at` has them. Raises `TransportError` if the machine has no such address."""
-    endpoint = endpoint_at(host, secret)
-    address = _address_of(endpoint)
+    address, _ = address_of(endpoint_at(host, secret))
     try:
         with socket.socket(socket.AF_INET6 if ":" in address else socket.AF_INET) as probe:
             probe.bind((address, 0))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import shutil
 import signal
 import subprocess
 import sys
@@ -190,6 +191,11 @@ class Live:
         """The file that lets others in."""
         (file,) = (self.folder / "hierax").glob("*.key")
         return file
+
+    def brought_key(self, folder: Path) -> Path:
+        """A copy of that, in a folder of its own, as it is brought to another machine."""
+        folder.mkdir()
+        return Path(shutil.copy(self.key, folder / "brought.key"))
 
     @property
     def secret(self) -> str:

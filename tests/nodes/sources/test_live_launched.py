@@ -71,6 +71,7 @@ def test_a_stream_that_stalls_and_breaks_off_is_recovered_and_repeated(folder: P
         assert metrics["reopened"] >= 1
         assert metrics["passed_over"] >= 1
         assert report["nodes"]["arm"]["metrics"]["tracked"] in (0.0, 1.0)
+        assert NO_FRAME in run.err
         assert "frames come again" in run.err
         numbers = check_recording(tmp_path / "live.mcap", stream)
     assert len(numbers) <= 40 - metrics["stalls"] + 1

@@ -10,6 +10,7 @@ from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import pytest
+from support.launched import processes_of
 from support.live import DEPLOYMENT, MIXING, Live, Program, until
 
 BULKY = "support.live_nodes:Bulky"
@@ -195,7 +196,7 @@ class Kept:
         self.keeper: Program = live.start("attach", self.path, "--here")
         self.epoch = int(self.keeper.says("attached top at epoch").split()[-1])
         self.schedule = f"{self.epoch}:attach:{self.path}"
-        self.pid = until(lambda: children(self.keeper.process.pid))[0]
+        self.pid = until(lambda: processes_of(self.keeper.process.pid))[0]
         self.stopped = False
 
     def stop(self) -> None:
@@ -221,11 +222,6 @@ def kept(live: Live) -> Iterator[Callable[..., Kept]]:
     for each in made:
         if each.stopped:
             each.go_on()
-
-
-def children(parent: int) -> list[int]:
-    """The processes that a process has started."""
-    return [int(pid) for pid in Path(f"/proc/{parent}/task/{parent}/children").read_text().split()]
 
 
 def test_a_process_whose_place_is_taken_is_refused_and_exits(live: Live, kept: Callable[..., Kept]) -> None:

@@ -90,10 +90,7 @@ def live_keys(folder: Path) -> list[Path]:
 
 def test_from_elsewhere_a_copy_of_the_key_lets_in(live: Live, tmp_path: Path) -> None:
     elsewhere = tmp_path / "elsewhere"
-    elsewhere.mkdir()
-    key = elsewhere / "brought.key"
-    key.write_bytes(live.key.read_bytes())
-    key.chmod(0o600)
+    key = live.brought_key(elsewhere)
     said = hierax(elsewhere, "ps", "--connect", live.endpoint, "--key", str(key), "--format", "json")
     assert said.returncode == 0, said.stderr
     assert json.loads(said.stdout)["runs"][0]["run"] == live.run["run"]

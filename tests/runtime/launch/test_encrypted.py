@@ -3,10 +3,12 @@
 import os
 import signal
 from collections.abc import Iterator
+from itertools import product
 from pathlib import Path
 
 import pytest
 from support.attacks import ports_of
+from support.launched import processes_of
 from support.live import Live, hierax
 from support.relay import Relay
 
@@ -14,6 +16,7 @@ from hierax.runtime.host.run_secret import authority_of, new_secret, token_of
 from hierax.runtime.launch.run_file import warning_of
 from hierax.runtime.transport.launch_client import LaunchClient
 from hierax.runtime.transport.port import TransportError
+from hierax.runtime.transport.zenoh_session import address_of
 
 QUICKLY = {"connect": {"timeout_ms": 500}}
 
@@ -27,20 +30,16 @@ def live(tmp_path: Path) -> Iterator[Live]:
 
 def heard_on_the_way(live: Live) -> bytes:
     """What passes while somebody asks a launch how it is."""
-    scheme, _, rest = live.endpoint.partition("/")
-    relay = Relay(int(rest.rpartition(":")[2]))
+    address, port = address_of(live.endpoint)
+    relay = Relay(port)
     try:
-        with LaunchClient(f"{scheme}/127.0.0.1:{relay.port}", secret=live.secret) as client:
+        with LaunchClient(
+            live.endpoint.replace(f"{address}:{port}", f"127.0.0.1:{relay.port}"), secret=live.secret
+        ) as client:
             assert client.status().run == live.run["run"]
         return bytes(relay.passed)
     finally:
         relay.close()
-
-
-def children(pid: int) -> list[int]:
-    """Processes that a process has started."""
-    listed = Path(f"/proc/{pid}/task/{pid}/children").read_text(encoding="utf-8")
-    return [int(each) for each in listed.split()]
 
 
 def is_let_in(endpoint: str, secret: str) -> bool:
@@ -64,17 +63,13 @@ def test_nothing_can_be_read_on_the_way_and_the_run_is_what_it_was(live: Live, t
 
 
 def test_nodes_are_attached_from_elsewhere_and_killed(live: Live, tmp_path: Path) -> None:
-    elsewhere = tmp_path / "elsewhere"
-    elsewhere.mkdir()
-    key = elsewhere / "brought.key"
-    key.write_bytes(live.key.read_bytes())
-    key.chmod(0o600)
+    key = live.brought_key(tmp_path / "elsewhere")
     path = live.snippet("top", "high")
     where = ("--connect", live.endpoint, "--key", str(key), "--here", "--host", "127.0.0.1")
     keeper = live.start("attach", path, *where, "--deployment", str(live.file))
     epoch = int(keeper.says("attached top at epoch").split()[-1])
     live.goes_on()
-    for pid in (live.run["nodes"]["low"]["pid"], *children(keeper.process.pid)):
+    for pid in (live.run["nodes"]["low"]["pid"], *processes_of(keeper.process.pid)):
         os.kill(pid, signal.SIGKILL)
         live.goes_on()
     live.is_repeated_by(f"{epoch}:attach:{path}")
@@ -94,10 +89,8 @@ def test_who_shows_no_certificate_of_the_run_is_let_in_at_no_port_and_told(live:
     run = live.run
     endpoints = ports_of([live.launch.process.pid, *(node["pid"] for node in run["nodes"].values())])
     assert len(endpoints) > len(run["nodes"])
-    for endpoint in endpoints:
-        for scheme in ("tls", "tcp"):
-            for what, each in wrong.items():
-                assert not is_let_in(f"{scheme}{endpoint.removeprefix('tcp')}", each), (what, scheme)
+    for endpoint, scheme, (what, each) in product(endpoints, ("tls", "tcp"), wrong.items()):
+        assert not is_let_in(f"{scheme}{endpoint.removeprefix('tcp')}", each), (what, scheme)
     live.launch.says("refused somebody: it has no certificate of this run")
     live.launch.says("it has no key of this run")
     live.goes_on()

@@ -15,7 +15,7 @@ from contextlib import suppress
 from pathlib import Path
 
 import pytest
-from support.launched import run_here
+from support.launched import processes_of, run_here
 from support.recompute_digest import main as recompute_digest
 from support.sweep import examples
 
@@ -34,12 +34,6 @@ def hierax(*arguments: str) -> subprocess.CompletedProcess[str]:
 
 def environment() -> dict[str, str]:
     return {**os.environ, "PYTHONPATH": str(TESTS)}
-
-
-def processes_of(parent: int) -> list[int]:
-    """The children of a process."""
-    found = subprocess.run(["ps", "-o", "pid=", "--ppid", str(parent)], capture_output=True, text=True, check=False)
-    return [int(pid) for pid in found.stdout.split()]
 
 
 def is_alive(pid: int) -> bool:
