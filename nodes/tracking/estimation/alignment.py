@@ -11,12 +11,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hierax.nodes.tracking import constants as const
+from hierax.nodes.tracking.estimation import equations as eqs
 from hierax.nodes.tracking.estimation import stages
 from hierax.nodes.tracking.estimation.appearance import Memory
 from hierax.nodes.tracking.estimation.profiles import Image
 from hierax.nodes.tracking.math.batched import exp_many, log_many, solved, summed, tukey
 from hierax.nodes.tracking.math.geometry import Array, Floats
-from hierax.nodes.tracking.model.controls import Controls
+from hierax.nodes.tracking.model.controls import Controls, Indices
 
 
 class Start(NamedTuple):
@@ -42,7 +43,7 @@ class Aligned(NamedTuple):
     shown: Floats  # (m,) how many control points should be seen
     gains: Floats  # (m,) how many of them speak for the pose, each by how near and how familiar its hypothesis is
     stage: stages.Stage  # the last one
-    matches: stages.Matches  # there
+    matches: eqs.Matches  # there
     off: Floats  # (n,) of each line, how far its edge is off as a whole, pixels along its normal
     supported: NDArray[np.bool_]  # (n,) of each line, whether its hypothesis supports the pose
 
@@ -55,8 +56,8 @@ class _State(NamedTuple):
     own: Floats
     off: Floats  # (n,) of each control point, how far its edge is off as a whole, pixels along its normal
 
-    def seen(self, stage: stages.Stage, intrinsics: Array) -> stages.Seen:
-        return stages.seen_from(self.poses, stage, self.off[stage.lines.rows], intrinsics)
+    def seen(self, stage: stages.Stage) -> eqs.Seen:
+        return eqs.seen_from(self.poses, stage, self.off[stage.lines.rows])
 
 
 def align(
@@ -73,20 +74,20 @@ def align(
         if stage is None:
             return None
         if search.voted:
-            state = _voted(state, stage, search, intrinsics)
+            state = _voted(state, stage, search)
         for scale in np.linspace(*scales, search.iterations):
-            state = _step(state, start, stage, scale, intrinsics, search)
+            state = _step(state, start, stage, scale, search)
     assert stage is not None
-    ends = _fine_scale(state, stage, intrinsics, search)
+    ends = _fine_scale(state, stage, search)
     for _ in range(search.fine_iterations):
-        state = _step(state, start, stage, ends, intrinsics, search)
-    return _judged(state, start, stage, ends, intrinsics, search)
+        state = _step(state, start, stage, ends, search)
+    return _judged(state, start, stage, ends, search)
 
 
-def _voted(state: _State, stage: stages.Stage, search: stages.Search, intrinsics: Array) -> _State:
+def _voted(state: _State, stage: stages.Stage, search: stages.Search) -> _State:
     """Each edge where most of its control points have a peak at the same distance, the nearer ones rather."""
     reach = (stage.profiles.places.shape[1] - 1) // 2
-    seen = state.seen(stage, intrinsics)
+    seen = state.seen(stage)
     votes = np.zeros((len(stage.spread), 4 * reach + 1))
     away = stage.profiles.places - seen.moved[:, None]
     rows, columns = np.nonzero(np.abs(away) < reach)
@@ -102,73 +103,86 @@ def _voted(state: _State, stage: stages.Stage, search: stages.Search, intrinsics
     return state._replace(off=off)
 
 
-def _fine_scale(state: _State, stage: stages.Stage, intrinsics: Array, search: stages.Search) -> Floats:
+def _fine_scale(state: _State, stage: stages.Stage, search: stages.Search) -> Floats:
     """(n,) where Tukey's weight ends for each control point in the end, by how far its object's residuals spread."""
-    seen = state.seen(stage, intrinsics)
-    sizes = np.abs(stages.chosen_near(seen, stage, search.support_px).pixels)
+    seen = state.seen(stage)
+    sizes = np.abs(eqs.nearest(seen, stage, search.support_px).pixels)
     near, owners = sizes < search.support_px, stage.controls.owners
-    found = stages.ranked(owners[near], sizes[near], len(state.poses))
+    found = ranked(owners[near], sizes[near], len(state.poses))
     medians = 0.5 * (found.at((found.counts - 1) // 2, np.inf) + found.at(found.counts // 2, np.inf))
     return np.asarray(np.clip(const.SPREADS * medians, *search.fine_px)[owners])
 
 
-def offsets_at(aligned: Aligned, poses: Floats, intrinsics: Array) -> Floats:
+def offsets_at(aligned: Aligned, poses: Floats) -> Floats:
     """(n,) of each line the pixels along the normal from where other poses, near by, put it to its hypothesis."""
     stage = aligned.stage
     places = stage.profiles.places[np.arange(len(stage.edges)), aligned.matches.columns]
-    return np.asarray(places.astype(np.float64) - stages.seen_from(poses, stage, aligned.off, intrinsics).moved)
+    return np.asarray(places.astype(np.float64) - eqs.seen_from(poses, stage, aligned.off).moved)
 
 
-def _step(
-    state: _State, start: Start, stage: stages.Stage, scale: Floats | float, intrinsics: Array, search: stages.Search
-) -> _State:
+def _step(state: _State, start: Start, stage: stages.Stage, scale: Floats | float, search: stages.Search) -> _State:
     """One Gauss-Newton step of all objects and the camera."""
-    seen = state.seen(stage, intrinsics)
-    matches = stages.chosen_near(seen, stage, scale)
-    weights = stages.weights_of(stage, matches, scale, search)
-    still = start.camera is None
-    said = stages.normal_equations(state.poses, stage, seen, matches, weights, intrinsics, still).told(start.told)
-    blocks, gradients = said.blocks, said.gradients
-    twists = log_many(np.concatenate((state.shift[None], state.own)))
-    shift, own = twists[0], twists[1:]
-    count = len(start.poses)
-    information = blocks[:, 6:, 6:] + start.information
-    slope = gradients[:, 6:] + (start.information @ own[:, :, None])[..., 0]
-    steps = np.zeros((count + 1, 6))
-    if still:
-        steps[1:] = -solved(information, slope[..., None])[..., 0]
+    seen = state.seen(stage)
+    found = eqs.nearest(seen, stage, scale)
+    weights = eqs.weights_of(stage, found, scale, search)
+    said = eqs.equations(state.poses, stage, seen, found, weights, start.camera is None, start.told)
+    own = log_many(state.own)
+    if start.camera is None:
+        slope = said.gradients[..., None] + start.information @ own[..., None]
+        twists = -solved(said.blocks + start.information, slope)[..., 0]
+        shift, turned = state.shift, exp_many(twists)
+        poses = state.poses @ turned
     else:
-        size = 6 * (count + 1)
-        whole = np.zeros((size, size))
-        right = np.zeros(size)
-        whole[:6, :6] = blocks[:, :6, :6].sum(axis=0) + start.camera
-        right[:6] = gradients[:, :6].sum(axis=0) + start.camera @ shift
-        for at in range(count):
-            view = slice(6 * at + 6, 6 * at + 12)
-            whole[view, view] = information[at]
-            whole[:6, view] = blocks[at, :6, 6:]
-            whole[view, :6] = blocks[at, 6:, :6]
-            right[view] = slope[at]
-        steps = -solved(whole, right).reshape(count + 1, 6)
-    off = state.off.copy()
-    of_edges = seen.off[stage.firsts]
-    found = said.off(np.concatenate((np.broadcast_to(steps[0], (count, 6)), steps[1:]), axis=1))
-    of_edges[said.edges] = np.where(stage.loose[said.edges], found, 0.0)
-    off[stage.lines.rows] = of_edges[stage.edges]
-    moved = exp_many(steps)
-    return _State(moved[0] @ state.poses @ moved[1:], moved[0] @ state.shift, state.own @ moved[1:], off)
+        camera = log_many(state.shift[None])[0]
+        steps = _with_camera(said, start.information, start.camera, own, camera)
+        moved = exp_many(steps)
+        turned = moved[1:]
+        shift, poses = moved[0] @ state.shift, moved[0] @ state.poses @ turned
+        twists = np.concatenate((np.broadcast_to(steps[0], (len(own), 6)), steps[1:]), axis=1)
+    off = state.off
+    if stage.loose.any():
+        of_edges = seen.off[stage.firsts]
+        of_edges[said.used] = said.off(twists, stage.layout.owners)[said.used]
+        off = off.copy()
+        off[stage.lines.rows] = np.where(stage.loose, of_edges, 0.0)[stage.edges]
+    return _State(poses, shift, state.own @ turned, off)
 
 
-def _judged(
-    state: _State, start: Start, stage: stages.Stage, scale: Floats, intrinsics: Array, search: stages.Search
-) -> Aligned:
+def _with_camera(said: eqs.Equations, information: Floats, known: Floats, own: Floats, camera: Floats) -> Floats:
+    """(m + 1, 6) steps of the camera's twist, then of the objects'.
+
+    Args:
+        said: what the image says; information: (m, 6, 6) of the objects' predictions.
+        known: (6, 6) inverse covariance of the camera's error.
+        own, camera: the twists (m, 6) and (6,) so far.
+    """
+    blocks, gradients, count = said.blocks, said.gradients, len(own)
+    own_blocks = blocks[:, 6:, 6:] + information
+    slope = gradients[:, 6:] + (information @ own[..., None])[..., 0]
+    size = 6 * (count + 1)
+    whole, right = np.zeros((size, size)), np.zeros(size)
+    whole[:6, :6] = blocks[:, :6, :6].sum(axis=0) + known
+    right[:6] = gradients[:, :6].sum(axis=0) + known @ camera
+    for at in range(count):
+        view = slice(6 * at + 6, 6 * at + 12)
+        whole[view, view] = own_blocks[at]
+        whole[:6, view] = blocks[at, :6, 6:]
+        whole[view, :6] = blocks[at, 6:, :6]
+        right[view] = slope[at]
+    return -solved(whole, right).reshape(count + 1, 6)
+
+
+def _judged(state: _State, start: Start, stage: stages.Stage, scale: Floats, search: stages.Search) -> Aligned:
     """The poses with their information and scores."""
-    seen = state.seen(stage, intrinsics)
-    matches = stages.chosen_near(seen, stage, search.support_px)
+    seen = state.seen(stage)
+    found = eqs.nearest(seen, stage, search.support_px)
+    matches = eqs.matches_of(stage, found)
     supported = (np.abs(matches.pixels) < search.support_px) & (matches.strange < const.STRANGE)
-    weights = stages.weights_of(stage, matches, scale, search)
-    still = start.camera is None
-    said = stages.normal_equations(state.poses, stage, seen, matches, weights, intrinsics, still).told(start.told)
+    weights = eqs.weights_of(stage, found, scale, search)
+    said = eqs.equations(state.poses, stage, seen, found, weights, start.camera is None, start.told)
+    width = said.blocks.shape[1]
+    blocks, slopes = np.zeros((len(start.poses), 12, 12)), np.zeros((len(start.poses), 12))
+    blocks[:, 12 - width :, 12 - width :], slopes[:, 12 - width :] = said.blocks, said.gradients
     owners, count = stage.controls.owners, len(start.poses)
     # Where edges crowd, they may claim the same one in the image; it counts for neither.
     limbs = stage.controls.limbs
@@ -181,8 +195,8 @@ def _judged(
         state.poses,
         state.shift,
         log_many(state.own),
-        said.blocks,
-        said.gradients,
+        blocks,
+        slopes,
         np.maximum(0.0, (share - chance) / np.maximum(1.0 - chance, const.LEAST_RARITY)),
         shown,
         summed(owners, counted * tukey(matches.pixels, 2.0 * search.support_px) * familiar, count),
@@ -201,3 +215,24 @@ def _chance(stage: stages.Stage, search: stages.Search) -> Floats:
         near[:, step:] |= peaks[:, :-step]
         near[:, :-step] |= peaks[:, step:]
     return np.asarray(near.mean(axis=1))
+
+
+class Ranked(NamedTuple):
+    """Values of owners, each owner's ascending."""
+
+    values: Floats
+    starts: Indices  # (m,) where each owner's begin
+    counts: Indices  # (m,)
+
+    def at(self, places: Array, otherwise: float) -> Floats:
+        """Of each owner the value at a place of its own (m,), below its count; of one without any, `otherwise`."""
+        known = self.counts > 0
+        found = np.full(len(known), otherwise)
+        found[known] = self.values[(self.starts + places)[known]]
+        return found
+
+
+def ranked(owners: Indices, values: Floats, count: int) -> Ranked:
+    """Values (n,) of so many owners, by the owner's number."""
+    counts = np.bincount(owners, minlength=count)
+    return Ranked(values[np.lexsort((values, owners))], np.cumsum(counts) - counts, counts)

@@ -59,7 +59,7 @@ def bent_after(looks: Looks, aligned: Aligned, at: int, pose: Floats, intrinsics
     if not enough.any():
         return looks
     moves = moves_of(poses, stage.controls, stage.lines, rows, intrinsics)
-    off = (np.add.reduceat(offsets_at(aligned, poses, intrinsics)[rows], starts) / count)[enough]
+    off = (np.add.reduceat(offsets_at(aligned, poses)[rows], starts) / count)[enough]
     mean = (np.add.reduceat(moves, starts) / count[:, None])[enough]
     edges, count = edges[enough], count[enough]
     every = np.union1d(looks["bent"], edges)

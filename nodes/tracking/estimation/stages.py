@@ -1,4 +1,4 @@
-"""One reading of the image around some poses: each control point's hypotheses, and what they say of the poses."""
+"""One reading of the image around some poses: each control point's hypotheses, laid out as the steps need them."""
 
 from itertools import pairwise
 from typing import NamedTuple
@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 from hierax.nodes.tracking import constants as const
 from hierax.nodes.tracking.estimation.appearance import Memory, strangeness
 from hierax.nodes.tracking.estimation.profiles import Image, Lines, Profiles, Singles, lines_of, read_profiles
-from hierax.nodes.tracking.math.batched import only, pixels_along, pixels_of, placed, tukey
-from hierax.nodes.tracking.math.geometry import Array, Floats, cross
+from hierax.nodes.tracking.math.batched import only, pixels_along, placed
+from hierax.nodes.tracking.math.geometry import Array, Floats
 from hierax.nodes.tracking.model.controls import CREASE, Controls, Indices
 
 
@@ -39,6 +39,27 @@ class Peaks(NamedTuple):
     columns: Indices  # (n, p) of the profile; of a line with fewer peaks the others are 0
     places: Singles  # (n, p) pixels along the normal; inf where there is none
     strange: Singles  # (n, p)
+    sharpness: Singles  # (n, p)
+
+
+class Layout(NamedTuple):
+    """Which lines are whose, and on which edge: both ascend."""
+
+    views: list[slice]  # of each object its lines
+    edges: Indices  # (n,) on which of the edges that are seen each line is, from 0 on
+    firsts: Indices  # (e,) of each of those edges, the first line that is on it
+    owners: Indices  # (e,) and whose it is
+    edge_views: list[slice]  # of each object its edges
+
+
+class Projection(NamedTuple):
+    """How control points move along their normals, column by column: ``(across · (x, y)) / z + origin`` is how many
+    pixels (x, y, z) in the camera's frame is from where the image was read."""
+
+    points: Floats  # (3, n) in their objects' frames
+    hats: Floats  # (3, 3, n) their cross products' matrices
+    across: Floats  # (2, n) normals, times the focal lengths in pixels
+    origin: Floats  # (n,)
 
 
 class Stage(NamedTuple):
@@ -50,56 +71,22 @@ class Stage(NamedTuple):
     peaks: Peaks
     controls: Controls  # of the lines
     memory: Memory  # beside them
-    edges: Indices  # (n,) on which of the edges that are seen each line is, from 0 on
-    spread: Floats  # of each of those, the standard deviation of how far it is off as a whole, pixels
-    loose: NDArray[np.bool_]  # and whether its object's model is imprecise: then it is matched where it is found to be
+    layout: Layout
+    projection: Projection
+    weights: Floats  # (n,) 1/px² of a line whose peak is where it should be and looks familiar
+    spread: Floats  # (e,) of each edge, the standard deviation of how far it is off as a whole, pixels
+    # (e,) and whether its object's model is imprecise: then it is matched where it is found to be
+    loose: NDArray[np.bool_]
+
+    @property
+    def edges(self) -> Indices:
+        """(n,) as `Layout` has them."""
+        return self.layout.edges
 
     @property
     def firsts(self) -> Indices:
-        """Of each of those edges, the first line that is on it."""
-        return np.searchsorted(self.edges, np.arange(len(self.spread)))
-
-
-class Seen(NamedTuple):
-    """Control points from the poses as they are: (n, 3) in the camera's frame; pixels moved along their normals."""
-
-    points: Floats
-    moved: Floats
-    off: Floats  # (n,) how far the edge of each is off as a whole besides, pixels along the normal
-
-
-class Equations(NamedTuple):
-    """What control points say of twists, when how far each edge is off as a whole is solved for at once."""
-
-    blocks: Floats  # (m, 12, 12) of each object's, over (camera, own) twists
-    gradients: Floats  # (m, 12)
-    edges: Indices  # (e,) numbers of the edges as `Stage.edges` has them; of each its owner, and what says how far
-    owners: Indices
-    shared: Floats  # (e, 12)
-    pulls: Floats  # (e,)
-    wholes: Floats  # (e,)
-
-    def told(self, projections: Floats | None) -> "Equations":
-        """The same without what no image tells of the objects, by projections (m, 6, 6) of their twists."""
-        if projections is None:
-            return self
-        whole = np.tile(np.eye(12), (len(projections), 1, 1))
-        whole[:, 6:12, 6:12] = projections
-        blocks = whole @ self.blocks @ whole
-        shared = np.einsum("eij,ej->ei", whole[self.owners], self.shared)
-        return self._replace(blocks=blocks, gradients=(whole @ self.gradients[..., None])[..., 0], shared=shared)
-
-    def off(self, twists: Floats) -> Floats:
-        """(e,) pixels by which each edge is off as a whole after (camera, own) twists (m, 12)."""
-        return np.asarray(-(self.pulls + np.einsum("ek,ek->e", self.shared, twists[self.owners])) / self.wholes)
-
-
-class Matches(NamedTuple):
-    """Of each line: the column of its hypothesis, its residual (inf where none), and how strange it looks."""
-
-    columns: Indices
-    pixels: Floats
-    strange: Floats
+        """(e,) as `Layout` has them."""
+        return self.layout.firsts
 
 
 def read_stage(
@@ -112,13 +99,33 @@ def read_stage(
     profiles = read_profiles(image, lines, numbers, reach, search.contrast)
     strange = strangeness(memory, profiles)
     shown = only(controls, lines.rows)
-    edges = np.cumsum(np.diff(numbers, prepend=numbers[0]) != 0)
-    spread = _spread(shown, poses, lines, memory, edges, intrinsics)
-    loose = np.bincount(edges, weights=memory.slack[:, 0, 0]) > 0.0
-    return Stage(lines, profiles, strange, _peaks(profiles.places, strange), shown, memory, edges, spread, loose)
+    layout = _layout(shown.owners, numbers, len(poses))
+    spread = _spread(shown, poses, lines, memory, layout.edges, intrinsics)
+    loose = np.bincount(layout.edges, weights=memory.slack[:, 0, 0]) > 0.0
+    weights = shown.visible * (memory.trust * memory.apart) / search.noise_px**2
+    peaks = _peaks(profiles, strange)
+    projection = _projection(shown, lines, intrinsics)
+    return Stage(lines, profiles, strange, peaks, shown, memory, layout, projection, weights, spread, loose)
 
 
-def _peaks(places: Singles, strange: Singles) -> Peaks:
+def _layout(owners: Indices, numbers: Indices, count: int) -> Layout:
+    begins = np.diff(numbers, prepend=-1) != 0
+    firsts = np.nonzero(begins)[0]
+    edge_owners = owners[firsts]
+    return Layout(views_of(owners, count), np.cumsum(begins) - 1, firsts, edge_owners, views_of(edge_owners, count))
+
+
+def _projection(controls: Controls, lines: Lines, intrinsics: Array) -> Projection:
+    points, normals = np.ascontiguousarray(controls.points.T), lines.normals.T
+    hats = np.zeros((3, 3, len(lines.rows)))
+    hats[2, 1], hats[0, 2], hats[1, 0] = points
+    hats -= hats.transpose(1, 0, 2)
+    origin = np.einsum("kn,kn->n", normals, np.asarray(intrinsics[2:])[:, None] - lines.pixels.T)
+    return Projection(points, hats, normals * np.asarray(intrinsics[:2])[:, None], origin)
+
+
+def _peaks(profiles: Profiles, strange: Singles) -> Peaks:
+    places = profiles.places
     rows, at = np.nonzero(np.isfinite(places))
     counts = np.bincount(rows, minlength=len(places))
     order = np.arange(len(rows)) - np.repeat(np.cumsum(counts) - counts, counts)
@@ -126,7 +133,8 @@ def _peaks(places: Singles, strange: Singles) -> Peaks:
     columns[rows, order] = at
     kept = np.full(columns.shape, np.inf, dtype=np.float32)
     kept[rows, order] = places[rows, at]
-    return Peaks(columns, kept, np.take_along_axis(strange, columns, axis=1))
+    every = np.arange(len(places))[:, None]
+    return Peaks(columns, kept, strange[every, columns], profiles.sharpness[every, columns])
 
 
 def _spread(
@@ -145,141 +153,11 @@ def _spread(
 def moves_of(poses: Floats, controls: Controls, lines: Lines, rows: Indices, intrinsics: Array) -> Floats:
     """(n, 3) pixels along the normal for every metre in the object's frame, of some lines."""
     points, owners = controls.points[rows], controls.owners[rows]
-    return _jacobian(poses, points, owners, lines.normals[rows], placed(poses, owners, points), intrinsics)[:, 6:9]
-
-
-def seen_from(poses: Floats, stage: Stage, off: Floats, intrinsics: Array) -> Seen:
-    points = placed(poses, stage.controls.owners, stage.controls.points)
-    moved = np.einsum("nk,nk->n", pixels_of(points, intrinsics) - stage.lines.pixels, stage.lines.normals)
-    return Seen(points, moved, off)
-
-
-def chosen_near(seen: Seen, stage: Stage, scale: Floats | float) -> Matches:
-    """Of each line the hypothesis that is near, as `scale` (pixels) has it, and not strange."""
-    peaks = stage.peaks
-    off = peaks.places - (seen.moved + seen.off).astype(np.float32)[:, None]
-    scales = np.broadcast_to(scale, seen.moved.shape)
-    cost = off * off * (1.0 / (scales * scales)).astype(np.float32)[:, None]
-    nearest = (cost + np.float32(const.STRANGE_WEIGHT) * peaks.strange).argmin(axis=1)
-    at = (np.arange(len(nearest)), nearest)
-    return Matches(peaks.columns[at], -off[at].astype(np.float64), peaks.strange[at].astype(np.float64))
-
-
-def weights_of(stage: Stage, matches: Matches, scale: Floats | float, search: Search) -> Floats:
-    """1/px² of each control point: Tukey's function of the distance, less where it may be hidden, where its hypothesis
-    looks strange, and on edges blurred beside the others of its object: the blur of a shadow beside the foot of an
-    object draws the peak away from the edge, all along it."""
-    weights = tukey(matches.pixels, scale) * stage.controls.visible * np.exp(-const.STRANGE_WEIGHT * matches.strange)
-    weights *= stage.memory.trust * stage.memory.apart / search.noise_px**2
-    near = weights > 1e-6
-    if not near.any():
-        return np.zeros_like(weights)
-    owners = stage.controls.owners
-    sharp = stage.profiles.sharpness[np.arange(len(near)), matches.columns].astype(np.float64)
-    count = np.bincount(stage.edges, weights=near)
-    total = np.bincount(stage.edges, weights=np.where(near, sharp, 0.0))
-    mean = (total / np.maximum(count, 1.0))[stage.edges]
-    found = ranked(owners[near], mean[near], int(owners[-1]) + 1)
-    usual = found.at((const.USUAL_SHARPNESS * (found.counts - 1)).astype(np.intp), 1.0)
-    relative = np.minimum(mean / np.maximum(usual[owners], 1e-9), 1.0)
-    return np.asarray(np.where(near, weights * relative**search.blur_power, 0.0))
-
-
-class Ranked(NamedTuple):
-    """Values of owners, each owner's ascending."""
-
-    values: Floats
-    starts: Indices  # (m,) where each owner's begin
-    counts: Indices  # (m,)
-
-    def at(self, places: Array, otherwise: float) -> Floats:
-        """Of each owner the value at a place of its own (m,), below its count; of one without any, `otherwise`."""
-        known = self.counts > 0
-        found = np.full(len(known), otherwise)
-        found[known] = self.values[(self.starts + places)[known]]
-        return found
-
-
-def ranked(owners: Indices, values: Floats, count: int) -> Ranked:
-    """Values (n,) of so many owners, by the owner's number."""
-    counts = np.bincount(owners, minlength=count)
-    return Ranked(values[np.lexsort((values, owners))], np.cumsum(counts) - counts, counts)
+    towards = pixels_along(lines.normals[rows], placed(poses, owners, points), intrinsics)
+    return np.asarray((towards[:, None, :] @ poses[owners, :3, :3])[:, 0])
 
 
 def views_of(owners: Indices, count: int) -> list[slice]:
     """Where each of so many owners' part is in what is sorted by owner."""
     ends = np.searchsorted(owners, np.arange(count + 1)).tolist()
     return [slice(*pair) for pair in pairwise(ends)]
-
-
-def normal_equations(
-    poses: Floats,
-    stage: Stage,
-    seen: Seen,
-    matches: Matches,
-    weights: Floats,
-    intrinsics: Array,
-    still: bool = False,
-) -> Equations:
-    """What weighted control points say of poses; where the camera is known (`still`), of many poses without what they
-    say of its twist, which is zeros."""
-    used, count = weights > 0, len(poses)
-    width = 6 if still and count > const.MANY else 12
-    points, owners = stage.controls.points[used], stage.controls.owners[used]
-    residuals, weights = (matches.pixels - seen.off)[used], weights[used]
-    if not len(owners):
-        none = np.zeros(0, dtype=np.intp)
-        nothing = (np.zeros((count, 12, 12)), np.zeros((count, 12)))
-        return Equations(*nothing, none, none, np.zeros((0, 12)), np.zeros(0), np.zeros(0))
-    jacobian = _jacobian(poses, points, owners, stage.lines.normals[used], seen.points[used], intrinsics, width)
-    weighted = jacobian * weights[:, None]
-    blocks, gradients = _summed_products(jacobian, weighted, residuals, owners, count)
-    edges = stage.edges[used]
-    starts = np.nonzero(np.diff(edges, prepend=-1))[0]
-    edges, owners = edges[starts], owners[starts]
-    shared = np.add.reduceat(weighted, starts)
-    pulls = np.add.reduceat(weights * residuals, starts)
-    wholes = np.add.reduceat(weights, starts) + 1.0 / stage.spread[edges] ** 2
-    taken, pulled = _summed_products(shared, shared / wholes[:, None], pulls, owners, count)
-    own = slice(12 - width, 12)
-    told = Equations(
-        np.zeros((count, 12, 12)), np.zeros((count, 12)), edges, owners, np.zeros((len(edges), 12)), pulls, wholes
-    )
-    told.blocks[:, own, own] = blocks - taken
-    told.gradients[:, own], told.shared[:, own] = gradients - pulled, shared
-    return told
-
-
-def _summed_products(
-    left: Floats, right: Floats, numbers: Floats, owners: Indices, count: int
-) -> tuple[Floats, Floats]:
-    """(m, k, k) and (m, k): of each owner's rows left.T @ right, and right.T @ numbers."""
-    width = left.shape[1]
-    blocks, gradients = np.zeros((count, width, width)), np.zeros((count, width))
-    if count > const.MANY:  # of few it is quicker one by one
-        starts = np.nonzero(np.diff(owners, prepend=-1))[0]
-        products = (left[:, :, None] * right[:, None, :]).reshape(-1, width * width)
-        blocks[owners[starts]] = np.add.reduceat(products, starts).reshape(-1, width, width)
-        gradients[owners[starts]] = np.add.reduceat(right * numbers[:, None], starts)
-        return blocks, gradients
-    for at, view in enumerate(views_of(owners, count)):
-        blocks[at] = left[view].T @ right[view]
-        gradients[at] = right[view].T @ numbers[view]
-    return blocks, gradients
-
-
-def _jacobian(
-    poses: Floats,
-    points: Floats,
-    owners: Indices,
-    normals: Floats,
-    seen: Floats,
-    intrinsics: Array,
-    width: int = 12,
-) -> Floats:
-    """(n, 12): how a twist of the camera's frame, and one of the object's, move each point along its normal; or (n, 6),
-    the latter alone."""
-    towards = pixels_along(normals, seen, intrinsics)
-    turned = (towards[:, None, :] @ poses[owners, :3, :3])[:, 0]
-    own = (turned, cross(points, turned))
-    return np.concatenate(own if width == 6 else (towards, cross(seen, towards), *own), axis=1)

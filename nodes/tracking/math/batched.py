@@ -1,5 +1,6 @@
 """Rigid poses by the dozen: the same as in `geometry`, for stacks (m, 4, 4) and (m, 6) at once."""
 
+import math
 from collections.abc import Sequence
 from typing import NamedTuple, TypeVar
 
@@ -12,10 +13,13 @@ Table = TypeVar("Table", bound=NamedTuple)
 
 _SMALL = 1e-8
 _SMALL_SQUARE = 1e-6
+_FEW = 12  # so many exponentials and logarithms take less time one by one: numpy spends more on a call than on numbers
 
 
 def exp_many(twists: Floats) -> Floats:
     """The rigid motions (m, 4, 4) of twists (m, 6): translation part, then rotation part."""
+    if len(twists) <= _FEW:
+        return np.array([_exp(*twist) for twist in twists.tolist()], dtype=np.float64).reshape(-1, 4, 4)
     rotation = twists[:, 3:]
     square = np.einsum("mk,mk->m", rotation, rotation)
     first, second, third = _series(square)
@@ -30,6 +34,8 @@ def exp_many(twists: Floats) -> Floats:
 
 def log_many(poses: Floats) -> Floats:
     """The twists (m, 6) of rigid motions by less than half a turn."""
+    if len(poses) <= _FEW:
+        return np.array([_log(*pose) for pose in poses[:, :3].tolist()], dtype=np.float64).reshape(-1, 6)
     skew = 0.5 * (poses[:, :3, :3] - poses[:, :3, :3].transpose(0, 2, 1))
     axis = np.stack((skew[:, 2, 1], skew[:, 0, 2], skew[:, 1, 0]), axis=1)
     sine = np.sqrt(np.einsum("mk,mk->m", axis, axis))
@@ -137,3 +143,47 @@ def _series(square: Floats) -> tuple[Floats, Floats, Floats]:
     second = np.where(small, 0.5 - square / 24.0, 2.0 * half * half / safe)
     third = np.where(small, 1.0 / 6.0 - square / 120.0, (angle - sine) / (safe * angle))
     return first[:, None, None], second[:, None, None], third[:, None, None]
+
+
+def _exp(x: float, y: float, z: float, a: float, b: float, c: float) -> list[float]:
+    """The 16 numbers of a rigid motion, by its twist: with w = (a, b, c), [w]² = w wᵀ − θ²."""
+    square = a * a + b * b + c * c
+    first, second, third = _series_of(square)
+    on, level = first, 1.0 - second * square  # of the rotation: [w] times `on`, identity times `level`
+    ab, ac, bc = second * a * b, second * a * c, second * b * c
+    along, flat = third * (a * x + b * y + c * z), 1.0 - third * square
+    return [
+        *(level + second * a * a, ab - on * c, ac + on * b, flat * x + second * (b * z - c * y) + along * a),
+        *(ab + on * c, level + second * b * b, bc - on * a, flat * y + second * (c * x - a * z) + along * b),
+        *(ac - on * b, bc + on * a, level + second * c * c, flat * z + second * (a * y - b * x) + along * c),
+        *(0.0, 0.0, 0.0, 1.0),
+    ]
+
+
+def _log(first: list[float], second: list[float], third: list[float]) -> list[float]:
+    """The twist of a rigid motion by less than half a turn, by its upper three rows."""
+    a, b, c = 0.5 * (third[1] - second[2]), 0.5 * (first[2] - third[0]), 0.5 * (second[0] - first[1])
+    sine = math.sqrt(a * a + b * b + c * c)
+    angle = math.atan2(sine, 0.5 * (first[0] + second[1] + third[2] - 1.0))
+    scale = 1.0 if sine < _SMALL else angle / sine
+    a, b, c = scale * a, scale * b, scale * c
+    square = angle * angle
+    once, twice, _ = _series_of(square)
+    last = 1.0 / 12.0 if square < _SMALL_SQUARE else (1.0 - 0.5 * once / twice) / square
+    x, y, z = first[3], second[3], third[3]
+    p, q, r = b * z - c * y, c * x - a * z, a * y - b * x
+    return [
+        x - 0.5 * p + last * (b * r - c * q),
+        y - 0.5 * q + last * (c * p - a * r),
+        z - 0.5 * r + last * (a * q - b * p),
+        *(a, b, c),
+    ]
+
+
+def _series_of(square: float) -> tuple[float, float, float]:
+    """As `_series`, of one squared angle."""
+    if square < _SMALL:
+        return 1.0 - square / 6.0, 0.5 - square / 24.0, 1.0 / 6.0 - square / 120.0
+    angle = math.sqrt(square)
+    sine, half = math.sin(angle), math.sin(0.5 * angle)
+    return sine / angle, 2.0 * half * half / square, (angle - sine) / (square * angle)

@@ -197,7 +197,7 @@ def _learned(
     controls, profiles = aligned.stage.controls, aligned.stage.profiles
     seen = controls.visible > const.SURE_SEEN
     sure = aligned.supported & seen
-    offsets = offsets_at(aligned, found.poses, task.intrinsics)
+    offsets = offsets_at(aligned, found.poses)
     places = controls.slots[:, 0]
     learned = []
     for at, item in enumerate(objects):

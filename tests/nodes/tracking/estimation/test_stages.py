@@ -1,37 +1,30 @@
-"""What control points say is the same however many poses are tried at once, and however it is looked up."""
+"""One reading of the image is laid out as the steps take it."""
 
 from __future__ import annotations
 
 import numpy as np
 
-from hierax.nodes.tracking.constants import MANY
-from hierax.nodes.tracking.estimation.stages import _peaks, _summed_products, ranked
+from hierax.nodes.tracking.estimation.alignment import ranked
+from hierax.nodes.tracking.estimation.profiles import Profiles
+from hierax.nodes.tracking.estimation.stages import _peaks
 
 SEED = 5
-
-
-def test_what_is_said_of_many_poses_at_once_is_what_is_said_of_each() -> None:
-    rng = np.random.default_rng(SEED)
-    owners = np.sort(rng.integers(0, MANY, 200))
-    left, right, numbers = rng.normal(size=(200, 6)), rng.normal(size=(200, 6)), rng.normal(size=200)
-    blocks, gradients = _summed_products(left, right, numbers, owners, MANY)
-    at_once = _summed_products(left, right, numbers, owners, MANY + 2)  # the last two have none
-    np.testing.assert_allclose(at_once[0][:MANY], blocks, atol=1e-12)
-    np.testing.assert_allclose(at_once[1][:MANY], gradients, atol=1e-12)
-    assert not at_once[0][MANY:].any()
 
 
 def test_peaks_alone_are_those_of_the_profiles_in_their_order() -> None:
     rng = np.random.default_rng(SEED)
     places = np.where(rng.random((50, 21)) < 0.2, rng.normal(size=(50, 21)), np.inf).astype(np.float32)
     places[7] = np.inf
-    strange = rng.random((50, 21)).astype(np.float32)
-    peaks = _peaks(places, strange)
+    strange, sharpness = rng.random((2, 50, 21)).astype(np.float32)
+    none = np.zeros((50, 21, 1), dtype=np.float32)
+    peaks = _peaks(Profiles(places, sharpness, none, none), strange)
     assert peaks.columns.shape[1] == np.isfinite(places).sum(axis=1).max()
     nearest = np.abs(peaks.places - 0.3).argmin(axis=1)
     rows = np.arange(50)
-    np.testing.assert_array_equal(peaks.columns[rows, nearest], np.abs(places - 0.3).argmin(axis=1))
-    np.testing.assert_array_equal(peaks.strange[rows, nearest], strange[rows, peaks.columns[rows, nearest]])
+    columns = peaks.columns[rows, nearest]
+    np.testing.assert_array_equal(columns, np.abs(places - 0.3).argmin(axis=1))
+    np.testing.assert_array_equal(peaks.strange[rows, nearest], strange[rows, columns])
+    np.testing.assert_array_equal(peaks.sharpness[rows, nearest], sharpness[rows, columns])
 
 
 def test_values_are_ranked_by_owner() -> None:

@@ -25,6 +25,15 @@ def test_logarithm_takes_the_exponential_back() -> None:
     np.testing.assert_allclose(exp_many(log_many(poses)), poses, atol=1e-9)
 
 
+def test_few_are_as_many() -> None:
+    few = twists()
+    many = np.tile(few, (8, 1))
+    np.testing.assert_allclose(np.tile(exp_many(few), (8, 1, 1)), exp_many(many), atol=1e-14)
+    np.testing.assert_allclose(np.tile(log_many(exp_many(few)), (8, 1)), log_many(exp_many(many)), atol=1e-9)
+    assert exp_many(few[:0]).shape == (0, 4, 4)
+    assert log_many(np.zeros((0, 4, 4))).shape == (0, 6)
+
+
 def test_adjoints_carry_twists_from_frame_to_frame() -> None:
     poses, others = exp_many(twists()), twists()[::-1]
     carried = np.einsum("mij,mj->mi", adjoints(poses), others)
