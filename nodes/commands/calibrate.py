@@ -78,13 +78,18 @@ def calibrate(
 def _pictures(source: str) -> "Iterator[Array]":
     """All frames of a source, until it ends."""
     from hierax.nodes.sources.camera import CameraWorld
+    from hierax.nodes.sources.files import DataError
+    from hierax.nodes.sources.live import REOPENS
 
     world = CameraWorld(source, straighten=False)
-    belief = world.initial_belief()
-    while not belief["ended"]:
-        if belief["image"] is not None:
-            yield belief["image"]
-        belief = world.predict((), (), belief)
+    try:
+        belief = world.initial_belief()
+        while not belief["ended"]:
+            if belief["image"] is not None:
+                yield belief["image"]
+            belief = world.predict((), (), belief)
+    except DataError as error:
+        raise DataError(str(error).removesuffix(REOPENS)) from error  # here is no such option
 
 
 def _board(board: str, square: str, marker: str | None, markers: str | None) -> "Board":

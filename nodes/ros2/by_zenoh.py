@@ -6,11 +6,13 @@ Who publishes or subscribes is told by tokens under ``@ros2_lv``. After ros2/rmw
 `attachment_helpers.cpp`, `rmw_publisher_data.cpp`. Read leniently: versions differ, and add parts."""
 
 import itertools
+import logging
 import os
 import struct
+import threading
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from typing import Any, NamedTuple
 
 import zenoh
@@ -29,6 +31,9 @@ _ATTACHMENT = struct.Struct("<qqB16s")
 _SENT = b"source_timestamp"  # in front of the time, before 2025
 _DEPTH = 42  # rmw_zenoh's own
 _HEARTBEAT_S = 0.5
+_REACHED_S = 5.0  # after so long without a router that is told
+
+_LOG = logging.getLogger(__name__)
 
 
 class Endpoint(NamedTuple):
@@ -94,10 +99,11 @@ class ZenohCarrier(Carrier):
 
         self._where, self._node, self._domain = where, node, domain()
         self._gid: Callable[[str], bytes] = lambda token: int(xxhash.xxh3_128_intdigest(token)).to_bytes(16, "little")
+        self._router = router or ROUTER
         settings = os.environ.get("ZENOH_SESSION_CONFIG_URI")
         try:
             self._session = open_session(
-                connect=[f"tcp/{router or ROUTER}"], zenoh_config=settings, shared_memory=False
+                connect=[f"tcp/{self._router}"], zenoh_config=settings, shared_memory=False
             )
         except TransportError as error:
             raise DataError(f"{where}: {error}") from error
@@ -108,6 +114,9 @@ class ZenohCarrier(Carrier):
             self._declare(_NODE)
             live = self._session.liveliness()
             self._held.append(live.declare_subscriber(f"{_SPACE}/{self._domain}/**", self._told, history=True))
+        self._looking = threading.Timer(_REACHED_S, self._look)
+        self._looking.daemon = True
+        self._looking.start()
 
     def subscribe(self, topic: str, kind: str, qos: Qos, heard: Heard) -> None:
         def came(sample: zenoh.Sample) -> None:
@@ -160,9 +169,22 @@ class ZenohCarrier(Carrier):
     def kinds(self, topic: str) -> set[str]:
         return {each.kind for each in list(self._endpoints.values()) if each.publishes and each.topic == topic}
 
+    def unreached(self) -> str:
+        info = self._session.info
+        if info.routers_zid() or info.peers_zid():
+            return ""
+        return f"no router of Zenoh is reached at {self._router}"
+
     def close(self) -> None:
+        self._looking.cancel()
         self._held.clear()
         close_session(self._session)
+
+    def _look(self) -> None:
+        """Say where nobody hears what is said here; a router that comes later is linked to by itself."""
+        with suppress(zenoh.ZError):  # it is closed meanwhile
+            if told := self.unreached():
+                _LOG.warning("%s: %s; nothing is said or heard until one comes", self._where, told)
 
     def _declare(self, entity: str, topic: str = "", kind: str = "", qos: Qos | None = None) -> str:
         """Tell the others of this node, or of what it has; with which token."""

@@ -97,6 +97,10 @@ class Carrier(ABC):
     def kinds(self, topic: str) -> set[str]:
         """The types as which others publish a topic now, as far as is known."""
 
+    def unreached(self) -> str:
+        """Why nobody can be heard now, as far as is known; empty: there is no reason."""
+        return ""
+
     @abstractmethod
     def close(self) -> None:
         """Be gone from the graph."""

@@ -101,15 +101,18 @@ def _write_epoch(topics: _Topics, name: str, epoch: EpochTrace, poses: str) -> b
 def _write_picture(topics: _Topics, where: str, header: Header, shot: Shot, image: Array) -> None:
     if image.ndim not in (2, 3) or image.shape[2:] not in ((), (3,)) or not image.size:
         raise DataError(f"{where}: image: expected gray (h, w) or RGB (h, w, 3), got {image.shape}")
+    if image.dtype != np.uint8 and image.ndim == 3:
+        raise DataError(f"{where}: image: has 16 bits and colours; expected gray, or 8 bits")
+    encoding = "rgb8" if image.ndim == 3 else "mono8" if image.dtype == np.uint8 else "16UC1"
     height, width = image.shape[:2]
     fields = {"header": stamped(**header), "height": height, "width": width}
     picture = made(
         IMAGE,
         **fields,
-        encoding="mono8" if image.ndim == 2 else "rgb8",
+        encoding=encoding,
         is_bigendian=0,
-        step=image[0].size,
-        data=np.ascontiguousarray(image).reshape(-1),
+        step=image[0].nbytes,
+        data=np.ascontiguousarray(image).astype(image.dtype.newbyteorder("<")).reshape(-1).view(np.uint8),
     )
     topics.write(header["stamp_ns"], "/camera/image_rect", IMAGE, picture)
     known = shot.intrinsics is not None and shot.intrinsics.any()  # a K of zeros says that nobody knows

@@ -75,7 +75,6 @@ class LiveTopics(Live):
 
     def _awaited(self, carrier: Carrier, topic: str) -> str:
         """The type as which a topic is published, once it is. Raises DataError: it is another than what is expected."""
-        self._lacks = f"nobody publishes {topic}"
         while not self._closed.is_set():
             kinds = carrier.kinds(topic)
             good = kinds & (self._expected or messages().types.keys())
@@ -85,6 +84,7 @@ class LiveTopics(Live):
             if kinds:
                 expected = " or ".join(sorted(self._expected)) or "one of ROS's common types"
                 raise DataError(f"{self.name}: {topic} is of {', '.join(sorted(kinds))}; expected {expected}")
+            self._lacks = carrier.unreached() or f"nobody publishes {topic}"
             self._closed.wait(_LOOK_S)
         raise DataError(f"{self.name}: was closed")
 

@@ -42,7 +42,10 @@ _LAYOUTS: dict[str, tuple[int, int | None]] = {  # bytes a pixel, and OpenCV's w
     "bayer_bggr8": (1, cv2.COLOR_BayerBGGR2RGB),
     "bayer_gbrg8": (1, cv2.COLOR_BayerGBRG2RGB),
     "bayer_grbg8": (1, cv2.COLOR_BayerGRBG2RGB),
+    "16UC1": (2, None),
+    "mono16": (2, None),
 }
+_DEEP = ("16UC1", "mono16")
 
 
 def require(module: str, where: object) -> None:
@@ -94,8 +97,8 @@ def decoded(data: bytes, kind: str) -> Any:
 
 
 def image_of(where: str, message: Any) -> Array:
-    """The picture of an Image or CompressedImage as nodes have it: uint8, (h, w) gray or (h, w, 3) RGB. Raises
-    DataError, with `where`: it is damaged, or has another encoding."""
+    """The picture of an Image or CompressedImage as nodes have it: uint8, (h, w) gray or (h, w, 3) RGB; of 16 bits, as
+    depth has them, uint16. Raises DataError, with `where`: it is damaged, or has another encoding."""
     if not hasattr(message, "encoding"):
         return decode_image(where, message.data.tobytes())
     if message.encoding not in _LAYOUTS:
@@ -108,6 +111,9 @@ def image_of(where: str, message: Any) -> Array:
         told = f"{len(message.data)} bytes in rows of {step}"
         raise DataError(f"{where}: has {told}; expected {height} rows of at least {width * channels}")
     rows = message.data.reshape(height, step)[:, : width * channels]
+    if message.encoding in _DEEP:
+        order = ">u2" if message.is_bigendian else "<u2"
+        return np.ascontiguousarray(rows).view(order).astype(np.uint16)
     pixels = np.ascontiguousarray(rows.reshape(height, width, channels) if channels > 1 else rows)
     if conversion is None:
         return pixels

@@ -45,7 +45,8 @@ class Lens:
         """An image without the lens's distortion; what it does not show is black. One without any is given as it is."""
         if not self.coefficients.any() and not self.fisheye:
             return image
-        return np.asarray(cv2.remap(image, *self._maps, cv2.INTER_LINEAR))
+        between = cv2.INTER_LINEAR if image.dtype == np.uint8 else cv2.INTER_NEAREST  # depths are not mixed
+        return np.asarray(cv2.remap(image, *self._maps, between))
 
     @property
     def matrix(self) -> Floats:

@@ -11,7 +11,7 @@ import numpy as np
 
 from hierax.nodes.sources.calibration import read_calibration
 from hierax.nodes.sources.files import DataError
-from hierax.nodes.sources.images import Array
+from hierax.nodes.sources.images import Array, check_depth
 from hierax.nodes.sources.shots import CameraBelief, Floats, Shot, Source, Told, check_size, read_matrix
 from hierax.runtime import World
 
@@ -27,7 +27,7 @@ source is called; None: nobody knows."""
 class Picture(Told):
     """What is observed of a camera."""
 
-    image: Array  # uint8, (h, w) gray or (h, w, 3) RGB
+    image: Array  # uint8, (h, w) gray or (h, w, 3) RGB; uint16 of a world that is `deep`
     camera: Floats  # (4, 4) world_from_camera
     intrinsics: Floats  # (4,) fx, fy, cx, cy in pixels; zeros without a calibration
     frame: int  # its number
@@ -141,6 +141,7 @@ class CameraWorld(World):
         locate: tells the camera's pose by each frame, in place of `pose`; until it does, nothing is observed.
         topic: of a bag that has pictures on several.
         straighten: false leaves frames as they were taken.
+        deep: whether pictures of 16 bits, as depth has them, are shown as well; else they are an error.
 
     Raises DataError: the calibration is missing or damaged. ValueError: an option is out of range."""
 
@@ -155,13 +156,14 @@ class CameraWorld(World):
         locate: Locate | None = None,
         topic: str | None = None,
         straighten: bool = True,
+        deep: bool = False,
     ) -> None:
         for name, value in (("fps", fps), ("source_timeout", source_timeout)):
             if not 0.0 < value < math.inf:
                 raise ValueError(f"{name} is {value}; expected a positive number")
         self._name = source
         self._options = (float(fps), float(source_timeout), reopen, topic, calibration is not None or not straighten)
-        self._straighten = straighten
+        self._straighten, self._deep = straighten, deep
         self._lens = None if calibration is None else read_calibration(Path(calibration))
         self._pose = np.eye(4) if pose is None else read_matrix("pose", pose)
         self._locate = locate
@@ -224,6 +226,8 @@ class CameraWorld(World):
             "reopened": shot.reopened,
             "ended": shot.ended,
         }
+        if shot.ended and belief["camera"] is None:
+            _LOG.warning("%s: has ended, and no frame told where the camera is, so nothing was observed", source.name)
         if shot.image is None:
             return after
         return self._with_picture(after, shot, shot.image, source)
@@ -232,7 +236,10 @@ class CameraWorld(World):
         if self._straighten:
             self._lens = self._lens or source.lens  # a topic's is known with its first picture
         size = belief["size"] if belief["size"] is not None or self._lens is None else self._lens.size
-        check_size(source.name, taken, size)
+        place = shot.place or source.name
+        check_size(place, taken, size)
+        if not self._deep:
+            check_depth(place, taken)
         height, width = taken.shape[:2]
         image = taken if self._lens is None else self._lens.straightened(taken)
         camera, intrinsics = belief["camera"], belief["intrinsics"] if self._lens is None else self._lens.intrinsics

@@ -27,11 +27,24 @@ Read = TypeVar("Read")
 def read_image(path: Path) -> Array:
     """An image as uint8, (h, w) gray or (h, w, 3) RGB. Raises DataError: the file is missing, damaged, or has other
     than 8 bits."""
+    image = read_deep_image(path)
+    check_depth(str(path), image)
+    return image
+
+
+def read_deep_image(path: Path) -> Array:
+    """The same, also of 16 bits, as depth has them: uint16."""
     return decode_image(str(path), read_file(path, "an image"))
 
 
+def check_depth(path: str, image: Array) -> None:
+    """See that an image has 8 bits. Raises DataError: it has not."""
+    if image.dtype != np.uint8:
+        raise DataError(f"{path}: {image.dtype} pixels; expected 8 bits")
+
+
 def decode_image(path: str, data: bytes) -> Array:
-    """The same of what is in a file, or in a message; `path`: what it is called in errors."""
+    """What is in a file, or in a message, of 8 or 16 bits; `path`: what it is called in errors."""
     _check_end(path, data)
     width, height = image_size(data) or (0, 0)
     if width * height > MAX_PIXELS:
@@ -42,8 +55,8 @@ def decode_image(path: str, data: bytes) -> Array:
         raise DataError(f"{path}: cannot be decoded: {error.err}; expected an image") from error
     if image is None:
         raise DataError(f"{path}: cannot be decoded; expected an image")
-    if image.dtype != np.uint8 or image.ndim > 3:
-        raise DataError(f"{path}: {image.dtype} pixels; expected 8 bits")
+    if image.dtype not in (np.uint8, np.uint16) or image.ndim > 3:
+        raise DataError(f"{path}: {image.dtype} pixels; expected 8 or 16 bits")
     if image.ndim == 2:
         return image
     return np.ascontiguousarray(image[:, :, 2::-1]) if image.shape[2] >= 3 else np.ascontiguousarray(image[:, :, 0])

@@ -1,5 +1,6 @@
 """Sources that go on whether anybody looks or not: devices and streams. The newest frame counts."""
 
+import logging
 import threading
 import time
 from abc import abstractmethod
@@ -8,10 +9,15 @@ from typing import NamedTuple
 import cv2
 
 from hierax.nodes.sources.files import DataError
+from hierax.nodes.sources.images import Array, decode_image
 from hierax.nodes.sources.played import colours, is_grey, quiet
 from hierax.nodes.sources.shots import Seen, Shot, Size, Source, check_size
 
 FIRST_PAUSE_S, LONGEST_PAUSE_S = 0.2, 5.0  # before a source is opened again, doubled each time that this fails
+REOPENS = " (reopen: true waits for it)"
+PATIENCE_S = 5.0  # after so long without a frame it is told that one is waited for
+
+_LOG = logging.getLogger(__name__)
 _END_S = 1.0  # so long the process waits at its end for a frame that is being read
 
 
@@ -51,7 +57,8 @@ class Live(Source):
             self._thread.start()
         with self._changed:
             after = belief["frame"] - self._base
-            self._changed.wait_for(lambda: self._is_due(after), self._timeout_s)
+            if not self._changed.wait_for(lambda: self._is_due(after), min(PATIENCE_S, self._timeout_s)):
+                self._wait_on(after)
             newest, fault = self._newest, self._fault
         if newest is not None and newest.number > after:
             if newest.shot.image is not None:
@@ -62,13 +69,14 @@ class Live(Source):
             return newest.shot._replace(frame=frame, passed_over=passed_over, reopened=self._opened)
         if not self._reopen:
             told = fault or f"no frame for {self._timeout_s:g} s; expected one within source_timeout{self._lacking()}"
-            raise DataError(f"{self.name}: {told} (reopen: true waits for it)")
+            raise DataError(f"{self.name}: {told}{REOPENS}")
         return Shot(belief["frame"], None, time.monotonic(), time.time(), reopened=max(self._opened, 0))
 
     def close(self) -> None:
         """Read no more. A frame that never comes is not waited for."""
         self._closed.set()
-        self._thread.join(_END_S)
+        if self._thread.is_alive() and self._thread is not threading.current_thread():  # where garbage is collected
+            self._thread.join(_END_S)
 
     @abstractmethod
     def _stream(self) -> str:
@@ -86,6 +94,14 @@ class Live(Source):
             before = 0 if self._newest is None else self._newest.number
             self._newest = _Taken(before + count, shot)
             self._changed.notify_all()
+
+    def _wait_on(self, after: int) -> None:
+        """Wait for the rest of the timeout, and say so: whoever waits for an epoch may have less patience."""
+        rest_s = self._timeout_s - PATIENCE_S
+        if rest_s > 0.0:
+            told = self._fault or f"no frame for {PATIENCE_S:g} s{self._lacking()}"
+            _LOG.warning("%s: %s; it is waited for until source_timeout, %g s", self.name, told, self._timeout_s)
+            self._changed.wait_for(lambda: self._is_due(after), rest_s)
 
     def _is_due(self, after: int) -> bool:
         came = self._newest is not None and self._newest.number > after
@@ -117,10 +133,7 @@ class Captured(Live):
 
     def _stream(self) -> str:
         quiet()
-        within = int(1000 * self._timeout_s)
-        limits = [cv2.CAP_PROP_OPEN_TIMEOUT_MSEC, within, cv2.CAP_PROP_READ_TIMEOUT_MSEC, within]
-        streams = isinstance(self._target, str) and "://" in self._target
-        capture = cv2.VideoCapture(self._target, cv2.CAP_FFMPEG, limits) if streams else cv2.VideoCapture(self._target)
+        capture, is_encoded = self._open()
         try:
             if not capture.isOpened():
                 return "cannot be opened; expected a device's number, a file, a folder, or a stream's URL"
@@ -134,7 +147,28 @@ class Captured(Live):
                     if now_s - begun_s >= 0.9 * self._timeout_s:
                         return f"no frame for {self._timeout_s:g} s; expected one within source_timeout"
                     return "gives no more frames; it has ended, or was unplugged"
-                self._take(Shot(0, colours(image, grey), now_s, wall_s))
+                frame = self._decoded(image.tobytes()) if is_encoded else colours(image, grey)
+                if frame is not None:
+                    self._take(Shot(0, frame, now_s, wall_s))
             return "was closed"
         finally:
             capture.release()
+
+    def _open(self) -> tuple[cv2.VideoCapture, bool]:
+        """What is captured, and whether as it comes, undecoded: OpenCV scales what it decodes of a stream to the size
+        of the first frame, and so nobody would see that it changes. Of motion JPEG each frame is decoded here."""
+        if not (isinstance(self._target, str) and "://" in self._target):
+            return cv2.VideoCapture(self._target), False
+        within = int(1000 * self._timeout_s)
+        limits = [cv2.CAP_PROP_OPEN_TIMEOUT_MSEC, within, cv2.CAP_PROP_READ_TIMEOUT_MSEC, within]
+        capture = cv2.VideoCapture(self._target, cv2.CAP_FFMPEG, limits)
+        codec = int(capture.get(cv2.CAP_PROP_FOURCC)).to_bytes(4, "little", signed=True)
+        return capture, codec == b"MJPG" and capture.set(cv2.CAP_PROP_FORMAT, -1)
+
+    def _decoded(self, data: bytes) -> Array | None:
+        """A JPEG's picture; None, with a warning: it is damaged, as may happen under way."""
+        try:
+            return decode_image(self.name, data)
+        except DataError as error:
+            _LOG.warning("%s; the frame is left out", error)
+            return None

@@ -1,5 +1,6 @@
 """Sources that are played from their beginning to their end, and leave no frame out: folders and videos."""
 
+import logging
 import os
 import re
 from pathlib import Path
@@ -9,9 +10,10 @@ import cv2
 import numpy as np
 
 from hierax.nodes.sources.files import DataError
-from hierax.nodes.sources.images import SUFFIXES, Array, ReadAhead, read_image
+from hierax.nodes.sources.images import SUFFIXES, Array, ReadAhead, read_deep_image
 from hierax.nodes.sources.shots import Seen, Shot, Source, ending
 
+_LOG = logging.getLogger(__name__)
 _ENDLESS = 1 << 31  # more frames than any video has
 _GREY = (b"Y800", b"GREY", b"Y8  ")  # pixel formats of one channel
 
@@ -29,13 +31,13 @@ class Folder(Source):
             beside = "; a scene in the BOP format is scene=…" if (path / "scene_camera.json").exists() else ""
             raise DataError(f"{path}: no images in it; expected some of {', '.join(SUFFIXES)}{beside}")
         self._files = sorted(found, key=_by_number)
-        self._images = ReadAhead(self._files, read_image)
+        self._images = ReadAhead(self._files, read_deep_image)
 
     def shot(self, belief: Seen) -> Shot:
         index = belief["index"]
         if index >= len(self._files):
             return ending(belief)
-        return Shot(index, self._images.read(index), index / self._fps)
+        return Shot(index, self._images.read(index), index / self._fps, place=str(self._files[index]))
 
 
 class Video(Source):
@@ -79,6 +81,8 @@ class Video(Source):
             raise DataError(f"{self.name}: {what}")
         if self._next == 0:
             raise DataError(f"{self.name}: is damaged; expected a video of which a frame can be decoded")
+        if told < _ENDLESS and self._next + 1 < told:
+            _LOG.warning("%s: ends after %d frames; it says itself that it has %.0f", self.name, self._next, told)
         return None
 
 

@@ -67,8 +67,8 @@ def shot_of(recording: str, epoch: EpochTrace) -> Shot:
         camera, intrinsics = (np.asarray(picture[each], np.float64) for each in ("camera", "intrinsics"))
     except (KeyError, IndexError, TypeError, ValueError) as error:
         raise DataError(f"{where}: {world} showed no picture; expected image, camera, intrinsics and frame") from error
-    if not isinstance(image, np.ndarray) or image.dtype != np.uint8 or type(frame) is not int:
-        raise DataError(f"{where}: image: expected 8 bits a pixel, and a frame's number")
+    if not isinstance(image, np.ndarray) or image.dtype not in (np.uint8, np.uint16) or type(frame) is not int:
+        raise DataError(f"{where}: image: expected 8 or 16 bits a pixel, and a frame's number")
     if camera.shape != (4, 4) or intrinsics.shape != (4,):
         raise DataError(f"{where}: camera, intrinsics: expected 4 × 4 and 4 numbers")
     header = picture.get("header")

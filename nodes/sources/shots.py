@@ -51,7 +51,8 @@ class Seen(TypedDict):
 class CameraBelief(Seen, Told):
     """What the world that shows a source's frames is."""
 
-    image: Array | None  # that frame, straightened, uint8 (h, w) gray or (h, w, 3) RGB; None: none came for this epoch
+    # that frame, straightened, uint8 (h, w) gray or (h, w, 3) RGB, or uint16, see `deep`; None: none came for this epoch
+    image: Array | None
     camera: Floats | None  # (4, 4) world_from_camera; None: nobody knows yet
     intrinsics: Floats  # (4,) fx, fy, cx, cy in pixels; zeros: nobody knows
 
@@ -70,6 +71,7 @@ class Shot(NamedTuple):
     intrinsics: Floats | None = None
     header: Header | None = None
     heard: Mapping[str, Any] | None = None  # of topics, in place of a picture
+    place: str = ""  # of the frame alone, for errors; empty: that of the source
 
 
 def ending(belief: Seen) -> Shot:

@@ -1,46 +1,15 @@
 """How long a run's epochs took, and how late they began: what belongs to the run, and not to a process of it."""
 
 from mmap import mmap
-from typing import TypeAlias
 
-import numpy as np
-from numpy.typing import NDArray
-
-Cells: TypeAlias = "memoryview[float]"
+from hierax.runtime.watch.kept import TOLD, Cells, Kept
 
 KEPT = 65536  # of how many epochs, the last ones, it is kept how long they took, and how late they began
-TOLD = 1024  # how many late epochs, the last ones, are told by their numbers
 
 _RUN, _BEGUN, _FIRST_S, _LAST_S, _SKIPPED, _MOST_S, _TOOK, _LATENESS, _LATE = range(9)
 _NUMBERS = 16
 
 TIMES_BYTES = 8 * (_NUMBERS + 2 * KEPT + TOLD)
-
-
-class Kept:
-    """The last ones of some numbers, and how many there were."""
-
-    def __init__(self, cells: Cells, count: int, first: int, most: int) -> None:
-        self._cells, self._count, self._first, self._most = cells, count, first, most
-
-    def append(self, number: float) -> None:
-        count = self._cells[self._count]
-        self._cells[self._first + int(count) % self._most] = number
-        self._cells[self._count] = count + 1.0
-
-    @property
-    def count(self) -> int:
-        """How many there were."""
-        return int(self._cells[self._count])
-
-    @property
-    def last(self) -> float:
-        return float(self._cells[self._first + (self.count - 1) % self._most]) if self.count else 0.0
-
-    def numbers(self) -> NDArray[np.float64]:
-        """The last ones, in order."""
-        held = np.array(self._cells[self._first : self._first + min(self.count, self._most)])
-        return np.roll(held, -(self.count % self._most)) if self.count > self._most else held
 
 
 class Times:
@@ -58,10 +27,6 @@ class Times:
         self.took_s = Kept(cells, _TOOK, first, KEPT)
         self.lateness_s = Kept(cells, _LATENESS, first + KEPT, KEPT)
         self.late = Kept(cells, _LATE, first + 2 * KEPT, TOLD)  # the numbers of epochs
-
-    def clear(self) -> None:
-        """A run begins."""
-        self._cells[:_NUMBERS] = memoryview(bytes(8 * _NUMBERS)).cast("d")
 
     def begun(self, now_s: float) -> None:
         """An epoch begins."""

@@ -18,7 +18,7 @@ import anyio.to_thread
 
 from hierax.runtime.core.errors import HieraxError
 from hierax.runtime.deployment.deployment import ProcessTerms
-from hierax.runtime.launch.child import Child, Overhearing
+from hierax.runtime.launch.child import Child, Overhearing, ProcessState
 from hierax.runtime.launch.frames import COME_BACK, NEWCOMER, NodeOrder
 from hierax.runtime.launch.process_supervisor import Fail, Notify, ProcessSupervisor
 from hierax.runtime.loading.allowance import Allowance, module_of
@@ -137,12 +137,20 @@ class AttachedProcesses(ProcessSupervisor):
             self._leaving -= 1
 
     async def _watch_hub(self, endpoint: str) -> None:
-        """A launch that cannot be reached may be reached again; one that is gone says so to whoever knocks."""
+        """A launch that cannot be reached may be reached again; one that is gone says so to whoever knocks. Where it
+        has ended, it has told its nodes so, which need a while to go."""
+        was_gone = False
         while True:
             await anyio.sleep(LOOK_S)
             gone = await anyio.to_thread.run_sync(is_gone, endpoint, abandon_on_cancel=True)
-            if gone and self._leaving < self._attached:
+            if gone and was_gone and not self._all_leave():
                 self.fail(HieraxError(f"the launch at {endpoint} is gone; its nodes here are ended"))
+            was_gone = gone
+
+    def _all_leave(self) -> bool:
+        """Whether what still runs here was dismissed, or looks whether it was."""
+        dismissed = sum(1 for child in self.children if child.dismissed and child.state is not ProcessState.ENDED)
+        return self._leaving + dismissed >= self._attached
 
 
 async def _await(await_change: Callable[[], None], fail: Fail) -> None:

@@ -18,6 +18,7 @@ from hierax.runtime.launch.frames import BEGIN, NodeOrder
 from hierax.runtime.loading.allowance import Allowance
 from hierax.runtime.recovery.disk import MappedFile
 from hierax.runtime.recovery.slots import Slots
+from hierax.runtime.watch.budget import BUDGET_BYTES, Budget
 
 _log = logging.getLogger("hierax")
 
@@ -53,17 +54,29 @@ def pacemaker_of(order: NodeOrder, publish: Callable[[int, bytes], None]) -> Pac
 
 def open_times(order: NodeOrder) -> Times:
     """The run's, beside the world's record. Raises `HieraxError` if the file cannot be opened."""
-    path = Path(f"{order.checkpoint}.times")
+    return Times(_memory(order, f"{order.checkpoint}.times", TIMES_BYTES), int(order.run, 16))
+
+
+def open_budget(order: NodeOrder) -> Budget | None:
+    """The node's, whose counts go on with whatever process or class comes in its place; None: it has none. Raises
+    `HieraxError` if the file cannot be opened."""
+    if order.budget_ms is None:
+        return None
+    return Budget(order.budget_ms, _memory(order, f"{order.name}.budget", BUDGET_BYTES))
+
+
+def _memory(order: NodeOrder, name: str, size: int) -> mmap:
+    """A file beside the checkpoints, of zeros where the run begins."""
+    path = Path(order.checkpoint).with_name(Path(name).name)
     with errors_named(path, "opened"), private_folder(path.parent) as folder:
         file = open_private(folder, path.name, os.O_RDWR | os.O_CREAT, path)
         try:
-            os.posix_fallocate(file, 0, TIMES_BYTES)
-            times = Times(mmap(file, TIMES_BYTES), int(order.run, 16))
+            if order.life == BEGIN:
+                os.truncate(file, 0)
+            os.posix_fallocate(file, 0, size)
+            return mmap(file, size)
         finally:
             os.close(file)
-    if order.life == BEGIN:
-        times.clear()
-    return times
 
 
 def preload(modules: tuple[str, ...], allowance: Allowance) -> None:

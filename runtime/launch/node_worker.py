@@ -26,7 +26,7 @@ from hierax.runtime.execution.world_member import WorldMember
 from hierax.runtime.host.scheduling import ask_scheduler
 from hierax.runtime.launch import frames
 from hierax.runtime.launch.inspection_server import InspectionServer
-from hierax.runtime.launch.member_building import open_observers, open_slots, pacemaker_of, preload
+from hierax.runtime.launch.member_building import open_budget, open_observers, open_slots, pacemaker_of, preload
 from hierax.runtime.launch.node_loop import ControlQueue, NodeLoop, WorldWatch
 from hierax.runtime.loading.loader import LoadError, extend_import_path
 from hierax.runtime.loading.node_loader import NodeLoader
@@ -216,8 +216,8 @@ class NodeWorker:
         observers, slots = open_observers(order), open_slots(order)
         if order.recorded and self._publisher.wait(RECORDER_TIMEOUT_S):
             self._be_recorded(observers, True)
-        if order.budget_ms is not None:
-            self._budget = Budget(order.budget_ms)
+        self._budget = open_budget(order)
+        if self._budget is not None:
             observers.watch(self._budget)
         if telemetry.wanted():
             observers.watch(telemetry.open_spans(order.deployment, order.run, order.name))

@@ -61,6 +61,7 @@ class _Kind:
     pause: int = 0
     since_s: float = 0.0
     left_out: int = 0
+    last: str = ""  # of those left out
 
 
 class Throttle(logging.Filter):
@@ -81,8 +82,9 @@ class Throttle(logging.Filter):
         return bool(found)
 
     def take_left_out(self) -> list[tuple[int, str, int]]:
-        """Level, text and number of the records that were left out and are not told yet; then they are."""
-        found = [(level, text, kind.left_out) for (level, text), kind in self._kinds.items() if kind.left_out]
+        """Level, number and the last one's text of the records that were left out and are not told yet; then they
+        are."""
+        found = [(level, kind.last, kind.left_out) for (level, _), kind in self._kinds.items() if kind.left_out]
         self._kinds.clear()
         return found
 
@@ -99,6 +101,7 @@ class Throttle(logging.Filter):
             return True
         if quiet_s < PAUSES_S[kind.pause]:
             kind.left_out += 1
+            kind.last = record.getMessage()
             return False
         if kind.left_out:
             record.msg = f"{record.getMessage()} (and {kind.left_out} more like it in the last {quiet_s:.0f} s)"

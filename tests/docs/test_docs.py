@@ -30,6 +30,17 @@ TUTORIAL = "docs/tutorial.md"
 """Run as its reader does, with no more installed than it says."""
 
 
+def test_links_between_pages_lead_somewhere() -> None:
+    pages = {path: path.read_text(encoding="utf-8") for path in (ROOT / "README.md", *sorted(DOCS.rglob("*.md")))}
+    links = [
+        (page.relative_to(ROOT).as_posix(), link)
+        for page, text in pages.items()
+        for link in re.findall(r"\]\(([^)#\s]+)(?:#[^)\s]*)?\)", re.sub(r"```.*?```|`[^`]*`", "", text, flags=re.DOTALL))
+        if "://" not in link and not (page.parent / link).exists()
+    ]
+    assert not links
+
+
 def test_there_are_pages_to_run() -> None:
     assert TUTORIAL in RUN
 

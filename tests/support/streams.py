@@ -40,6 +40,7 @@ class Stream:
         sent: how many pictures were sent.
         stalled: while set, nothing is sent, and connections stay.
         refused: while set, connections are closed, and new ones get an error.
+        cut: while set, pictures lack their ends.
     """
 
     def __init__(self, pictures: Sequence[Array], rate_hz: float = 30.0, port: int = 0) -> None:
@@ -47,7 +48,8 @@ class Stream:
         self._pause_s = 1.0 / rate_hz
         self.sent = 0
         self.connections = 0
-        self.stalled, self.refused, self._over = threading.Event(), threading.Event(), threading.Event()
+        self.stalled, self.refused, self.cut = threading.Event(), threading.Event(), threading.Event()
+        self._over = threading.Event()
         self._turn = threading.Lock()
         outer = self
 
@@ -94,5 +96,7 @@ class Stream:
             number, self.sent = self.sent, self.sent + 1
         picture = numbered(self._pictures[number % len(self._pictures)], number)
         _, data = cv2.imencode(".jpg", np.ascontiguousarray(picture[..., ::-1]), [cv2.IMWRITE_JPEG_QUALITY, 95])
+        if self.cut.is_set():
+            data = data[: len(data) // 2]
         head = f"--frame\r\nContent-Type: image/jpeg\r\nContent-Length: {len(data)}\r\n\r\n"
         return head.encode() + data.tobytes() + b"\r\n"

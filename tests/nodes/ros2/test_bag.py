@@ -140,7 +140,8 @@ def bad(bag: Path) -> dict[str, tuple[Any, str]]:
     info = camera_info(LENS)
     info.d = np.zeros(3) + 0.1
     return {
-        "depth": ([image(0, gray, "16UC1", step=8)], "/eye, picture 1: encoding '16UC1'; expected one of mono8, 8UC1"),
+        "depth": ([image(0, gray.astype("<u2").view(np.uint8), "16UC1", width=4)], "/eye: uint16 pixels; expected 8 bits"),
+        "floats": ([image(0, gray, "32FC1", step=16)], "/eye, picture 1: encoding '32FC1'; expected one of mono8, 8UC"),
         "short": ([image(0, gray, "mono8", height=5)], "picture 1: has 16 bytes in rows of 4; expected 5 rows of at"),
         "narrow": ([image(0, gray, "rgb8")], "has 16 bytes in rows of 4; expected 4 rows of at least 12"),
         "none": ([image(0, gray, "mono8", width=0)], "has 0×4 pixels; expected at least one"),
@@ -233,3 +234,13 @@ def test_without_the_package_it_is_told_how_to_get_it(tmp_path: Path, monkeypatc
     monkeypatch.setitem(__import__("sys").modules, "rosbags.rosbag2", None)
     with pytest.raises(DataError, match=re.escape("this needs the package rosbags: pip install 'hierax[ros2]'")):
         CameraWorld(str(bag)).initial_belief()
+
+
+@pytest.mark.parametrize(("encoding", "order"), [("16UC1", "<u2"), ("mono16", ">u2")])
+def test_depth_is_shown_where_that_is_asked_for(encoding: str, order: str, tmp_path: Path) -> None:
+    depth = np.random.default_rng(4).integers(0, 65536, (6, 8)).astype(np.uint16)
+    rows, big = depth.astype(order).view(np.uint8), int(order[0] == ">")
+    messages = [image(0, rows, encoding, pad=2, width=8, is_bigendian=big)]
+    (belief,) = shown(write_bag(tmp_path / "bag", {"/depth": messages}), deep=True)
+    np.testing.assert_array_equal(belief["image"], depth)
+    assert belief["image"].dtype == np.uint16

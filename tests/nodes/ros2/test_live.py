@@ -10,6 +10,7 @@ from rosbags.serde import SerdeError
 from support.bags import STORE, camera_info, compressed, image
 from support.topics import Talker, joints, router, stamped, transforms
 
+from hierax.nodes.ros2 import by_zenoh
 from hierax.nodes.ros2.carrier import LATCHED, QOS
 from hierax.nodes.ros2.messages import decoded
 from hierax.nodes.ros2.world import TopicsWorld, topics_heard
@@ -145,7 +146,7 @@ def test_what_fast_dds_leaves_behind_a_message_is_cut_off() -> None:
 @pytest.mark.parametrize(
     ("encoding", "options", "told"),
     [
-        ("16UC1", "", "encoding '16UC1'; expected one of mono8"),
+        ("32FC1", "", "encoding '32FC1'; expected one of mono8"),
         ("mono8", "?info=/other/camera_info", "source_timeout; no CameraInfo came on /other/camera_info"),
         ("mono8", "?world=map", "source_timeout; tf does not tell where lens is in map when a picture is taken"),
     ],
@@ -190,3 +191,25 @@ def test_topics_that_belong_together_are_shown_together(where: str, talker: Talk
         assert belief["frame"] > before["frame"]
     with pytest.raises(ValueError, match="expected all of one carrier"):
         TopicsWorld({"one": "ros:/one", "two": "ros+zenoh:/two"})
+
+
+def test_depth_of_a_topic_is_shown_where_that_is_asked_for(where: str, talker: Talker) -> None:
+    depth = np.arange(SIZE[0] * SIZE[1], dtype=np.uint16).reshape(SIZE[1], SIZE[0]) * 80
+    data = depth.astype("<u2").view(np.uint8)
+
+    def say(number: int) -> None:
+        talker.say(INFO, camera_info(PLAIN), QOS["sensor_data"])
+        talker.say(RAW, stamped(image(0, data, "16UC1", width=SIZE[0]), number + 1), QOS["sensor_data"])
+
+    talker.keep_on(100.0, say)
+    (seen,) = picture_seen(CameraWorld(f"ros+zenoh://{where}{RAW}", source_timeout=60.0, deep=True).initial_belief())
+    np.testing.assert_array_equal(seen["image"], depth)
+    with pytest.raises(DataError, match="uint16 pixels; expected 8 bits"):
+        CameraWorld(f"ros+zenoh://{where}{RAW}", source_timeout=60.0).initial_belief()
+
+
+def test_a_router_that_is_not_there_is_told(caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(by_zenoh, "_REACHED_S", 0.2)
+    told = said_of("ros+zenoh://127.0.0.1:9/eye", "no router of Zenoh is reached at 127.0.0.1:9")
+    assert "nobody publishes" not in told
+    assert "nothing is said or heard until one comes" in caplog.text

@@ -10,11 +10,24 @@ import pytest
 from support.launched import until
 from support.streams import Stream, number_of
 
+from hierax.nodes.sources import live
 from hierax.nodes.sources.camera import CameraWorld, picture_seen
 from hierax.nodes.sources.files import DataError
 from hierax.nodes.sources.images import Array
-from hierax.nodes.sources.shots import CameraBelief
+from hierax.nodes.sources.live import Live
+from hierax.nodes.sources.shots import CameraBelief, Seen
 
+WAITING: Seen = {
+    "index": 0,
+    "frame": -1,
+    "size": None,
+    "time_s": 0.0,
+    "wall_s": None,
+    "passed_over": 0,
+    "stalls": 0,
+    "reopened": 0,
+    "ended": False,
+}
 GREY = [np.full((240, 320, 3), 40 * level, np.uint8) for level in range(5)]
 TIMEOUT_S = 0.5
 
@@ -135,3 +148,50 @@ def test_what_cannot_be_opened_is_told() -> None:
 def test_a_device_has_a_number_or_a_path(tmp_path: Path) -> None:
     with pytest.raises(DataError, match="camera /dev/null: cannot be opened"):
         CameraWorld("/dev/null", source_timeout=5.0).initial_belief()
+
+
+def test_a_size_that_changes_under_way_is_an_error_or_opens_the_camera_again() -> None:
+    pictures: list[Array] = list(GREY)
+    with Stream(pictures) as stream:
+        strict, patient = (CameraWorld(stream.url, source_timeout=20.0, reopen=reopen) for reopen in (False, True))
+        beliefs = [strict.initial_belief(), patient.initial_belief()]
+        pictures[:] = [np.zeros((480, 640, 3), np.uint8)] * len(pictures)
+        with pytest.raises(DataError, match=re.escape("has 640×480 pixels; expected 320×240")):
+            follow(strict, beliefs[0], shows=False)
+        waiting = CameraWorld(stream.url, source_timeout=TIMEOUT_S, reopen=True)
+        after = follow(waiting, beliefs[1], shows=False)
+        pictures[:] = GREY
+        again = follow(waiting, after, shows=True)
+    assert again["size"] == (320, 240)
+    assert again["reopened"] >= 2
+
+
+def test_a_damaged_frame_is_left_out_with_a_word(caplog: pytest.LogCaptureFixture) -> None:
+    with Stream(GREY) as stream:
+        world = CameraWorld(stream.url, source_timeout=20.0)
+        belief = world.initial_belief()
+        stream.cut.set()
+        until(lambda: "cut off; expected a whole JPEG image; the frame is left out" in caplog.text, "a word")
+        stream.cut.clear()
+        assert shown(world.predict((), (), belief)) is not None
+
+
+def test_a_source_may_be_closed_by_its_own_thread_and_before_it_was_asked() -> None:
+    class Held(Live):
+        def _stream(self) -> str:
+            self.close()  # as where the collector of garbage runs in this thread
+            return "was closed by itself"
+
+    for held in (Held("held", 20.0, False), Held("held", 20.0, False)):
+        with pytest.raises(DataError, match="held: was closed by itself"):
+            held.shot(WAITING)
+    Held("held", 20.0, False).close()
+
+
+def test_a_long_wait_is_told_before_it_is_over(caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(live, "PATIENCE_S", 0.2)
+    world = CameraWorld("http://127.0.0.1:9/none", source_timeout=1.0, reopen=True)
+    world.initial_belief()
+    told = "camera http://127.0.0.1:9/none: cannot be opened; expected a device's number, a file, a folder, or a"
+    assert told in caplog.text
+    assert "it is waited for until source_timeout, 1 s" in caplog.text

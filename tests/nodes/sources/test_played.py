@@ -135,7 +135,7 @@ def test_a_picture_of_another_size_is_refused(tmp_path: Path) -> None:
     write_picture(tmp_path / "0.png", shot(0))
     write_picture(tmp_path / "1.png", shot(1)[:100])
     world = CameraWorld(str(tmp_path))
-    with pytest.raises(DataError, match=re.escape("has 320×100 pixels; expected 320×240")):
+    with pytest.raises(DataError, match=re.escape("1.png: has 320×100 pixels; expected 320×240")):
         world.predict((), (), world.initial_belief())
 
 
@@ -186,3 +186,39 @@ def test_options_out_of_range_are_told(options: dict[str, float]) -> None:
 def test_a_pose_that_is_none_is_told(pose: Any) -> None:
     with pytest.raises(DataError, match="pose: expected"):
         CameraWorld(0, pose=pose)
+
+
+def test_pictures_of_16_bits_are_shown_where_that_is_asked_for(tmp_path: Path) -> None:
+    depth = np.random.default_rng(4).integers(0, 65536, (SIZE[1], SIZE[0]), dtype=np.uint16)
+    cv2.imwrite(str(tmp_path / "0.png"), depth)
+    with pytest.raises(DataError, match=re.escape("0.png: uint16 pixels; expected 8 bits")):
+        CameraWorld(str(tmp_path)).initial_belief()
+    (seen,) = picture_seen(CameraWorld(str(tmp_path), deep=True).initial_belief())
+    np.testing.assert_array_equal(seen["image"], depth)
+    write_calibration(replace(PINHOLE, size=SIZE), tmp_path / "camera.yaml")
+    world = CameraWorld(str(tmp_path), str(tmp_path / "camera.yaml"), deep=True)
+    (seen,) = picture_seen(world.initial_belief())
+    assert seen["image"].dtype == np.uint16
+    assert np.isin(seen["image"], np.append(depth, 0)).all(), "depths are not mixed"
+
+
+def test_a_video_that_has_less_than_it_says_is_told(
+    folder: Path, tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    data = (folder / "video.avi").read_bytes()
+    (tmp_path / "half.avi").write_bytes(data[: len(data) // 2])
+    for name, told in ((folder / "video.avi", 0), (tmp_path / "half.avi", 1)):
+        world = CameraWorld(str(name))
+        belief = world.initial_belief()
+        while not belief["ended"]:
+            belief = world.predict((), (), belief)
+        assert caplog.text.count("frames; it says itself that it has 12") == told, caplog.text
+
+
+def test_that_no_frame_told_where_the_camera_is_has_a_line(folder: Path, caplog: pytest.LogCaptureFixture) -> None:
+    world = CameraWorld(str(folder / "shots"), locate=lambda *_: None)
+    belief = world.initial_belief()
+    while not belief["ended"]:
+        assert picture_seen(belief) == ()
+        belief = world.predict((), (), belief)
+    assert "shots: has ended, and no frame told where the camera is, so nothing was observed" in caplog.text

@@ -48,13 +48,3 @@ def test_of_a_run_that_is_resumed_the_pause_is_left_out() -> None:
     assert resumed.wall_s == pytest.approx(3.75)
     passed(Times(memory, run=8), 7.0, 1.0)
     assert Times(memory, run=8).wall_s == pytest.approx(6.0)
-
-
-def test_a_run_that_begins_has_no_times_of_another_one() -> None:
-    memory = mmap(-1, TIMES_BYTES)
-    passed(Times(memory, run=7), 100.0, 1.0, 2.0)
-    begun = Times(memory, run=9)
-    begun.clear()
-    assert (begun.wall_s, begun.took_s.count) == (0.0, 0)
-    passed(begun, 50.0, 1.0)
-    assert (begun.wall_s, begun.took_s.numbers().tolist()) == (1.0, [1.0])

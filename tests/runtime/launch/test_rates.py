@@ -151,3 +151,24 @@ def test_the_backlog_of_a_world_that_stood_still_has_a_line(file: str, tmp_path:
         launch.until_said("epochs late, which follow at once")
         until(lambda: launch.epoch >= 200, "what is overdue")
         launch.end()
+
+
+def test_a_nodes_counts_go_on_after_a_kill_and_with_other_parameters(file: str, tmp_path: Path) -> None:
+    """Late epochs are put down to whoever was over the budget then."""
+
+    def over() -> int:
+        told = said_here("top", "--once", "--interval", "0.05", "--format", "json", folder=tmp_path)
+        return int(json.loads(told.stdout)["timing"]["budgets"].get("slow", {"over": 0})["over"])
+
+    settings = ["--set", "nodes.slow.parameters.every=10", "--epochs", "1000000"]
+    with Launched(tmp_path, file, *settings) as launch:
+        until(lambda: over() >= 3, "a budget that is broken")
+        launch.kill("slow")
+        until(lambda: over() >= 6, "counts that go on")
+        before = over()
+        assert said_here("set", "slow.every=1000000", folder=tmp_path).returncode == 0
+        until(lambda at=launch.epoch: launch.epoch >= at + 20, "epochs")
+        launch.process.send_signal(signal.SIGINT)
+        timing = json.loads(launch.end())["timing"]
+    assert timing["budgets"]["slow"]["over"] >= before
+    assert timing["rate"]["after"]["slow"] >= before

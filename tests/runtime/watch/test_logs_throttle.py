@@ -65,3 +65,10 @@ def test_what_was_quiet_for_long_begins_anew() -> None:
     for _ in range(FIRST):
         told.say("refused")
     assert told.lines[-FIRST:] == ["refused"] * FIRST
+
+
+def test_of_what_was_left_out_at_the_end_the_last_one_is_told() -> None:
+    told = Told()
+    for number in range(FIRST + 3):
+        told.say("%s: dropped %d", "world", number)
+    assert told.throttle.take_left_out() == [(logging.WARNING, f"world: dropped {FIRST + 2}", 3)]
