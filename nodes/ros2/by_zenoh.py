@@ -102,9 +102,7 @@ class ZenohCarrier(Carrier):
         self._router = router or ROUTER
         settings = os.environ.get("ZENOH_SESSION_CONFIG_URI")
         try:
-            self._session = open_session(
-                connect=[f"tcp/{self._router}"], zenoh_config=settings, shared_memory=False
-            )
+            self._session = open_session(connect=[f"tcp/{self._router}"], zenoh_config=settings, shared_memory=False)
         except TransportError as error:
             raise DataError(f"{where}: {error}") from error
         self._numbers = itertools.count()

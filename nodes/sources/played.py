@@ -48,6 +48,7 @@ class Video(Source):
     def __init__(self, path: Path, fps: float) -> None:
         self.name = str(path)
         self._fps = fps
+        self._is_short = False
         self._begin()
         self._frames = ReadAhead(range(_ENDLESS), self._decoded)
 
@@ -81,7 +82,8 @@ class Video(Source):
             raise DataError(f"{self.name}: {what}")
         if self._next == 0:
             raise DataError(f"{self.name}: is damaged; expected a video of which a frame can be decoded")
-        if told < _ENDLESS and self._next + 1 < told:
+        if told < _ENDLESS and self._next + 1 < told and not self._is_short:
+            self._is_short = True  # told once: what is read ahead ends again and again
             _LOG.warning("%s: ends after %d frames; it says itself that it has %.0f", self.name, self._next, told)
         return None
 

@@ -51,7 +51,7 @@ class Seen(TypedDict):
 class CameraBelief(Seen, Told):
     """What the world that shows a source's frames is."""
 
-    # that frame, straightened, uint8 (h, w) gray or (h, w, 3) RGB, or uint16, see `deep`; None: none came for this epoch
+    # that frame, straightened, uint8 (h, w) gray or (h, w, 3) RGB, or uint16; None: none came for this epoch
     image: Array | None
     camera: Floats | None  # (4, 4) world_from_camera; None: nobody knows yet
     intrinsics: Floats  # (4,) fx, fy, cx, cy in pixels; zeros: nobody knows

@@ -25,6 +25,7 @@ LONG = ("make ", "apt-get ", ".venv/bin/", "spin ", "python benchmarks/")
 """Set-up, and what takes minutes; each `make` target and script has tests of its own."""
 
 
+LINK = re.compile(r"\]\(([^)#\s]+)(?:#[^)\s]*)?\)")
 RUN = [page for page, text in PAGES.items() if "```console" in text]
 TUTORIAL = "docs/tutorial.md"
 """Run as its reader does, with no more installed than it says."""
@@ -35,7 +36,7 @@ def test_links_between_pages_lead_somewhere() -> None:
     links = [
         (page.relative_to(ROOT).as_posix(), link)
         for page, text in pages.items()
-        for link in re.findall(r"\]\(([^)#\s]+)(?:#[^)\s]*)?\)", re.sub(r"```.*?```|`[^`]*`", "", text, flags=re.DOTALL))
+        for link in LINK.findall(re.sub(r"```.*?```|`[^`]*`", "", text, flags=re.DOTALL))
         if "://" not in link and not (page.parent / link).exists()
     ]
     assert not links

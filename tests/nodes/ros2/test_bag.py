@@ -140,7 +140,7 @@ def bad(bag: Path) -> dict[str, tuple[Any, str]]:
     info = camera_info(LENS)
     info.d = np.zeros(3) + 0.1
     return {
-        "depth": ([image(0, gray.astype("<u2").view(np.uint8), "16UC1", width=4)], "/eye: uint16 pixels; expected 8 bits"),
+        "depth": ([image(0, np.zeros((4, 8), np.uint8), "16UC1", width=4)], "/eye: uint16 pixels; expected 8 bits"),
         "floats": ([image(0, gray, "32FC1", step=16)], "/eye, picture 1: encoding '32FC1'; expected one of mono8, 8UC"),
         "short": ([image(0, gray, "mono8", height=5)], "picture 1: has 16 bytes in rows of 4; expected 5 rows of at"),
         "narrow": ([image(0, gray, "rgb8")], "has 16 bytes in rows of 4; expected 4 rows of at least 12"),

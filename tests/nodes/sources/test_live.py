@@ -188,7 +188,7 @@ def test_a_source_may_be_closed_by_its_own_thread_and_before_it_was_asked() -> N
     Held("held", 20.0, False).close()
 
 
-def test_a_long_wait_is_told_before_it_is_over(caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_long_wait_is_told_early(caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(live, "PATIENCE_S", 0.2)
     world = CameraWorld("http://127.0.0.1:9/none", source_timeout=1.0, reopen=True)
     world.initial_belief()

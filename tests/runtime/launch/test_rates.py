@@ -157,8 +157,9 @@ def test_a_nodes_counts_go_on_after_a_kill_and_with_other_parameters(file: str, 
     """Late epochs are put down to whoever was over the budget then."""
 
     def over() -> int:
-        told = said_here("top", "--once", "--interval", "0.05", "--format", "json", folder=tmp_path)
-        return int(json.loads(told.stdout)["timing"]["budgets"].get("slow", {"over": 0})["over"])
+        told = said_here("top", "--once", "--interval", "0.1", "--format", "json", folder=tmp_path)
+        timing = json.loads(told.stdout).get("timing", {}) if told.returncode == 0 else {}
+        return int(timing.get("budgets", {}).get("slow", {"over": 0})["over"])  # who comes back does not answer yet
 
     settings = ["--set", "nodes.slow.parameters.every=10", "--epochs", "1000000"]
     with Launched(tmp_path, file, *settings) as launch:
