@@ -1,17 +1,43 @@
 """``hierax launch``: a deployment, each node in a process of its own."""
 
 import functools
+from dataclasses import replace
 from pathlib import Path
 
-from hierax.runtime.commands.errors import CommandError, notify
+from hierax.runtime.commands.errors import OK, CommandError, notify
 from hierax.runtime.commands.options import OF_A_RUN, LaunchedFile, RunOptions, offers
 from hierax.runtime.commands.recordings import claimed_file, report_outcome, selection_of
-from hierax.runtime.launch.run_file import Run, read_run
+from hierax.runtime.launch.run_file import Run, has_run, read_run
 
 
 @offers(*OF_A_RUN, "state", "resume", "host", "trust")
 def launch(options: RunOptions, file: LaunchedFile = None) -> int:
     """Run a deployment with each node in a process of its own, over Zenoh."""
+    if file is None or options.resume is None:
+        return _launched(options, file)
+    return _begun_or_resumed(options, file, options.resume)
+
+
+def _begun_or_resumed(options: RunOptions, file: str, state: Path) -> int:
+    """Go on with the run in a folder; where there is none, it begins there, and one that is over stays so."""
+    from hierax.runtime.launch.orders import NotBegunError, OverError
+
+    if options.state is not None:
+        raise CommandError("--resume with --state: name one folder")
+    anew = replace(options, state=state, resume=None, trust=False)
+    if not has_run(state):
+        return _launched(anew, file)
+    try:
+        return _launched(replace(options), file)
+    except OverError as over:
+        notify(str(over))
+        return OK
+    except NotBegunError:
+        return _launched(anew, file, goes_on=True)
+
+
+def _launched(options: RunOptions, file: str | None, goes_on: bool = False) -> int:
+    """`goes_on`: whether the output of a run that was ended before its first epoch is written on."""
     from hierax.runtime.commands.run_deployment import run_deployment
     from hierax.runtime.launch import supervisor
     from hierax.runtime.launch.recorder_process import RecordingRequest
@@ -36,7 +62,8 @@ def launch(options: RunOptions, file: LaunchedFile = None) -> int:
             overrides=tuple(options.overrides or ()),
             recording=recording,
         )
-        goes_on = run is not None and output is not None and output.absolute() == Path(run.output).absolute()
+        if run is not None and output is not None:
+            goes_on = output.absolute() == Path(run.output).absolute()
         log_who_comes()
         with doors.watched(notify):
             code = run_deployment(runner, file, options, goes_on)
@@ -49,17 +76,21 @@ def launch(options: RunOptions, file: LaunchedFile = None) -> int:
 
 def _resumed(file: str | None, options: RunOptions) -> Run | None:
     """The run that is resumed, whose own options are taken over where others are not given; None: a new one begins."""
+    from hierax.runtime.deployment.deployment import find_file
     from hierax.runtime.deployment.secrets import completed
 
     if options.resume is None:
         if options.trust:
             raise CommandError("--trust: only with --resume; a deployment file that you name is yours to judge")
         return None
-    if file is not None or options.state is not None:
-        raise CommandError("--resume: the run knows its deployment file and folder; give neither")
+    if options.state is not None:
+        raise CommandError("--resume: the run knows its folder; --state is for another one")
     run = read_run(options.resume, options.trust)
+    if file is not None and find_file(file).resolve() != Path(run.deployment):
+        raise CommandError(f"--resume {options.resume}: the run there is one of {run.deployment}, not of {file}")
+    given = [text for text in options.overrides or () if file is None or text not in run.settings]
     options.state, options.seed = options.resume, run.seed
-    options.overrides = list(completed(run.settings, options.overrides or ()))
+    options.overrides = list(completed(run.settings, given))
     options.epochs = run.epochs if options.epochs is None else options.epochs
     options.output = options.output or (Path(run.output) if run.output else None)
     return run

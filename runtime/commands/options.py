@@ -53,7 +53,8 @@ _WORDS = """
 --overwrite: Replace the output or recording of another run; of other files none is touched.
 --port PORT: Of the page, on this machine's loopback; by default 9090, or a free one where that is taken.
 --record FILE: Record the run into this MCAP file. Exit code 1 if something said is not in it.
---resume DIR: Go on with the run whose checkpoints are in this folder, at its next epoch.
+--resume DIR: Go on with the run whose checkpoints are in this folder, at its next epoch. With FILE, begin there where
+    there is none, and end well where it is over.
 --rounds: How often ours and the rival take turns.
 --run RUN: Which launch: its identification, or how that begins, or its hierarchy's name; `hierax ps` lists them.
 --save FILE.rrd: Into a file, for `rerun FILE.rrd`; no viewer.
@@ -125,7 +126,7 @@ def deployments_here(incomplete: str) -> list[str]:
 _FILE = "A deployment file, or the name of a shipped deployment."
 File = Annotated[str, argument("FILE", _FILE, autocompletion=deployments_here)]
 LaunchedFile = Annotated[
-    str | None, argument("FILE", f"{_FILE[:-1]}; none with --resume.", autocompletion=deployments_here)
+    str | None, argument("FILE", f"{_FILE[:-1]}; not needed with --resume.", autocompletion=deployments_here)
 ]
 RecordingFile = Annotated[Path, argument("FILE", "A recording.", dir_okay=False)]
 Node = Annotated[str, argument("NODE", "A node's name.", autocompletion=nodes_here)]

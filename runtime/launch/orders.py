@@ -24,6 +24,14 @@ from hierax.schemas.roster import Reference, Roster
 ANSWER_TIMEOUT_S = 5.0
 
 
+class NotBegunError(HieraxError):
+    """A run was ended before its first epoch: there is nothing to go on with."""
+
+
+class OverError(HieraxError):
+    """A run has come to its end: there is nothing to go on with."""
+
+
 @dataclass(frozen=True)
 class LaunchOptions:
     """What the user decides on a launch, beside its deployment."""
@@ -200,10 +208,10 @@ class Orders:
         record = self._world_record()
         if record is None:
             why = "the run was ended before its first epoch; launch it anew"
-            raise HieraxError(f"{self.options.state}: there is nothing to resume: {why}")
+            raise NotBegunError(f"{self.options.state}: there is nothing to resume: {why}")
         self.resumed_after = record.epoch - 1
         if self.options.epochs is not None and self.resumed_after >= self.options.epochs:
-            raise HieraxError(f"{self.over}; a greater number of --epochs goes on")
+            raise OverError(f"{self.over}; a greater number of --epochs goes on")
         recorded = decode_roster(record.roster)
         self.deployment.allowance.check_all(recorded)
         return recorded

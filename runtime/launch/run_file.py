@@ -63,6 +63,11 @@ def write_run(state: Path, run: Run) -> None:
     _write(state / _RUN, {**content, "seal": seal_or_warn(STATE, content)})
 
 
+def has_run(state: Path) -> bool:
+    """Whether a run has left something in a folder."""
+    return (state / _RUN).exists()
+
+
 def read_run(state: Path, trust: bool = False) -> Run:
     """The run whose checkpoints are in a folder.
 

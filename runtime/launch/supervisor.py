@@ -12,7 +12,6 @@ from secrets import token_hex
 import anyio
 
 from hierax.runtime.core.digest import NO_DIGEST
-from hierax.runtime.core.errors import HieraxError
 from hierax.runtime.deployment import Deployment
 from hierax.runtime.execution.output_folder import write_roster
 from hierax.runtime.execution.pacemaker import ending_signals, leave_at_once
@@ -22,7 +21,7 @@ from hierax.runtime.host.run_secret import new_secret
 from hierax.runtime.launch.child import END_TIMEOUT_S, Child, NodeFailedError
 from hierax.runtime.launch.frames import BEGIN, COME_BACK, STOP
 from hierax.runtime.launch.graceful_end import CLOSE_S, GracefulEnd
-from hierax.runtime.launch.orders import LaunchOptions, Orders
+from hierax.runtime.launch.orders import LaunchOptions, Orders, OverError
 from hierax.runtime.launch.process_supervisor import Notify
 from hierax.runtime.launch.recorder_process import RecorderChild, RecordingRequest
 from hierax.runtime.launch.requests import Requests
@@ -243,7 +242,7 @@ class Supervisor:
     async def _collect(self) -> None:
         self._processes.finished.set()
         if self._orders.resumes and self._roster.world not in {child.name for child in self._processes.present}:
-            self._break(HieraxError(self._orders.over))  # the world had finished before
+            self._break(OverError(self._orders.over))  # the world had finished before
             return
         async with self._unless_broken():
             with anyio.move_on_after(REPORT_TIMEOUT_S):
