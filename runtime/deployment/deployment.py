@@ -255,6 +255,7 @@ class Deployment:
     import_paths: tuple[str, ...]  # folders in which the deployment's own modules are looked for
     document: Document = field(repr=False, compare=False)  # where everything stands in the file
     view: ViewSpec = ViewSpec()  # how a viewer shows it
+    processes: Mapping[str, tuple[str, ...]] = field(default_factory=dict)  # by name, the nodes that share one
 
     @property
     def allowance(self) -> Allowance:

@@ -95,6 +95,7 @@ def _zenoh(value: Any) -> Any:
 
 Name = Annotated[str, AfterValidator(lambda name: check_name(name, "hierarchy's name")), _like(NAME_PATTERN)]
 NodeName = Annotated[str, AfterValidator(lambda name: check_name(name, "node's name")), _like(NAME_PATTERN)]
+ProcessName = Annotated[str, AfterValidator(lambda name: check_name(name, "process's name")), _like(NAME_PATTERN)]
 EdgeName = Annotated[str, AfterValidator(lambda name: split_edge(name) and name), _like(EDGE_PATTERN)]
 Modules = Annotated[str, AfterValidator(check_modules_pattern), _like(MODULES_PATTERN)]
 Target = Annotated[str, AfterValidator(check_target), _like(TARGET_PATTERN)]
@@ -217,6 +218,7 @@ class ViewModel(_Model):
     )
 
 
+Processes = Annotated[dict[ProcessName, list[str]], _none_as_empty(dict[ProcessName, list[str]])]
 Edges = Annotated[dict[EdgeName, EdgeModel], _none_as_empty(dict[EdgeName, EdgeModel])]
 Probes = Annotated[list[ProbeModel], _none_as_empty(list[ProbeModel])]
 ModuleList = Annotated[list[Modules], _none_as_empty(list[Modules])]
@@ -274,6 +276,9 @@ class DeploymentModel(_Model):
     )
     insecure: bool = _field(
         "whether what passes between machines (`--host`) may be read on the way; by default it is encrypted", False
+    )
+    processes: Processes = _field(
+        "by its name, the nodes that share a process, where * stands for any letters; any other has one of its own", {}
     )
     view: Views = _field("how `hierax view` shows it; no part of the run", ViewModel())
     zenoh: ZenohSettings = _field("Zenoh's own settings: a file (relative to this one), JSON5 text, or a map", None)

@@ -1,5 +1,6 @@
 """Reading a deployment file: text to tree, ``--set``, ``${NAME}``, models, roster."""
 
+import fnmatch
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import fields, replace
 from pathlib import Path
@@ -80,6 +81,7 @@ def deployment_of(document: Document, path: Path) -> Deployment:
         import_paths=import_paths(path),
         document=document,
         view=_view(model.view),
+        processes=_processes(model, document),
         **{name: getattr(model, name) for name in _AS_SAID},
     )
 
@@ -127,6 +129,29 @@ def _modules(model: models.DeploymentModel) -> tuple[str, ...]:
     if model.view.show is not None:
         targets.append(model.view.show)
     return tuple(sorted({*model.modules, *map(module_of, targets)}))
+
+
+def _processes(model: models.DeploymentModel, document: Document) -> dict[str, tuple[str, ...]]:
+    """The nodes of each process, by its name. Raises `DeploymentError` if there is none of a name, or one is in two."""
+    placed: dict[str, str] = {}
+    for process, names in model.processes.items():
+        if not names:
+            raise document.error(("processes", process), "is empty; expected names of nodes")
+        for index, name in enumerate(names):
+            keys = ("processes", process, index)
+            found = sorted(fnmatch.filter(model.nodes, name)) if "*" in name else [name]
+            if not found:
+                raise document.error(keys, f"there is no node like {name!r}; the nodes are {', '.join(model.nodes)}")
+            for node in found:
+                check_known(node, model.nodes, document, keys)
+                if placed.setdefault(node, process) != process:
+                    what = f"{node!r} is in process {placed[node]!r} already; a node is in one process"
+                    raise document.error(keys, what)
+    for process in model.processes:
+        if process in model.nodes and placed.get(process) != process:
+            what = f"a node of this name is in another process; expected another name, or {process!r} among its nodes"
+            raise document.error(("processes", process), what)
+    return {process: tuple(node for node in placed if placed[node] == process) for process in model.processes}
 
 
 def _view(model: models.ViewModel) -> ViewSpec:

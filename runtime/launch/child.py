@@ -9,7 +9,7 @@ import signal
 import subprocess
 import time
 from collections import deque
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
 from enum import Enum
@@ -124,9 +124,9 @@ class NodeFailedError(HieraxError):
         super().__init__(message)
 
 
-@dataclass
+@dataclass(eq=False)
 class Child:
-    """A node's process and what it has said."""
+    """A node's process and what it has said; where nodes share a process, each is a child, and they are `mates`."""
 
     order: NodeOrder  # what it was started with
     process: anyio.abc.Process  # its process
@@ -142,6 +142,8 @@ class Child:
     final: bool = False  # whether the run cannot, either
     dismissed: str = ""  # why the owner has told it to go
     culprit: str = ""  # why its supervisor has killed it
+    code: int | None = None  # of a node that has ended in a process in which others go on, its exit code
+    mates: "list[Child]" = field(default_factory=list)  # all nodes of the process, if it is shared
 
     @property
     def name(self) -> str:
@@ -154,7 +156,11 @@ class Child:
     @property
     def alive(self) -> bool:
         """Whether it has not ended yet, as far as anybody has noticed."""
-        return self.process.returncode is None
+        return self.returncode is None
+
+    @property
+    def returncode(self) -> int | None:
+        return self.process.returncode if self.code is None else self.code
 
     def take(self, value: Mapping[str, Any]) -> bool:
         """Take in what the process says of itself; whether it was that."""
@@ -178,6 +184,10 @@ class Child:
 
     async def send(self, value: Value) -> bool:
         """Send it a command; whether it listens."""
+        return await self.say((self.token, value))
+
+    async def say(self, value: Value) -> bool:
+        """Say something to its process; whether that listens."""
         assert self.process.stdin is not None
         try:
             await self.process.stdin.send(frame(value))
@@ -196,11 +206,22 @@ class Child:
             os.killpg(self.process.pid, signal.SIGKILL)
 
     def kill(self) -> None:
+        """Kill the process, with all its nodes; one that has left it is gone already."""
+        if self.code is not None:
+            return
         if self.alive:  # it still stands for its group
             self._kill_group()
         self.send_signal(signal.SIGKILL)
 
+    @property
+    def leads(self) -> bool:
+        """Whether it stands for its process, where nodes share it."""
+        return not self.mates or self.mates[0] is self
+
     async def close(self) -> None:
+        """Give up what the process is held by."""
+        if not self.leads:
+            return
         self.overheard.close()
         for stream in (self.process.stdin, self.process.stdout):
             if stream is not None:
@@ -221,16 +242,17 @@ class Child:
     @property
     def was_killed(self) -> bool:
         """Whether it has ended by a signal, with no word of why it could not go on."""
-        return self.failure is None and (self.process.returncode or 0) < 0
+        return self.failure is None and (self.returncode or 0) < 0
 
     @property
     def last_words(self) -> NodeFailedError:
         """Why it has ended: what it said itself, or else how."""
-        return self.failure or NodeFailedError(f"{self.name}: its process ended {how_ended(self.process.returncode)}")
+        return self.failure or NodeFailedError(f"{self.name}: its process ended {how_ended(self.returncode)}")
 
 
-async def start_child(order: NodeOrder, overhearing: Overhearing) -> Child:
-    overheard = overhearing.of(order.name)
+async def start_process(orders: Sequence[NodeOrder], overhearing: Overhearing) -> list[Child]:
+    """Start a process, mostly of one node."""
+    overheard = overhearing.of(orders[0].shares or orders[0].name)
     try:
         with started_deaf():
             process = await anyio.open_process(
@@ -247,9 +269,11 @@ async def start_child(order: NodeOrder, overhearing: Overhearing) -> Child:
         handle = os.pidfd_open(process.pid)
     except ProcessLookupError:
         handle = CLOSED  # killed already, and noticed
-    child = Child(order, process, handle, overheard)
-    await child.send(order.plain())
-    return child
+    children = [Child(order, process, handle, overheard) for order in orders]
+    for child in children if len(children) > 1 else ():
+        child.mates = children
+    await children[0].say([order.plain() for order in orders])
+    return children
 
 
 def how_ended(code: int | None) -> str:
@@ -273,7 +297,7 @@ class Restarts:
         again only by ``always``: the epoch would be done again with the same inputs.
         """
         terms = self._terms
-        failed = child.process.returncode != 0 or bool(child.culprit)
+        failed = child.returncode != 0 or bool(child.culprit)
         if terms.restart_policy == "never":
             return None
         if terms.restart_policy == "on-failure" and (not failed or child.failure is not None):

@@ -1,8 +1,9 @@
 """What a supervisor and its children say to each other, over the child's standard input and output.
 
 Each frame is 4 bytes of length (little-endian) and an encoded value. The child's first
-frame in is its order (`NodeOrder`), the next ones are commands; end of file means that the
-supervisor is gone. What a child says is a map with ``"status"``.
+frame in is the orders of its nodes (`NodeOrder`), mostly of one; the next ones are commands, each a
+node's token and what it is told; end of file means that the supervisor is gone. What a child says is a
+map with ``"status"``, and ``"from"``: the token of the node that says it.
 """
 
 import os
@@ -41,6 +42,7 @@ ANSWER = "answer"  # status of the world: what became of a change that somebody 
 END = "end"  # status of the world: a process hangs, and is to be killed
 DISMISS = "dismiss"  # status of the world: a process has no place any more, and is to be told so
 HALT = "halt"  # status of the world: the run cannot go on, and why
+ENDED = "ended"  # status of a node that has come to its end in a process in which others go on; its exit code
 BEAT = "beat"  # status of the world, again and again and when its roster changes: the epoch, and the roster's processes
 MISSES = "misses"  # status: the link to a process broke, and it has not come back
 NOTE = "note"  # status of the world: people should know
@@ -54,7 +56,8 @@ class NodeOrder:
     """All that a node's process has to know."""
 
     name: str  # of the node
-    process: str  # the process's token
+    process: str  # the process's token; nodes that share one have a token each
+    shares: str = ""  # the name of the process that it shares with others; empty: it has one of its own
     life: str  # `BEGIN`, `COME_BACK`, `NEWCOMER` or `TO_REPORT`
     request: str = ""  # of a newcomer, the change that it is started for
     deployment: str  # what the keys begin with
@@ -145,16 +148,19 @@ class Frames:
 class SupervisorPipe(Supervision):
     """The process's end of the pipe; and, in the world's process, how the roster's owner reaches the supervisor."""
 
-    def __init__(self, status: int, on_gone: Callable[[], None]) -> None:
+    def __init__(
+        self, status: int, on_gone: Callable[[], None], token: str = "", saying: "threading.Lock | None" = None
+    ) -> None:
         self._status = status  # file descriptor on which the supervisor listens
         self._on_gone = on_gone  # called when it does not listen any more
-        self._saying = threading.Lock()
+        self._token = token  # of the node that says it
+        self._saying = saying or threading.Lock()  # of all nodes of the process
         self._beating = threading.Lock()
         self._finished = False
 
     def say(self, status: str, **fields: Value) -> None:
         """Say something, if somebody is still there; any thread may call it."""
-        data = memoryview(frame({"status": status, **fields}))
+        data = memoryview(frame({"status": status, "from": self._token, **fields}))
         try:
             with self._saying:
                 while data:

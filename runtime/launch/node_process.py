@@ -1,8 +1,9 @@
-"""A node in a process of its own; started by a supervisor, never by hand.
+"""A process of a node, or of several that share it; started by a supervisor, never by hand.
 
-Two threads do the work. One is the node's (`hierax.runtime.launch.node_worker`): it receives,
-runs the engine and sends, with nothing else on its way. The other has the event loop:
-it greets neighbours until they answer, and listens to the supervisor.
+Each node has a thread (`hierax.runtime.launch.node_worker`): it receives, runs the engine and
+sends, with nothing else on its way. Another one has the event loop: it greets neighbours until
+they answer, and listens to the supervisor. A node that has come to its end leaves the others; one
+that cannot go on ends the process.
 """
 
 import io
@@ -21,7 +22,8 @@ import anyio.to_thread
 from hierax.runtime.host.streams import own_output
 from hierax.runtime.launch.frames import FINISH, LEAVE, STOP, Frames, NodeOrder
 from hierax.runtime.launch.node_worker import NodeWorker
-from hierax.runtime.watch.logs import QUIET, log_console, log_node, report_left_out
+from hierax.runtime.launch.process_home import ProcessHome
+from hierax.runtime.watch.logs import QUIET, log_console, log_nodes, report_left_out
 from hierax.runtime.watch.prints import Console, console_stream, name_prints
 from hierax.schemas.control import Census, decode_control
 from hierax.schemas.values import Value
@@ -75,68 +77,113 @@ async def _main(orders: int, status: int, console: Console) -> int:
     commands = await _next_frames(orders, frames)
     if not commands:
         return 0
-    order = NodeOrder.read(commands.pop(0))
-    worker = NodeWorker(order, status, _wait_in_event_loop)
-    log_node(order.run, order.name, worker.when)
-    name_prints(order.name, console)
-    _log.info("process %d of %s: %s", os.getpid(), order.name, order.life)
-    code = 0
+    nodes = [NodeOrder.read(each) for each in commands.pop(0)]
+    home = ProcessHome(len(nodes))
+    workers = {order.process: NodeWorker(order, status, _wait_in_event_loop, home) for order in nodes}
+    name = nodes[0].shares or nodes[0].name
+    whens = {order.name: workers[order.process].when for order in nodes}
+    log_nodes(nodes[0].run, name, whens)
+    name_prints(name, console, whens)
+    for order in nodes:
+        _log.info("process %d of %s: %s", os.getpid(), order.name, order.life)
+    process = _Process(workers, home)
     async with anyio.create_task_group() as tasks:
-        tasks.start_soon(_obey, worker, orders, frames, commands)
-        tasks.start_soon(_obey_signals, worker)
-        tasks.start_soon(_tick, worker)
-        tasks.start_soon(_take_turns, worker)
-        code = await anyio.to_thread.run_sync(worker.run, abandon_on_cancel=True)
+        tasks.start_soon(process.obey, orders, frames, commands)
+        tasks.start_soon(process.obey_signals)
+        tasks.start_soon(process.tick)
+        code = await process.run()
         tasks.cancel_scope.cancel()
-    if not worker.hurried:
-        worker.close()
+    process.close()
     return code
 
 
-async def _obey(worker: NodeWorker, orders: int, frames: Frames, commands: list[Value]) -> None:
-    """Stop when the supervisor says so, at once when it is gone."""
-    while True:
-        for command in commands:
-            if command == STOP:
-                worker.stop()
-            elif command == FINISH:
-                worker.finish()
-            elif isinstance(command, dict):
-                worker.leave(command[LEAVE])
-            else:
-                word = decode_control(command)
-                if isinstance(word, Census):
-                    worker.begin(word.processes)
-                else:
-                    worker.post(word)
-        commands = await _next_frames(orders, frames)
-        if not commands:
-            await _end(worker)
+class _Process:
+    """The workers of a process, by their tokens; those that have come to their end are not among them any more."""
+
+    def __init__(self, workers: dict[str, NodeWorker], home: ProcessHome) -> None:
+        self._workers = workers
+        self._home = home
+        self._hurried = False
+        self._threads = anyio.CapacityLimiter(len(workers))
+
+    async def run(self) -> int:
+        """Have all do their work; gives the exit code, which is that of the first one that cannot go on."""
+        codes: list[int] = []
+        async with anyio.create_task_group() as tasks:
+
+            async def work(token: str, worker: NodeWorker) -> None:
+                code = await anyio.to_thread.run_sync(worker.run, abandon_on_cancel=True, limiter=self._threads)
+                if code or len(self._workers) == 1:
+                    codes.append(code)
+                    tasks.cancel_scope.cancel()
+                    return
+                del self._workers[token]
+                await anyio.to_thread.run_sync(worker.part, code, limiter=self._threads)
+
+            for token, worker in list(self._workers.items()):
+                tasks.start_soon(work, token, worker)
+                tasks.start_soon(_take_turns, worker)
+        return codes[0]
+
+    def close(self) -> None:
+        """Give up what they hold, if there is time for it."""
+        if self._hurried:
+            return
+        for worker in self._workers.values():
+            worker.close()
+        self._home.close()
+
+    async def obey(self, orders: int, frames: Frames, commands: list[Value]) -> None:
+        """Do what the supervisor says; stop when it is gone."""
+        while True:
+            for token, command in commands:
+                worker = self._workers.get(token)
+                if worker is not None:
+                    _obey(worker, command)
+            commands = await _next_frames(orders, frames)
+            if not commands:
+                await self._end()
+
+    async def obey_signals(self) -> None:
+        with anyio.open_signal_receiver(signal.SIGTERM) as signals:
+            async for _ in signals:
+                break
+        await self._end()
+
+    async def tick(self) -> None:
+        while True:
+            for worker in list(self._workers.values()):
+                worker.greet()
+                worker.tick()
+            await anyio.sleep(TICK_S)
+
+    async def _end(self) -> None:
+        """Stop, and do not wait for long."""
+        self._hurried = True
+        for worker in self._workers.values():
+            worker.hurried = True
+            worker.stop()
+        await anyio.sleep(STUCK_S)
+        for worker in self._workers.values():
+            busy = worker.busy()
+            if busy:
+                _log.warning("%s did not come to its end; the process exits", busy)
+        _exit(1)
 
 
-async def _obey_signals(worker: NodeWorker) -> None:
-    with anyio.open_signal_receiver(signal.SIGTERM) as signals:
-        async for _ in signals:
-            break
-    await _end(worker)
-
-
-async def _end(worker: NodeWorker) -> None:
-    """Stop, and do not wait for long."""
-    worker.hurried = True
-    worker.stop()
-    await anyio.sleep(STUCK_S)
-    busy = worker.busy()
-    if busy:
-        _log.warning("%s did not come to its end; the process exits", busy)
-    _exit(1)
-
-
-async def _tick(worker: NodeWorker) -> None:
-    while True:
-        worker.greet()
-        worker.tick()
-        await anyio.sleep(TICK_S)
+def _obey(worker: NodeWorker, command: Value) -> None:
+    if command == STOP:
+        worker.stop()
+    elif command == FINISH:
+        worker.finish()
+    elif isinstance(command, dict):
+        worker.leave(command[LEAVE])
+    else:
+        word = decode_control(command)
+        if isinstance(word, Census):
+            worker.begin(word.processes)
+        else:
+            worker.post(word)
 
 
 async def _take_turns(worker: NodeWorker) -> None:

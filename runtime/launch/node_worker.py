@@ -1,4 +1,4 @@
-"""The work of a node in a process of its own: load, connect, run, report."""
+"""The work of a node in a process of its own, or in one that nodes share: load, connect, run, report."""
 
 import gc
 import logging
@@ -28,6 +28,7 @@ from hierax.runtime.launch import frames
 from hierax.runtime.launch.inspection_server import InspectionServer
 from hierax.runtime.launch.member_building import open_budget, open_observers, open_slots, pacemaker_of, preload
 from hierax.runtime.launch.node_loop import ControlQueue, NodeLoop, WorldWatch
+from hierax.runtime.launch.process_home import ProcessHome
 from hierax.runtime.loading.loader import LoadError, extend_import_path
 from hierax.runtime.loading.node_loader import NodeLoader
 from hierax.runtime.owner.effects import OwnerPolicy
@@ -38,10 +39,10 @@ from hierax.runtime.transport.control import OWNER, ControlLine, InspectionEndpo
 from hierax.runtime.transport.port import TransportError
 from hierax.runtime.transport.shared_arrays import SharedArrays
 from hierax.runtime.transport.zenoh_port import ZenohPort, epoch_publisher
-from hierax.runtime.transport.zenoh_session import LOW_LATENCY_BYTES, allows_shared_memory, endpoint_at, open_session
+from hierax.runtime.transport.zenoh_session import LOW_LATENCY_BYTES, allows_shared_memory
 from hierax.runtime.watch import telemetry
 from hierax.runtime.watch.budget import Budget
-from hierax.runtime.watch.logs import QUIET
+from hierax.runtime.watch.logs import NODE, QUIET
 from hierax.schemas.control import AskStatus, Control, Dismiss, Offered, Order, Word, decode_control
 from hierax.schemas.errors import SchemaError
 from hierax.schemas.keys import Keys
@@ -63,12 +64,14 @@ _log = logging.getLogger("hierax")
 class NodeWorker:
     """Takes one node from its order to its report. `status`: file descriptor on which the supervisor listens."""
 
-    def __init__(self, order: frames.NodeOrder, status: int, wait: Waiter) -> None:
+    def __init__(self, order: frames.NodeOrder, status: int, wait: Waiter, home: ProcessHome) -> None:
         self._order = order  # from the supervisor
+        self._home = home  # the process, which may have other nodes
         self._wait = wait  # drives async operators
         self._stopping = threading.Event()
-        self._pipe = frames.SupervisorPipe(status, self._stopping.set)
+        self._pipe = frames.SupervisorPipe(status, self._stopping.set, order.process, home.saying)
         self._port: ZenohPort | None = None
+        self._declared: list[ControlLine | StepPublisher | InspectionEndpoint] = []
         self._shared: SharedArrays | None = None
         self._member: Member | None = None
         self._world: WorldMember | None = None
@@ -163,15 +166,25 @@ class NodeWorker:
                 self._pipe.say(frames.MISSES, process=process)
 
     def close(self) -> None:
-        """Close the port, when no other thread uses it any more."""
+        """Close the port, when no other thread uses it any more; where nodes share the session, all that is theirs."""
+        if self._home.beside is not None:
+            for declared in self._declared:
+                declared.close()
         if self._port is not None:
             self._port.close()
+
+    def part(self, code: int) -> None:
+        """Leave a process in which others go on, with an exit code of its own."""
+        self.close()
+        self._inspection = self._member = self._loop = None
+        self._pipe.say(frames.ENDED, code=code)
 
     # --- the node's thread
 
     def run(self) -> int:
         """Do all of it, and return the exit code of the process."""
         self._thread = threading.get_ident()
+        NODE.set(self._order.name)
         try:
             return self._load_and_run()
         except (HieraxError, SchemaError) as error:
@@ -190,20 +203,22 @@ class NodeWorker:
 
     def _load_and_run(self) -> int:
         order = self._order
-        extend_import_path(order.import_paths)
-        preload(order.preload, order.allowance)
         setting = OperatorSetting(order.seed, self._wait, self._empty)
         loader = NodeLoader(order.name, setting, order.allowance)
-        if order.roster is not None:
-            loader.wiring(order.roster)  # what cannot be loaded is told before anybody is waited for
-        listen = [endpoint_at(order.host, order.secret)]
+        with self._home.loading:
+            extend_import_path(order.import_paths)
+            preload(order.preload, order.allowance)
+            if order.roster is not None:
+                loader.wiring(order.roster)  # what cannot be loaded is told before anybody is waited for
         self._opens_s = time.monotonic()
-        session = open_session(listen, [order.hub], order.settings, low_latency=order.low_latency, secret=order.secret)
+        session = self._home.session(order)
         most_bytes = LOW_LATENCY_BYTES if order.low_latency else None
         keys = Keys(order.deployment, order.run)
         if most_bytes is None and allows_shared_memory(order.settings):
             self._shared = SharedArrays()
-        port = self._port = ZenohPort(session, keys, order.name, order.process, most_bytes, self._shared)
+        port = self._port = ZenohPort(
+            session, keys, order.name, order.process, most_bytes, self._shared, self._home.beside
+        )
         is_world = order.owner is not None
         offered = () if is_world else (*get_args(Offered), *((Dismiss,) if order.elsewhere else ()))
         self._line = ControlLine(session, keys, order.process, offered, self.hear, most_bytes)
@@ -212,6 +227,7 @@ class NodeWorker:
         self._publisher = StepPublisher(session, keys, order.name)
         port.heard = lambda: self._publisher.heard
         endpoint = InspectionEndpoint(session, keys, order.name)
+        self._declared += (self._line, self._publisher, endpoint)
         self._opens_s = inf
         observers, slots = open_observers(order), open_slots(order)
         if order.recorded and self._publisher.wait(RECORDER_TIMEOUT_S):

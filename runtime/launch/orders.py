@@ -76,6 +76,7 @@ class Orders:
         token: str,  # of the process
         life: str,  # how it comes into the run
         *,
+        shares: str = "",  # the name of the process that it shares with others
         request: str = "",  # of a newcomer, the change that it is for
         reference: Reference | None = None,  # of a newcomer, its class
         terms: ProcessTerms | None = None,  # of a newcomer, how its process is kept
@@ -89,6 +90,7 @@ class Orders:
         return NodeOrder(
             name=name,
             process=token,
+            shares=shares,
             life=life,
             request=request,
             deployment=deployment.name,
@@ -120,6 +122,14 @@ class Orders:
             alone=tuple(sorted(name for name, each in deployment.terms.items() if each.fails_alone)),
             recorded=self._is_recorded(),
         )
+
+    def together(self, names: Iterable[str]) -> dict[str, list[str]]:
+        """The nodes of each process, by its name; a process of one node has the node's."""
+        placed = {name: process for process, nodes in self.deployment.processes.items() for name in nodes}
+        found: dict[str, list[str]] = {}
+        for name in sorted(names):
+            found.setdefault(placed.get(name, name), []).append(name)
+        return {process if len(nodes) > 1 else nodes[0]: nodes for process, nodes in found.items()}
 
     def _period_ms(self) -> float | None:
         """The time from an epoch to the next, where the world has a rate with the barrier."""

@@ -2,7 +2,7 @@
 
 import signal
 from abc import ABC, abstractmethod
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -10,8 +10,8 @@ import anyio
 import anyio.abc
 
 from hierax.runtime.deployment.deployment import ProcessTerms
-from hierax.runtime.launch.child import END_TIMEOUT_S, Child, Overhearing, ProcessState, Restarts, start_child
-from hierax.runtime.launch.frames import Frames, NodeOrder
+from hierax.runtime.launch.child import END_TIMEOUT_S, Child, Overhearing, ProcessState, Restarts, start_process
+from hierax.runtime.launch.frames import ENDED, Frames, NodeOrder
 
 Notify = Callable[[str], None]  # tells people what happens
 Fail = Callable[[Exception], None]  # is called with why the processes cannot go on
@@ -45,17 +45,23 @@ class ProcessSupervisor(ABC):
 
     async def start(self, order: NodeOrder) -> Child:
         """Start a node's process, and listen to it from now on."""
-        child = await start_child(order, self.overhearing)
-        self._children[child.token] = child
-        self._restarts.setdefault(child.name, Restarts(self.terms(child.name)))
-        self.tasks.start_soon(self._listen, child)
-        return child
+        return (await self.start_together([order]))[0]
+
+    async def start_together(self, orders: Sequence[NodeOrder]) -> list[Child]:
+        """Start a process that nodes share, and listen to it from now on."""
+        children = await start_process(orders, self.overhearing)
+        for child in children:
+            self._children[child.token] = child
+            self._restarts.setdefault(child.name, Restarts(self.terms(child.name)))
+        self.tasks.start_soon(self._listen, children)
+        return children
 
     async def end_all(self, timeout_s: float = END_TIMEOUT_S) -> None:
         """End every process that is left: first kindly, then not; for the first, each has this time."""
         self.ending = True
         for child in self.children:
-            child.send_signal(signal.SIGTERM)
+            if child.leads:
+                child.send_signal(signal.SIGTERM)
         await self._wait_for_all(timeout_s)
         await self.kill_all()
 
@@ -74,22 +80,37 @@ class ProcessSupervisor(ABC):
             for child in self.children:
                 await child.process.wait()
 
-    async def _listen(self, child: Child) -> None:
-        assert child.process.stdout is not None
+    async def _listen(self, children: Sequence[Child]) -> None:
+        first, by_token = children[0], {child.token: child for child in children}
+        assert first.process.stdout is not None
         frames = Frames()
         async with anyio.create_task_group() as tasks:
-            tasks.start_soon(child.cut_off, tasks.cancel_scope)
-            tasks.start_soon(child.overheard.listen)
-            async for data in child.process.stdout:
+            tasks.start_soon(first.cut_off, tasks.cancel_scope)
+            tasks.start_soon(first.overheard.listen)
+            async for data in first.process.stdout:
                 for value in frames.feed(data):
-                    if not child.take(value):
+                    child = by_token[value["from"]]
+                    if value["status"] == ENDED:
+                        child.code = value["code"]
+                        self.tasks.start_soon(self._on_ends, [child])
+                    elif not child.take(value):
                         self._take(child, value)
             with anyio.move_on_after(END_TIMEOUT_S):
-                await child.process.wait()
+                await first.process.wait()
             tasks.cancel_scope.cancel()
-        child.state = ProcessState.ENDED
-        child.ended.set()
-        if not self.ending and child.report is None:
+        await self._on_ends([child for child in children if child.code is None])
+
+    async def _on_ends(self, children: Sequence[Child]) -> None:
+        for child in children:
+            child.state = ProcessState.ENDED
+            child.ended.set()
+        lost = [child for child in children if child.report is None]
+        if lost and not self.ending:
+            await self._on_end_together(lost)
+
+    async def _on_end_together(self, children: Sequence[Child]) -> None:
+        """A process has ended before its time, with these of its nodes; all that they said is taken in."""
+        for child in children:
             await self._on_end(child)
 
     @abstractmethod
@@ -98,4 +119,4 @@ class ProcessSupervisor(ABC):
 
     @abstractmethod
     async def _on_end(self, child: Child) -> None:
-        """A process has ended before its time; all that it said is taken in."""
+        """A node's process has ended before its time; all that it said is taken in."""

@@ -207,6 +207,7 @@ class Requests:
             nodes[name] = {
                 "process": token,
                 "pid": None if child is None else child.process.pid,
+                "shares": "" if child is None else child.order.shares,
                 "state": _SHOWN.get(processes.state(token), "running"),
                 "restarts": processes.restarts_of(name),
                 "instance": processes.instances.get(name, 0),

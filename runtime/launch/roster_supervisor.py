@@ -1,6 +1,6 @@
 """The processes of a launch's roster: what they say, and what follows when one ends before its time."""
 
-from collections.abc import Mapping
+from collections.abc import Container, Mapping, Sequence
 from dataclasses import replace
 from secrets import token_hex
 from typing import Any
@@ -11,7 +11,7 @@ import anyio.to_thread
 
 from hierax.runtime.execution.pacemaker import SteadyClock
 from hierax.runtime.launch import frames
-from hierax.runtime.launch.child import Child, NodeFailedError, Overhearing, ProcessState, Restarts
+from hierax.runtime.launch.child import Child, NodeFailedError, Overhearing, ProcessState, Restarts, how_ended
 from hierax.runtime.launch.orders import Orders
 from hierax.runtime.launch.pending_changes import PendingChanges
 from hierax.runtime.launch.process_supervisor import Fail, Notify, ProcessSupervisor
@@ -61,11 +61,10 @@ class RosterSupervisor(ProcessSupervisor):
             return child.state
         return ProcessState.CUT_OFF if token in self._unreachable else ProcessState.ELSEWHERE
 
-    async def start(self, order: frames.NodeOrder) -> Child:
-        child = await super().start(order)
-        if order.life != frames.NEWCOMER:
-            self.current[child.name] = child
-        return child
+    async def start_together(self, orders: Sequence[frames.NodeOrder]) -> list[Child]:
+        children = await super().start_together(orders)
+        self.current.update({child.name: child for child in children if child.order.life != frames.NEWCOMER})
+        return children
 
     async def begin(self, timeout_s: float) -> list[str]:
         """Wait until all processes are up, and have the world begin the run with them; gives the nodes that are late.
@@ -194,11 +193,19 @@ class RosterSupervisor(ProcessSupervisor):
             if self.current.get(name) is not child:
                 await self._on_end_beside(child)
                 return
-        child.state = ProcessState.RESTARTING
-        try:
-            await self._replace(child)
-        finally:
-            child.state = ProcessState.ENDED
+        await self._replace([child])
+
+    async def _on_end_together(self, children: Sequence[Child]) -> None:
+        """Nodes that were lost with one process come back in one; but those that have no place, or none yet."""
+        together = [child for child in children if self._is_to_come_back(child)]
+        for child in children:
+            if child not in together or len(together) == 1:
+                self.tasks.start_soon(self._on_end, child)
+        if len(together) > 1:
+            await self._replace(together)
+
+    def _is_to_come_back(self, child: Child) -> bool:
+        return not (child.final or child.dismissed) and self.current.get(child.name) is child
 
     async def _on_end_beside(self, child: Child) -> None:
         """One has ended that was not taken in yet; or was replaced, and waits for what replaces it to do an epoch."""
@@ -213,29 +220,50 @@ class RosterSupervisor(ProcessSupervisor):
         self.notify(f"{child.last_words}; it is started again")
         await anyio.sleep(delay_s)
         if not self.ending:
-            await super().start(self.orders.again(child.order, token_hex(8), {}, ()))
+            again = self.orders.again(child.order, token_hex(8), {}, ())
+            await super().start_together([replace(again, shares="")])
 
-    async def _replace(self, child: Child) -> None:
-        """Have another process come in the place of one that has ended, or end the run."""
-        name = child.name
-        failure = child.last_words
-        if not (child.came_up or child.was_killed or self._restarts[name].count or child.order.request):
-            self.fail(failure)
-            return
+    async def _replace(self, children: Sequence[Child]) -> None:
+        """Have another process come in the place of one that has ended, with the nodes that it had; or end the run."""
+        for child in children:
+            child.state = ProcessState.RESTARTING
+        try:
+            delays_s = await self._delays_s(children)
+            if delays_s:
+                await anyio.sleep(max(delays_s.values()))
+                await self._restart([child for child in children if child.name in delays_s])
+        finally:
+            for child in children:
+                child.state = ProcessState.ENDED
+
+    async def _delays_s(self, children: Sequence[Child]) -> dict[str, float]:
+        """By node that is to come back, how long that is waited with; none where the run is ended. Others are told."""
+        children = sorted(children, key=lambda child: child.failure is None)  # first who has ended the process
+        for child in children:
+            tried = self._restarts[child.name].count or child.order.request
+            if not (child.came_up or children[0].was_killed or tried):
+                self.fail(children[0].last_words)
+                return {}
         begun = await self._has_begun()
-        delay_s = self._restarts[name].delay_s(child)
-        # of a process whose change is not committed yet, as that has it
+        delays_s: dict[str, float] = {}
+        for child in children:
+            delay_s = self._restarts[child.name].delay_s(child)
+            if delay_s is not None:
+                delays_s[child.name] = delay_s
+            elif not (begun and self._may_lack(child)):
+                self.fail(child.last_words)
+                return {}
+        self.notify(_told(children, delays_s))
+        for child in children if begun else ():
+            if child.name != self._world:
+                await self.send_to_owner(Lost(child.name, child.token, child.name in delays_s))
+        return delays_s
+
+    def _may_lack(self, child: Child) -> bool:
+        """Whether the run goes on without a node; of a process whose change is not committed yet, as that has it."""
+        name = child.name
         terms = self.changes.terms(child.order.request).get(name, self.terms(name))
-        may_lack = begun and name != self._world and terms.on_loss == DETACH
-        if delay_s is None and not may_lack:
-            self.fail(failure)
-            return
-        self.notify(f"{failure}" + ("" if delay_s is None else "; it is started again"))
-        if begun and name != self._world:
-            await self.send_to_owner(Lost(name, child.token, delay_s is not None))
-        if delay_s is not None:
-            await anyio.sleep(delay_s)
-            await self._restart(child)
+        return name != self._world and terms.on_loss == DETACH
 
     async def _has_begun(self) -> bool:
         """Whether the run has begun; where the world was told to begin, and has not said so yet, that is waited for."""
@@ -250,32 +278,36 @@ class RosterSupervisor(ProcessSupervisor):
             await anyio.sleep(POLL_S)
         return self.begun.is_set()
 
-    async def _restart(self, child: Child) -> None:
-        name = child.name
+    async def _restart(self, children: Sequence[Child]) -> None:
         if self.ending:
             return
-        token = token_hex(8)
+        tokens = {child.name: token_hex(8) for child in children}
         if not self.begun.is_set():
-            self.members = {**self.members, name: token}
-            again = await self.start(self.orders.anew(child.order, token))
-            for proposal in self.changes.proposals if name == self._world else ():
-                await again.send(proposal)
-            return
-        if self._last_roster is not None and name != self._world:  # nothing is left to do but to report
-            self.members = {**self.members, name: token}
-            roster = self._last_roster
-            order = replace(child.order, process=token, life=frames.TO_REPORT, request="", roster=roster)
-            again = await self.start(order)
-            await again.send(frames.STOP)
+            self.members = {**self.members, **tokens}
+            again = await self.start_together([self.orders.anew(each.order, tokens[each.name]) for each in children])
+            for child in again:
+                for proposal in self.changes.proposals if child.name == self._world else ():
+                    await child.send(proposal)
             return
         # those that live, as far as is known here: of those started elsewhere, whether they are heard of
         here = [child.token for child in self.children if child.alive and child.name != self._world]
         there = [token for token in self.members.values() if self.state(token) is ProcessState.ELSEWHERE]
         living = {each: each for each in (*here, *there)}
-        await self.start(self.orders.again(child.order, token, living, self.changes.proposals))
+        again = await self.start_together([self._order_again(child, tokens[child.name], living) for child in children])
+        for child in again:
+            if child.order.life == frames.TO_REPORT:
+                await child.send(frames.STOP)
         self._heard_s = self._clock()
-        if name == self._world:
+        if self._world in tokens:
             await self._send_deaths(living)
+
+    def _order_again(self, child: Child, token: str, living: Mapping[str, str]) -> frames.NodeOrder:
+        name = child.name
+        if self._last_roster is None or name == self._world:
+            return self.orders.again(child.order, token, living, self.changes.proposals)
+        # nothing is left to do but to report
+        self.members = {**self.members, name: token}
+        return replace(child.order, process=token, life=frames.TO_REPORT, request="", roster=self._last_roster)
 
     async def _send_deaths(self, living: Mapping[str, str]) -> None:
         """Tell a new process of the world's who has died since its order was written, or for good."""
@@ -336,3 +368,15 @@ class RosterSupervisor(ProcessSupervisor):
         with anyio.move_on_after(SILENCE_S):
             for _ in range(2):  # the first may have been on its way
                 await self._beat.wait()
+
+
+def _told(children: Sequence[Child], coming: Container[str]) -> str:
+    """That a process has ended, and what follows, in one line."""
+    first = children[0]
+    if len(children) == 1:
+        return f"{first.last_words}" + ("; it is started again" if first.name in coming else "")
+    names = ", ".join(sorted(child.name for child in children))
+    why = first.failure or f"its process ended {how_ended(first.returncode)}"
+    left = sorted(child.name for child in children if child.name not in coming)
+    after = f", without {', '.join(left)}" if left else ""
+    return f"{first.order.shares} ({names}): {why}; it is started again{after}"

@@ -1,4 +1,4 @@
-"""Launching a deployment: each node its own process, kept alive until the run is over."""
+"""Launching a deployment: each node its own process, or as it says, kept alive until the run is over."""
 
 import os
 import tempfile
@@ -6,6 +6,7 @@ import threading
 import time
 from collections.abc import AsyncIterator, Callable, Mapping, Sequence
 from contextlib import ExitStack, asynccontextmanager
+from functools import partial
 from pathlib import Path
 from secrets import token_hex
 
@@ -221,9 +222,11 @@ class Supervisor:
             self._processes.begun.set()
         tokens = {name: token_hex(8) for name in roster.nodes}
         self._processes.members = tokens
-        for name in sorted(roster.nodes):
-            others = {} if self._orders.resumes else tokens
-            await self._processes.start(self._orders.order(name, tokens[name], life, processes=others))
+        others = {} if self._orders.resumes else tokens
+        for process, names in self._orders.together(roster.nodes).items():
+            shares = process if len(names) > 1 else ""
+            make = partial(self._orders.order, life=life, processes=others, shares=shares)
+            await self._processes.start_together([make(name, tokens[name]) for name in names])
             if self._broken.is_set():
                 return
         self._are_started = True

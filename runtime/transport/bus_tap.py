@@ -4,6 +4,7 @@ import logging
 import threading
 import time
 from collections import deque
+from contextlib import suppress
 from typing import Any
 
 import zenoh
@@ -56,6 +57,12 @@ class StepPublisher:
 
     def roster(self, data: bytes) -> None:
         self._put(self._roster, data)
+
+    def close(self) -> None:
+        """Tell nothing any more, in a session that goes on."""
+        for declared in (self._listener, self._steps, self._roster):
+            with suppress(zenoh.ZError):
+                declared.undeclare()
 
     def _put(self, publisher: Any, data: bytes) -> None:
         try:

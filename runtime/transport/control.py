@@ -5,6 +5,7 @@ What goes along the line may be lost, and is said again."""
 import logging
 from collections import deque
 from collections.abc import Callable, Iterator
+from contextlib import suppress
 from dataclasses import dataclass
 from typing import Any
 
@@ -86,6 +87,11 @@ class InspectionEndpoint:
         while self._questions:
             yield self._questions.popleft()
 
+    def close(self) -> None:
+        """Take in nothing any more, in a session that goes on."""
+        with suppress(zenoh.ZError):
+            self._queryable.undeclare()
+
     def show(self, kind: str, sender: str, receiver: str, data: bytes) -> None:
         """Show the bytes of a message to who listens; dropped where they cannot go at once."""
         try:
@@ -134,6 +140,11 @@ class ControlLine:
             )
         except zenoh.ZError as error:
             _log.info("a control message is not sent: %s", error)  # closing, or cut off: it is said again
+
+    def close(self) -> None:
+        """Hear nothing any more, in a session that goes on."""
+        with suppress(zenoh.ZError):
+            self._subscriber.undeclare()
 
     def _on_sample(self, sample: zenoh.Sample) -> None:
         size = len(sample.payload)

@@ -16,6 +16,7 @@ from hierax.runtime.transport.inbox import QUEUE_SIZE, Inbox
 from hierax.runtime.transport.port import Port, TransportError
 from hierax.runtime.transport.rendezvous import AbsentProcesses, Handshake, Rendezvous
 from hierax.runtime.transport.shared_arrays import ForeignArrayError, Lender, LostArrayError, SharedArrays
+from hierax.runtime.transport.shared_process import Handed, Neighbours, SharedInbox, hand_over
 from hierax.runtime.transport.zenoh_session import close_session
 from hierax.schemas.errors import SchemaError
 from hierax.schemas.keys import Keys
@@ -42,11 +43,13 @@ class Link:
 
 
 class ZenohPort(Port):
-    """A node's end of its edges in a process of its own. It owns its session.
+    """A node's end of its edges in a process of its own, whose session it owns; or in one that nodes share.
 
     One thread receives; others may call `greet` and `interrupt`. Messages may have `most_bytes`; None: any number.
     Large arrays go through memory that is `shared` with neighbours on this machine, while nobody else `hears`; None:
-    through the network. Raises `TransportError` if Zenoh refuses a declaration."""
+    through the network. Where nodes share the process, `beside` has those that are there: greetings go by the network
+    all the same, so that links open and close alike, and messages in memory, while nobody else hears. Raises
+    `TransportError` if Zenoh refuses a declaration."""
 
     heard: Callable[[], bool] = staticmethod(lambda: False)
     """Whether somebody else listens to the run's messages, and could not read what is lent to their receivers."""
@@ -59,8 +62,10 @@ class ZenohPort(Port):
         process: str = "",
         most_bytes: int | None = None,
         shared: SharedArrays | None = None,
+        beside: Neighbours | None = None,
     ) -> None:
         self._session = session  # an open session
+        self._beside = beside
         self._most_bytes = MAX_MESSAGE_BYTES if most_bytes is None else most_bytes
         self._keys = keys  # of the run
         self._name = name  # of the node
@@ -78,9 +83,16 @@ class ZenohPort(Port):
         self._shaking = threading.Lock()
         self.absent = AbsentProcesses()  # processes of the run whose links broke, or whose first ones did not open
         self._own_key = keys.edge(INTERRUPT, name, name)
+        self._inbox: Inbox | SharedInbox
         try:
-            queue = zenoh.handlers.FifoChannel(QUEUE_SIZE)
-            self._inbox = Inbox(session.declare_subscriber(keys.inbox(name), queue), self._wake)
+            if beside is None:
+                queue = zenoh.handlers.FifoChannel(QUEUE_SIZE)
+                self._subscriber: Any = session.declare_subscriber(keys.inbox(name), queue)
+                self._inbox = Inbox(self._subscriber, self._wake)
+            else:
+                self._inbox = beside[self._process] = SharedInbox(lambda: self._lanes)
+                at_once = zenoh.handlers.Callback(self._inbox.arrive, indirect=False)
+                self._subscriber = session.declare_subscriber(keys.inbox(name), at_once)
             liveliness = session.liveliness()
             # a token that nobody refers to undeclares itself
             self._token = liveliness.declare_token(keys.alive(name, self._process))
@@ -173,11 +185,22 @@ class ZenohPort(Port):
             self._session.put(self._own_key, b"", express=True)
 
     def close(self) -> None:
-        if not self._closed:
-            self._closed = True
+        if self._closed:
+            return
+        self._closed = True
+        if self._beside is None:
             close_session(self._session)
-            if self._shared is not None:
-                self._shared.close()
+        else:
+            self._leave(self._beside)
+        if self._shared is not None:
+            self._shared.close()
+
+    def _leave(self, beside: Neighbours) -> None:
+        """Others go on in the session."""
+        beside.pop(self._process).close()
+        for declared in (self._births, self._subscriber, *self._publishers.values(), self._token):
+            with suppress(zenoh.ZError):
+                declared.undeclare()
 
     def _declare(self, rendezvous: Rendezvous) -> None:
         for peer, kind in rendezvous.lanes_out:
@@ -249,12 +272,14 @@ class ZenohPort(Port):
                 if not waits:
                     return None
                 break  # it was interrupted
-            key = str(sample.key_expr)
+            key = sample.key if isinstance(sample, Handed) else str(sample.key_expr)
             lane = self._lanes.get(key)
             if lane is None:  # a wake-up; or from one that is no neighbour any more, or not yet, and will say it again
                 if self._inbox.interrupted and not waits:
                     return None  # there may be any number of them
                 continue
+            if isinstance(sample, Handed):
+                return sample.message
             self._peer = lane[0]
             try:
                 message = decode_message(sample.payload.to_bytes(), self._borrow)
@@ -333,6 +358,10 @@ class ZenohPort(Port):
         publisher = self._publishers.get(lane)
         if publisher is None:
             raise TransportError(f"{self._name}: {message.header.receiver!r} takes no {kind} messages from it")
+        inbox = None if self._beside is None else self._inbox_of(self._beside, message)
+        if inbox is not None:
+            inbox.put(hand_over(self._keys.edge(kind, self._name, message.header.receiver), message))
+            return
         data = encode_message(message, self._lends.get(lane))
         if len(data) > self._most_bytes:
             what = f"a {kind} message of {len(data)} bytes for {message.header.receiver}"
@@ -341,6 +370,15 @@ class ZenohPort(Port):
             publisher.put(data)
         except zenoh.ZError as error:
             raise TransportError(f"{self._name}: cannot send to {message.header.receiver}: {error}") from error
+
+    def _inbox_of(self, beside: Neighbours, message: Message) -> SharedInbox | None:
+        """Where a neighbour in this process takes messages from; None: it is elsewhere, or others hear them, too."""
+        header = message.header
+        link = self._links.get(header.roster)
+        if link is None or header.kind == HELLO or self.heard():
+            return None
+        handshake = link.rendezvous.handshakes.get(header.receiver)
+        return None if handshake is None else beside.get(handshake.peer_process)
 
 
 def epoch_publisher(session: zenoh.Session, keys: Keys) -> Callable[[int, bytes], None]:

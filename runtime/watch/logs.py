@@ -6,7 +6,8 @@ as well. Every record has the fields ``run``, ``node``, ``epoch`` and ``attempt`
     {"time": "2030-01-02T03:04:05.678901Z", "level": "WARNING", "run": "5163af85", "node": "arm",
      "epoch": 12, "attempt": 0, "logger": "hierax", "message": "…"}
 
-``exception`` holds a traceback; what is given as ``extra`` stands under its own names."""
+``process`` is the name of a process that nodes share; ``exception`` holds a traceback; what is given as ``extra``
+stands under its own names."""
 
 import json
 import logging
@@ -14,8 +15,9 @@ import logging.handlers
 import os
 import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from contextlib import suppress
+from contextvars import ContextVar
 from dataclasses import dataclass
 from datetime import datetime, timezone
 from io import TextIOWrapper
@@ -48,10 +50,13 @@ QUIET = {"quiet": True}
 
 When = Callable[[], tuple[int, int]]  # the epoch and attempt under way
 
+NODE: ContextVar[str] = ContextVar("node", default="")
+"""Whose work is being done, where nodes share a process: set in the node's thread, and what it awaits."""
+
 _LOG = logging.getLogger(OURS)
 _CONSOLE_FORMAT = "%(name)s: %(message)s"
 _OURS = ("run", "node", "epoch", "attempt")
-_NOT_TOLD = {"message", "asctime", "taskName", "quiet", "throttled"}
+_NOT_TOLD = {"message", "asctime", "taskName", "quiet", "throttled", "shares"}
 _STANDARD = frozenset(vars(logging.makeLogRecord({}))) | {*_OURS, *_NOT_TOLD}
 
 
@@ -136,12 +141,24 @@ def log_console() -> None:
 
 def log_node(run: str, node: str, when: When) -> None:
     """Have all records of this process go to a node's file too, with what `when` says is under way."""
+    log_nodes(run, node, {node: when})
+
+
+def log_nodes(run: str, process: str, whens: Mapping[str, When]) -> None:
+    """Have the records of a process go to the files of its nodes, with what is under way there.
+
+    Where nodes share it, the process has a name, and a file for what is none of theirs: what their own threads say."""
+    shares = len(whens) > 1
     make = logging.getLogRecordFactory()
 
     def make_with_fields(*arguments: Any, **options: Any) -> logging.LogRecord:
         record = make(*arguments, **options)
-        record.run, record.node = run, node
-        record.epoch, record.attempt = when()
+        node = NODE.get() if shares else process
+        record.run, record.node = run, node if node in whens else process
+        under_way = [whens[node]] if node in whens else whens.values()
+        record.epoch, record.attempt = max(when() for when in under_way)
+        if shares:
+            record.shares = process
         return record
 
     logging.setLogRecordFactory(make_with_fields)
@@ -149,12 +166,20 @@ def log_node(run: str, node: str, when: When) -> None:
     if not (folder / ABOUT).exists():  # for who keeps processes of a run of another machine here
         with suppress(OSError, UnsafeFileError):  # it is told when the file cannot be opened
             begin_run(run, {"hierarchy": "", "deployment": "", "pid": os.getppid()})
+    for name in dict.fromkeys((*whens, process)):
+        _log_to(folder, name, shares)
+
+
+def _log_to(folder: Path, name: str, shares: bool) -> None:
     root = logging.getLogger()
-    handler = open_log(folder / LOGS, node)
-    if handler is not None:
-        handler.addFilter(_throttle.filter)
-        root.addHandler(handler)
-        root.setLevel(min(root.level or logging.WARNING, logging.INFO))
+    handler = open_log(folder / LOGS, name)
+    if handler is None:
+        return
+    if shares:
+        handler.addFilter(lambda record: getattr(record, "node", "") == name)
+    handler.addFilter(_throttle.filter)
+    root.addHandler(handler)
+    root.setLevel(min(root.level or logging.WARNING, logging.INFO))
 
 
 def report_left_out() -> None:
@@ -196,6 +221,8 @@ class JsonLine(logging.Formatter):
             "logger": record.name,
             "message": _message(record),
         }
+        if hasattr(record, "shares"):
+            fields["process"] = record.shares
         if record.exc_info and record.exc_info[0] is not None:
             fields["exception"] = self.formatException(record.exc_info)
         more = {name: value for name, value in vars(record).items() if name not in _STANDARD}

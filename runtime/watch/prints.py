@@ -17,12 +17,12 @@ import select
 import stat
 import subprocess
 import sys
-from collections.abc import Callable, Collection, Iterator
+from collections.abc import Callable, Collection, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from typing import Any, TextIO
 
 from hierax.runtime.host.streams import own_errors, python_module, started_deaf
-from hierax.runtime.watch.logs import QUIET
+from hierax.runtime.watch.logs import NODE, QUIET
 
 LINE_BYTES = 1 << 16  # A longer line is shown, and logged, in pieces
 
@@ -117,11 +117,47 @@ class Lines(io.RawIOBase):
             self.write(b"\n")
 
 
-def name_prints(name: str, console: Console) -> None:
-    """Have what this process writes to `sys.stdout` and `sys.stderr` carry a node's name, and go to its log, too."""
-    sys.stdout = _stream(name, console, "stdout")
-    sys.stderr = _stream(name, console, "stderr")
+def name_prints(name: str, console: Console, nodes: Collection[str] = ()) -> None:
+    """Have what this process writes to `sys.stdout` and `sys.stderr` carry a node's name, and go to its log, too; where
+    several nodes share the process, that of whose work it is, or else the process's."""
+    names = dict.fromkeys((*nodes, name))
+    for channel in ("stdout", "stderr"):
+        streams = {each: _stream(each, console, channel) for each in names}
+        setattr(sys, channel, streams[name] if len(names) == 1 else _ByNode(streams, streams[name]))
     print_c_by_lines()
+
+
+class _ByNode(io.TextIOBase):
+    """A stream that leads to that of the node whose work is being done."""
+
+    def __init__(self, streams: Mapping[str, TextIO], otherwise: TextIO) -> None:
+        super().__init__()
+        self._streams = streams
+        self._otherwise = otherwise
+
+    @property
+    def encoding(self) -> str:  # type: ignore[override]
+        return self._otherwise.encoding
+
+    @property
+    def buffer(self) -> Any:
+        return self._now.buffer
+
+    @property
+    def _now(self) -> TextIO:
+        return self._streams.get(NODE.get(), self._otherwise)
+
+    def writable(self) -> bool:
+        return True
+
+    def fileno(self) -> int:
+        return self._otherwise.fileno()
+
+    def flush(self) -> None:
+        self._now.flush()
+
+    def write(self, text: str) -> int:
+        return self._now.write(text)
 
 
 def print_c_by_lines() -> None:

@@ -1,0 +1,34 @@
+"""What the nodes of one process share: a session of Zenoh, the way from one to another, and the pipe's turns."""
+
+import threading
+from typing import Any
+
+from hierax.runtime.launch.frames import NodeOrder
+from hierax.runtime.transport.shared_process import Neighbours
+from hierax.runtime.transport.zenoh_session import close_session, endpoint_at, open_session
+
+
+class ProcessHome:
+    """A process of so many nodes, each with a thread of its own. One node alone owns the session that it opens."""
+
+    def __init__(self, nodes: int) -> None:
+        self.beside: Neighbours | None = {} if nodes > 1 else None  # where nodes of the process take messages from
+        self.saying = threading.Lock()  # held by who writes to the supervisor
+        self.loading = threading.Lock()  # held by who imports: two threads in a circle of modules would see half of one
+        self._opening = threading.Lock()
+        self._session: Any = None
+
+    def session(self, order: NodeOrder) -> Any:
+        """The session, opened by who comes first. Raises `TransportError` as `open_session` does."""
+        with self._opening:
+            if self._session is None:
+                listen, low_latency = [endpoint_at(order.host, order.secret)], order.low_latency
+                self._session = open_session(
+                    listen, [order.hub], order.settings, low_latency=low_latency, secret=order.secret
+                )
+            return self._session
+
+    def close(self) -> None:
+        """Close the session, when no node uses it any more."""
+        if self._session is not None and self.beside is not None:
+            close_session(self._session)

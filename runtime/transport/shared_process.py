@@ -1,0 +1,144 @@
+"""What nodes that share a process say to one another: it goes in memory, by no network.
+
+A message is encoded all the same: its receiver gets what it would get from another process, and nothing of it can be
+changed by its sender afterwards. But its large arrays are handed over as they are, read-only, where nobody can write
+into them any more; of others there is one copy.
+"""
+
+import struct
+import threading
+import time
+from collections.abc import Callable, Container
+from queue import Empty, SimpleQueue
+from typing import Any, NamedTuple, TypeAlias
+
+import numpy as np
+import zenoh
+from numpy.typing import NDArray
+
+from hierax.runtime.transport.inbox import SAMPLE_BYTES, WAITING_BYTES
+from hierax.schemas.messages import Message, decode_message, encode_message
+
+ROOM = 1024  # how many messages wait for a node; who sends one more waits
+ROOM_S = 0.001  # how often it looks whether there is room
+
+_NUMBER = struct.Struct("<I")
+
+
+class Handed(NamedTuple):
+    """A message on its way to another node of the process."""
+
+    key: str  # that it would have been put on
+    data: bytes  # the message, without large arrays
+    arrays: list[NDArray[Any]]  # these
+
+    @property
+    def message(self) -> Message:
+        return decode_message(self.data, lambda told: self.arrays[_NUMBER.unpack(told)[0]])
+
+
+def hand_over(key: str, message: Message) -> Handed:
+    """Raises `SchemaError` if the payload holds something that cannot travel."""
+    arrays: list[NDArray[Any]] = []
+
+    def lend(array: NDArray[Any]) -> bytes | None:
+        plain = type(array) is np.ndarray and array.flags.c_contiguous and array.flags.aligned
+        if not (plain and array.dtype.isnative):
+            return None  # it is encoded, as its receiver is to have it in the usual layout
+        arrays.append(_frozen(array))
+        return _NUMBER.pack(len(arrays) - 1)
+
+    return Handed(key, encode_message(message, lend), arrays)
+
+
+def _frozen(array: NDArray[Any]) -> NDArray[Any]:
+    """The array if nobody can write into its memory any more, else a copy of it; read-only."""
+    root: NDArray[Any] = array
+    while isinstance(root.base, np.ndarray):
+        root = root.base
+    frozen: NDArray[Any] = array.copy() if root.flags.writeable else array.view()
+    frozen.flags.writeable = False
+    return frozen
+
+
+Item: TypeAlias = zenoh.Sample | Handed
+
+
+class SharedInbox:
+    """The messages for one of several nodes of a process, by the network or from one another, as they came.
+
+    As `Inbox`, whose place it takes. A node's thread does not look for messages before it sleeps: it would hold up the
+    nodes beside it, of which one at a time has the interpreter.
+    """
+
+    def __init__(self, wanted: Callable[[], Container[str]]) -> None:
+        self.interrupted = False  # whether the node's thread is to look elsewhere; who takes messages ends that
+        self._wanted = wanted  # gives the keys of neighbours
+        self._queue: SimpleQueue[Item | None] = SimpleQueue()  # None: it was interrupted
+        self._counting = threading.Lock()
+        self._bytes = 0
+        self._dropped: set[str] = set()
+        self._closed = False
+
+    def put(self, handed: Handed) -> None:
+        """A message from another node of the process; waits while the queue is full."""
+        self._put(handed)
+
+    def arrive(self, sample: zenoh.Sample) -> None:
+        """A message that came by the network, in a thread of Zenoh's. It waits while the queue is full; what is more
+        than `WAITING_BYTES` is dropped."""
+        size = _bytes(sample)
+        with self._counting:
+            full = bool(self._bytes) and self._bytes + size > WAITING_BYTES
+            if not full:
+                self._bytes += size
+            elif str(sample.key_expr) in self._wanted():
+                self._dropped.add(str(sample.key_expr))
+        if not full:
+            self._put(sample)
+
+    def interrupt(self) -> None:
+        """Have the node's thread look at something else than messages; any thread may, and none waits."""
+        if not self.interrupted:
+            self.interrupted = True
+            self._queue.put(None)
+
+    def take(self, waits: bool) -> Item | None:
+        """The next message, slept for if it may wait; None: none, or interrupted."""
+        while True:
+            try:
+                item = self._queue.get(waits)
+            except Empty:
+                return None
+            if isinstance(item, zenoh.Sample):
+                with self._counting:
+                    self._bytes -= _bytes(item)
+            if item is not None or waits:
+                return item
+
+    def relieve(self, wanted: Container[str]) -> set[str]:
+        """The wanted keys of which messages were dropped since the last time, as too much waits."""
+        if not self._dropped:
+            return set()
+        with self._counting:
+            dropped, self._dropped = self._dropped, set()
+        return {key for key in dropped if key in wanted}
+
+    def close(self) -> None:
+        """Take in nothing any more; who waits goes on."""
+        self._closed = True
+        self.interrupt()
+
+    def _put(self, item: Item) -> None:
+        while self._queue.qsize() >= ROOM and not self._closed:
+            time.sleep(ROOM_S)
+        if not self._closed:
+            self._queue.put(item)
+
+
+def _bytes(sample: zenoh.Sample) -> int:
+    return max(len(sample.payload), SAMPLE_BYTES)
+
+
+Neighbours: TypeAlias = dict[str, SharedInbox]
+"""By the token of a node in this process, where it takes its messages from."""
