@@ -32,6 +32,8 @@ from hierax.runtime.transport.zenoh_session import close_session, free_endpoint
 WARM_UP = 0.2  # share of the epochs, at the beginning of each run, that is not counted
 TIMEOUT_S = 600.0
 RETRY_S = 0.2
+BELOW = {"star": lambda number: 0, "chain": lambda number: number - 1, "tree": lambda number: (number - 1) // 2}
+"""By shape, the number of the node below one."""
 
 
 # --- the rival: a process for each node, by its number; the world is 0
@@ -96,7 +98,7 @@ def bare_node(number: int, above: Sequence[int], below: int | None, endpoints: S
 def bare(shape: str, size: int, epochs: int) -> list[float]:
     """How long epochs of the rival took, in µs."""
     endpoints = [free_endpoint() for _ in range(size)]
-    below = [None, *((0 if shape == "star" else number - 1) for number in range(1, size))]
+    below = [None, *(BELOW[shape](number) for number in range(1, size))]
     with ExitStack() as stack:
         processes = []
         for number in range(size - 1, -1, -1):

@@ -1,18 +1,23 @@
-"""``hierax launch``: a deployment, each node in a process of its own."""
+"""``hierax launch``: a deployment, each node in a process of its own, or in those that it shares."""
 
 import functools
 from dataclasses import replace
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 from hierax.runtime.commands.errors import OK, CommandError, notify
 from hierax.runtime.commands.options import OF_A_RUN, LaunchedFile, RunOptions, offers
-from hierax.runtime.commands.recordings import claimed_file, report_outcome, selection_of
+from hierax.runtime.commands.recordings import claimed_file, recording_of, report_outcome, selection_of
 from hierax.runtime.launch.run_file import Run, has_run, read_run
 
+if TYPE_CHECKING:
+    from hierax.runtime.deployment import Deployment
+    from hierax.runtime.execution.report import Report
 
-@offers(*OF_A_RUN, "state", "resume", "host", "trust")
+
+@offers(*OF_A_RUN, "state", "resume", "host", "processes", "traffic", "trust")
 def launch(options: RunOptions, file: LaunchedFile = None) -> int:
-    """Run a deployment with each node in a process of its own, over Zenoh."""
+    """Run a deployment with each node in a process of its own, or in those that it shares, over Zenoh."""
     if file is None or options.resume is None:
         return _launched(options, file)
     return _begun_or_resumed(options, file, options.resume)
@@ -39,7 +44,6 @@ def _begun_or_resumed(options: RunOptions, file: str, state: Path) -> int:
 def _launched(options: RunOptions, file: str | None, goes_on: bool = False) -> int:
     """`goes_on`: whether the output of a run that was ended before its first epoch is written on."""
     from hierax.runtime.commands.run_deployment import run_deployment
-    from hierax.runtime.launch import supervisor
     from hierax.runtime.launch.recorder_process import RecordingRequest
     from hierax.runtime.transport.zenoh_session import log_who_comes
     from hierax.runtime.watch import doors, telemetry
@@ -50,11 +54,15 @@ def _launched(options: RunOptions, file: str | None, goes_on: bool = False) -> i
     if file is None:
         raise CommandError("expected a deployment file, or --resume DIR")
     output, state = options.output, options.state
+    if options.traffic is not None and options.processes is None:
+        raise CommandError("--traffic: only with --processes, whose cut it decides")
     selection = selection_of(options, options.record is not None)
     with claimed_file(options.record, options.overwrite) as target:
         recording = RecordingRequest(target, options.check, selection) if target or options.check else None
         runner = functools.partial(
-            supervisor.launch,
+            _placed,
+            options.processes,
+            options.traffic,
             notify=notify,
             state=None if state is None else state.absolute(),
             resumed=run,
@@ -72,6 +80,34 @@ def _launched(options: RunOptions, file: str | None, goes_on: bool = False) -> i
     if recording.failure:
         raise CommandError(recording.failure)
     return max(code, report_outcome(recording.file, recording.ending, recording.violations))
+
+
+def _placed(processes: int | None, traffic: Path | None, deployment: "Deployment", **given: Any) -> "Report":
+    """Launch a deployment, in so many processes where that is said."""
+    from hierax.runtime.deployment.partition import cut
+    from hierax.runtime.launch import supervisor
+
+    if processes is not None:
+        passed = None if traffic is None else _traffic(traffic, deployment)
+        deployment = replace(deployment, processes=cut(deployment.roster, processes, passed))
+    return supervisor.launch(deployment, **given)
+
+
+def _traffic(file: Path, deployment: "Deployment") -> dict[tuple[str, str], float]:
+    """How many bytes passed along the edges of a hierarchy, by lower and upper node, in a recording.
+
+    Raises `HieraxError` if it cannot be read, or has nothing of them."""
+    from hierax.runtime.recording.topics import MESSAGE
+
+    bytes_along = dict.fromkeys(deployment.roster.pairs, 0.0)
+    for entry in recording_of(file).entries(MESSAGE):
+        sender, receiver = entry.topic.names
+        for pair in ((sender, receiver), (receiver, sender)):
+            if pair in bytes_along:
+                bytes_along[pair] += len(entry.data)
+    if not any(bytes_along.values()):
+        raise CommandError(f"--traffic: {file} has no messages along the edges of {deployment.name}")
+    return bytes_along
 
 
 def _resumed(file: str | None, options: RunOptions) -> Run | None:

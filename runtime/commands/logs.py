@@ -70,14 +70,14 @@ def read_pattern(text: str) -> re.Pattern[str]:
 class LogFilter:
     """Which entries of a log are shown."""
 
-    nodes: Sequence[str] = ()  # of these alone; empty: of all
+    nodes: Sequence[str] = ()  # of these alone, or of the nodes of these processes; empty: of all
     level: str = "DEBUG"  # from this one on
     since: datetime | None = None  # not from before; None: from the beginning
     pattern: re.Pattern[str] | None = None  # found in message, logger's name or traceback; None: anything
 
     def __call__(self, entry: Entry) -> bool:
         """Whether an entry is."""
-        if self.nodes and entry.get("node") not in self.nodes:
+        if self.nodes and not {entry.get("node"), entry.get("process")}.intersection(self.nodes):
             return False
         if _number(entry.get("level")) < _number(self.level):
             return False
@@ -142,7 +142,8 @@ def _number(level: Any) -> int:
 def line(entry: Entry) -> str:
     """An entry as text: local time, level, node and epoch, message; a traceback below."""
     clock = _time(entry).astimezone().strftime("%H:%M:%S.%f")[:-3]
-    where = f"{entry.get('node', '?')} epoch {entry.get('epoch', 0)}"
+    node, process = entry.get("node", "?"), entry.get("process")
+    where = f"{node if process in (None, node) else f'{process}/{node}'} epoch {entry.get('epoch', 0)}"
     text = f"{clock} {entry.get('level', '')} {where}: {entry.get('message', '')}"
     return f"{text}\n{entry['exception']}" if entry.get("exception") else text
 
@@ -172,7 +173,8 @@ def logs(
         option(
             "--node",
             metavar="NODE",
-            help="Of this node alone; `launch` is what happened to the processes. May be given several times.",
+            help="Of this node alone, or of all that share the process of this name; `launch` is what happened to the "
+            "processes. May be given several times.",
             autocompletion=lambda: sorted({name for folder in known_folders() for name in Reader(folder).names}),
         ),
     ] = None,

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from hierax.runtime.commands.errors import CommandError, notify
 from hierax.runtime.commands.options import SNIPPET, Format, Node, RunOptions, Snippet, argument, offers, option
-from hierax.runtime.commands.show import RIGHT, print_json, print_table
+from hierax.runtime.commands.show import RIGHT, by_process, print_json, print_table
 from hierax.runtime.commands.which_launch import Meant, client_at, launch_meant, own_deployment
 from hierax.runtime.core.errors import HieraxError
 from hierax.runtime.launch.run_file import is_loopback, known_runs
@@ -150,11 +150,17 @@ def _print_runs(runs: Sequence[Mapping[str, Any]]) -> None:
     for number, each in enumerate(runs):
         space = "\n" if number else ""
         print(f"{space}{each['hierarchy']}, run {each['run']}: epoch {each['epoch']}, roster version {each['roster']}")
+        nodes = by_process(each["nodes"])
+        shared = ("process",) if any(node.get("shares") for node in nodes.values()) else ()
         rows = [
-            (name, node["state"], str(node["pid"] or ""), str(node["instance"]), str(node["restarts"]))
-            for name, node in each["nodes"].items()
+            (
+                *(node["shares"] for _ in shared),
+                *(name, node["state"], str(node["pid"] or ""), str(node["instance"]), str(node["restarts"])),
+            )
+            for name, node in nodes.items()
         ]
-        print_table({"node": {}, "state": {}, "pid": RIGHT, "instance": RIGHT, "restarts": RIGHT}, rows)
+        columns: dict[str, dict[str, Any]] = {**{name: {} for name in shared}, "node": {}, "state": {}}
+        print_table({**columns, "pid": RIGHT, "instance": RIGHT, "restarts": RIGHT}, rows)
 
 
 def deployment_at(launch: Meant, file: str | None) -> "Deployment":

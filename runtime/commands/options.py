@@ -52,6 +52,7 @@ _WORDS = """
 --output DIR: A folder for states, digests, the report and what probes write; made where it lacks.
 --overwrite: Replace the output or recording of another run; of other files none is touched.
 --port PORT: Of the page, on this machine's loopback; by default 9090, or a free one where that is taken.
+--processes N: Put the nodes into so many processes, as many into each, or by --traffic; else as the file says.
 --record FILE: Record the run into this MCAP file. Exit code 1 if something said is not in it.
 --resume DIR: Go on with the run whose checkpoints are in this folder, at its next epoch. With FILE, begin there where
     there is none, and end well where it is over.
@@ -68,6 +69,7 @@ _WORDS = """
 --to K: The last epoch; by default the last one.
 --tolerance T: Numbers are alike that differ by no more than T, or than this share of the greater one. 0: to the bit.
 --trace: Print all events of a single seed.
+--traffic FILE: With --processes: a recording of this hierarchy; the fewest of its bytes are to pass between processes.
 --trust: Load and run, as yourself, whatever code is named by who is not known to be you.
 --verify: Compare every result and digest with the recording; exit code 1 where one differs.
 --version: Print the version.
@@ -164,6 +166,8 @@ class RunOptions:
     state: Annotated[Path | None, option("--state")] = None
     resume: Annotated[Path | None, option("--resume")] = None
     host: Annotated[str | None, option("--host")] = None
+    processes: Annotated[int | None, option("--processes", min=1, max=LARGEST)] = None
+    traffic: Annotated[Path | None, option("--traffic", dir_okay=False)] = None
     run: Run = None
     connect: Connect = None
     key: KeyFile = None

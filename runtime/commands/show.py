@@ -37,6 +37,12 @@ def console() -> "Console":
     return Console(width=None if sys.stdout.isatty() else PIPE_COLUMNS, highlight=False, markup=False)
 
 
+def by_process(nodes: Mapping[str, Mapping[str, Any]]) -> dict[str, Mapping[str, Any]]:
+    """Nodes, by name, as a launch tells of them: those that share a process are beside one another."""
+    order = sorted(nodes, key=lambda name: (nodes[name].get("shares") or name, name))
+    return {name: nodes[name] for name in order}
+
+
 def print_table(columns: Mapping[str, Mapping[str, Any]], rows: Sequence[tuple[str, ...]]) -> None:
     """A table on standard output; see `table_of`."""
     console().print(table_of(columns, rows))

@@ -8,7 +8,7 @@ from itertools import islice
 from typing import TYPE_CHECKING, Annotated, Any
 
 from hierax.runtime.commands.options import Connect, Format, KeyFile, OutputFormat, Run, option
-from hierax.runtime.commands.show import console, print_json, table_of
+from hierax.runtime.commands.show import by_process, console, print_json, table_of
 from hierax.runtime.commands.which_launch import client_at, launch_meant
 
 if TYPE_CHECKING:
@@ -17,9 +17,9 @@ if TYPE_CHECKING:
     from hierax.runtime.transport.launch_client import LaunchClient
 
 _TIMES = ("observe", "policy", "predict", "edges", "act", "other", "waiting")
-_COLUMNS = ("node", "state", "epoch", *_TIMES, "for", "cpu", "memory", "restarts")
+_COLUMNS = ("process", "node", "state", "epoch", *_TIMES, "for", "cpu", "memory", "restarts")
 _DISPENSABLE = ("state", "other", "cpu")
-_LEFT = ("node", "state", "for")
+_LEFT = ("process", "node", "state", "for")
 WIDE, NARROW = 140, 100
 """Widths of a terminal, from which columns have space between them, and below which some are left out."""
 
@@ -111,18 +111,20 @@ def headline(look: Mapping[str, Any]) -> str:
 def table(look: Mapping[str, Any], width: int = WIDE) -> "Table":
     """The nodes of a launch as rows: times are per epoch. On a narrow terminal, some columns are left out."""
     acts = any((node.get("per_epoch_us") or {}).get("act") for node in look["nodes"].values())
-    shown = [column for column in _COLUMNS if column != "act" or acts]
+    shares = any(node.get("shares") for node in look["nodes"].values())
+    left_out = {name for name, is_there in (("act", acts), ("process", shares)) if not is_there}
+    shown = [column for column in _COLUMNS if column not in left_out]
     if width < NARROW:
         shown = [column for column in shown if column not in _DISPENSABLE]
     columns = {heading: {} if heading in _LEFT else {"justify": "right", "no_wrap": True} for heading in shown}
-    rows = [_cells(name, node) for name, node in look["nodes"].items()]
+    rows = [_cells(name, node) for name, node in by_process(look["nodes"]).items()]
     cells = [tuple(row.get(heading, "") for heading in shown) for row in rows]
     return table_of(columns, cells, padding=(0, 1) if width >= WIDE else 0)
 
 
 def _cells(name: str, node: Mapping[str, Any]) -> dict[str, str]:
     """A node's row, by heading."""
-    cells = {"node": name, "restarts": str(node["restarts"])}
+    cells = {"process": node.get("shares", ""), "node": name, "restarts": str(node["restarts"])}
     if not node["answers"]:
         state = node["state"] if node["state"] != "running" else "no answer"
         return {**cells, "state": state, "for": state}

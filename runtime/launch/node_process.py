@@ -13,6 +13,7 @@ import signal
 import sys
 import traceback
 from collections.abc import Awaitable
+from contextvars import copy_context
 from typing import Any, NoReturn
 
 import anyio
@@ -23,7 +24,7 @@ from hierax.runtime.host.streams import own_output
 from hierax.runtime.launch.frames import FINISH, LEAVE, STOP, Frames, NodeOrder
 from hierax.runtime.launch.node_worker import NodeWorker
 from hierax.runtime.launch.process_home import ProcessHome
-from hierax.runtime.watch.logs import QUIET, log_console, log_nodes, report_left_out
+from hierax.runtime.watch.logs import NODE, QUIET, log_console, log_nodes, report_left_out
 from hierax.runtime.watch.prints import Console, console_stream, name_prints
 from hierax.schemas.control import Census, decode_control
 from hierax.schemas.values import Value
@@ -85,7 +86,7 @@ async def _main(orders: int, status: int, console: Console) -> int:
     log_nodes(nodes[0].run, name, whens)
     name_prints(name, console, whens)
     for order in nodes:
-        _log.info("process %d of %s: %s", os.getpid(), order.name, order.life)
+        copy_context().run(_say_hello, order)
     process = _Process(workers, home)
     async with anyio.create_task_group() as tasks:
         tasks.start_soon(process.obey, orders, frames, commands)
@@ -95,6 +96,11 @@ async def _main(orders: int, status: int, console: Console) -> int:
         tasks.cancel_scope.cancel()
     process.close()
     return code
+
+
+def _say_hello(order: NodeOrder) -> None:
+    NODE.set(order.name)
+    _log.info("process %d of %s: %s", os.getpid(), order.name, order.life)
 
 
 class _Process:

@@ -50,6 +50,7 @@ class RosterSupervisor(ProcessSupervisor):
         self._world = orders.deployment.roster.world
         self._unreachable: set[str] = set()
         self._last_roster: Roster | None = None
+        self._last_nodes: list[str] | None = None
         self._heard_s = 0.0
         self._told: Child | None = None
         self._clock = SteadyClock()
@@ -97,8 +98,11 @@ class RosterSupervisor(ProcessSupervisor):
 
     @property
     def present(self) -> list[Child]:
-        """The processes of the roster in force that were started here."""
-        return [child for child in self.children if self.members.get(child.name) == child.token]
+        """The processes of the roster in force that were started here; of a node of the last one, which has told."""
+        if self._last_nodes is None:
+            return [child for child in self.children if self.members.get(child.name) == child.token]
+        told = {child.name: child for child in self.children if child.report is not None}
+        return [told.get(name, self.current[name]) for name in self._last_nodes]
 
     # --- what the processes say
 
@@ -118,6 +122,8 @@ class RosterSupervisor(ProcessSupervisor):
             self._beat.set()
             self._beat = anyio.Event()
         elif status == frames.FINISHED:
+            if self._last_nodes is None:  # a further process of the world's knows of nobody any more
+                self._last_nodes = [name for name, token in value["processes"].items() if self.child(token) is not None]
             self._on_members(value["processes"])
             self._last_roster = Roster.read(value["roster"])
             self.finished.set()
@@ -184,7 +190,8 @@ class RosterSupervisor(ProcessSupervisor):
             self.fail(child.last_words)
             return
         if child.dismissed:
-            self.notify(f"{name}: its process exits: {child.dismissed}")
+            what = "its process exits" if child.code is None else "it leaves its process"
+            self.notify(f"{name}: {what}: {child.dismissed}")
             await self.send_to_owner(Lost(name, child.token, False))
             return
         if self.current.get(name) is not child:

@@ -259,10 +259,12 @@ class Supervisor:
                 self._break(NodeFailedError(f"no report within {REPORT_TIMEOUT_S:g} s: {', '.join(silent)}"))
 
     async def _stop(self, which: Callable[[Child], bool]) -> None:
-        for child in self._processes.present:
-            if which(child):
-                await child.send(STOP)
-        while any(which(child) and child.report is None for child in self._processes.present):
+        told: set[str] = set()
+        while silent := [child for child in self._processes.present if which(child) and child.report is None]:
+            for child in silent:  # some may have been started in the place of others that were killed meanwhile
+                if child.token not in told:
+                    told.add(child.token)
+                    await child.send(STOP)
             await anyio.sleep(POLL_S)
 
     async def _end_all(self) -> None:

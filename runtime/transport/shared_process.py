@@ -107,7 +107,7 @@ class SharedInbox:
         """The next message, slept for if it may wait; None: none, or interrupted."""
         while True:
             try:
-                item = self._queue.get(waits)
+                item = self._queue.get(waits and not self._closed)
             except Empty:
                 return None
             if isinstance(item, zenoh.Sample):

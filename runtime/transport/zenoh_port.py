@@ -201,6 +201,7 @@ class ZenohPort(Port):
         for declared in (self._births, self._subscriber, *self._publishers.values(), self._token):
             with suppress(zenoh.ZError):
                 declared.undeclare()
+        self._publishers = {}
 
     def _declare(self, rendezvous: Rendezvous) -> None:
         for peer, kind in rendezvous.lanes_out:

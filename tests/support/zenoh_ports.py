@@ -8,6 +8,7 @@ import pytest
 
 from hierax.runtime.core.graph import neighbours
 from hierax.runtime.transport.shared_arrays import SharedArrays
+from hierax.runtime.transport.shared_process import Neighbours
 from hierax.runtime.transport.zenoh_port import INTERRUPT, ZenohPort
 from hierax.runtime.transport.zenoh_session import LOOPBACK, LOW_LATENCY_BYTES, free_endpoint, open_session
 from hierax.schemas.keys import Keys
@@ -20,6 +21,7 @@ def open_zenoh(
     early: Sequence[bytes] = (),
     low_latency: bool = False,
     shared: bool = False,
+    together: bool = False,
 ) -> dict[str, ZenohPort]:
     """A session for each node; the first one is what the others find one another through.
 
@@ -29,14 +31,19 @@ def open_zenoh(
         early: what somebody puts on keys of each port before it connects.
         low_latency: of the links.
         shared: whether large arrays may go through shared memory.
+        together: one session for all, as nodes have it that share a process.
     """
     keys = keys or Keys("conformance", token_hex(4))
     hub = free_endpoint()
-    ports = {}
+    ports: dict[str, ZenohPort] = {}
+    beside: Neighbours | None = {} if together else None
+    session = open_session([hub]) if together else None
     for number, name in enumerate(sorted({name for edge in edges for name in edge})):
-        session = open_session([LOOPBACK if number else hub], [hub] if number else [], low_latency=low_latency)
+        if not together:
+            session = open_session([LOOPBACK if number else hub], [hub] if number else [], low_latency=low_latency)
+        assert session is not None
         most_bytes, memory = LOW_LATENCY_BYTES if low_latency else None, SharedArrays() if shared else None
-        ports[name] = ZenohPort(session, keys, name, most_bytes=most_bytes, shared=memory)
+        ports[name] = ZenohPort(session, keys, name, name if together else "", most_bytes, memory, beside)
         below, above = (each.get(name, ()) for each in neighbours(edges))
         ports[name].link(below, above, 0, {}, lambda _: None)
         for data in early:

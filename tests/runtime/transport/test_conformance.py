@@ -65,6 +65,10 @@ def test_zenoh_with_shared_memory() -> None:
     check_transport(lambda edges: open_zenoh(edges, shared=True), break_link=break_over_zenoh)
 
 
+def test_nodes_in_one_process() -> None:
+    check_transport(lambda edges: open_zenoh(edges, together=True))
+
+
 def test_low_latency_zenoh() -> None:
     check_transport(lambda edges: open_zenoh(edges, low_latency=True), LOW_LATENCY_BYTES)
 
