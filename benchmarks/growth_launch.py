@@ -23,7 +23,7 @@ from typing import Any
 
 import msgpack
 import numpy as np
-from growth import hierarchy
+from growth import FANOUT, hierarchy
 
 from hierax.runtime.bench.bare_chain import Chain
 from hierax.runtime.launch.supervisor import launch
@@ -32,7 +32,7 @@ from hierax.runtime.transport.zenoh_session import close_session, free_endpoint
 WARM_UP = 0.2  # share of the epochs, at the beginning of each run, that is not counted
 TIMEOUT_S = 600.0
 RETRY_S = 0.2
-BELOW = {"star": lambda number: 0, "chain": lambda number: number - 1, "tree": lambda number: (number - 1) // 2}
+BELOW = {"star": lambda number: 0, "chain": lambda number: number - 1, "tree": lambda number: (number - 1) // FANOUT}
 """By shape, the number of the node below one."""
 
 
