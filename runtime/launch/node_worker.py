@@ -169,7 +169,8 @@ class NodeWorker:
         """Close the port, when no other thread uses it any more; where nodes share the session, all that is theirs."""
         if self._home.beside is not None:
             for declared in self._declared:
-                declared.close()
+                with self._home.declaring:
+                    declared.close()
         if self._port is not None:
             self._port.close()
 
@@ -216,18 +217,12 @@ class NodeWorker:
         keys = Keys(order.deployment, order.run)
         if most_bytes is None and allows_shared_memory(order.settings):
             self._shared = SharedArrays()
-        port = self._port = ZenohPort(
-            session, keys, order.name, order.process, most_bytes, self._shared, self._home.beside
-        )
-        is_world = order.owner is not None
-        offered = () if is_world else (*get_args(Offered), *((Dismiss,) if order.elsewhere else ()))
-        self._line = ControlLine(session, keys, order.process, offered, self.hear, most_bytes)
-        if is_world:
-            self._owners_line = ControlLine(session, keys, OWNER, get_args(Word), self.hear, most_bytes)
-        self._publisher = StepPublisher(session, keys, order.name)
+        with self._home.declaring:
+            port = self._port = ZenohPort(
+                session, keys, order.name, order.process, most_bytes, self._shared, self._home.beside
+            )
+            endpoint = self._declare(session, keys, most_bytes)
         port.heard = lambda: self._publisher.heard
-        endpoint = InspectionEndpoint(session, keys, order.name)
-        self._declared += (self._line, self._publisher, endpoint)
         self._opens_s = inf
         observers, slots = open_observers(order), open_slots(order)
         if order.recorded and self._publisher.wait(RECORDER_TIMEOUT_S):
@@ -245,7 +240,9 @@ class NodeWorker:
         seat = Seat(order.name, order.process, loader.wiring, port, observers, staleness, alone)
         try:
             if order.owner is not None:
-                pacemaker = pacemaker_of(order, epoch_publisher(session, keys))
+                with self._home.declaring:
+                    publish = epoch_publisher(session, keys)
+                pacemaker = pacemaker_of(order, publish)
                 member = self._begin_world(order.owner, seat, port, slots, pacemaker)
             else:
                 member = self._begin(seat, port, slots)
@@ -256,6 +253,19 @@ class NodeWorker:
         finally:
             observers.close()
         return self._part(member)
+
+    def _declare(self, session: Any, keys: Keys, most_bytes: int | None) -> InspectionEndpoint:
+        """What others than neighbours say to the node and hear of it."""
+        order = self._order
+        is_world = order.owner is not None
+        offered = () if is_world else (*get_args(Offered), *((Dismiss,) if order.elsewhere else ()))
+        self._line = ControlLine(session, keys, order.process, offered, self.hear, most_bytes)
+        if is_world:
+            self._owners_line = ControlLine(session, keys, OWNER, get_args(Word), self.hear, most_bytes)
+        self._publisher = StepPublisher(session, keys, order.name)
+        endpoint = InspectionEndpoint(session, keys, order.name)
+        self._declared += (self._line, self._publisher, endpoint)
+        return endpoint
 
     def _empty(self, shape: int | tuple[int, ...], dtype: DTypeLike = float) -> NDArray[Any]:
         return np.empty(shape, dtype) if self._shared is None else self._shared.lender.empty(shape, dtype)

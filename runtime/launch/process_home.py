@@ -1,6 +1,7 @@
 """What the nodes of one process share: a session of Zenoh, the way from one to another, and the pipe's turns."""
 
 import threading
+from contextlib import AbstractContextManager, nullcontext
 from typing import Any
 
 from hierax.runtime.launch.frames import NodeOrder
@@ -12,11 +13,16 @@ class ProcessHome:
     """A process of so many nodes, each with a thread of its own. One node alone owns the session that it opens."""
 
     def __init__(self, nodes: int) -> None:
-        self.beside: Neighbours | None = {} if nodes > 1 else None  # where nodes of the process take messages from
+        self.beside = Neighbours() if nodes > 1 else None  # where nodes of the process take messages from
         self.saying = threading.Lock()  # held by who writes to the supervisor
         self.loading = threading.Lock()  # held by who imports: two threads in a circle of modules would see half of one
         self._opening = threading.Lock()
         self._session: Any = None
+
+    @property
+    def declaring(self) -> AbstractContextManager[Any]:
+        """Held by who declares something in the session, or takes it back."""
+        return nullcontext() if self.beside is None else self.beside.declaring
 
     def session(self, order: NodeOrder) -> Any:
         """The session, opened by who comes first. Raises `TransportError` as `open_session` does."""

@@ -140,5 +140,11 @@ def _bytes(sample: zenoh.Sample) -> int:
     return max(len(sample.payload), SAMPLE_BYTES)
 
 
-Neighbours: TypeAlias = dict[str, SharedInbox]
-"""By the token of a node in this process, where it takes its messages from."""
+class Neighbours(dict[str, SharedInbox]):
+    """By the token of a node in this process, where it takes its messages from."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        # Held by who declares something in the session, or takes it back. Zenoh 1.10 tells of a key in full once, and
+        # by a number from then on; a thread that declares at the same time may use the number before it was told.
+        self.declaring = threading.RLock()

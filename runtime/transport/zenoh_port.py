@@ -4,7 +4,7 @@ import logging
 import threading
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from contextlib import suppress
+from contextlib import AbstractContextManager, nullcontext, suppress
 from dataclasses import dataclass
 from functools import partial
 from typing import Any
@@ -66,6 +66,7 @@ class ZenohPort(Port):
     ) -> None:
         self._session = session  # an open session
         self._beside = beside
+        self._declaring: AbstractContextManager[Any] = nullcontext() if beside is None else beside.declaring
         self._most_bytes = MAX_MESSAGE_BYTES if most_bytes is None else most_bytes
         self._keys = keys  # of the run
         self._name = name  # of the node
@@ -85,20 +86,24 @@ class ZenohPort(Port):
         self._own_key = keys.edge(INTERRUPT, name, name)
         self._inbox: Inbox | SharedInbox
         try:
-            if beside is None:
-                queue = zenoh.handlers.FifoChannel(QUEUE_SIZE)
-                self._subscriber: Any = session.declare_subscriber(keys.inbox(name), queue)
-                self._inbox = Inbox(self._subscriber, self._wake)
-            else:
-                self._inbox = beside[self._process] = SharedInbox(lambda: self._lanes)
-                at_once = zenoh.handlers.Callback(self._inbox.arrive, indirect=False)
-                self._subscriber = session.declare_subscriber(keys.inbox(name), at_once)
-            liveliness = session.liveliness()
-            # a token that nobody refers to undeclares itself
-            self._token = liveliness.declare_token(keys.alive(name, self._process))
-            self._births = liveliness.declare_subscriber(keys.alive("*"), self._on_alive, history=True)
+            with self._declaring:
+                self._open(session, keys, beside)
         except zenoh.ZError as error:
             raise TransportError(f"{name}: Zenoh: {error}") from error
+
+    def _open(self, session: zenoh.Session, keys: Keys, beside: Neighbours | None) -> None:
+        if beside is None:
+            queue = zenoh.handlers.FifoChannel(QUEUE_SIZE)
+            self._subscriber: Any = session.declare_subscriber(keys.inbox(self._name), queue)
+            self._inbox = Inbox(self._subscriber, self._wake)
+        else:
+            self._inbox = beside[self._process] = SharedInbox(lambda: self._lanes)
+            at_once = zenoh.handlers.Callback(self._inbox.arrive, indirect=False)
+            self._subscriber = session.declare_subscriber(keys.inbox(self._name), at_once)
+        liveliness = session.liveliness()
+        # a token that nobody refers to undeclares itself
+        self._token = liveliness.declare_token(keys.alive(self._name, self._process))
+        self._births = liveliness.declare_subscriber(keys.alive("*"), self._on_alive, history=True)
 
     @property
     def ready(self) -> bool:
@@ -116,7 +121,8 @@ class ZenohPort(Port):
         for link in self._links.values():
             rendezvous.take_over(link.rendezvous)
         try:
-            self._declare(rendezvous)
+            with self._declaring:
+                self._declare(rendezvous)
         except zenoh.ZError as error:
             raise TransportError(f"{self._name}: Zenoh: {error}") from error
         link = Link(rendezvous, opened)
@@ -129,7 +135,8 @@ class ZenohPort(Port):
         self._links = {later: link for later, link in self._links.items() if later >= version}
         needed = {(kind, peer) for link in self._links.values() for peer, kind in link.rendezvous.lanes_out}
         for lane in self._publishers.keys() - needed:
-            self._publishers.pop(lane).undeclare()
+            with self._declaring:
+                self._publishers.pop(lane).undeclare()
             self._lends.pop(lane, None)
             self._forget(lane)
         self._lanes = {
@@ -199,7 +206,7 @@ class ZenohPort(Port):
         """Others go on in the session."""
         beside.pop(self._process).close()
         for declared in (self._births, self._subscriber, *self._publishers.values(), self._token):
-            with suppress(zenoh.ZError):
+            with suppress(zenoh.ZError), self._declaring:
                 declared.undeclare()
         self._publishers = {}
 

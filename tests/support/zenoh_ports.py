@@ -36,7 +36,7 @@ def open_zenoh(
     keys = keys or Keys("conformance", token_hex(4))
     hub = free_endpoint()
     ports: dict[str, ZenohPort] = {}
-    beside: Neighbours | None = {} if together else None
+    beside = Neighbours() if together else None
     session = open_session([hub]) if together else None
     for number, name in enumerate(sorted({name for edge in edges for name in edge})):
         if not together:
