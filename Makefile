@@ -85,6 +85,12 @@ mutations: $(INSTALLED)
 kills: $(INSTALLED)
 	$(BIN)/python benchmarks/kills.py
 
+# docs/placement.md: 500 random hierarchies in random processes with a kill each, and what an epoch costs by partition; an hour
+.PHONY: partitions
+partitions: $(INSTALLED)
+	$(BIN)/python benchmarks/partitions.py
+	$(BIN)/python benchmarks/placement.py
+
 # docs/cameras.md: a video beside its folder, 60 kills before a stream; some minutes
 cameras: $(INSTALLED)
 	$(BIN)/python benchmarks/cameras.py
