@@ -38,8 +38,8 @@ def console() -> "Console":
 
 
 def by_process(nodes: Mapping[str, Mapping[str, Any]]) -> dict[str, Mapping[str, Any]]:
-    """Nodes, by name, as a launch tells of them: those that share a process are beside one another."""
-    order = sorted(nodes, key=lambda name: (nodes[name].get("shares") or name, name))
+    """Nodes, by name, as a launch tells of them: those that share a process are beside one another, and come first."""
+    order = sorted(nodes, key=lambda name: (not nodes[name].get("shares"), nodes[name].get("shares") or ""))
     return {name: nodes[name] for name in order}
 
 
